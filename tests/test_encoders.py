@@ -229,7 +229,7 @@ def test_texts_are_embedded_once(folders: dict[str, Path], monkeypatch: pytest.M
     assert_array_equal(first[0], first[2])
     assert_array_equal(encoder.encode_texts(["mug", "a"]), first[[1, 0]])
     assert asked == ["a", "mug"]
-    monkeypatch.setattr(torch_encoder, "TEXTS_KEPT", 2)
+    monkeypatch.setattr(torch_encoder, "MAX_CACHED_TEXTS", 2)
     assert_array_equal(encoder.encode_texts(["the", "a", "on"])[1], first[0])
     encoder.encode_texts(["a", "on"])
     assert asked == ["a", "mug", "the", "on"]

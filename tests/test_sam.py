@@ -535,7 +535,7 @@ def test_the_callers_torch_is_left_as_it_was(folder):
 def test_masks_do_not_depend_on_how_many_are_enlarged_at_a_time(folder, monkeypatch):
     segmenter = sam.load_segmenter(str(folder), "cpu", LOOSE)
     whole = segmenter.segment(IMAGE)["default"]
-    monkeypatch.setattr(sam, "_CHUNK_NUMBERS", 2 * 150 * 200)
+    monkeypatch.setattr(sam, "_CHUNK_FLOATS", 2 * 150 * 200)
     sizes = [len(f.masks) for f in segmenter.predictor.find(IMAGE, point_grid(4) * 64, LOOSE)]
     assert max(sizes) <= 2
     few = segmenter.segment(IMAGE)["default"]

@@ -1,4 +1,4 @@
-"""Image-text encoders: who made an embedding, and how to make a query from words."""
+"""Image-text encoders: the identity of an embedding's encoder, and the interfaces for words and images."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,10 +12,10 @@ from .errors import InputError
 
 @dataclass(frozen=True)
 class EncoderIdentity:
-    """Two embeddings can be compared only if their identities match.
+    """Identity of an encoder: embeddings can be compared only if their identities match.
 
-    name: for people, e.g. "ViT-B-16/laion2b_s34b_b88k". dim: D. weights: hash of the weights, or "" where it is not
-    known. preprocessing: how images are scaled and normalised, or "" where it is not known, as with files of LangSplat.
+    name: for people, e.g. "ViT-B-16/laion2b_s34b_b88k". dim: D. weights: hash of the weights, or "" if unknown.
+    preprocessing: how images are scaled and normalised, or "" if unknown, as with files of LangSplat.
 
     Raises: InputError: a text with half of a surrogate pair, which JSON can hold and no other file or answer.
     """
@@ -31,24 +31,26 @@ class EncoderIdentity:
                 raise InputError(f"encoder: expected a name that can be written, got {ascii(text)[:80]}")
 
     def matches(self, other: "EncoderIdentity") -> bool:
-        """Equal in all that both know. Names count where a hash is missing: a model keeps its
-        weights when its folder gets another name."""
+        """Return whether two identities agree in all that both know.
+
+        Names count where a hash is missing: a model keeps its weights when its folder gets another name.
+        """
         same_model = self.weights == other.weights if self.weights and other.weights else self.name == other.name
         return same_model and self.dim == other.dim and _agree(self.preprocessing, other.preprocessing)
 
 
-def _agree(one: str, other: str) -> bool:
-    return not (one and other) or one == other
+def _agree(first: str, second: str) -> bool:
+    return not (first and second) or first == second
 
 
 def identity_json(identity: EncoderIdentity) -> dict[str, object]:
-    """As files have it; without preprocessing where it is not known, as files had it before."""
-    known = {"preprocessing": identity.preprocessing} if identity.preprocessing else {}
-    return {"name": identity.name, "dim": identity.dim, "weights": identity.weights, **known}
+    """Return the JSON object of files; without preprocessing if unknown, as in older files."""
+    preprocessing = {"preprocessing": identity.preprocessing} if identity.preprocessing else {}
+    return {"name": identity.name, "dim": identity.dim, "weights": identity.weights, **preprocessing}
 
 
 def identity_said(encoder: EncoderIdentity) -> str:
-    """For people."""
+    """Describe an encoder for people."""
     weights = f", weights {encoder.weights[:12]}" if encoder.weights else ""
     images = f", images at {encoder.preprocessing}" if encoder.preprocessing else ""
     return f"{encoder.name} ({encoder.dim}-d{weights}{images})"
@@ -56,7 +58,7 @@ def identity_said(encoder: EncoderIdentity) -> str:
 
 @runtime_checkable
 class Encoder(Protocol):
-    """Words to unit vectors in the space of the scene's embeddings."""
+    """Encoder of words to unit vectors in the space of the scene's embeddings."""
 
     identity: EncoderIdentity
 
@@ -65,9 +67,9 @@ class Encoder(Protocol):
 
 @runtime_checkable
 class ImageEncoder(Protocol):
-    """Images to unit vectors in the space of the scene's embeddings.
+    """Encoder of images to unit vectors in the space of the scene's embeddings.
 
-    Scaling and normalisation are the encoder's own: they belong to its weights.
+    It scales and normalises images itself: both belong to its weights.
     """
 
     identity: EncoderIdentity

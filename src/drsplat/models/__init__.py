@@ -1,7 +1,6 @@
-"""Who cuts photos and who embeds pictures and words: SAM, CLIP and their like of other libraries, and the built-in
-ones.
+"""Models that cut photos and embed pictures and words: SAM, CLIP and similar ones, and the built-in ones.
 
-Other libraries are imported when a model is asked for.
+Other libraries are imported when a model is loaded.
 
 Imports `encoders`, `masks`, `formats` and `kernels`.
 """

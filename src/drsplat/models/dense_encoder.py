@@ -1,4 +1,4 @@
-"""Masks embedded by the patches that they cover: one pass over a photo, and no mask is cut out."""
+"""Masks embedded by the patches that they cover: one pass over a photo, without cutting masks out."""
 
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ class DensePatchEncoder(TransformersEncoder):
 
     def __init__(self, name: str, folder: Path, device: str = "auto", dtype: str = "auto") -> None:
         super().__init__(name, folder, device, dtype)
-        self._prefix = 1 + self._vision.num_register_tokens  # of tokens that are no patches
+        self._num_prefix_tokens = 1 + self._vision.num_register_tokens  # no patches
 
     def encode_masks(self, image: UInt8[np.ndarray, "h w 3"], masks: Masks) -> Float32[np.ndarray, "n d"]:
         """Return unit vectors of the masks of an image, each with a pixel or more, in their order.
@@ -45,8 +45,8 @@ class DensePatchEncoder(TransformersEncoder):
             return self._patch_rows(self._scaled(images))
 
     def _patch_rows(self, values: Any) -> Float32[np.ndarray, "b p d"]:
-        """Unit vectors of the patches of scaled images, row by row."""
-        tokens = self._model.get_image_features(pixel_values=values).last_hidden_state[:, self._prefix :]
+        """Return unit vectors of the patches of scaled images, row by row."""
+        tokens = self._model.get_image_features(pixel_values=values).last_hidden_state[:, self._num_prefix_tokens :]
         rows = as_rows(tokens)
         with np.errstate(invalid="ignore", divide="ignore"):  # _unit says what is wrong
             return np.asarray(rows / np.linalg.norm(rows, axis=2, keepdims=True), np.float32)

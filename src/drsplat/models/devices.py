@@ -1,4 +1,4 @@
-"""Where a model computes and in which numbers."""
+"""Device and number type that a model computes with."""
 
 import platform
 from importlib import import_module
@@ -11,17 +11,17 @@ _BF16_FLAGS = {"avx512_bf16", "amx_bf16", "bf16"}  # the last is Arm's
 
 
 def chosen_device(device: str = "auto") -> str:
-    """ "cpu", "cuda" or "mps": what "auto" stands for here, else the device itself where it is there.
+    """Return the device: "cpu", "cuda" or "mps" for "auto", else the one named, if it is available.
 
     Raises: InputError: no such device. MissingExtraError: this machine or this torch has not got it.
     """
     torch = import_module("torch")
     if device not in DEVICES:
         raise InputError(f"device: expected one of {', '.join(DEVICES)}, got {device!r}")
-    present = {"cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available(), "cpu": True}
+    available = {"cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available(), "cpu": True}
     if device == "auto":
-        return next(name for name, there in present.items() if there)
-    if not present[device]:
+        return next(name for name, there in available.items() if there)
+    if not available[device]:
         raise MissingExtraError(
             f"device '{device}': torch {torch.__version__} finds none on this machine. Use device "
             "'cpu' or 'auto', or install a torch that is built for it"
@@ -30,7 +30,7 @@ def chosen_device(device: str = "auto") -> str:
 
 
 def chosen_dtype(dtype: str, device: str) -> str:
-    """What "auto" stands for on a device: half precision where it is faster. Raises: InputError: no such dtype."""
+    """Return the dtype; "auto" is half precision on devices where that is faster. Raises: InputError: no such dtype."""
     if dtype not in DTYPES:
         raise InputError(f"dtype: expected one of {', '.join(DTYPES)}, got {dtype!r}")
     if dtype != "auto":
@@ -40,9 +40,9 @@ def chosen_dtype(dtype: str, device: str) -> str:
 
 
 def has_fast_bfloat16() -> bool:
-    """Whether the processor multiplies bfloat16 in hardware; elsewhere it is slower than float32.
+    """Return whether the processor multiplies bfloat16 in hardware; elsewhere it is slower than float32.
 
-    False where the system does not tell (only Linux does).
+    The answer is False where the system does not tell (only Linux does).
     """
     if platform.system() != "Linux":
         return False

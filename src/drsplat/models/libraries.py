@@ -12,7 +12,7 @@ NO_TORCHVISION = "pip uninstall torchvision"
 
 
 def models_library() -> Any:
-    """The module transformers, with a torch that it can use.
+    """Return the module transformers, with a torch that it can use.
 
     Raises: MissingExtraError: one is not installed, or cannot be imported; says why.
     """
@@ -30,7 +30,7 @@ def models_library() -> Any:
 
 
 def model_class(name: str) -> Any:
-    """A class of transformers by name; its module is imported here.
+    """Import and return a class of transformers by name.
 
     Raises: MissingExtraError: this transformers has none of that name, or cannot import it.
     """
@@ -46,7 +46,7 @@ def model_class(name: str) -> Any:
 
 
 def torchvision_fault() -> str | None:
-    """What importing torchvision says where it is installed but broken; else None.
+    """Return the error of importing a torchvision that is installed but broken; else None.
 
     A torchvision that was built for another torch stops transformers from importing any model,
     with a message that does not name it. Nothing here needs torchvision.

@@ -1,4 +1,4 @@
-"""An encoder by its name."""
+"""Encoders by name."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,22 +13,22 @@ if TYPE_CHECKING:
     from .torch_encoder import TorchEncoder
 
 DEFAULT_ENCODER = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
-"""The paper's. Source: Dr. Splat Sec. A."""
+"""The paper's encoder. Source: Dr. Splat Sec. A."""
 OPENCLIP_NAMES = {"ViT-B-16/laion2b_s34b_b88k": DEFAULT_ENCODER}
-"""The same model as LangSplat and OpenCLIP name it."""
+"""Names of LangSplat and OpenCLIP for the same models."""
 OPEN_CLIP_PREFIXES = ("hf-hub:", "open_clip:")
-"""Of names that open_clip's own library loads; the first is its own way to say so."""
+"""Prefixes of names that open_clip's own library loads; the first is that library's own."""
 
 
 def load_encoder(
     name: str = DEFAULT_ENCODER, device: str = "auto", dtype: str = "auto", *, threads: int = 0
 ) -> "WordEncoder | MiniEncoder | TorchEncoder":
-    """A built-in encoder, or a CLIP, MetaCLIP 2, SigLIP, SigLIP 2, DINOv2, DINOv3 or TIPSv2 of transformers.
+    """Load a built-in encoder, or a CLIP, MetaCLIP 2, SigLIP, SigLIP 2, DINOv2, DINOv3 or TIPSv2 of transformers.
 
     name: "drsplat-words", "drsplat-mini", a folder as `save_pretrained` or OpenCLIP writes it, or an id of the Hugging
     Face hub, which is downloaded unless it is cached. Only safetensors are loaded, never pickles.
-    After "hf-hub:" or "open_clip:" it is loaded by open_clip's own library (`drsplat[open-clip]`), which has what
-    transformers has not, such as "hf-hub:timm/PE-Core-B-16".
+    After "hf-hub:" or "open_clip:" it is loaded by open_clip's own library (`drsplat[open-clip]`), which has models
+    that transformers has not, such as "hf-hub:timm/PE-Core-B-16".
     device: auto, cpu, cuda or mps. dtype of images: auto, float32, bfloat16 or float16; auto is
     float16 on CUDA and bfloat16 on processors that multiply it. threads: of drsplat-mini, 0 for all cores; the
     libraries of the others have settings of their own.
@@ -57,7 +57,7 @@ def load_encoder(
 def _by_open_clip(name: str, place: str, device: str, dtype: str) -> "TorchEncoder":
     from .open_clip_encoder import OpenClipEncoder, open_clip_library
 
-    open_clip_library()  # before a download that nobody could use
+    open_clip_library()  # fail before a useless download
     folder = model_folder(place, OPEN_CLIP)
     called = folder.resolve().name if Path(place).expanduser().is_dir() else name
     return OpenClipEncoder(called, folder, device, dtype)

@@ -1,4 +1,4 @@
-"""Where points are asked, and which boxes and regions stay."""
+"""Grids of points, crops of images, and the boxes and regions to keep."""
 
 from collections.abc import Sequence
 from itertools import product
@@ -15,22 +15,22 @@ _CROP_EDGE_PX = 20  # Source: segment-anything utils/amg.py, is_box_near_crop_ed
 
 
 def point_grid(side: int) -> Float64[np.ndarray, "p 2"]:
-    """side x side points (x, y) in the middles of equal cells of the unit square, row by row."""
+    """Return side x side points (x, y) in the middles of equal cells of the unit square, row by row."""
     middles = (np.arange(side) + 0.5) / side
     return np.stack(np.meshgrid(middles, middles), -1).reshape(-1, 2)
 
 
 def open_points(side: int, explained: Bool[np.ndarray, "h w"]) -> Float64[np.ndarray, "p 2"]:
-    """Return the points of a grid (x, y in pixels) that are not explained, nor half of the pixels in their cells.
+    """Return the grid points (x, y in pixels) outside `explained` whose cells are not more than half explained.
 
-    Where nothing is explained that is the whole grid. Slivers between masks are not asked for.
+    Without any explained pixel that is the whole grid. Slivers between masks get no point.
     """
     height, width = explained.shape
     points = point_grid(side) * (width, height)
     column, row = np.minimum(points.astype(np.int64), (width - 1, height - 1)).T
-    reach = np.array([width, height]) / (2 * side)
-    x0, y0 = np.maximum(np.floor(points - reach), 0).astype(np.int64).T
-    x1, y1 = np.minimum(np.ceil(points + reach), (width, height)).astype(np.int64).T
+    half_cell = np.array([width, height]) / (2 * side)
+    x0, y0 = np.maximum(np.floor(points - half_cell), 0).astype(np.int64).T
+    x1, y1 = np.minimum(np.ceil(points + half_cell), (width, height)).astype(np.int64).T
     sums = np.pad(explained.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
     covered = sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0]
     is_open = ~explained[row, column] & (2 * covered <= (x1 - x0) * (y1 - y0))
@@ -45,7 +45,7 @@ def spread(points: Float64[np.ndarray, "p 2"], most: int | None) -> Float64[np.n
 
 
 def crop_boxes(height: int, width: int, layers: int, overlap: float) -> list[tuple[int, Box]]:
-    """The whole image as layer 0, then of layer n 2**n x 2**n crops that overlap, column by column.
+    """Return the whole image as layer 0, then 2**n x 2**n overlapping crops of each layer n, column by column.
 
     Crops without pixels, which images of a pixel's breadth have, are left out.
     Source: segment-anything utils/amg.py, generate_crop_boxes.
@@ -64,9 +64,9 @@ def crop_boxes(height: int, width: int, layers: int, overlap: float) -> list[tup
 
 
 def cut_by_crop(box: Box, crop: Box, size: tuple[int, int]) -> bool:
-    """Whether a mask comes within 20 px of an edge of its crop that is not one of the image's.
+    """Return whether a mask comes within 20 px of an edge of its crop that is not an edge of the image.
 
-    It may go on outside; the whole image or a neighbour has it in full.
+    Such a mask may continue outside; the whole image or a neighbouring crop has it in full.
     """
     corners = np.subtract(box, (0, 0, 1, 1))  # pixels, both included, as in the source
     near_crop = np.abs(corners - crop) <= _CROP_EDGE_PX
@@ -75,31 +75,31 @@ def cut_by_crop(box: Box, crop: Box, size: tuple[int, int]) -> bool:
 
 
 def box_nms(boxes: Sequence[Box], scores: Sequence[float], max_iou: float) -> Int64[np.ndarray, " k"]:
-    """Indices of boxes that overlap no kept one of a higher score by more than max_iou, best first.
+    """Return indices of boxes, best first, that overlap no kept box of a higher score by more than max_iou.
 
     Of equal scores the earlier goes first. Corners are pixels, both included, and the area is the
     product of their differences, as in the source; a box of one row has none and overlaps nothing.
     """
     corners = np.array(boxes, np.float64).reshape(-1, 4) - (0, 0, 1, 1)
     areas = (corners[:, 2] - corners[:, 0]) * (corners[:, 3] - corners[:, 1])
-    alive, kept = np.ones(len(corners), bool), []
+    alive, chosen = np.ones(len(corners), bool), []
     for i in np.argsort(-np.array(scores, np.float64), kind="stable"):
         if not alive[i]:
             continue
-        kept.append(i)
+        chosen.append(i)
         low = np.maximum(corners[:, :2], corners[i, :2])
         high = np.minimum(corners[:, 2:], corners[i, 2:])
         shared = np.maximum(high - low, 0).prod(1)
         union = areas + areas[i] - shared
         iou = np.divide(shared, union, out=np.zeros_like(shared), where=union > 0)
         alive &= iou <= max_iou
-    return np.array(kept, np.int64)
+    return np.array(chosen, np.int64)
 
 
 def without_small_regions(
     box: Box, part: Bool[np.ndarray, "h w"], size: tuple[int, int], min_region: int
 ) -> tuple[Box, Bool[np.ndarray, "_ _"], bool]:
-    """A mask with its holes below min_region pixels filled, then its islands below it removed.
+    """Fill the holes of a mask below min_region pixels, then remove its islands below min_region pixels.
 
     The largest island stays whatever its size: this rule drops no mask. The last says whether there was anything small,
     be it that island alone. Regions touch at sides or corners; small background at the image's edge is a hole too.
@@ -107,7 +107,7 @@ def without_small_regions(
     """
     if min_region == 0:
         return box, part, False
-    # so wide a margin that background around the box is counted as small only if it is
+    # margin wide enough that background around the box counts as small only if it is
     x0, y0 = max(0, box[0] - min_region), max(0, box[1] - min_region)
     x1, y1 = min(size[1], box[2] + min_region), min(size[0], box[3] + min_region)
     canvas = np.zeros((y1 - y0, x1 - x0), bool)
@@ -126,7 +126,7 @@ def without_small_regions(
 
 
 def _regions_below(mask: Bool[np.ndarray, "h w"], limit: int) -> Bool[np.ndarray, "h w"]:
-    """Pixels of a mask whose connected region has fewer pixels than the limit."""
+    """Return the pixels of a mask whose connected region has fewer pixels than the limit."""
     labels, _ = ndimage.label(mask, np.ones((3, 3), int))
     small = np.bincount(labels.ravel()) < limit
     small[0] = False

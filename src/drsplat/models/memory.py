@@ -1,4 +1,4 @@
-"""What happens when the memory of a model's device is full: smaller batches, and else words."""
+"""Recovery when a device's memory is full: smaller batches, then a clear error."""
 
 from collections.abc import Callable
 from importlib import import_module
@@ -10,9 +10,9 @@ Answer = TypeVar("Answer")
 
 
 def fitting(compute: Callable[[Any], Answer], items: Any, what: str) -> list[Answer]:
-    """compute(items) alone, or of its halves, and theirs, as far as the memory asks for it.
+    """Compute all items at once, or in halves, recursively, where the memory is full; return the results in order.
 
-    items: anything with a length that can be sliced. what: they, in the plural.
+    items: anything with a length that can be sliced. what: the items' name in the plural, for the error.
 
     Raises: DrSplatError: not even one fits.
     """
@@ -21,7 +21,7 @@ def fitting(compute: Callable[[Any], Answer], items: Any, what: str) -> list[Ans
         return [compute(items)]
     except torch.cuda.OutOfMemoryError as error:
         full = str(error)
-    torch.cuda.empty_cache()  # here, where nothing of the attempt is held any more
+    torch.cuda.empty_cache()  # outside of `except`, which would hold the tensors
     half = len(items) // 2
     if half == 0:
         raise DrSplatError(

@@ -18,8 +18,9 @@ from .weight_names import OPEN_CLIP, OPEN_CLIP_CONFIG
 
 
 class Tensor(NamedTuple):
-    """One tensor of OpenCLIP. targets: what transformers calls it; several for equal parts of it
-    along the first axis. transposed: transformers has it the other way round.
+    """Tensor of OpenCLIP.
+
+    targets: its names in transformers; several for equal parts along the first axis. transposed: in transformers.
     """
 
     name: str
@@ -29,9 +30,9 @@ class Tensor(NamedTuple):
 
 
 def load_open_clip(folder: Path) -> Any:
-    """The CLIPModel of transformers with the weights of open_clip_model.safetensors, in float32.
+    """Load open_clip_model.safetensors as the CLIPModel of transformers, in float32.
 
-    Its settings are those of config.json, or where there is none of open_clip_config.json.
+    Its settings are those of config.json, or of open_clip_config.json if there is none.
 
     Raises: InputError: config.json is of another architecture, or open_clip_config.json asks for
     what CLIPModel does not do. FormatError: settings that are no model, or a tensor that is missing,
@@ -49,7 +50,7 @@ def load_open_clip(folder: Path) -> Any:
 
 
 def renamed(weights: dict[str, Any], config: Any, where: str) -> dict[str, Any]:
-    """Tensors by the names of transformers. Raises: FormatError: as `load_open_clip`."""
+    """Rename tensors for transformers. Raises: FormatError: as `load_open_clip`."""
     left = _without_prefix(weights)
     state: dict[str, Any] = {}
     for wanted in tensors(config):
@@ -67,27 +68,27 @@ def renamed(weights: dict[str, Any], config: Any, where: str) -> dict[str, Any]:
 
 
 def tensors(config: Any) -> Iterator[Tensor]:
-    """All that a CLIP of these settings has, one by one: sizes from strangers make no list here."""
+    """Yield all tensors of a CLIP of these settings, lazily: settings from strangers must not fill a list."""
     vision, text, dim = config.vision_config, config.text_config, config.projection_dim
-    wide, side, words = vision.hidden_size, vision.patch_size, text.hidden_size
+    width, side, words = vision.hidden_size, vision.patch_size, text.hidden_size
     if not all(isinstance(n, int) and n > 0 for n in (side, vision.image_size)):
         raise FormatError(
             "vision_config: expected one number each as image_size and patch_size, got "
             f"{shown(vision.image_size)} and {shown(side)}"
         )
-    seen = "vision_model.embeddings."
+    vision_embeddings = "vision_model.embeddings."
     places = (vision.image_size // side) ** 2 + 1
     yield Tensor("logit_scale", (), ("logit_scale",))
-    yield Tensor("visual.class_embedding", (wide,), (seen + "class_embedding",))
-    yield Tensor("visual.conv1.weight", (wide, 3, side, side), (seen + "patch_embedding.weight",))
-    yield Tensor("visual.positional_embedding", (places, wide), (seen + "position_embedding.weight",))
-    yield from _linear("visual.ln_pre", "vision_model.pre_layrnorm", wide)
+    yield Tensor("visual.class_embedding", (width,), (vision_embeddings + "class_embedding",))
+    yield Tensor("visual.conv1.weight", (width, 3, side, side), (vision_embeddings + "patch_embedding.weight",))
+    yield Tensor("visual.positional_embedding", (places, width), (vision_embeddings + "position_embedding.weight",))
+    yield from _linear("visual.ln_pre", "vision_model.pre_layrnorm", width)
     yield from _layers("visual.", "vision_model.", vision)
-    yield from _linear("visual.ln_post", "vision_model.post_layernorm", wide)
-    yield Tensor("visual.proj", (wide, dim), ("visual_projection.weight",), True)
-    read = "text_model.embeddings."
-    yield Tensor("token_embedding.weight", (text.vocab_size, words), (read + "token_embedding.weight",))
-    yield Tensor("positional_embedding", (text.max_position_embeddings, words), (read + "position_embedding.weight",))
+    yield from _linear("visual.ln_post", "vision_model.post_layernorm", width)
+    yield Tensor("visual.proj", (width, dim), ("visual_projection.weight",), True)
+    texts = "text_model.embeddings."
+    yield Tensor("token_embedding.weight", (text.vocab_size, words), (texts + "token_embedding.weight",))
+    yield Tensor("positional_embedding", (text.max_position_embeddings, words), (texts + "position_embedding.weight",))
     yield from _layers("", "text_model.", text)
     yield from _linear("ln_final", "text_model.final_layer_norm", words)
     yield Tensor("text_projection", (words, dim), ("text_projection.weight",), True)
@@ -123,7 +124,7 @@ def _linear(ours: str, theirs: str, *shape: int) -> Iterator[Tensor]:
 
 
 def _without_prefix(weights: dict[str, Any]) -> dict[str, Any]:
-    """Where the text tower is a part of its own (custom_text), its names begin with text."""
+    """Remove the prefix "text." of models whose text tower is a part of its own (custom_text)."""
     plain = {name: name.removeprefix("text.") for name in weights}
     return {
         name if plain[name] != name and plain[name] in weights else plain[name]: tensor

@@ -1,4 +1,4 @@
-"""Image-text models by open_clip's own library: what transformers has not, such as PE-Core and MobileCLIP2.
+"""Image-text models by open_clip's own library: those that transformers has not, such as PE-Core and MobileCLIP2.
 
 Images are scaled by drsplat, as for every other encoder; the library has the architectures and the tokens of texts.
 """
@@ -42,10 +42,12 @@ def open_clip_library() -> Any:
 
 
 class OpenClipEncoder(TorchEncoder):
-    """A model of open_clip in a folder with open_clip_config.json and open_clip_model.safetensors; see TorchEncoder."""
+    """Model of open_clip in a folder with open_clip_config.json and open_clip_model.safetensors; see TorchEncoder."""
 
     def __init__(self, name: str, folder: Path, device: str = "auto", dtype: str = "auto") -> None:
-        """Raises: InputError: no settings, no safetensors. FormatError: damaged ones, or they do not fit each other.
+        """Load the model.
+
+        Raises: InputError: no settings, no safetensors. FormatError: damaged ones, or they do not fit each other.
         MissingExtraError: as `open_clip_library`.
         """
         self._library = open_clip_library()
@@ -73,7 +75,7 @@ class OpenClipEncoder(TorchEncoder):
             return as_rows(self._model.encode_text(tokens))
 
     def _tokens(self, texts: Sequence[str]) -> Any:
-        """The library cuts what is too long; whether it did shows in one token more.
+        """Return the tokens of texts. The library cuts long texts silently; one token more shows it.
 
         Raises: InputError: a text is too long.
         """
@@ -99,6 +101,6 @@ def _checked(folder: Path) -> Path:
 
 
 def _preprocessing(folder: Path, size: int | tuple[int, int]) -> Preprocessing:
-    """Return that of the folder; images have the size that the model takes, whatever the file says."""
+    """Return the folder's preprocessing, at the size that the model takes, whatever the file says."""
     side = size if isinstance(size, int) else size[0]
     return replace(open_clip_preprocessing(folder, Preprocessing(side, "bicubic", *_OPENAI)), side=side)

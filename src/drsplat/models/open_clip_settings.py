@@ -23,26 +23,26 @@ _WITHOUT_EFFECT = {
     "patch_dropout", "attn_pooler_queries", "attn_pooler_heads", "pad_id", "eos_id",
     "timm_model_pretrained", "timm_pool", "timm_proj", "timm_drop", "hf_model_pretrained",
 }  # fmt: skip
-"""On what is computed: read elsewhere, of training, or of parts that other settings switch on."""
+"""Settings that do not change the result: read elsewhere, for training, or of parts that others switch on."""
 _PLAIN = ("pool_type", "tok"), ("pool_type", "argmax"), ("pos_embed_type", "learnable"),\
     ("proj_type", "linear"), ("block_type", "default")  # fmt: skip
 
 
 def config_arguments(path: Path) -> dict[str, Any]:
-    """open_clip_config.json as the arguments of CLIPConfig.
+    """Return open_clip_config.json as the arguments of CLIPConfig.
 
     OpenCLIP takes the text's vector at the highest number among its tokens; transformers does so
     for the eos_token_id 2, whatever the vocabulary.
     """
     where = f"{path}: model_cfg"
-    given = _object(_settings_file(path), "model_cfg", str(path))
-    model = _with_defaults(given, _MODEL, where)
-    vision = _sizes(given, "vision_cfg", _VISION, where)
-    text = _sizes(given, "text_cfg", _TEXT, where)
-    wide = vision["hidden_size"]
-    heads = _positive(wide // vision.pop("head_width"), f"{where}.vision_cfg: width / head_width")
+    settings = _object(_settings_file(path), "model_cfg", str(path))
+    model = _with_defaults(settings, _MODEL, where)
+    vision = _sizes(settings, "vision_cfg", _VISION, where)
+    text = _sizes(settings, "text_cfg", _TEXT, where)
+    width = vision["hidden_size"]
+    heads = _positive(width // vision.pop("head_width"), f"{where}.vision_cfg: width / head_width")
     act = {"hidden_act": "quick_gelu" if model["quick_gelu"] else "gelu"}
-    dim = _positive(given.get("embed_dim"), f"{where}.embed_dim")
+    dim = _positive(settings.get("embed_dim"), f"{where}.embed_dim")
     legacy = {"bos_token_id": 0, "pad_token_id": 1, "eos_token_id": 2}
     return {
         "projection_dim": dim,
@@ -52,54 +52,54 @@ def config_arguments(path: Path) -> dict[str, Any]:
 
 
 def embedding_size(path: Path) -> int:
-    """Return how many numbers an embedding of the model of open_clip_config.json has. Raises: FormatError."""
+    """Return the dimension of embeddings, from open_clip_config.json. Raises: FormatError."""
     model = _object(_settings_file(path), "model_cfg", str(path))
     return _positive(model.get("embed_dim"), f"{path}: model_cfg.embed_dim")
 
 
 def _sizes(model: dict[str, Any], part: str, defaults: dict[str, int], where: str) -> dict[str, int]:
-    """Of one tower, by the names of transformers."""
+    """Return the sizes of one tower under the names of transformers."""
     where = f"{where}.{part}"
-    given = _with_defaults(_object(model, part, where), defaults | _BOTH, where)
-    ratio = as_number(given.pop("mlp_ratio"), f"{where}.mlp_ratio")
+    settings = _with_defaults(_object(model, part, where), defaults | _BOTH, where)
+    ratio = as_number(settings.pop("mlp_ratio"), f"{where}.mlp_ratio")
     names = {"width": "hidden_size", "layers": "num_hidden_layers", "heads": "num_attention_heads",
              "context_length": "max_position_embeddings"}  # fmt: skip
-    sizes = {names.get(name, name): _positive(_side(given[name]), f"{where}.{name}") for name in defaults}
+    sizes = {names.get(name, name): _positive(_side(settings[name]), f"{where}.{name}") for name in defaults}
     return {**sizes, "intermediate_size": int(sizes["hidden_size"] * ratio)}
 
 
-def _with_defaults(given: dict[str, Any], known: dict[str, Any], where: str) -> dict[str, Any]:
-    """Raises: InputError: a setting that changes what is computed, in a way unknown here."""
-    for name, value in given.items():
-        idle = name in _WITHOUT_EFFECT or not value or (name, value) in _PLAIN
-        if name not in known and not idle:
+def _with_defaults(settings: dict[str, Any], defaults: dict[str, Any], where: str) -> dict[str, Any]:
+    """Return the known settings, with defaults. Raises: InputError: one that changes the result in an unknown way."""
+    for name, value in settings.items():
+        harmless = name in _WITHOUT_EFFECT or not value or (name, value) in _PLAIN
+        if name not in defaults and not harmless:
             raise InputError(
                 f"{where}.{name}: {shown(value)} makes a model that transformers' CLIP is not: put open_clip: before "
                 "its name, which loads it by open_clip's own library, or choose a plain CLIP with a ViT"
             )
-    return known | {name: given[name] for name in known if name in given}
+    return defaults | {name: settings[name] for name in defaults if name in settings}
 
 
 def open_clip_preprocessing(folder: Path, default: Preprocessing) -> Preprocessing:
-    """That of open_clip_config.json, where the folder has one; the default for what it leaves out.
+    """Return the preprocessing of open_clip_config.json, completed by the default; the default without the file.
 
     Raises: InputError: a way to scale images that is not ours. FormatError: it is damaged.
     """
     path = folder / OPEN_CLIP_CONFIG
     if not path.is_file():
         return default
-    given = _object(_settings_file(path), "preprocess_cfg", str(path))
-    fit, how = given.get("resize_mode", "shortest"), given.get("interpolation", "bicubic")
-    if fit not in ("shortest", "squash") or how not in ("bicubic", "bilinear"):
+    settings = _object(_settings_file(path), "preprocess_cfg", str(path))
+    fit, interpolation = settings.get("resize_mode", "shortest"), settings.get("interpolation", "bicubic")
+    if fit not in ("shortest", "squash") or interpolation not in ("bicubic", "bilinear"):
         raise InputError(
-            f"{path}: images are scaled by resize_mode {shown(fit)}, interpolation {shown(how)}; "
+            f"{path}: images are scaled by resize_mode {shown(fit)}, interpolation {shown(interpolation)}; "
             "drsplat knows shortest and squash, bicubic and bilinear"
         )
     names = {"mean": "image_mean", "std": "image_std"}
-    settings = {new: given[old] for old, new in names.items() if given.get(old) is not None}
-    side = _side(given.get("size") or default.side)
-    settings |= {"size": side, "resample": how, "do_center_crop": fit == "shortest"}
-    return preprocessing_of(settings, path, default)
+    renamed = {new: settings[old] for old, new in names.items() if settings.get(old) is not None}
+    side = _side(settings.get("size") or default.side)
+    renamed |= {"size": side, "resample": interpolation, "do_center_crop": fit == "shortest"}
+    return preprocessing_of(renamed, path, default)
 
 
 def _settings_file(path: Path) -> dict[str, Any]:
@@ -117,7 +117,7 @@ def _object(document: dict[str, Any], key: str, where: str) -> dict[str, Any]:
 
 
 def _side(value: object) -> object:
-    """One number where a file has it twice, for height and width."""
+    """Return the one number of a list that repeats it for height and width; other values as they are."""
     twice = isinstance(value, list) and len(value) in (1, 2) and value[0] == value[-1]
     return value[0] if twice else value  # type: ignore[index]
 

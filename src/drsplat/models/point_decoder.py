@@ -1,4 +1,4 @@
-"""The mask decoder of a SAM with what all points share computed once: half the time of transformers' own, same answers.
+"""Mask decoder of a SAM that computes what all points share once: half the time of transformers', same answers.
 
 Every point begins with the same image, so the first layer's projections of it are common. Encodings of places are
 projected once instead of added to the image for every point. Tokens stay in one order until the masks are finished,
@@ -15,7 +15,7 @@ from ..arrays import Float32
 
 
 class Projection(NamedTuple):
-    """A linear map of image tokens, (n, d) -> (n, k). offset, (n, k): its bias and what it makes of places."""
+    """Linear map of image tokens, (n, d) -> (n, k). offset, (n, k): its bias, and its result for position encodings."""
 
     weight: Any
     offset: Any
@@ -27,8 +27,10 @@ class Projection(NamedTuple):
 
 
 class SharedImage(NamedTuple):
-    """What all points of an image share. tokens: (1, n, d), row by row. layers: keys, queries and values of each
-    layer. last: keys and values of the last attention. upscaling: the two doublings of the side.
+    """Data that all points of an image share.
+
+    tokens: (1, n, d), row by row. layers: keys, queries and values of each layer. last: keys and values of the last
+    attention. upscaling: the two doublings of the side.
     """
 
     tokens: Any
@@ -38,13 +40,13 @@ class SharedImage(NamedTuple):
 
 
 class PointDecoder:
-    """Decodes points with the decoder of a SamModel, Sam2Model, Sam3TrackerModel or EdgeTamModel, on its device."""
+    """Decoder of points with the modules of a SamModel, Sam2Model, Sam3TrackerModel or EdgeTamModel, on its device."""
 
     def __init__(self, model: Any):
         self._model, self._decoder = model, model.mask_decoder
 
     def share(self, features: Any) -> SharedImage:
-        """Prepare the answer of get_image_embeddings: one tensor, or three from fine to coarse; of one image."""
+        """Prepare an image from get_image_embeddings: one tensor, or three from fine to coarse."""
         *fine, coarse = features if isinstance(features, list | tuple) else [features]
         nothing = self._model.prompt_encoder.no_mask_embed.weight.reshape(-1, 1, 1)
         tokens, side = (coarse[0] + nothing).flatten(1).T.contiguous(), coarse.shape[-1]
@@ -78,7 +80,7 @@ class PointDecoder:
 
     @property
     def _outputs(self) -> list[Any]:
-        """Weights of the tokens that are read out; the masks are the last four, the first of them is not used."""
+        """Weights of the output tokens; the masks are the last four, of which the first is not used."""
         decoder = self._decoder
         ahead = [decoder.obj_score_token.weight] if hasattr(decoder, "obj_score_token") else []
         return [*ahead, decoder.iou_token.weight, decoder.mask_tokens.weight]
@@ -88,18 +90,18 @@ class PointDecoder:
         return sum(map(len, self._outputs))
 
     def _tokens(self, points: Float32[np.ndarray, "p 2"], device: Any) -> Any:
-        """(p, t, d): tokens for the outputs, then those of the point."""
+        """Return (p, t, d): the output tokens, then the tokens of each point."""
         import torch
 
-        asked = torch.from_numpy(points).to(device)[None, :, None]
-        labels = torch.ones(asked.shape[:3], dtype=torch.int64, device=device)
+        prompt_points = torch.from_numpy(points).to(device)[None, :, None]
+        labels = torch.ones(prompt_points.shape[:3], dtype=torch.int64, device=device)
         prompts, _ = self._model.prompt_encoder(
-            input_points=asked, input_labels=labels, input_boxes=None, input_masks=None
+            input_points=prompt_points, input_labels=labels, input_boxes=None, input_masks=None
         )
         return torch.cat([torch.cat(self._outputs).expand(len(points), -1, -1), prompts[0]], 1)
 
     def _masks(self, image: SharedImage, tokens: Any, chosen: tuple[Any, ...]) -> Any:
-        """Upscale the image twice and multiply it with what the tokens of three masks say."""
+        """Upscale the image twice and multiply it with the weights that the tokens of three masks give."""
         import torch
         from torch.nn.functional import gelu, layer_norm
 
@@ -114,7 +116,7 @@ class PointDecoder:
 
 
 def _through(layer: Any, projection: Projection, queries: Any, tokens: Any, first: Any) -> tuple[Any, Any]:
-    """One layer: tokens among themselves, to the image, alone, and the image to them."""
+    """Run one layer: self-attention of the tokens, to the image, MLP, and attention of the image to the tokens."""
     own, there, back = layer.self_attn, layer.cross_attn_token_to_image, layer.cross_attn_image_to_token
     asking = queries if layer.skip_first_layer_pe else queries + first
     mixed = _output(own, _attend(own, own.q_proj(asking), own.k_proj(asking), own.v_proj(queries)))
@@ -127,7 +129,7 @@ def _through(layer: Any, projection: Projection, queries: Any, tokens: Any, firs
 
 
 def _attend(block: Any, queries: Any, keys: Any, values: Any) -> Any:
-    """Attention of projected (p, n, d) tokens. The image's are (1, n, d) while all points share it."""
+    """Compute attention of projected (p, n, d) tokens. The image's are (1, n, d) while all points share it."""
     from torch.nn.functional import scaled_dot_product_attention
 
     points, count = max(len(queries), len(keys)), queries.shape[1]
@@ -139,7 +141,7 @@ def _attend(block: Any, queries: Any, keys: Any, values: Any) -> Any:
 
 
 def _output(block: Any, rows: Any) -> Any:
-    """The last projection of an attention, which SAM and its successors name differently."""
+    """Apply the last projection of an attention, whose name differs between SAM and its successors."""
     return (block.o_proj if hasattr(block, "o_proj") else block.out_proj)(rows)
 
 
@@ -149,7 +151,7 @@ def _of_layer(layer: Any, places: Any) -> Projection:
 
 
 def _stacked(placed: list[Any], plain: list[Any], places: Any) -> Projection:
-    """Several linear layers as one map of image tokens; those of `placed` see tokens with their places added."""
+    """Stack linear layers to one map of image tokens; those of `placed` see tokens plus position encodings."""
     import torch
 
     offsets = [layer(places) for layer in placed] + [layer.bias.expand(len(places), -1) for layer in plain]
@@ -157,7 +159,7 @@ def _stacked(placed: list[Any], plain: list[Any], places: Any) -> Projection:
 
 
 def _doubling(conv: Any, finer: Any | None, side: int, level: int) -> Projection:
-    """A transposed convolution of 2 x 2 as a map of tokens to their four parts, with finer features (1, c, h, w) added.
+    """Return a transposed convolution of 2 x 2 as a map of tokens to four parts, plus finer features (1, c, h, w).
 
     level: how often the tokens' grid was doubled with it.
     """

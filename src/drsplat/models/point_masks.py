@@ -22,9 +22,9 @@ _OUTPUTS = {"default": (0, 1, 2), "small": (0,), "medium": (1,), "large": (2,)}
 
 @dataclass(frozen=True)
 class PointMaskSettings:
-    """The paper's numbers: those of LangSplat's preprocess.py, the others segment-anything's defaults.
+    """Numbers of the paper: those of LangSplat's preprocess.py, otherwise segment-anything's defaults.
 
-    Raises: InputError: a number out of its range, a level that is none.
+    Raises: InputError: a number out of its range, an unknown level.
     """
 
     points_per_side: int = 32  # LangSplat
@@ -65,17 +65,17 @@ class PointMaskSettings:
 
     @property
     def outputs(self) -> tuple[int, ...]:
-        """Which of the three masks of a point the levels need."""
+        """Indices of the three masks of a point that the levels need."""
         return tuple(sorted({output for level in self.levels for output in _OUTPUTS[level]}))
 
     @property
     def looked_at(self) -> tuple[int, ...]:
-        """Which of the three masks are looked at: in rounds also the middle one, which tells a thing from its group."""
+        """Indices of masks to look at: in rounds also the middle one, which tells an object from its group."""
         in_rounds = self.first_points_per_side is not None
         return (_MIDDLE, _LARGE) if in_rounds and self.outputs == (_LARGE,) else self.outputs
 
     def sides(self, layer: int) -> Iterator[int]:
-        """Yield the points per side of each round on a crop of this layer, each round's twice those of the last."""
+        """Yield the points per side of each round on a crop of this layer; each round doubles it."""
         last = max(1, self.points_per_side // self.crop_points_divisor**layer)
         side = last if self.first_points_per_side is None else self.first_points_per_side
         while side < last:
@@ -85,10 +85,10 @@ class PointMaskSettings:
 
 
 class Found(NamedTuple):
-    """Masks of a batch of points, at the size of the crop they were found in.
+    """Masks of a batch of points, at the size of their crop.
 
-    output: which of the three masks of its point each is. stability: area at a stricter threshold
-    by area at a laxer one. point: number of its point among those that were asked.
+    output: index of each mask among the three of its point. stability: area at a stricter threshold over area at a
+    laxer one. point: number of its point in the call.
     """
 
     masks: Bool[np.ndarray, "n h w"]
@@ -100,24 +100,24 @@ class Found(NamedTuple):
 
 @runtime_checkable
 class PointPredictor(Protocol):
-    """A model that has a mask or three for a point."""
+    """Model that has a mask or three for a point."""
 
     identity: Mapping[str, object]
 
     def find(
         self, crop: UInt8[np.ndarray, "h w 3"], points: Float64[np.ndarray, "p 2"], settings: PointMaskSettings
     ) -> Iterator[Found]:
-        """Masks at points (x, y in pixels of the crop), by point, then by output, a few at a time.
+        """Yield masks at points (x, y in pixels of the crop), by point, then by output, a few at a time.
 
-        Those of other outputs than settings.looked_at, of a predicted IoU that is not above min_predicted_iou or of a
-        stability below min_stability may be left out: they are dropped anyway.
+        Masks of outputs outside settings.looked_at, with a predicted IoU not above min_predicted_iou or a stability
+        below min_stability, may be left out: they are dropped anyway.
         """
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class _Candidate:
-    """A mask that passed the thresholds. bits: its box's pixels, eight to a byte."""
+    """Mask that passed the thresholds. bits: its box's pixels, eight to a byte."""
 
     box: Box
     bits: UInt8[np.ndarray, " b"]
@@ -133,7 +133,7 @@ class _Candidate:
 
 
 class PointSegmenter:
-    """A segmenter that asks a grid of points and keeps the good, different masks.
+    """Segmenter that prompts a model with a grid of points and keeps the good, distinct masks.
 
     Memory: the bits of the masks of one crop that pass the thresholds, and what the predictor needs.
     """
@@ -143,24 +143,27 @@ class PointSegmenter:
         self.identity: Mapping[str, object] = {**predictor.identity, "settings": asdict(self.settings)}
 
     def segment(self, image: UInt8[np.ndarray, "h w 3"]) -> dict[str, Masks]:
-        """Masks by level, in the order in which they are painted. Raises: InputError: an image without pixels."""
+        """Return masks by level, in painting order. Raises: InputError: an image without pixels."""
         height, width = image.shape[:2]
         if 0 in (height, width):
             raise InputError(f"an image of {width}x{height} pixels: expected at least 1x1")
-        kept: dict[str, list[_Candidate]] = {level: [] for level in self.settings.levels}
+        by_level: dict[str, list[_Candidate]] = {level: [] for level in self.settings.levels}
         crops = crop_boxes(height, width, self.settings.crop_layers, self.settings.crop_overlap)
         for layer, crop in crops:
-            found = self._in_crop(image, crop, layer)
-            for level, candidates in kept.items():
-                candidates += _distinct_in_crop(found, _OUTPUTS[level], self.settings.max_box_iou)
+            passing = self._in_crop(image, crop, layer)
+            for level, candidates in by_level.items():
+                candidates += _distinct_in_crop(passing, _OUTPUTS[level], self.settings.max_box_iou)
         cleaned: dict[int, tuple[Box, Bool[np.ndarray, "_ _"], bool]] = {}
-        return {level: self._level(some, (height, width), len(crops) > 1, cleaned) for level, some in kept.items()}
+        return {
+            level: self._level(candidates, (height, width), len(crops) > 1, cleaned)
+            for level, candidates in by_level.items()
+        }
 
     def _in_crop(self, image: UInt8[np.ndarray, "h w 3"], crop: Box, layer: int) -> list[_Candidate]:
-        """Return what passes of a crop, asked in rounds of finer and finer grids where nothing explains it yet.
+        """Return the passing masks of a crop, from rounds of finer grids where no mask explains the pixels yet.
 
-        A pixel is explained by a mask of the finest answer that is wanted: by its part, where parts are. Of a large
-        mask only what the middle one of its point has too, if that is good: the rest of a group is asked for.
+        A pixel is explained by a mask of the finest output wanted. For the large output only the part that the point's
+        good middle mask also has is explained: the rest of a group gets points of its own.
         """
         x0, y0, x1, y1 = crop
         pixels = np.ascontiguousarray(image[y0:y1, x0:x1])
@@ -168,25 +171,25 @@ class PointSegmenter:
         passing: list[_Candidate] = []
         for points in self._rounds(layer, explained):
             middle: dict[int, Bool[np.ndarray, "h w"]] = {}
-            for found in self.predictor.find(pixels, points, self.settings):
-                passing += self._passing(found, crop, image.shape[:2])
-                self._explain(explained, found, middle)
+            for batch in self.predictor.find(pixels, points, self.settings):
+                passing += self._passing(batch, crop, image.shape[:2])
+                self._explain(explained, batch, middle)
         return passing
 
     def _explain(
-        self, explained: Bool[np.ndarray, "h w"], found: Found, middle: dict[int, Bool[np.ndarray, "h w"]]
+        self, explained: Bool[np.ndarray, "h w"], batch: Found, middle: dict[int, Bool[np.ndarray, "h w"]]
     ) -> None:
-        """Mark what masks explain. middle: the last good middle one by its point, which may be of the batch before."""
+        """Mark the pixels that masks explain. middle: last good middle mask by point, maybe of the batch before."""
         finest = self.settings.outputs[0]
-        for i in np.flatnonzero(self._good(found)):
-            if found.output[i] == finest:
-                explained |= found.masks[i] & middle.pop(int(found.point[i]), True)
-            elif found.output[i] == _MIDDLE and finest == _LARGE:
+        for i in np.flatnonzero(self._good(batch)):
+            if batch.output[i] == finest:
+                explained |= batch.masks[i] & middle.pop(int(batch.point[i]), True)
+            elif batch.output[i] == _MIDDLE and finest == _LARGE:
                 middle.clear()
-                middle[int(found.point[i])] = found.masks[i]
+                middle[int(batch.point[i])] = batch.masks[i]
 
     def _rounds(self, layer: int, explained: Bool[np.ndarray, "h w"]) -> Iterator[Float64[np.ndarray, "p 2"]]:
-        """Yield the points of each round, by what is explained when it begins."""
+        """Yield the points of each round, from the pixels explained when it begins."""
         left = self.settings.most_points
         for side in self.settings.sides(layer):
             points = spread(open_points(side, explained), left)
@@ -194,14 +197,14 @@ class PointSegmenter:
             if len(points):
                 yield points
 
-    def _good(self, found: Found) -> Bool[np.ndarray, " n"]:
+    def _good(self, batch: Found) -> Bool[np.ndarray, " n"]:
         s = self.settings
-        return np.asarray((found.predicted_iou > s.min_predicted_iou) & (found.stability >= s.min_stability))
+        return np.asarray((batch.predicted_iou > s.min_predicted_iou) & (batch.stability >= s.min_stability))
 
-    def _passing(self, found: Found, crop: Box, size: tuple[int, int]) -> Iterator[_Candidate]:
+    def _passing(self, batch: Found, crop: Box, size: tuple[int, int]) -> Iterator[_Candidate]:
         left, top, right, bottom = crop
-        for i in np.flatnonzero(self._good(found) & np.isin(found.output, self.settings.outputs)):
-            tight = tight_box(found.masks[i])
+        for i in np.flatnonzero(self._good(batch) & np.isin(batch.output, self.settings.outputs)):
+            tight = tight_box(batch.masks[i])
             if tight is None:
                 continue
             x0, y0, x1, y1 = tight
@@ -209,10 +212,10 @@ class PointSegmenter:
             if not cut_by_crop(box, crop, size):
                 yield _Candidate(
                     box,
-                    np.packbits(found.masks[i, y0:y1, x0:x1]),
-                    float(found.predicted_iou[i]),
-                    float(found.stability[i]),
-                    int(found.output[i]),
+                    np.packbits(batch.masks[i, y0:y1, x0:x1]),
+                    float(batch.predicted_iou[i]),
+                    float(batch.stability[i]),
+                    int(batch.output[i]),
                     (right - left) * (bottom - top),
                 )
 
@@ -223,12 +226,12 @@ class PointSegmenter:
         has_crops: bool,
         cleaned: dict[int, tuple[Box, Bool[np.ndarray, "_ _"], bool]],
     ) -> Masks:
-        """cleaned: results of without_small_regions, since levels share candidates."""
+        """Return the masks of a level. cleaned: results of without_small_regions, shared between levels."""
         s = self.settings
         if has_crops:
             sharpness = [1 / candidate.crop_area for candidate in candidates]
-            kept = box_nms([c.box for c in candidates], sharpness, s.max_crop_box_iou)
-            candidates = [candidates[i] for i in kept]
+            chosen = box_nms([c.box for c in candidates], sharpness, s.max_crop_box_iou)
+            candidates = [candidates[i] for i in chosen]
         for c in candidates:
             if id(c) not in cleaned:
                 cleaned[id(c)] = without_small_regions(c.box, c.part, size, s.min_region)
@@ -236,8 +239,8 @@ class PointSegmenter:
         if s.min_region:
             unchanged = [float(not changed) for _, _, changed in pieces]
             limit = max(s.max_box_iou, s.max_crop_box_iou)
-            kept = box_nms([box for box, _, _ in pieces], unchanged, limit)
-            pieces, candidates = [pieces[i] for i in kept], [candidates[i] for i in kept]
+            chosen = box_nms([box for box, _, _ in pieces], unchanged, limit)
+            pieces, candidates = [pieces[i] for i in chosen], [candidates[i] for i in chosen]
         masks = Masks(
             *size,
             np.array([box for box, _, _ in pieces], np.int32).reshape(-1, 4),
@@ -250,7 +253,8 @@ class PointSegmenter:
         return masks.subset(stay)
 
 
-def _distinct_in_crop(found: Sequence[_Candidate], outputs: tuple[int, ...], max_iou: float) -> list[_Candidate]:
-    some = [candidate for candidate in found if candidate.output in outputs]
-    kept = box_nms([c.box for c in some], [c.predicted_iou for c in some], max_iou)
-    return [some[i] for i in kept]
+def _distinct_in_crop(candidates: Sequence[_Candidate], outputs: tuple[int, ...], max_iou: float) -> list[_Candidate]:
+    """Return the candidates of these outputs that survive box NMS by predicted IoU."""
+    of_outputs = [candidate for candidate in candidates if candidate.output in outputs]
+    chosen = box_nms([c.box for c in of_outputs], [c.predicted_iou for c in of_outputs], max_iou)
+    return [of_outputs[i] for i in chosen]

@@ -1,7 +1,7 @@
-"""From the pixels of an image to the numbers that a model was trained on.
+"""Preprocessing: the pixels of an image to the numbers that a model was trained on.
 
-One path of our own, with Pillow alone: the processors of transformers differ from each other, with
-torchvision and without, and their embeddings could not be compared.
+drsplat uses Pillow alone: the processors of transformers differ from each other, with and without torchvision, and
+their embeddings could not be compared.
 """
 
 from dataclasses import dataclass
@@ -20,10 +20,11 @@ Triple = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Preprocessing:
-    """side: pixels of the square that the model sees. filter: Pillow's name. scale: of a byte.
+    """Preprocessing of images for a model.
 
-    mean, std: per channel, of scaled values. stretch: images that are not square are stretched to
-    the square; otherwise their shorter side gets the length `side` and the middle is cut out.
+    side: pixels of the square that the model sees. filter: Pillow's name. mean, std: per channel, of scaled values.
+    scale: of a byte. stretch: stretch other images to the square; else the shorter side becomes `side` and the middle
+    is cut out.
     """
 
     side: int
@@ -34,13 +35,13 @@ class Preprocessing:
     stretch: bool = False
 
     def __str__(self) -> str:
-        """All that decides the numbers, short: part of an encoder's identity."""
+        """Return all settings that decide the numbers, in short: part of an encoder's identity."""
         mean, std = (" ".join(f"{x:.6g}" for x in triple) for triple in (self.mean, self.std))
         fit = "stretched" if self.stretch else "cut"
         return f"{self.side} px {self.filter} {fit}, x{self.scale:.6g}, mean {mean}, std {std}"
 
     def pixel_values(self, image: UInt8[np.ndarray, "_ _ 3"]) -> Float32[np.ndarray, "3 s s"]:
-        """Raises: InputError: an image without pixels."""
+        """Return the model's input for an image. Raises: InputError: an image without pixels."""
         height, width = image.shape[:2]
         if min(height, width) < 1:
             raise InputError(f"an image of {width}x{height} pixels: expected at least one pixel")
@@ -59,13 +60,13 @@ class Preprocessing:
         return scaled.crop((left, top, left + self.side, top + self.side))
 
     def _levels(self, channel: int) -> Float32[np.ndarray, "256"]:
-        """What each byte becomes; rounded once."""
+        """Return the value of each byte, rounded once."""
         scaled = np.arange(256) * self.scale - self.mean[channel]
         return np.asarray(scaled / self.std[channel], np.float32)
 
 
 def read_preprocessing(folder: Path, default: Preprocessing) -> Preprocessing:
-    """That of a model's folder, or the default where the folder has no file of it.
+    """Read the preprocessing of a model's folder; the default if the folder has no file of it.
 
     A square image is scaled to what the model sees and never cut: a processor that scales to more and
     cuts (DINOv2: 256, then 224) would lose the ends of masks, which reach the edges of their crops.
@@ -77,7 +78,7 @@ def read_preprocessing(folder: Path, default: Preprocessing) -> Preprocessing:
 
 
 def preprocessing_of(settings: dict[str, Any], path: Path, default: Preprocessing) -> Preprocessing:
-    """From the settings of a processor of transformers; `path` is where they were read.
+    """Return the preprocessing from settings of a processor of transformers, read from `path`.
 
     Raises: as `read_preprocessing`.
     """
@@ -114,7 +115,7 @@ def _settings(folder: Path) -> tuple[Path, dict[str, Any] | None]:
 
 
 def _side(size: object, where: str) -> int:
-    """Of 224, {"shortest_edge": 224} or {"height": 224, "width": 224}."""
+    """Return the side from 224, {"shortest_edge": 224} or {"height": 224, "width": 224}."""
     if isinstance(size, dict):
         sides = {as_count(size[key], where) for key in ("shortest_edge", "height", "width") if size.get(key)}
         if len(sides) != 1:

@@ -1,4 +1,4 @@
-"""A pretrained model by its id on the Hugging Face hub or by its folder: files, hash, errors."""
+"""Pretrained models by id on the Hugging Face hub or by folder: files, hash, errors."""
 
 import hashlib
 import re
@@ -14,7 +14,7 @@ from .libraries import INSTALL, model_class, models_library
 from .weight_names import INDEX, OPEN_CLIP, OPEN_CLIP_CONFIG, WEIGHTS, no_weights
 
 _SETTINGS = ["*.json", "merges.txt", "vocab.txt", "*.model"]
-_WANTED = [*_SETTINGS, WEIGHTS, "model-*-of-*.safetensors"]
+_DOWNLOADED_FILES = [*_SETTINGS, WEIGHTS, "model-*-of-*.safetensors"]
 _VOCABULARIES = ("tokenizer.json", "vocab.json", "vocab.txt", "*.model")
 _ID = re.compile(r"[A-Za-z0-9][\w.-]*/[\w.-]+")
 _EXAMPLES = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K (CLIP) or facebook/sam2.1-hiera-tiny (SAM)"
@@ -22,10 +22,10 @@ BUILT_IN = "built in, without a download: the segmenter graph and the encoder dr
 
 
 def model_folder(name: str, weights: str = WEIGHTS) -> Path:
-    """The folder with a model's files: `name` itself where that is one, else the hub's, downloaded
-    into the cache of huggingface_hub if it is not there yet.
+    """Return the folder with a model's files: `name` itself if it is a folder, else the hub's.
 
-    weights: the file that is wanted where the hub has several.
+    The hub's is downloaded into the cache of huggingface_hub if it is not there yet.
+    weights: the file to download where the hub has several.
 
     Raises: InputError: no such folder and no such id, or a gated one. DrSplatError: no network.
     MissingExtraError: huggingface_hub is not installed.
@@ -42,7 +42,7 @@ def model_folder(name: str, weights: str = WEIGHTS) -> Path:
 
 
 def cached_in_full(name: str) -> bool:
-    """Whether config and weights of a hub's model are in the local cache. Uses no network."""
+    """Return whether config and weights of a hub's model are in the local cache, without using the network."""
     hub = import_module("huggingface_hub")
     here = {
         file for file in ("config.json", OPEN_CLIP_CONFIG, WEIGHTS, INDEX, OPEN_CLIP)
@@ -53,7 +53,7 @@ def cached_in_full(name: str) -> bool:
 
 
 def model_type(folder: Path) -> str:
-    """The architecture that config.json names; "clip" where OpenCLIP's settings are there instead.
+    """Return the architecture that config.json names; "clip" where only OpenCLIP's settings exist.
 
     Raises: InputError: there is neither. FormatError: config.json names none.
     """
@@ -72,8 +72,7 @@ def model_type(folder: Path) -> str:
 
 
 def weight_files(folder: Path) -> list[Path]:
-    """The safetensors files that hold a model's weights, each with a sound header. Those under
-    OpenCLIP's names only where there are no others.
+    """Return the safetensors files of a model's weights, with sound headers; OpenCLIP's only if no others exist.
 
     Raises: InputError: there are none, or only pickles. FormatError: one is damaged or missing.
     """
@@ -96,7 +95,7 @@ def checked_files(files: list[Path]) -> list[Path]:
 
 
 def weights_hash(files: list[Path]) -> str:
-    """BLAKE2b over the bytes of the files, in their order."""
+    """Return the BLAKE2b hash over the bytes of the files, in their order."""
     digest = hashlib.blake2b(digest_size=16)
     for path in files:
         with path.open("rb") as file:
@@ -105,11 +104,11 @@ def weights_hash(files: list[Path]) -> str:
     return digest.hexdigest()
 
 
-def load_model(class_name: str, folder: Path, unused: tuple[str, ...] = (), **made: Any) -> Any:
-    """A model of transformers in float32, ready to compute, every weight of it from the files.
+def load_model(class_name: str, folder: Path, unused: tuple[str, ...] = (), **overrides: Any) -> Any:
+    """Load a model of transformers in float32 and evaluation mode, with every weight from the files.
 
     unused: ends of names of weights that may be missing because they have no part in the result.
-    made: config and state_dict, where the folder has them under other names.
+    overrides: config and state_dict, where the folder has them under other names.
 
     Raises: FormatError: the weights do not fit config.json, or some are missing.
     MissingExtraError: transformers cannot be used.
@@ -117,7 +116,11 @@ def load_model(class_name: str, folder: Path, unused: tuple[str, ...] = (), **ma
     kind = model_class(class_name)
     with model_errors(folder, class_name):
         model, report = kind.from_pretrained(
-            None if made else str(folder), use_safetensors=True, local_files_only=True, output_loading_info=True, **made
+            None if overrides else str(folder),
+            use_safetensors=True,
+            local_files_only=True,
+            output_loading_info=True,
+            **overrides,
         )
     missing = sorted(name for name in report["missing_keys"] if not name.endswith(unused))
     if missing:
@@ -130,7 +133,7 @@ def load_model(class_name: str, folder: Path, unused: tuple[str, ...] = (), **ma
 
 @contextmanager
 def model_errors(folder: Path, class_name: str) -> Iterator[None]:
-    """Whatever transformers raises for a model that is not sound, as a FormatError."""
+    """Turn any exception that transformers raises for an unsound model into a FormatError."""
     strict = import_module("huggingface_hub.errors").StrictDataclassError
     unsound = (OSError, RuntimeError, ValueError, KeyError, TypeError, AttributeError)
     try:
@@ -144,16 +147,16 @@ def model_errors(folder: Path, class_name: str) -> Iterator[None]:
 
 
 def load_tokenizer(folder: Path) -> Any:
-    """Raises: InputError: the folder has no tokenizer that transformers can load."""
+    """Load the folder's tokenizer. Raises: InputError: transformers can load none from it."""
     if not any(next(folder.glob(pattern), None) for pattern in _VOCABULARIES):
-        # transformers would make one without words, for which all texts are alike
+        # transformers would make one without a vocabulary, which maps all texts to the same tokens
         raise InputError(
             f"{folder}: has no tokenizer, which a query in words needs: copy tokenizer.json (or "
             "vocab.json and merges.txt) of the model into it"
         )
-    # AutoTokenizer finds the class in one of these; OpenCLIP's folders may have neither
-    told = any((folder / name).is_file() for name in ("config.json", "tokenizer_config.json"))
-    kind = model_class("AutoTokenizer" if told else "CLIPTokenizer")
+    # AutoTokenizer reads the class from one of these; OpenCLIP's folders may have neither
+    names_class = any((folder / name).is_file() for name in ("config.json", "tokenizer_config.json"))
+    kind = model_class("AutoTokenizer" if names_class else "CLIPTokenizer")
     try:
         with _quiet():
             return kind.from_pretrained(str(folder), local_files_only=True)
@@ -173,10 +176,10 @@ def _downloaded(name: str, weights: str) -> Path:
     try:
         if weights == OPEN_CLIP:
             return Path(hub.snapshot_download(name, allow_patterns=[*_SETTINGS, OPEN_CLIP]))
-        folder = Path(hub.snapshot_download(name, allow_patterns=_WANTED))
+        folder = Path(hub.snapshot_download(name, allow_patterns=_DOWNLOADED_FILES))
         if not any((folder / file).is_file() for file in (WEIGHTS, INDEX)):
-            # asked for second, so that a repository with both is not downloaded twice over
-            folder = Path(hub.snapshot_download(name, allow_patterns=[*_WANTED, OPEN_CLIP]))
+            # second, so that of a repository with both only one is downloaded
+            folder = Path(hub.snapshot_download(name, allow_patterns=[*_DOWNLOADED_FILES, OPEN_CLIP]))
         return folder
     except errors.GatedRepoError as error:
         raise InputError(
@@ -211,7 +214,7 @@ def _shards(folder: Path) -> list[Path]:
 
 
 def _check_header(path: Path) -> None:
-    """The length of a file against its header, which a broken download does not pass."""
+    """Check a file's length against its header, which a broken download does not pass."""
     safetensors = import_module("safetensors")
     try:
         with safetensors.safe_open(str(path), framework="numpy"):
@@ -222,7 +225,7 @@ def _check_header(path: Path) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """No progress bars and reports of transformers: what is wrong with the weights is an error here."""
+    """Silence progress bars and reports of transformers; errors in the weights still raise."""
     log = models_library().utils.logging
     level, bars = log.get_verbosity(), log.is_progress_bar_enabled()
     log.set_verbosity_error()

@@ -1,4 +1,4 @@
-"""What torch finds on this machine. Imports torch, so `drsplat doctor` asks a process of its own."""
+"""Facts about torch on this machine. It imports torch, so `drsplat doctor` runs it in a process of its own."""
 
 from importlib import import_module
 from typing import Any
@@ -7,7 +7,7 @@ from .libraries import torchvision_fault
 
 
 def torch_facts() -> dict[str, Any]:
-    """Names of CUDA GPUs, whether there is Apple's GPU, what is wrong with torch or torchvision."""
+    """Return the names of CUDA GPUs, whether Apple's GPU exists, and the faults of torch or torchvision."""
     try:
         torch = import_module("torch")
     except Exception as error:  # a build for another system can raise anything

@@ -1,4 +1,4 @@
-"""A segmenter by its name; SAM, SAM 2, SAM 3 and EdgeTAM of transformers as such, without their processors."""
+"""Segmenters by name; SAM, SAM 2, SAM 3 and EdgeTAM of transformers without their processors."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -22,19 +22,21 @@ from .point_masks import Found, PointMaskSettings, PointSegmenter
 from .pretrained import load_model, model_folder, model_type, weight_files, weights_hash
 
 DEFAULT_SEGMENTER = "facebook/sam-vit-huge"
-"""The paper's. Source: LangSplat preprocess.py (sam_vit_h_4b8939)."""
+"""The paper's segmenter. Source: LangSplat preprocess.py (sam_vit_h_4b8939)."""
 CPU_SEGMENTER = "facebook/sam2.1-hiera-tiny"
-"""The one to take without a GPU."""
+"""The segmenter to take without a GPU."""
 
 Colors = tuple[tuple[float, ...], tuple[float, ...]]
-"""Mean and deviation per channel, of 0 to 1."""
+"""Mean and standard deviation per channel, of values from 0 to 1."""
 _IMAGENET = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 _HALF = (0.5,) * 3, (0.5,) * 3
 
 
 class Architecture(NamedTuple):
-    """What differs between segmenters. stretched: see ModelFrame. colors: of published preprocessing.
-    packages: that its image encoder needs beside transformers.
+    """Architecture of a segmenter.
+
+    stretched: see ModelFrame. colors: of its published preprocessing. packages: that its image encoder needs beside
+    transformers.
     """
 
     class_name: str
@@ -49,19 +51,19 @@ _EDGETAM = Architecture("EdgeTamModel", packages=("timm", "torchvision"))
 ARCHITECTURES = {
     "sam": Architecture("SamModel", stretched=False),
     "sam2": _SAM2,
-    "sam2_video": _SAM2,  # what Meta's SAM 2 checkpoints say; they hold both
+    "sam2_video": _SAM2,  # in Meta's SAM 2 checkpoints, which hold both
     "sam3_tracker": _SAM3,
     "sam3_video": _SAM3,  # likewise facebook/sam3, which holds a detector too
     "edgetam": _EDGETAM,
     "edgetam_video": _EDGETAM,
 }
-"""By model_type of config.json. Source: the processors and configurations of transformers 5.23."""
-_CHUNK_NUMBERS = 1 << 24  # floats of enlarged masks at a time: 64 MiB
+"""Architectures by model_type of config.json. Source: the processors and configurations of transformers 5.23."""
+_CHUNK_FLOATS = 1 << 24  # of enlarged masks at a time: 64 MiB
 
 
 @dataclass(frozen=True)
 class ModelFrame:
-    """How an image becomes what the model sees, a square of `side` pixels, and masks come back.
+    """Map from an image to what the model sees, a square of `side` pixels, and from its masks back.
 
     stretched: SAM 2 and its successors stretch the image to the square. SAM scales the longer side to it and fills
     the rest, right and below, with zeros after normalising. Scaled by Pillow, bilinear, as bytes.
@@ -76,7 +78,7 @@ class ModelFrame:
     std: tuple[float, ...] = _IMAGENET[1]
 
     def scaled_size(self, height: int, width: int) -> tuple[int, int]:
-        """Height and width of the image within the square."""
+        """Return height and width of the image within the square."""
         if self.stretched:
             return self.side, self.side
         scale = self.side / max(height, width)
@@ -91,13 +93,13 @@ class ModelFrame:
         return values
 
     def scaled_points(self, points: Float64[np.ndarray, "p 2"], height: int, width: int) -> Float32[np.ndarray, "p 2"]:
-        """x, y in pixels of the image to those of the square."""
+        """Map points (x, y) from pixels of the image to pixels of the square."""
         new_height, new_width = self.scaled_size(height, width)
         scaled = points * (new_width / width, new_height / height)
         return np.asarray(scaled, np.float32)
 
     def enlarged(self, logits: Any, height: int, width: int) -> Any:
-        """Masks' logits, (n, h, w) over the square, to the size of the image, as tensors."""
+        """Resize logits of masks, (n, h, w) over the square, to the size of the image, as tensors."""
         from torch.nn.functional import interpolate
 
         rows = logits[:, None].float()
@@ -110,7 +112,7 @@ class ModelFrame:
 
 
 class SamPredictor:
-    """A SAM of any generation on one device, in float32. identity: name and hash of the weights."""
+    """SAM of any generation on one device, in float32. identity: name and hash of the weights."""
 
     def __init__(self, model: Any, frame: ModelFrame, device: str, identity: Mapping[str, object]):
         self.model, self.frame, self.device = model.to(device), frame, device
@@ -121,19 +123,19 @@ class SamPredictor:
     def find(
         self, crop: UInt8[np.ndarray, "h w 3"], points: Float64[np.ndarray, "p 2"], settings: PointMaskSettings
     ) -> Iterator[Found]:
-        """See PointPredictor. An image is encoded once, also if it is asked again; batches of points are decoded."""
+        """Yield masks at points; see PointPredictor. The last image's encoding is reused; points go in batches."""
         size = crop.shape[:2]
         if self._last[0] is not crop:
             self._last = crop, fitting(self._features, [crop], "photos")[0]
         features = self._last[1]
-        asked = self.frame.scaled_points(points, *size)
-        for start in range(0, len(asked), settings.points_per_batch):
-            batch, first = asked[start : start + settings.points_per_batch], start
+        scaled = self.frame.scaled_points(points, *size)
+        for start in range(0, len(scaled), settings.points_per_batch):
+            batch, first = scaled[start : start + settings.points_per_batch], start
             for logits, iou in fitting(partial(self._answers, features), batch, "points"):
                 # before masks are enlarged, which costs time and memory
                 wanted = np.isin(np.arange(3), settings.looked_at) & (iou > settings.min_predicted_iou)
-                for found in self._enlarged(logits, iou, np.argwhere(wanted), size, settings):
-                    yield found._replace(point=first + found.point)
+                for masks in self._enlarged(logits, iou, np.argwhere(wanted), size, settings):
+                    yield masks._replace(point=first + masks.point)
                 first += len(iou)
 
     def _features(self, crops: list[UInt8[np.ndarray, "h w 3"]]) -> SharedImage:
@@ -147,7 +149,7 @@ class SamPredictor:
     def _answers(
         self, image: SharedImage, points: Float32[np.ndarray, "p 2"]
     ) -> tuple[Any, Float32[np.ndarray, "p 3"]]:
-        """Three masks' logits per point, (p, 3, h, w) over the square, and their predicted IoU."""
+        """Return logits of three masks per point, (p, 3, h, w) over the square, and their predicted IoU."""
         import torch
 
         with torch.inference_mode():
@@ -162,8 +164,8 @@ class SamPredictor:
         size: tuple[int, ...],
         settings: PointMaskSettings,
     ) -> Iterator[Found]:
-        """wanted: point and output of each mask."""
-        chunk = max(1, _CHUNK_NUMBERS // max(size[0] * size[1], self.frame.side**2))
+        """Yield the stable masks at the size of the crop. wanted: point and output of each mask."""
+        chunk = max(1, _CHUNK_FLOATS // max(size[0] * size[1], self.frame.side**2))
         for start in range(0, len(wanted), chunk):
             points, outputs = wanted[start : start + chunk].T
             good, masks, stability = self._stable(logits[points, outputs], size, settings)
@@ -172,7 +174,7 @@ class SamPredictor:
     def _stable(
         self, logits: Any, size: tuple[int, ...], settings: PointMaskSettings
     ) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, "g h w"], Float32[np.ndarray, " g"]]:
-        """Which are stable enough; these at the size of the crop, and how little they change with the threshold."""
+        """Return which masks are stable enough, and those at the size of the crop with their stability."""
         import torch
 
         with torch.inference_mode():
@@ -187,12 +189,11 @@ class SamPredictor:
 def load_segmenter(
     name: str = DEFAULT_SEGMENTER, device: str = "auto", settings: PointMaskSettings | None = None, *, threads: int = 0
 ) -> PointSegmenter | GraphSegmenter:
-    """Return the built-in `graph`, or SAM, SAM 2 (also 2.1), SAM 3 or EdgeTAM with a grid of points.
+    """Load the built-in `graph`, or SAM, SAM 2 (also 2.1), SAM 3 or EdgeTAM with a grid of points.
 
-    name: "graph", which has neither device nor settings; a folder as `save_pretrained` writes it,
-    or an id of the Hugging Face hub, which is
-    downloaded unless it is cached; without a GPU take CPU_SEGMENTER. Only safetensors are loaded,
-    never pickles. device: auto, cpu, cuda or mps. threads: of `graph`, 0 for all cores.
+    name: "graph", which has neither device nor settings; a folder as `save_pretrained` writes it, or an id of the
+    Hugging Face hub, which is downloaded unless it is cached; without a GPU take CPU_SEGMENTER. Only safetensors are
+    loaded, never pickles. device: auto, cpu, cuda or mps. threads: of `graph`, 0 for all cores.
 
     identity of SAM: name, architecture, the BLAKE2b hash of the weights' files, mean and deviation of
     pixels, and the settings. The device is not part of it, although it may change single pixels.
@@ -223,7 +224,10 @@ def load_segmenter(
 
 
 def _architecture(name: str, folder: Path) -> Architecture:
-    """Raises: InputError: no segmenter. MissingExtraError: packages that it needs are not installed."""
+    """Return a folder's architecture.
+
+    Raises: InputError: no segmenter. MissingExtraError: packages that it needs are not installed.
+    """
     kind = model_type(folder)
     if kind not in ARCHITECTURES:
         raise InputError(
@@ -241,7 +245,7 @@ def _architecture(name: str, folder: Path) -> Architecture:
 
 
 def read_normalization(folder: Path, default: Colors = _IMAGENET) -> Colors:
-    """Mean and deviation per channel, of 0 to 1, from the model's folder, else the default.
+    """Read mean and standard deviation per channel (of 0 to 1) from the model's folder, else the default.
 
     Raises: FormatError: the file has other than three numbers, or deviations that are not positive.
     """

@@ -1,4 +1,4 @@
-"""Encoders that compute with torch: batches, remembered texts, unit vectors. Subclasses run a model."""
+"""Encoders that compute with torch: batches, cached texts, unit vectors. Subclasses run a model."""
 
 from abc import ABC, abstractmethod
 from collections import OrderedDict
@@ -16,16 +16,16 @@ from .memory import fitting
 from .preprocessing import Preprocessing
 
 BATCH_BYTES = {"cpu": 5 << 20, "mps": 20 << 20, "cuda": 80 << 20}
-"""Of input numbers in one pass: 8 images of 224 pixels on a CPU, where more leave its caches."""
-TEXT_BATCH, TEXTS_KEPT = 64, 4096
+"""Input bytes per pass by device: 8 images of 224 pixels on a CPU, where more do not fit its caches."""
+TEXT_BATCH, MAX_CACHED_TEXTS = 64, 4096
 
 
 class TorchEncoder(ABC):
-    """Images and texts to unit vectors. Made by `loading.load_encoder`.
+    """Encoder of images and texts to unit vectors; see `loading.load_encoder`.
 
     identity: name as asked for, hash of the weights, preprocessing. device, dtype: where and in what precision images
-    are computed; texts always in float32. batch: images in one pass, fewer from when the device's memory was full on.
-    The last TEXTS_KEPT texts are remembered.
+    are computed; texts always in float32. batch: images per pass, reduced when the device's memory was full.
+    The last MAX_CACHED_TEXTS texts are cached.
     """
 
     def __init__(self, identity: EncoderIdentity, preprocessing: Preprocessing, device: str, dtype: str) -> None:
@@ -34,7 +34,7 @@ class TorchEncoder(ABC):
         self._texts: OrderedDict[str, np.ndarray] = OrderedDict()
 
     def encode_images(self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "n d"]:
-        """Unit vectors of images of any size, in their order; a batch at a time is in memory.
+        """Return unit vectors of images of any size, in their order; one batch at a time is in memory.
 
         Raises: InputError: an image without pixels. FormatError: a vector without direction. DrSplatError: not even
         one image fits into the device's memory.
@@ -49,7 +49,7 @@ class TorchEncoder(ABC):
         return self._unit(rows, "image")
 
     def encode_texts(self, texts: Sequence[str]) -> Float32[np.ndarray, "t d"]:
-        """Unit vectors of the texts as they are: no prompt is put around them.
+        """Return unit vectors of the texts as they are: no prompt is put around them.
 
         Raises: InputError: a model without texts, a text that is empty or too long, no tokenizer.
         FormatError: a vector without direction.
@@ -62,7 +62,7 @@ class TorchEncoder(ABC):
         for text in texts:
             self._texts.move_to_end(text)
         vectors = [self._texts[text] for text in texts]
-        while len(self._texts) > TEXTS_KEPT:
+        while len(self._texts) > MAX_CACHED_TEXTS:
             self._texts.popitem(last=False)
         return np.stack(vectors) if vectors else np.empty((0, self.identity.dim), np.float32)
 
@@ -92,7 +92,7 @@ class TorchEncoder(ABC):
             raise InputError(f"{empty[0]!r} is empty: name an object, e.g. 'a red mug'")
 
     def _check_lengths(self, texts: Sequence[str], lengths: Sequence[int], most: int) -> None:
-        """Raises: InputError: a text has more tokens than the model reads."""
+        """Check the numbers of tokens. Raises: InputError: a text has more than the model reads."""
         if max(lengths) > most:
             text = texts[int(np.argmax(lengths))]
             raise InputError(f"{text[:60]!r} has {max(lengths)} tokens, {self.identity.name} reads {most}: shorten it")

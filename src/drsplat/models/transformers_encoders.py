@@ -28,7 +28,7 @@ _UNUSED = ("mask_token", "logit_scale", "logit_bias", "temperature")
 
 
 class Family(NamedTuple):
-    """What differs between architectures.
+    """Properties of an architecture.
 
     colors, filter, stretch: of published preprocessing, see Preprocessing. fixed_length: texts are padded to the
     longest that the model reads and lower-cased, both as in its training, and there is no attention mask.
@@ -54,7 +54,7 @@ FAMILIES = {
     "dinov3_vit": Family("DINOv3ViTModel", _IMAGENET, "bilinear", stretch=True, texts=False),
     "tipsv2": Family("Tipsv2Model", _UNCHANGED, "bilinear", stretch=True, dense=True),
 }
-"""By model_type of config.json. SigLIP 2 at a fixed resolution is "siglip", its NaFlex "siglip2".
+"""Families by model_type of config.json. SigLIP 2 at a fixed resolution is "siglip", its NaFlex "siglip2".
 
 Source: Radford et al. 2021; Chuang et al. 2025 (MetaCLIP 2); Zhai et al. 2023; Tschannen et al. 2025 (text lower-cased,
 64 tokens); Oquab et al. 2024; Siméoni et al. 2025 (DINOv3); Cao et al. 2026 (TIPSv2); the preprocessor_config.json that
@@ -63,10 +63,10 @@ each was published with.
 
 
 class TransformersEncoder(TorchEncoder):
-    """A model of transformers; see TorchEncoder. Its vector of an image is the one that the model gives it."""
+    """Model of transformers; see TorchEncoder. An image's vector is the model's own (pooled) output."""
 
     def __init__(self, name: str, folder: Path, device: str = "auto", dtype: str = "auto") -> None:
-        """Raises: as `load_encoder`, except for what concerns the hub."""
+        """Load the model. Raises: as `load_encoder`, except for the hub's errors."""
         self._family, self._folder, files = family_of(name, folder), folder, weight_files(folder)
         models_library()
         device = chosen_device(device)
@@ -85,7 +85,7 @@ class TransformersEncoder(TorchEncoder):
         return getattr(self._model.config, "vision_config", self._model.config)
 
     def _read_preprocessing(self) -> Preprocessing:
-        """Raises: FormatError: the model does not take images of that size."""
+        """Return the preprocessing. Raises: FormatError: the model does not take images of that size."""
         published = _published(self._family, self._vision)
         if self._family.class_name == "CLIPModel":
             published = open_clip_preprocessing(self._folder, published)
@@ -107,14 +107,14 @@ class TransformersEncoder(TorchEncoder):
         return as_rows(output.pooler_output)
 
     def _cast_vision(self, dtype: str) -> None:
-        """Once: autocast would cast every weight again for every batch, a tenth of the time."""
+        """Cast the vision weights once: autocast would do it for every batch, a tenth of the time."""
         parts = ("vision_model", "visual_projection") if self._family.texts else ()
         for part in [getattr(self._model, name, None) for name in parts] or [self._model]:
             if part is not None:
                 part.to(getattr(import_module("torch"), dtype))
 
     def _patches(self, values: Any) -> dict[str, Any]:
-        """(b, 3, s, s) cut into squares, row by row; within one by row, column, channel."""
+        """Cut (b, 3, s, s) into squares, row by row; within a square by row, column, channel."""
         torch, size = import_module("torch"), self._vision.patch_size
         count, along = len(values), values.shape[-1] // size
         cut = values.reshape(count, 3, along, size, along, size).permute(0, 2, 4, 3, 5, 1)
@@ -138,7 +138,7 @@ class TransformersEncoder(TorchEncoder):
             return as_rows(self._model.get_text_features(**inputs).pooler_output)
 
     def _tokens(self, texts: Sequence[str]) -> dict[str, Any]:
-        """Raises: InputError: a text has more tokens than the model reads."""
+        """Return the model's text inputs. Raises: InputError: a text has more tokens than it reads."""
         self._tokenizer = self._tokenizer or load_tokenizer(self._folder)
         fixed, most = (self._family.fixed_length, self._model.config.text_config.max_position_embeddings)
         texts = [text.lower() for text in texts] if fixed else list(texts)
@@ -151,7 +151,7 @@ class TransformersEncoder(TorchEncoder):
 
 
 def family_of(name: str, folder: Path) -> Family:
-    """Return what is special of the folder's architecture. Raises: InputError: it is no encoder."""
+    """Return the family of the folder's architecture. Raises: InputError: it is no encoder."""
     kind = model_type(folder)
     if kind not in FAMILIES:
         raise InputError(
@@ -167,7 +167,7 @@ def _model(class_name: str, folder: Path, files: list[Path]) -> Any:
 
 
 def _published(family: Family, vision: Any) -> Preprocessing:
-    """What the folder has without a file of it."""
+    """Return the published preprocessing, for folders without a file of it."""
     side = vision.patch_size * isqrt(vision.num_patches) if family.patches else vision.image_size
     side = side if family.texts else 224  # DINOv2's config has the side of its last training, 518
     mean, std = family.colors

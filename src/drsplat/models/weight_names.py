@@ -1,4 +1,4 @@
-"""The names of files with a model's weights and settings, and what to do where they are pickles."""
+"""Names of files with a model's weights and settings, and advice for weights that are pickles."""
 
 from pathlib import Path
 
@@ -7,7 +7,7 @@ OPEN_CLIP, OPEN_CLIP_CONFIG = "open_clip_model.safetensors", "open_clip_config.j
 
 
 def no_weights(folder: Path) -> str:
-    """The error for a folder without safetensors, with the command that makes them of a pickle."""
+    """Return the error text for a folder without safetensors, with the command that converts a pickle."""
     others = sorted(path.name for path in folder.glob("*") if path.suffix in (".bin", ".pt", ".pth"))
     if not others:
         return (

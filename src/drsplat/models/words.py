@@ -1,8 +1,8 @@
-"""An encoder that knows words and nothing else: for the demo, for tests, for trying things out.
+"""Encoder that knows words and no images: for the demo, for tests, for trying things out.
 
 Every word has a fixed random direction. A text is the sum of its words, so that texts are similar by the share of words
-that they have in common: "red mug" is at cosine 0.5 of "blue mug", at 0.71 of "mug" and near 0 of "elephant". It has
-never seen an image. Photos need the embeddings of an image-text model such as CLIP.
+that they have in common: "red mug" is at cosine 0.5 of "blue mug", at 0.71 of "mug" and near 0 of "elephant". Photos
+need the embeddings of an image-text model such as CLIP.
 """
 
 import hashlib
@@ -23,7 +23,7 @@ SYNONYMS = {
     "bear": "teddy", "carpet": "rug", "couch": "sofa", "cup": "mug", "kitten": "cat", "pillow": "cushion",
     "picture": "painting", "wood": "wooden",
 }  # fmt: skip
-"""Each is at SYNONYM_COSINE of the other."""
+"""Words at a cosine of SYNONYM_COSINE to each other."""
 
 IGNORED = frozenset(
     [
@@ -50,10 +50,9 @@ IGNORED = frozenset(
 
 
 class WordEncoder:
-    """Texts to unit vectors, the same on every machine.
+    """Encoder of texts to unit vectors, the same on every machine.
 
-    threshold: the cosine above which a thing is called by the words of a query: more than one of two
-    words must be right.
+    threshold: cosine above which an object matches the words of a query: more than one of two words must be right.
     """
 
     identity = EncoderIdentity(
@@ -64,7 +63,7 @@ class WordEncoder:
     threshold = 0.6
 
     def encode_texts(self, texts: Sequence[str]) -> Float32[np.ndarray, "t d"]:
-        """Unit vectors of the texts; case, plural s and words like "the" make no difference.
+        """Return unit vectors of the texts; case, plural s and words like "the" make no difference.
 
         Raises: InputError: a text without any word.
         """
@@ -72,7 +71,7 @@ class WordEncoder:
 
 
 def words_of(text: str) -> list[str]:
-    """The words that count, in singular: "The red mugs" is red, mug."""
+    """Return the words that count, in singular: "The red mugs" gives red, mug."""
     words = re.findall(r"\w+", text.lower())
     return [_singular(word) for word in words if word not in IGNORED]
 

@@ -1,7 +1,7 @@
-"""The learned network of `graph`: where things end, and what each pixel has in common with others.
+"""Learned network of `graph`: where objects end, and what each pixel has in common with others.
 
-A U-Net: convolutions at a half, a quarter ... of the size, and back, with what was seen at each size put beside it. It
-is learned in `world/segmenter/`.
+A U-Net: convolutions at a half, a quarter ... of the size, and back, joined by the features of each size. It is
+trained in `world/segmenter/`.
 """
 
 import hashlib
@@ -22,7 +22,7 @@ Tensors = Mapping[str, Float32[np.ndarray, "..."]]
 
 
 def shipped_network() -> tuple[Tensors, str]:
-    """Its weights from the package, and the BLAKE2b hash of their file."""
+    """Return the weights in the package and the BLAKE2b hash of their file."""
     from safetensors.numpy import load
 
     data = (files(__package__) / "network.safetensors").read_bytes()
@@ -31,12 +31,12 @@ def shipped_network() -> tuple[Tensors, str]:
 
 
 def layers_of(weights: Tensors) -> Layers:
-    """The weights in the order in which they are used."""
+    """Return the weights in the order of use."""
     return tuple(weights[f"{layer}.{part}"] for layer in _LAYERS for part in ("weight", "bias"))
 
 
 def look(image: UInt8[np.ndarray, "h w 3"], weights: Tensors, *, threads: int = 0) -> Sight:
-    """Return what the network sees in an image of any size; the same bits at any `threads`.
+    """Run the network on an image of any size; the result has the same bits at any `threads`.
 
     weights: stem, down<i>a, down<i>b, up<i>a, up<i>b and head, `.weight` and `.bias`.
     """

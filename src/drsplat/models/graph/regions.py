@@ -1,4 +1,4 @@
-"""An image to small regions of like colour."""
+"""Small regions of similar colour in an image."""
 
 import numpy as np
 from PIL import Image
@@ -9,18 +9,18 @@ from ...kernels import photo_regions
 WORKING_PIXELS = 640 * 480
 """Larger images are scaled down to this; sizes in pixels below are of an image of this many."""
 
-SCALE = 4000.0  # how unlike neighbours must be, in CIELAB units times pixels: higher, larger regions
-SIGMA = 0.5  # pixels that are blurred before
+SCALE = 4000.0  # CIELAB units times pixels by which regions must differ: higher gives larger regions
+SIGMA = 0.5  # pixels of blur before
 LEAST_AREA = 30.0
 
 
 def working_share(pixels: int) -> float:
-    """By which areas are smaller in an image of so many; below a quarter noise would become regions."""
+    """Return the factor on areas for an image of this many pixels; at least a quarter, or noise becomes regions."""
     return max(pixels / WORKING_PIXELS, 0.25)
 
 
 def working_image(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h2 w2 3"]:
-    """The image, averaged down to WORKING_PIXELS where it has more."""
+    """Return the image, averaged down to WORKING_PIXELS if it has more."""
     height, width = image.shape[:2]
     shrink = (WORKING_PIXELS / (height * width)) ** 0.5
     if shrink >= 1:
@@ -30,14 +30,14 @@ def working_image(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h2 w2
 
 
 def small_regions(lab: Int32[np.ndarray, "h w 3"]) -> Int32[np.ndarray, "h w"]:
-    """A number from 0 for each region, every one in one piece."""
+    """Label connected regions, from 0."""
     share = working_share(lab.shape[0] * lab.shape[1])
-    # 255: as if colours were from 0 to 1, which is how the published code counts
+    # 255: the published code has colours from 0 to 1
     return photo_regions.small_regions(lab, SCALE * share / 255, round(LEAST_AREA * share))
 
 
 def enlarged(labels: Int32[np.ndarray, "h w"], height: int, width: int) -> Int32[np.ndarray, "h2 w2"]:
-    """Each pixel gets the label of the working image where its centre lies."""
+    """Enlarge labels: each pixel gets the label at its centre in the working image."""
     if labels.shape == (height, width):
         return labels
     rows = (2 * np.arange(height) + 1) * labels.shape[0] // (2 * height)

@@ -1,4 +1,4 @@
-"""The segmenter `graph`."""
+"""Segmenter `graph`."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -16,7 +16,9 @@ from .rule import MergeRule, shipped_rule
 
 @dataclass(frozen=True)
 class GraphSettings:
-    """Of the masks that stay: least_area in pixels of an image of 640x480, least_width in pixels, both before larger
+    """Settings of `graph`.
+
+    least_area: of a mask, in pixels of an image of 640x480; least_width: of a mask, in pixels; both before larger
     images are scaled back. threshold: likelihood above which regions merge, None for the learned one.
 
     Raises: InputError: a number out of its range.
@@ -35,11 +37,11 @@ class GraphSettings:
 
 
 class GraphSegmenter:
-    """Cuts an image into things by colour, borders and shape; one mask per pixel, on the level `large`.
+    """Segmenter that cuts an image into objects by colour, borders and shape: one mask per pixel, level `large`.
 
-    Regions of like colour are merged as long as a learned rule, which is told what a small network sees,
-    finds it likely that they belong to one thing. Both know renderings of the small world. Images of more
-    than 640x480 pixels are cut at that size. The same image gives the same masks, whatever the number of threads.
+    Regions of similar colour are merged while a learned rule, which uses the features of a small network, finds it
+    likely that they belong to one object. Both were trained on renderings of the small world. Images of more than
+    640x480 pixels are cut at that size. The same image gives the same masks at any number of threads.
     """
 
     name = "graph"
@@ -55,11 +57,11 @@ class GraphSegmenter:
         }  # fmt: skip
 
     def on_one_thread(self) -> "GraphSegmenter":
-        """The same segmenter, for several threads to ask at once."""
+        """Return the same segmenter on one thread, for several threads to call at once."""
         return GraphSegmenter(self.settings, threads=1)
 
     def segment(self, image: UInt8[np.ndarray, "h w 3"]) -> dict[str, Masks]:
-        """Masks of `large`, largest first; together they are the whole image.
+        """Return masks of `large`, largest first; together they cover the image.
 
         Raises: InputError: an image without pixels.
         """
@@ -74,7 +76,7 @@ class GraphSegmenter:
 def segment_labels(
     image: UInt8[np.ndarray, "h w 3"], rule: MergeRule, weights: Tensors, settings: GraphSettings, *, threads: int = 0
 ) -> Int32[np.ndarray, "h w"]:
-    """Return the number of each pixel's thing, from 0."""
+    """Return the number of each pixel's object, from 0."""
     lab = lab_colors(image, threads=threads)
     labels = regions.small_regions(lab)
     owner = merged(region_graph(labels, lab, look(image, weights, threads=threads)), rule, settings)
@@ -82,21 +84,21 @@ def segment_labels(
 
 
 def merged(graph: RegionGraph, rule: MergeRule, settings: GraphSettings) -> Int32[np.ndarray, " n"]:
-    """The thing that each region belongs to, from 0."""
+    """Return the object that each region belongs to, from 0."""
     threshold = float(rule.threshold[0]) if settings.threshold is None else settings.threshold
     least_area = settings.least_area * regions.working_share(graph.pixels)
     return merged_regions(graph, rule.parts, threshold, least_area, settings.least_width)
 
 
 def label_masks(labels: Int32[np.ndarray, "h w"]) -> Masks:
-    """A mask per number that occurs, largest first, of equal ones the lower number."""
+    """Return a mask per number that occurs, largest first; equal ones by number."""
     from scipy.ndimage import find_objects
 
     areas = np.bincount(labels.ravel())
     order = [int(i) for i in np.argsort(-areas, kind="stable") if areas[i]]
-    found = find_objects(labels + 1)
-    boxes = np.array([_box(found[i]) for i in order], np.int32).reshape(-1, 4)
-    parts = tuple(np.asarray(labels[found[i]] == i) for i in order)
+    slices = find_objects(labels + 1)
+    boxes = np.array([_box(slices[i]) for i in order], np.int32).reshape(-1, 4)
+    parts = tuple(np.asarray(labels[slices[i]] == i) for i in order)
     height, width = labels.shape
     return Masks(height, width, boxes, parts, np.ones(len(order), np.float32))
 

@@ -1,7 +1,7 @@
-"""`mini`: an image-text encoder of a megabyte that knows household things of the small world, and no more.
+"""`mini`: an image-text encoder of a megabyte that knows household objects of the small world, and no more.
 
-It is learned from renderings (`world/` in the repository) and runs on NumPy. It shows the whole road
-from photos to answers without any download; it is no CLIP.
+It is trained on renderings (`world/` in the repository) and runs on NumPy. It allows the whole way from photos to
+answers without a download; it does not replace CLIP.
 """
 
 from .encoder import MiniEncoder

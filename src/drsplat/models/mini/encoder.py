@@ -1,4 +1,4 @@
-"""Words and crops to unit vectors in one space."""
+"""Encoder of words and crops to unit vectors in one space."""
 
 import hashlib
 from collections.abc import Sequence
@@ -14,19 +14,19 @@ from .lexicon import COLORS, NAMES, PAINTS, STRUCTURES, WORDS, colors_in, only_c
 from .network import SIDE, embed_images
 
 DIM = 512
-BATCH = 64  # crops of which all that is between input and output takes some 20 MiB
+BATCH = 64  # crops, whose layers take some 20 MiB
 _ROWS = {word: row for row, word in enumerate(WORDS)}
 
 
 class MiniEncoder:
-    """Knows the things, colours and materials of `lexicon`, and nothing else.
+    """Encoder that knows the objects, colours and materials of `lexicon`, and nothing else.
 
-    A text is the sum of its words; one that asks for a colour and nothing else has vectors that were fitted to photos.
-    nouns: what queries are contrasted with. least_share: of the cosine that these reach
-    in a scene, what a query has to reach there too: "blue mug" fits a red one better than any other name does, but not
-    well. least_fit: the cosine of the best noun that half of a scene's features reach where it looks like the rooms
-    that the nouns were learnt from. threshold: the fixed cosine that finds most in rooms of the training split; queries
-    follow the scene instead. threads: of the network, 0 for all cores; no bit depends on them.
+    A text is the sum of its words; one that asks for a colour alone has vectors that were fitted to photos.
+    nouns: what queries are contrasted with. least_share: share of the cosine that the nouns reach in a scene which a
+    query has to reach, too: "blue mug" fits a red one better than any other name does, but not well. least_fit: cosine
+    of the best noun that half of a scene's features reach where it looks like the rooms of the training. threshold:
+    fixed cosine that finds most in rooms of the training split; queries follow the scene instead. threads: of the
+    network, 0 for all cores; no bit depends on them.
     """
 
     name = "drsplat-mini"
@@ -39,22 +39,22 @@ class MiniEncoder:
         file = Path(__file__).with_name("mini.safetensors")
         self.threads = threads
         self._weights = {name: array.astype(np.float32) for name, array in map_tensors(file)[0].items()}
-        # A file of its own, which is no part of the identity: it changes what is asked and not what masks are embedded
-        # as, so that fields made before it stay valid.
+        # A file of its own, not part of the identity: it changes queries and not the embeddings of masks, so older
+        # fields stay valid.
         self._photo_colors: np.ndarray = map_tensors(file.with_name("photo_colors.safetensors"))[0]["photo_colors"]
         weights = hashlib.blake2b(file.read_bytes(), digest_size=8).hexdigest()
         self.identity = EncoderIdentity(self.name, DIM, weights, f"square {SIDE} px")
 
     def on_one_thread(self) -> "MiniEncoder":
-        """The same encoder, for several threads to ask at once."""
+        """Return the same encoder on one thread, for several threads to call at once."""
         return MiniEncoder(threads=1)
 
     def encode_texts(self, texts: Sequence[str]) -> Float32[np.ndarray, "t d"]:
-        """Raises: InputError: a text with a word that it was not taught, or without any word."""
+        """Return unit vectors of texts. Raises: InputError: an unknown word, or no word."""
         return np.stack([self._text(text) for text in texts])
 
     def encode_images(self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "n d"]:
-        """Square crops on a black background; others are made square by black borders."""
+        """Return unit vectors of square crops on black; other images get black borders."""
         rows = [
             embed_images(_pixels(images[at : at + BATCH]), self._weights, threads=self.threads)
             for at in range(0, len(images), BATCH)
@@ -62,16 +62,15 @@ class MiniEncoder:
         return np.concatenate(rows) if rows else np.empty((0, DIM), np.float32)
 
     def rivals(self, text: str) -> Float32[np.ndarray, "r d"] | None:
-        """Return the vectors that a text competes with in place of the nouns: all colours, with one that asks for a
-        colour and nothing else. None: the nouns.
+        """Return the vectors that replace the nouns for a text: all colours, for a colour alone; else None.
 
-        A colour is known by which one fits best, on photos too, where no noun fits and any of them may fit better.
+        A colour is judged against other colours, on photos too, where no noun fits and any of them may fit better.
         """
         return self._photo_colors if only_colors(text) else None
 
     @property
     def taught_colors(self) -> Float32[np.ndarray, "11 d"]:
-        """The vectors of `COLORS` that were learnt with the nouns, from made-up rooms only."""
+        """Vectors of `COLORS` that were trained with the nouns, from made-up rooms only."""
         rows = self._weights["words"][[_ROWS[paint] for paint in PAINTS]]
         return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True), np.float32)
 

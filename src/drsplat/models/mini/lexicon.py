@@ -1,4 +1,4 @@
-"""The words that `mini` knows, and which things, colours and materials they stand for."""
+"""Words that `mini` knows, and the objects, colours and materials they stand for."""
 
 import re
 
@@ -15,7 +15,7 @@ MATERIALS = (
 )  # fmt: skip
 
 STRUCTURES = ("floor", "rug", "wall", "window")
-"""What a room is made of; their colours and materials are not taught."""
+"""Parts of a room; their colours and materials are not taught."""
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "cup": ("mug",), "drink": ("mug", "bottle"), "coffee": ("mug",), "tea": ("mug", "teapot"), "kettle": ("teapot",),
@@ -39,9 +39,9 @@ GROUPS: dict[str, tuple[str, ...]] = {
 """Words that stand for one or several names: synonyms, kinds, uses."""
 
 ORANGE = "orange (colour)"
-"""The colour, which has a vector of its own; "orange" is the fruit."""
+"""Name of the colour, which has a vector of its own; "orange" is the fruit."""
 PAINTS = tuple(ORANGE if color == "orange" else color for color in COLORS)
-"""The word of each of COLORS."""
+"""Word of each of COLORS."""
 
 TONES = {"gray": "grey", "violet": "purple", "golden": "yellow", "dark": "black", "rose": "pink"}
 STUFFS = {
@@ -49,7 +49,7 @@ STUFFS = {
     "porcelain": "ceramic", "woven": "wicker", "fluffy": "plush", "soft": "plush",
 }  # fmt: skip
 ANYTHING = ("object", "thing", "stuff", "texture", "item")
-"""What fits everything alike: LERF's negatives, and the noun of "a red thing"."""
+"""Words that fit everything alike: LERF's negatives, and the noun of "a red thing"."""
 
 IGNORED = frozenset(
     [
@@ -69,16 +69,16 @@ WORDS = tuple(
 
 
 def words_of(text: str) -> list[str]:
-    """The words of a text that say something, in singular; those that nobody taught are included.
+    """Return the meaningful words of a text, in singular; unknown ones are included.
 
     "orange" is the colour before another word, in "something orange" and in "the orange one", else the fruit.
     """
     spoken = re.findall(r"[^\W\d_]+", text.lower())
-    found = [(word, _singular(word)) for word in spoken if word not in IGNORED]
+    counting = [(word, _singular(word)) for word in spoken if word not in IGNORED]
     painted = not {"something", "anything", "one", "ones"}.isdisjoint(spoken)
-    last = len(found) - 1
+    last = len(counting) - 1
     return [
-        ORANGE if word == "orange" and (painted or at < last) else single for at, (word, single) in enumerate(found)
+        ORANGE if word == "orange" and (painted or at < last) else single for at, (word, single) in enumerate(counting)
     ]
 
 
@@ -90,7 +90,7 @@ def _singular(word: str) -> str:
 
 
 def nouns_in(text: str) -> list[str]:
-    """Return the words of a text that say what a thing is or is made of; colours and "thing" do not."""
+    """Return the words that name an object or its material, without colours and "thing"."""
     return [word for word in words_of(text) if TONES.get(word, word) not in PAINTS and word not in ANYTHING]
 
 
@@ -109,7 +109,7 @@ def only_colors(text: str) -> bool:
 
 
 def fits(word: str, name: str, color: str, material: str) -> bool | None:
-    """Whether a word says something true of a thing; None where its colour or material is not known ("")."""
+    """Return whether a word is true of an object; None where its colour or material is unknown ("")."""
     if word in ANYTHING or word in name.split() or name in GROUPS.get(word, ()):
         return True
     shade, stuff = TONES.get(word, word), STUFFS.get(word, word)

@@ -1,4 +1,4 @@
-"""The image tower: 3x3 convolutions with ReLU, a mean over what is left, a projection."""
+"""Image tower: 3x3 convolutions with ReLU, pooling by mean and maximum, a projection."""
 
 from collections.abc import Mapping
 
@@ -7,9 +7,9 @@ import numpy as np
 from ...arrays import Float32
 from ...kernels.algebra import convolve, dense_rows
 
-SIDE = 64  # pixels of what it looks at
+SIDE = 64  # pixels of its input
 STRIDES = (2, 2, 1, 2, 1, 2, 1)
-"""Of the convolutions conv0, conv1 ..., each with one pixel of zeros around its input."""
+"""Strides of the convolutions conv0, conv1 ..., each with one pixel of zeros around its input."""
 
 Tensors = Mapping[str, np.ndarray]
 
