@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drsplat.embedding.embed import embed
-from drsplat.embedding.side_by_side import AT_ONCE, photos_at_once, side_by_side
+from drsplat.embedding.side_by_side import MAX_PHOTOS_AT_ONCE, photos_at_once, side_by_side
 from drsplat.models.graph import GraphSegmenter
 from drsplat.models.mini import MiniEncoder
 from fake_models import ColorSegmenter
@@ -57,7 +57,7 @@ def test_what_came_before_an_error_is_there() -> None:
 def test_other_models_take_one_photo_at_a_time() -> None:
     both = GraphSegmenter(threads=3), MiniEncoder(threads=2)
     assert photos_at_once(both) == 2
-    assert photos_at_once([GraphSegmenter(threads=99), MiniEncoder(threads=99)]) == AT_ONCE
+    assert photos_at_once([GraphSegmenter(threads=99), MiniEncoder(threads=99)]) == MAX_PHOTOS_AT_ONCE
     assert photos_at_once([ColorSegmenter(), both[1]]) == 1
 
 

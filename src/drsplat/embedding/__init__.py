@@ -1,4 +1,4 @@
-"""Photos to features on disk: which photos, which masks and which crops of them are embedded; resumable.
+"""Features of photos on disk: the photos, masks and crops that are embedded; resumable.
 
 Imports `encoders`, `scene`, `masks`, `formats`, `codes`, `evidence`, `objects`, `registration` and `query`.
 """

@@ -1,7 +1,7 @@
-"""Photos to language features: masks, their crops, their embeddings; one photo at a time, or a few.
+"""Language features of photos: masks, their crops, their embeddings; one photo at a time, or a few.
 
-What a folder was made with, and which of its files are finished, is kept in an `embedding.json`
-beside them. Features count as finished only with an entry there that fits them and their photo.
+An `embedding.json` beside the features records the settings of the folder and its finished files. Features count as
+finished only with an entry there that fits them and their photo.
 """
 
 from collections.abc import Generator, Mapping, Sequence
@@ -36,17 +36,19 @@ from .keeping import embedded_again, kept_identity, kept_maps, level_counts, mas
 from .mask_rows import mask_rows
 from .side_by_side import Threaded, photos_at_once, side_by_side
 
-ALGORITHM = "1"  # of everything here that decides what is written; a new one makes all files anew
+ALGORITHM = "1"  # version of everything here that decides what is written; another one makes all files anew
 WORD_LIST = "word_list.safetensors"  # beside the features: what queries are contrasted with
 MAX_HEIGHT = 1080
-"""Taller photos are scaled down to it. Source: LangSplat preprocess.py."""
+"""Height in pixels that taller photos are scaled down to. Source: LangSplat preprocess.py."""
 
 
 @dataclass(frozen=True)
 class EmbeddingReport:
-    """photos: that now have features; reused: of them, finished before; redone: made anew over older
-    files. masks: by level. crops: that were embedded. empty_masks: left out because they had no pixels. changes:
-    settings that differ from those of the older files.
+    """Result of a run.
+
+    photos: number that now have features; reused: of them, finished before; redone: made anew over older files. masks:
+    by level. crops: number embedded. empty_masks: left out because they had no pixels. changes: settings that differ
+    from those of the older files.
     """
 
     photos: int
@@ -71,18 +73,18 @@ def embed(
 ) -> EmbeddingReport:
     """Write `<photo>.features.safetensors` of every view, or LangSplat's files.
 
-    A photo is segmented as stored, its lens not undone, because that is where `register` expects maps to lie. What the
-    masks of photos leave out is in no mask: one that lies mostly there is dropped, others lose those pixels, and photos
-    that are left out as a whole get no files. Finished photos are not touched: a run that was killed loses at most the
+    A photo is segmented as stored, its lens not undone, because that is where `register` expects maps to lie. Pixels
+    outside the mask of a photo are in no mask: one that lies mostly there is dropped, others lose those pixels, and
+    photos that are left out as a whole get no files. Finished photos are not touched: a killed run loses at most the
     photo it was at. Where a setting differs from the folder's, everything is made anew, each file replaced when its
     successor is complete. Memory holds one photo at a time; the built-in models take as many at once as they have
     threads, up to 8, and a kill then loses those.
-    form: "compact", or "langsplat" for `<photo>_f.npy` and `<photo>_s.npy`; what is finished in the other form
-    is rewritten, not made anew.
-    segmenter: who cuts photos into masks; or features of the same photos, whose masks are kept with their ids, on their
+    form: "compact", or "langsplat" for `<photo>_f.npy` and `<photo>_s.npy`; files finished in the other form
+    are rewritten, not made anew.
+    segmenter: cuts photos into masks; or features of the same photos, whose masks are kept with their ids, on their
     raster: another encoder embeds them, for `register --weights-of`.
-    max_height: photos that are taller are scaled to it, in pixels; None takes them as they are.
-    overwrite: makes everything anew, also over features that others made.
+    max_height: taller photos are scaled to it, in pixels; None takes them as they are.
+    overwrite: makes everything anew, also over features of other programs.
 
     Warns: DrSplatWarning: views without photo, or whose mask leaves all out, changed settings, files left from other
     settings.
@@ -115,20 +117,20 @@ def embed(
         for stem in sorted(photos.keys() - pending):
             _rewrite(record, stem, form)
         with closing(_all_embedded(rasters, pending, segmenter, encoder)) as embedded:
-            for stem, found in zip(track(pending, "embedding photos"), embedded, strict=True):
-                _store(record, stem, photos[stem], found, form)
+            for stem, features in zip(track(pending, "embedding photos"), embedded, strict=True):
+                _store(record, stem, photos[stem], features, form)
         finish_folder(record, encoder)
     return report_of(record, list(photos), len(pending), redone)
 
 
 def pictures_setting(views: Sequence[View]) -> dict[str, list[str]]:
-    """Return what the record of a folder says of renderings: the scenes they are of; nothing where all are photos."""
+    """Return the record's entry on renderings: the scenes they are of; nothing where all are photos."""
     scenes = scenes_rendered(view.rendered_from for view in views)
     return {"rendered_from": scenes} if scenes else {}
 
 
 def recorded_renderings(folder: str | Path) -> list[str]:
-    """Return the scenes that the pictures of a folder of features are renderings of; none of photos, or unknown.
+    """Return the scenes that a folder's pictures are renderings of; none for photos, or if unknown.
 
     Raises: as `recorded_encoder`.
     """
@@ -137,26 +139,26 @@ def recorded_renderings(folder: str | Path) -> list[str]:
 
 
 def finish_folder(record: EmbeddingRecord, encoder: ImageEncoder) -> None:
-    """Write the words that queries are contrasted with, and warn of files that are of other settings."""
+    """Write the words that queries are contrasted with, and warn of files with other settings."""
     _record_words(record.folder, encoder)
     _tell_leftovers(record)
 
 
-def report_of(record: EmbeddingRecord, stems: Sequence[str], made: int, redone: int) -> EmbeddingReport:
-    """Return the report of a folder. made: photos of this run."""
+def report_of(record: EmbeddingRecord, stems: Sequence[str], num_embedded: int, redone: int) -> EmbeddingReport:
+    """Return the report of a folder. num_embedded: photos of this run."""
     masks, empty_masks = _totals(record, stems)
     crops = sum(masks.values())
-    return EmbeddingReport(len(stems), len(stems) - made, redone, masks, crops, empty_masks, record.changes)
+    return EmbeddingReport(len(stems), len(stems) - num_embedded, redone, masks, crops, empty_masks, record.changes)
 
 
 def recorded_words(folder: str | Path) -> VocabularyEncoder | None:
-    """The words that queries are contrasted with, where `embed` left them. Raises: FormatError: a damaged file."""
+    """Read the words that queries are contrasted with, if `embed` left them. Raises: FormatError: a damaged file."""
     path = Path(folder) / WORD_LIST
     return read_vocabulary(path) if path.is_file() else None
 
 
 def _record_words(folder: Path, encoder: ImageEncoder) -> None:
-    """Embed the list while the model is at hand. Built-in encoders are always."""
+    """Embed the word list while the model is loaded. Built-in encoders can be loaded at any time."""
     if not isinstance(encoder, Encoder) or hasattr(encoder, "nouns"):
         return
     names, vectors = known_words(encoder, broad_list())
@@ -164,7 +166,7 @@ def _record_words(folder: Path, encoder: ImageEncoder) -> None:
 
 
 def recorded_encoder(folder: str | Path) -> EncoderIdentity | None:
-    """Return the encoder of a folder that `embed` wrote; None where others wrote it.
+    """Return the encoder of a folder that `embed` wrote; None for folders of other programs.
 
     Raises: FormatError: a damaged embedding.json. MismatchError: features of several settings are in it.
     """
@@ -175,31 +177,31 @@ def recorded_encoder(folder: str | Path) -> EncoderIdentity | None:
 
 
 def _by_stem(views: Sequence[View]) -> dict[str, View]:
-    """Views with a photo by the name of their files, sorted.
+    """Return the views with a photo, sorted, by their feature files' name without suffix.
 
     Raises: InputError: no photo at all; two photos of one name but for the suffix.
     """
-    found: dict[str, View] = {}
+    by_stem: dict[str, View] = {}
     for view in sorted(views, key=lambda view: view.name):
         if view.image_path is not None:
             stem = PurePosixPath(view.name).with_suffix("").as_posix()
-            if stem in found:
+            if stem in by_stem:
                 raise InputError(
-                    f"'{found[stem].name}' and '{view.name}' would share the features '{stem}': "
+                    f"'{by_stem[stem].name}' and '{view.name}' would share the features '{stem}': "
                     "rename one of the photos"
                 )
-            found[stem] = view
+            by_stem[stem] = view
     without = [view.name for view in views if view.image_path is None]
-    if not found:
+    if not by_stem:
         raise InputError(f"none of {len(views)} views has a photo: read them with images=FOLDER")
     if without:
         text = f"{len(without)} of {len(views)} views have no photo to embed: {listed(without)}"
         warn(text, DrSplatWarning, stacklevel=4)
-    return found
+    return by_stem
 
 
 def _raster(view: View, max_height: int | None) -> View:
-    """The view on the raster that is segmented; maps lie on the photo as stored."""
+    """Return the view on the raster that is segmented, without its lens: maps lie on the photo as stored."""
     stored = replace(view, distortion=None)
     if max_height is None or view.height <= max_height:
         return stored
@@ -221,7 +223,7 @@ def _mask_identity(view: View) -> str:
 
 
 class _Embedded(NamedTuple):
-    """One photo's masks and their embeddings. counts: of masks by level. empty: left out."""
+    """Masks and embeddings of one photo. counts: of masks by level. empty: number left out."""
 
     mask_ids: Int32[np.ndarray, "*levels h w"]
     embeddings: Float32[np.ndarray, "n d"]
@@ -230,39 +232,39 @@ class _Embedded(NamedTuple):
 
 
 def _with_masks(rasters: Mapping[str, View], folder: FeatureFolder) -> dict[str, View]:
-    """The photos that have masks in a folder.
+    """Return the photos that have masks in a folder.
 
     Raises: InputError: none has.
     """
-    found = {stem: view for stem, view in rasters.items() if stem in folder}
-    missing = [stem for stem in rasters if stem not in found]
-    if not found:
+    with_masks = {stem: view for stem, view in rasters.items() if stem in folder}
+    missing = [stem for stem in rasters if stem not in with_masks]
+    if not with_masks:
         raise InputError(f"{folder.directory}: no photo has masks there: photos are named like '{missing[0]}'")
     if missing:
         text = f"{len(missing)} of {len(rasters)} photos have no masks in {folder.directory}: {listed(missing)}"
         warn(text, DrSplatWarning, stacklevel=4)
-    return found
+    return with_masks
 
 
 def _all_embedded(
     rasters: Mapping[str, View], stems: Sequence[str], segmenter: Segmenter | FeatureFolder, encoder: ImageEncoder
 ) -> Generator[_Embedded]:
-    """Photos in order, several at a time where both models are built in."""
+    """Yield photos' features in order, several at a time where both models are built in."""
     at_once = min(photos_at_once([segmenter, encoder]), max(len(stems), 1))
     if at_once > 1 and isinstance(segmenter, Threaded) and isinstance(encoder, Threaded):
         segmenter, encoder = segmenter.on_one_thread(), encoder.on_one_thread()
-    yield from side_by_side(lambda stem: _embedded(rasters[stem], stem, segmenter, encoder), stems, at_once)
+    yield from side_by_side(lambda stem: _features(rasters[stem], stem, segmenter, encoder), stems, at_once)
 
 
-def _embedded(view: View, stem: str, segmenter: Segmenter | FeatureFolder, encoder: ImageEncoder) -> _Embedded:
+def _features(view: View, stem: str, segmenter: Segmenter | FeatureFolder, encoder: ImageEncoder) -> _Embedded:
     if isinstance(segmenter, FeatureFolder):
-        mask_ids, seen = kept_maps(segmenter, view, stem)
-        return _Embedded(mask_ids, embedded_again(mask_ids, seen, encoder), level_counts(mask_ids), 0)
+        mask_ids, raster = kept_maps(segmenter, view, stem)
+        return _Embedded(mask_ids, embedded_again(mask_ids, raster, encoder), level_counts(mask_ids), 0)
     image = load_image(view)
     levels = segmenter.segment(image)
-    kept = load_mask(view)
-    if kept is not None:
-        levels = kept_masks(levels, kept)
+    used = load_mask(view)
+    if used is not None:
+        levels = kept_masks(levels, used)
     maps = mask_maps(levels)
     empty = sum(not part.any() for masks in levels.values() for part in masks.parts)
     return _Embedded(maps.mask_ids, _embeddings(image, maps.masks, encoder, view.name), _counts(maps, levels), empty)
@@ -276,26 +278,26 @@ def finish_photo(
     rows: Float32[np.ndarray, "n d"],
     form: Form,
 ) -> None:
-    """Write the features of a photo whose masks are of one level, and note them.
+    """Write the features of a photo whose masks are of one level, and record them.
 
-    photo: hash of all that decides what they are.
+    photo: hash of everything that decides them.
     """
     one_level = mask_ids if mask_ids.ndim == 2 else mask_ids[-1]
     _store(record, stem, photo, _Embedded(mask_ids, rows, level_counts(one_level), 0), form)
 
 
-def _store(record: EmbeddingRecord, stem: str, photo: str, found: _Embedded, form: Form) -> None:
+def _store(record: EmbeddingRecord, stem: str, photo: str, features: _Embedded, form: Form) -> None:
     record.make_room(stem)
-    write_features(record.folder, stem, found.mask_ids, found.embeddings, overwrite=True, form=form)
-    record.add(stem, photo, found.counts, found.empty, form)
+    write_features(record.folder, stem, features.mask_ids, features.embeddings, overwrite=True, form=form)
+    record.add(stem, photo, features.counts, features.empty, form)
 
 
 def _rewrite(record: EmbeddingRecord, stem: str, form: Form) -> None:
-    """A finished photo's files in this form, if they are in the other."""
-    known = record.finished[stem]
-    if known.form != form:
-        stored = stored_features(record.folder, stem, known.form)
-        _store(record, stem, known.photo, _Embedded(*stored, known.masks, known.empty_masks), form)
+    """Rewrite a finished photo's files in this form, if they are in the other."""
+    entry = record.finished[stem]
+    if entry.form != form:
+        stored = stored_features(record.folder, stem, entry.form)
+        _store(record, stem, entry.photo, _Embedded(*stored, entry.masks, entry.empty_masks), form)
 
 
 def _embeddings(
@@ -314,13 +316,13 @@ def _embeddings(
 
 
 def _counts(maps: MaskMaps, levels: Mapping[str, Masks]) -> dict[str, int]:
-    """Masks by level, of the levels that the segmenter gave."""
+    """Count the masks by level, of the levels that the segmenter gave."""
     ids = {level: maps.mask_ids[LEVELS.index(level)] for level in LEVELS if level in levels}
-    return {level: len(np.unique(seen[seen >= 0])) for level, seen in ids.items()}
+    return {level: len(np.unique(level_ids[level_ids >= 0])) for level, level_ids in ids.items()}
 
 
 def _totals(record: EmbeddingRecord, stems: Sequence[str]) -> tuple[dict[str, int], int]:
-    """Masks by level and empty masks of all these photos."""
+    """Sum the masks by level, and the empty masks, of photos; warn if there is no mask."""
     finished = [record.finished[stem] for stem in stems]
     counts = {level: sum(photo.masks.get(level, 0) for photo in finished) for level in LEVELS}
     masks = {level: count for level, count in counts.items() if count}

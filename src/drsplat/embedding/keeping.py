@@ -1,4 +1,4 @@
-"""Masks that a folder of features has already: another encoder embeds them, and their ids stay."""
+"""Masks of an existing folder of features: another encoder embeds them, and their ids stay."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -19,7 +19,7 @@ from .mask_rows import mask_rows
 
 
 class WithoutEmbedding:
-    """An encoder that gives every mask the vector (1): W can be made of such features."""
+    """Encoder that gives every mask the vector (1): enough to make W."""
 
     identity = EncoderIdentity("none", 1)
     threads = 0
@@ -33,7 +33,7 @@ class WithoutEmbedding:
 
 
 class ChosenMasks(FeatureFolder):
-    """A folder's masks without those whose crops are not embedded. chosen: mask ids by photo."""
+    """Masks of a folder without those whose crops are not embedded. chosen: mask ids by photo."""
 
     def __init__(self, directory: Path, chosen: Mapping[str, Int32[np.ndarray, " c"]]) -> None:
         super().__init__(directory, LEVELS.index("large"))
@@ -48,7 +48,7 @@ class ChosenMasks(FeatureFolder):
 
 
 def kept_identity(folder: FeatureFolder) -> dict[str, object]:
-    """Return what made the masks, as `embed` notes it."""
+    """Return the segmenter of a folder's masks, as `embed` records it."""
     settings = read_settings(folder.directory)
     return {"kept": None if settings is None else settings.get("segmenter")}
 
@@ -62,7 +62,7 @@ def masks_hash(folder: FeatureFolder, stem: str) -> str:
 
 
 def kept_maps(folder: FeatureFolder, view: View, stem: str) -> tuple[Int32[np.ndarray, "*levels h w"], View]:
-    """A photo's maps as they are stored, and the view on their raster. Raises: MismatchError: another shape."""
+    """Return a photo's stored maps, and the view on their raster. Raises: MismatchError: another shape."""
     mask_ids = folder.stored(stem)[0]
     height, width = mask_ids.shape[-2:]
     if not same_aspect((width, height), (view.width, view.height)):
@@ -76,7 +76,7 @@ def kept_maps(folder: FeatureFolder, view: View, stem: str) -> tuple[Int32[np.nd
 def embedded_again(
     mask_ids: Int32[np.ndarray, "*levels h w"], view: View, encoder: ImageEncoder
 ) -> Float32[np.ndarray, "n d"]:
-    """A row for each mask id; zero where a mask has no pixel, which nobody reads."""
+    """Embed existing masks: one row per mask id, zero where a mask has no pixel, which nothing reads."""
     rows, masks = _cut_out(mask_ids if mask_ids.ndim == 3 else mask_ids[None])
     embeddings = np.zeros((int(mask_ids.max(initial=-1)) + 1, encoder.identity.dim), np.float32)
     if len(rows):
@@ -86,21 +86,21 @@ def embedded_again(
 
 
 def level_counts(mask_ids: Int32[np.ndarray, "*levels h w"]) -> dict[str, int]:
-    """Masks by level; a map without levels is that of `large`."""
+    """Count the masks by level; a map without levels is `large`."""
     if mask_ids.ndim == 2:
         return {LEVELS[-1]: len(np.unique(mask_ids[mask_ids >= 0]))}
     return {level: len(np.unique(ids[ids >= 0])) for level, ids in zip(LEVELS, mask_ids, strict=True)}
 
 
 def _cut_out(levels: Int32[np.ndarray, "l h w"]) -> tuple[list[int], Masks]:
-    """The ids that have pixels, each cut out of the first level that has it."""
-    found: dict[int, tuple[tuple[int, ...], np.ndarray]] = {}
+    """Return the ids that have pixels, each cut out of the first level that has it."""
+    cutouts: dict[int, tuple[tuple[int, ...], np.ndarray]] = {}
     for ids in levels:
         for number, place in enumerate(find_objects(ids + 1)):
-            if place is not None and number not in found:
+            if place is not None and number not in cutouts:
                 y, x = place
-                found[number] = ((x.start, y.start, x.stop, y.stop), ids[place] == number)
-    rows = sorted(found)
-    boxes = np.array([found[row][0] for row in rows], np.int32).reshape(-1, 4)
-    parts = tuple(found[row][1] for row in rows)
+                cutouts[number] = ((x.start, y.start, x.stop, y.stop), ids[place] == number)
+    rows = sorted(cutouts)
+    boxes = np.array([cutouts[row][0] for row in rows], np.int32).reshape(-1, 4)
+    parts = tuple(cutouts[row][1] for row in rows)
     return rows, Masks(levels.shape[1], levels.shape[2], boxes, parts, np.ones(len(rows), np.float32))

@@ -1,4 +1,4 @@
-"""The embeddings of an image's masks: of their crops, or of the patches that they cover, as the encoder has it."""
+"""Embeddings of an image's masks: of their crops, or of the patches that they cover, as the encoder needs."""
 
 from typing import Protocol, runtime_checkable
 
@@ -12,7 +12,7 @@ from ..masks.masks import Masks
 
 @runtime_checkable
 class MaskEncoder(Protocol):
-    """An encoder that embeds masks from one look at the image and needs no crops of them."""
+    """Encoder that embeds masks from one pass over the image, without crops of them."""
 
     def encode_masks(self, image: UInt8[np.ndarray, "h w 3"], masks: Masks) -> Float32[np.ndarray, "n d"]: ...
 

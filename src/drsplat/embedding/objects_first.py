@@ -1,4 +1,4 @@
-"""Photos to language features where the scene is there: masks, W, objects, then a few crops of each object.
+"""Language features of photos of a known scene: masks, W, objects, then a few crops of each object.
 
 The masks and the vectors of the chosen crops are folders of features of their own, so each photo is kept once finished.
 """
@@ -59,7 +59,10 @@ def embed_objects(
         encoder: makes the vectors of crops.
         gaussians: the scene, which stands still.
         parts: folder for masks, weights and crops, which later runs go on from.
-        max_height, overwrite, form, track: as of `embed`.
+        max_height: see `embed`.
+        overwrite: see `embed`.
+        form: see `embed`.
+        track: see `embed`.
         threads: 0 for all cores; the result does not depend on it.
 
     Raises:
@@ -97,7 +100,7 @@ def embed_objects(
 
 
 def _check_level(masks: FeatureFolder) -> None:
-    """Raises: InputError: masks of several levels, of which only one is registered."""
+    """Check the masks. Raises: InputError: several levels, of which only one is registered."""
     for name in masks:
         mask_ids = masks.stored(name)[0]
         if mask_ids.ndim == 3 and (mask_ids != mask_ids[-1]).any():
@@ -134,18 +137,18 @@ def _vectors(
     columns = _columns_by_stem(evidence, masks)
     is_chosen = np.zeros(len(evidence.masks), np.bool_)
     is_chosen[shared.chosen] = True
-    chosen = {stem: evidence.masks.ids[some[is_chosen[some]]] for stem, some in columns.items()}
+    chosen = {stem: evidence.masks.ids[numbers[is_chosen[numbers]]] for stem, numbers in columns.items()}
     embed(
         views, parts / CROPS, ChosenMasks(masks.directory, chosen), encoder, max_height=None, overwrite=overwrite,
         track=track,
     )  # fmt: skip
     crops = read_features(parts / CROPS)
-    known = np.zeros((len(is_chosen), encoder.identity.dim), np.float32)
-    for stem, some in columns.items():
-        own = some[is_chosen[some]]
-        known[own] = crops.stored(stem)[1][evidence.masks.ids[own]]
-    rows = shared.embeddings(known[shared.chosen])
-    return {stem: rows[some] for stem, some in columns.items()}
+    crop_rows = np.zeros((len(is_chosen), encoder.identity.dim), np.float32)
+    for stem, numbers in columns.items():
+        own = numbers[is_chosen[numbers]]
+        crop_rows[own] = crops.stored(stem)[1][evidence.masks.ids[own]]
+    rows = shared.embeddings(crop_rows[shared.chosen])
+    return {stem: rows[numbers] for stem, numbers in columns.items()}
 
 
 def _columns_by_stem(evidence: Evidence, masks: FeatureFolder) -> dict[str, np.ndarray]:

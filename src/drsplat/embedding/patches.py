@@ -1,4 +1,4 @@
-"""Patches for a codebook: outlined things of a data set, embedded as masks of a scene are.
+"""Patches for a codebook: outlined objects of a data set, embedded as masks of a scene are.
 
 A codebook that is trained once on many things of all kinds fits every scene of the same encoder.
 Source: Dr. Splat Sec. B (LVIS).
@@ -28,15 +28,15 @@ from ..scene.photos import load_image, photo_size
 from ..scene.views import View
 from .mask_rows import mask_rows
 
-ALGORITHM = "1"  # of everything here that decides a patch
+ALGORITHM = "1"  # version of everything here that decides a patch
 MIN_AREA = 100
-"""Pixels of the smallest patch: segmenters drop smaller masks, so that no scene has any.
+"""Pixels of the smallest patch: segmenters drop smaller masks, so no scene has any.
 Source: SAM's min_mask_region_area as LangSplat sets it."""
 
 
 @dataclass(frozen=True)
 class PhotoPatches:
-    """The wanted instances of one photo, and where the photo is."""
+    """Wanted instances of one photo, and the photo's path."""
 
     photo: AnnotatedPhoto
     path: Path
@@ -45,7 +45,7 @@ class PhotoPatches:
 
 @dataclass(frozen=True)
 class PatchSource:
-    """Photos with their wanted instances, in the order of the file. Made by `find_patches`.
+    """Photos with their wanted instances, in the order of the file; see `find_patches`.
 
     missing: names of photos that are not in the folder. left_out: instances that are crowds, smaller
     than MIN_AREA by the file's own area, or of missing photos.
@@ -62,23 +62,23 @@ class PatchSource:
 
 
 class Patches(NamedTuple):
-    """One photo and the masks of its wanted instances."""
+    """Photo with the masks of its wanted instances."""
 
     image: UInt8[np.ndarray, "h w 3"]
     masks: Masks
 
 
 class EmbeddedPatches(NamedTuple):
-    """embeddings: a row per patch, on disk. too_small: wanted instances whose mask is below MIN_AREA."""
+    """Embedded patches. embeddings: a row each, on disk. too_small: instances whose mask is below MIN_AREA."""
 
     embeddings: Float32[np.ndarray, "n d"]
     too_small: int
 
 
 def find_patches(annotations: Annotations, images: str | Path, limit: int | None = None, seed: int = 0) -> PatchSource:
-    """The instances to cut out, at most `limit` of them, drawn by `seed`; no photo is opened yet.
+    """Choose the instances to cut out, at most `limit`, drawn by `seed`; no photo is opened yet.
 
-    images: a photo is looked for under its name there, then under the last part of its name.
+    images: folder; photos are looked for by their name there, then by the last part of their name.
 
     Warns: DrSplatWarning: photos that are missing.
     Raises: InputError: all photos are missing, or no instance is large enough.
@@ -110,7 +110,7 @@ def find_patches(annotations: Annotations, images: str | Path, limit: int | None
 
 
 def patches(source: PatchSource, photos: Sequence[PhotoPatches]) -> Iterator[Patches]:
-    """Yield one photo after the other with the masks of its instances, each photo opened once.
+    """Yield each photo with the masks of its instances; each photo is opened once.
 
     Instances whose mask has fewer than MIN_AREA pixels are left out.
 
@@ -125,7 +125,7 @@ def embed_patches(
 ) -> EmbeddedPatches:
     """Embed the patches photo by photo into a file in `folder`, which is mapped, not loaded.
 
-    A run that finds there what an earlier one of the same patches and encoder has done goes on with the next photo.
+    A run continues after the photos that an earlier one with the same patches and encoder has done there.
 
     Raises: as `patches`. InputError: no patch is large enough.
     """
@@ -133,33 +133,33 @@ def embed_patches(
     rows_path, progress_path = folder / "embeddings.npy", folder / "progress.json"
     key, shape = _key(source, encoder.identity), (source.num_wanted, encoder.identity.dim)
     done, filled = _progress(progress_path, key)
-    again = done and rows_path.is_file()
-    rows = np.lib.format.open_memmap(rows_path, "r+" if again else "w+", np.float32, shape)
-    done, filled = (done, filled) if again else (0, 0)
-    seen = sum(len(photo.instances) for photo in source.photos[:done])
+    resumes = done and rows_path.is_file()
+    rows = np.lib.format.open_memmap(rows_path, "r+" if resumes else "w+", np.float32, shape)
+    done, filled = (done, filled) if resumes else (0, 0)
+    num_instances = sum(len(photo.instances) for photo in source.photos[:done])
     following = source.photos[done:]
     steps = track(range(len(following)), "embedding patches")
     for _, photo, (image, masks) in zip(steps, following, patches(source, following), strict=True):
         if len(masks):
             rows[filled : filled + len(masks)] = mask_rows(image, masks, encoder)
-        done, filled, seen = done + 1, filled + len(masks), seen + len(photo.instances)
+        done, filled, num_instances = done + 1, filled + len(masks), num_instances + len(photo.instances)
         _write_progress(progress_path, key, done, filled)
     if not filled:
-        raise InputError(f"none of {seen} patches has {MIN_AREA} pixels or more: give larger ones")
-    return EmbeddedPatches(rows[:filled], seen - filled)
+        raise InputError(f"none of {num_instances} patches has {MIN_AREA} pixels or more: give larger ones")
+    return EmbeddedPatches(rows[:filled], num_instances - filled)
 
 
 def _find_photos(annotations: Annotations, folder: Path) -> dict[int, Path]:
-    """Paths of photos that are there and have instances, by id."""
+    """Return the paths of existing photos that have instances, by id."""
     if not folder.is_dir():
         raise InputError(f"images: there is no folder '{folder}'")
     paths: dict[int, Path] = {}
     for number in dict.fromkeys(instance.photo for instance in annotations.instances):
         name = annotations.photos[number].name
         candidates = (folder / name, folder / PurePosixPath(name).name)
-        found = next((path for path in candidates if path.is_file()), None)
-        if found is not None:
-            paths[number] = found
+        photo = next((path for path in candidates if path.is_file()), None)
+        if photo is not None:
+            paths[number] = photo
     missing = _missing(annotations, paths)
     if missing and not paths:
         raise InputError(
@@ -193,7 +193,7 @@ def _patches_of(annotations: Annotations, wanted: PhotoPatches) -> Patches:
 
 
 def _key(source: PatchSource, encoder: EncoderIdentity) -> str:
-    """Of all that decides the rows: the outlines, the photos by size and time, the encoder."""
+    """Return a hash of all that decides the rows: the outlines, the photos by size and time, the encoder."""
     stats = [wanted.path.stat() for wanted in source.photos]
     file = source.annotations.path.stat()
     facts = [
@@ -207,7 +207,7 @@ def _key(source: PatchSource, encoder: EncoderIdentity) -> str:
 
 
 def _progress(path: Path, key: str) -> tuple[int, int]:
-    """Photos done and rows filled by an earlier run of the same key."""
+    """Return the photos done and rows filled by an earlier run with the same key."""
     document = read_json(path) if path.is_file() else None
     if not isinstance(document, dict) or document.get("key") != key:
         return 0, 0

@@ -1,4 +1,4 @@
-"""Which masks are embedded where objects are known before: a few of each object, which stand for its others.
+"""Choice of the masks to embed where objects are known: a few of each object, which represent the others.
 
 W needs masks and no embeddings, and objects need W alone. So masks of many photos that show the same part, thing or
 group need not be embedded one by one. See docs/embedding.md.
@@ -26,7 +26,7 @@ NEAREST_SHARE = 0.5
 
 @dataclass(frozen=True, eq=False)
 class SharedCrops:
-    """The columns of W whose crops are embedded, and which of them stand for each column.
+    """Columns of W whose crops are embedded, and their shares in all columns.
 
     Attributes:
         chosen: columns that are embedded, ascending.
@@ -37,7 +37,7 @@ class SharedCrops:
     shares: csr_array
 
     def embeddings(self, rows: Float32[np.ndarray, "c d"]) -> Float32[np.ndarray, "m d"]:
-        """Return a unit vector for each column from those of the chosen ones."""
+        """Return a unit vector for each column from the vectors of the chosen ones."""
         mixed = self.shares @ rows.astype(np.float64)
         return np.asarray(mixed / np.linalg.norm(mixed, axis=1, keepdims=True), np.float32)
 
@@ -45,7 +45,7 @@ class SharedCrops:
 def share_crops(
     evidence: Evidence, gaussians: Gaussians, views: Sequence[View], *, most: int = CROPS_PER_OBJECT, threads: int = 0
 ) -> SharedCrops:
-    """Choose the crops that are embedded. A mask that shows no object stands for itself alone.
+    """Choose the crops to embed. A mask that shows no object represents itself alone.
 
     Args:
         evidence: W, a row for each Gaussian. Its embeddings are not looked at if all are equal.
@@ -55,10 +55,10 @@ def share_crops(
         threads: 0 for all cores; the result does not depend on it.
     """
     ids = np.flatnonzero(np.diff(evidence.weights.indptr))
-    seen = evidence.rows(ids)
-    tree = find_tree(seen, gaussians, ids.astype(np.uint32), views, threads=threads)
-    node_of, fit = _best_nodes(node_fits(node_weights(seen, tree), seen))
-    worth, centers = fit * _column_sums(seen), _camera_centers(seen, views)
+    with_weight = evidence.rows(ids)
+    tree = find_tree(with_weight, gaussians, ids.astype(np.uint32), views, threads=threads)
+    node_of, fit = _best_nodes(node_fits(node_weights(with_weight, tree), with_weight))
+    worth, centers = fit * _column_sums(with_weight), _camera_centers(with_weight, views)
     (alone,) = np.nonzero(node_of < 0)
     rows, columns, data = [alone], [alone], [np.ones(len(alone))]
     for masks in _groups(node_of):
@@ -121,7 +121,7 @@ def _groups(node_of: Int64[np.ndarray, " m"]) -> list[Int64[np.ndarray, " k"]]:
 def _spread(
     worth: Float64[np.ndarray, " k"], centers: Float64[np.ndarray, "k 3"], most: int
 ) -> tuple[Int64[np.ndarray, " p"], Float64[np.ndarray, "k p"]]:
-    """Pick the mask of most worth, then those that show much from cameras far from all picked before.
+    """Pick the mask of most worth, then masks of high worth whose cameras are far from all picked before.
 
     Returns:
         The picks, and the distance of each mask's camera from theirs.
@@ -129,7 +129,7 @@ def _spread(
     picks: list[int] = []
     distances: list[Float64[np.ndarray, " k"]] = []
     gain = worth
-    while len(picks) < min(most, len(worth)) and gain.max() > 0:  # 0: the others are of photos that have been picked
+    while len(picks) < min(most, len(worth)) and gain.max() > 0:  # 0: the rest are of picked cameras
         picks.append(int(gain.argmax()))
         distances.append(np.linalg.norm(centers - centers[picks[-1]], axis=1))
         gain = np.sqrt(worth) * np.min(distances, axis=0)

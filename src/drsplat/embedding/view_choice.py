@@ -1,6 +1,6 @@
-"""Which photos are enough: a greedy choice after which all that matters has been seen often enough.
+"""Greedy choice of the photos that suffice to see everything that matters often enough.
 
-Scene and poses are known before any mask is made, so how much a photo shows is known, too.
+Scene and poses are known before any mask is made, so the visible part of each photo is, too.
 """
 
 import heapq
@@ -18,16 +18,16 @@ from ..scene.gaussians import Gaussians
 from ..scene.views import View
 
 SIGHTS = 3.0
-"""Photos in which a Gaussian is seen often enough, each as much of one as it shows of what its best photo does."""
+"""Sum over photos, of a Gaussian's weight over that in its best photo, from which it is seen often enough."""
 ENOUGH = 0.98
-"""Share of what all photos give together."""
+"""Share of the score of all photos together."""
 LONGER_SIDE = 252
-"""Pixels of the longer side of the photos that are looked at: only what is visible counts."""
+"""Pixels of the longer side of photos in this choice, which needs visibility alone."""
 
 
 @dataclass(frozen=True, eq=False)
 class ViewChoice:
-    """Photos in the order in which they were chosen, and what they show.
+    """Photos in the order of choice, and the share of the scene seen after each.
 
     Attributes:
         views: the chosen ones.
@@ -79,7 +79,7 @@ def _sights(gaussians: Gaussians, views: Sequence[View], threads: int, track: Tr
         triples = sampling.triples(scenery.seen(small).splats, small, everything, threads)
         ids.append(triples.gaussian_ids.astype(np.int64))
         weights.append(triples.weights.astype(np.float64))
-    starts = np.cumsum([len(some) for some in ids])
+    starts = np.cumsum([len(row_ids) for row_ids in ids])
     data, rows = np.concatenate(weights), np.concatenate(ids)
     best = np.zeros(len(gaussians))
     np.maximum.at(best, rows, data)
@@ -99,8 +99,8 @@ def greedy(sights: csc_array, enough: float, most: int) -> tuple[list[int], list
         return sights.indices[own], sights.data[own]
 
     def gain(view: int) -> float:
-        rows, some = rows_and_sights(view)
-        return float((np.minimum(have[rows] + some, SIGHTS) - np.minimum(have[rows], SIGHTS)).sum())
+        rows, added = rows_and_sights(view)
+        return float((np.minimum(have[rows] + added, SIGHTS) - np.minimum(have[rows], SIGHTS)).sum())
 
     total = float(np.minimum(sights.sum(axis=1), SIGHTS).sum())
     waiting = [(-gain(view), view) for view in range(sights.shape[1])]
@@ -114,8 +114,8 @@ def greedy(sights: csc_array, enough: float, most: int) -> tuple[list[int], list
         if waiting and -current > waiting[0][0]:
             heapq.heappush(waiting, (-current, view))
             continue
-        rows, some = rows_and_sights(view)
-        have[rows] += some
+        rows, added = rows_and_sights(view)
+        have[rows] += added
         score += current
         order.append(view)
         seen.append(score / total)
