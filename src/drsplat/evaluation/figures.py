@@ -1,4 +1,4 @@
-"""Pictures of answers, as Figs. S6 to S10: where a query scores, and what a threshold selects of it."""
+"""Pictures of answers, as Figs. S6 to S10: the scores of a query, and the selection by a threshold."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +16,7 @@ from .report import Figure
 from .scannet import ScannetScene
 from .scorers import Scorer
 
-LONG_SIDE = 480
+LONG_SIDE_PX = 480
 SELECTED, OTHERS = (1.0, 0.85, 0.1), (0.1, 0.2, 0.65)  # Fig. S7: yellow, blue
 _HEAT = np.array([[0.05, 0.03, 0.2], [0.3, 0.07, 0.45], [0.72, 0.2, 0.35], [0.98, 0.55, 0.2], [0.98, 0.98, 0.7]])
 
@@ -24,10 +24,10 @@ _HEAT = np.array([[0.05, 0.03, 0.2], [0.3, 0.07, 0.45], [0.72, 0.2, 0.35], [0.98
 def lerf_figures(
     scene: LerfScene, gaussians: Gaussians, scorer: Scorer, most: int = 6, *, threads: int = 0
 ) -> list[Figure]:
-    """For up to `most` pairs of photo and category, spread over the scene: photo, activation, selection."""
+    """Draw photo, activation and selection of up to `most` pairs of photo and category, spread over the scene."""
     pairs = scene.pairs
     spread = np.unique(np.linspace(0, len(pairs) - 1, min(most, len(pairs))).astype(int))
-    splats, found = splat_arrays(gaussians), []
+    splats, figures = splat_arrays(gaussians), []
     for at in spread.tolist():
         frame, category = pairs[at]
         view = small(scene.views[frame.name])
@@ -35,22 +35,22 @@ def lerf_figures(
         photo = photo_or_rendering(gaussians, view, threads=threads)
         truth = np.asarray(Image.fromarray(frame.mask(category)).resize((view.width, view.height)), np.float32)
         where = f"{scene.name}, {frame.name}, “{category}”"
-        found.append(Figure(f"{where}: the label", highlighted(photo, truth)))
-        found += _answers(splats, view, scores, scorer.threshold, where, threads)
-    return found
+        figures.append(Figure(f"{where}: the label", highlighted(photo, truth)))
+        figures += _answers(splats, view, scores, scorer.threshold, where, threads)
+    return figures
 
 
 def scannet_figures(
     scene: ScannetScene, views: Sequence[View], scorer: Scorer, most: int = 6, *, threads: int = 0
 ) -> list[Figure]:
-    """For up to `most` classes of the scene: photo with the labelled Gaussians, activation, selection.
+    """Draw photo with labelled Gaussians, activation and selection of up to `most` classes of the scene.
 
-    Each from the view that shows most of the class.
+    Each class is drawn from the view that shows most of it.
     """
     present = np.unique(scene.pseudo_labels[scene.pseudo_labels > 0])
     chosen = present[np.unique(np.linspace(0, len(present) - 1, min(most, len(present))).astype(int))]
     members = [np.flatnonzero(scene.pseudo_labels == number) for number in chosen.tolist()]
-    splats, found = splat_arrays(scene.gaussians), []
+    splats, figures = splat_arrays(scene.gaussians), []
     for number, ids, view in zip(
         chosen.tolist(), members, best_views(scene.gaussians, views, members, threads=threads), strict=True
     ):
@@ -58,9 +58,9 @@ def scannet_figures(
         photo = photo_or_rendering(scene.gaussians, at, threads=threads)
         share = visible_share(scene.gaussians, at, ids, splats=splats, threads=threads)
         where = f"{scene.name}, {Path(view.name).stem}, “{scene.labels.prompts[number - 1]}”"
-        found.append(Figure(f"{where}: pseudo labels", highlighted(photo, share)))
-        found += _answers(splats, at, scores, scorer.threshold, where, threads)
-    return found
+        figures.append(Figure(f"{where}: pseudo labels", highlighted(photo, share)))
+        figures += _answers(splats, at, scores, scorer.threshold, where, threads)
+    return figures
 
 
 def _answers(
@@ -74,16 +74,17 @@ def _answers(
 
 
 def small(view: View) -> View:
-    scale = min(1.0, LONG_SIDE / max(view.width, view.height))
+    """Resize a view to a longer side of at most LONG_SIDE_PX."""
+    scale = min(1.0, LONG_SIDE_PX / max(view.width, view.height))
     return view.resized(max(1, round(view.width * scale)), max(1, round(view.height * scale)))
 
 
 def activation(
     splats: SplatArrays, view: View, scores: Float32[np.ndarray, " N"], threads: int = 0
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Scores from the 50th to the 99.9th percentile in colours from dark to light."""
-    known = scores[np.isfinite(scores)]
-    low, high = np.percentile(known, (50, 99.9)) if len(known) else (0.0, 1.0)
+    """Draw scores from the 50th to the 99.9th percentile in colours from dark to light."""
+    finite = scores[np.isfinite(scores)]
+    low, high = np.percentile(finite, (50, 99.9)) if len(finite) else (0.0, 1.0)
     level = np.clip((np.nan_to_num(scores, nan=low) - low) / max(high - low, 1e-9), 0, 1)
     steps = np.linspace(0, 1, len(_HEAT))
     colors = np.stack([np.interp(level, steps, channel) for channel in _HEAT.T], 1)
@@ -93,7 +94,7 @@ def activation(
 def selection(
     splats: SplatArrays, view: View, scores: Float32[np.ndarray, " N"], threshold: float, threads: int = 0
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """Gaussians above the threshold in yellow, the others in blue.  Source: Fig. S7."""
+    """Draw Gaussians above the threshold in yellow, the others in blue.  Source: Fig. S7."""
     chosen = (scores > np.float32(threshold))[:, None]
     return _drawn(splats, view, np.where(chosen, SELECTED, OTHERS).astype(np.float32), threads)
 

@@ -1,4 +1,4 @@
-"""What classes a protocol knows: ids in the data's files, names, and what is asked for them."""
+"""Classes of a protocol: ids in the data's files, names, and prompts."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -50,12 +50,12 @@ class LabelSet:
         return table
 
     def classes(self, ids: Integer[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
-        """1 to C for the ids of the set, 0 for all others."""
-        known = (ids >= 0) & (ids < len(self._class_of))
-        return np.where(known, self._class_of[np.where(known, ids, 0)], 0).astype(np.int32)
+        """Return 1 to C for the ids of the set, 0 for all others."""
+        in_table = (ids >= 0) & (ids < len(self._class_of))
+        return np.where(in_table, self._class_of[np.where(in_table, ids, 0)], 0).astype(np.int32)
 
     def prompted(self, template: str) -> "LabelSet":
-        """The same classes, asked for in a sentence: "a photo of a {}"."""
+        """Return the same classes with prompts from a template: "a photo of a {}"."""
         if "{}" not in template:
             raise InputError(f"prompt template: expected '{{}}' in it, got {template!r}")
         prompts = tuple(template.replace("{}", name) for name in self.names)
@@ -63,9 +63,9 @@ class LabelSet:
 
 
 def label_set(name: str) -> LabelSet:
-    """One that comes with the protocols, or one in a file of lines "id<TAB>name[<TAB>prompt]".
+    """Return a built-in label set, or read one from a file of lines "id<TAB>name[<TAB>prompt]".
 
-    scannet19, scannet15, scannet10: NYU40 ids and the words that OpenGaussian asks for.
+    scannet19, scannet15, scannet10: NYU40 ids and the prompts of OpenGaussian.
     scannet200: raw category ids. household: NYU40 ids of the rendered test rooms.
 
     Raises: InputError: neither a name nor a file. FormatError: the message names the line.
@@ -90,8 +90,8 @@ def _rows_of(path: Path) -> list[list[str]]:
         cells = [cell.strip() for cell in line.split("\t")]
         if line.startswith("#") or not line.strip() or cells[0] == "id":
             continue
-        whole = cells[0].isascii() and cells[0].isdecimal() and len(cells[0]) < 8
-        if not whole or len(cells) not in (2, 3) or not all(cells):
+        is_id = cells[0].isascii() and cells[0].isdecimal() and len(cells[0]) < 8
+        if not is_id or len(cells) not in (2, 3) or not all(cells):
             raise FormatError(f"{path}: line {number}: expected id, name and optionally prompt; tabs between")
         rows.append(cells)
     return rows

@@ -1,12 +1,12 @@
 """lerf-ovs@1: 3D object selection as OpenGaussian measures it, on labelled photos.
 
-A text selects Gaussians; only these are rendered from each labelled photo's place; where their alpha
-exceeds 0.7 is the predicted mask. mIoU is the mean over all pairs of a photo and a category labelled
-on it. A pair without prediction counts 0; categories that a photo does not show are not asked.
+A text selects Gaussians; only these are rendered from each labelled photo's place; the predicted mask is where their
+alpha exceeds 0.7. mIoU is the mean over all pairs of a photo and a category labelled on it. A pair without prediction
+counts 0; categories that a photo does not show are not asked.
 
-Rendered alone, what stands behind something else shows through it, and counts as wrong. So beside it,
-ours: `seen`, the mIoU of where the selection is more than half of the picture of the whole scene. Of
-selections that share no Gaussian, at most one is seen at a pixel, and what nothing covers is seen by none.
+In a rendering of the selection alone, Gaussians that are hidden in the scene are visible, and count as wrong. So we
+add `seen`: the mIoU of the pixels where the selection is more than half of the picture of the whole scene. Of
+selections that share no Gaussian, at most one is seen at a pixel, and none where nothing covers it.
 
 Source: OpenGaussian (Wu et al. 2024); Dr. Splat Sec. B "3D object selection".
 """
@@ -53,8 +53,8 @@ from .thresholds import best_sweep
 
 PROTOCOL = "lerf-ovs@1"
 SILHOUETTE = 0.7  # alpha of the selected Gaussians, alone
-MAJORITY = 0.5  # their blending weights in the whole picture
-PEAK_WINDOW = 1 / 33  # of the width; LangSplat smooths over 30 pixels of photos about 990 wide
+MAJORITY = 0.5  # sum of the selection's blending weights in the whole picture
+PEAK_WINDOW_SHARE = 1 / 33  # of the width; LangSplat smooths over 30 pixels of photos about 990 wide
 PEAKS = "peaks.json"
 ACCURACIES = (0.25, 0.5)
 MAX_THRESHOLD = 2.0  # above all cosines and relevancies
@@ -62,7 +62,7 @@ MAX_THRESHOLD = 2.0  # above all cosines and relevancies
 
 @dataclass(frozen=True, eq=False)
 class LerfScene:
-    """A scene's labelled photos and where they were taken, on the labels' raster."""
+    """Labelled photos of a scene and their views, on the labels' raster."""
 
     name: str
     frames: Sequence[LabelledFrame]
@@ -78,7 +78,7 @@ class LerfScene:
 
 
 def read_lerf_scene(data: Path, name: str) -> LerfScene:
-    """DATA/NAME is the capture, DATA/label/NAME its labels.
+    """Read the capture DATA/NAME and its labels, DATA/label/NAME.
 
     Raises: InputError: no such folders, a labelled photo without pose, or with a lens that is not a
     pinhole. MismatchError: a label of another shape than its photo.
@@ -103,8 +103,8 @@ def predict(
 ) -> None:
     """Write masks for the fixed threshold, for every threshold of the sweep and for each chooser.
 
-    choosers: by column, a function that finds a query's threshold from its scores, and what it does
-    in words. The automatic column of a scorer that can be asked is what it answers.
+    choosers: by column, a function that returns a query's threshold from its scores, and its description. If the scorer
+    has an `answer`, the automatic column is that.
 
     Raises: MismatchError: a scorer of another scene.
     """
@@ -132,7 +132,7 @@ def predict(
         "scorer": dict(scorer.about),
         "silhouette": SILHOUETTE,
         "majority": MAJORITY,
-        "peak_window": PEAK_WINDOW,
+        "peak_window": PEAK_WINDOW_SHARE,
         "chosen": picked,
     }
     Manifest(PROTOCOL, scorer.name, scene.name, columns, inputs, leaked_frames(scene, scorer)).write(folder)
@@ -141,21 +141,21 @@ def predict(
 
 
 def without_labelled(views: Sequence[View], scene: LerfScene) -> list[View]:
-    """The views that a method may be made from without having seen what is asked of it."""
+    """Return the views without the labelled photos, so that a method has not seen what is tested."""
     labelled = {frame.name for frame in scene.frames}
     return [view for view in views if Path(view.name).stem not in labelled]
 
 
 def leaked_frames(scene: LerfScene, scorer: Scorer) -> tuple[str, ...] | None:
-    """Labelled photos that the method was made from; None where the scorer does not say."""
+    """Return the labelled photos that the method was made from; None where the scorer does not say."""
     if scorer.views is None:
         return None
-    known = {Path(name).stem for name in scorer.views}
-    return tuple(frame.name for frame in scene.frames if frame.name in known)
+    used = {Path(name).stem for name in scorer.views}
+    return tuple(frame.name for frame in scene.frames if frame.name in used)
 
 
 def score(scenes: Sequence[LerfScene], folder: Path) -> dict[str, Any]:
-    """Numbers of what is in the folder; reads labels and predictions and nothing else.
+    """Score the predictions in a folder; reads labels and predictions and nothing else.
 
     columns: by choice of threshold. Of the sweep, the one threshold with the best mean over scenes
     becomes "tuned on test", and says so.
@@ -165,7 +165,7 @@ def score(scenes: Sequence[LerfScene], folder: Path) -> dict[str, Any]:
     manifests = read_manifests(folder, [scene.name for scene in scenes], PROTOCOL)
     columns = _common_columns(manifests)
     by_scene = [_ious(scene, folder, list(columns)) for scene in scenes]
-    ious = {column: [found[column] for found in by_scene] for column in columns}
+    ious = {column: [scene_ious[column] for scene_ious in by_scene] for column in columns}
     seen = {column: [_seen_ious(scene, folder, column) for scene in scenes] for column in columns}
     peaks = [_peak_hits(scene, folder) for scene in scenes]
     means = {column: metrics.scene_macro(values) for column, values in ious.items()}
@@ -204,7 +204,7 @@ def _on_labels(view: View, frame: LabelledFrame) -> View:
 
 
 class _Cut(NamedTuple):
-    """Scores of a query, and by column the thresholds that they are compared with."""
+    """Scores of a query, and the thresholds to compare them with, by column."""
 
     scores: Float32[np.ndarray, " N"]
     at: dict[str, float]
@@ -213,20 +213,20 @@ class _Cut(NamedTuple):
 def _cuts(
     scorer: Scorer, category: str, scores: Float32[np.ndarray, " N"], chosen: Mapping[str, tuple[Chooser, str]]
 ) -> list[_Cut]:
-    """Of the scores, and where the scorer can be asked, of its answer."""
+    """Return the cuts of the scores and, if the scorer has an `answer`, of that."""
     at = {FIXED: scorer.threshold, **{sweep_column(t): t for t in scorer.sweep}}
-    asked = scorer.answer(category) if scorer.answer and AUTOMATIC in chosen else None
+    answer = scorer.answer(category) if scorer.answer and AUTOMATIC in chosen else None
     for name, (choose, _) in chosen.items():
-        if asked is None or name != AUTOMATIC:
+        if answer is None or name != AUTOMATIC:
             threshold = choose(scores)
             at[name] = threshold if np.isfinite(threshold) else MAX_THRESHOLD  # selects nothing
-    return [_Cut(scores, at)] + ([] if asked is None else [_Cut(asked[0], {AUTOMATIC: asked[1]})])
+    return [_Cut(scores, at)] + ([] if answer is None else [_Cut(answer[0], {AUTOMATIC: answer[1]})])
 
 
 def _write_masks(
     splats: SplatArrays, view: View, cut: _Cut, path: Callable[..., Path], threads: int
 ) -> Float32[np.ndarray, "h w"]:
-    """Write, by column, what is selected alone and what is seen of it; the scores in the whole picture."""
+    """Write the masks of a selection, alone and within the scene, by column; return the scores' picture."""
     for column, mask in _masks(splats, view, cut, threads):
         write_mask(path(column=column), mask)
     whole = _whole_picture(splats, view, cut, threads)
@@ -237,10 +237,10 @@ def _write_masks(
 
 
 def _masks(splats: SplatArrays, view: View, cut: _Cut, threads: int) -> Iterator[tuple[str, Bool[np.ndarray, "h w"]]]:
-    """Each column's mask; equal selections are rendered once."""
+    """Yield each column's mask; equal selections are rendered once."""
     count, mask = -1, np.zeros((view.height, view.width), bool)
     for column, threshold in sorted(cut.at.items(), key=lambda item: item[1]):
-        selected = np.flatnonzero(cut.scores > np.float32(threshold))  # NaN is not
+        selected = np.flatnonzero(cut.scores > np.float32(threshold))  # false for NaN
         if len(selected) != count:  # selections by threshold are nested
             count, mask = len(selected), silhouette(splats, view, selected, threads)
         yield column, mask
@@ -249,7 +249,7 @@ def _masks(splats: SplatArrays, view: View, cut: _Cut, threads: int) -> Iterator
 def silhouette(
     splats: SplatArrays, view: View, selected: Int64[np.ndarray, " m"], threads: int = 0
 ) -> Bool[np.ndarray, "h w"]:
-    """Where the selected Gaussians, alone in the world, are more opaque than 0.7."""
+    """Return where the selected Gaussians, rendered alone, are more opaque than 0.7."""
     if not len(selected):
         return np.zeros((view.height, view.width), bool)
     alone = splats.subset(selected)
@@ -259,20 +259,20 @@ def silhouette(
 
 
 def _whole_picture(splats: SplatArrays, view: View, cut: _Cut, threads: int) -> Float32[np.ndarray, "c h w"]:
-    """sum_i w_i v_i of the whole scene: first of v = max(s, 0), then of each threshold's selection (v = 1)."""
+    """Render sum_i w_i v_i of the whole scene: for v = max(s, 0), then for each threshold's selection (v = 1)."""
     positive = np.nan_to_num(np.maximum(cut.scores, 0), nan=0.0)
-    bars = np.array([*cut.at.values()], np.float32)
-    values = np.column_stack([positive, cut.scores[:, None] > bars]).astype(np.float32)
+    thresholds = np.array([*cut.at.values()], np.float32)
+    values = np.column_stack([positive, cut.scores[:, None] > thresholds]).astype(np.float32)
     return np.moveaxis(render_channels(splats, view, values, threads=threads).channels, 2, 0)
 
 
 def peak(drawn: Float32[np.ndarray, "h w"]) -> list[float] | None:
-    """Return (x, y) where the smoothed score map is highest; None where nothing scores above 0.
+    """Return (x, y) of the maximum of the smoothed score map; None where nothing scores above 0.
 
-    The map is of the whole scene: what no Gaussian covers, or the frame does not show, is 0. LangSplat's window of 30
+    The map is of the whole scene: 0 where no Gaussian covers it, and outside the frame. LangSplat's window of 30
     pixels does not grow with the photo and is not centred on a pixel, and its borders are mirrored.
     """
-    window = round(drawn.shape[1] * PEAK_WINDOW) | 1  # odd: centred on a pixel
+    window = round(drawn.shape[1] * PEAK_WINDOW_SHARE) | 1  # odd: centred on a pixel
     smooth = uniform_filter(drawn.astype(np.float64), window, mode="constant")
     if not smooth.max() > 0:
         return None
@@ -292,26 +292,26 @@ def _common_columns(manifests: Sequence[Manifest]) -> dict[str, str]:
 
 
 def _ious(scene: LerfScene, folder: Path, columns: Sequence[str]) -> dict[str, list[float]]:
-    """Of each pair, by column; 0 where there is no prediction."""
-    found: dict[str, list[float]] = {column: [] for column in columns}
+    """Return the IoU of each pair, by column; 0 where there is no prediction."""
+    ious: dict[str, list[float]] = {column: [] for column in columns}
     for frame, category in scene.pairs:
         truth = frame.mask(category)
         for column in columns:
             path = mask_path(folder, scene.name, column, frame.name, category)
             mask = read_mask(path, frame.width, frame.height)
-            found[column].append(0.0 if mask is None else metrics.mask_iou(mask, truth))
-    return found
+            ious[column].append(0.0 if mask is None else metrics.mask_iou(mask, truth))
+    return ious
 
 
 def _seen_ious(scene: LerfScene, folder: Path, column: str) -> list[float]:
-    """Of each pair; NaN where predictions were made without such masks."""
+    """Return the IoU of each pair within the scene; NaN where predictions have no such masks."""
     if not (folder / scene.name / seen_column(column)).is_dir():
         return [float("nan")] * len(scene.pairs)
     return _ious(scene, folder, [seen_column(column)])[seen_column(column)]
 
 
 def _peak_hits(scene: LerfScene, folder: Path) -> list[float]:
-    """1 where the peak lies in a box of the category, else 0; without a peak 0."""
+    """Return 1 for each pair whose peak lies in a box of the category, else 0; 0 without a peak."""
     path = folder / scene.name / PEAKS
     document = read_json(path) if path.is_file() else {}
     if not isinstance(document, dict):
@@ -332,10 +332,10 @@ def _summary(
     scenes: Sequence[LerfScene], ious: Sequence[list[float]], seen: Sequence[list[float]], hits: Sequence[list[float]]
 ) -> dict[str, Any]:
     by_scene = [_numbers(*of_scene) for of_scene in zip(ious, seen, hits, strict=True)]
-    every = [[value for values in kind for value in values] for kind in (ious, seen, hits)]
+    pooled = [[value for values in kind for value in values] for kind in (ious, seen, hits)]
     return {
         "scene_macro": {key: metrics.mean([numbers[key] for numbers in by_scene]) for key in by_scene[0]},
-        "query_micro": _numbers(*every),
+        "query_micro": _numbers(*pooled),
         "by_scene": {s.name: numbers for s, numbers in zip(scenes, by_scene, strict=True)},
     }
 

@@ -1,4 +1,4 @@
-"""The numbers of the protocols: pure functions of arrays.
+"""Metrics of the protocols: pure functions of arrays.
 
 Labels are 1 to C; 0 is "none" in a prediction and "not counted" in the truth.
 """
@@ -11,11 +11,11 @@ from ..arrays import Bool, Float64, Integer, Real
 
 Labels = Integer[np.ndarray, " n"]
 Numbers = Sequence[float | int] | Real[np.ndarray, " n"]
-RESAMPLINGS = 2000
+NUM_RESAMPLINGS = 2000
 
 
 def mask_iou(predicted: Bool[np.ndarray, "*n"], truth: Bool[np.ndarray, "*n"]) -> float:
-    """Intersection over union; 0 where both are empty.
+    """Return the intersection over union; 0 where both masks are empty.
 
     >>> mask_iou(np.array([True, True, False, False]), np.array([False, True, True, False]))
     0.3333333333333333
@@ -29,7 +29,7 @@ def mask_iou(predicted: Bool[np.ndarray, "*n"], truth: Bool[np.ndarray, "*n"]) -
 
 
 def share_above(ious: Numbers, threshold: float) -> float:
-    """Acc@threshold: the share of IoUs that are strictly greater; NaN of none.
+    """Return Acc@threshold: the share of IoUs that are strictly greater; NaN for an empty list.
 
     >>> share_above([0.2, 0.25, 0.26, 0.9], 0.25)
     0.5
@@ -38,7 +38,7 @@ def share_above(ious: Numbers, threshold: float) -> float:
 
 
 def mean(values: Numbers) -> float:
-    """NaN of none, without a warning.
+    """Return the mean; NaN for an empty list, without a warning.
 
     >>> mean([0.0, 1.0]), mean([])
     (0.5, nan)
@@ -47,7 +47,7 @@ def mean(values: Numbers) -> float:
 
 
 def scene_macro(by_scene: Sequence[Numbers]) -> float:
-    """Mean over scenes of the mean within each: every scene counts alike.
+    """Return the mean over scenes of the mean within each, so that all scenes count alike.
 
     >>> scene_macro([[1.0], [0.0, 0.0, 0.5]])
     0.5833333333333334
@@ -58,7 +58,7 @@ def scene_macro(by_scene: Sequence[Numbers]) -> float:
 def class_overlaps(
     predicted: Labels, truth: Labels, num_classes: int, weights: Real[np.ndarray, " n"] | None = None
 ) -> tuple[Float64[np.ndarray, " c"], Float64[np.ndarray, " c"], Float64[np.ndarray, " c"]]:
-    """Per class the weight of prediction and truth together, of the prediction, and of the truth.
+    """Return, per class, the weight of the intersection, of the prediction and of the truth.
 
     Rows without truth (0) are left out of all three.
 
@@ -79,7 +79,7 @@ def class_overlaps(
 def class_ious(
     predicted: Labels, truth: Labels, num_classes: int, weights: Real[np.ndarray, " n"] | None = None
 ) -> Float64[np.ndarray, " c"]:
-    """IoU of each class, Eq. 3's where there are weights; NaN for classes that the truth has not.
+    """Return the IoU of each class (Eq. 3 with weights); NaN for classes that the truth lacks.
 
     >>> class_ious(np.array([1, 2, 2, 1]), np.array([1, 1, 2, 0]), 3)
     array([0.5, 0.5, nan])
@@ -95,7 +95,7 @@ def class_ious(
 def class_accuracies(
     predicted: Labels, truth: Labels, num_classes: int, weights: Real[np.ndarray, " n"] | None = None
 ) -> Float64[np.ndarray, " c"]:
-    """Share of each class that is predicted so; NaN for classes that the truth has not.
+    """Return the share of each class that is predicted as it; NaN for classes that the truth lacks.
 
     >>> class_accuracies(np.array([1, 2, 2, 1]), np.array([1, 1, 2, 0]), 3)
     array([0.5, 1. , nan])
@@ -105,7 +105,7 @@ def class_accuracies(
 
 
 def mean_present(values: Float64[np.ndarray, " c"]) -> float:
-    """Mean over the classes that are there.
+    """Return the mean over the classes that are present (not NaN).
 
     >>> mean_present(np.array([0.5, np.nan, 1.0]))
     0.75
@@ -114,7 +114,7 @@ def mean_present(values: Float64[np.ndarray, " c"]) -> float:
 
 
 def in_any_box(x: float | int, y: float | int, boxes: Sequence[Numbers]) -> bool:
-    """Whether a point lies in or on one of the boxes (x1, y1, x2, y2).
+    """Return whether a point lies in or on one of the boxes (x1, y1, x2, y2).
 
     >>> in_any_box(3, 4, [[0, 0, 1, 1], [3, 2, 5, 4]]), in_any_box(3, 4.5, [[3, 2, 5, 4]])
     (True, False)
@@ -123,7 +123,7 @@ def in_any_box(x: float | int, y: float | int, boxes: Sequence[Numbers]) -> bool
 
 
 def pearson(a: Numbers, b: Numbers) -> float:
-    """Correlation of two lists; NaN where one of them is constant.
+    """Return the correlation of two lists; NaN where one of them is constant.
 
     >>> round(pearson([1, 2, 3], [2, 4, 7]), 4), pearson([1, 2], [3, 3])
     (0.9934, nan)
@@ -134,7 +134,7 @@ def pearson(a: Numbers, b: Numbers) -> float:
 
 
 def spearman(a: Numbers, b: Numbers) -> float:
-    """Correlation of the ranks; equal values share the mean of their ranks.
+    """Return the correlation of the ranks; equal values share the mean of their ranks.
 
     >>> spearman([1, 2, 3, 4], [1, 8, 27, 64]), spearman([1, 2, 2], [1, 1, 3])
     (1.0, 0.5)
@@ -145,16 +145,16 @@ def spearman(a: Numbers, b: Numbers) -> float:
 
 
 def mean_interval(values: Numbers, level: float = 0.95) -> tuple[float, float]:
-    """Bootstrap interval of the mean over scenes: the quantiles of means of scenes drawn again.
+    """Return a bootstrap interval of the mean over scenes: quantiles of means of resampled scenes.
 
-    NaN of fewer than two: one scene says nothing about others.
+    It is NaN for fewer than two: one scene says nothing about others.
 
     >>> mean_interval([0.5, 0.5, 0.5])
     (0.5, 0.5)
     """
     if len(values) < 2:
         return float("nan"), float("nan")
-    drawn = np.random.default_rng(0).integers(0, len(values), (RESAMPLINGS, len(values)))
+    drawn = np.random.default_rng(0).integers(0, len(values), (NUM_RESAMPLINGS, len(values)))
     means = np.asarray(values, np.float64)[drawn].mean(1)
     low, high = np.quantile(means, [(1 - level) / 2, (1 + level) / 2])
     return float(low), float(high)

@@ -1,8 +1,8 @@
-"""Predictions on disk: what a protocol's first half writes and its second half reads.
+"""Predictions on disk, which the first half of a protocol writes and the second half reads.
 
 FOLDER/SCENE/predictions.json    protocol, method, thresholds and how they were chosen, inputs
 FOLDER/SCENE/COLUMN/...          masks of one choice of thresholds
-FOLDER/SCENE/seen COLUMN/...     the same, of what is seen of the selection within the whole scene
+FOLDER/SCENE/seen COLUMN/...     the same, of the part of the selection that is visible within the scene
 FOLDER/SCENE/*.npy               labels and scores
 """
 
@@ -22,21 +22,21 @@ from ..formats.json_files import read_json, shown
 from ..formats.replacing import replacing
 
 MANIFEST = "predictions.json"
-OCCUPIED = 10  # a pixel above this is inside, as OpenGaussian reads its masks
+MIN_INSIDE = 10  # grey values above are inside, as OpenGaussian reads its masks
 FIXED, TUNED, SWEEP = "fixed", "tuned on test", "sweep"
 AUTOMATIC = "automatic"
 ANSWERED = "per query, as `drsplat select` answers"
 
 Chooser = Callable[[Float32[np.ndarray, " N"]], float]
-"""A threshold from a query's scores alone, NaN where there is none; never from the truth."""
+"""Function from a query's scores to a threshold, NaN where there is none; it never sees the truth."""
 
 
 @dataclass(frozen=True)
 class Manifest:
-    """What was predicted for one scene, by whom and how.
+    """Record of the predictions for one scene.
 
-    columns: each choice of thresholds, and in words how it was made. inputs: hashes and settings.
-    leaked: labelled photos that the method was made from, None where nobody knows.
+    columns: each choice of thresholds, with its description. inputs: hashes and settings.
+    leaked: labelled photos that the method was made from, None if unknown.
     """
 
     protocol: str
@@ -53,7 +53,7 @@ class Manifest:
 
 
 def read_manifest(folder: Path, scene: str, protocols: Sequence[str]) -> Manifest:
-    """What `Manifest.write` wrote.
+    """Read what `Manifest.write` wrote.
 
     Raises: InputError: nothing was predicted for the scene. FormatError: damaged. MismatchError: of
     another protocol or scene.
@@ -85,14 +85,14 @@ def read_manifest(folder: Path, scene: str, protocols: Sequence[str]) -> Manifes
 
 
 def read_manifests(folder: Path, scenes: Sequence[str], *protocols: str) -> list[Manifest]:
-    """Of each scene. Raises: InputError: no scenes; as `read_manifest`."""
+    """Read the manifest of each scene. Raises: InputError: no scenes; as `read_manifest`."""
     if not scenes:
         raise InputError("expected at least one scene to score")
     return [read_manifest(folder, scene, protocols) for scene in scenes]
 
 
 def columns_of(threshold: float, sweep: Sequence[float], choosers: Mapping[str, tuple[Chooser, str]]) -> dict[str, str]:
-    """Each choice of thresholds, and in words how it was made."""
+    """Return each choice of thresholds, with its description."""
     fixed = {FIXED: f"{threshold:g} for all queries, chosen without these scenes"}
     chosen = {name: how for name, (_, how) in choosers.items()}
     return fixed | chosen | {sweep_column(t): f"{t:g} for all queries" for t in sweep}
@@ -103,7 +103,7 @@ def sweep_column(threshold: float) -> str:
 
 
 def seen_column(column: str) -> str:
-    """Where masks of a selection are that was drawn within the whole scene."""
+    """Return the folder name for masks of a selection as visible within the whole scene."""
     return f"seen {column}"
 
 
@@ -112,7 +112,7 @@ def is_sweep(column: str) -> bool:
 
 
 def mask_path(folder: Path, scene: str, column: str, frame: str, category: str) -> Path:
-    """FOLDER/SCENE/COLUMN/frame_00041_category.png, as OpenGaussian names its files."""
+    """Return FOLDER/SCENE/COLUMN/frame_00041_category.png, as OpenGaussian names its files."""
     safe = quote(category, safe=" '(),&+!-._")
     return folder / scene / column / f"{frame}_{safe}.png"
 
@@ -124,7 +124,7 @@ def write_mask(path: Path, mask: Bool[np.ndarray, "h w"]) -> None:
 
 
 def read_mask(path: Path, width: int, height: int) -> Bool[np.ndarray, "h w"] | None:
-    """None where nothing was predicted.
+    """Read a predicted mask; None where nothing was predicted.
 
     Raises: FormatError: not a picture, or of another size: predictions are never resized.
     """
@@ -139,12 +139,12 @@ def read_mask(path: Path, width: int, height: int) -> Bool[np.ndarray, "h w"] | 
         raise FormatError(f"{path}: cannot be read as a PNG: {error}") from error
     if size != (width, height):
         raise FormatError(f"{path}: expected {width}x{height} pixels as labelled, got {size[0]}x{size[1]}")
-    occupied: np.ndarray = pixels > OCCUPIED
+    occupied: np.ndarray = pixels > MIN_INSIDE
     return occupied
 
 
 def read_array(path: Path, count: int, kinds: str) -> np.ndarray | None:
-    """One value per Gaussian or point; None where nothing was predicted.
+    """Map one value per Gaussian or point; None where nothing was predicted.
 
     Raises: FormatError: damaged, or another shape or type.
     """

@@ -20,31 +20,31 @@ from ..errors import InputError
 from ..scene.gaussians import Gaussians
 
 CUT_OFF = 3.0  # standard deviations
-MOST_CANDIDATES = 8192
-KEPT_SHARE = 4  # one in this many points, for Gaussians with more candidates than that
-PAIRS = 1 << 19  # looked at at once: their arrays stay in the cache of a core
-BLOCK = 8192
+MAX_CANDIDATES = 8192  # points in the box of a Gaussian; it samples them where there are more
+SAMPLING_STEP = 4  # one in this many points is kept per round, for Gaussians with more candidates
+MAX_PAIRS = 1 << 19  # per batch: their arrays fit a core's cache
+BLOCK_SOURCES = 8192
 MAX_CELLS_ALONG = 1 << 16
-SPACINGS = 3.0
+MAX_SPACINGS = 3.0  # to the nearest point
 SPACING_SAMPLE = 20_000
-FINEST = 1024  # boxes smaller than this part of the scene are looked up like one of that size
+MAX_CELLS_PER_EXTENT = 1024  # boxes smaller than the extent over this are looked up like one of that size
 
 
 class LabelledPoints(NamedTuple):
-    """World positions and a label >= 0 of each; 0 is a label like the others here."""
+    """World positions with a label >= 0 each; 0 is a label like the others here."""
 
     positions: Float32[np.ndarray, "m 3"]
     labels: Int32[np.ndarray, " m"]
 
     def relative_to(self, origin: Float64[np.ndarray, " 3"]) -> "LabelledPoints":
-        """The same points counted from `origin`."""
+        """Return the points counted from `origin`."""
         if not origin.any():
             return self
         return self._replace(positions=(self.positions - origin).astype(np.float32))
 
 
 class _Sources(NamedTuple):
-    """Gaussians as the vote needs them: rows of `whiten` take offsets to standard deviations.
+    """Gaussians in the form of the vote: rows of `whiten` map offsets to standard deviations.
 
     reach: half sides of the box that holds the cut-off. size: its longest, up to a power of two.
     """
@@ -68,25 +68,25 @@ class _Runs(NamedTuple):
 
 
 def pseudo_labels(gaussians: Gaussians, points: LabelledPoints, *, threads: int = 0) -> Int32[np.ndarray, " n"]:
-    """The label of each Gaussian, -1 where no point is near in any sense.
+    """Return the label of each Gaussian, -1 where no point is near enough.
 
     Where the density vote has no point within its cut-off, as with Gaussians smaller than the gaps
     between points, the nearest point decides, if it is within three spacings (`spacing`).
 
     Raises: InputError: as `density_labels`.
     """
-    found = density_labels(gaussians, points, threads=threads)
+    labels = density_labels(gaussians, points, threads=threads)
     points = points.relative_to(gaussians.origin)
-    missing = np.flatnonzero(found < 0)
+    missing = np.flatnonzero(labels < 0)
     tree = cKDTree(points.positions)
     distances, nearest = tree.query(gaussians.means[missing], workers=threads or -1)
-    near = distances <= SPACINGS * spacing(tree)
-    found[missing[near]] = points.labels[nearest[near]]
-    return found
+    near = distances <= MAX_SPACINGS * spacing(tree)
+    labels[missing[near]] = points.labels[nearest[near]]
+    return labels
 
 
 def spacing(tree: cKDTree) -> float:
-    """How far points are from their nearest neighbours where they are sparse: the 95th percentile."""
+    """Return the 95th percentile of the points' distances to their nearest neighbours."""
     sample = tree.data[:: max(1, len(tree.data) // SPACING_SAMPLE)]
     distances, _ = tree.query(sample, k=min(2, len(tree.data)))
     return float(np.percentile(distances.reshape(len(sample), -1)[:, -1], 95))
@@ -95,9 +95,9 @@ def spacing(tree: cKDTree) -> float:
 def density_labels(
     gaussians: Gaussians, points: LabelledPoints, *, cut_off: float = CUT_OFF, threads: int = 0
 ) -> Int32[np.ndarray, " n"]:
-    """argmax over labels s of the sum of exp(-d^2 / 2) over the points of s nearer than `cut_off`.
+    """Return the argmax over labels s of the sum of exp(-d^2 / 2) over the points of s within `cut_off`.
 
-    d is the Mahalanobis distance of a point to the Gaussian. -1 where no point is that near; ties go
+    d is the Mahalanobis distance of a point to the Gaussian. The label is -1 where no point is that near; ties go
     to the lowest label. A Gaussian with more than 8192 points in its box is judged by an even
     sample of at least 2048 of them. The same to the bit for any number of threads.
 
@@ -107,20 +107,20 @@ def density_labels(
     _check(gaussians, points)
     points = points.relative_to(gaussians.origin)
     present, dense = np.unique(points.labels, return_inverse=True)
-    names = np.append(present, -1).astype(np.int32)  # found is -1 until there is a vote
-    found = np.full(len(gaussians), -1, np.int32)
+    names = np.append(present, -1).astype(np.int32)  # `winners` is -1 until there is a vote
+    winners = np.full(len(gaussians), -1, np.int32)
     shuffled = np.random.default_rng(0).permutation(len(dense))
     extent = float(np.ptp(points.positions.astype(np.float64), axis=0).max())
-    left = _sources(gaussians, cut_off, extent / FINEST)
+    left = _sources(gaussians, cut_off, extent / MAX_CELLS_PER_EXTENT)
     while len(left.ids):
-        kept = LabelledPoints(points.positions[shuffled], dense[shuffled].astype(np.int32))
-        left = _vote_round(left, kept, cut_off, found, threads)
-        shuffled = shuffled[: -(-len(shuffled) // KEPT_SHARE)]
-    return names[found]
+        sample = LabelledPoints(points.positions[shuffled], dense[shuffled].astype(np.int32))
+        left = _vote_round(left, sample, cut_off, winners, threads)
+        shuffled = shuffled[: -(-len(shuffled) // SAMPLING_STEP)]
+    return names[winners]
 
 
 def printed_labels(gaussians: Gaussians, points: LabelledPoints) -> Int32[np.ndarray, " n"]:
-    """argmax over labels s of the *sum of squared Mahalanobis distances* to the points of s.
+    """Return the argmax over labels s of the *sum of squared Mahalanobis distances* to the points of s.
 
     This is Eq. 2 as printed, which favours far and frequent labels; for comparison only. The sum
     over points is trace(inv(cov) (scatter_s + m_s (mean_s - mu)(mean_s - mu)^T)): no pairs at all.
@@ -133,7 +133,7 @@ def printed_labels(gaussians: Gaussians, points: LabelledPoints) -> Int32[np.nda
     whiten = gaussians.whitening().astype(np.float32).astype(np.float64)
     means = gaussians.means.astype(np.float64)
     present = np.unique(points.labels)
-    best, found = np.full(len(gaussians), -np.inf), np.full(len(gaussians), -1, np.int32)
+    best, labels = np.full(len(gaussians), -np.inf), np.full(len(gaussians), -1, np.int32)
     for label in present.tolist():
         members = points.positions[points.labels == label].astype(np.float64)
         center = members.mean(0)
@@ -141,9 +141,9 @@ def printed_labels(gaussians: Gaussians, points: LabelledPoints) -> Int32[np.nda
         spread = np.einsum("nij,jk,nik->n", whiten, scatter, whiten)
         away = ((whiten @ (center - means)[:, :, None]) ** 2).sum((1, 2))
         total = spread + len(members) * away
-        found[total > best] = label
+        labels[total > best] = label
         np.maximum(best, total, out=best)
-    return found
+    return labels
 
 
 def _check(gaussians: Gaussians, points: LabelledPoints) -> None:
@@ -159,7 +159,7 @@ def _check(gaussians: Gaussians, points: LabelledPoints) -> None:
 
 
 def _sources(gaussians: Gaussians, cut_off: float, finest: float) -> _Sources:
-    """In order of size, then of place, so that a block of them shares cells."""
+    """Return the Gaussians in order of size, then of place, so that a block of them shares cells."""
     covariances = gaussians.covariances()
     reach = cut_off * np.sqrt(covariances[:, [0, 3, 5]])
     reach = (reach * (1 + 1e-6)).astype(np.float32)
@@ -187,7 +187,7 @@ class _Grid:
         self.num_labels = int(self.labels.max()) + 1
 
     def runs(self, sources: _Sources) -> _Runs:
-        """The slices of points whose cells a source's box touches."""
+        """Return the slices of points whose cells a source's box touches."""
         low, high = (
             np.floor((sources.means.astype(np.float64) + sign * sources.reach - self.origin) / self.cell)
             for sign in (-1, 1)
@@ -207,9 +207,9 @@ class _Grid:
 
 
 def _vote_round(
-    sources: _Sources, points: LabelledPoints, cut_off: float, found: Int32[np.ndarray, " n"], threads: int
+    sources: _Sources, points: LabelledPoints, cut_off: float, winners: Int32[np.ndarray, " n"], threads: int
 ) -> _Sources:
-    """Writes the labels of Gaussians with few candidates; returns the others."""
+    """Write the labels of Gaussians with few candidates; return the others."""
     corners = (points.positions.min(0), points.positions.max(0))
     bounds = np.stack(corners).astype(np.float64)
     bands = np.split(np.arange(len(sources.ids)), np.flatnonzero(np.diff(sources.size)) + 1)
@@ -217,32 +217,32 @@ def _vote_round(
     with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
         for band in bands:
             grid = _Grid(points, bounds, float(sources.size[band[0]]) / 2)
-            blocks = [band[at : at + BLOCK] for at in range(0, len(band), BLOCK)]
-            vote = partial(_vote_block, sources, grid, cut_off, found)
+            blocks = [band[at : at + BLOCK_SOURCES] for at in range(0, len(band), BLOCK_SOURCES)]
+            vote = partial(_vote_block, sources, grid, cut_off, winners)
             crowded += list(pool.map(vote, blocks))
     return sources.rows(np.concatenate(crowded))
 
 
 def _vote_block(
-    sources: _Sources, grid: _Grid, cut_off: float, found: Int32[np.ndarray, " n"], block: Int64[np.ndarray, " b"]
+    sources: _Sources, grid: _Grid, cut_off: float, winners: Int32[np.ndarray, " n"], block: Int64[np.ndarray, " b"]
 ) -> Int64[np.ndarray, " c"]:
-    """The rows of a block that have too many candidates."""
+    """Write the labels of a block; return its rows with too many candidates."""
     inside = sources.rows(slice(block[0], block[-1] + 1))
     runs = grid.runs(inside)
     candidates = np.bincount(runs.owner, runs.counts, len(block)).astype(np.int64)
-    few = candidates <= MOST_CANDIDATES
+    few = candidates <= MAX_CANDIDATES
     runs = _Runs(*(column[few[runs.owner]] for column in runs))
     ends = np.cumsum(runs.counts)
-    cuts = np.searchsorted(ends, np.arange(PAIRS, ends[-1] if len(ends) else 0, PAIRS))
+    cuts = np.searchsorted(ends, np.arange(MAX_PAIRS, ends[-1] if len(ends) else 0, MAX_PAIRS))
     # a batch never divides a source's runs
     cuts = np.unique(np.searchsorted(runs.owner, runs.owner[cuts]))
     for begin, end in pairwise([0, *cuts.tolist(), len(runs.owner)]):
         if end > begin:
-            _vote_batch(inside, grid, cut_off, found, _Runs(*(c[begin:end] for c in runs)))
+            _vote_batch(inside, grid, cut_off, winners, _Runs(*(c[begin:end] for c in runs)))
     return block[~few]
 
 
-def _vote_batch(sources: _Sources, grid: _Grid, cut_off: float, found: Int32[np.ndarray, " n"], runs: _Runs) -> None:
+def _vote_batch(sources: _Sources, grid: _Grid, cut_off: float, winners: Int32[np.ndarray, " n"], runs: _Runs) -> None:
     total = int(runs.counts.sum())
     shifts = runs.starts - (np.cumsum(runs.counts) - runs.counts)
     points = np.repeat(shifts, runs.counts) + np.arange(total)
@@ -262,19 +262,19 @@ def _vote_batch(sources: _Sources, grid: _Grid, cut_off: float, found: Int32[np.
     labels = grid.labels[points[near]]
     votes = np.exp(np.float32(-0.5) * squared[near])
     ids = sources.ids[first:last]
-    _write_winners(found, ids, owner[near], labels, votes, grid.num_labels)
+    _write_winners(winners, ids, owner[near], labels, votes, grid.num_labels)
 
 
 def _write_winners(
-    found: Int32[np.ndarray, " n"],
+    winners: Int32[np.ndarray, " n"],
     ids: Int64[np.ndarray, " b"],
     owner: Int32[np.ndarray, " e"],
     labels: Int64[np.ndarray, " e"],
     votes: Float32[np.ndarray, " e"],
     num_labels: int,
 ) -> None:
-    """The label with most votes of each owner that has any."""
+    """Write the label with most votes for each Gaussian that has any."""
     sums = np.bincount(owner * num_labels + labels, votes, len(ids) * num_labels)
     sums = sums.reshape(len(ids), num_labels)
     voted = sums.any(1)
-    found[ids[voted]] = sums[voted].argmax(1)
+    winners[ids[voted]] = sums[voted].argmax(1)

@@ -1,7 +1,7 @@
-"""Numbers that papers print, in per cent, and when ours may stand beside them.
+"""Numbers that papers print, in per cent, and the condition for comparing ours with them.
 
-Every number has its source. `same_data` says whether a result is of the scenes and labels that the
-numbers are of; only then is a difference shown.
+Every number has its source. `same_data` says whether a result is of the same scenes and labels; only then is a
+difference shown.
 """
 
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ DR_SPLAT = "Dr. Splat"
 
 @dataclass(frozen=True)
 class Published:
-    """One line of a paper's table. numbers: by metric, in per cent."""
+    """Line of a paper's table. numbers: by metric, in per cent."""
 
     method: str
     numbers: Mapping[str, float]
@@ -21,7 +21,7 @@ class Published:
 
 
 LERF_PAIRS = {"figurines": 56, "ramen": 71, "teatime": 59, "waldo_kitchen": 22}
-"""Pairs of a photo and a category in the labels of LERF-OVS."""
+"""Number of pairs of a photo and a category in the labels of LERF-OVS."""
 
 SCANNET_8 = frozenset(
     f"scene{number}_00" for number in ("0000", "0062", "0070", "0097", "0140", "0347", "0400", "0590")
@@ -93,7 +93,7 @@ SCANNET_POINTS = {
 
 
 def published_for(result: Mapping[str, Any], task: str) -> tuple[Published, ...]:
-    """What papers print for a protocol and task ("selection", "segmentation", "localization")."""
+    """Return the numbers of papers for a protocol and task ("selection", "segmentation", "localization")."""
     name, labels = result["protocol"], str(result.get("label_set"))
     if name.startswith("lerf-ovs@"):
         return LERF_OVS
@@ -108,7 +108,7 @@ def published_for(result: Mapping[str, Any], task: str) -> tuple[Published, ...]
 
 
 def same_data(result: Mapping[str, Any]) -> bool:
-    """Whether a result is of the very scenes that the published numbers are of.
+    """Return whether a result is of the same scenes as the published numbers.
 
     >>> same_data({"protocol": "lerf-ovs@1", "scenes": [{"name": "teatime", "pairs": 59}]})
     False

@@ -1,4 +1,4 @@
-"""Slow twins in float64, a line or two per equation: what the fast functions are tested against."""
+"""Slow twins in float64, a line or two per equation: the fast functions are tested against them."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ Positions = Float64[np.ndarray, "m 3"]
 
 
 def squared_distances(gaussians: Gaussians, positions: Positions) -> Float64[np.ndarray, "n m"]:
-    """All pairs.  Source: Dr. Splat Eq. 1."""
+    """Return the squared Mahalanobis distances of all pairs.  Source: Dr. Splat Eq. 1."""
     offsets = positions[None] - gaussians.means.astype(np.float64)[:, None]
     inverse = np.linalg.inv(_matrices(gaussians))
     distances: np.ndarray = np.einsum("nmi,nij,nmj->nm", offsets, inverse, offsets)
@@ -19,7 +19,7 @@ def squared_distances(gaussians: Gaussians, positions: Positions) -> Float64[np.
 def density_votes(
     gaussians: Gaussians, positions: Positions, labels: Integer[np.ndarray, " m"], cut_off: float
 ) -> Float64[np.ndarray, "n s"]:
-    """Sum of exp(-d^2 / 2) over the near points of each label 0 to max(labels)."""
+    """Return the sum of exp(-d^2 / 2) over the near points of each label 0 to max(labels)."""
     squared = squared_distances(gaussians, positions)
     votes = np.where(squared <= cut_off**2, np.exp(-squared / 2), 0)
     return np.stack([votes[:, labels == s].sum(1) for s in range(int(labels.max()) + 1)], axis=1)
@@ -35,7 +35,7 @@ def density_labels(
 def printed_labels(
     gaussians: Gaussians, positions: Positions, labels: Integer[np.ndarray, " m"]
 ) -> Integer[np.ndarray, " n"]:
-    """Source: Dr. Splat Eq. 2."""
+    """Return the argmax over labels of the sum of squared distances.  Source: Dr. Splat Eq. 2."""
     squared = squared_distances(gaussians, positions)
     names = np.unique(labels)
     sums = np.stack([squared[:, labels == s].sum(1) for s in names], axis=1)
@@ -45,7 +45,7 @@ def printed_labels(
 def voxel_scores(
     gaussians: Gaussians, labels: Integer[np.ndarray, " n"], voxels: Positions, num_labels: int, cut_off: float
 ) -> Float64[np.ndarray, "v s"]:
-    """sum over i of alpha_i 1{label_i = s} N(v | mu_i, Sigma_i).  Source: Dr. Splat Eq. 4."""
+    """Return the sum over i of alpha_i 1{label_i = s} N(v | mu_i, Sigma_i).  Source: Dr. Splat Eq. 4."""
     squared = squared_distances(gaussians, voxels)
     norms = np.sqrt(np.linalg.det(2 * np.pi * _matrices(gaussians)))
     density = np.where(squared <= cut_off**2, np.exp(-squared / 2), 0) / norms[:, None]

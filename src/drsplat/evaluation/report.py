@@ -1,4 +1,4 @@
-"""results.json, and one HTML page that needs nothing else."""
+"""Report of an evaluation: results.json, and one self-contained HTML page."""
 
 import base64
 import io
@@ -49,7 +49,7 @@ pre { background: #f3f4f7; padding: .8rem; overflow-x: auto; font-size: .8rem; }
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """A picture and what it shows."""
+    """Picture with a caption."""
 
     caption: str
     pixels: UInt8[np.ndarray, "h w 3"]
@@ -62,7 +62,7 @@ def write_report(
     charts: Sequence[str] = (),
     overwrite: bool = False,
 ) -> list[Path]:
-    """Write FOLDER/results.json and FOLDER/report.html; returns both.
+    """Write FOLDER/results.json and FOLDER/report.html; return both paths.
 
     results: of one protocol, one or several methods. charts: SVG, as `svg` makes it. The same results
     give the same bytes: there is no date in them.
@@ -87,7 +87,7 @@ def write_report(
 
 
 def without_nan(value: Any) -> Any:
-    """JSON has no word for NaN and infinity: null.
+    """Replace NaN and infinity, which JSON does not have, by null.
 
     >>> without_nan({"a": [1.0, float("nan")]})
     {'a': [1.0, None]}
@@ -124,14 +124,14 @@ def html_page(
 
 
 def _tiles(results: Sequence[Mapping[str, Any]]) -> str:
-    """Return the means over scenes of the first method, with a threshold that was chosen without the truth."""
+    """Return tiles of the first method's means over scenes, with a threshold chosen without the truth."""
     first = results[0]
     columns = first.get("columns", {})
     chosen = next((name for name in COLUMNS if name in columns), None)
     means = columns[chosen]["scene_macro"] if chosen else first.get("segmentation", {}).get("scene_macro", {})
-    whose = f"{first['method']}, {chosen} threshold" if chosen else str(first["method"])
+    source = f"{first['method']}, {chosen} threshold" if chosen else str(first["method"])
     tiles = "".join(f"<div><dt>{escape(key)}</dt><dd>{100 * means[key]:.1f} %</dd></div>" for key in means)
-    return f'<p class="note">{escape(whose)}: means over scenes</p>\n<dl class="tiles">{tiles}</dl>' if tiles else ""
+    return f'<p class="note">{escape(source)}: means over scenes</p>\n<dl class="tiles">{tiles}</dl>' if tiles else ""
 
 
 def _table(table: Table) -> str:
@@ -147,7 +147,7 @@ def _table(table: Table) -> str:
 
 
 def shown(cell: str | float | None) -> str:
-    """Numbers with two digits after the point, whole ones without.
+    """Format a number with two digits after the point, a whole one without.
 
     >>> shown(43.577), shown(4.0), shown(None), shown(float("nan"))
     ('43.58', '4', '', '')
@@ -174,20 +174,24 @@ def _thresholds(result: Mapping[str, Any]) -> str:
 
 
 def _inputs(result: Mapping[str, Any]) -> str:
-    known = {key: result[key] for key in ("scenes", "files") if key in result}
-    text = json.dumps(without_nan(known), indent=1, default=str)
+    inputs = {key: result[key] for key in ("scenes", "files") if key in result}
+    text = json.dumps(without_nan(inputs), indent=1, default=str)
     return f"<details><summary>{escape(str(result['method']))}</summary><pre>{escape(text)}</pre></details>"
 
 
 def _study_charts(results: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Fig. S3: without significance on the left, with it on the right."""
+    """Draw Fig. S3: without significance on the left, with it on the right."""
     charts = []
     for result in results:
         for kind in ("unweighted", "weighted") if "study" in result else ():
             study = result["study"]
             points = [(row["voxel"], row[kind], row["scene"]) for row in study["scenes"]]
-            found = study["correlations"].get(kind)
-            note = f"Pearson {found['pearson']:.3f}, Spearman {found['spearman']:.3f}" if found else ""
+            correlations = study["correlations"].get(kind)
+            note = (
+                f"Pearson {correlations['pearson']:.3f}, Spearman {correlations['spearman']:.3f}"
+                if correlations
+                else ""
+            )
             title = "with significance" if kind == "weighted" else "without significance"
             charts.append(scatter(points, "mIoU of voxels", "mIoU of Gaussians", title, note))
     return charts

@@ -1,4 +1,4 @@
-"""One protocol from labelled data and what is judged on it to predictions, numbers and a report."""
+"""Run of a protocol: from labelled data and methods to predictions, numbers and a report."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -33,7 +33,7 @@ Names = Callable[[Sequence[str]], Collection[str]]
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Task:
-    """The arguments of `evaluate`."""
+    """Arguments of `evaluate`."""
 
     data: Path
     report: Path
@@ -89,21 +89,21 @@ def evaluate(
     threads: int = 0,
     track: Track = untracked,
 ) -> dict[str, Any]:
-    """Judge fields, or features of other systems, by a protocol of the papers; returns the numbers.
+    """Judge fields, or features of other systems, by a protocol of the papers; return the numbers.
 
     protocol: "lerf-ovs", "scannet-points", "scannet-volume" or "voxel". data: a folder with a folder per scene, of
     lerf-ovs also with label/. judged: by scene folder an opened scene, or Gaussians, features (N, D) with a row for
-    each and an encoder of texts; or what makes either when it is its turn. report: the folder to write to; predictions
-    are written there and scored from there.
+    each and an encoder of texts; or a function that returns either when it is its turn. report: the folder to write to;
+    predictions are written there and scored from there.
 
     labels, label_table: classes of ScanNet, a name or a file, and for scannet200 the table of categories. relevancy:
     measure it instead of cosines. threshold: the fixed one, None: the encoder's own, else 0.5. method: its name in
-    tables. automatic: score with a threshold per query as well. without: which of the labelled photos' names to leave
-    out. figures: pictures per scene. score_only: predictions are there already; Gaussians are enough to judge then.
-    files: more of which the report states the hashes.
+    tables. automatic: score with a threshold per query as well. without: returns which of the labelled photos' names to
+    leave out. figures: pictures per scene. score_only: predictions exist already; Gaussians are enough to judge then.
+    files: further files whose hashes the report states.
 
-    Raises: InputError: no such protocol, files or classes; results are there already and not `overwrite`. FormatError:
-    damaged files. MismatchError: what does not belong together.
+    Raises: InputError: no such protocol, files or classes; results exist already and not `overwrite`. FormatError:
+    damaged files. MismatchError: inputs that do not belong together.
     """
     report, data = Path(report), Path(data)
     if protocol not in PROTOCOLS:
@@ -121,8 +121,8 @@ def evaluate(
         labelled = [file for name in judged for file in sorted((data / "label" / name).glob("*.json"))]
     else:
         scenes = list(_scannet_scenes(task, protocol, judged, pictures))
-        more = {"side": voxel_side, "threads": threads} if protocol == "voxel" else {}
-        result = _SCANNET[protocol].score(scenes, task.folder, **more)
+        options = {"side": voxel_side, "threads": threads} if protocol == "voxel" else {}
+        result = _SCANNET[protocol].score(scenes, task.folder, **options)
         labelled = [file for name in judged for file in sorted((data / name).glob("*_vh_clean_2.labels.ply"))]
     result["pictures"] = pictures_judged(result)
     result["files"] = {f"{path.parent.name}/{path.name}": hash_file(path) for path in [*files, *labelled]}
@@ -130,7 +130,7 @@ def evaluate(
     return {**result, "written": [str(path) for path in written]}
 
 
-def _made(judged: Judged | Callable[[], Judged]) -> Judged:
+def _loaded(judged: Judged | Callable[[], Judged]) -> Judged:
     return judged() if callable(judged) else judged
 
 
@@ -143,16 +143,16 @@ def _gaussians(judged: Judged) -> Gaussians:
 def _lerf_scenes(
     task: _Task, judged: Mapping[str, Judged | Callable[[], Judged]], pictures: list[Figure]
 ) -> Iterator[lerf_ovs.LerfScene]:
-    for name, one in judged.items():
+    for name, entry in judged.items():
         scene = lerf_ovs.read_lerf_scene(task.data, name)
         if task.without is not None:
-            out = task.without([frame.name for frame in scene.frames])
-            scene = replace(scene, frames=tuple(frame for frame in scene.frames if frame.name not in out))
+            left_out = task.without([frame.name for frame in scene.frames])
+            scene = replace(scene, frames=tuple(frame for frame in scene.frames if frame.name not in left_out))
         if not task.score_only:
-            known = _made(one)
-            gaussians, scorer = _gaussians(known), task.scorer(known)
-            how: dict[str, Any] = {"threads": task.threads, "track": task.track, "choosers": task.choosers(scorer)}
-            lerf_ovs.predict(scene, gaussians, scorer, task.folder, **how)
+            loaded = _loaded(entry)
+            gaussians, scorer = _gaussians(loaded), task.scorer(loaded)
+            options: dict[str, Any] = {"threads": task.threads, "track": task.track, "choosers": task.choosers(scorer)}
+            lerf_ovs.predict(scene, gaussians, scorer, task.folder, **options)
             pictures += lerf_figures(scene, gaussians, scorer, task.figures, threads=task.threads)
         yield scene
 
@@ -160,20 +160,20 @@ def _lerf_scenes(
 def _scannet_scenes(
     task: _Task, protocol: str, judged: Mapping[str, Judged | Callable[[], Judged]], pictures: list[Figure]
 ) -> Iterator[ScannetScene]:
-    for name, one in judged.items():
-        known = _made(one)
-        scene = _labelled(task, task.data / name, _gaussians(known))
+    for name, entry in judged.items():
+        loaded = _loaded(entry)
+        scene = _scannet_scene(task, task.data / name, _gaussians(loaded))
         if not task.score_only:
-            scorer = task.scorer(known)
-            more = {"choosers": task.choosers(scorer)} if protocol == "scannet-volume" else {}
-            _SCANNET[protocol].predict(scene, scorer, task.folder, track=task.track, **more)
+            scorer = task.scorer(loaded)
+            options = {"choosers": task.choosers(scorer)} if protocol == "scannet-volume" else {}
+            _SCANNET[protocol].predict(scene, scorer, task.folder, track=task.track, **options)
             cameras = task.data / name / "transforms_test.json"
             if protocol == "scannet-volume" and cameras.is_file():
                 pictures += scannet_figures(scene, read_views(cameras), scorer, task.figures, threads=task.threads)
         yield scene
 
 
-def _labelled(task: _Task, folder: Path, gaussians: Gaussians) -> ScannetScene:
+def _scannet_scene(task: _Task, folder: Path, gaussians: Gaussians) -> ScannetScene:
     if task.labels.name == "scannet200":
         return read_raw_category_scene(folder, task.labels, gaussians, task.label_table)
     return read_nyu40_scene(folder, task.labels, gaussians)

@@ -1,4 +1,4 @@
-"""What the ScanNet protocols share: labelled scenes, and predicting a class for every Gaussian."""
+"""Common parts of the ScanNet protocols: labelled scenes, and predicting a class for every Gaussian."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -43,18 +43,18 @@ class ScannetScene:
 
     @cached_property
     def significance(self) -> Float64[np.ndarray, " n"]:
-        """d_i = s_x s_y s_z alpha_i.  Source: Dr. Splat Sec. C."""
+        """Significance d_i = s_x s_y s_z alpha_i.  Source: Dr. Splat Sec. C."""
         volumes = self.gaussians.scales.astype(np.float64).prod(1)
         return np.asarray(volumes * self.gaussians.opacities)
 
     @cached_property
     def pseudo_labels(self) -> Int32[np.ndarray, " n"]:
-        """A class per Gaussian; 0 where other classes win or no point is near."""
+        """Class per Gaussian; 0 where other classes win or no point is near."""
         return np.asarray(np.maximum(pseudo_labels(self.gaussians, self.points), 0), np.int32)
 
     @property
     def inputs(self) -> dict[str, str]:
-        """Hashes of what is scored."""
+        """Hashes of the data that is scored."""
         return {
             "gaussians": self.gaussians.fingerprint,
             "points": hashed(self.points.positions),
@@ -63,7 +63,7 @@ class ScannetScene:
 
 
 def read_nyu40_scene(folder: Path, labels: LabelSet, gaussians: Gaussians) -> ScannetScene:
-    """A scene whose classes are the NYU40 ids of `*_vh_clean_2.labels.ply`.
+    """Read a scene whose classes are the NYU40 ids of `*_vh_clean_2.labels.ply`.
 
     Raises: InputError: no such folder or file. FormatError: damaged.
     """
@@ -75,7 +75,7 @@ def read_nyu40_scene(folder: Path, labels: LabelSet, gaussians: Gaussians) -> Sc
 def read_raw_category_scene(
     folder: Path, labels: LabelSet, gaussians: Gaussians, table: Path | None = None
 ) -> ScannetScene:
-    """A scene whose classes are raw category ids (ScanNet-200), by segments and their annotation.
+    """Read a scene whose classes are raw category ids (ScanNet-200), by segments and their annotation.
 
     table: scannetv2-labels.combined.tsv; None looks in the folder, then in the one above.
 
@@ -87,8 +87,8 @@ def read_raw_category_scene(
     instances = read_scannet_instances(segments, groups)
     check_vertices(cloud, instances, str(folder))
     beside = folder / TABLE_NAME
-    known = read_label_table(table or (beside if beside.is_file() else folder.resolve().parent / TABLE_NAME))
-    ids = raw_category_labels(instances, known)
+    label_table = read_label_table(table or (beside if beside.is_file() else folder.resolve().parent / TABLE_NAME))
+    ids = raw_category_labels(instances, label_table)
     points = LabelledPoints(cloud.positions, labels.classes(ids))
     return ScannetScene(folder.resolve().name, points, labels, gaussians)
 
@@ -103,7 +103,7 @@ def predict_classes(
     keep_scores: bool = False,
     track: Track = untracked,
 ) -> None:
-    """Write the class of the highest score of every Gaussian, 0 without a feature; ties to the first.
+    """Write the class of the highest score of every Gaussian, 0 without a feature; ties go to the first.
 
     keep_scores: also the scores of each class, and thresholds for them.
 
@@ -116,7 +116,7 @@ def predict_classes(
     place = folder / scene.name
     place.mkdir(parents=True, exist_ok=True)
     count = len(scene.gaussians)
-    best, found = np.full(count, -np.inf, np.float32), np.zeros(count, np.int32)
+    best, classes = np.full(count, -np.inf, np.float32), np.zeros(count, np.int32)
     chosen = choosers or {}
     answers = scorer.answer if AUTOMATIC in chosen else None
     picked: dict[str, dict[str, float]] = {name: {} for name in chosen}
@@ -124,8 +124,8 @@ def predict_classes(
     prompts = scene.labels.prompts
     several = zip(numbers, scorer.each(prompts), scorer.compared(prompts), strict=True)
     for number, scores, compared in several:
-        higher = compared > best  # NaN is not
-        found[higher], best[higher] = number, compared[higher]
+        higher = compared > best  # false for NaN
+        classes[higher], best[higher] = number, compared[higher]
         if keep_scores:
             write_npy(scores_path(folder, scene.name, number), scores, overwrite=True)
             for name, (choose, _) in chosen.items():
@@ -134,7 +134,7 @@ def predict_classes(
                 values, threshold = answers(scene.labels.prompts[number - 1])
                 write_npy(answer_path(folder, scene.name, number), values, overwrite=True)
                 picked[AUTOMATIC][str(number)] = threshold
-    write_npy(place / LABELS, found, overwrite=True)
+    write_npy(place / LABELS, classes, overwrite=True)
     columns = {"argmax": "the class of the highest score; no threshold"}
     if keep_scores:
         columns = columns_of(scorer.threshold, scorer.sweep, chosen)
@@ -154,22 +154,22 @@ def scores_path(folder: Path, scene: str, number: int) -> Path:
 
 
 def answer_path(folder: Path, scene: str, number: int) -> Path:
-    """What a class's threshold of its own is compared with, where that is not the scores."""
+    """Return the path of what a class's own threshold is compared with, if that is not the scores."""
     return folder / scene / f"answer_{number:03d}.npy"
 
 
 def predicted_classes(scene: ScannetScene, folder: Path) -> Int32[np.ndarray, " n"]:
-    """What `predict_classes` wrote; all 0 where it is missing.
+    """Read the classes that `predict_classes` wrote; all 0 where they are missing.
 
     Raises: FormatError: damaged, or not one class of the label set per Gaussian.
     """
     path = folder / scene.name / LABELS
-    found = read_array(path, len(scene.gaussians), "iu")
-    if found is None:
+    classes = read_array(path, len(scene.gaussians), "iu")
+    if classes is None:
         return np.zeros(len(scene.gaussians), np.int32)
-    if len(found) and not 0 <= found.min() <= found.max() <= len(scene.labels):
-        raise FormatError(f"{path}: expected classes 0 to {len(scene.labels)}, got {found.min()} to {found.max()}")
-    return found.astype(np.int32)
+    if len(classes) and not 0 <= classes.min() <= classes.max() <= len(scene.labels):
+        raise FormatError(f"{path}: expected classes 0 to {len(scene.labels)}, got {classes.min()} to {classes.max()}")
+    return classes.astype(np.int32)
 
 
 def predicted_scores(scene: ScannetScene, folder: Path, number: int) -> Float32[np.ndarray, " n"] | None:
@@ -185,7 +185,7 @@ def predicted_answers(scene: ScannetScene, folder: Path, number: int) -> Float32
 def segmentation_record(
     ious: Float64[np.ndarray, " c"], accuracies: Float64[np.ndarray, " c"], labels: LabelSet
 ) -> dict[str, Any]:
-    """Means over the classes of the scene, and each of them."""
+    """Return the means over the classes of the scene, and the numbers of each."""
     present = ~np.isnan(ious)
     names = [name for name, there in zip(labels.names, present, strict=True) if there]
     return {
@@ -199,5 +199,5 @@ def segmentation_record(
 
 
 def over_scenes(records: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> dict[str, float]:
-    """Means over scenes: each scene counts alike."""
+    """Return the means over scenes; each scene counts alike."""
     return {key: metrics.mean([record[key] for record in records]) for key in keys}

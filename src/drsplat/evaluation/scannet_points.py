@@ -21,14 +21,14 @@ from .predictions import read_manifests
 from .scannet import ScannetScene, over_scenes, predict_classes, predicted_classes, segmentation_record
 
 PROTOCOL = "scannet-points@1"
-FAINT = 0.1
+FAINT_OPACITY = 0.1
 TOLERANCE = 1e-3  # of the scene's extent
 
 predict = partial(predict_classes, protocol=PROTOCOL)
 
 
 def score(scenes: Sequence[ScannetScene], folder: Path) -> dict[str, Any]:
-    """Numbers of what is in the folder. A scene whose labels are missing scores 0.
+    """Score the predictions in a folder. A scene without predicted labels scores 0.
 
     Raises: InputError: no scene, or one without predictions. MismatchError: Gaussians that are not
     at the points. FormatError: damaged predictions.
@@ -46,7 +46,7 @@ def score(scenes: Sequence[ScannetScene], folder: Path) -> dict[str, Any]:
 
 
 def frozen_truth(scene: ScannetScene) -> Int32[np.ndarray, " n"]:
-    """The class of each Gaussian is that of its point; 0 for faint ones.
+    """Return the class of each Gaussian, which is that of its point; 0 for faint ones.
 
     Raises: MismatchError: not one Gaussian per point, or not at its place.
     """
@@ -62,11 +62,11 @@ def frozen_truth(scene: ScannetScene) -> Int32[np.ndarray, " n"]:
             f"'{scene.name}': Gaussians are up to {moved:.3g} away from their points: they were not frozen, or "
             "are in another order; for free ones use scannet-volume@1"
         )
-    return np.where(scene.gaussians.opacities < FAINT, 0, scene.points.labels).astype(np.int32)
+    return np.where(scene.gaussians.opacities < FAINT_OPACITY, 0, scene.points.labels).astype(np.int32)
 
 
 def _record(scene: ScannetScene, folder: Path) -> dict[str, Any]:
-    truth, found, count = frozen_truth(scene), predicted_classes(scene, folder), len(scene.labels)
+    truth, predicted, count = frozen_truth(scene), predicted_classes(scene, folder), len(scene.labels)
     return segmentation_record(
-        metrics.class_ious(found, truth, count), metrics.class_accuracies(found, truth, count), scene.labels
+        metrics.class_ious(predicted, truth, count), metrics.class_accuracies(predicted, truth, count), scene.labels
     )

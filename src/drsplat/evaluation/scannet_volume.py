@@ -36,7 +36,7 @@ predict = partial(predict_classes, protocol=PROTOCOL, keep_scores=True)
 
 
 def score(scenes: Sequence[ScannetScene], folder: Path) -> dict[str, Any]:
-    """Numbers of what is in the folder. What is missing counts as nothing selected: 0.
+    """Score the predictions in a folder. Missing ones count as nothing selected: 0.
 
     Raises: InputError: no scene, or one without predictions. MismatchError: scenes predicted in
     different ways. FormatError: damaged predictions.
@@ -64,41 +64,41 @@ def score(scenes: Sequence[ScannetScene], folder: Path) -> dict[str, Any]:
 
 
 def segmentation(scene: ScannetScene, folder: Path, *, weighted: bool = True) -> dict[str, Any]:
-    """Eq. 3 of each class; not weighted, every Gaussian counts alike (the left of Fig. S3)."""
-    found, truth, count = predicted_classes(scene, folder), scene.pseudo_labels, len(scene.labels)
+    """Score the segmentation by Eq. 3; if not weighted, every Gaussian counts alike (the left of Fig. S3)."""
+    predicted, truth, count = predicted_classes(scene, folder), scene.pseudo_labels, len(scene.labels)
     weights = scene.significance if weighted else None
     return segmentation_record(
-        metrics.class_ious(found, truth, count, weights),
-        metrics.class_accuracies(found, truth, count, weights),
+        metrics.class_ious(predicted, truth, count, weights),
+        metrics.class_accuracies(predicted, truth, count, weights),
         scene.labels,
     )
 
 
 def _class_ious_by_column(scene: ScannetScene, manifest: Manifest, folder: Path) -> dict[str, dict[str, float]]:
-    """IoU of the classes that the scene has, by column and name."""
+    """Return the IoU of the classes that the scene has, by column and name."""
     truth, counted = scene.pseudo_labels, scene.pseudo_labels > 0
     weights = scene.significance[counted]
     thresholds = manifest.inputs.get("thresholds", {})
-    found: dict[str, dict[str, float]] = {column: {} for column in manifest.columns}
+    ious_by_column: dict[str, dict[str, float]] = {column: {} for column in manifest.columns}
     for number in np.unique(truth[counted]).tolist():
         name, scores = scene.labels.names[number - 1], predicted_scores(scene, folder, number)
         at = [_threshold(thresholds, column, number) for column in manifest.columns]
         ious = np.zeros(len(at))
         if scores is not None:
-            meant = truth[counted] == number
-            ious = sweep_weighted_ious(scores[counted], meant, weights, at)
+            is_class = truth[counted] == number
+            ious = sweep_weighted_ious(scores[counted], is_class, weights, at)
             values = predicted_answers(scene, folder, number)
-            if AUTOMATIC in found and values is not None:
+            if AUTOMATIC in ious_by_column and values is not None:
                 own = list(manifest.columns).index(AUTOMATIC)
-                cut = sweep_weighted_ious(values[counted], meant, weights, [at[own]])
+                cut = sweep_weighted_ious(values[counted], is_class, weights, [at[own]])
                 ious[own] = cut[0]
         for column, iou in zip(manifest.columns, ious.tolist(), strict=True):
-            found[column][name] = iou
-    return found
+            ious_by_column[column][name] = iou
+    return ious_by_column
 
 
 def _threshold(thresholds: Mapping[str, Any], column: str, number: int) -> float:
-    """Nothing is above a threshold that was not written."""
+    """Return a class's threshold; infinity, which selects nothing, if it was not written."""
     value = thresholds.get(column) if isinstance(thresholds, Mapping) else None
     if isinstance(value, Mapping):
         value = value.get(str(number))
@@ -121,10 +121,10 @@ def _common_columns(manifests: Sequence[Manifest]) -> dict[str, str]:
 
 def _summary(names: Sequence[str], by_scene: Sequence[Mapping[str, float]]) -> dict[str, Any]:
     records = [_numbers(list(classes.values())) for classes in by_scene]
-    every = [iou for classes in by_scene for iou in classes.values()]
+    pooled = [iou for classes in by_scene for iou in classes.values()]
     return {
         "scene_macro": over_scenes(records, list(_numbers([]))),
-        "query_micro": _numbers(every),
+        "query_micro": _numbers(pooled),
         "by_scene": {
             name: {**record, "classes": dict(classes)}
             for name, record, classes in zip(names, records, by_scene, strict=True)

@@ -1,4 +1,4 @@
-"""What a protocol asks: a text, and one number per Gaussian of the scene."""
+"""Methods under test: a text to one number per Gaussian of the scene."""
 
 import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -19,7 +19,7 @@ from ..scene.views import pictures_kind, scenes_rendered
 
 BLOCK = 1 << 16
 COSINE_THRESHOLD, RELEVANCY_THRESHOLD = 0.5, 0.5
-# of CLIP, texts and photos are at cosines of 0.15 to 0.35; of the built-in encoders up to 1
+# texts and photos have cosines of 0.15 to 0.35 with CLIP, up to 1 with the built-in encoders
 COSINES = tuple(k / 100 for k in (*range(14, 36), *range(40, 95, 5)))
 RELEVANCIES = tuple(k / 100 for k in range(40, 92, 2))
 
@@ -28,14 +28,14 @@ Scores = Float32[np.ndarray, " N"]
 
 @dataclass(frozen=True, eq=False)
 class Scorer:
-    """A method on one scene.
+    """Method on one scene.
 
     scores: of a text, one per Gaussian; NaN where a Gaussian has no feature. name: of the method, in tables. threshold:
     the fixed one, chosen without the scenes that are scored. least: the encoder's own, below which its scores say that
-    nothing is meant; None where it has none. sweep: thresholds that the tuned one is chosen from. about: what it is
-    made of, hashes among it. views: names of the photos that it was made from, None where nobody knows. several: the
+    nothing is meant; None where it has none. sweep: thresholds that the tuned one is chosen from. about: description of
+    the method, with hashes. views: names of the photos that it was made from, None if unknown. several: the
     scores of a few texts at once, where that takes less time. answer: what `drsplat select` compares for a text, and
-    with which threshold. classes: of some texts in turn the scores by which `drsplat segment` compares them; None:
+    with which threshold. classes: the scores by which `drsplat segment` compares texts, one after the other; None:
     `scores`.
     """
 
@@ -52,11 +52,11 @@ class Scorer:
     classes: Callable[[Sequence[str]], Iterator[Scores]] | None = None
 
     def compared(self, texts: Sequence[str]) -> Iterator[Scores]:
-        """Of each text in turn the scores by which one class is better than another."""
+        """Yield, for each text, the scores by which classes are compared."""
         return self.each(texts) if self.classes is None else self.classes(texts)
 
     def each(self, texts: Sequence[str]) -> Iterator[Scores]:
-        """The scores of each text in turn."""
+        """Yield the scores of each text."""
         if self.several is None:
             yield from map(self.scores, texts)
             return
@@ -64,56 +64,58 @@ class Scorer:
             yield from self.several(texts[begin : begin + CHUNK])
 
 
-def cosine_scorer(known: LanguageField, encoder: Encoder, name: str = "cosine", *, threads: int = 0) -> Scorer:
-    """Cosines of the field; of one with objects, as whole ones. threshold: the encoder's own, or 0.5 without one.
+def cosine_scorer(source: LanguageField, encoder: Encoder, name: str = "cosine", *, threads: int = 0) -> Scorer:
+    """Score by cosines of the field, or of whole objects if it has any.
+
+    Its threshold is the encoder's own, or 0.5 without one.
 
     Raises: MismatchError: another encoder than the field's.
     """
-    known.check_encoder(encoder.identity)
+    source.check_encoder(encoder.identity)
 
     def several(texts: Sequence[str]) -> Float32[np.ndarray, "q N"]:
-        queries = np.stack([embed_query(encoder, known, text) for text in texts])
-        each = known.scores(queries, threads=threads)
-        return np.stack([known.dense(by_object(known, one), fill=float("nan")) for one in each])
+        queries = np.stack([embed_query(encoder, source, text) for text in texts])
+        rows = source.scores(queries, threads=threads)
+        return np.stack([source.dense(by_object(source, row), fill=float("nan")) for row in rows])
 
     def scores(text: str) -> Scores:
-        one: Scores = several([text])[0]
-        return one
+        row: Scores = several([text])[0]
+        return row
 
     def classes(texts: Sequence[str]) -> Iterator[Scores]:
         for text in texts:
-            query = embed_query(encoder, known, text)
-            own = known.scores(query, threads=threads)
-            yield known.dense(for_comparing(known, own, query), fill=float("nan"))
+            query = embed_query(encoder, source, text)
+            own = source.scores(query, threads=threads)
+            yield source.dense(for_comparing(source, own, query), fill=float("nan"))
 
     about = {
-        "field": known.fingerprint,
-        "scene": known.scene,
-        "encoder": known.encoder.name,
-        "registered": len(known),
+        "field": source.fingerprint,
+        "scene": source.scene,
+        "encoder": source.encoder.name,
+        "registered": len(source),
         "measure": "cosine",
-        "pictures": pictures_kind(known.rendered_from),
-        "rendered_from": scenes_rendered(known.rendered_from),
+        "pictures": pictures_kind(source.rendered_from),
+        "rendered_from": scenes_rendered(source.rendered_from),
     }
-    views = None if known.evidence is None else known.evidence.masks.view_names
+    views = None if source.evidence is None else source.evidence.masks.view_names
     return Scorer(
-        name, known.num_gaussians, scores, _fixed(encoder), COSINES, about, views, _own(encoder), several,
-        _answer(known, encoder, threads), None if known.objects is None else classes,
+        name, source.num_gaussians, scores, _fixed(encoder), COSINES, about, views, _own(encoder), several,
+        _answer(source, encoder, threads), None if source.objects is None else classes,
     )  # fmt: skip
 
 
-def _answer(known: LanguageField, encoder: Encoder, threads: int) -> Callable[[str], tuple[Scores, float]]:
-    scene = Scene(known, encoder=encoder, threads=threads)
+def _answer(source: LanguageField, encoder: Encoder, threads: int) -> Callable[[str], tuple[Scores, float]]:
+    scene = Scene(source, encoder=encoder, threads=threads)
 
     def answer(text: str) -> tuple[Scores, float]:
-        found = scene.ask(text)
-        return known.dense(found.values, fill=float("nan")), found.threshold
+        reply = scene.ask(text)
+        return source.dense(reply.values, fill=float("nan")), reply.threshold
 
     return answer
 
 
 def feature_scorer(features: Rows, encoder: Encoder, name: str = "features") -> Scorer:
-    """Cosines with features made by any system; rows without direction are absent.
+    """Score by cosines with features of any system; rows without direction count as absent.
 
     features: (N, D) of float16 or float32, of any length, may be a memory map: read a block at a time.
 
@@ -133,7 +135,7 @@ def feature_scorer(features: Rows, encoder: Encoder, name: str = "features") -> 
 
 
 def relevant(cosines: Scorer, name: str = "relevancy") -> Scorer:
-    """LERF's relevancy of any scorer of cosines; its fixed threshold is 0.5, "as well as a negative".
+    """Score by LERF's relevancy, from a scorer of cosines; the fixed threshold is 0.5, "as well as a negative".
 
     The negatives "object", "things", "stuff" and "texture" are scored once, at the first text.
 
@@ -148,8 +150,8 @@ def relevant(cosines: Scorer, name: str = "relevancy") -> Scorer:
         return relevancy_from_scores(cosines.scores(text), best_negative())
 
     def several(texts: Sequence[str]) -> Float32[np.ndarray, "q N"]:
-        found = cosines.each(texts)
-        return np.stack([relevancy_from_scores(one, best_negative()) for one in found])
+        rows = cosines.each(texts)
+        return np.stack([relevancy_from_scores(row, best_negative()) for row in rows])
 
     about = {**cosines.about, "measure": "relevancy", "negatives": list(NEGATIVES)}
     return replace(
@@ -159,7 +161,7 @@ def relevant(cosines: Scorer, name: str = "relevancy") -> Scorer:
 
 
 def hashed(array: Rows) -> str:
-    """Of type, shape and content."""
+    """Hash the type, shape and content of an array."""
     digest = hashlib.blake2b(f"{array.dtype.str} {array.shape}".encode(), digest_size=16)
     for start in range(0, len(array), BLOCK):
         digest.update(np.ascontiguousarray(array[start : start + BLOCK]).data)

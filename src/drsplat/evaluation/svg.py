@@ -1,4 +1,4 @@
-"""Three kinds of chart as inline SVG: a scatter, bars and curves. Nothing draws them but the browser."""
+"""Three kinds of chart as inline SVG, which needs no script: a scatter, bars and curves."""
 
 from collections.abc import Sequence
 from html import escape
@@ -13,7 +13,7 @@ Point = tuple[Number, Number, str]
 
 
 def scatter(points: Sequence[Point], x_name: str, y_name: str, title: str, note: str = "") -> str:
-    """Points (x, y, name) on one scale from 0 for both axes, and the diagonal.  Source: Fig. S3."""
+    """Draw points (x, y, name) on one scale from 0 for both axes, and the diagonal.  Source: Fig. S3."""
     top = _round_up(max([max(x, y) for x, y, _ in points] or [1.0]))
     inner_w, inner_h = WIDTH - 1.5 * MARGIN, HEIGHT - 2 * MARGIN
 
@@ -45,7 +45,7 @@ def scatter(points: Sequence[Point], x_name: str, y_name: str, title: str, note:
 
 
 def bars(rows: Sequence[tuple[str, Number]], unit: str, title: str) -> str:
-    """A horizontal bar per row, longest value to the full width, with its number.  Source: Fig. S4."""
+    """Draw a horizontal bar per row, the longest at full width, with its number.  Source: Fig. S4."""
     longest = max([value for _, value in rows] or [1.0]) or 1.0
     height, left = 44 + 30 * len(rows), 150
     parts = [_text(WIDTH / 2, 20, title, "middle", bold=True)]
@@ -86,7 +86,7 @@ def curves(series: Sequence[tuple[str, Sequence[tuple[Number, Number]]]], x_name
 
 
 def _round_up(value: Number) -> float:
-    """To 0.1, 0.2, 0.4, 0.6, 0.8 or 1 of a power of ten.
+    """Round up to 0.1, 0.2, 0.4, 0.6, 0.8 or 1 of a power of ten.
 
     >>> _round_up(0.43), _round_up(0.08)
     (0.6, 0.08)

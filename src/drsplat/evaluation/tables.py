@@ -1,4 +1,4 @@
-"""Results as tables: ours by choice of threshold, the papers' beside them."""
+"""Results as tables: ours by choice of threshold, those of papers beside them."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ SEEN = "seen is the mIoU of where it is more than half of the whole picture"
 
 @dataclass(frozen=True)
 class Table:
-    """Numbers are shown as they are; `note` says what they need to be understood.
+    """Table of numbers as they are shown; `note` explains them.
 
     aside: for the report only, not for the terminal.
     """
@@ -27,43 +27,43 @@ class Table:
 
 
 def pictures_judged(result: Mapping[str, Any]) -> str | None:
-    """Return what the fields of a result were made from: "photos", "renderings" or both; None where nobody knows."""
+    """Return what the fields of a result were made from: "photos", "renderings" or both; None if unknown."""
     scorers = [scene.get("inputs", {}).get("scorer", {}) for scene in result.get("scenes", ())]
     kinds = [kind for scorer in scorers for kind in str(scorer.get("pictures", "")).split(" and ") if kind]
     return " and ".join(sorted(set(kinds))) or None
 
 
 def pictures_note(result: Mapping[str, Any]) -> str:
-    """Return a sentence where a field was made from renderings, else nothing."""
+    """Return a sentence where a field was made from renderings, else ""."""
     pictures = result.get("pictures") or PHOTOS
     return "" if pictures == PHOTOS else f"{result['method']}: its fields were made from {pictures} of the scenes"
 
 
 def tables_of(results: Sequence[Mapping[str, Any]]) -> list[Table]:
-    """All tables of results of one protocol, one or several methods."""
-    found = []
+    """Return all tables of results of one protocol, of one or several methods."""
+    tables = []
     for task, pick in (("selection", _selection), ("localization", lambda result: result.get("localization", {}))):
         blocks = [(result, pick(result)) for result in results if pick(result)]
         if blocks:
-            found.append(_by_column(task, blocks))
-            found += _other_data(blocks[0][0], task)
+            tables.append(_by_column(task, blocks))
+            tables += _other_data(blocks[0][0], task)
     segmented = [result for result in results if "segmentation" in result]
     if segmented:
-        found.append(_segmentation(segmented))
-        found += _other_data(segmented[0], "segmentation")
-        found += [_classes(result) for result in segmented]
-    found += [_scenes(result) for result in results if _selection(result)]
-    found += [_study(result["study"]) for result in results if "study" in result]
-    return found
+        tables.append(_segmentation(segmented))
+        tables += _other_data(segmented[0], "segmentation")
+        tables += [_classes(result) for result in segmented]
+    tables += [_scenes(result) for result in results if _selection(result)]
+    tables += [_study(result["study"]) for result in results if "study" in result]
+    return tables
 
 
 def _selection(result: Mapping[str, Any]) -> Mapping[str, Any]:
-    found: Mapping[str, Any] = result.get("columns", {})
-    return found
+    columns: Mapping[str, Any] = result.get("columns", {})
+    return columns
 
 
 def _by_column(task: str, blocks: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> Table:
-    """Fixed and tuned thresholds are rows of their own; the means are named."""
+    """Return a table with a row for each choice of threshold and each kind of mean."""
     first = next(iter(blocks[0][1].values()))
     keys = tuple(first["scene_macro"])
     rows: list[tuple[Cell, ...]] = []
@@ -100,10 +100,10 @@ def _segmentation(results: Sequence[Mapping[str, Any]]) -> Table:
 def _papers(
     result: Mapping[str, Any], task: str, keys: Sequence[str], ours: Sequence[float], width: int
 ) -> list[tuple[Cell, ...]]:
-    """The papers' rows and how far ours are from the paper's, on the same data only."""
-    known = published_for(result, task) if same_data(result) else ()
-    rows = [_padded(_named(entry), width, _numbers(entry, keys)) for entry in known]
-    paper = next((entry for entry in known if entry.method == DR_SPLAT), None)
+    """Return the papers' rows and our difference from the paper's, on the same data only."""
+    published = published_for(result, task) if same_data(result) else ()
+    rows = [_padded(_named(entry), width, _numbers(entry, keys)) for entry in published]
+    paper = next((entry for entry in published if entry.method == DR_SPLAT), None)
     if paper is not None:
         gaps = [
             None if theirs is None else mine - theirs for mine, theirs in zip(ours, _numbers(paper, keys), strict=True)
@@ -113,12 +113,12 @@ def _papers(
 
 
 def _other_data(result: Mapping[str, Any], task: str) -> list[Table]:
-    """What papers print for this protocol, apart, where our data is not theirs."""
-    known = published_for(result, task)
-    if not known or same_data(result):
+    """Return a table of the papers' numbers for this protocol, if our data is not theirs."""
+    published = published_for(result, task)
+    if not published or same_data(result):
         return []
-    keys = tuple(dict.fromkeys(key for entry in known for key in entry.numbers))
-    rows = tuple((_named(entry), *_numbers(entry, keys)) for entry in known)
+    keys = tuple(dict.fromkeys(key for entry in published for key in entry.numbers))
+    rows = tuple((_named(entry), *_numbers(entry, keys)) for entry in published)
     title = f"{result['protocol']}: {task} in papers"
     note = "Of other scenes than those above: the numbers cannot be compared."
     return [Table(title, ("method", *keys), rows, note, aside=True)]
@@ -168,9 +168,9 @@ def _study(study: Mapping[str, Any]) -> Table:
         (row["scene"], *(100 * row[key] for key in ("voxel", "weighted", "unweighted"))) for row in study["scenes"]
     ]
     for name in ("pearson", "spearman"):
-        found = study["correlations"]
-        if found:
-            rows.append((f"{name} with voxels", None, *(found[k][name] for k in ("weighted", "unweighted"))))
+        correlations = study["correlations"]
+        if correlations:
+            rows.append((f"{name} with voxels", None, *(correlations[k][name] for k in ("weighted", "unweighted"))))
     note = "" if study["enough_scenes"] else "fewer than eight scenes: too few for a correlation to mean much"
     columns = ("scene", "voxels", "with significance", "without")
     return Table("Fig. S3: mIoU by voxels, and by Gaussians", columns, tuple(rows), note)

@@ -11,16 +11,16 @@ MIN_GAIN = 1e-12
 
 
 def best_sweep(means: Mapping[str, float]) -> str | None:
-    """The sweep's column with the best mean over the scenes; the lowest threshold of equal ones.
+    """Return the sweep's column with the best mean over the scenes; the lowest threshold of equal ones.
 
     Source: Dr. Splat Sec. B: "searching the thresholds that show the best mIoU on the scenes used
     for evaluation". One for all scenes and queries.
     """
-    found: str | None = None
+    best: str | None = None
     for column in sorted(column for column in means if is_sweep(column)):
-        if found is None or means[column] > means[found] + MIN_GAIN:
-            found = column
-    return found
+        if best is None or means[column] > means[best] + MIN_GAIN:
+            best = column
+    return best
 
 
 def sweep_weighted_ious(
@@ -29,7 +29,7 @@ def sweep_weighted_ious(
     weights: Float64[np.ndarray, " n"],
     thresholds: Sequence[float],
 ) -> Float64[np.ndarray, " t"]:
-    """Eq. 3's IoU of {score > t} for each threshold t, in one pass over the Gaussians.
+    """Return Eq. 3's IoU of {score > t} for each threshold t, in one pass over the Gaussians.
 
     A score of NaN is above no threshold.
 

@@ -1,7 +1,7 @@
-"""voxel@1: Eq. 4's volumes, the reference that significance stands in for.
+"""voxel@1: volumes by Eq. 4, which significance approximates.
 
 A voxel's score for a label is the sum of alpha_i N(v | mu_i, Sigma_i) over the Gaussians that have it, v
-the voxel's centre. Voxels with too little in all are empty; the others have the label of the highest
+the voxel's centre. Voxels with too small a sum are empty; the others have the label of the highest
 score. Truth and prediction are compared voxel by voxel. `study` is Fig. S3.
 
 Source: Dr. Splat Sec. C "Volume awareness of the proposed metric".
@@ -25,12 +25,12 @@ from .predictions import read_manifests
 from .scannet import ScannetScene, over_scenes, predict_classes, predicted_classes, segmentation_record
 
 PROTOCOL = "voxel@1"
-SIDE = 0.05  # scene units: ScanNet's are metres
-EMPTY = 1e-3  # least sum of alpha N(v) times the volume of a voxel
-CUT_OFF = 3.0
+SIDE = 0.05  # scene units; ScanNet's are metres
+MIN_MASS = 1e-3  # least sum of alpha N(v) times the volume of a voxel
+CUT_OFF = 3.0  # standard deviations
 MAX_VOXELS = 1 << 27
 SLAB_SCORES = 1 << 22
-PAIRS = 1 << 19
+MAX_PAIRS = 1 << 19
 MIN_SCENES = 8
 
 predict = partial(predict_classes, protocol=PROTOCOL)
@@ -38,7 +38,7 @@ predict = partial(predict_classes, protocol=PROTOCOL)
 
 @dataclass(frozen=True, eq=False)
 class VoxelGrid:
-    """Cubes of one side; `origin` is the low corner of the first."""
+    """Grid of cubes; `origin` is the low corner of the first."""
 
     origin: Float64[np.ndarray, " 3"]
     side: float
@@ -46,13 +46,13 @@ class VoxelGrid:
 
     @property
     def centers(self) -> Float64[np.ndarray, "v 3"]:
-        """x slowest, as `voxel_labels` has them."""
+        """Centres of the voxels, x slowest, in the order of `voxel_labels`."""
         at = np.stack(np.meshgrid(*map(np.arange, self.shape), indexing="ij"), -1).reshape(-1, 3)
         return np.asarray(self.origin + (at + 0.5) * self.side)
 
 
 def grid_over(positions: np.ndarray, side: float = SIDE) -> VoxelGrid:
-    """Voxels that cover some points. Raises: InputError: no positive side, or more voxels than memory is for."""
+    """Return voxels that cover points. Raises: InputError: no positive side, or too many voxels for memory."""
     if not side > 0:
         raise InputError(f"voxel side: expected a positive length, got {side}")
     low, high = positions.min(0).astype(np.float64), positions.max(0).astype(np.float64)
@@ -73,10 +73,10 @@ def voxel_labels(
     *,
     threads: int = 0,
 ) -> list[Int32[np.ndarray, " v"]]:
-    """For each labelling the label of every voxel, 0 to num_labels - 1; -1 where the voxel is empty.
+    """Return, for each labelling, the label of every voxel, 0 to num_labels - 1; -1 where it is empty.
 
-    Ties go to the lowest label. Each Gaussian is looked at within three standard deviations. Memory is
-    bounded: slabs of voxels are worked on in turn, and are the same for any number of threads.
+    Ties go to the lowest label. Each Gaussian counts within three standard deviations. Slabs of voxels are processed in
+    turn to bound memory; the result is the same for any number of threads.
 
     Source: Dr. Splat Eq. 4.
     """
@@ -90,7 +90,7 @@ def voxel_labels(
 
 
 def score(scenes: Sequence[ScannetScene], folder: Path, *, side: float = SIDE, threads: int = 0) -> dict[str, Any]:
-    """Voxel against voxel, and beside it Eq. 3 with and without significance.
+    """Score predictions in voxels, and beside it by Eq. 3 with and without significance.
 
     Predictions of scannet-volume@1 are read, too. The study's correlations are NaN below 3 scenes.
 
@@ -120,12 +120,12 @@ def score(scenes: Sequence[ScannetScene], folder: Path, *, side: float = SIDE, t
 
 
 def voxel_record(scene: ScannetScene, folder: Path, *, side: float = SIDE, threads: int = 0) -> dict[str, Any]:
-    """IoU and accuracy of the classes of one scene, in voxels."""
-    found, truth, count = predicted_classes(scene, folder), scene.pseudo_labels, len(scene.labels)
-    kept = np.flatnonzero(truth > 0)
+    """Return IoU and accuracy of the classes of one scene, in voxels."""
+    predictions, truth, count = predicted_classes(scene, folder), scene.pseudo_labels, len(scene.labels)
+    labelled = np.flatnonzero(truth > 0)
     grid = grid_over(scene.points.positions, side)
-    both = [truth[kept], found[kept]]
-    true, predicted = voxel_labels(scene.gaussians.subset(kept), both, count + 1, grid, threads=threads)
+    labellings = [truth[labelled], predictions[labelled]]
+    true, predicted = voxel_labels(scene.gaussians.subset(labelled), labellings, count + 1, grid, threads=threads)
     filled = true >= 0
     predicted, true = predicted[filled], true[filled]
     return {
@@ -137,7 +137,7 @@ def voxel_record(scene: ScannetScene, folder: Path, *, side: float = SIDE, threa
 
 
 def study(compared: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """How mIoU by Gaussians, with and without significance, follows mIoU by voxels over scenes.
+    """Correlate, over scenes, mIoU by Gaussians with and without significance with mIoU by voxels.
 
     compared: scene, voxel, weighted and unweighted mIoU of each.
 
@@ -160,7 +160,7 @@ def study(compared: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 
 class _Sources:
-    """Gaussians in voxel terms: the box of voxels that each reaches."""
+    """Gaussians with the box of voxels that each reaches."""
 
     def __init__(self, gaussians: Gaussians, grid: VoxelGrid) -> None:
         self.grid, self.means = grid, gaussians.positions
@@ -176,7 +176,7 @@ class _Sources:
 def _slab(
     sources: _Sources, labellings: Sequence[Int32[np.ndarray, " n"]], num_labels: int, slab: tuple[int, int]
 ) -> list[Int32[np.ndarray, " v"]]:
-    """Labels of the voxels with x in [slab[0], slab[1])."""
+    """Return the labels of the voxels with x in [slab[0], slab[1])."""
     low, high = sources.low.copy(), sources.high.copy()
     low[:, 0], high[:, 0] = np.maximum(low[:, 0], slab[0]), np.minimum(high[:, 0], slab[1] - 1)
     spans = np.maximum(high - low + 1, 0)
@@ -188,21 +188,21 @@ def _slab(
     start = 0
     while start < len(ids):
         done = ends[start - 1] if start else 0
-        stop = max(start + 1, int(np.searchsorted(ends, done + PAIRS)))
+        stop = max(start + 1, int(np.searchsorted(ends, done + MAX_PAIRS)))
         batch = ids[start:stop]
         owner, at, mass = _pairs(sources, batch, low[batch], spans[batch])
         place = ((at[:, 0] - slab[0]) * ny + at[:, 1]) * nz + at[:, 2]
         for total, labels in zip(sums, labellings, strict=True):
             np.add.at(total, place * num_labels + labels[owner], mass)
         start = stop
-    least = EMPTY / sources.grid.side**3
+    least = MIN_MASS / sources.grid.side**3
     return [_winners(total.reshape(voxels, num_labels), least) for total in sums]
 
 
 def _pairs(
     sources: _Sources, ids: Int64[np.ndarray, " b"], low: Int64[np.ndarray, "b 3"], spans: Int64[np.ndarray, "b 3"]
 ) -> tuple[Int64[np.ndarray, " p"], Int64[np.ndarray, "p 3"], Float64[np.ndarray, " p"]]:
-    """Gaussian, voxel and alpha N(v) of all pairs within the cut-off."""
+    """Return Gaussian, voxel and alpha N(v) of all pairs within the cut-off."""
     counts = spans.prod(1)
     row = np.repeat(np.arange(len(ids)), counts)
     nth = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
