@@ -36,7 +36,7 @@ pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not insta
 
 from drsplat.catalogue import Catalogue, Where, record, table
 from drsplat.catalogue.conditions import quoted
-from drsplat.catalogue.thumbnails import MOST_BYTES, thumbnail
+from drsplat.catalogue.thumbnails import MAX_BYTES, thumbnail
 
 ANYWHERE = Where()
 WORDS = {"kitchen": ("red mug", "wooden table", "green plant"), "o'hara": ("blue mug", "red chair", "white lamp")}
@@ -345,7 +345,7 @@ def test_two_scenes_of_one_name_are_told_apart(scenes: Path, tmp_path: Path) -> 
 def test_thumbnails_are_small_whatever_they_show() -> None:
     noise = np.random.default_rng(0).integers(0, 256, (900, 1200, 3), np.uint8)
     data = thumbnail(noise)
-    assert len(data) <= MOST_BYTES
+    assert len(data) <= MAX_BYTES
     assert Image.open(io.BytesIO(data)).format == "JPEG"
 
 
@@ -454,7 +454,7 @@ def test_what_is_usual_stays_while_a_large_table_hardly_changes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rng, encoder, path = np.random.default_rng(4), EncoderIdentity("test", 16), tmp_path / "c"
-    monkeypatch.setattr("drsplat.catalogue.catalogue.LARGE", 200)
+    monkeypatch.setattr("drsplat.catalogue.catalogue.LARGE_ROWS", 200)
     catalogue, asked = Catalogue.open(path), []
     for name, size in (("small", 150), ("more", 250), ("hardly", 2), ("much", 50)):
         table.replace_scene(path, name, rows_of(name, unit(rng, size, 16), encoder, 1), encoder)

@@ -1,6 +1,6 @@
-"""A catalogue: the objects of many scenes in one table, asked in words.
+"""Catalogue: the objects of many scenes in one table, searched in words.
 
-`table` is all that knows LanceDB and Arrow, both of the extra `catalogue`; they are imported when a catalogue is used.
+Only `table` uses LanceDB and Arrow, both of the extra `catalogue`; they are imported when a catalogue is used.
 
 Imports `encoders`, `scene`, `formats`, `codes`, `field`, `objects`, `models`, `drawing` and `query`.
 """

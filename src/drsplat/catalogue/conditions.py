@@ -1,4 +1,4 @@
-"""Which objects of a catalogue are looked at, as SQL: LanceDB's filters are texts."""
+"""Conditions on the objects of a catalogue, as SQL, the language of LanceDB's filters."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,37 +9,40 @@ import numpy as np
 from ..errors import InputError
 from ..formats.json_files import is_text
 
-LONGEST = 200  # characters of a scene's name
+MAX_NAME = 200  # characters of a scene's name
 Corners = tuple[float, float, float, float, float, float]
 Degrees = tuple[float, float, float, float]
 
 
 def quoted(text: str) -> str:
-    """A text as SQL has it: between quotes, those in it twice."""
+    """Quote a text for SQL; quotes within it are doubled."""
     return "'" + text.replace("'", "''") + "'"
 
 
 def checked_name(name: str) -> str:
-    """A scene's name as the table keeps it. Raises: InputError: empty, too long, or it cannot be written."""
-    if not is_text(name) or not 1 <= len(name) <= LONGEST or "\0" in name:
-        raise InputError(f"a scene's name: expected a text of 1 to {LONGEST} characters, got {name!a:.80}")
+    """Return a scene's name after a check. Raises: InputError: empty, too long, or it cannot be written."""
+    if not is_text(name) or not 1 <= len(name) <= MAX_NAME or "\0" in name:
+        raise InputError(f"a scene's name: expected a text of 1 to {MAX_NAME} characters, got {name!a:.80}")
     return name
 
 
 def scenes_sql(names: Sequence[str]) -> str:
-    """Return the condition that a row is of one of some scenes."""
+    """Return the condition that a row is of one of these scenes."""
     return f"scene IN ({', '.join(quoted(name) for name in names)})"
 
 
 def of_scene(name: str) -> str:
+    """Return the condition that a row is of this scene."""
     return f"scene = {quoted(checked_name(name))}"
 
 
 @dataclass(frozen=True)
 class Where:
-    """scenes: names, () for all. box: the lowest and the highest corner of a box that centres lie in, in the world of
-    each scene. area: west, south, east and north in degrees, of scenes with a georeference; west above east goes
-    round the back of the Earth. since: added then or later.
+    """Conditions that objects have to meet.
+
+    scenes: names, () for all. box: the lowest and the highest corner of a box that centres lie in, in the world of
+    each scene. area: west, south, east and north in degrees, of scenes with a georeference; west above east crosses
+    the date line. since: added then or later.
 
     Raises: InputError: corners that are no box, names that are none, a time without a zone.
     """
@@ -63,7 +66,7 @@ class Where:
 
     @property
     def sql(self) -> str:
-        """Return the conditions that objects have to meet, as SQL; "" for all objects."""
+        """Conditions as SQL; "" for all objects."""
         parts = []
         if self.scenes:
             parts.append(scenes_sql(self.scenes))

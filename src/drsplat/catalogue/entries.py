@@ -1,4 +1,4 @@
-"""What a catalogue keeps of an object, and what it answers."""
+"""Entries and answers of a catalogue."""
 
 import io
 from dataclasses import dataclass
@@ -12,11 +12,11 @@ from ..errors import FormatError, InputError
 from ..scene.photos import decoded_picture
 
 JPEG = b"\xff\xd8\xff"
-MOST_PIXELS = MOST_JPEG = 1 << 20  # of a thumbnail; bytes of one
+MAX_PIXELS = MAX_JPEG_BYTES = 1 << 20  # of a thumbnail
 
 
 class Position(NamedTuple):
-    """On the Earth, of WGS 84: degrees, and metres above the ellipsoid."""
+    """Position on the Earth, WGS 84: degrees, and metres above the ellipsoid."""
 
     longitude: float
     latitude: float
@@ -25,14 +25,13 @@ class Position(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Entry:
-    """One object of one scene.
+    """Object of a scene.
 
     center, axes, extent: its box in the scene's world, as of `Match`. position: of the centre on the Earth, None where
-    the scene has no georeference. object_id: its number in the scene. tile: that has most of it, 0 where the scene has
-    none. label: the name that people gave it. name: the best word for it, where one was known. sure: how far the photos
-    agree on it. photo: the one that shows it best; mask: its mask there. thumbnail: a small JPEG, None where it could
-    not be drawn. added: when the catalogue got it. field: fingerprint of the field that it is of. score: of the query
-    that found it.
+    the scene has no georeference. object_id: its number in the scene. tile: the one with most of its Gaussians, 0 where
+    the scene has none. label: the name that people gave it. name: the best word for it, if any. sure: how far the
+    photos agree on it. photo: the one that shows it best; mask: its mask there. thumbnail: a small JPEG, None where it
+    could not be drawn. added: when it was added. field: fingerprint of its field. score: for the query.
     """
 
     scene: str
@@ -59,22 +58,22 @@ class Entry:
 
     @property
     def title(self) -> str:
-        """What people call it, else the best word, else its number."""
+        """Label, else the best word, else the number."""
         return self.label or self.name or f"object {self.object_id}"
 
     def picture(self) -> UInt8[np.ndarray, "_ _ 3"]:
-        """RGB of the thumbnail. Raises: InputError: it has none. FormatError: it is damaged, or no JPEG."""
+        """Decode the thumbnail as RGB. Raises: InputError: it has none. FormatError: it is damaged, or no JPEG."""
         if self.thumbnail is None:
             raise InputError(f"{self.title} of '{self.scene}' has no thumbnail: its scene was added without photos")
         try:
-            return decoded_picture(io.BytesIO(checked_jpeg(self.thumbnail)), MOST_PIXELS)
+            return decoded_picture(io.BytesIO(checked_jpeg(self.thumbnail)), MAX_PIXELS)
         except (FormatError, InputError) as error:
             raise FormatError(
                 f"the thumbnail of {self.title} of '{self.scene}' {error}: add the scene again"
             ) from error
 
     def json(self) -> dict[str, Any]:
-        """As programs get it: without the thumbnail."""
+        """Return the entry as a JSON object, without the thumbnail."""
         return {
             "scene": self.scene,
             "tile": self.tile,
@@ -98,9 +97,11 @@ class Entry:
 
 @dataclass(frozen=True, eq=False)
 class CatalogueAnswer:
-    """entries: the objects that a query means, best first, as many as were wanted. measure, threshold, rule: as of
-    `Answer`. num_compared: objects that were looked at closely. exact: whether these are the nearest of all, not of
-    those that an index led to.
+    """Answer of a catalogue.
+
+    entries: the objects that a query means, best first, up to the number wanted. measure, threshold, rule: as of
+    `Answer`. num_compared: objects that were compared in full. exact: True if those are the nearest of all, not only of
+    those in the index's partitions.
     """
 
     entries: list[Entry]
@@ -113,9 +114,11 @@ class CatalogueAnswer:
 
 @dataclass(frozen=True)
 class Listed:
-    """A scene of a catalogue. num_agreed: of its objects, those that photos agree on or that have a label. folder:
-    where it was added from, "" where that is not known. state: "current", "changed" (its field is another one now: add
-    it again), "missing" (nothing is there), "unknown".
+    """Scene of a catalogue.
+
+    num_agreed: number of its objects that photos agree on or that have a label. folder: where it was added from, "" if
+    unknown. state: "current", "changed" (its field is another one now: add it again), "missing" (nothing is there),
+    "unknown".
     """
 
     scene: str
@@ -128,7 +131,7 @@ class Listed:
 
 
 def checked_jpeg(data: bytes) -> bytes:
-    """Raises: FormatError: it does not begin as a JPEG does, or is far larger than a thumbnail."""
-    if not data.startswith(JPEG) or len(data) > MOST_JPEG:
+    """Check a thumbnail. Raises: FormatError: it does not begin as a JPEG does, or is too large."""
+    if not data.startswith(JPEG) or len(data) > MAX_JPEG_BYTES:
         raise FormatError("is no JPEG of a thumbnail's size")
     return data

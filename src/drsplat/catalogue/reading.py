@@ -1,4 +1,4 @@
-"""From rows of the table to what people get, checked on the way: the files may be anybody's."""
+"""Rows of the table to entries, checked on the way: the files may come from anybody."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -21,8 +21,10 @@ from .table import CURE, ROW_ID, Snapshot
 NUMBERS = ("x", "y", "z", "sure", "num_gaussians", "num_views", "object_id", "tile")
 
 
-def entries_of(known: Snapshot, nearest: Any, ranked: Ranked, query: Query, rules: SceneRules, top: int) -> list[Entry]:
-    """Return the best of the objects that a query selects here and in their scenes; equal ones by scene and number.
+def entries_of(
+    snapshot: Snapshot, nearest: Any, ranked: Ranked, query: Query, rules: SceneRules, top: int
+) -> list[Entry]:
+    """Return the best objects that a query selects here and in their scenes; equal ones by scene and number.
 
     Raises: FormatError: rows that are no objects, or a damaged scene.
     """
@@ -30,20 +32,20 @@ def entries_of(known: Snapshot, nearest: Any, ranked: Ranked, query: Query, rule
     selected = sorted(
         np.flatnonzero(ranked.selected).tolist(), key=lambda at: (-float(ranked.values[at]), *(h[at] for h in heads))
     )
-    found = [(heads[0][at], heads[2][at]) for at in selected]
-    chosen = [selected[place] for place in rules.first(query, found, top)]
+    keys = [(heads[0][at], heads[2][at]) for at in selected]
+    chosen = [selected[place] for place in rules.first(query, keys, top)]
     rows = nearest.take(chosen).drop_columns(["descriptors"]).to_pylist() if chosen else []
-    thumbnails = known.thumbnails([row[ROW_ID] for row in rows])
+    thumbnails = snapshot.thumbnails([row[ROW_ID] for row in rows])
     scores = ranked.values[chosen].tolist()
     return [
-        _entry(known.path, row, score, thumbnails.get(row[ROW_ID])) for row, score in zip(rows, scores, strict=True)
+        _entry(snapshot.path, row, score, thumbnails.get(row[ROW_ID])) for row, score in zip(rows, scores, strict=True)
     ]
 
 
-def thumbnail_of(known: Snapshot, scene: str, object_id: int, tile: int) -> bytes:
-    """Raises: InputError: no such object, or it has none. FormatError: it is no JPEG."""
+def thumbnail_of(snapshot: Snapshot, scene: str, object_id: int, tile: int) -> bytes:
+    """Return an object's JPEG. Raises: InputError: no such object, or it has none. FormatError: it is no JPEG."""
     where = f"{of_scene(scene)} AND object_id = {int(object_id)} AND tile = {int(tile)} AND object_id >= 0"
-    rows = known.rows(where, ["thumbnail"])["thumbnail"].to_pylist()
+    rows = snapshot.rows(where, ["thumbnail"])["thumbnail"].to_pylist()
     if not rows:
         raise InputError(f"there is no object {object_id} of a scene {scene!r:.80} here")
     if rows[0] is None:
@@ -56,27 +58,27 @@ def thumbnail_of(known: Snapshot, scene: str, object_id: int, tile: int) -> byte
         ) from error
 
 
-def listed_of(known: Snapshot) -> list[Listed]:
-    """All scenes, by name. Raises: FormatError: damaged."""
-    objects = known.rows("object_id >= 0", ["scene", "sure", "num_views", "label"])
+def listed_of(snapshot: Snapshot) -> list[Listed]:
+    """Return all scenes, by name. Raises: FormatError: damaged."""
+    objects = snapshot.rows("object_id >= 0", ["scene", "sure", "num_views", "label"])
     counts = Counter(objects["scene"].to_pylist())
     agreed = num_agreed(*(objects[name].to_pylist() for name in ("scene", "sure", "num_views", "label")))
-    rows = known.rows("object_id = -1", ["scene", "added", "field", "folder"]).to_pylist()
+    rows = snapshot.rows("object_id = -1", ["scene", "added", "field", "folder"]).to_pylist()
     if any(row[key] is None for row in rows for key in ("scene", "added", "field")):
-        raise FormatError(f"{known.path}: {CURE}")
+        raise FormatError(f"{snapshot.path}: {CURE}")
     listed = [_listed(row, counts[row["scene"]], agreed[row["scene"]]) for row in rows]
-    return sorted(listed, key=lambda one: one.scene)
+    return sorted(listed, key=lambda entry: entry.scene)
 
 
 def num_agreed(
     scenes: Sequence[str], sure: Sequence[float | None], num_views: Sequence[int | None], labels: Sequence[str | None]
 ) -> Counter[str]:
-    """Return how many objects of each scene photos agree on, or people named, by columns of the table."""
-    known = agreed(
-        np.array([one or 0 for one in sure], np.float32), np.array([one or 0 for one in num_views], np.int64)
+    """Count the objects of each scene that photos agree on, or people named, from columns of the table."""
+    is_agreed = agreed(
+        np.array([value or 0 for value in sure], np.float32), np.array([value or 0 for value in num_views], np.int64)
     )
-    shown = known | np.array([bool(label) for label in labels], np.bool_)
-    return Counter(scene for scene, one in zip(scenes, shown.tolist(), strict=True) if one)
+    is_listed = is_agreed | np.array([bool(label) for label in labels], np.bool_)
+    return Counter(scene for scene, listed in zip(scenes, is_listed.tolist(), strict=True) if listed)
 
 
 def _listed(row: dict[str, Any], num_objects: int, num_agreed: int) -> Listed:
@@ -86,7 +88,7 @@ def _listed(row: dict[str, Any], num_objects: int, num_agreed: int) -> Listed:
 
 
 def state_of(folder: str, field: str, num_objects: int) -> str:
-    """Whether the field that is there now is the one that was added, as its manifest tells."""
+    """Return whether the field in the folder is still the one that was added, by its manifest."""
     try:
         manifest = read_manifest(scene_files(Path(folder)).field)
     except (DrSplatError, OSError):
@@ -98,7 +100,7 @@ def _entry(path: Path, row: dict[str, Any], score: float, thumbnail: bytes | Non
     numbers = [row[name] for name in NUMBERS]
     lists = [row["axes"], row["extent"]]
     texts = [row["scene"], row["field"], row["added"]]
-    if any(one is None for one in (*numbers, *lists, *texts)):
+    if any(value is None for value in (*numbers, *lists, *texts)):
         raise FormatError(f"{path}: an object without a box, a number or a scene: {CURE}")
     box = np.array([*lists[0], *lists[1], row["x"], row["y"], row["z"], row["sure"]], np.float64)
     if not np.isfinite(box).all():

@@ -1,7 +1,7 @@
 """Checksums of a catalogue's files, in checksums.json beside its table: LanceDB has none of its own.
 
-LanceDB writes a file once and never changes it, but for a hint at the latest version. So a record stays true while
-versions come; those that came after it were made by a process that was killed before it could record them.
+LanceDB writes a file once and never changes it, except for a hint at the latest version. So a record stays true when
+versions are added; versions after it come from a process that was killed before it could record them.
 """
 
 import json
@@ -23,7 +23,7 @@ from ..formats.replacing import replacing
 RECORD, FORMAT, VERSION = "checksums.json", "drsplat catalogue checksums", 1
 HINT = "_versions/latest_version_hint.json"
 SMALL_BYTES = 64 << 20  # tables up to this size are compared whole whenever they are opened
-SETTLED_S = 2.0  # a later change of a file has another time: clocks of file systems are coarse
+SETTLED_S = 2.0  # file clocks are coarse: a change within this time may leave a file's time as it is
 NEWEST_FIRST = (1 << 64) - 1  # LanceDB names the manifest of version v NEWEST_FIRST - v, formerly v
 CURE = (
     "Restore the folder from a copy, or remove it and add its scenes again; where the table itself is what you want, "
@@ -43,9 +43,10 @@ class Summed(NamedTuple):
 
 @dataclass(frozen=True)
 class Record:
-    """version: of the table. files: those that make this version up, by their names in the table's folder. older:
-    those of versions before it, which may go at any time. removed: names of scenes that were removed and not added
-    again.
+    """Recorded state of a table.
+
+    version: of the table. files: those of this version, by name in the table's folder. older: those of versions before
+    it, which may be deleted at any time. removed: names of scenes that were removed and not added again.
     """
 
     version: int
@@ -54,20 +55,20 @@ class Record:
     removed: tuple[str, ...] = ()
 
     def check_files(self, table: Path, whole: bool = False) -> None:
-        """Compare the files of a table that are there with what was recorded, before LanceDB reads them.
+        """Compare the files of a table that exist with the record, before LanceDB reads them.
 
-        Sizes and manifests are compared, the content of all files where they are few bytes, or `whole`.
+        Sizes and manifests are always compared; the content of all files if they are small together, or if `whole`.
 
         Raises: FormatError: another file than was written.
         """
-        both = {**self.older, **self.files}
-        whole = whole or sum(file.num_bytes for file in both.values()) <= SMALL_BYTES
-        for name, file in both.items():
+        recorded = {**self.older, **self.files}
+        whole = whole or sum(file.num_bytes for file in recorded.values()) <= SMALL_BYTES
+        for name, file in recorded.items():
             if name != HINT:
                 _compare(table / name, file, whole or name.endswith(".manifest"))
 
     def check_version(self, table: Path, version: int) -> None:
-        """Compare a table that was opened at `version` with the one that was recorded.
+        """Compare the version of an opened table with the recorded one.
 
         Raises: FormatError: it is older, or files of it are missing.
         """
@@ -86,7 +87,7 @@ class Record:
 
 
 def read_record(catalogue: Path) -> Record | None:
-    """Return what was recorded of a catalogue; None of one of an older version, or that nothing was added to.
+    """Read the record of a catalogue; None for an older format, or if nothing was added yet.
 
     Raises: FormatError: a damaged record.
     """
@@ -105,7 +106,7 @@ def read_record(catalogue: Path) -> Record | None:
 
 
 def verify_record(catalogue: Path, table: Path) -> list[str]:
-    """Compare every byte of what was recorded; return the names of the files, in the catalogue's folder.
+    """Compare every byte of the recorded files; return their names, in the catalogue's folder.
 
     Raises: FormatError: damage.
     """
@@ -119,18 +120,18 @@ def verify_record(catalogue: Path, table: Path) -> list[str]:
 
 
 def write_record(catalogue: Path, table: Path, version: int, removed: Iterable[str]) -> None:
-    """Record a version of the table and all before it; the caller holds the writer's lock.
+    """Record a version of the table and all before it; the caller must hold the writer's lock.
 
     Files that were recorded already are not read again. Raises: as `replacing`.
     """
     before = read_record(catalogue)
-    known = {**before.older, **before.files} if before else {}
+    recorded = {**before.older, **before.files} if before else {}
     of_version = _named_by(_manifest(table, version))
-    names = {*known, *of_version, *_finished(table)} - {HINT}
+    names = {*recorded, *of_version, *_finished(table)} - {HINT}
     for manifest in (table / "_versions").glob("*.manifest"):
-        if manifest.relative_to(table).as_posix() not in known:
+        if manifest.relative_to(table).as_posix() not in recorded:
             names |= _named_by(manifest)
-    sums = {name: known.get(name) or _summed(table / name) for name in names if (table / name).exists()}
+    sums = {name: recorded.get(name) or _summed(table / name) for name in names if (table / name).exists()}
     if (table / HINT).exists():
         sums[HINT] = _summed(table / HINT)
     document = {
@@ -167,7 +168,7 @@ def _summed(path: Path) -> Summed:
 
 
 def _checksum(path: Path, status: os.stat_result) -> str:
-    """Return the checksum of a file; of one that has not changed lately it is remembered in this process."""
+    """Return the checksum of a file; those of unchanged files are cached in this process."""
     if time.time() - status.st_mtime < SETTLED_S:
         return file_checksum(path)
     return _checksum_of(path, status.st_ino, status.st_size, status.st_mtime_ns)
@@ -179,7 +180,7 @@ def _checksum_of(path: Path, *_: int) -> str:
 
 
 def _finished(table: Path) -> Iterator[str]:
-    """Yield the names of the files that are never there half-written while the writer's lock is held."""
+    """Yield the names of the files that are never half-written while the writer's lock is held."""
     for pattern in _WRITTEN_AT_ONCE:
         for path in table.glob(pattern):
             name = path.relative_to(table).as_posix()
@@ -199,7 +200,7 @@ def _named_by(manifest: Path) -> set[str]:
     """Return the names of a manifest and of the files that its version needs.
 
     A manifest is a message of Protocol Buffers that has names of files as text and indices by the bytes of their UUID.
-    Deletions are left out, as it has their numbers alone; without one, LanceDB does not read the table.
+    Deletions are left out: it has only their numbers, and without one LanceDB does not read the table.
     """
     table, content = manifest.parent.parent, manifest.read_bytes()
     names = {manifest.relative_to(table).as_posix()}

@@ -1,4 +1,4 @@
-"""A scene on its way into a catalogue: its objects as columns of the table."""
+"""Objects of a scene as columns of the table."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,9 +24,9 @@ UNTILED = 0
 
 @dataclass(frozen=True, eq=False)
 class SceneRows:
-    """The rows of one scene. columns: by name, of one length; descriptors: of each row (k, D) float16.
+    """Rows of one scene. columns: by name, of one length; descriptors: of each row (k, D) float16.
 
-    pictured: how many have a thumbnail.
+    pictured: number with a thumbnail.
     """
 
     columns: dict[str, list[Any]]
@@ -34,16 +34,16 @@ class SceneRows:
     pictured: int
 
     def __len__(self) -> int:
-        """How many objects there are; the last row is the scene's own."""
+        """Return the number of objects; the last row is the scene's own."""
         return len(self.descriptors) - 1
 
 
 def rows_of(
     scene: Scene, name: str, folder: str, added: datetime, georeference: Georeference | None, track: Track
 ) -> SceneRows:
-    """All objects of a scene, and the scene's own row, which has no object.
+    """Return all objects of a scene, and the scene's own row, which has no object.
 
-    Raises: InputError: nobody has looked for objects. FormatError: damaged files.
+    Raises: InputError: objects were not searched for. FormatError: damaged files.
     """
     objects, matches = objects_of(scene.field), scene.objects
     pictures = _pictures(scene, matches, track)
@@ -90,12 +90,12 @@ def _row(
 
 
 def _tiles(scene: Scene, matches: Sequence[Match]) -> list[int]:
-    """The number of the tile that has most Gaussians of each, where the scene is kept in tiles."""
+    """Return the number of the tile with most Gaussians of each match, if the scene has tiles."""
     if scene.path is None or not (scene.path / TILES).is_file():
         return [UNTILED] * len(matches)
     firsts = np.array([tile.first for tile in read_tiles(scene.path).tiles])
-    every = (np.searchsorted(firsts, match.gaussian_ids, side="right") - 1 for match in matches)
-    return [int(np.bincount(tiles).argmax()) for tiles in every]
+    tiles_of_match = (np.searchsorted(firsts, match.gaussian_ids, side="right") - 1 for match in matches)
+    return [int(np.bincount(tiles).argmax()) for tiles in tiles_of_match]
 
 
 def _number(match: Match) -> int:
@@ -105,7 +105,7 @@ def _number(match: Match) -> int:
 
 
 def _best_mask(field: LanguageField, node: int, photo: str) -> tuple[str | None, int | None]:
-    """A photo and the node's mask of the largest share in it; photo "": that of the largest share anywhere."""
+    """Return a photo and the node's mask of the largest share in it; for photo "", the largest share anywhere."""
     for mask in support_of(field, node):
         if photo in ("", mask.view_name):
             return mask.view_name, mask.mask_id
@@ -113,7 +113,7 @@ def _best_mask(field: LanguageField, node: int, photo: str) -> tuple[str | None,
 
 
 def _pictures(scene: Scene, matches: Sequence[Match], track: Track) -> list[tuple[bytes | None, str]]:
-    """Thumbnail and photo of each; nothing where there are no photos or Gaussians."""
+    """Return the thumbnail and photo of each match; none without photos or Gaussians."""
     if not scene.has_gaussians or not scene.views:
         return [(None, "")] * len(matches)
     views = object_views(scene, matches)
@@ -124,8 +124,8 @@ def _pictures(scene: Scene, matches: Sequence[Match], track: Track) -> list[tupl
 def _positions(matches: Sequence[Match], georeference: Georeference | None) -> list[Position | None]:
     if georeference is None or not matches:
         return [None] * len(matches)
-    found = georeference.positions(np.stack([match.center for match in matches]))
-    return [Position(*row) for row in found.tolist()]
+    positions = georeference.positions(np.stack([match.center for match in matches]))
+    return [Position(*row) for row in positions.tolist()]
 
 
 def _halves(descriptors: np.ndarray) -> np.ndarray:

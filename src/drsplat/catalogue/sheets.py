@@ -1,4 +1,4 @@
-"""A picture of what a catalogue answered."""
+"""Picture of a catalogue's answer."""
 
 from collections.abc import Sequence
 
@@ -11,8 +11,8 @@ from ..errors import InputError
 from .entries import Entry
 from .thumbnails import SIZE
 
-COLUMNS, MOST = 5, 60
-GREY = 214  # of an object that could not be drawn
+COLUMNS, MAX_CARDS = 5, 60
+GREY = 214  # of an object without a thumbnail
 
 
 def entry_sheet(entries: Sequence[Entry], heading: str) -> OtherPixels:
@@ -21,7 +21,7 @@ def entry_sheet(entries: Sequence[Entry], heading: str) -> OtherPixels:
         raise InputError("there is nothing to draw: no object answers this query")
     cards = [
         Card(_tile(entry), entry.title, (f"in {entry.scene}", f"score {entry.score:.2f} · {entry.photo or 'no photo'}"))
-        for entry in entries[:MOST]
+        for entry in entries[:MAX_CARDS]
     ]
     return card_sheet(cards, COLUMNS, heading, "Best first.")
 

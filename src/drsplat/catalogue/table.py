@@ -1,7 +1,7 @@
-"""The table of a catalogue: all that knows LanceDB and Arrow.
+"""Table of a catalogue: the only module that uses LanceDB and Arrow.
 
 A folder in LanceDB's layout with one table, `objects`; docs/catalogue.md has its columns. Every change is one version,
-and who reads looks at one version: nobody sees half of a change.
+and readers see one version: never half of a change.
 """
 
 import json
@@ -26,24 +26,24 @@ from .record import read_record, verify_record, write_record
 
 NAME, KEY = "objects", b"drsplat catalogue"
 VERSION = 2
-MOST_DIM = 1 << 16
+MAX_DIM = 1 << 16
 INDEX = "descriptors_idx"
-LEARNED_FROM = 64  # descriptors of each partition: a quarter of LanceDB's, and of its time
-MOST_PARTITIONS, LEAST_PROBES = 512, 64  # of an index; of these half are looked into, as words are far from all
-REFINED = 2  # candidates compared exactly, for each wanted
-FRAGMENTS = 24  # small files of rows from which they are put together, of large tables more
-PREEMPTED = "Retryable commit conflict"  # LanceDB's words where a change was quicker
-PANICS = ("PanicException", "RustPanic")  # of Rust, on what its readers did not expect
-OUTDATED = timedelta(hours=1)  # versions that nobody reads any more
+SAMPLES_PER_PARTITION = 64  # a quarter of LanceDB's, and of its time
+MAX_PARTITIONS, MIN_PROBES = 512, 64  # of an index; half are searched, as words are far from all
+REFINE_FACTOR = 2  # candidates compared exactly, per wanted object
+MAX_FRAGMENTS = 24  # small files of rows until they are merged; more in large tables
+CONFLICT = "Retryable commit conflict"  # LanceDB's message where another change was quicker
+PANICS = ("PanicException", "RustPanic")  # of Rust, on unexpected contents
+OUTDATED = timedelta(hours=1)  # age of versions to delete
 OF_OBJECTS = "object_id >= 0"
 PATIENCE_S = 60.0  # that one writer waits for another
-INDEX_CACHE, METADATA_CACHE = 512 << 20, 256 << 20  # bytes that queries find in memory
-HEAD = ("scene", "tile", "object_id")  # what a row is known by
+INDEX_CACHE, METADATA_CACHE = 512 << 20, 256 << 20  # bytes
+HEAD = ("scene", "tile", "object_id")  # key of a row
 ROW_ID = "_rowid"
 
 
 def libraries() -> tuple[Any, Any]:
-    """LanceDB and Arrow. Raises: MissingExtraError: they are not installed."""
+    """Import LanceDB and Arrow. Raises: MissingExtraError: they are not installed."""
     try:
         import lancedb
         import pyarrow
@@ -54,13 +54,13 @@ def libraries() -> tuple[Any, Any]:
 
 @cache
 def _session() -> Any:
-    """What all queries of this process find in memory: else each would read its part of the index anew."""
+    """Return the cache that all queries of this process share; without it each would read the index anew."""
     lancedb, _ = libraries()
     return lancedb.Session(INDEX_CACHE, METADATA_CACHE)
 
 
 def schema_of(encoder: EncoderIdentity) -> Any:
-    """The columns of a catalogue of one encoder."""
+    """Return the columns of a catalogue of one encoder."""
     _, pa = libraries()
     vectors = pa.list_(pa.list_(pa.float16(), encoder.dim))
     texts = dict.fromkeys(("label", "name", "photo", "folder"), pa.string())
@@ -77,7 +77,7 @@ def schema_of(encoder: EncoderIdentity) -> Any:
 
 
 def batch(columns: Mapping[str, Sequence[Any]], descriptors: Sequence[np.ndarray], encoder: EncoderIdentity) -> Any:
-    """Rows as Arrow has them; columns that are missing are null. descriptors: of each row (k, D) float16."""
+    """Return rows as an Arrow table; missing columns are null. descriptors: of each row (k, D) float16."""
     _, pa = libraries()
     schema = schema_of(encoder)
     flat = np.concatenate([np.empty((0, encoder.dim), np.float16), *descriptors])
@@ -93,14 +93,14 @@ def batch(columns: Mapping[str, Sequence[Any]], descriptors: Sequence[np.ndarray
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """One version of the table, which stays as it is. encoder: who made its descriptors."""
+    """One version of the table, which never changes. encoder: of its descriptors."""
 
     path: Path
     table: Any
     encoder: EncoderIdentity
 
     def check_encoder(self, identity: EncoderIdentity) -> None:
-        """Refuse an encoder whose embeddings mean something else. Raises: MismatchError."""
+        """Refuse an encoder with incompatible embeddings. Raises: MismatchError."""
         if not self.encoder.matches(identity):
             raise MismatchError(
                 f"{self.path}: the descriptors of this catalogue are of {identity_said(self.encoder)}, given was "
@@ -127,25 +127,27 @@ class Snapshot:
             return any(index.name == INDEX for index in self.table.list_indices())
 
     def nearest(self, vector: Float32[np.ndarray, " D"], where: str, count: int, exact: bool) -> Any:
-        """The rows of objects whose descriptors have the highest cosines with a unit vector, without their thumbnails.
+        """Return the objects whose descriptors have the highest cosines with a unit vector, without thumbnails.
 
         where: SQL that they meet, "" for all. exact: compare all of them, though there is an index.
         """
         columns = [name for name in schema_of(self.encoder).names if name not in ("thumbnail", "folder", "sketch")]
         with reading(self.path):
             search = self.table.search(vector, vector_column_name="descriptors", query_type="vector")
-            # Rows of scenes have no descriptor and are not found: to look for them before takes as long as the search.
+            # Rows of scenes have no descriptor, so the search skips them; filtering first takes as long as the search.
             search = search.where(f"{OF_OBJECTS} AND {where}" if where else OF_OBJECTS, prefilter=bool(where))
             search = search.distance_type("cosine").limit(count)
-            search = search.bypass_vector_index() if exact else search.nprobes(self._probes).refine_factor(REFINED)
+            search = (
+                search.bypass_vector_index() if exact else search.nprobes(self._probes).refine_factor(REFINE_FACTOR)
+            )
             return search.select([*columns, "_distance"]).with_row_id(True).to_arrow()
 
     @property
     def _probes(self) -> int:
-        return max(LEAST_PROBES, partitions_for(self.num_rows) // 2)
+        return max(MIN_PROBES, partitions_for(self.num_rows) // 2)
 
     def spread(self, count: int) -> Any:
-        """The descriptors of some rows, evenly spread over the table."""
+        """Return the descriptors of some rows, evenly spread over the table."""
         at = np.unique(np.linspace(0, self.num_rows - 1, min(count, self.num_rows)).astype(np.int64))
         with reading(self.path):
             return self.table.take_offsets(at.tolist()).select(["descriptors"]).to_arrow()
@@ -163,43 +165,43 @@ class Snapshot:
 
 
 def opened(path: Path) -> Snapshot | None:
-    """Return the table as it is now, compared with its record; None where there is none yet.
+    """Return the current version of the table, compared with its record; None if there is none yet.
 
     Raises: FormatError: the folder holds something else, or is damaged. MissingExtraError.
     """
     while True:
-        record = read_record(path)  # before the table is opened, so that it is never the newer one
+        record = read_record(path)  # before the table is opened, so that the record is never newer
         if record is None:
             return _opened(path)
         record.check_files(_folder(path))
-        known = _opened(path)
-        if known is None:
+        snapshot = _opened(path)
+        if snapshot is None:
             raise FormatError(f"{path}: {CURE} (the versions of its table are missing)")
         try:
-            record.check_version(_folder(path), known.version)
+            record.check_version(_folder(path), snapshot.version)
         except FormatError:
             again = _opened(path)
-            if again is None or again.version == known.version:
+            if again is None or again.version == snapshot.version:
                 raise
-            continue  # another version came meanwhile, and took files of this one away
-        return known
+            continue  # another version was written meanwhile, and files of this one were deleted
+        return snapshot
 
 
 def verify(path: Path) -> list[str]:
     """Compare every byte of a catalogue with its record; return the names of the files. Raises: as `opened`."""
-    known = opened(path)
-    return [] if known is None else verify_record(path, _folder(path))
+    snapshot = opened(path)
+    return [] if snapshot is None else verify_record(path, _folder(path))
 
 
 def record(path: Path, added: str = "", removed: str = "") -> None:
-    """Record the latest version of the table; the caller holds the writer's lock.
+    """Record the latest version of the table; the caller must hold the writer's lock.
 
-    added, removed: the scene that it is about.
+    added, removed: the scene that was added or removed.
     """
-    before, known = read_record(path), _opened(path)
-    if known is not None:
+    before, snapshot = read_record(path), _opened(path)
+    if snapshot is not None:
         gone = {*(before.removed if before else ()), removed} - {added, ""}
-        write_record(path, _folder(path), known.version, gone)
+        write_record(path, _folder(path), snapshot.version, gone)
 
 
 def was_removed(path: Path, name: str) -> bool:
@@ -220,7 +222,7 @@ def _opened(path: Path) -> Snapshot | None:
         raise FormatError(
             f"{path}: expected a catalogue, a folder with {NAME}.lance: `drsplat catalogue add` makes one"
         )
-    if _is_begun(_folder(path)):
+    if _is_unfinished(_folder(path)):
         return None
     with reading(path):
         table = lancedb.connect(path, session=_session()).open_table(NAME)
@@ -228,27 +230,27 @@ def _opened(path: Path) -> Snapshot | None:
     return Snapshot(path, table, _checked(path, schema))
 
 
-def _is_begun(table: Path) -> bool:
-    """No version of it was finished: whoever made it was killed, and the next one makes it anew."""
+def _is_unfinished(table: Path) -> bool:
+    """Return whether no version was finished: its writer was killed, and the next one starts anew."""
     changes = (change.name for change in table.glob("_transactions/*"))
     return not any(table.glob("_versions/*.manifest")) and all(name.startswith("0-") for name in changes)
 
 
 def replace_scene(path: Path, name: str, rows: Any, encoder: EncoderIdentity) -> None:
-    """Put rows in place of all those of a scene, in one version; make the table where there is none."""
+    """Replace all rows of a scene, in one version; make the table if there is none."""
     lancedb, _ = libraries()
-    known = opened(path)
+    snapshot = opened(path)
     with writing(path):
-        if known is None:
+        if snapshot is None:
             lancedb.connect(path).create_table(NAME, data=rows, schema=schema_of(encoder))
         else:
-            merge = known.table.merge_insert(list(HEAD)).when_matched_update_all().when_not_matched_insert_all()
+            merge = snapshot.table.merge_insert(list(HEAD)).when_matched_update_all().when_not_matched_insert_all()
             merge.when_not_matched_by_source_delete(of_scene(name)).execute(rows)
     record(path, added=name)
 
 
 def remove_scene(path: Path, table: Any, name: str) -> None:
-    """Delete all rows of a scene. The name is recorded before, so that a kill at any moment does not lose it."""
+    """Delete all rows of a scene. The name is recorded first, so that a kill at any moment does not lose it."""
     record(path, removed=name)
     with writing(path):
         table.delete(of_scene(name))
@@ -256,72 +258,75 @@ def remove_scene(path: Path, table: Any, name: str) -> None:
 
 
 def tidy(path: Path) -> None:
-    """Put small files of rows together, take new rows into the index, and let old versions go, where it is time.
+    """Merge small files of rows, take new rows into the index, and delete old versions, when due.
 
-    Rewrites up to a million rows, so it is time once in every root of the rows / 4 changes. Needs no writer to wait: a
-    change that is made meanwhile is kept, and where both have the same rows this is left to the next one. What else
-    goes wrong is a warning: the change before it has been made.
+    It rewrites up to a million rows, so it is due once in every root of the rows / 4 changes. No writer waits for it: a
+    change that is made meanwhile is kept, and where both have the same rows this is left to the next one. Other
+    failures are warnings: the change before it has been made.
     """
-    known = opened(path)
-    if known is None or not _is_scattered(known):
+    snapshot = opened(path)
+    if snapshot is None or not _is_scattered(snapshot):
         return
     with ExitStack() as stack:
         try:
             stack.enter_context(arranging(path))
-        except InputError:  # somebody does it
+        except InputError:  # another process does it
             return
         try:
-            _put_together(known)
+            _put_together(snapshot)
             _record_arranged(path)
         except InputError as error:
             warnings.warn(f"files were not put together: {error}", DrSplatWarning, stacklevel=3)
 
 
 def _record_arranged(path: Path) -> None:
-    """Record what was put together; writers wait until its files have been read once more."""
+    """Record the merged files; writers wait while they are read."""
     with claimed_output(path, PATIENCE_S):
         record(path)
 
 
 def arranging(path: Path, patience: float = 0.0) -> AbstractContextManager[None]:
-    """Who puts files together or builds the index: one at a time, while others add and remove. Raises: InputError."""
+    """Take the lock for merging files and building the index; other processes can add and remove.
+
+    Raises: InputError: another process has it.
+    """
     return claimed_output(path.with_name(f"{path.name}.tidy"), patience)
 
 
-def _is_scattered(known: Snapshot) -> bool:
-    with reading(known.path):
-        small = int(known.table.stats()["fragment_stats"]["num_small_fragments"])
-    return small > max(FRAGMENTS, math.isqrt(known.num_rows) // 4)
+def _is_scattered(snapshot: Snapshot) -> bool:
+    with reading(snapshot.path):
+        small = int(snapshot.table.stats()["fragment_stats"]["num_small_fragments"])
+    return small > max(MAX_FRAGMENTS, math.isqrt(snapshot.num_rows) // 4)
 
 
-def _put_together(known: Snapshot) -> None:
+def _put_together(snapshot: Snapshot) -> None:
     try:
-        with writing(known.path):
-            known.table.optimize(cleanup_older_than=OUTDATED)
+        with writing(snapshot.path):
+            snapshot.table.optimize(cleanup_older_than=OUTDATED)
     except InputError as error:
-        if PREEMPTED not in str(error):
+        if CONFLICT not in str(error):
             raise
 
 
 def partitions_for(rows: int) -> int:
-    """Of an index; more would take time to build that grows faster than the rows."""
-    return min(math.isqrt(rows), MOST_PARTITIONS)
+    """Return the number of partitions of an index; more would take a time that grows faster than the rows."""
+    return min(math.isqrt(rows), MAX_PARTITIONS)
 
 
-def index(known: Snapshot) -> None:
+def index(snapshot: Snapshot) -> None:
     """Build the index of this version's descriptors, a byte for each of their numbers, and that of scenes' names."""
     from lancedb.index import BTree, IvfSq
 
-    partitions = partitions_for(known.num_rows)
-    kind = IvfSq(distance_type="cosine", num_partitions=partitions, sample_rate=LEARNED_FROM)
-    with writing(known.path):
-        known.table.create_index("scene", config=BTree(), replace=True)
-        known.table.create_index("descriptors", config=kind, name=INDEX, replace=True)
-    _record_arranged(known.path)
+    partitions = partitions_for(snapshot.num_rows)
+    kind = IvfSq(distance_type="cosine", num_partitions=partitions, sample_rate=SAMPLES_PER_PARTITION)
+    with writing(snapshot.path):
+        snapshot.table.create_index("scene", config=BTree(), replace=True)
+        snapshot.table.create_index("descriptors", config=kind, name=INDEX, replace=True)
+    _record_arranged(snapshot.path)
 
 
 def vectors_of(column: Any, path: Path) -> list[Float32[np.ndarray, "k D"]]:
-    """The descriptors of each row, of unit length.
+    """Return the descriptors of each row, of unit length.
 
     Raises: FormatError: some that are not finite, or have no length.
     """
@@ -340,23 +345,24 @@ CURE = "the table is damaged: restore it from a copy, or remove the folder and a
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Raises: FormatError: LanceDB cannot read what is there."""
-    with _told(path):
+    """Turn errors of LanceDB into FormatErrors."""
+    with _lance_errors(path):
         yield
 
 
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
-    """Raises: InputError: LanceDB could not write; what was there is as it was."""
+    """Turn errors of LanceDB into InputErrors: it could not write, and nothing has changed."""
     try:
-        with _told(path):
+        with _lance_errors(path):
             yield
     except FormatError as error:
         raise InputError(f"{path}: nothing was changed: {error.__cause__!s:.300}") from error
 
 
 @contextmanager
-def _told(path: Path) -> Iterator[None]:
+def _lance_errors(path: Path) -> Iterator[None]:
+    """Turn errors of LanceDB, Arrow and Rust into FormatErrors."""
     try:
         yield
     except DrSplatError:
@@ -370,12 +376,12 @@ def _told(path: Path) -> Iterator[None]:
 
 
 def _checked(path: Path, schema: Any) -> EncoderIdentity:
-    """Who made the descriptors. Raises: FormatError: other columns than a catalogue has."""
+    """Return the encoder of the descriptors. Raises: FormatError: other columns than a catalogue has."""
     encoder = _identity(path, (schema.metadata or {}).get(KEY))
     expected = schema_of(encoder)
     if not schema.equals(expected):
-        known = {column.name: column.type for column in schema}
-        wrong = [column.name for column in expected if known.get(column.name) != column.type]
+        types = {column.name: column.type for column in schema}
+        wrong = [column.name for column in expected if types.get(column.name) != column.type]
         raise FormatError(f"{path}: other columns than a catalogue's: {', '.join(wrong) or 'more of them'}")
     return encoder
 
@@ -383,13 +389,14 @@ def _checked(path: Path, schema: Any) -> EncoderIdentity:
 def _identity(path: Path, about: bytes | None) -> EncoderIdentity:
     try:
         document = json.loads(about or b"null")
-        given, version = document["encoder"], document["version"]
-        texts = [given["name"], given["weights"], given.get("preprocessing", "")]
-        if type(given["dim"]) is not int or not 1 <= given["dim"] <= MOST_DIM or not all(type(t) is str for t in texts):
+        encoder, version = document["encoder"], document["version"]
+        texts = [encoder["name"], encoder["weights"], encoder.get("preprocessing", "")]
+        dim = encoder["dim"]
+        if type(dim) is not int or not 1 <= dim <= MAX_DIM or not all(type(text) is str for text in texts):
             raise ValueError("encoder")
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise FormatError(f"{path}: a LanceDB table, but not of a catalogue that drsplat made") from error
     if version != VERSION:
         cure = "remove the folder and add its scenes again" if version == 1 else "install the drsplat that made it"
         raise FormatError(f"{path}: a catalogue of version {version!a:.20}; this drsplat reads {VERSION}: {cure}")
-    return EncoderIdentity(texts[0], given["dim"], texts[1], texts[2])
+    return EncoderIdentity(texts[0], dim, texts[1], texts[2])

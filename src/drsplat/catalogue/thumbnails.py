@@ -1,4 +1,4 @@
-"""Objects as small pictures, of a few kilobytes each."""
+"""Small pictures of objects, of a few kilobytes each."""
 
 import io
 
@@ -8,17 +8,17 @@ from PIL import Image
 from ..arrays import UInt8
 
 SIZE = (240, 180)
-MOST_BYTES = 16 << 10
+MAX_BYTES = 16 << 10
 QUALITIES = (85, 70, 50, 30, 15)
 
 
 def thumbnail(pixels: UInt8[np.ndarray, "_ _ 3"]) -> bytes:
-    """As JPEG of at most MOST_BYTES: of the best quality that is so small, halved in size until one is."""
+    """Return a JPEG of at most MAX_BYTES, of the best quality that fits; the size is halved until one does."""
     picture = Image.fromarray(pixels)
     while True:
         for quality in QUALITIES:
             data = _jpeg(picture, quality)
-            if len(data) <= MOST_BYTES:
+            if len(data) <= MAX_BYTES:
                 return data
         picture = picture.resize((max(picture.width // 2, 1), max(picture.height // 2, 1)))
 
