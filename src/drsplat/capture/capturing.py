@@ -1,4 +1,4 @@
-"""A folder of photos or a video -> a capture: posed photos in COLMAP's layout, in a world that stands upright."""
+"""Captures of a folder of photos or a video: posed photos in COLMAP's layout, in an upright world."""
 
 import json
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ from .videos import is_video, take_frames, video_source
 from .work import FORMAT, MODEL, RECORD, VERSION, Work, is_ready, publish, refuse_overlap, refuse_strangers
 from .world import World, with_scale, world_of
 
-FEWEST_PHOTOS = 3
+MIN_PHOTOS = 3
 
 
 def capture(
@@ -41,16 +41,16 @@ def capture(
 ) -> dict[str, Any]:
     """Find where photos were taken, write the capture as a folder, and return its record (capture.json).
 
-    Photos are only read. A stopped run goes on where it was when it is called again. The random seed of COLMAP is
-    fixed.
+    Photos are only read. A stopped run continues when it is called again. The random seed of COLMAP is fixed.
 
     Args:
         photos: folder of JPEG, PNG, HEIC, WebP, TIFF or BMP files, also in folders below it; or a video.
         output: folder to write: images/, sparse/0, capture.json and, where photos have GPS, georeference.json.
-        overwrite: replace a capture that is there; it stays until the new one is complete. Where only `scale` or
-            `known_distance` are others than before, poses stay, and lengths alone are made anew.
+        overwrite: replace an existing capture, which stays until the new one is complete. Where only `scale` or
+            `known_distance` differ from before, poses stay, and only lengths are made anew.
         threads: of COLMAP, 0 for all cores.
-        progress: told of each stage.
+        settings: lens, scale and masks; None: the defaults.
+        progress: called with each stage.
 
     Raises:
         InputError: no photos, too few that overlap, an output that is in the way, a full disk.
@@ -61,21 +61,21 @@ def capture(
     refuse_overlap(source, target)
     with claimed_folder(target):
         refuse_strangers(target, overwrite)
-        kept: tuple[str, ...] = ()
+        unchanged_parts: tuple[str, ...] = ()
         if not is_ready(target):
             sources = [video_source(source)] if is_video(source) else find_photos(source)
             if differs_in_scale(sources, target, settings):
                 rescale(sources, target, settings)
-                kept = STAYING
+                unchanged_parts = STAYING
             else:
                 _make(sources, target, settings, threads, progress)
-        publish(target, kept)
+        publish(target, unchanged_parts)
     record: dict[str, Any] = json.loads((target / RECORD).read_text(encoding="utf-8"))
     return record
 
 
 def _make(sources: Sequence[Source], output: Path, settings: CaptureSettings, threads: int, progress: Progress) -> None:
-    """Bring everything to where `publish` finds it."""
+    """Make all parts of the capture where `publish` expects them."""
     work, film = Work(output), None
     key = sources_key(sources)
     if is_video(sources[0].path):
@@ -83,15 +83,15 @@ def _make(sources: Sequence[Source], output: Path, settings: CaptureSettings, th
         sources = find_photos(work.frames)
     photos = _bring_all(sources, work, progress, settings.invert_masks)
     taken = list({photo.file: photo for photo in reversed(photos) if photo.fault is None}.values())[::-1]
-    if len(taken) < FEWEST_PHOTOS:
+    if len(taken) < MIN_PHOTOS:
         raise InputError(_too_few(photos, len(taken)))
     posed = Posing(work, taken, settings.lens, threads, progress).run()
     if not posed.models:
         raise InputError(_nothing_fits(taken, posed))
     progress("world", 0, 1)
     model = posed.models[0]
-    kept = set(model.files)
-    by_file = {photo.file: photo for photo in taken if photo.file in kept}
+    registered = set(model.files)
+    by_file = {photo.file: photo for photo in taken if photo.file in registered}
     names = capture_names(list(by_file.values()))
     world = _placed(model, by_file, names, work, settings)
     work.new.joinpath("images").mkdir(exist_ok=True)
@@ -108,15 +108,15 @@ def _make(sources: Sequence[Source], output: Path, settings: CaptureSettings, th
 
 
 def _bring_all(sources: Sequence[Source], work: Work, progress: Progress, invert_masks: bool = False) -> list[Photo]:
-    """Return all photos, brought into the work folder; those that an earlier run has brought are not read again."""
-    known = _records(work.record)
+    """Return all photos, copied into the work folder; those copied by an earlier run are not read again."""
+    brought = _records(work.record)
     photos = []
     with work.record.open("a", encoding="utf-8") as record:
-        for done, one in enumerate(sources, 1):
-            key = f"{one.name} {one.num_bytes} {one.changed_ns} {one.mask is not None and invert_masks}"
-            photo = known.get(key)
+        for done, source in enumerate(sources, 1):
+            key = f"{source.name} {source.num_bytes} {source.changed_ns} {source.mask is not None and invert_masks}"
+            photo = brought.get(key)
             if photo is None or (photo.fault is None and not (work.photos / photo.file).is_file()):
-                photo = bring(one, work.photos, invert_masks)
+                photo = bring(source, work.photos, invert_masks)
                 record.write(json.dumps([key, photo.to_json()]) + "\n")
                 record.flush()
             photos.append(photo)
@@ -125,7 +125,7 @@ def _bring_all(sources: Sequence[Source], work: Work, progress: Progress, invert
 
 
 def _records(path: Path) -> dict[str, Photo]:
-    """Return the photos that an earlier run has brought; a line that was cut off ends them."""
+    """Return the photos that an earlier run has copied; damaged lines are skipped."""
     photos: dict[str, Photo] = {}
     for line in path.read_text(encoding="utf-8").splitlines() if path.is_file() else []:
         try:
@@ -143,26 +143,25 @@ def _too_few(photos: Sequence[Photo], num_taken: int) -> str:
     why += [f"{twins} are copies of others"] if twins else []
     because = f"; {'; '.join(why)}" if why else ""
     return (
-        f"expected at least {FEWEST_PHOTOS} different photos, got {num_taken} of {len(photos)}{because}. Take 20 or "
+        f"expected at least {MIN_PHOTOS} different photos, got {num_taken} of {len(photos)}{because}. Take 20 or "
         "more from different places, each a step to the side"
     )
 
 
 def capture_names(photos: Sequence[Photo]) -> dict[str, str]:
-    """Return the name in the capture of each photo's file: as it was found, with the suffix that it has now.
+    """Return the name in the capture of each photo's file: its own name, with the suffix of its new format.
 
-    Features are found by names without suffix, so two photos whose names differ in nothing else get their suffix
-    into the name.
+    Features are looked up by names without suffix, so where two photos differ only in it, it becomes part of the name.
     """
     names: dict[str, str] = {}
     stems: set[str] = set()
     for photo in photos:
         path = PurePosixPath(photo.name)
-        given, suffix = path.suffix[1:], PurePosixPath(photo.file).suffix
-        same_kind = {"jpeg": "jpg"}.get(given.lower(), given.lower()) == suffix[1:]
+        old_suffix, suffix = path.suffix[1:], PurePosixPath(photo.file).suffix
+        same_kind = {"jpeg": "jpg"}.get(old_suffix.lower(), old_suffix.lower()) == suffix[1:]
         stem = str(path.with_suffix(""))
         while stem.lower() in stems:
-            stem += f"_{given}"
+            stem += f"_{old_suffix}"
         stems.add(stem.lower())
         names[photo.file] = stem + (path.suffix if same_kind else suffix)
     return names
@@ -171,7 +170,7 @@ def capture_names(photos: Sequence[Photo]) -> dict[str, str]:
 def _placed(
     model: Model, photos: dict[str, Photo], names: dict[str, str], work: Work, settings: CaptureSettings
 ) -> World:
-    """Write the model as it is in the capture's world, and return the world."""
+    """Write the model in the capture's world, and return the world."""
     folder = model.folder
     if settings.lens in UNDISTORTED:
         ask_colmap(
@@ -200,17 +199,17 @@ def _placed(
 
 
 def _moved(source: Path, target: Path) -> None:
-    """Rename a photo or a mask, unless there is none, or an earlier run has."""
+    """Rename a photo or a mask, unless there is none, or an earlier run has moved it."""
     if source.exists():
         target.parent.mkdir(parents=True, exist_ok=True)
         source.replace(target)
 
 
 def _nothing_fits(photos: Sequence[Photo], posed: Posed) -> str:
-    """Return why there is no model, with the photos that are most to blame."""
+    """Return why there is no model, with the worst photos."""
     why = Reasons(photos, posed.features, posed.pairs, [])
     reasons = [f"{photo.name} ({why.of(photo)})" for photo in photos]
-    fitting = f"no {FEWEST_PHOTOS} of {len(photos)} photos fit together" if posed.pairs else "no two photos overlap"
+    fitting = f"no {MIN_PHOTOS} of {len(photos)} photos fit together" if posed.pairs else "no two photos overlap"
     return (
         f"{fitting}: {listed(reasons, 3)}. Walk round what you "
         "take, a step to the side for each photo, with texture in sight; turning on the spot is not enough"
@@ -218,12 +217,12 @@ def _nothing_fits(photos: Sequence[Photo], posed: Posed) -> str:
 
 
 def _record(photos: Sequence[Photo], posed: Posed, world: World, settings: CaptureSettings) -> dict[str, Any]:
-    """Return what capture.json says."""
+    """Return the record, capture.json."""
     model = posed.models[0]
     first = {photo.file: photo for photo in reversed(photos) if photo.fault is None}
-    kept = set(model.files)
-    out = [photo for photo in photos if photo.file not in kept or first[photo.file] is not photo]
-    why = Reasons(photos, posed.features, posed.pairs, [one.files for one in posed.models])
+    registered = set(model.files)
+    out = [photo for photo in photos if photo.file not in registered or first[photo.file] is not photo]
+    why = Reasons(photos, posed.features, posed.pairs, [each.files for each in posed.models])
     return {
         "format": FORMAT,
         "version": VERSION,

@@ -1,4 +1,4 @@
-"""What COLMAP's database says, read without COLMAP.
+"""Contents of COLMAP's database, read without COLMAP.
 
 Source: https://colmap.github.io/database.html
 """
@@ -30,7 +30,7 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
 
 
 def num_features(database: sqlite3.Connection) -> dict[str, int]:
-    """Return the number of features of each photo that has been looked at, by its name."""
+    """Return the number of features of each processed photo, by its name."""
     query = "SELECT name, rows FROM images JOIN keypoints USING (image_id) JOIN descriptors USING (image_id, rows)"
     return dict(database.execute(query))
 
@@ -41,7 +41,7 @@ def num_matched(database: sqlite3.Connection) -> int:
 
 
 def verified_pairs(database: sqlite3.Connection) -> dict[tuple[str, str], int]:
-    """Return the number of matches that fit one geometry, of each pair of names that has some."""
+    """Return the number of verified matches of each pair of names that has some."""
     names = dict(database.execute("SELECT image_id, name FROM images"))
     rows = database.execute("SELECT pair_id, rows FROM two_view_geometries WHERE rows > 0")
     return {(names[pair // PAIR_BASE], names[pair % PAIR_BASE]): count for pair, count in rows}

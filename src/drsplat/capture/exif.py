@@ -1,4 +1,4 @@
-"""What a photo's EXIF says about its camera, its place on the Earth and how it was held.
+"""Facts in a photo's EXIF: its camera, its place on the Earth and how it was held.
 
 Source: CIPA DC-008 (Exif 2.32) for the tags; ExifTool's documentation of Apple's maker notes for the acceleration.
 """
@@ -15,11 +15,11 @@ MAKE, MODEL = 271, 272
 EXIF_IFD, GPS_IFD = 0x8769, 0x8825
 FOCAL_MM, FOCAL_35MM, LENS_MODEL, MAKER_NOTE = 37386, 41989, 42036, 37500
 DIAGONAL_35MM = math.hypot(36, 24)
-FOCAL_SHARES = (0.2, 20.0)  # of the diagonal: other focal lengths are misprints
-MOST_HEIGHT_M = 20_000.0
+FOCAL_SHARES = (0.2, 20.0)  # of the diagonal: other focal lengths are errors
+MAX_HEIGHT_M = 20_000.0
 APPLE, APPLE_ACCELERATION = b"Apple iOS\0", 0x0008
 SIGNED_RATIONAL = 10
-MOST_ENTRIES = 200  # of a maker note
+MAX_ENTRIES = 200  # of a maker note
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class ExifFacts:
     """Facts that a photo states; None where it states nothing, or nothing sensible.
 
     camera: make, model and lens, as one text; photos with the same one share intrinsics. focal_share: focal length
-    as a share of the photo's diagonal. position: longitude and latitude in degrees, height in metres (None: not
-    said). down: unit vector of gravity in the camera's axes of the photo as stored (+x right, +y down, +z forward).
+    as a share of the photo's diagonal. position: longitude and latitude in degrees, height in metres (None if not
+    stated). down: unit vector of gravity in the camera's axes of the photo as stored (+x right, +y down, +z forward).
     """
 
     camera: str = ""
@@ -38,7 +38,7 @@ class ExifFacts:
 
 
 def exif_facts(photo: Image.Image) -> ExifFacts:
-    """Read the facts of an opened photo; a damaged EXIF block says nothing."""
+    """Read the facts of an opened photo; a damaged EXIF block has none."""
     try:
         exif = photo.getexif()
         tags, gps = dict(exif.get_ifd(EXIF_IFD)), dict(exif.get_ifd(GPS_IFD))
@@ -65,11 +65,11 @@ def _position(gps: dict[int, Any]) -> tuple[float, float, float | None] | None:
         return None
     height = _number(gps.get(6))
     below = gps.get(5) in (1, b"\x01")
-    return longitude, latitude, (-height if below else height) if abs(height) <= MOST_HEIGHT_M else None
+    return longitude, latitude, (-height if below else height) if abs(height) <= MAX_HEIGHT_M else None
 
 
 def _degrees(parts: Any, side: Any, negative: bytes) -> float:
-    """Return degrees of degrees, minutes and seconds; NaN where they are none."""
+    """Convert degrees, minutes and seconds to degrees; NaN for anything else."""
     try:
         degrees, minutes, seconds = (_number(part) for part in parts)
     except (TypeError, ValueError):
@@ -79,7 +79,7 @@ def _degrees(parts: Any, side: Any, negative: bytes) -> float:
 
 
 def _apple_down(note: Any) -> tuple[float, float, float] | None:
-    """Return gravity as an iPhone's maker note has it, in the camera's axes.
+    """Return gravity from an iPhone's maker note, in the camera's axes.
 
     The phone's axes: +x to the right of its screen, +y to its top, +z out of its face; upright it says (0, -1, 0). The
     camera on its back looks along -z, and the stored photo has its right along the phone's -y and its down along -x.
@@ -88,7 +88,7 @@ def _apple_down(note: Any) -> tuple[float, float, float] | None:
         return None
     with suppress(struct.error, ZeroDivisionError):
         (count,) = struct.unpack_from(">H", note, 14)
-        for at in range(16, 16 + 12 * min(count, MOST_ENTRIES), 12):
+        for at in range(16, 16 + 12 * min(count, MAX_ENTRIES), 12):
             tag, kind, number, offset = struct.unpack_from(">HHII", note, at)
             if (tag, kind, number) == (APPLE_ACCELERATION, SIGNED_RATIONAL, 3):
                 numbers = struct.unpack_from(">6i", note, offset)

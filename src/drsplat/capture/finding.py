@@ -1,4 +1,4 @@
-"""The photos below a folder, in the order in which people number them."""
+"""Photos below a folder, in natural order of their numbers."""
 
 import os
 import re
@@ -13,17 +13,17 @@ from ..formats.photo_files import safe_name
 
 PHOTO_ENDS = {".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp", ".heic", ".heif"}
 VIDEO_ENDS = {".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi"}
-MOST_PHOTOS = 50_000
+MAX_PHOTOS = 50_000
 NUMBERED_SHARE = 0.8  # of the photos, for all of them to count as numbered
-MOST_STEP = 50  # between numbers of photos that follow each other: frames of a film are often thinned out
+MAX_STEP = 50  # between numbers of successive photos: frames of a film are often thinned out
 _DIGITS = re.compile(r"(\d+)")
 
 
 @dataclass(frozen=True)
 class Source:
-    """A photo as it was found.
+    """Photo of the input folder.
 
-    name: relative to the folder, with forward slashes. num_bytes and changed_ns: of its mask, too, where it has one.
+    name: relative to the folder, with forward slashes. num_bytes and changed_ns: including its mask's, if it has one.
     """
 
     name: str
@@ -34,9 +34,9 @@ class Source:
 
 
 def find_photos(folder: Path) -> list[Source]:
-    """Return the photos of a folder and its subfolders; hidden ones and a folder of masks are passed over.
+    """Return the photos of a folder and its subfolders, without hidden ones and a folder of masks.
 
-    Raises: InputError: no folder, no photo in it, or more than `MOST_PHOTOS`.
+    Raises: InputError: no folder, no photo in it, or more than `MAX_PHOTOS`.
     """
     if not folder.is_dir():
         missing = "" if folder.exists() else "there is no such file or folder; "
@@ -50,8 +50,8 @@ def find_photos(folder: Path) -> list[Source]:
             if path.suffix.lower() in PHOTO_ENDS and not file.startswith(".") and path.is_file():
                 name = safe_name(path.relative_to(folder).as_posix(), str(folder))
                 sources.append(_source(name, path, mask_of(masks, name)))
-        if len(sources) > MOST_PHOTOS:
-            raise InputError(f"{folder}: expected at most {MOST_PHOTOS:,} photos, found more: capture a part at a time")
+        if len(sources) > MAX_PHOTOS:
+            raise InputError(f"{folder}: expected at most {MAX_PHOTOS:,} photos, found more: capture a part at a time")
     if not sources:
         kinds = ", ".join(sorted(end[1:] for end in PHOTO_ENDS))
         raise InputError(f"{folder}: there is no photo in it: expected files that end in {kinds}")
@@ -61,8 +61,8 @@ def find_photos(folder: Path) -> list[Source]:
 
 
 def _source(name: str, path: Path, mask: Path | None) -> Source:
-    found = [each.stat() for each in (path, mask) if each is not None]
-    return Source(name, path, sum(each.st_size for each in found), max(each.st_mtime_ns for each in found), mask)
+    stats = [each.stat() for each in (path, mask) if each is not None]
+    return Source(name, path, sum(each.st_size for each in stats), max(each.st_mtime_ns for each in stats), mask)
 
 
 def in_order(name: str) -> list[tuple[int, int, str]]:
@@ -71,13 +71,13 @@ def in_order(name: str) -> list[tuple[int, int, str]]:
 
 
 def are_numbered(names: list[str]) -> bool:
-    """Return whether photos look like a walk in order: most names differ from the one before by a number, going up."""
+    """Return whether names look like a sequence: most differ from the one before by a number, going up."""
     if len(names) < 2:
         return False
     steps = 0
-    for one, other in pairwise(names):
-        parts, others = _DIGITS.split(one), _DIGITS.split(other)
+    for name, following in pairwise(names):
+        parts, others = _DIGITS.split(name), _DIGITS.split(following)
         differing = [k for k in range(min(len(parts), len(others))) if parts[k] != others[k]]
         if len(parts) == len(others) and len(differing) == 1 and parts[differing[0]].isdecimal():
-            steps += 0 < int(others[differing[0]]) - int(parts[differing[0]]) <= MOST_STEP
+            steps += 0 < int(others[differing[0]]) - int(parts[differing[0]]) <= MAX_STEP
     return steps >= NUMBERED_SHARE * (len(names) - 1)

@@ -1,6 +1,6 @@
-"""Which frames of a film become photos: sharp ones, each where the picture has moved on from the one before.
+"""Choice of the frames of a film that become photos: sharp ones, each after the picture has moved on.
 
-The clock plays no part: a camera that stands still gives one photo, one that turns quickly gives many.
+Time plays no part: a camera that stands still gives one photo, one that turns quickly gives many.
 """
 
 from dataclasses import dataclass
@@ -9,12 +9,12 @@ import numpy as np
 
 from ..arrays import Bool, Float64, Int64, UInt8
 
-STEP = 0.06  # of the picture's width, from one photo to the next
-FEWEST, MOST = 40, 1000  # photos that are aimed at: the step is shorter or longer for them
-LEAST_STEP = 0.01
-STILL = 0.001  # of the width, from the frame before: the same picture again
+STEP_SHARE = 0.06  # of the picture's width, from one photo to the next
+TARGET_PHOTOS = (40, 1000)  # the step is made shorter or longer to reach this range
+MIN_STEP_SHARE = 0.01
+STILL_SHARE = 0.001  # of the width, from the frame before: less is the same picture again
 BLURRED_SHARE = 0.6  # of the median sharpness of the frames around
-AROUND = 15  # frames to either side
+NEIGHBOURHOOD = 15  # frames to either side
 BLOCKS_ACROSS = 4
 
 
@@ -28,7 +28,7 @@ class Film:
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """frames: indices of those that become photos. num_blurred, num_still: of those that cannot."""
+    """Choice of frames. frames: indices of the chosen ones. num_blurred, num_still: of unusable ones."""
 
     frames: Int64[np.ndarray, " k"]
     num_blurred: int
@@ -36,17 +36,18 @@ class Choice:
 
 
 def choose(film: Film) -> Choice:
-    """Return the sharpest frame of each step that the picture moves; steps without a sharp frame give none."""
+    """Choose the sharpest frame of each step of the picture's movement; steps without a sharp frame give none."""
     path = np.cumsum(film.moved)
     blurred = are_blurred(film.sharpness)
     usable = np.flatnonzero(~blurred)
     if not len(usable):
         return Choice(usable, int(blurred.sum()), 0)
-    step = float(np.clip(path[-1] / FEWEST, LEAST_STEP, max(STEP, path[-1] / MOST)))
+    fewest, most = TARGET_PHOTOS
+    step = float(np.clip(path[-1] / fewest, MIN_STEP_SHARE, max(STEP_SHARE, path[-1] / most)))
     steps = np.round(path[usable] / step).astype(np.int64)
     order = np.lexsort((usable, -film.sharpness[usable], steps))
     first = np.unique(steps[order], return_index=True)[1]
-    still = int((film.moved[1:] < STILL).sum())
+    still = int((film.moved[1:] < STILL_SHARE).sum())
     return Choice(np.sort(usable[order[first]]), int(blurred.sum()), still)
 
 
@@ -54,13 +55,13 @@ def are_blurred(sharpness: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Return which frames are much less sharp than the frames around them."""
     from scipy.ndimage import median_filter
 
-    return np.asarray(sharpness < BLURRED_SHARE * median_filter(sharpness, size=2 * AROUND + 1, mode="nearest"))
+    return np.asarray(sharpness < BLURRED_SHARE * median_filter(sharpness, size=2 * NEIGHBOURHOOD + 1, mode="nearest"))
 
 
 def movement(before: UInt8[np.ndarray, "h w"], now: UInt8[np.ndarray, "h w"]) -> float:
     """Return how far parts of a picture have moved, as the median share of its width.
 
-    By blocks, because a camera that walks ahead or rolls moves them in different directions.
+    It is measured by blocks, because a camera that walks ahead or rolls moves them in different directions.
     """
     side = now.shape[1] // BLOCKS_ACROSS
     shifts = [
@@ -72,14 +73,14 @@ def movement(before: UInt8[np.ndarray, "h w"], now: UInt8[np.ndarray, "h w"]) ->
 
 
 def shift_of(before: UInt8[np.ndarray, "h w"], now: UInt8[np.ndarray, "h w"]) -> float:
-    """Return the length of a block's shift in pixels, by phase correlation; 0 where it has no texture.
+    """Return the length of a block's shift in pixels, by phase correlation; 0 if it has no texture.
 
     Source: Kuglin and Hines, The phase correlation image alignment method, 1975.
     """
     height, width = now.shape
     window = np.outer(np.hanning(height), np.hanning(width))
-    one, other = (np.fft.rfft2((block - block.mean()) * window) for block in (before, now))
-    cross = one * other.conj()
+    spectrum, shifted = (np.fft.rfft2((block - block.mean()) * window) for block in (before, now))
+    cross = spectrum * shifted.conj()
     strength = np.abs(cross)
     if not strength.max() > 1e-6:
         return 0.0

@@ -1,6 +1,7 @@
-"""Masks on their way into the capture.
+"""Masks of photos, brought into the capture.
 
-People, a photographer's shadow, the gripper of a robot: what moves with the camera, or by itself, misleads poses.
+People, a photographer's shadow, the gripper of a robot: anything that moves by itself or with the camera misleads
+poses.
 """
 
 from pathlib import Path
@@ -8,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ..arrays import UInt8
 from ..errors import MismatchError
 from ..formats.replacing import replacing
 from ..scene.photo_masks import MIN_WHITE, read_mask
@@ -19,7 +19,7 @@ _TRANSPOSE = {
     5: Image.Transpose.TRANSPOSE, 6: Image.Transpose.ROTATE_270, 7: Image.Transpose.TRANSVERSE,
     8: Image.Transpose.ROTATE_90,
 }  # fmt: skip
-"""How a photo of each EXIF orientation is brought upright."""
+"""Operation that turns a photo of each EXIF orientation upright."""
 
 
 def bring_mask(mask: Path, target: Path, size: tuple[int, int], orientation: int, invert: bool) -> bool:
@@ -38,12 +38,8 @@ def bring_mask(mask: Path, target: Path, size: tuple[int, int], orientation: int
         raise MismatchError(
             f"{mask}: the mask is {width}x{height}, its photo {size[0]}x{size[1]}: make it of the photo as it is"
         )
-    kept = _kept(picture.resize(size, Image.Resampling.NEAREST), invert)
+    used = np.asarray(picture.resize(size, Image.Resampling.NEAREST)) >= MIN_WHITE
+    pixels = np.where(used != invert, np.uint8(255), np.uint8(0))
     with replacing(target, overwrite=True) as file:
-        Image.fromarray(kept).save(file, format="PNG")
-    return bool(kept.any())
-
-
-def _kept(picture: Image.Image, invert: bool) -> UInt8[np.ndarray, "h w"]:
-    white = np.asarray(picture) >= MIN_WHITE
-    return np.where(white != invert, np.uint8(255), np.uint8(0))
+        Image.fromarray(pixels).save(file, format="PNG")
+    return bool(pixels.any())

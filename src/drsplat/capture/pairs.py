@@ -1,6 +1,6 @@
-"""Which pairs of photos are matched: all of few photos; neighbours in order, in place and in looks of many.
+"""Choice of the pairs of photos to match: all of few photos; neighbours in order, place and looks of many.
 
-Matching all pairs grows with the square of the photos; these pairs grow with their number.
+The number of all pairs grows with the square of the photos; that of these pairs grows with their number.
 """
 
 from collections.abc import Iterator
@@ -9,13 +9,13 @@ import numpy as np
 
 from ..arrays import Float32, Float64
 
-MOST_EXHAUSTIVE = 150  # photos: 11,175 pairs
-MOST_EXHAUSTIVE_NUMBERED = 40  # whose order says which overlap
+MAX_EXHAUSTIVE = 150  # photos: 11,175 pairs
+MAX_EXHAUSTIVE_NUMBERED = 40  # photos whose order says which overlap
 NEIGHBOURS_IN_ORDER = 12
 NEIGHBOURS_IN_PLACE = 24
 NEIGHBOURS_IN_LOOKS = 20
 FEWER_IN_LOOKS = 8  # of numbered photos, for loops
-_ROWS = 512
+_BLOCK_ROWS = 512
 
 
 def all_pairs(count: int) -> set[tuple[int, int]]:
@@ -24,7 +24,7 @@ def all_pairs(count: int) -> set[tuple[int, int]]:
 
 
 def pairs_in_order(count: int) -> set[tuple[int, int]]:
-    """Return pairs of photos that were taken soon after each other, and ever rarer ones further apart."""
+    """Return pairs of photos that were taken soon after each other, and fewer pairs further apart."""
     steps = [*range(1, NEIGHBOURS_IN_ORDER + 1)]
     while steps[-1] * 2 < count:
         steps.append(steps[-1] * 2)
@@ -51,17 +51,17 @@ def pairs_in_looks(looks: Float32[np.ndarray, "n d"], count: int = NEIGHBOURS_IN
         alike = block @ looks.T
         best = np.argpartition(-alike, count - 1, axis=1)[:, :count]
         rows, columns = np.repeat(np.arange(len(block)), count), best.reshape(-1)
-        liked = alike[rows, columns] > 0
-        pairs |= _ordered(start + rows[liked], columns[liked])
+        similar = alike[rows, columns] > 0
+        pairs |= _ordered(start + rows[similar], columns[similar])
     return pairs
 
 
 def _blocks(looks: Float32[np.ndarray, "n d"]) -> Iterator[tuple[int, Float32[np.ndarray, "r d"]]]:
-    for start in range(0, len(looks), _ROWS):
-        yield start, looks[start : start + _ROWS]
+    for start in range(0, len(looks), _BLOCK_ROWS):
+        yield start, looks[start : start + _BLOCK_ROWS]
 
 
-def _ordered(one: np.ndarray, other: np.ndarray) -> set[tuple[int, int]]:
-    low, high = np.minimum(one, other), np.maximum(one, other)
+def _ordered(first: np.ndarray, second: np.ndarray) -> set[tuple[int, int]]:
+    low, high = np.minimum(first, second), np.maximum(first, second)
     apart = low < high
     return set(zip(low[apart].tolist(), high[apart].tolist(), strict=True))

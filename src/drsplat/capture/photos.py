@@ -1,4 +1,4 @@
-"""Each photo checked and brought into the capture: upright, of a kind that every reader takes, with what it says.
+"""Photos, each checked and copied into the capture: upright, in a common format, with its facts.
 
 The photos' own folder is only read. A photo that is upright already and a plain JPEG or PNG is copied byte for byte.
 """
@@ -29,11 +29,11 @@ Vector = tuple[float, float, float]
 
 HEIF_ENDS = {".heic", ".heif"}
 INSTALL = 'pip install "drsplat[capture]"'
-MOST_PIXELS = 200_000_000
-FEWEST_SIDE_PX = 64
+MAX_PIXELS = 200_000_000
+MIN_SIDE_PX = 64
 JPEG_QUALITY = 95
 ALL_LEFT_OUT = "its mask leaves all of it out: white is kept, black is left out (invert_masks=True turns that round)"
-LOOK_SIDE_PX = 512  # of the small picture whose sharpness is measured
+LOOK_SIDE_PX = 512  # of the small picture for measuring sharpness
 ORIENTATION = 0x0112
 DIGEST_LETTERS = 24
 _BLOCK = 1 << 20
@@ -43,9 +43,9 @@ _TURNS = {1: ((1, 0), (0, 1)), 3: ((-1, 0), (0, -1)), 6: ((0, -1), (1, 0)), 8: (
 
 @dataclass(frozen=True)
 class Photo:
-    """A photo in the capture, or why it could not be taken (`fault`).
+    """Photo in the capture, or the reason why it could not be used (`fault`).
 
-    name: as it was found. file: its name while the capture is made, of its contents: the same photo twice is the same
+    name: in the input folder. file: its name while the capture is made, from its contents, so equal photos are one
     file. width, height: upright, in pixels. sharpness: standard deviation of the Laplacian of a small copy, in grey
     levels.
     """
@@ -64,7 +64,7 @@ class Photo:
 
     @classmethod
     def from_json(cls, line: str) -> "Photo":
-        """Raises: ValueError, TypeError: the line is no such record, or was cut off."""
+        """Parse a line of `to_json`. Raises: ValueError, TypeError: it is no such record, or was cut off."""
         document = json.loads(line)
         exif: dict[str, Any] = document.pop("exif")
         exif = {key: tuple(part) if isinstance(part, list) else part for key, part in exif.items()}
@@ -72,11 +72,11 @@ class Photo:
 
 
 class UnreadablePhoto(Exception):
-    """Why a single photo is left out, in words for people."""
+    """Reason why a single photo is left out, in words for people."""
 
 
 class _Decoded(NamedTuple):
-    """upright: the whole picture where it has to be written anew, None where the file is taken as it is."""
+    """Decoded photo. upright: the picture if it has to be written anew, None to copy the file."""
 
     upright: Image.Image | None
     width: int
@@ -88,9 +88,9 @@ class _Decoded(NamedTuple):
 
 
 def bring(source: Source, folder: Path, invert_masks: bool = False) -> Photo:
-    """Check a photo, write it upright into a folder under a name made of its digest, and return what it is.
+    """Check a photo, write it upright into a folder under a name made of its digest, and return its record.
 
-    Its mask comes to the folder `masks` beside it, and into its name.
+    Its mask is written to the folder `masks` beside it, and becomes part of its name.
 
     Raises: InputError: it cannot be written. MismatchError, FormatError: of a mask. MissingExtraError: HEIC, and
     pi-heif is not installed.
@@ -123,7 +123,7 @@ def mask_path(folder: Path, file: str) -> Path:
 
 
 def _digest(source: Source, invert_masks: bool) -> str:
-    """Return a name of the contents of a photo and its mask."""
+    """Return a name from the contents of a photo and its mask."""
     photo = hash_file(source.path)
     if source.mask is None:
         return photo[:DIGEST_LETTERS]
@@ -139,7 +139,7 @@ def sharpness(grey: UInt8[np.ndarray, "h w"]) -> float:
 
 
 def _decoded(source: Source) -> _Decoded:
-    """Decode a photo, whatever it is. Raises: UnreadablePhoto, MissingExtraError."""
+    """Decode a photo of any format. Raises: UnreadablePhoto, MissingExtraError."""
     if source.num_bytes == 0:
         raise UnreadablePhoto("the file is empty")
     formats: tuple[str, ...] = PHOTO_FORMATS
@@ -148,7 +148,7 @@ def _decoded(source: Source) -> _Decoded:
         formats = (*formats, "HEIF")
     try:
         with open_file(source.path) as file, Image.open(file, formats=formats) as coded:
-            check_cost(coded, file, MOST_PIXELS)
+            check_cost(coded, file, MAX_PIXELS)
             return _from_coded(coded)
     except UnreadablePhoto:
         raise
@@ -159,7 +159,7 @@ def _decoded(source: Source) -> _Decoded:
 
 
 def _from_coded(coded: Image.Image) -> _Decoded:
-    if min(coded.size) < FEWEST_SIDE_PX:
+    if min(coded.size) < MIN_SIDE_PX:
         raise UnreadablePhoto(f"{coded.width}x{coded.height} pixels are too few")
     if coded.mode in ("I", "F"):
         raise UnreadablePhoto(f"its pixels are of mode {coded.mode}: save it with 8 or 16 bits a channel")
@@ -207,7 +207,7 @@ def _sharpness_of(picture: Image.Image) -> float:
 
 
 def turned_down(down: Vector | None, orientation: int) -> Vector | None:
-    """Return gravity in the axes of the upright photo; None where the photo is mirrored, which no camera does."""
+    """Return gravity in the axes of the upright photo; None for a mirrored photo, which no camera takes."""
     if down is None or orientation not in _TURNS:
         return None
     right, below = _TURNS[orientation]
@@ -215,7 +215,7 @@ def turned_down(down: Vector | None, orientation: int) -> Vector | None:
 
 
 def add_heif() -> None:
-    """Teach Pillow to read HEIC. Raises: MissingExtraError: pi-heif is not installed."""
+    """Register HEIC with Pillow. Raises: MissingExtraError: pi-heif is not installed."""
     try:
         from pi_heif import register_heif_opener
     except ImportError:

@@ -1,4 +1,4 @@
-"""Places that people point at in photos: a pixel, or a marker that has a name and is seen in some photos."""
+"""Places that people point at in photos: a pixel, or a named marker with pixels in some photos."""
 
 import math
 from pathlib import Path
@@ -12,7 +12,7 @@ HEADER = ("name", "photo", "x", "y")
 
 
 class Place(NamedTuple):
-    """A pixel (x right, y down, from the upper left corner) of an upright photo in its full size."""
+    """Pixel (x right, y down, from the upper left corner) of an upright photo in its full size."""
 
     photo: str
     x: float
@@ -20,14 +20,14 @@ class Place(NamedTuple):
 
 
 class Marker(NamedTuple):
-    """A place with a name, by its pixels in one photo or more."""
+    """Named place, by its pixels in one photo or more."""
 
     name: str
     seen: tuple[Place, ...]
 
 
 def read_places(path: Path) -> dict[str, Marker]:
-    """Read a table of markers: the line "name,photo,x,y", then a line for each photo that a marker is seen in.
+    """Read a table of markers: the line "name,photo,x,y", then a line for each photo that shows a marker.
 
     Raises: InputError: there is no such file. FormatError: another table, or a marker twice in a photo.
     """

@@ -1,4 +1,4 @@
-"""Photos -> COLMAP's models: features, pairs, matches, poses. What is done is kept, and is not done again."""
+"""COLMAP's models of photos: features, pairs, matches, poses. Finished steps are kept and not repeated."""
 
 import hashlib
 from collections.abc import Callable, Sequence
@@ -20,19 +20,19 @@ from .program import ColmapFailure, ask_colmap
 from .settings import LENSES
 from .work import Work
 
-FEATURES_SIDE_PX = 1200  # of the photos that features are found in
+FEATURES_SIDE_PX = 1200  # longer side of photos for finding features
 DEFAULT_FOCAL_SHARE = 1.2 * 0.8  # of the diagonal: COLMAP's guess, 1.2 times the longer side of a photo of 4:3
 FISHEYE_FOCAL_SHARE = 0.35  # of the diagonal: some 160 degrees from corner to corner
-ENOUGH_SHARE = 0.95  # of the photos that overlap with others: where global mapping poses fewer, incremental has a try
+MIN_POSED_SHARE = 0.95  # of overlapping photos: if global mapping poses fewer, incremental mapping is tried
 _TWO_FOCAL = ("OPENCV", "OPENCV_FISHEYE")
 
 Progress = Callable[[str, int, int], None]
-"""Called with a stage, what of it is done, and how much it is."""
+"""Function that is called with a stage, the number of finished steps and their total."""
 
 
 @dataclass(frozen=True)
 class Model:
-    """A model that COLMAP made. files: its photos'. depth: median of its points from the cameras that saw them."""
+    """Model that COLMAP made. files: its photos'. depth: median depth of its points in the cameras that saw them."""
 
     folder: Path
     mapper: str
@@ -44,7 +44,7 @@ class Model:
 
 @dataclass(frozen=True)
 class Posed:
-    """models: the one with the most photos first. features: by file. pairs: verified matches by pair of files."""
+    """Result of posing. models: largest first. features: number by file. pairs: verified matches by pair of files."""
 
     models: list[Model]
     features: dict[str, int]
@@ -53,7 +53,7 @@ class Posed:
 
 @dataclass(frozen=True)
 class Posing:
-    """The work on some photos, which differ. lens: of `LENSES`. threads: 0 for all."""
+    """Posing of distinct photos. lens: of `LENSES`. threads: 0 for all."""
 
     work: Work
     photos: Sequence[Photo]
@@ -62,7 +62,7 @@ class Posing:
     progress: Progress
 
     def run(self) -> Posed:
-        """Raises: InputError: the disk is full. ColmapFailure: COLMAP failed."""
+        """Pose the photos. Raises: InputError: the disk is full. ColmapFailure: COLMAP failed."""
         self._extract()
         with colmap_database.reading(self._database) as database:
             features = colmap_database.num_features(database)
@@ -98,23 +98,23 @@ class Posing:
         )  # fmt: skip
 
     def _camera_ids(self) -> dict[str, int]:
-        """Return the database's camera of each group of photos, made where it is new."""
+        """Return the database's camera of each group of photos; new ones are added."""
         document = f"{self.lens}.json"
-        known: dict[str, int] = self.work.remembered(document) or {}
-        if not known:
+        ids: dict[str, int] = self.work.remembered(document) or {}
+        if not ids:
             self._database.unlink(missing_ok=True)
-        new = {camera_key(photo): photo for photo in self.photos if camera_key(photo) not in known}
+        new = {camera_key(photo): photo for photo in self.photos if camera_key(photo) not in ids}
         if new:
             cameras = [camera_of(photo, self.lens) for photo in new.values()]
-            known |= dict(zip(new, self._ask("add_cameras", cameras=cameras), strict=True))
-            self.work.remember(document, known)
-        return known
+            ids |= dict(zip(new, self._ask("add_cameras", cameras=cameras), strict=True))
+            self.work.remember(document, ids)
+        return ids
 
     def _pairs(self, database: Any, features: dict[str, int]) -> list[tuple[str, str]]:
         """Return the pairs of files to match, in order."""
         photos = [photo for photo in self.photos if photo.file in features]
         numbered = are_numbered([photo.name for photo in photos])
-        if len(photos) <= (pairing.MOST_EXHAUSTIVE_NUMBERED if numbered else pairing.MOST_EXHAUSTIVE):
+        if len(photos) <= (pairing.MAX_EXHAUSTIVE_NUMBERED if numbered else pairing.MAX_EXHAUSTIVE):
             pairs = pairing.all_pairs(len(photos))
         else:
             looks = looks_of(
@@ -129,7 +129,7 @@ class Posing:
     def _match(self, pairs: list[tuple[str, str]]) -> None:
         path = self.work.folder / "pairs.txt"
         with replacing(path, overwrite=True) as file:
-            file.write("".join(f"{one} {other}\n" for one, other in pairs).encode())
+            file.write("".join(f"{first} {second}\n" for first, second in pairs).encode())
         self._ask(
             "match", pairs=str(path), batch=str(self.work.folder / "batch.txt"),
             report=lambda done: self.progress("pairs", done, len(pairs)),
@@ -140,7 +140,7 @@ class Posing:
         if not most:
             return []
         models = self._mapped("global", "map_globally", pairs)
-        if not models or len(models[0].files) < ENOUGH_SHARE * most:
+        if not models or len(models[0].files) < MIN_POSED_SHARE * most:
             models = max(
                 models, self._mapped("incremental", "map_incrementally", pairs),
                 key=lambda each: len(each[0].files) if each else 0,
@@ -148,7 +148,7 @@ class Posing:
         return models
 
     def _mapped(self, mapper: str, task: str, pairs: dict[tuple[str, str], int]) -> list[Model]:
-        """Return the models of a mapper, the largest first; those of an earlier run on the same matches."""
+        """Return the models of a mapper, the largest first, or those of an earlier run on the same matches."""
         files = sorted(photo.file for photo in self.photos)
         key = hashlib.blake2b(repr((files, sorted(pairs.items()))).encode(), digest_size=8).hexdigest()
         name = f"{self.lens}_{mapper}_{key}"
@@ -166,21 +166,28 @@ class Posing:
                 described = []
             self.work.remember(f"{name}.json", described)
         models = [
-            Model(folder / one["folder"], mapper, tuple(one["names"]), one["num_points"], one["error_px"], one["depth"])
-            for one in described
+            Model(
+                folder / entry["folder"],
+                mapper,
+                tuple(entry["names"]),
+                entry["num_points"],
+                entry["error_px"],
+                entry["depth"],
+            )
+            for entry in described
         ]
         return sorted(models, key=lambda model: -len(model.files))
 
 
 def camera_key(photo: Photo) -> str:
-    """Return a text that photos of one camera, lens and raster have in common; others have other intrinsics."""
+    """Return a text that is the same for photos with the same camera, lens and raster, which share intrinsics."""
     return f"{photo.exif.camera} {photo.exif.focal_share or 0:.3f} {photo.width}x{photo.height}"
 
 
 def camera_of(photo: Photo, lens: str) -> dict[str, Any]:
     """Return COLMAP's camera of a photo, to be refined: the focal length of its EXIF, else a guess."""
     model, terms = LENSES[lens]
-    share = None if lens == "fisheye" else photo.exif.focal_share  # which is of another projection
+    share = None if lens == "fisheye" else photo.exif.focal_share  # EXIF's is of another projection
     focal = (share or (FISHEYE_FOCAL_SHARE if lens == "fisheye" else DEFAULT_FOCAL_SHARE)) * float(
         np.hypot(photo.width, photo.height)
     )
@@ -188,19 +195,19 @@ def camera_of(photo: Photo, lens: str) -> dict[str, Any]:
     return {
         "model": model, "width": photo.width, "height": photo.height,
         "params": [*focals, photo.width / 2, photo.height / 2, *[0.0] * terms],
-        "has_prior_focal_length": share is not None or lens == "fisheye",  # else lines are taken for straight
+        "has_prior_focal_length": share is not None or lens == "fisheye",  # without it COLMAP assumes straight lines
     }  # fmt: skip
 
 
 def places_of(photos: Sequence[Photo]) -> Float64[np.ndarray, "n 3"]:
-    """Return where the photos were taken in metres from the middle of the Earth, rows of NaN where they do not say."""
+    """Return positions of photos in metres from the centre of the Earth; rows of NaN where they have none."""
     nowhere = (np.nan, np.nan, np.nan)
-    said = [photo.exif.position or nowhere for photo in photos]
-    return geocentric(np.array([(x, y, 0.0 if z is None else z) for x, y, z in said], np.float64).reshape(-1, 3))
+    positions = [photo.exif.position or nowhere for photo in photos]
+    return geocentric(np.array([(x, y, 0.0 if z is None else z) for x, y, z in positions], np.float64).reshape(-1, 3))
 
 
 def _largest_group(pairs: dict[tuple[str, str], int]) -> set[str]:
-    """Return the files of the largest group whose members overlap, one with another; none where no two do."""
+    """Return the files of the largest group connected by overlaps; none without any overlap."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -208,7 +215,7 @@ def _largest_group(pairs: dict[tuple[str, str], int]) -> set[str]:
     if not files:
         return set()
     index = {file: k for k, file in enumerate(files)}
-    rows, columns = np.array([[index[one], index[other]] for one, other in pairs]).T
+    rows, columns = np.array([[index[first], index[second]] for first, second in pairs]).T
     graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(len(files), len(files)))
     _, labels = connected_components(graph, directed=False)
     largest = np.bincount(labels).argmax()

@@ -14,7 +14,7 @@ from ..errors import DrSplatError, FormatError, InputError, MissingExtraError
 
 INSTALL = 'pip install "drsplat[capture]"'
 LOG_BYTES = 1 << 20
-LEAST_ROOM_BYTES = 1 << 20  # a disk with less is full
+MIN_FREE_BYTES = 1 << 20  # a disk with less is full
 _FULL = ("disk is full", "No space left", "disk I/O error")
 _DAMAGED = ("malformed", "not a database", "No registered database factory")
 
@@ -22,17 +22,17 @@ Report = Callable[[int], None]
 
 
 class ColmapFailure(DrSplatError):
-    """COLMAP did not do what it was asked; the message says what it said."""
+    """Failure of a COLMAP task; the message is COLMAP's."""
 
 
 def require_colmap() -> None:
-    """Raises: MissingExtraError: COLMAP's package is not installed."""
+    """Check for COLMAP's package. Raises: MissingExtraError: it is not installed."""
     if find_spec("pycolmap") is None:
         raise MissingExtraError(f"finding poses needs COLMAP's package pycolmap: {INSTALL}")
 
 
 def ask_colmap(task: str, log: Path, report: Report | None = None, **request: Any) -> Any:
-    """Run a task of `worker.py` and return its answer. log: file that gets what COLMAP prints.
+    """Run a task of `worker.py` and return its answer. log: file for COLMAP's output.
 
     Raises: InputError: the disk is full. FormatError: the database is damaged. ColmapFailure: anything else.
     """
@@ -61,29 +61,30 @@ def ask_colmap(task: str, log: Path, report: Report | None = None, **request: An
 
 
 def _last_line(lines: Iterable[str], report: Report | None) -> dict[str, Any]:
-    said: dict[str, Any] = {}
+    """Report progress from lines of JSON until an answer or an error, and return that line."""
+    message: dict[str, Any] = {}
     for line in lines:
-        said = json.loads(line)
-        if report is not None and "done" in said:
-            report(said["done"])
-        if "answer" in said or "error" in said:
+        message = json.loads(line)
+        if report is not None and "done" in message:
+            report(message["done"])
+        if "answer" in message or "error" in message:
             break
-    return said
+    return message
 
 
-def _failure(task: str, said: str, log: Path) -> DrSplatError:
-    if any(words in said for words in _FULL) or shutil.disk_usage(log.parent).free < LEAST_ROOM_BYTES:
+def _failure(task: str, message: str, log: Path) -> DrSplatError:
+    if any(words in message for words in _FULL) or shutil.disk_usage(log.parent).free < MIN_FREE_BYTES:
         return InputError(
             f"{log.parent}: there is no room left while COLMAP worked there: free some space and give the same "
             "command again, what is done is kept"
         )
-    if any(words in said for words in _DAMAGED):
+    if any(words in message for words in _DAMAGED):
         return FormatError(f"COLMAP's database in {log.parent} is damaged: remove that folder, and start anew")
-    return ColmapFailure(f"COLMAP could not {task.replace('_', ' ')}: {said.strip() or 'it ended without a word'}")
+    return ColmapFailure(f"COLMAP could not {task.replace('_', ' ')}: {message.strip() or 'it ended without a word'}")
 
 
 def _last_words(log: Path, start: int) -> str:
-    """Return what COLMAP printed before it was ended: the error that it did not catch, else its last line."""
+    """Return COLMAP's last message before it ended: the exception that it did not catch, else its last line."""
     with log.open("rb") as file:
         file.seek(start)
         lines = file.read(LOG_BYTES).decode("utf-8", "replace").strip().splitlines()

@@ -1,4 +1,4 @@
-"""Why photos have no pose: one sentence for each."""
+"""Reasons why photos have no pose: one sentence for each."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,17 +8,17 @@ from statistics import median
 from .photos import Photo
 
 BLURRED_SHARE = 0.35  # of the median sharpness
-FEW_FEATURES = 150
-FEW_MATCHES = 15  # which COLMAP asks of a pair
-MANY_MATCHES = 300  # with which a photo has a pose, unless its camera has not moved
+MIN_FEATURES = 150
+MIN_MATCHES = 15  # which COLMAP requires of a pair
+MANY_MATCHES = 300  # enough for a pose, unless the camera has not moved
 
 
 @dataclass(frozen=True)
 class Reasons:
-    """Why photos are not in the first of some models.
+    """Reasons why photos are not in the first of some models.
 
-    photos: all that were found. features: their number by file. pairs: verified matches by pair of files. models: files
-    of each, the kept one first.
+    photos: all of the input. features: their number by file. pairs: verified matches by pair of files. models: files
+    of each, that of the capture first.
     """
 
     photos: Sequence[Photo]
@@ -35,14 +35,14 @@ class Reasons:
             return f"it is the same file as {first.name}"
         if photo.file not in self.features:
             return "COLMAP could not read it"
-        if self.features[photo.file] < FEW_FEATURES:
+        if self.features[photo.file] < MIN_FEATURES:
             return f"it shows hardly any texture, or is blurred: {self.features[photo.file]} features"
         if photo.file in self._others:
             return f"it shows another place, together with {self._others[photo.file] - 1} other photos"
         if photo.sharpness < BLURRED_SHARE * self._typical_sharpness:
             return "it is blurred"
         matches = self._best_matches.get(photo.file, 0)
-        if matches < FEW_MATCHES:
+        if matches < MIN_MATCHES:
             return "no overlap: it shows nothing that another photo shows"
         if matches < MANY_MATCHES:
             return f"too little overlap or movement: at most {matches} places in common with another photo"
@@ -50,12 +50,12 @@ class Reasons:
 
     @cached_property
     def _first(self) -> dict[str, Photo]:
-        """The first photo of each file."""
+        """First photo of each file."""
         return {photo.file: photo for photo in reversed(self.photos) if photo.fault is None}
 
     @cached_property
     def _others(self) -> dict[str, int]:
-        """Number of photos in the model of each file that is in another than the first."""
+        """Number of photos in the model of each file that is in a model other than the first."""
         return {file: len(model) for model in self.models[1:] for file in model}
 
     @cached_property

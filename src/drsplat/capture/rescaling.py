@@ -1,4 +1,4 @@
-"""Another length of a metre for a capture that is there: its poses stay, and nothing is looked for again."""
+"""Another scale for an existing capture: its poses stay, and no features are computed."""
 
 import hashlib
 import json
@@ -22,13 +22,13 @@ _IDENTITY = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
 
 
 def sources_key(sources: Sequence[Source]) -> str:
-    """Return a text that changes with photos, by their names, sizes and times."""
-    photos = [(one.name, one.num_bytes, one.changed_ns) for one in sources]
+    """Return a text that changes with the photos, by their names, sizes and times."""
+    photos = [(source.name, source.num_bytes, source.changed_ns) for source in sources]
     return hashlib.blake2b(json.dumps(photos).encode(), digest_size=16).hexdigest()
 
 
 def differs_in_scale(sources: Sequence[Source], output: Path, settings: CaptureSettings) -> bool:
-    """Return whether the output is of the same photos and settings, but for a length of a metre that is given now."""
+    """Return whether the output is of the same photos and settings, except for a new scale or known distance."""
     if not ((output / RECORD).is_file() and (output / MODEL / "0").is_dir()):
         return False
     record = read_json(output / RECORD)
@@ -43,14 +43,14 @@ def differs_in_scale(sources: Sequence[Source], output: Path, settings: CaptureS
 
 
 def rescale(sources: Sequence[Source], output: Path, settings: CaptureSettings) -> None:
-    """Write a capture's model and record in other lengths, where `work.publish` finds them."""
+    """Write a capture's model and record at another scale, where `work.publish` expects them."""
     work = Work(output)
     model = output / MODEL / "0"
     record: dict[str, Any] = json.loads((output / RECORD).read_text(encoding="utf-8"))
     if settings.known_distance is None:
         factor = (settings.scale or 1.0) / record["scale_factor"]
     else:
-        names = _names([view.name for view in read_colmap(model)], [one.name for one in sources])
+        names = _names([view.name for view in read_colmap(model)], [source.name for source in sources])
         factor = settings.known_distance.metres / units_between(settings.known_distance, model, work.log, names)
     ask_colmap(
         "place", work.log, model=str(model), output=str(work.new / MODEL / "0"), names={}, scale=factor,
@@ -67,7 +67,7 @@ def rescale(sources: Sequence[Source], output: Path, settings: CaptureSettings) 
 
 
 def _names(posed: Sequence[str], sources: Sequence[str]) -> dict[str, str]:
-    """Return the name in the capture by the names that a photo has there and had before it got another suffix."""
+    """Return names in the capture by the same name and by the photo's name before it got another suffix."""
     by_stem = {str(PurePosixPath(name).with_suffix("")): name for name in posed}
     stems = {name: str(PurePosixPath(name).with_suffix("")) for name in sources}
     before = {name: by_stem[stem] for name, stem in stems.items() if stem in by_stem}

@@ -1,4 +1,4 @@
-"""What may be asked of a capture."""
+"""Settings of a capture."""
 
 import math
 from dataclasses import dataclass
@@ -12,16 +12,16 @@ LENSES = {
 }  # fmt: skip
 """COLMAP's camera model of each lens, and its number of distortion parameters."""
 UNDISTORTED = ("fisheye",)
-"""Lenses whose photos are written as pinholes see them."""
+"""Lenses whose photos are written as pinhole photos."""
 SCALE, KNOWN_DISTANCE = "scale", "known distance"
 
 
 @dataclass(frozen=True)
 class CaptureSettings:
-    """How photos become a capture.
+    """Settings of a capture.
 
-    lens: of `LENSES`. scale: metres of a unit that the capture has without it. known_distance: between two places in
-    photos or two markers, in place of `scale`. invert_masks: black is kept, white left out.
+    lens: of `LENSES`. scale: metres per unit of the capture without it. known_distance: between two places in
+    photos or two markers, instead of `scale`. invert_masks: black is kept, white left out.
 
     Raises: InputError: an unknown lens, a scale that is not above 0, or both.
     """

@@ -1,4 +1,4 @@
-"""A video -> its chosen frames as photos. FFmpeg's libraries, by PyAV, decode it twice: to look, and to write."""
+"""Frames of a video as photos. FFmpeg's libraries, by PyAV, decode it twice: to measure, and to write."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -12,12 +12,12 @@ from ..errors import InputError, MissingExtraError
 from ..formats.replacing import replacing
 from .finding import VIDEO_ENDS, Source
 from .frames import Choice, Film, choose, movement
-from .photos import INSTALL, JPEG_QUALITY, MOST_PIXELS, sharpness
+from .photos import INSTALL, JPEG_QUALITY, MAX_PIXELS, sharpness
 from .posing import Progress
 from .work import Work
 
-LOOK_WIDTH = 256  # pixels of the small frames that are measured
-MOST_FRAMES = 500_000
+LOOK_WIDTH_PX = 256  # of the small frames that are measured
+MAX_FRAMES = 500_000
 RECORD = "frames.json"
 
 
@@ -27,22 +27,22 @@ def is_video(path: Path) -> bool:
 
 
 def video_source(path: Path) -> Source:
-    """Return the video itself as it was found."""
-    found = path.stat()
-    return Source(path.name, path, found.st_size, found.st_mtime_ns)
+    """Return the video as a source."""
+    stat = path.stat()
+    return Source(path.name, path, stat.st_size, stat.st_mtime_ns)
 
 
 def take_frames(video: Source, work: Work, progress: Progress) -> dict[str, int]:
-    """Write the chosen frames into the work folder, and return how many frames there were and were left out.
+    """Write the chosen frames into the work folder, and return the numbers of frames, chosen and left out.
 
     Frames that an earlier run has written are kept.
 
     Raises: InputError: no video, no pictures in it, or a camera that stands still. MissingExtraError: PyAV is missing.
     """
     key = [video.name, video.num_bytes, video.changed_ns]
-    known = work.remembered(RECORD)
-    if known is not None and known["video"] == key:
-        counts: dict[str, int] = known["counts"]
+    earlier = work.remembered(RECORD)
+    if earlier is not None and earlier["video"] == key:
+        counts: dict[str, int] = earlier["counts"]
         return counts
     film = _measured(video.path, progress)
     choice = choose(film)
@@ -65,14 +65,17 @@ def _hardly_any(video: Path, film: Film, choice: Choice) -> str:
 
 
 def _measured(video: Path, progress: Progress) -> Film:
+    """Measure the sharpness and movement of each frame."""
     sharp: list[float] = []
     moved: list[float] = []
     before = None
     with _opened(video) as (container, stream):
         total = stream.frames or 0
         for frame in _decoded(container, stream, video):
-            height = max(64, round(LOOK_WIDTH * frame.height / frame.width))
-            small = frame.reformat(width=LOOK_WIDTH, height=min(height, 4 * LOOK_WIDTH), format="gray").to_ndarray()
+            height = max(64, round(LOOK_WIDTH_PX * frame.height / frame.width))
+            small = frame.reformat(
+                width=LOOK_WIDTH_PX, height=min(height, 4 * LOOK_WIDTH_PX), format="gray"
+            ).to_ndarray()
             sharp.append(sharpness(small))
             moved.append(0.0 if before is None else movement(before, small))
             before = small
@@ -83,7 +86,7 @@ def _measured(video: Path, progress: Progress) -> Film:
 
 
 def _write(video: Path, choice: Choice, folder: Path, progress: Progress) -> None:
-    """Write the chosen frames as JPEG files of numbered names, upright."""
+    """Write the chosen frames as JPEG files with numbered names, upright."""
     folder.mkdir(exist_ok=True)
     for old in folder.iterdir():
         old.unlink()
@@ -118,7 +121,7 @@ def _opened(video: Path) -> Iterator[tuple[Any, Any]]:
                 raise InputError(f"{video}: there are no pictures in it, sound alone: name a film")
             stream = container.streams.video[0]
             stream.thread_type = "AUTO"
-            if stream.width * stream.height > MOST_PIXELS:
+            if stream.width * stream.height > MAX_PIXELS:
                 raise InputError(f"{video}: its frames of {stream.width}x{stream.height} pixels are too large")
             yield container, stream
     except av.FFmpegError as error:
@@ -129,13 +132,13 @@ def _opened(video: Path) -> Iterator[tuple[Any, Any]]:
 
 
 def _decoded(container: Any, stream: Any, video: Path) -> Iterator[Any]:
-    """Yield the frames up to the first that is damaged, as far as the film can be played."""
+    """Yield the frames up to the first damaged one."""
     import av
 
     try:
         for index, frame in enumerate(container.decode(stream)):
-            if index >= MOST_FRAMES:
-                raise InputError(f"{video}: expected at most {MOST_FRAMES:,} frames: cut it")
+            if index >= MAX_FRAMES:
+                raise InputError(f"{video}: expected at most {MAX_FRAMES:,} frames: cut it")
             yield frame
     except av.FFmpegError:
         return

@@ -1,8 +1,8 @@
 """The folder in which a capture is made, and how it becomes the capture.
 
-Everything is made in OUTPUT/.work, and what is done there stays when the program is stopped: photos are named after
-their contents, features and matches are kept by COLMAP's database by those names. At the end the parts are moved into
-place, the model last: a folder without sparse/0 is no capture, and a move that was stopped is finished by the next run.
+Everything is made in OUTPUT/.work and stays there when the program is stopped: photos are named after
+their contents, and COLMAP's database keeps features and matches under those names. At the end the parts are moved into
+place, the model last: a folder without sparse/0 is no capture, and the next run finishes a move that was stopped.
 """
 
 import json
@@ -22,7 +22,7 @@ READY = "ready"
 
 
 class Work:
-    """Paths below OUTPUT/.work, made when the first is asked for."""
+    """Paths below OUTPUT/.work, and that folder itself."""
 
     def __init__(self, output: Path) -> None:
         self.output, self.folder = output, output / WORK
@@ -36,42 +36,46 @@ class Work:
         self.masks.mkdir(exist_ok=True)
 
     def remembered(self, name: str) -> Any:
-        """Return a JSON document that `remember` wrote, None where there is none."""
+        """Read a JSON document that `remember` wrote; None if there is none."""
         path = self.folder / name
         return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
 
     def remember(self, name: str, document: Any) -> None:
+        """Write a JSON document for later runs."""
         with replacing(self.folder / name, overwrite=True) as file:
             file.write(json.dumps(document).encode())
 
 
 def refuse_strangers(output: Path, overwrite: bool) -> None:
-    """Raises: InputError: a capture is there and may not be replaced, or files that are not ours are in its place."""
-    there = [name for name in PARTS if (output / name).exists()]
-    if not there or (output / WORK / READY).exists():
+    """Check the output folder for another capture or other files.
+
+    Raises: InputError: a capture exists and may not be replaced, or files of others are in its place.
+    """
+    present = [name for name in PARTS if (output / name).exists()]
+    if not present or (output / WORK / READY).exists():
         return
     if not (output / RECORD).is_file():
-        raise InputError(f"{output} holds {there[0]}, which drsplat capture did not make: name another output")
+        raise InputError(f"{output} holds {present[0]}, which drsplat capture did not make: name another output")
     if not overwrite:
         raise InputError(f"{output} exists already: pass overwrite=True to replace it, or name another output")
 
 
 def refuse_overlap(photos: Path, output: Path) -> None:
-    """Raises: InputError: the output is the photos' own folder, in it, or around it."""
-    source, target = photos.resolve(), output.resolve()  # a video, too, is not to lie in what is made of it
+    """Check the output against the input. Raises: InputError: one is the other, or in it."""
+    source, target = photos.resolve(), output.resolve()  # a video must not lie in its capture, either
     if source == target or source in target.parents or target in source.parents:
         raise InputError(f"{output}: the photos in {photos} stay as they are: name an output beside their folder")
 
 
-def publish(output: Path, kept: Sequence[str] = ()) -> None:
-    """Move what is ready into place; also the rest of what an earlier run began to move.
+def publish(output: Path, unchanged: Sequence[str] = ()) -> None:
+    """Move finished parts into place, or finish what an earlier run began to move.
 
-    kept: parts that stay as they are where there are no new ones; others go.
+    unchanged: parts that stay where there are no new ones; others are removed.
     """
     work = output / WORK
     ready = work / READY
     if not ready.exists():
-        parts = [part for part in PARTS if part in kept or (work / "new" / part).exists()]
+        parts = [part for part in PARTS if part in unchanged or (work / "new" / part).exists()]
         with replacing(ready) as file:
             file.write(json.dumps(parts).encode())
     parts = json.loads(ready.read_text(encoding="utf-8"))

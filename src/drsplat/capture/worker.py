@@ -1,7 +1,7 @@
-"""COLMAP's package in a process of its own: a task as JSON on stdin, lines of JSON on stdout.
+"""Worker that runs COLMAP's package: a task as JSON on stdin, lines of JSON on stdout.
 
-Never imported by the program itself: pycolmap brings a zlib whose functions Pillow would call in the same process,
-which ends it. A task that COLMAP cannot survive ends this process and no other.
+The program never imports it: pycolmap brings a zlib whose functions Pillow would call in the same process,
+which ends it. A crash of COLMAP ends this process and no other.
 
 A line is {"done": N} as a task goes on, and at its end {"answer": ...} or {"error": text}.
 """
@@ -21,11 +21,11 @@ SEED = 0
 PHOTOS_AT_ONCE, PAIRS_AT_ONCE = 8, 64
 MAX_FEATURES = 4096
 JPEG_QUALITY = 95
-MASK_SUFFIX, MASK_KEPT_FROM = ".png", 128
-FEWEST_PHOTOS = 3  # of a model
-FEWEST_POINTS = 15  # that a photo has to see
-DEPTHS = 2000  # points whose distances are looked at
-ERRORS_ONLY = 2  # of glog's levels
+MASK_SUFFIX, MIN_WHITE = ".png", 128
+MIN_PHOTOS = 3  # of a model
+MIN_POINTS = 15  # that a photo has to see
+DEPTH_SAMPLE = 2000  # points for the median depth
+ERROR_LEVEL = 2  # of glog
 
 
 def add_cameras(request: dict[str, Any], _: TextIO) -> list[int]:
@@ -35,7 +35,7 @@ def add_cameras(request: dict[str, Any], _: TextIO) -> list[int]:
 
 
 def extract(request: dict[str, Any], line: TextIO) -> None:
-    """Find SIFT features of the photos of each group, which share a camera; those that have theirs are passed over."""
+    """Find SIFT features of the photos of each group, which share a camera; photos with features are skipped."""
     options = pycolmap.FeatureExtractionOptions()
     options.max_image_size, options.num_threads = request["max_side"], request["threads"]
     options.sift.max_num_features = MAX_FEATURES
@@ -56,7 +56,7 @@ def extract(request: dict[str, Any], line: TextIO) -> None:
 
 
 def match(request: dict[str, Any], line: TextIO) -> None:
-    """Match and verify pairs of photos, a file with a pair of names in each line; known pairs are passed over."""
+    """Match and verify pairs of photos, from a file with a pair of names in each line; known pairs are skipped."""
     matching, verification = pycolmap.FeatureMatchingOptions(), pycolmap.TwoViewGeometryOptions()
     matching.num_threads = request["threads"]
     verification.ransac.random_seed = SEED
@@ -73,19 +73,19 @@ def match(request: dict[str, Any], line: TextIO) -> None:
 
 
 def map_globally(request: dict[str, Any], _: TextIO) -> list[dict[str, Any]]:
-    """Pose all photos at once (GLOMAP); return what the models are, written as folders below `output`."""
+    """Pose all photos at once (GLOMAP); return the models, written as folders below `output`."""
     options = pycolmap.GlobalPipelineOptions()
     options.num_threads, options.random_seed = request["threads"], SEED
-    options.min_model_size, options.image_names = FEWEST_PHOTOS, request["names"]
+    options.min_model_size, options.image_names = MIN_PHOTOS, request["names"]
     models = pycolmap.global_mapping(request["database"], request["images"], request["output"], options)
     return _described(models, request["output"])
 
 
 def map_incrementally(request: dict[str, Any], line: TextIO) -> list[dict[str, Any]]:
-    """Pose one photo after another; as `map_globally`."""
+    """Pose one photo after another; return the models as `map_globally`."""
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads, options.random_seed = request["threads"], SEED
-    options.min_model_size, options.image_names = FEWEST_PHOTOS, request["names"]
+    options.min_model_size, options.image_names = MIN_PHOTOS, request["names"]
     posed = 0
 
     def count() -> None:
@@ -100,7 +100,7 @@ def map_incrementally(request: dict[str, Any], line: TextIO) -> list[dict[str, A
 
 
 def undistort(request: dict[str, Any], _: TextIO) -> None:
-    """Write a model's photos and cameras as pinholes see them, without black borders: `output`/images and /sparse."""
+    """Write a model's photos and cameras as pinholes, without black borders: `output`/images and /sparse."""
     pycolmap.undistort_images(
         request["output"], request["model"], request["images"], jpeg_quality=JPEG_QUALITY,
         num_threads=request["threads"],
@@ -108,7 +108,7 @@ def undistort(request: dict[str, Any], _: TextIO) -> None:
 
 
 def undistort_masks(request: dict[str, Any], _: TextIO) -> None:
-    """Write the masks of a model's photos as pinholes see them, as `undistort` does their photos; to `output`."""
+    """Write the masks of a model's photos as pinhole masks, as `undistort` does with photos; to `output`."""
     model = pycolmap.Reconstruction(request["model"])
     for image in model.images.values():
         mask = Path(request["masks"], image.name + MASK_SUFFIX)
@@ -116,12 +116,12 @@ def undistort_masks(request: dict[str, Any], _: TextIO) -> None:
         if picture is None:
             continue
         warped = pycolmap.undistort_image(pycolmap.UndistortCameraOptions(), picture, model.cameras[image.camera_id])[0]
-        white = np.where(warped.to_array() >= MASK_KEPT_FROM, np.uint8(255), np.uint8(0))
+        white = np.where(warped.to_array() >= MIN_WHITE, np.uint8(255), np.uint8(0))
         pycolmap.Bitmap.from_array(white).write(str(Path(request["output"], mask.name)))
 
 
 def place(request: dict[str, Any], _: TextIO) -> None:
-    """Write a model after a similarity of its world (scale, rotation by rows, translation), its photos renamed."""
+    """Write a model after a similarity of its world (scale, rotation by rows, translation), with photos renamed."""
     model = pycolmap.Reconstruction(request["model"])
     for image in model.images.values():
         image.name = request["names"].get(image.name, image.name)
@@ -135,7 +135,7 @@ def place(request: dict[str, Any], _: TextIO) -> None:
 
 
 def look(request: dict[str, Any], _: TextIO) -> list[dict[str, Any]]:
-    """Return what `_looked` says of each place, a photo's name and a pixel."""
+    """Return the ray and the points near each place; a place is a photo's name and a pixel."""
     model = pycolmap.Reconstruction(request["model"])
     images = {image.name: image for image in model.images.values()}
     return [_looked(model, images[name], pixel) for name, pixel in request["places"]]
@@ -170,21 +170,21 @@ def _described(models: dict[int, pycolmap.Reconstruction], output: str) -> list[
             "depth": _typical_depth(model),
         }
         for index, model in models.items()
-        if model.num_reg_images() >= FEWEST_PHOTOS
+        if model.num_reg_images() >= MIN_PHOTOS
     ]
 
 
 def _drop_unsupported(model: pycolmap.Reconstruction) -> bool:
-    """Take the poses of photos that see too few points; return whether there were some.
+    """Remove the poses of photos that see too few points; return whether there were some.
 
-    Global mapping poses a photo by relations to others alone, also where no point holds it: such poses are anywhere.
+    Global mapping can pose a photo by its relations to others alone: without points such a pose is arbitrary.
     """
     dropped = False
     while True:
         weak = [
             image.frame_id
             for image in model.images.values()
-            if image.has_pose and sum(point.has_point3D() for point in image.points2D) < FEWEST_POINTS
+            if image.has_pose and sum(point.has_point3D() for point in image.points2D) < MIN_POINTS
         ]
         if not weak:
             return dropped
@@ -196,7 +196,7 @@ def _drop_unsupported(model: pycolmap.Reconstruction) -> bool:
 def _typical_depth(model: pycolmap.Reconstruction) -> float:
     """Return the median distance, along the camera's axis, of points from the first photo that saw them."""
     depths = []
-    for point in list(model.points3D.values())[:: max(1, model.num_points3D() // DEPTHS)]:
+    for point in list(model.points3D.values())[:: max(1, model.num_points3D() // DEPTH_SAMPLE)]:
         seen_by = model.images[point.track.elements[0].image_id]
         depths.append(float((seen_by.cam_from_world() * point.xyz)[2]))
     return sorted(depths)[len(depths) // 2] if depths else 0.0
@@ -206,8 +206,8 @@ def _database(request: dict[str, Any]) -> Any:
     return pycolmap.Database.open(request["database"])
 
 
-def _say(line: TextIO, **said: Any) -> None:
-    print(json.dumps(said), file=line, flush=True)
+def _say(line: TextIO, **message: Any) -> None:
+    print(json.dumps(message), file=line, flush=True)
 
 
 TASKS = {
@@ -222,11 +222,11 @@ def main() -> None:
     os.dup2(2, 1)
     request = json.load(sys.stdin)
     end_with(request["parent"])
-    pycolmap.logging.minloglevel = ERRORS_ONLY
+    pycolmap.logging.minloglevel = ERROR_LEVEL
     pycolmap.set_random_seed(SEED)
     try:
         _say(line, answer=TASKS[request["task"]](request, line))
-    except Exception as error:  # whatever COLMAP raises is told in one line
+    except Exception as error:  # any error of COLMAP is reported in one line
         _say(line, error=f"{type(error).__name__}: {error}")
 
 

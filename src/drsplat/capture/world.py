@@ -1,4 +1,4 @@
-"""A world that stands upright and, where something says so, is measured in metres.
+"""World of a capture, which is upright and, where the photos or people give a scale, in metres.
 
 +z is up. Where the photos say where on the Earth they were taken, +x is east and +y north, in metres.
 """
@@ -17,13 +17,13 @@ from ..scene.similarity import Similarity
 from ..scene.views import View
 from .exif import ExifFacts
 
-FEWEST_PLACED = 4  # photos with GPS
-MOST_RESIDUAL_SHARE = 0.2  # of the spread of the GPS positions: noise in a room is larger than the room
-FLAT_SHARE = 3.0  # residuals that positions have to spread to the side of a line, for it to tell which way is up
-OUTLIER_RESIDUALS = 4.0  # medians
-TRIES, SAMPLED, ROUNDS = 200, 4, 5  # of the robust fit
-MOST_GRAVITY_SPREAD_DEG = 10.0  # median angle to the mean
-TYPICAL_DEPTH = 4.0  # units from a camera to what it sees, where nothing says how large the world is
+MIN_GPS_PHOTOS = 4
+MAX_RESIDUAL_SHARE = 0.2  # of the spread of the GPS positions: noise in a room is larger than the room
+MIN_SPREAD_RESIDUALS = 3.0  # spread of positions to the side of a line, in residuals, for GPS to tell which way is up
+OUTLIER_RESIDUALS = 4.0  # in medians
+TRIES, SAMPLE, ROUNDS = 200, 4, 5  # of the robust fit
+MAX_GRAVITY_SPREAD_DEG = 10.0  # median angle to the mean
+TYPICAL_DEPTH = 4.0  # units from a camera to the points it sees, where the scale is unknown
 
 Points = Float64[np.ndarray, "n 3"]
 Rotation = Float64[np.ndarray, "3 3"]
@@ -31,11 +31,11 @@ Rotation = Float64[np.ndarray, "3 3"]
 
 @dataclass(frozen=True)
 class World:
-    """How COLMAP's world is brought to the capture's: `similarity`, and what is known then.
+    """World of a capture: `similarity` maps COLMAP's world to it.
 
     unit: "m" or "units". up_from: "GPS", "gravity", "horizons" or "" (unknown). scale_from: "GPS", "scale",
     "known distance" or "". georeference: where its zero is on the Earth. residual_m: median distance of the cameras
-    from their GPS positions, None without. scale_factor: what people made lengths longer by.
+    from their GPS positions, None without. scale_factor: product of the scales that people gave.
     """
 
     similarity: Similarity
@@ -48,9 +48,9 @@ class World:
 
 
 def world_of(views: Sequence[View], facts: Mapping[str, ExifFacts], depth: float) -> World:
-    """Return the world that the photos' facts tell of.
+    """Return the world that follows from the photos' facts.
 
-    views: posed by COLMAP. facts: by their names. depth: median distance from a camera to what it sees.
+    views: posed by COLMAP. facts: by their names. depth: median depth of the points in the cameras that saw them.
     """
     rotation, up_from = _upright(views, facts)
     fit = _gps_fit(views, facts, rotation)
@@ -63,13 +63,13 @@ def world_of(views: Sequence[View], facts: Mapping[str, ExifFacts], depth: float
 
 def with_scale(world: World, factor: float, source: str) -> World:
     """Return the world with lengths times `factor`, in metres; its zero on the Earth stays where it is."""
-    given = world.similarity
-    similarity = Similarity(given.scale * factor, given.rotation, given.translation * factor)
+    old = world.similarity
+    similarity = Similarity(old.scale * factor, old.rotation, old.translation * factor)
     return replace(world, similarity=similarity, unit="m", scale_from=source, scale_factor=factor)
 
 
 def _upright(views: Sequence[View], facts: Mapping[str, ExifFacts]) -> tuple[Rotation, str]:
-    """Return a rotation to a world whose +z is up, and how that is known."""
+    """Return a rotation to a world whose +z is up, and the source of that direction."""
     up = _gravity_up(views, facts)
     if up is not None:
         return upright_rotation(up, views), "gravity"
@@ -80,19 +80,19 @@ def _upright(views: Sequence[View], facts: Mapping[str, ExifFacts]) -> tuple[Rot
 
 
 def _gravity_up(views: Sequence[View], facts: Mapping[str, ExifFacts]) -> Float64[np.ndarray, " 3"] | None:
-    """Return the mean of what the photos' accelerometers call up; None where they disagree or say nothing."""
-    said = [(view, facts[view.name].down) for view in views]
-    ups = np.array([-view.cam_from_world[:3, :3].T @ np.array(down) for view, down in said if down is not None])
+    """Return the mean upward direction of the photos' accelerometers; None where they disagree or are missing."""
+    downs = [(view, facts[view.name].down) for view in views]
+    ups = np.array([-view.cam_from_world[:3, :3].T @ np.array(down) for view, down in downs if down is not None])
     if len(ups) < max(2, len(views) / 4):
         return None
     mean = ups.mean(axis=0)
     mean /= max(float(np.linalg.norm(mean)), 1e-9)
     spread = np.degrees(np.median(np.arccos(np.clip(ups @ mean, -1, 1))))
-    return mean if spread <= MOST_GRAVITY_SPREAD_DEG else None
+    return mean if spread <= MAX_GRAVITY_SPREAD_DEG else None
 
 
 def upright_rotation(up: Float64[np.ndarray, " 3"], views: Sequence[View]) -> Rotation:
-    """Return the rotation that takes `up` to +z, and what the first camera has to its right to +x."""
+    """Return the rotation that maps `up` to +z, and the first camera's right to +x."""
     axes = [view.cam_from_world[row, :3] for view in views[:1] for row in (0, 1, 2)]
     across = max((axis - (axis @ up) * up for axis in axes), key=lambda axis: float(np.linalg.norm(axis)))
     right = across / np.linalg.norm(across)
@@ -102,7 +102,7 @@ def upright_rotation(up: Float64[np.ndarray, " 3"], views: Sequence[View]) -> Ro
 def _gps_fit(views: Sequence[View], facts: Mapping[str, ExifFacts], upright: Rotation) -> World | None:
     """Return the world in metres east, north and up; None where GPS is missing or coarser than the scene."""
     placed = [view for view in views if _has_height(facts[view.name])]
-    if len(placed) < FEWEST_PLACED:
+    if len(placed) < MIN_GPS_PHOTOS:
         return None
     places = np.array([facts[view.name].position for view in placed], np.float64)
     round_earth = geocentric(places)
@@ -114,10 +114,10 @@ def _gps_fit(views: Sequence[View], facts: Mapping[str, ExifFacts], upright: Rot
     middle = float(np.median(residuals))
     trusted = offsets[residuals <= OUTLIER_RESIDUALS * middle]
     spread = np.linalg.svd(trusted - trusted.mean(axis=0), compute_uv=False) / np.sqrt(len(trusted))
-    if middle > MOST_RESIDUAL_SHARE * spread[0]:
+    if middle > MAX_RESIDUAL_SHARE * spread[0]:
         return None
     up_from = "GPS"
-    if spread[1] < FLAT_SHARE * middle:  # a straight walk: the fit may turn about it
+    if spread[1] < MIN_SPREAD_RESIDUALS * middle:  # a straight walk: the fit can turn about it
         similarity, up_from = _level_similarity(centers, offsets, upright), ""
         middle = float(np.median(_distances(similarity, centers, offsets)))
     georeference = Georeference(*origin, np.eye(3), 1.0)
@@ -129,18 +129,18 @@ def _has_height(facts: ExifFacts) -> bool:
 
 
 def _robust_similarity(source: Points, target: Points) -> tuple[Similarity, Float64[np.ndarray, " n"]]:
-    """Return the similarity from source to target that outliers have no part in, and all distances after it.
+    """Return the similarity from source to target without the influence of outliers, and all distances after it.
 
-    It begins with the best of many made of four pairs each: least median of squares.
+    It begins with the best of many that are fitted to four pairs each: least median of squares.
     """
     rng = np.random.default_rng(0)
-    tries = [rng.choice(len(source), min(SAMPLED, len(source)), replace=False) for _ in range(TRIES)]
-    starts = [umeyama(source[few], target[few]) for few in tries]
+    tries = [rng.choice(len(source), min(SAMPLE, len(source)), replace=False) for _ in range(TRIES)]
+    starts = [umeyama(source[sample], target[sample]) for sample in tries]
     similarity = min(starts, key=lambda start: float(np.median(_distances(start, source, target))))
     for _ in range(ROUNDS):
         residuals = _distances(similarity, source, target)
-        kept = residuals <= OUTLIER_RESIDUALS * np.median(residuals)
-        similarity = umeyama(source[kept], target[kept])
+        inliers = residuals <= OUTLIER_RESIDUALS * np.median(residuals)
+        similarity = umeyama(source[inliers], target[inliers])
     return similarity, _distances(similarity, source, target)
 
 
@@ -162,7 +162,7 @@ def umeyama(source: Points, target: Points) -> Similarity:
 
 
 def _level_similarity(source: Points, target: Points, upright: Rotation) -> Similarity:
-    """Return the best similarity that keeps +z of `upright` up: it turns about it only."""
+    """Return the best similarity that keeps +z of `upright` up; it turns about that axis only."""
     a = (source - source.mean(axis=0)) @ upright.T
     b = target - target.mean(axis=0)
     cosine, sine = (a[:, :2] * b[:, :2]).sum(), (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()
