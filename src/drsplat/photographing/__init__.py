@@ -1,4 +1,4 @@
-"""Pictures of a splat that has no photos: poses planned from the scene, renderings with these poses as a capture.
+"""Pictures of a splat without photos: poses planned from the scene, and renderings of them as a capture.
 
 Imports `scene`, `formats`, `kernels`, `codes`, `drawing`, `filming` and `embedding`.
 """

@@ -1,4 +1,4 @@
-"""Cameras to choose from: all around in a room, on spheres around a thing."""
+"""Cameras to choose from: all around in a room, on spheres around an object."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -12,18 +12,18 @@ from ..scene.views import View
 from .settings import PhotographSettings
 from .space import Space, Vector, spread_out
 
-PLACES = 48  # in free space that are looked at
-ENCLOSED = 0.65  # share of directions that show something, at a place within a room
-ROOM_SHARE = 0.5  # of the places: where cameras can stand at so many and are enclosed there, the scene is a room
+MAX_PLACES = 48  # in free space to consider
+MIN_ENCLOSED_SHARE = 0.65  # of directions that show something, at a place within a room
+ROOM_SHARE = 0.5  # of the places: if so many are free and enclosed, the scene is a room
 LEVEL_TURNS, STEEP_TURNS = 8, 6  # directions at one place
 LEVEL_PITCH, DOWN_PITCH, UP_PITCH = -5.0, -40.0, 25.0  # degrees
-TARGETS = 24  # parts of a thing, or of a room, that are looked at
-AIMED = 4  # of these from one place in a room
-ASIDE = 2  # of these from one place around a thing, beside what is in the middle
-FAR_SHARES, FAR_VIEWS = (1.0, 0.7), 48  # of the distance from which all of a thing is in the picture; places each
+NUM_TARGETS = 24  # parts of an object, or of a room, to look at
+TARGETS_PER_PLACE = 4  # in a room
+EXTRA_TARGETS = 2  # from a place around an object, beside the middle
+FAR_SHARES, FAR_VIEWS = (1.0, 0.7), 48  # of the distance from which all of an object is in the picture; places each
 NEAR_SHARE, NEAR_VIEWS = 0.4, 8  # of that distance; places around each part
 LOWEST, HIGHEST = np.sin(np.radians((-25.0, 80.0)))  # elevations
-WHOLE = 0.95  # of the Gaussians, that a picture of all shows
+WHOLE_SHARE = 0.95  # of the Gaussians, for a picture of the whole
 GOLDEN_TURN = np.pi * (3 - np.sqrt(5))
 
 
@@ -35,16 +35,20 @@ class Candidates(NamedTuple):
 
 
 def candidates(space: Space, settings: PhotographSettings) -> Candidates:
-    """Return cameras in free space, none of them inside of Gaussians.
+    """Return cameras in free space, none of them inside Gaussians.
 
-    In a room they are where it is all around them. Where few free places are so, the scene is a thing, with more or
-    less around it: cameras are around it, and at those places, too.
+    In a room they are at the places enclosed by it. Where few free places are enclosed, the scene is an object with
+    more or less around it: cameras are around it, and at the enclosed places, too.
 
     Raises: InputError: there is no place for any.
     """
-    places = spread_out(space.free_places, PLACES)
+    places = spread_out(space.free_places, MAX_PLACES)
     around = [space.surroundings(place) for place in places]
-    inside = [place for place, one in zip(places, around, strict=True) if one.is_free and one.enclosed >= ENCLOSED]
+    inside = [
+        place
+        for place, surroundings in zip(places, around, strict=True)
+        if surroundings.is_free and surroundings.enclosed >= MIN_ENCLOSED_SHARE
+    ]
     is_room = len(inside) > 0 and len(inside) >= ROOM_SHARE * len(places)
     views = list(_in_room(space, inside, settings))
     views += [] if is_room else _around(space, settings)
@@ -57,22 +61,22 @@ def candidates(space: Space, settings: PhotographSettings) -> Candidates:
 
 
 def _in_room(space: Space, places: list[Vector], settings: PhotographSettings) -> Iterator[View]:
-    """Yield cameras that look all around at each place, level, down and up, and at what is near."""
+    """Yield cameras that look all around at each place, level, down and up, and at near targets."""
     targets = _targets(space)
     level, down, up = (_ring(space.up, *ring) for ring in (
         (LEVEL_TURNS, LEVEL_PITCH), (STEEP_TURNS, DOWN_PITCH), (STEEP_TURNS, UP_PITCH)
     ))  # fmt: skip
     for place in places:
-        nearest = targets[np.argsort(np.linalg.norm(targets - place, axis=1), kind="stable")[:AIMED]]
+        nearest = targets[np.argsort(np.linalg.norm(targets - place, axis=1), kind="stable")[:TARGETS_PER_PLACE]]
         for target in (*(place + np.concatenate([level, down, up])), *nearest):
             if np.linalg.norm(target - place) > 1e-6 * space.diagonal:
                 yield _view(space, place, target, settings)
 
 
 def _around(space: Space, settings: PhotographSettings) -> Iterator[View]:
-    """Yield cameras on a sphere around a thing that show all of it, and on smaller ones around its parts."""
+    """Yield cameras on a sphere around an object that show all of it, and on smaller ones around its parts."""
     middle = np.median(space.solid, axis=0)
-    radius = float(np.quantile(np.linalg.norm(space.solid - middle, axis=1), WHOLE))
+    radius = float(np.quantile(np.linalg.norm(space.solid - middle, axis=1), WHOLE_SHARE))
     width, height = settings.size
     half = np.arctan(np.tan(np.radians(settings.fov_degrees) / 2) * min(1.0, width / height))
     far = max(radius / np.sin(half), 2 * space.clearance)
@@ -87,10 +91,10 @@ def _around(space: Space, settings: PhotographSettings) -> Iterator[View]:
         places += [(target, target + NEAR_SHARE * far * direction) for direction in turned]
     for number, (target, eye) in enumerate(places):
         if eye @ space.up >= space.bottom and space.is_free(eye):
-            aside = targets[(number + np.arange(ASIDE) * TARGETS // ASIDE) % len(targets)]
-            for one in (target, *aside):
-                if np.linalg.norm(one - eye) > space.clearance:
-                    yield _view(space, eye, one, settings)
+            aside = targets[(number + np.arange(EXTRA_TARGETS) * NUM_TARGETS // EXTRA_TARGETS) % len(targets)]
+            for looked_at in (target, *aside):
+                if np.linalg.norm(looked_at - eye) > space.clearance:
+                    yield _view(space, eye, looked_at, settings)
 
 
 def _targets(space: Space) -> Float64[np.ndarray, "t 3"]:
@@ -99,12 +103,12 @@ def _targets(space: Space) -> Float64[np.ndarray, "t 3"]:
     points = space.solid[((space.solid >= low) & (space.solid <= high)).all(1)]
     middle = np.median(points, axis=0)
     first = points[np.linalg.norm(points - middle, axis=1).argmin()]
-    some = points[:: max(1, len(points) // 4096)]
-    return spread_out(np.concatenate([first[None], some]), TARGETS)
+    sample = points[:: max(1, len(points) // 4096)]
+    return spread_out(np.concatenate([first[None], sample]), NUM_TARGETS)
 
 
 def _ring(up: Vector, turns: int, pitch_degrees: float) -> Float64[np.ndarray, "t 3"]:
-    """Return unit directions all around, so many degrees above the horizon."""
+    """Return unit directions all around, at a pitch above the horizon."""
     ahead, aside = _level(up)
     angles = np.arange(turns)[:, None] * 2 * np.pi / turns
     pitch = np.radians(pitch_degrees)

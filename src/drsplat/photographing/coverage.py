@@ -1,4 +1,4 @@
-"""How much of a scene pictures show, and which of many cameras show most of it."""
+"""Coverage of a scene by pictures, and the choice of the cameras that show most of it."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -13,19 +13,19 @@ from ..kernels import view_weights
 from ..scene.views import View
 from .space import MAX_NEAR_SHARE, Space
 
-LONGER_SIDE = 252  # pixels of the pictures that are planned with
-ENOUGH_PIXELS = 1.0  # blending weight of a Gaussian in a picture, summed over its pixels, that makes it seen there
+PLANNING_SIDE_PX = 252  # longer side of pictures for planning
+ENOUGH_PIXELS = 1.0  # blending weight, summed over a picture's pixels, at which a Gaussian counts as seen
 SIGNIFICANT_WEIGHT = 0.98  # of all weight, each Gaussian counted by its best picture
-OFTEN = int(SIGHTS)  # pictures
-ENOUGH = 0.98  # share of what all candidates give together, at which as many pictures as it takes are enough
-FEWEST_BY_DEFAULT, MOST_BY_DEFAULT = 48, 150
-LARGE = 0.1  # of a picture's height: a Gaussian with a standard deviation of so much is a smear in it
+OFTEN = int(SIGHTS)  # pictures that show a Gaussian often enough
+ENOUGH_SHARE = 0.98  # of the coverage by all candidates, at which the default number of pictures is reached
+DEFAULT_RANGE = (48, 150)  # of the number of pictures
+SMEAR_SHARE = 0.1  # of a picture's height: a Gaussian with a larger standard deviation is a smear
 SHARP_QUANTILE, SHARP_MARGIN = 0.1, 0.1  # cameras are sharp up to this quantile of all smears, and this above it
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """What pictures show of a scene.
+    """Coverage of a scene by pictures.
 
     Attributes:
         significant: number of Gaussians that matter: those with the largest blending weights, by their best picture,
@@ -41,13 +41,13 @@ class Coverage:
     reachable: float
 
     def json(self) -> dict[str, object]:
-        """Return the numbers as a record keeps them, with what they mean."""
+        """Return the numbers for the record, with their definition."""
         return {**asdict(self), "pictures": OFTEN, "pixels": ENOUGH_PIXELS}
 
 
 @dataclass(frozen=True, eq=False)
 class Sights:
-    """What cameras see.
+    """Sights of cameras: what each picture shows.
 
     Attributes:
         views: the cameras.
@@ -61,11 +61,11 @@ class Sights:
     smears: Float64[np.ndarray, " v"]
 
     def sharp(self) -> "Sights":
-        """Return those that are hardly more smeared than the best tenth of them."""
+        """Return the sights of cameras hardly more smeared than the best tenth."""
         if not self.views:
             return self
-        (kept,) = np.nonzero(self.smears <= np.quantile(self.smears, SHARP_QUANTILE) + SHARP_MARGIN)
-        return Sights([self.views[at] for at in kept], csc_array(self.pixels[:, kept]), self.smears[kept])
+        (sharp,) = np.nonzero(self.smears <= np.quantile(self.smears, SHARP_QUANTILE) + SHARP_MARGIN)
+        return Sights([self.views[at] for at in sharp], csc_array(self.pixels[:, sharp]), self.smears[sharp])
 
     @property
     def significant(self) -> Bool[np.ndarray, " n"]:
@@ -80,55 +80,55 @@ class Sights:
 
     @property
     def seen(self) -> csc_array:
-        """One for each Gaussian that matters and picture that shows enough of it, (M, V)."""
+        """Matrix with 1 where a picture shows enough of a Gaussian that matters, (M, V)."""
         seen = self.pixels.copy()
         seen.data = (seen.data >= ENOUGH_PIXELS).astype(np.float64)
         seen.eliminate_zeros()
         return csc_array(seen.tocsr()[np.flatnonzero(self.significant)].tocsc())
 
     def coverage(self, chosen: Sequence[int]) -> Coverage:
-        """Measure what some of the pictures show."""
+        """Measure the coverage by some of the pictures."""
         seen = self.seen
-        counts, every = _counts(seen, np.array(chosen, np.int64)), _counts(seen, np.arange(seen.shape[1]))
+        counts, possible = _counts(seen, np.array(chosen, np.int64)), _counts(seen, np.arange(seen.shape[1]))
         if not len(counts):
             return Coverage(0, 0.0, 0.0, 0.0)
-        often, once, reachable = ((counts >= OFTEN).mean(), (counts >= 1).mean(), (every >= OFTEN).mean())
+        often, once, reachable = ((counts >= OFTEN).mean(), (counts >= 1).mean(), (possible >= OFTEN).mean())
         return Coverage(len(counts), float(often), float(once), float(reachable))
 
 
 def sights(space: Space, views: Sequence[View], track: Track = untracked) -> Sights:
-    """Look through some cameras, in small pictures; those with Gaussians right before them are left out."""
-    ids, weights, smears, kept = [np.empty(0, np.int64)], [np.empty(0)], [], []
+    """Look through cameras, in small pictures; cameras with Gaussians right before them are left out."""
+    ids, weights, smears, accepted = [np.empty(0, np.int64)], [np.empty(0)], [], []
     sizes, positions = space.gaussians.scales.max(1), space.positions
     for view in track(views, "planning pictures"):
-        small = view.limited(LONGER_SIDE)
+        small = view.limited(PLANNING_SIDE_PX)
         raster = np.zeros((small.height, small.width), np.int32)
         triples = view_weights(space.splats, small, raster, None, threads=space.threads)
         rows, seen = triples.gaussian_ids.astype(np.int64), triples.weights.astype(np.float64)
         if seen[space.is_near(view.center)[rows]].sum() > MAX_NEAR_SHARE * raster.size or not len(rows):
             continue
         away = positions[rows] @ view.cam_from_world[2, :3] + view.cam_from_world[2, 3]
-        is_large = sizes[rows] * view.K[1, 1] > LARGE * view.height * away
+        is_large = sizes[rows] * view.K[1, 1] > SMEAR_SHARE * view.height * away
         smears.append(seen[is_large].sum() / seen.sum())
-        kept.append(view)
+        accepted.append(view)
         ids.append(rows)
         weights.append(seen * (view.width * view.height / raster.size))
-    starts = np.cumsum([len(some) for some in ids])
-    shape = (len(space.gaussians), len(kept))
+    starts = np.cumsum([len(row_ids) for row_ids in ids])
+    shape = (len(space.gaussians), len(accepted))
     pixels = csc_array((np.concatenate(weights), np.concatenate(ids), starts), shape=shape)
-    return Sights(kept, pixels, np.array(smears))
+    return Sights(accepted, pixels, np.array(smears))
 
 
 def chosen_views(seen: Sights, number: int | None) -> list[int]:
-    """Choose views one after another, each the one that shows most that was not seen in three pictures before.
+    """Choose views one after another, each the one that shows most that is not yet in three pictures.
 
     number: pictures; None for as many as bring coverage near to that of all, 48 to 150. When nothing is left to gain,
-    all is to be seen three times more.
+    everything is to be seen three times more.
     """
     marks = seen.seen
     if number is None:
-        enough = greedy(marks, ENOUGH, MOST_BY_DEFAULT)[0]
-        number = max(len(enough), FEWEST_BY_DEFAULT)
+        enough = greedy(marks, ENOUGH_SHARE, DEFAULT_RANGE[1])[0]
+        number = max(len(enough), DEFAULT_RANGE[0])
     chosen: list[int] = []
     rest = np.arange(marks.shape[1])
     while len(chosen) < min(number, marks.shape[1]):

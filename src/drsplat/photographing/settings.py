@@ -1,4 +1,4 @@
-"""What pictures are asked for."""
+"""Settings of pictures."""
 
 from dataclasses import asdict, dataclass
 
@@ -7,12 +7,12 @@ from ..filming.paths import LENSES, check_size
 
 SIZE = (1024, 768)
 FOV_DEGREES = 60.0
-MOST_PICTURES = 10_000
+MAX_PICTURES = 10_000
 
 
 @dataclass(frozen=True)
 class PhotographSettings:
-    """Pictures of a scene.
+    """Settings for pictures of a scene.
 
     Attributes:
         number: pictures, 1 to 10,000; None for as many as coverage takes, 48 to 150.
@@ -35,8 +35,8 @@ class PhotographSettings:
 
     def __post_init__(self) -> None:
         check_size(self.size)
-        if self.number is not None and not 1 <= self.number <= MOST_PICTURES:
-            raise InputError(f"number: expected 1 to {MOST_PICTURES:,} pictures, got {self.number:,}")
+        if self.number is not None and not 1 <= self.number <= MAX_PICTURES:
+            raise InputError(f"number: expected 1 to {MAX_PICTURES:,} pictures, got {self.number:,}")
         if not LENSES[0] <= self.fov_degrees <= LENSES[1]:
             raise InputError(f"fov: expected {LENSES[0]:g} to {LENSES[1]:g} degrees, got {self.fov_degrees:g}")
         if self.up is not None and not 0 < sum(number * number for number in self.up) < float("inf"):
@@ -45,5 +45,5 @@ class PhotographSettings:
             raise InputError(f"background: expected red, green and blue from 0 to 1, got {self.background}")
 
     def json(self) -> dict[str, object]:
-        """Return the settings as a record keeps them."""
+        """Return the settings for the record."""
         return asdict(self)

@@ -1,4 +1,4 @@
-"""Where a camera can stand in a scene: free space between its Gaussians, and what surrounds each place there."""
+"""Free space of a scene in which a camera can stand, and the surroundings of each place."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +16,7 @@ from ..scene.placing import FEWEST, SOLID
 Vector = Float64[np.ndarray, " 3"]
 VOXELS = 48  # along the longest side of the scene's box
 BOX_QUANTILES = (0.02, 0.98)  # of the centres of solid Gaussians, along each axis
-OCCUPIED_OPACITY = 0.5  # summed over what lies in a voxel
+OCCUPIED_OPACITY = 0.5  # summed over a voxel
 CLEARANCE_SHARE = 0.03  # of the box's diagonal, at least, from a camera to the nearest surface
 CLEARANCE_NEARS = 2.0  # near planes, at least
 INSIDE_SIGMAS = 3.0  # a place is inside of a Gaussian up to so many standard deviations
@@ -27,9 +27,9 @@ NEAR_OF_PROBES = 0.05  # of the clearance, so that pictures all around show what
 
 
 class Surroundings(NamedTuple):
-    """What a camera sees all around.
+    """Surroundings of a camera.
 
-    enclosed: share of all directions in which there is something. near_share: share of what it sees that belongs to
+    enclosed: share of all directions in which there is something. near_share: share of the view that belongs to
     Gaussians right before the camera, or around it.
     """
 
@@ -38,13 +38,13 @@ class Surroundings(NamedTuple):
 
     @property
     def is_free(self) -> bool:
-        """Whether a camera can stand there."""
+        """True where a camera can stand."""
         return self.near_share <= MAX_NEAR_SHARE
 
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """A still scene as cameras need it.
+    """Still scene, as a space for cameras.
 
     Attributes:
         gaussians: the scene.
@@ -62,12 +62,12 @@ class Space:
 
     @cached_property
     def solid(self) -> Float64[np.ndarray, "n 3"]:
-        """Centres of the Gaussians that are no haze, in world coordinates; all centres where too few are solid."""
+        """Centres of the solid Gaussians, in world coordinates; all centres where too few are solid."""
         return solid_centers(self.gaussians)
 
     @cached_property
     def box(self) -> tuple[Vector, Vector]:
-        """Lowest and highest corner of what most solid Gaussians lie in."""
+        """Lowest and highest corner of the box of most solid Gaussians."""
         low, high = np.quantile(self.solid, BOX_QUANTILES, axis=0)
         return low, high
 
@@ -88,7 +88,7 @@ class Space:
 
     @property
     def clearance(self) -> float:
-        """Least distance from a camera to what it looks at, in scene units."""
+        """Least distance from a camera to a surface, in scene units."""
         return max(CLEARANCE_SHARE * self.diagonal, CLEARANCE_NEARS * self.splats.near)
 
     @cached_property
@@ -103,9 +103,9 @@ class Space:
         side = max(float((high - low).max()), 1e-6) / VOXELS
         shape = np.maximum(np.ceil((high - low) / side).astype(int), 1)
         inside = np.floor((self._surface_points - low) / side).astype(int)
-        kept = ((inside >= 0) & (inside < shape)).all(1)
-        flat = np.ravel_multi_index(tuple(inside[kept].T), tuple(shape))
-        opacity = np.bincount(flat, self._surface_opacities[kept], minlength=int(shape.prod()))
+        in_box = ((inside >= 0) & (inside < shape)).all(1)
+        flat = np.ravel_multi_index(tuple(inside[in_box].T), tuple(shape))
+        opacity = np.bincount(flat, self._surface_opacities[in_box], minlength=int(shape.prod()))
         occupied = (opacity >= OCCUPIED_OPACITY).reshape(shape)
         if not occupied.any():
             return np.empty((0, 3))
@@ -135,8 +135,8 @@ class Space:
         near: np.ndarray = distance < self.clearance
         (maybe,) = np.nonzero(~near & (distance < self.reaches))
         if len(maybe):
-            some = self.gaussians.subset(maybe)
-            whitened = np.einsum("nij,nj->ni", some.whitening(), away[maybe])
+            candidates = self.gaussians.subset(maybe)
+            whitened = np.einsum("nij,nj->ni", candidates.whitening(), away[maybe])
             near[maybe] = np.linalg.norm(whitened, axis=1) < INSIDE_SIGMAS
         return near
 
@@ -158,13 +158,13 @@ class Space:
 
 
 def solid_centers(gaussians: Gaussians) -> Float64[np.ndarray, "n 3"]:
-    """Return the centres of the Gaussians that are no haze, of all where too few are solid."""
+    """Return the centres of the solid Gaussians, of all where too few are solid."""
     solid = gaussians.opacities >= SOLID
     return gaussians.positions[solid] if solid.sum() >= FEWEST else gaussians.positions
 
 
 def spread_out(places: Float64[np.ndarray, "p 3"], count: int) -> Float64[np.ndarray, "c 3"]:
-    """Return up to `count` of some places, the first one first, then always the one farthest from all before."""
+    """Return up to `count` places: the first one, then always the one farthest from all before."""
     if not len(places):
         return places
     chosen, away = [0], np.linalg.norm(places - places[0], axis=1)

@@ -1,4 +1,4 @@
-"""From a scene to a capture: poses, pictures rendered from them, and the record that says so."""
+"""Captures of a scene: poses, pictures rendered from them, and the record that says so."""
 
 import hashlib
 from collections.abc import Sequence
@@ -32,12 +32,12 @@ from .upright import axis_name, guessed_up
 
 MODEL, IMAGES = Path("sparse/0"), "images"
 DEFAULT = PhotographSettings()
-MOST_POINTS = 100_000  # of the capture's points
-PATH_PICTURES = 60  # along a path, where no number is given
+MAX_POINTS = 100_000  # of the capture
+DEFAULT_PATH_PICTURES = 60
 
 
 class Plan(NamedTuple):
-    """Poses of pictures. kind: as of `Candidates`, or "path". num_candidates: cameras that they were chosen from."""
+    """Planned poses. kind: as of `Candidates`, or "path". num_candidates: number of cameras to choose from."""
 
     kind: str
     views: list[View]
@@ -68,7 +68,7 @@ def photograph(
         settings: how many pictures, of which size, lens and upward direction.
         name: of the scene, for the record.
         path: cameras to take in place of planned ones; their lens counts.
-        overwrite: replace a capture of renderings that is there, with all that is in its folder.
+        overwrite: replace an existing capture of renderings, with everything in its folder.
         threads: 0 for all cores.
         track: shows progress.
 
@@ -110,7 +110,7 @@ def photograph(
 
 
 def planned(space: Space, settings: PhotographSettings, track: Track = untracked) -> Plan:
-    """Plan poses from the scene itself: chosen greedily, so that as much of it as can be is seen in three pictures.
+    """Plan poses from the scene: a greedy choice that shows as much of it as possible in three pictures.
 
     Raises: InputError: no place for a camera, or nothing to see.
     """
@@ -123,12 +123,12 @@ def planned(space: Space, settings: PhotographSettings, track: Track = untracked
 
 
 def along(space: Space, path: CameraPath, settings: PhotographSettings, track: Track = untracked) -> Plan:
-    """Take the poses of a path; those inside of Gaussians or right before them are left out.
+    """Take the poses of a path, without those inside Gaussians or right before them.
 
     Warns: DrSplatWarning: how many are left out.
     Raises: InputError: all are.
     """
-    views = path.views(settings.number or PATH_PICTURES, settings.size)
+    views = path.views(settings.number or DEFAULT_PATH_PICTURES, settings.size)
     free = [view for view in views if space.is_free(view.center)]
     seen = sights(space, free, track)
     if not seen.views:
@@ -145,7 +145,10 @@ def along(space: Space, path: CameraPath, settings: PhotographSettings, track: T
 
 
 def _at_time(scene: Gaussians | Moving, time: float | None) -> Gaussians:
-    """Return the Gaussians to look at. Raises: InputError: none, a time that is missing, or one too many."""
+    """Return the Gaussians at a time.
+
+    Raises: InputError: there are none, or a time that is missing or superfluous.
+    """
     if not len(scene):
         raise InputError("there is nothing to photograph: the scene has no Gaussians")
     if isinstance(scene, Moving):
@@ -159,7 +162,7 @@ def _at_time(scene: Gaussians | Moving, time: float | None) -> Gaussians:
 
 
 def _take(space: Space, views: Sequence[View], settings: PhotographSettings, folder: Path, track: Track) -> None:
-    """Write the model, and a picture of each pose as the model has it."""
+    """Write the model, and a picture of each of its poses."""
     digits = max(4, len(str(len(views))))
     named = [_named(view, f"view_{number:0{digits}d}.png") for number, view in enumerate(views)]
     (folder / MODEL).mkdir(parents=True)
@@ -180,7 +183,7 @@ def _points(gaussians: Gaussians) -> tuple[Float64[np.ndarray, "m 3"], UInt8[np.
     """Return centres and colours of solid Gaussians, evenly chosen where there are many."""
     (solid,) = np.nonzero(gaussians.opacities >= SOLID)
     rows = solid if len(solid) else np.arange(len(gaussians))
-    rows = rows[:: -(-len(rows) // MOST_POINTS)]
+    rows = rows[:: -(-len(rows) // MAX_POINTS)]
     colors = as_pixels(0.5 + np.float32(SH_C0) * gaussians.sh[rows, :1])
     return gaussians.positions[rows], colors[:, 0]
 
