@@ -1,4 +1,4 @@
-"""The demo's pictures: one per answer, and all on one sheet under a photo of the room."""
+"""Pictures of the demo: one per answer, and all on one sheet under a photo of the room."""
 
 from pathlib import Path
 
@@ -27,12 +27,12 @@ OVERVIEW = "overview.png"
 
 
 def write_album(folder: Path, story: Story, *, overwrite: bool = False) -> list[Path]:
-    """Write a PNG per answer to folder/answers, and folder/overview.png; returns their paths, the overview first."""
+    """Write a PNG per answer to folder/answers, and folder/overview.png; return the paths, the overview first."""
     with saying_what_is_full(folder / "answers"):
         (folder / "answers").mkdir(parents=True, exist_ok=True)
     paths, pictures = [folder / OVERVIEW], []
-    found = [verdict.gaussian_ids for verdict in story.verdicts]
-    views = best_views(story.gaussians, story.held_out + story.views, found)
+    selections = [verdict.gaussian_ids for verdict in story.verdicts]
+    views = best_views(story.gaussians, story.held_out + story.views, selections)
     for verdict, view in zip(story.verdicts, views, strict=True):
         picture = _answer_picture(story, verdict, view)
         pictures.append(titled(picture, f"“{verdict.probe.text}”", note(verdict)))
@@ -43,7 +43,7 @@ def write_album(folder: Path, story: Story, *, overwrite: bool = False) -> list[
 
 
 def note(verdict: Verdict) -> str:
-    """Return what came of a probe, in a few words."""
+    """Return the result of a probe, in a few words."""
     if not verdict.found:
         manner = "rightly" if verdict.is_right else "miss:"
         return f"{manner} no match (best score {verdict.scores[1]:.2f})"
@@ -54,7 +54,7 @@ def note(verdict: Verdict) -> str:
 
 
 def _answer_picture(story: Story, verdict: Verdict, view: View) -> OtherPixels:
-    """Draw the Gaussians from where a photo shows most of it, through a lens that suits the size of the thing."""
+    """Draw the Gaussians of an answer from the view that shows most of them, with a lens that suits their size."""
     view = view if verdict.found else story.held_out[0]
     view = zoomed(view, visible_share(story.gaussians, view, verdict.gaussian_ids, splats=story.splats))
     chosen = np.zeros((len(story.gaussians), 1), np.float32)
@@ -64,7 +64,7 @@ def _answer_picture(story: Story, verdict: Verdict, view: View) -> OtherPixels:
 
 
 def _overview(story: Story, pictures: list[OtherPixels]) -> OtherPixels:
-    """Join two photos of the room, and the answers in rows of four below them."""
+    """Put two photos of the room above the answers in rows of four."""
     sheet = contact_sheet(pictures, columns=4)
     views = [story.held_out[0], story.held_out[-1]]
     photos = [Image.fromarray(photo_or_rendering(story.gaussians, view)) for view in views]

@@ -1,6 +1,6 @@
-"""The scene that ships: photos, poses, trained Gaussians, and what the held-out photos show.
+"""The scene in the package: photos, poses, trained Gaussians, and the content of the held-out photos.
 
-Made by `world/packing.py` from a room of the procedural household world that no model here has learned from.
+Made by `world/packing.py` from a room of the procedural household world that no model here was trained on.
 """
 
 import json
@@ -24,14 +24,14 @@ UNFINISHED = "UNFINISHED"  # name of the file that marks a folder of a demo that
 
 @dataclass(frozen=True)
 class Household:
-    """categories: by id. held_out: photos that neither training nor registration has seen."""
+    """Scene of the demo. categories: by id. held_out: photos that neither training nor registration used."""
 
     folder: Path
     categories: dict[int, str]
     held_out: tuple[str, ...]
 
     def mask(self, view_name: str, meant: Collection[str]) -> Bool[np.ndarray, "h w"]:
-        """Where a held-out photo shows one of these categories."""
+        """Return where a held-out photo shows one of these categories."""
         ids = np.asarray(Image.open(self.folder / "ids" / f"{Path(view_name).stem}.png"))
         numbers = [number for number, name in self.categories.items() if name in meant]
         return np.asarray(np.isin(ids.astype(np.int32) - 1, numbers))
@@ -49,14 +49,14 @@ def unpack_household(folder: Path, *, overwrite: bool = False) -> Household:
 
 
 def refuse_full(folder: Path, overwrite: bool) -> None:
-    """Raise InputError if a folder has something in it and not `overwrite`."""
+    """Check a folder for output. Raises: InputError: it has something in it and not `overwrite`."""
     if folder.is_dir() and any(folder.iterdir()) and not overwrite:
         raise InputError(f"{folder} exists already: choose another folder, or pass overwrite=True to replace it")
 
 
 @contextmanager
 def resumable(folder: Path, overwrite: bool) -> Iterator[None]:
-    """Mark a folder as unfinished until the block ends well, so that a stopped demo can go on in it.
+    """Mark a folder as unfinished until the block ends well, so that a stopped demo can be continued in it.
 
     Raises: InputError: the folder has something in it, that no stopped demo left, and not `overwrite`.
     """
@@ -75,11 +75,12 @@ def _copy(shipped: Path, folder: Path) -> None:
             place = folder / file.relative_to(shipped)
             with saying_what_is_full(place.parent):
                 place.parent.mkdir(parents=True, exist_ok=True)
-            with file.open("rb") as given, replacing(place, overwrite=True) as taken:
-                shutil.copyfileobj(given, taken)
+            with file.open("rb") as source, replacing(place, overwrite=True) as target:
+                shutil.copyfileobj(source, target)
 
 
 def read_household(folder: Path) -> Household:
-    known = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
-    categories = {thing["id"]: thing["category"] for thing in known["objects"]}
-    return Household(folder, categories, tuple(known["held_out"]))
+    """Read the truth of an unpacked scene."""
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    categories = {thing["id"]: thing["category"] for thing in truth["objects"]}
+    return Household(folder, categories, tuple(truth["held_out"]))

@@ -1,4 +1,4 @@
-"""The demo's answers as a page for a browser, beside the pictures that it shows."""
+"""Answers of the demo as a page for a browser, beside its pictures."""
 
 import os
 from collections.abc import Sequence
@@ -81,9 +81,11 @@ def _photo(folder: Path, view: View) -> str:
 
 
 def _figure(verdict: Verdict, picture: str) -> str:
-    title, said = escape(verdict.probe.text), escape(note(verdict).removeprefix("miss: "))
+    title, result = escape(verdict.probe.text), escape(note(verdict).removeprefix("miss: "))
     kind = "right" if verdict.is_right else "miss"
     selected = f"; {len(verdict.gaussian_ids):,} Gaussians" if verdict.found else ""
-    words = f"<b>{title} <i>{kind}</i></b><small>{said}{selected}</small>"
+    words = f"<b>{title} <i>{kind}</i></b><small>{result}{selected}</small>"
     source = escape(picture, quote=True)
-    return f'<figure class="{kind}"><img src="{source}" alt="{title}: {said}"><figcaption>{words}</figcaption></figure>'
+    return (
+        f'<figure class="{kind}"><img src="{source}" alt="{title}: {result}"><figcaption>{words}</figcaption></figure>'
+    )

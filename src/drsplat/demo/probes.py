@@ -1,11 +1,10 @@
-"""What the demo asks, and what the right answer is."""
+"""Queries of the demo and their right answers."""
 
 from typing import NamedTuple
 
 
 class Probe(NamedTuple):
-    """A query in words, and the names of the things that it means (categories of `truth.json`): none where there is no
-    such thing."""
+    """Query in words, and the names of the right objects (categories of `truth.json`); none if there are none."""
 
     text: str
     meant: tuple[str, ...]

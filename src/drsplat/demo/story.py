@@ -1,4 +1,4 @@
-"""From photos to answers, through the public interface only: masks, embeddings, registration, field, words."""
+"""Run of the demo through the public interface only: masks, embeddings, registration, field, words."""
 
 import time
 from collections.abc import Sequence
@@ -29,15 +29,15 @@ from .probes import PROBES, Probe
 
 FIELD, FEATURES = "room.field", "language_features"
 
-RIGHT = 0.5  # least IoU of an answer that is called right
+RIGHT_IOU = 0.5  # an answer counts as right above
 
 
 @dataclass(frozen=True, eq=False)
 class Verdict:
-    """gaussian_ids: of all that was found. center: of the best match, in metres, or None.
+    """Answer to a probe, compared with the truth.
 
-    iou: with the truth, in the demo over the pixels of all held-out photos; None where nothing is right.
-    scores: lowest and highest of the field.
+    gaussian_ids: of all matches. center: of the best match, in metres, or None. iou: with the truth, in the demo over
+    the pixels of all held-out photos; None where nothing is right. scores: lowest and highest of the field.
     """
 
     probe: Probe
@@ -54,13 +54,13 @@ class Verdict:
 
     @property
     def is_right(self) -> bool:
-        """Found, and more right than wrong; or rightly not found."""
-        return not self.found if self.iou is None else self.iou > RIGHT
+        """True for a match that overlaps the truth by more than RIGHT_IOU, or for rightly no match."""
+        return not self.found if self.iou is None else self.iou > RIGHT_IOU
 
 
 @dataclass(frozen=True, eq=False)
 class Story:
-    """All that the demo did. views: those registered. held_out: those that answers are measured in."""
+    """Result of the demo. views: those registered. held_out: those in which answers are measured."""
 
     gaussians: Gaussians
     splats: SplatArrays
@@ -84,44 +84,46 @@ def tell(
 ) -> Story:
     """Copy the scene to `folder`, mask and embed its photos, register them, ask the probes.
 
-    anew: whether `overwrite` embeds photos again that a stopped demo has embedded already.
+    anew: whether `overwrite` embeds again photos that a stopped demo has embedded.
 
     Raises: InputError: the folder has something in it and not `overwrite`.
     """
     watch = Stopwatch()
     household = unpack_household(folder, overwrite=overwrite)
     views = read_views(folder)
-    seen = [view for view in views if view.name not in household.held_out]
+    used = [view for view in views if view.name not in household.held_out]
     held_out = [view for view in views if view.name in household.held_out]
     gaussians = read_gaussians(folder / SCENE)
     watch.lap("read")
-    embed(seen, folder / FEATURES, GraphSegmenter(), MiniEncoder(), overwrite=overwrite and anew, track=track)
+    embed(used, folder / FEATURES, GraphSegmenter(), MiniEncoder(), overwrite=overwrite and anew, track=track)
     watch.lap("mask and embed")
     features = read_features(folder / FEATURES, level="large", encoder=MiniEncoder().identity)
-    registration = register(gaussians, seen, features, threads=threads, track=track)
+    registration = register(gaussians, used, features, threads=threads, track=track)
     watch.lap("register")
-    made = registration.to_field(threads=threads, track=track)
+    field = registration.to_field(threads=threads, track=track)
     watch.lap("field")
-    made = made.with_objects(find_objects(made, gaussians, threads=threads))
-    made.save(folder / FIELD, overwrite=overwrite)
+    field = field.with_objects(find_objects(field, gaussians, threads=threads))
+    field.save(folder / FIELD, overwrite=overwrite)
     field, splats = load_field(folder / FIELD), splat_arrays(gaussians)
     watch.lap("objects")
     judge = _Judge(Scene(field, gaussians, threads=threads), splats, household, held_out)
     verdicts = judge.verdicts([judge.asked(probe) for probe in track(probes, "asking")])
     watch.lap("query")
     size = len(registration.embeddings), int(registration.weights.nnz)
-    return Story(gaussians, splats, seen, held_out, field, verdicts, watch.seconds, *size)
+    return Story(gaussians, splats, used, held_out, field, verdicts, watch.seconds, *size)
 
 
 @dataclass(frozen=True, eq=False)
 class _Judge:
+    """Judge of answers, by the held-out photos."""
+
     scene: Scene
     splats: SplatArrays
     household: Household
     held_out: list[View]
 
     def asked(self, probe: Probe) -> Verdict:
-        """Ask the scene; the answer is not yet held against the truth."""
+        """Ask the scene; the answer is not yet compared with the truth."""
         start = time.perf_counter()
         answer = self.scene.ask(probe.text)
         matches = self.scene.locate(answer)
@@ -131,25 +133,29 @@ class _Judge:
         center = matches[0].center if matches else None
         return Verdict(probe, ids, len(matches), None, center, limits, seconds)
 
-    def verdicts(self, asked: Sequence[Verdict]) -> list[Verdict]:
-        """Hold answers against the truth, all of them in one rendering of each photo held out.
+    def verdicts(self, answers: Sequence[Verdict]) -> list[Verdict]:
+        """Compare answers with the truth, all of them in one rendering of each held-out photo.
 
-        The IoU is of what is seen of the Gaussians with what is seen of the things, in all these photos.
+        The IoU is of the visible parts of the Gaussians and of the objects, over all these photos.
         """
-        chosen = np.zeros((len(self.scene.gaussians), len(asked)), np.float32)
-        for column, one in enumerate(asked):
-            chosen[one.gaussian_ids, column] = 1
+        chosen = np.zeros((len(self.scene.gaussians), len(answers)), np.float32)
+        for column, verdict in enumerate(answers):
+            chosen[verdict.gaussian_ids, column] = 1
         seen = [self._visible(view, chosen) for view in self.held_out]
         return [
-            replace(one, iou=mask_iou(np.concatenate([v[..., column] for v in seen]), self._true(one.probe.meant)))
-            if one.probe.meant
-            else one
-            for column, one in enumerate(asked)
+            replace(
+                verdict, iou=mask_iou(np.concatenate([v[..., column] for v in seen]), self._true(verdict.probe.meant))
+            )
+            if verdict.probe.meant
+            else verdict
+            for column, verdict in enumerate(answers)
         ]
 
     def _visible(self, view: View, chosen: Float32[np.ndarray, "n a"]) -> Bool[np.ndarray, "h w a"]:
+        """Return where each answer's Gaussians have more than half of the weight."""
         drawn = render_channels(self.splats, view, chosen, threads=self.scene.threads)
         return np.asarray(drawn.channels > 0.5)
 
     def _true(self, meant: tuple[str, ...]) -> Bool[np.ndarray, "h w"]:
+        """Return where the held-out photos show these categories."""
         return np.concatenate([self.household.mask(view.name, meant) for view in self.held_out])

@@ -1,4 +1,4 @@
-"""Pictures for people: a scene rendered, an answer kept in colour, palettes, sheets.
+"""Pictures for people: renderings of a scene, answers in colour, palettes, sheets.
 
 Imports `scene`, `formats` and `kernels`.
 """

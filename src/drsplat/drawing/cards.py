@@ -16,7 +16,7 @@ LINE_SPACING = 1.45  # of the height of letters
 
 @dataclass(frozen=True, eq=False)
 class Card:
-    """A picture with its title and further lines of text."""
+    """Picture with a title and further lines of text."""
 
     pixels: OtherPixels
     title: str

@@ -1,4 +1,4 @@
-"""Cut-outs: the part of a photo that shows one thing, which keeps its colours on a pale ghost of its surroundings."""
+"""Cut-outs: a photo's part that shows one object, in its colours on a pale ghost of the surroundings."""
 
 import numpy as np
 from PIL import Image
@@ -8,29 +8,29 @@ from .palette import LUMA
 from .pictures import FAINT, PAPER, OtherPixels, Pixels, border
 
 TILE = (320, 240)  # pixels, width and height
-MARGIN = 0.15  # of the sides of what is shown, around it
-SMALLEST = 48.0  # pixels of a photo that fill a tile at least: fewer are a blur
+MARGIN_SHARE = 0.15  # of the object's sides, around it
+MIN_WIDTH_PX = 48.0  # of a photo across a tile: fewer are a blur
 GHOST_SHARE = 0.16  # of the photo's light in the surroundings; the rest is paper
-FINER = 2  # tiles are composed at so many times their size, which smooths the outline
-LINE_PX = 3  # thickness of the outline there
+OVERSAMPLING = 2  # tiles are composed at this factor, which smooths the outline
+LINE_PX = 3  # thickness of the outline before reduction
 
 
 def cut_out(photo: Pixels, share: Float32[np.ndarray, "h w"], size: tuple[int, int] = TILE) -> OtherPixels:
-    """Return a tile of the part of a photo where `share` is above a half, outlined; all of it where nothing is.
+    """Return a tile of the part of a photo where `share` is above a half, outlined; all of it if there is none.
 
     share: as of `visible_share`, at the photo's size. size: width and height of the tile, of 4 to 3.
     """
-    window, fine = _window(share), (FINER * size[0], FINER * size[1])
+    window, fine = _window(share), (OVERSAMPLING * size[0], OVERSAMPLING * size[1])
     part = np.asarray(_cropped(Image.fromarray(photo), window, fine), np.float32)
-    kept = np.asarray(_cropped(Image.fromarray(np.clip(share, 0, 1)), window, fine))
+    visible = np.asarray(_cropped(Image.fromarray(np.clip(share, 0, 1)), window, fine))
     ghost = 255 - GHOST_SHARE * (255 - part @ LUMA.astype(np.float32))[..., None]
-    tile = (part * kept[..., None] + ghost * (1 - kept[..., None])).clip(0, 255).astype(np.uint8)
-    tile[border(kept > 0.5, LINE_PX)] = FAINT
-    return np.asarray(Image.fromarray(tile).reduce(FINER))
+    tile = (part * visible[..., None] + ghost * (1 - visible[..., None])).clip(0, 255).astype(np.uint8)
+    tile[border(visible > 0.5, LINE_PX)] = FAINT
+    return np.asarray(Image.fromarray(tile).reduce(OVERSAMPLING))
 
 
 def _cropped(picture: Image.Image, window: tuple[int, int, int, int], size: tuple[int, int]) -> Image.Image:
-    """Return the window of a picture, which is paper beyond the photo and nothing beyond a share."""
+    """Return the window of a picture; beyond it a photo is paper, and a share 0."""
     left, top, right, bottom = window
     canvas = Image.new(picture.mode, (right - left, bottom - top), PAPER if picture.mode == "RGB" else 0)
     canvas.paste(picture, (-left, -top))
@@ -38,14 +38,14 @@ def _cropped(picture: Image.Image, window: tuple[int, int, int, int], size: tupl
 
 
 def _window(share: Float32[np.ndarray, "h w"]) -> tuple[int, int, int, int]:
-    """Return left, top, right and bottom of what is shown: in a tile's proportions, in the photo where it fits."""
+    """Return left, top, right and bottom around the object: in a tile's proportions, in the photo where it fits."""
     rows, columns = np.nonzero(share > 0.5 * min(1.0, float(share.max(initial=0))))
     if not len(rows):
         rows, columns = (np.array([0, side - 1]) for side in share.shape)
-    high, wide = ((1 + 2 * MARGIN) * (np.ptp(np.percentile(at, (1, 99))) + 1) for at in (rows, columns))
+    high, wide = ((1 + 2 * MARGIN_SHARE) * (np.ptp(np.percentile(at, (1, 99))) + 1) for at in (rows, columns))
     aspect = TILE[0] / TILE[1]
     whole = max(float(share.shape[1]), share.shape[0] * aspect)
-    width = min(max(wide, high * aspect, SMALLEST), whole)
+    width = min(max(wide, high * aspect, MIN_WIDTH_PX), whole)
     left, right = _placed(columns, width, share.shape[1])
     top, bottom = _placed(rows, width / aspect, share.shape[0])
     return left, top, right, bottom

@@ -1,4 +1,4 @@
-"""How warm an answer is: values as heat, and heat as colours."""
+"""Heat of an answer: values to heat, and heat to colours."""
 
 import numpy as np
 
@@ -17,11 +17,11 @@ HEAT = np.array(
     ],
     np.float32,
 )
-"""Dark blue to red, of rising warmth; evenly spaced."""
+"""Colours from dark blue to red, evenly spaced over heat from 0 to 1."""
 
 
 def heat_of(values: Values, threshold: float) -> Values:
-    """0 at the median and below, 0.5 at the threshold, 1 at the highest value.
+    """Return heat: 0 at the median and below, 0.5 at the threshold, 1 at the highest value.
 
     Where nothing is above the threshold, nothing is warmer than 0.5.
     """
@@ -33,7 +33,7 @@ def heat_of(values: Values, threshold: float) -> Values:
 
 
 def heat_colors(heat: Values) -> Float32[np.ndarray, "n 3"]:
-    """Heat in [0, 1] to `HEAT`, with straight lines between its colours."""
+    """Map heat in [0, 1] to colours, linearly between those of `HEAT`."""
     at = np.clip(heat, 0, 1) * (len(HEAT) - 1)
     low = np.minimum(at.astype(np.int64), len(HEAT) - 2)
     share = (at - low)[:, None].astype(np.float32)

@@ -1,4 +1,4 @@
-"""Boxes and names over a picture of a view: where things of the world are in it."""
+"""Boxes and names of objects over a picture of a view."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,8 +16,8 @@ from .plates import Box, plates_of
 CORNERS = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)]) - 0.5
 EDGES = [(i, k) for i, k in combinations(range(8), 2) if (i ^ k).bit_count() == 1]
 SHADE = (20, 22, 27)  # behind letters and beside lines, so that they are read on anything
-NEAR = 1e-3  # of the distance to a mark's middle: nothing nearer to the camera is drawn
-LETTERS, LEAST_LETTERS = 28, 11  # pictures are so many lines of text high; pixels
+NEAR_SHARE = 1e-3  # of the distance to a mark's middle: nothing nearer to the camera is drawn
+LINES_PER_HEIGHT, MIN_LETTERS_PX = 28, 11
 Spot = tuple[float, float]
 Color = tuple[int, int, int]
 Lines = Sequence[tuple[Spot, Spot]]
@@ -26,9 +26,9 @@ Letters = ImageFont.FreeTypeFont | ImageFont.ImageFont
 
 @dataclass(frozen=True, eq=False)
 class Mark:
-    """A name at a place of the world: a point, or a box as that of a match.
+    """Name at a place of the world: at a point, or at a box as that of a match.
 
-    extent: full lengths along the rows of `axes`; None for a point. text: may be empty, several lines make one.
+    extent: full lengths along the rows of `axes`; None for a point. text: may be empty; several lines are joined.
     """
 
     text: str
@@ -39,15 +39,15 @@ class Mark:
 
     @property
     def corners(self) -> Float64[np.ndarray, "8 3"]:
-        """Of the box; all at the point where there is none."""
+        """Corners of the box; for a point, that point eight times."""
         extent = np.zeros(3) if self.extent is None else self.extent
         axes = np.eye(3) if self.axes is None else self.axes
         return np.asarray(self.center + (CORNERS * extent) @ axes)
 
 
 def notes_of(annotations: Sequence[Annotation]) -> list[Mark]:
-    """What people wrote at places of the scene."""
-    return [_note(one.text, one.center, one.outline) for one in annotations]
+    """Return the marks of annotations."""
+    return [_note(annotation.text, annotation.center, annotation.outline) for annotation in annotations]
 
 
 def _note(text: str, center: Float64[np.ndarray, " 3"], outline: Outline | None) -> Mark:
@@ -55,68 +55,68 @@ def _note(text: str, center: Float64[np.ndarray, " 3"], outline: Outline | None)
 
 
 def marked(picture: Pixels, view: View, marks: Sequence[Mark], share: float = 1.0) -> Pixels:
-    """The picture of a view with boxes and names over it, the furthest first; nothing hides them.
+    """Draw boxes and names over the picture of a view, the furthest first; nothing hides them.
 
-    A box is cut off where it leaves the space before the camera, and has its name above what is seen of it, or near by
-    where another name is there; a mark that is nowhere in the picture has none. share: from 0, nothing, to 1.
+    A box is cut off where it leaves the space before the camera, and has its name above its visible part, or near by
+    where another name is there; a mark outside the picture has none. share: from 0, nothing, to 1.
     """
     if share <= 0 or not marks:
         return picture
     drawn = Image.fromarray(picture)
     pen = ImageDraw.Draw(drawn)
-    letters = ImageFont.load_default(max(LEAST_LETTERS, view.height / LETTERS))
+    letters = ImageFont.load_default(max(MIN_LETTERS_PX, view.height / LINES_PER_HEIGHT))
     lines = [lines_of(mark, view) for mark in marks]
-    far = np.argsort([-float(np.linalg.norm(mark.center - view.center)) for mark in marks], kind="stable").tolist()
-    for number in far:
+    order = np.argsort([-float(np.linalg.norm(mark.center - view.center)) for mark in marks], kind="stable").tolist()
+    for number in order:
         _draw_lines(pen, marks[number], lines[number], max(1, round(view.height / 240)))
     plates = _plates(pen, marks, lines, letters, (view.width, view.height))
-    for number in _in_sight([number for number in far if number in plates], plates, view):
+    for number in _in_sight([number for number in order if number in plates], plates, view):
         _draw_name(pen, marks[number], plates[number], letters)
     result: Pixels = np.asarray(drawn)
     return result if share >= 1 else np.asarray(Image.blend(Image.fromarray(picture), drawn, share))
 
 
 def lines_of(mark: Mark, view: View) -> list[tuple[Spot, Spot]]:
-    """What of a mark's edges is in the picture, from pixel to pixel; a point's is one line of no length."""
+    """Return the parts of a mark's edges in the picture, in pixels; a point's is one line of no length."""
     corners = mark.corners @ view.cam_from_world[:3, :3].T + view.cam_from_world[:3, 3]
-    near = NEAR * max(float(np.linalg.norm(mark.center - view.center)), 1e-9)
+    near = NEAR_SHARE * max(float(np.linalg.norm(mark.center - view.center)), 1e-9)
     ends = [(corners[0], corners[0])] if mark.extent is None else [(corners[i], corners[k]) for i, k in EDGES]
-    found = []
-    for one, other in ends:
-        if max(one[2], other[2]) <= near:
+    lines = []
+    for start, end in ends:
+        if max(start[2], end[2]) <= near:
             continue
-        one, other = _before(one, other, near), _before(other, one, near)
-        line = _within(_pixel(one, view), _pixel(other, view), view)
-        found += [line] if line is not None else []
-    return found
+        start, end = _before(start, end, near), _before(end, start, near)
+        line = _within(_pixel(start, view), _pixel(end, view), view)
+        lines += [line] if line is not None else []
+    return lines
 
 
 def _before(point: np.ndarray, other: np.ndarray, near: float) -> np.ndarray:
-    """The point, or where its line to another comes through the near plane."""
+    """Return the point, or where its line to another point crosses the near plane."""
     if point[2] >= near:
         return point
     met = point + (near - point[2]) / (other[2] - point[2]) * (other - point)
-    return np.array([met[0], met[1], near])  # exactly, however large the numbers that it is a difference of
+    return np.array([met[0], met[1], near])  # exactly near, without rounding
 
 
 def _pixel(point: np.ndarray, view: View) -> np.ndarray:
     return np.asarray((view.K @ point)[:2] / point[2])
 
 
-def _within(one: np.ndarray, other: np.ndarray, view: View) -> tuple[Spot, Spot] | None:
-    """A line's part in the picture, by the slabs of its sides; None where it has none."""
-    first, last, step = 0.0, 1.0, other - one
+def _within(start: np.ndarray, end: np.ndarray, view: View) -> tuple[Spot, Spot] | None:
+    """Clip a line to the picture, by the slabs of its sides; None if nothing is left."""
+    first, last, step = 0.0, 1.0, end - start
     for axis, side in enumerate((view.width, view.height)):
         if step[axis] == 0:
-            if not 0 <= one[axis] <= side:
+            if not 0 <= start[axis] <= side:
                 return None
             continue
-        low, high = sorted((-one[axis] / step[axis], (side - one[axis]) / step[axis]))
+        low, high = sorted((-start[axis] / step[axis], (side - start[axis]) / step[axis]))
         first, last = max(first, low), min(last, high)
     if not first <= last:
         return None
-    begin, end = (np.clip(one + at * step, 0, (view.width, view.height)) for at in (first, last))
-    return (float(begin[0]), float(begin[1])), (float(end[0]), float(end[1]))
+    a, b = (np.clip(start + at * step, 0, (view.width, view.height)) for at in (first, last))
+    return (float(a[0]), float(a[1])), (float(b[0]), float(b[1]))
 
 
 def _draw_lines(pen: ImageDraw.ImageDraw, mark: Mark, spots: Sequence[tuple[Spot, Spot]], width: int) -> None:
@@ -133,23 +133,24 @@ def _draw_lines(pen: ImageDraw.ImageDraw, mark: Mark, spots: Sequence[tuple[Spot
 def _plates(
     pen: ImageDraw.ImageDraw, marks: Sequence[Mark], lines: Sequence[Lines], letters: Letters, size: tuple[int, int]
 ) -> dict[int, Box]:
-    """Where the names are of those that have one and are in the picture, by number: in their order, so that names of a
-    film stay where they are when their things pass each other.
+    """Return the places of names by mark number, for marks in the picture that have a name.
+
+    They are placed in the marks' order, so that names of a film do not jump when their objects pass each other.
     """
     named = [number for number, mark in enumerate(marks) if mark.text.strip() and lines[number]]
     spots = [np.array(lines[number]).reshape(-1, 2) for number in named]
-    things = [np.concatenate([one.min(0), one.max(0)]) for one in spots]
+    things = [np.concatenate([spot.min(0), spot.max(0)]) for spot in spots]
     texts = [pen.textbbox((0, 0), _in_a_line(marks[number].text), letters) for number in named]
     border = max((bottom - top for _, top, _, bottom in texts), default=0) / 3
     sizes = [(right - left + 2 * border, bottom - top + 2 * border) for left, top, right, bottom in texts]
     return dict(zip(named, plates_of(things, sizes, border, size), strict=True))
 
 
-def _in_sight(far: Sequence[int], plates: dict[int, Box], view: View) -> list[int]:
-    """Return those, the furthest first, whose plates are not all behind nearer ones: letters take long to draw."""
+def _in_sight(far_first: Sequence[int], plates: dict[int, Box], view: View) -> list[int]:
+    """Return the numbers, the furthest first, of plates not wholly behind nearer ones: letters are slow to draw."""
     covered = np.zeros((view.height, view.width), np.bool_)
     in_sight = []
-    for number in reversed(far):
+    for number in reversed(far_first):
         left, top, right, bottom = plates[number].astype(int).tolist()  # cut off, as Pillow does
         plate = covered[top : bottom + 1, left : right + 1]
         if not plate.all():
@@ -168,4 +169,5 @@ def _draw_name(pen: ImageDraw.ImageDraw, mark: Mark, plate: Box, letters: Letter
 
 
 def _in_a_line(text: str) -> str:
+    """Join the lines of a text."""
     return " ".join(text.split())

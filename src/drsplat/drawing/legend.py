@@ -12,15 +12,15 @@ from ..scene.views import View
 from .palette import LUMA, class_colors
 from .pictures import INK, PAPER, OtherPixels, Pixels
 
-GREY = 0.35  # how much of its own light a Gaussian without class keeps, around a middle grey
+UNCLASSED_CONTRAST = 0.35  # share of its own light that a Gaussian without class keeps, around a middle grey
 
 
 def colored(gaussians: Gaussians, labels: Int32[np.ndarray, " n"], count: int) -> Gaussians:
-    """The scene in the colours of its classes, for any viewer; a dim grey where there is no class."""
+    """Return the scene in the colours of its classes, for any viewer; a dim grey where there is no class."""
     light = np.clip(0.5 + SH_C0 * gaussians.sh[:, 0].mean(1), 0, 1)
-    rgb = np.repeat((0.5 + GREY * (light - 0.5))[:, None], 3, axis=1).astype(np.float32)
-    found = labels >= 0
-    rgb[found] = class_colors(count)[labels[found]] / 255
+    rgb = np.repeat((0.5 + UNCLASSED_CONTRAST * (light - 0.5))[:, None], 3, axis=1).astype(np.float32)
+    has_class = labels >= 0
+    rgb[has_class] = class_colors(count)[labels[has_class]] / 255
     sh = ((rgb - 0.5) / SH_C0).astype(np.float32)[:, None]
     return replace(gaussians, sh=sh)
 
@@ -28,19 +28,19 @@ def colored(gaussians: Gaussians, labels: Int32[np.ndarray, " n"], count: int) -
 def class_picture(
     gaussians: Gaussians, view: View, photo: Pixels, labels: Int32[np.ndarray, " n"], names: list[str], threads: int = 0
 ) -> OtherPixels:
-    """The photo in grey, tinted by the classes that are seen, with the names of those found below it."""
+    """Draw the photo in grey, tinted by the visible classes, with a legend of the scene's classes below it."""
     colors = class_colors(len(names)).astype(np.float32)
     values = np.zeros((len(gaussians), 4), np.float32)
-    found = labels >= 0
-    values[found, :3], values[found, 3] = colors[labels[found]], 1
+    has_class = labels >= 0
+    values[has_class, :3], values[has_class, 3] = colors[labels[has_class]], 1
     channels = render_channels(splat_arrays(gaussians), view, values, threads=threads).channels
     picture = tinted(photo, channels[..., :3], channels[..., 3])
-    present = np.unique(labels[found])
+    present = np.unique(labels[has_class])
     return np.concatenate([picture, legend(picture.shape[1], [names[i] for i in present], colors[present])])
 
 
 def tinted(photo: Pixels, color: Float32[np.ndarray, "h w 3"], share: Float32[np.ndarray, "h w"]) -> Pixels:
-    """Colour over the photo's grey; `color` is already weighted by `share`."""
+    """Put colour over the photo's grey; `color` must be weighted by `share` already."""
     grey = (photo @ LUMA)[..., None]
     covered = np.clip(share, 0, 1)[..., None]
     shade = 0.4 + 0.6 * grey / 255
@@ -49,7 +49,7 @@ def tinted(photo: Pixels, color: Float32[np.ndarray, "h w 3"], share: Float32[np
 
 
 def legend(width: int, names: list[str], colors: np.ndarray) -> OtherPixels:
-    """Swatches and names in as many columns as fit."""
+    """Draw swatches and names in as many columns as fit."""
     size = max(12, width // 45)
     letters = ImageFont.load_default(size)
     longest = max([letters.getlength(name) for name in names], default=0)

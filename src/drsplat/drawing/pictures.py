@@ -1,4 +1,4 @@
-"""Pictures of answers: a photo in which what was found keeps its colours and the rest fades to grey."""
+"""Pictures of answers: a photo in which the selection keeps its colours and the rest fades to grey."""
 
 import base64
 import io
@@ -24,15 +24,15 @@ from .rendering import render
 Pixels = UInt8[np.ndarray, "h w 3"]
 OtherPixels = UInt8[np.ndarray, "_ _ 3"]  # of another size than the arguments
 OUTLINE = (255, 64, 160)
-PNG_EFFORT = 3  # of 9: half the seconds of the usual 6, and a tenth more bytes
-SHADED = 0.45  # of its colour, what heat has where the photo is black
-SHARES = (1.0, 0.9, 0.8, 0.7, 0.6)  # of the size of letters that a strip has room for in height
+PNG_LEVEL = 3  # of 9: half the time of the usual 6, and a tenth more bytes
+MIN_LIGHT = 0.45  # share of its colour that heat keeps where the photo is black
+LETTER_SCALES = (1.0, 0.9, 0.8, 0.7, 0.6)  # of the size that fits a strip's height
 PAPER, INK, FAINT = (255, 255, 255), (28, 30, 36), (98, 104, 118)
 Letters = ImageFont.FreeTypeFont | ImageFont.ImageFont
 
 
 def as_pixels(rgb: Float32[np.ndarray, "h w 3"]) -> Pixels:
-    """Floats in [0, 1] to bytes; what is outside is clipped."""
+    """Convert floats in [0, 1] to bytes; other values are clipped."""
     scaled = np.clip(rgb, 0, 1)
     scaled *= 255
     scaled += 0.5
@@ -41,14 +41,14 @@ def as_pixels(rgb: Float32[np.ndarray, "h w 3"]) -> Pixels:
 
 
 def picture_html(picture: Image.Image) -> str:
-    """For a notebook: the picture as a JPEG within the tag."""
+    """Return an HTML tag that holds the picture as a JPEG, for notebooks."""
     file = io.BytesIO()
     picture.convert("RGB").save(file, "JPEG", quality=85)
     return f'<img src="data:image/jpeg;base64,{base64.b64encode(file.getvalue()).decode()}">'
 
 
 def photo_or_rendering(gaussians: Gaussians, view: View, *, threads: int = 0) -> Pixels:
-    """The photo of the view; where there is none, what the Gaussians look like from there."""
+    """Return the photo of the view, or a rendering of the Gaussians where it has none."""
     if view.image_path is not None:
         return load_image(view)
     return as_pixels(render(gaussians, view, threads=threads).rgb)
@@ -62,7 +62,7 @@ def visible_share(
     splats: SplatArrays | None = None,
     threads: int = 0,
 ) -> Float32[np.ndarray, "h w"]:
-    """Per pixel the summed blending weight of the Gaussians at `ids`, behind what hides them."""
+    """Return, per pixel, the summed blending weight of the Gaussians at `ids`, as far as nothing hides them."""
     if not len(ids):
         return np.zeros((view.height, view.width), np.float32)
     chosen = np.zeros((len(gaussians), 1), np.float32)
@@ -72,7 +72,7 @@ def visible_share(
 
 
 def highlighted(photo: Pixels, share: Float32[np.ndarray, "h w"], outline_px: int = 0) -> Pixels:
-    """The photo, grey and pale where `share` is 0, with a line around where it is above a half.
+    """Draw the photo grey and pale where `share` is 0, with a line around where it is above a half.
 
     outline_px: thickness of the line in pixels; 0 takes one in 240 of the width.
 
@@ -84,27 +84,27 @@ def highlighted(photo: Pixels, share: Float32[np.ndarray, "h w"], outline_px: in
         )
     grey = photo @ LUMA
     faded = (150 + 0.38 * (grey - 110))[..., None]
-    kept = np.clip(share, 0, 1)[..., None]
-    picture: Pixels = np.clip(photo * kept + faded * (1 - kept), 0, 255).astype(np.uint8)
+    visible = np.clip(share, 0, 1)[..., None]
+    picture: Pixels = np.clip(photo * visible + faded * (1 - visible), 0, 255).astype(np.uint8)
     picture[border(share > 0.5, outline_px or max(2, photo.shape[1] // 240))] = OUTLINE
     return picture
 
 
 def heated(photo: Pixels, heat: Float32[np.ndarray, "h w"]) -> Pixels:
-    """Heat in [0, 1] as colours over the photo, which keeps its light and shade.
+    """Draw heat in [0, 1] as colours over the photo, which keeps its light and shade.
 
     Raises: InputError: photo and heat differ in size.
     """
     if photo.shape[:2] != heat.shape:
         raise InputError(f"the photo is {photo.shape[:2]}, the heat {heat.shape}: render the heat at the photo's size")
     warm = heat_colors(np.linspace(0, 1, 256, dtype=np.float32)) * np.float32(255)
-    shade = SHADED + (1 - SHADED) / 255 * (photo @ LUMA.astype(np.float32))[..., None]
+    shade = MIN_LIGHT + (1 - MIN_LIGHT) / 255 * (photo @ LUMA.astype(np.float32))[..., None]
     picture: Pixels = (warm[(np.clip(heat, 0, 1) * 255).astype(np.uint8)] * shade).astype(np.uint8)
     return picture
 
 
 def border(inside: Bool[np.ndarray, "h w"], thickness: int) -> Bool[np.ndarray, "h w"]:
-    """Return the pixels just outside of a region; specks of a few pixels get none."""
+    """Return the pixels just outside a region; specks of a few pixels get none."""
     from scipy import ndimage
 
     rows, columns = (np.flatnonzero(inside.any(axis)) for axis in (1, 0))
@@ -113,7 +113,7 @@ def border(inside: Bool[np.ndarray, "h w"], thickness: int) -> Bool[np.ndarray, 
         return border
     beyond = thickness + 1
     part = tuple(slice(max(at[0] - beyond, 0), at[-1] + 1 + beyond) for at in (rows, columns))
-    pieces, num = ndimage.label(inside[part])  # nothing further away changes
+    pieces, num = ndimage.label(inside[part])  # nothing changes further away
     sizes = np.bincount(pieces.ravel(), minlength=num + 1)
     sizes[0] = 0
     region = ndimage.binary_fill_holes((sizes > 4 * thickness**2)[pieces])
@@ -128,9 +128,9 @@ def best_views(
     *,
     threads: int = 0,
 ) -> list[View]:
-    """For each selection the view that shows most of it, in share of its pixels, not cut off by the border.
+    """Return, for each selection, the view that shows most of it, by share of pixels, and does not cut it off.
 
-    scene: a moving one is looked at as it was when each photo was taken.
+    scene: a moving one is taken at the time of each photo.
 
     Raises: InputError: no views.
     """
@@ -151,7 +151,7 @@ def best_views(
 
 
 def zoomed(view: View, share: Float32[np.ndarray, "h w"], margin: float = 3.2, most: float = 3.0) -> View:
-    """The same camera, turned to a longer lens on where `share` is above a half.
+    """Return the camera with a longer lens, on the region where `share` is above a half.
 
     margin: sides of the picture over sides of that region, at least. most: largest magnification.
     """
@@ -169,7 +169,7 @@ def zoomed(view: View, share: Float32[np.ndarray, "h w"], margin: float = 3.2, m
 
 
 def titled(picture: Pixels, title: str, note: str = "") -> OtherPixels:
-    """A strip above the picture with a title on the left and a note on the right, which do not meet."""
+    """Add a strip above the picture with a title on the left and a note on the right, which do not meet."""
     height, width = picture.shape[:2]
     strip = max(28, width // 15)
     canvas = Image.new("RGB", (width, height + strip), PAPER)
@@ -183,8 +183,8 @@ def titled(picture: Pixels, title: str, note: str = "") -> OtherPixels:
 
 
 def _letters(draw: ImageDraw.ImageDraw, title: str, note: str, width: int, strip: int) -> tuple[Letters, Letters]:
-    """Of both, as large as they have room in one line, and never tiny."""
-    for share in SHARES:
+    """Return fonts for both, as large as they fit in one line, and never tiny."""
+    for share in LETTER_SCALES:
         large, small = (ImageFont.load_default(part * strip * share) for part in (0.56, 0.42))
         if draw.textlength(title, large) + draw.textlength(note, small) <= width - strip:
             break
@@ -200,7 +200,7 @@ def fitting(draw: ImageDraw.ImageDraw, text: str, letters: Letters, room: float)
 
 
 def contact_sheet(pictures: Sequence[OtherPixels], columns: int, tile_width: int = 400, gap: int = 14) -> OtherPixels:
-    """Pictures of one shape, side by side in rows, on white.
+    """Put pictures of one shape side by side in rows, on white.
 
     Raises: InputError: no picture, or pictures of different shapes.
     """
@@ -218,13 +218,13 @@ def contact_sheet(pictures: Sequence[OtherPixels], columns: int, tile_width: int
 
 
 def write_picture(path: str | PathLike[str], pixels: UInt8[np.ndarray, "h w *c"], overwrite: bool = False) -> None:
-    """Write a PNG, or a JPEG where the name ends so.
+    """Write a PNG, or a JPEG if the name ends in .jpg or .jpeg.
 
     Raises: InputError: the file exists and not `overwrite`; another suffix.
     """
     suffix = str(path).lower().rpartition(".")[2]
     options = {
-        "png": ("PNG", {"compress_level": PNG_EFFORT}),
+        "png": ("PNG", {"compress_level": PNG_LEVEL}),
         "jpg": ("JPEG", {"quality": 92}),
         "jpeg": ("JPEG", {"quality": 92}),
     }

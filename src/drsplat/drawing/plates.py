@@ -1,4 +1,4 @@
-"""Where names go in a picture, so that none lies over another where there is room."""
+"""Places of names in a picture, so that none lies over another where there is room."""
 
 from collections.abc import Sequence
 
@@ -6,24 +6,24 @@ import numpy as np
 
 from ..arrays import Float64
 
-CROWD = 200  # names that make room for each other; further ones stand where they would alone
-STEPS = (0, 1, 2, 3)  # plates that a name goes further from its thing at most
-ASIDE = (0.0, -0.5, 0.5, -1.0, 1.0)  # widths of a plate
+MAX_DODGING = 200  # names that make room for each other; further ones are placed as if alone
+STEPS = (0, 1, 2, 3)  # heights of a plate between an object and its name
+SIDE_STEPS = (0.0, -0.5, 0.5, -1.0, 1.0)  # widths of a plate
 Box = Float64[np.ndarray, " 4"]  # left, top, right, bottom, in pixels
 
 
 def plates_of(
     things: Sequence[Box], sizes: Sequence[tuple[float, float]], margin: float, picture: tuple[int, int]
 ) -> list[Box]:
-    """A plate for each name, in their order: above its thing, else at the nearest free place above or below.
+    """Return a plate for each name, in order: above its object, else at the nearest free place above or below.
 
-    things: what is seen of each in the picture. sizes: of their plates, width and height. margin: between both. Where
+    things: boxes of the objects' visible parts. sizes: of their plates, width and height. margin: between both. Where
     no place is free it is the one that hides least.
     """
     taken = np.empty((0, 4))
     for number, (thing, size) in enumerate(zip(things, sizes, strict=True)):
         places = _places(thing, size, margin, picture)
-        hidden = _shared(places, taken if number < CROWD else taken[:0]).sum(1)
+        hidden = _shared(places, taken if number < MAX_DODGING else taken[:0]).sum(1)
         taken = np.concatenate([taken, places[[int(np.argmin(hidden))]]])
     return list(taken)
 
@@ -31,11 +31,11 @@ def plates_of(
 def _places(
     thing: Box, size: tuple[float, float], margin: float, picture: tuple[int, int]
 ) -> Float64[np.ndarray, "c 4"]:
-    """All that may be taken, nearest first, within the picture."""
+    """Return all candidate places, nearest first, within the picture."""
     (wide, high), (left, top, right, bottom) = size, thing.tolist()
     rows = [(float(step), top - margin - (step + 1) * high) for step in STEPS]
     rows += [(step + 0.5, bottom + margin + step * high) for step in STEPS]
-    ways = sorted(((step + abs(aside), aside, y) for step, y in rows for aside in ASIDE), key=lambda way: way[0])
+    ways = sorted(((step + abs(aside), aside, y) for step, y in rows for aside in SIDE_STEPS), key=lambda way: way[0])
     x = np.array([(left + right - wide) / 2 + aside * wide for _, aside, _ in ways])
     y = np.array([y for *_, y in ways])
     x, y = x.clip(0, max(picture[0] - wide, 0)), y.clip(0, max(picture[1] - high, 0))
@@ -43,7 +43,7 @@ def _places(
 
 
 def _shared(places: Float64[np.ndarray, "c 4"], taken: Float64[np.ndarray, "t 4"]) -> Float64[np.ndarray, "c t"]:
-    """Pixels that each of some boxes shares with each of others."""
-    one, other = places[:, None], taken[None]
-    sides = np.minimum(one[..., 2:], other[..., 2:]) - np.maximum(one[..., :2], other[..., :2])
+    """Return the number of pixels that each place shares with each taken plate."""
+    a, b = places[:, None], taken[None]
+    sides = np.minimum(a[..., 2:], b[..., 2:]) - np.maximum(a[..., :2], b[..., :2])
     return np.asarray(sides.clip(0).prod(-1))

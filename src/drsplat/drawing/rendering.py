@@ -1,4 +1,4 @@
-"""Pictures of a scene, of a part of it, or of any per-Gaussian values."""
+"""Renderings of a scene, of a part of it, or of any per-Gaussian values."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -11,14 +11,15 @@ from ..kernels import SplatArrays, render_channels, sh_colors, splat_arrays
 from ..scene.gaussians import Gaussians
 from ..scene.views import View
 
-MOST_PIXELS = 1 << 27  # of a picture, e.g. 16384x8192: drawing it takes about 3 GB
+MAX_PIXELS = 1 << 27  # of a picture, e.g. 16384x8192: drawing it takes about 3 GB
 Index = Integer[np.ndarray, " m"] | Bool[np.ndarray, " n"]
 
 
 class Picture(NamedTuple):
-    """rgb in [0, ...), linear in the file's colours. depth: expected camera z, 0 where nothing is.
+    """Rendering of a scene.
 
-    channels: the composited `values`, with no columns when none were asked for.
+    rgb: in [0, ...), linear in the file's colours. depth: expected camera z, 0 where nothing is. channels: the
+    composited `values`, without columns if there were none.
     """
 
     rgb: Float32[np.ndarray, "h w 3"]
@@ -45,9 +46,9 @@ def render(
     Raises: InputError: values without one row per Gaussian; more than 134 million pixels.
     Source: 3DGS Eq. 3.
     """
-    if view.width * view.height > MOST_PIXELS:
+    if view.width * view.height > MAX_PIXELS:
         raise InputError(
-            f"{view.name}: expected up to {MOST_PIXELS:,} pixels, got {view.width}x{view.height}: render it smaller "
+            f"{view.name}: expected up to {MAX_PIXELS:,} pixels, got {view.width}x{view.height}: render it smaller "
             "with max_side=PIXELS"
         )
     extra = np.empty((len(gaussians), 0), np.float32) if values is None else values

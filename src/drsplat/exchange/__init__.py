@@ -1,5 +1,6 @@
-"""What other libraries have for scenes and answers: gsplat's dictionaries of torch tensors, Open3D, pandas. Each is
-imported when it is asked for.
+"""Scenes and answers for other libraries: gsplat's dictionaries of torch tensors, Open3D, pandas.
+
+Each library is imported when it is needed.
 
 Imports `scene`, `formats` and `query`.
 """

@@ -16,9 +16,9 @@ def to_point_cloud(
     gaussian_ids: Integer[np.ndarray, " m"] | None = None,
     colors: Float32[np.ndarray, "m 3"] | None = None,
 ) -> Any:
-    """An `open3d.geometry.PointCloud` of the centres, in the world.
+    """Return an `open3d.geometry.PointCloud` of the centres, in the world.
 
-    gaussian_ids: of some of them, such as `answer.gaussian_ids`. colors: RGB in [0, 1]; None: their own.
+    gaussian_ids: of a part, such as `answer.gaussian_ids`. colors: RGB in [0, 1]; None: the Gaussians' own.
 
     Raises: MissingExtraError: Open3D is not installed. InputError: not one colour per point.
     """
@@ -34,13 +34,13 @@ def to_point_cloud(
 
 
 def to_boxes(matches: Iterable[Match]) -> list[Any]:
-    """An `open3d.geometry.OrientedBoundingBox` for each match. Raises: MissingExtraError: Open3D is not installed."""
+    """Return an `open3d.geometry.OrientedBoundingBox` per match. Raises: MissingExtraError: Open3D is not installed."""
     geometry, _ = _open3d()
     return [geometry.OrientedBoundingBox(match.center, _rotation(match), match.extent) for match in matches]
 
 
 def _rotation(match: Match) -> np.ndarray:
-    """Axes in columns, as Open3D has them, right-handed."""
+    """Return the axes of a match as columns, right-handed, as Open3D expects them."""
     columns = np.array(match.axes, np.float64).T
     return columns * (1, 1, np.sign(np.linalg.det(columns)) or 1)
 

@@ -1,4 +1,4 @@
-"""Matches and objects as a table of pandas."""
+"""Matches and objects as a pandas table."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -8,8 +8,9 @@ from ..query import Match
 
 
 def to_frame(matches: Iterable[Match]) -> Any:
-    """A `pandas.DataFrame` with a row for each match, best first as they come: score, num_gaussians, x, y, z of the
-    centre, length, width, height of the box, object_id, label.
+    """Return a `pandas.DataFrame` with a row for each match, in order.
+
+    Columns: score, num_gaussians, x, y, z of the centre, length, width, height of the box, object_id, label.
 
     Raises: MissingExtraError: pandas is not installed.
     """

@@ -1,4 +1,4 @@
-"""Gaussians as gsplat's trainers keep them: a dictionary of torch tensors before activation."""
+"""Gaussians in the form of gsplat's trainers: a dictionary of torch tensors before activation."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -13,8 +13,10 @@ NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
 
 
 def to_splats(gaussians: Gaussians, device: str = "cpu") -> dict[str, Any]:
-    """Tensors by the names of gsplat's examples: means (N, 3) in the world, quats (N, 4) wxyz, scales (N, 3) as their
-    logarithm, opacities (N,) before the sigmoid, sh0 (N, 1, 3), shN (N, K-1, 3). All float32.
+    """Return float32 tensors under the names of gsplat's examples.
+
+    means (N, 3) in the world, quats (N, 4) wxyz, scales (N, 3) as logarithms, opacities (N,) before the sigmoid,
+    sh0 (N, 1, 3), shN (N, K-1, 3).
 
     Raises: MissingExtraError: torch is not installed.
     """
@@ -30,7 +32,7 @@ def to_splats(gaussians: Gaussians, device: str = "cpu") -> dict[str, Any]:
 
 
 def from_splats(splats: Mapping[str, Any]) -> Gaussians:
-    """The scene of such a dictionary, also of a checkpoint's `splats` or of parameters that are still trained.
+    """Return the scene of such a dictionary: a checkpoint's `splats`, or parameters in training.
 
     Raises: FormatError: a name is missing; InputError: shapes disagree.
     """
@@ -45,6 +47,6 @@ def from_splats(splats: Mapping[str, Any]) -> Gaussians:
 
 
 def _array(values: Any) -> np.ndarray:
-    """Of a tensor, on whatever device, or of anything that NumPy takes."""
+    """Convert a tensor on any device, or anything that NumPy accepts."""
     host = values.detach().cpu().numpy() if hasattr(values, "detach") else values
     return np.ascontiguousarray(host, np.float32)

@@ -1,4 +1,4 @@
-"""What a scan keeps and decides beside its stages: its record, its input, its models, one display for all.
+"""Records and choices of a scan beside its stages: its record, its input, its models, one display for all.
 
 The stages are verbs of `commands`, and run as such.
 

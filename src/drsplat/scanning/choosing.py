@@ -1,4 +1,4 @@
-"""Which models cut and embed the photos: SAM and CLIP where they can be had, else the built-in ones."""
+"""Choice of the models that cut and embed the photos: SAM and CLIP if available, else the built-in ones."""
 
 import os
 import threading
@@ -50,17 +50,17 @@ class ModelChoice:
         if not self.reason:
             words = MEANING if self.is_built_in else "any words can be asked"
             return f"{self.segmenter} cuts the photos into masks and {self.encoder} embeds them: {words}."
-        one = "models" if self.is_built_in and self.segmenter == GraphSegmenter.name else "model"
+        noun = "models" if self.is_built_in and self.segmenter == GraphSegmenter.name else "model"
         names = [name for name in (self.segmenter, self.encoder) if name in (GraphSegmenter.name, MiniEncoder.name)]
         meaning = MEANING if self.is_built_in else "its masks are coarser than those of SAM"
         return (
-            f"The built-in {one} ({' and '.join(names)}) work, because {self.reason}; {meaning}. For SAM and CLIP: "
+            f"The built-in {noun} ({' and '.join(names)}) work, because {self.reason}; {meaning}. For SAM and CLIP: "
             f"{self.cure}, and run drsplat scan with --overwrite."
         )
 
 
 def choose_models(segmenter: str, encoder: str, device: str = AUTO) -> ModelChoice:
-    """Return the models that "auto" stands for on this machine; names that were given stay.
+    """Return the models that "auto" stands for on this machine; other names stay.
 
     A hub that does not answer within `HUB_PATIENCE_S` counts as out of reach.
     """
@@ -72,11 +72,11 @@ def choose_models(segmenter: str, encoder: str, device: str = AUTO) -> ModelChoi
         return _built_in(segmenter, encoder, str(error).partition(": ")[0], INSTALL)
     sam = DEFAULT_SEGMENTER if chosen_device(device) != "cpu" else CPU_SEGMENTER
     named = [(segmenter, sam), (encoder, DEFAULT_ENCODER)]
-    reasons = [_why_not(name) for given, name in named if given == AUTO]
+    reasons = [_why_not(name) for choice, name in named if choice == AUTO]
     reason = next(filter(None, reasons), "")
     if reason:
         return _built_in(segmenter, encoder, reason, DOWNLOAD)
-    return ModelChoice(*(name if given == AUTO else given for given, name in named))
+    return ModelChoice(*(name if choice == AUTO else choice for choice, name in named))
 
 
 def _built_in(segmenter: str, encoder: str, reason: str, cure: str) -> ModelChoice:

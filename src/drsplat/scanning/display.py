@@ -1,4 +1,4 @@
-"""One display of progress for all stages of a scan, with the time that is left for the whole."""
+"""One display of progress for all stages of a scan, with the remaining time of the whole."""
 
 import os
 import sys
@@ -13,7 +13,7 @@ IN_ONE_METER = ("train", "embed")  # stages whose meter counts all of their work
 
 
 class Cost(NamedTuple):
-    """What a stage took, with the processes that it started."""
+    """Time of a stage, with the processes that it started."""
 
     seconds: float
     cpu_seconds: float
@@ -35,7 +35,7 @@ class Display:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Show the meters of the block as those of a stage, and keep what it took."""
+        """Show the meters of the block as those of a stage, and record its cost."""
         cpu = _cpu_seconds()
         self._stage, self._job, self._begin = name, "", time.monotonic()
         try:
@@ -69,7 +69,7 @@ class Display:
         self._meter.draw(done, "  ".join(filter(None, (whole, text))))
 
     def seconds_left(self, job_left: float) -> float:
-        """Return the time that is left for all stages. job_left: of the meter that moves now."""
+        """Return the remaining time of all stages. job_left: of the meter that moves now."""
         pace = self._pace()
         names = list(self.expected)
         later = sum(self.expected[name] for name in names[names.index(self._stage) + 1 :])
@@ -88,6 +88,6 @@ class Display:
 
 
 def _cpu_seconds() -> float:
-    """Return the CPU time of this process and of those that it has waited for."""
+    """Return the CPU time of this process and of the child processes that have ended."""
     now = os.times()
     return now.user + now.system + now.children_user + now.children_system

@@ -1,4 +1,4 @@
-"""What is scanned: photos, a video, or a capture that has poses already."""
+"""Input of a scan: photos, a video, or a capture with poses."""
 
 import hashlib
 import json
@@ -33,12 +33,12 @@ class ScanInput:
     num_photos: int | None
 
     def document(self) -> dict[str, Any]:
-        """Return what the record says of it."""
+        """Return the input's entry in the record."""
         return {"path": str(self.path), "kind": self.kind, "fingerprint": self.fingerprint}
 
 
 def scan_input(path: Path) -> ScanInput:
-    """Return what lies at a path, by names and times only; no photo is decoded.
+    """Identify the input at a path, by names and times only; no photo is decoded.
 
     Raises: InputError: neither photos, nor a video, nor a capture with photos. FormatError: a damaged capture.
     """
