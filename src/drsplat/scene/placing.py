@@ -1,4 +1,4 @@
-"""Where a scene lies, how large it is, and the lengths derived from that.
+"""Place and size of a scene, and the lengths derived from them.
 
 Positions are kept as float32 relative to a local origin in float64, so that a room in the coordinates of a map is as
 exact as one about zero. Poses, boxes and whatever else is reported stay in the scene's own coordinates.
