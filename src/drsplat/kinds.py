@@ -1,14 +1,13 @@
-"""What was given where something else was expected, said in words, at the front door of the package.
+"""Checks of argument types at the package's public functions and classes, with errors in plain words.
 
-The names that `drsplat` exports pass `checked`: a text where a View is meant is an InputError there, not an
-AttributeError ten calls further on. Only kinds are looked at, not values, and not the shapes of arrays.
+The names that `drsplat` exports pass `checked`: a text in place of a View is an InputError there, not an
+AttributeError ten calls later. Only types are checked, neither values nor the shapes of arrays.
 """
 
 import inspect
 import os
 import types
 from collections.abc import Callable, Sequence
-from collections.abc import Set as AbstractSet
 from functools import cache, wraps
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -23,39 +22,41 @@ MAKERS = {
     "Code": "field.code", "Evidence": "field.evidence", "SplatArrays": "splat_arrays(gaussians)",
     "SparsePoints": "read_sparse_points(...)", "Moving": "read_moving(...)",
 }  # fmt: skip
-"""Where people get what is expected."""
+"""For each public type, the call that returns one; used in error messages."""
 
-WORDS = {int: "a whole number", float: "a number", str: "a text", os.PathLike: "a path", types.NoneType: "None"}
+TYPE_WORDS = {int: "a whole number", float: "a number", str: "a text", os.PathLike: "a path", types.NoneType: "None"}
 
 
 def checked(thing: C) -> C:
-    """A function that refuses arguments of another kind than it is annotated with; or a class that does.
+    """Return a function or class that refuses arguments of other types than it is annotated with.
 
-    Raises: InputError: names the argument, what was given and what was expected. TypeError: arguments that
+    Raises: InputError: names the argument, its value and the expected type. TypeError: arguments that
     are missing or unknown, as always.
     """
     if not isinstance(thing, type):
-        return _door(thing, thing.__name__)
+        return _guarded(thing, thing.__name__)
     if "__init__" in vars(thing) and not (issubclass(thing, BaseException) or getattr(thing, "_is_protocol", False)):
-        thing.__init__ = _door(thing.__init__, thing.__name__)  # type: ignore[method-assign]
+        thing.__init__ = _guarded(thing.__init__, thing.__name__)  # type: ignore[method-assign]
     return thing
 
 
-def _door(function: C, said: str) -> C:
-    @wraps(function)
-    def door(*given: Any, **named: Any) -> Any:
-        signature, hints = _annotations(function)
-        for name, value in signature.bind_partial(*given, **named).arguments.items():
-            if name in hints and not _is_a(value, hints[name]):
-                raise InputError(f"{said}: {name}: expected {_named(hints[name])}, got {_told(value)}")
-        return function(*given, **named)
+def _guarded(function: C, public_name: str) -> C:
+    """Wrap a function with a check of its arguments. public_name: for error messages."""
 
-    return door  # type: ignore[return-value]
+    @wraps(function)
+    def guarded(*args: Any, **kwargs: Any) -> Any:
+        signature, hints = _annotations(function)
+        for name, value in signature.bind_partial(*args, **kwargs).arguments.items():
+            if name in hints and not _is_a(value, hints[name]):
+                raise InputError(f"{public_name}: {name}: expected {_type_name(hints[name])}, got {_described(value)}")
+        return function(*args, **kwargs)
+
+    return guarded  # type: ignore[return-value]
 
 
 @cache
 def _annotations(function: Callable[..., Any]) -> tuple[inspect.Signature, dict[str, Any]]:
-    """Without those of names that only type checkers import."""
+    """Return the signature, and the types of its parameters except those that only type checkers import."""
     hints: dict[str, Any] = {}
     signature = inspect.signature(function)
     for name, parameter in signature.parameters.items():
@@ -70,7 +71,7 @@ def _annotations(function: Callable[..., Any]) -> tuple[inspect.Signature, dict[
 
 
 def _is_a(value: object, hint: Any) -> bool:
-    """As far as it can be told at once: sequences by their kind and their first element."""
+    """Return whether a value has a type; sequences are checked by their type and their first element."""
     origin, parts = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
         return any(_is_a(value, part) for part in parts)
@@ -83,13 +84,17 @@ def _is_a(value: object, hint: Any) -> bool:
     kind = origin or hint
     if not isinstance(kind, type) or isinstance(hint, TypeVar):
         return True
-    return _is_kind(value, kind) and (not parts or _fits_first(value, kind, parts[0]))
+    if not _is_kind(value, kind):
+        return False
+    has_elements = parts and issubclass(kind, Sequence) and isinstance(value, Sequence) and len(value)
+    return _is_a(value[0], parts[0]) if has_elements else True
 
 
 def _is_kind(value: object, kind: type) -> bool:
+    """Return whether a value is an instance of a type, where NumPy's numbers and arrays count, too."""
     import numpy as np
 
-    array = getattr(kind, "array_type", None)  # of jaxtyping, where `arrays` has it
+    array = getattr(kind, "array_type", None)  # jaxtyping's, if `arrays` uses it
     if array is not None:
         return isinstance(value, array)
     if kind in (int, float):
@@ -101,35 +106,28 @@ def _is_kind(value: object, kind: type) -> bool:
         return isinstance(value, kind | np.ndarray) and not isinstance(value, str)
     try:
         return isinstance(value, kind)
-    except TypeError:  # a protocol that cannot be asked; ours are of functions
+    except TypeError:  # a protocol without runtime checks; ours are of functions
         return callable(value)
 
 
-def _fits_first(value: object, kind: type, part: Any) -> bool:
-    looked_into = issubclass(kind, Sequence | AbstractSet) and not hasattr(value, "dtype")
-    if not looked_into or not isinstance(value, Sequence):
-        return True
-    return not len(value) or _is_a(value[0], part)
-
-
-def _named(hint: Any) -> str:
-    """A kind for people."""
+def _type_name(hint: Any) -> str:
+    """Return a type's name for people."""
     origin, parts = get_origin(hint), get_args(hint)
     if origin in (Union, types.UnionType):
-        return " or ".join(dict.fromkeys(_named(part) for part in parts))
+        return " or ".join(dict.fromkeys(_type_name(part) for part in parts))
     if origin is Annotated or hasattr(hint, "array_type"):
         shape = parts[1].strip() if parts else hint.dim_str
         return f"an array ({shape})" if shape else "an array"
     kind = origin or hint
     if isinstance(kind, type) and issubclass(kind, Sequence) and kind is not str and parts:
-        return f"a list of {_named(parts[0])}"
+        return f"a list of {_type_name(parts[0])}"
     name = getattr(kind, "__name__", str(kind))
     maker = f" ({MAKERS[name]})" if name in MAKERS else ""
-    return WORDS.get(kind, f"{name}{maker}")
+    return TYPE_WORDS.get(kind, f"{name}{maker}")
 
 
-def _told(value: object) -> str:
-    """What was given, and which part of it may have been meant."""
+def _described(value: object) -> str:
+    """Describe a value, with the attribute that may have been meant."""
     import numpy as np
 
     name = type(value).__name__
@@ -148,7 +146,7 @@ def _told(value: object) -> str:
 
 
 class _Holder:
-    """One annotation of a function, for `get_type_hints`, which resolves all or none."""
+    """Holder of one annotation, for `get_type_hints`, which resolves all or none."""
 
     def __init__(self, annotations: dict[str, Any], function: Callable[..., Any]) -> None:
         self.__annotations__ = annotations
