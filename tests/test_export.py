@@ -18,6 +18,7 @@ from drsplat.exporting.choosing import only_used
 from drsplat.formats.annotations import AnnotationFile
 from drsplat.formats.moving_scenes import write_moving
 from drsplat.scene.annotations import Annotation
+from drsplat.scene.eight_bits import clamped_in_bytes
 from drsplat.scene.labelled import LabelledScene, Thing
 from drsplat.scene.moving import Frames, Moving
 from glb_files import Read
@@ -286,6 +287,20 @@ def test_columns_of_the_file_go_along_in_a_ply_alone(room: Path, capsys: Capture
     assert answer["lacks"] == [".glb keeps no further columns of the scene"]
     answer_of(capsys, "export", room / "more.ply", "-o", room / "a.ply")
     assert_array_equal(read_gaussians(room / "a.ply").extra["age"], np.arange(len(scene)))
+
+
+def test_colors_can_be_fitted_to_bytes(room: Path, capsys: Capture) -> None:
+    gaussians = read_gaussians(room / "scene.ply")
+    bright = room / "bright.ply"
+    write_gaussians(bright, replace(gaussians, sh=gaussians.sh + np.float32(2)))
+    answer_of(capsys, "export", bright, "-o", room / "as_it_is.glb")
+    answer_of(capsys, "export", bright, "--fit-8bit", "-o", room / "fitted.glb")
+    export(room / "python.glb", read_gaussians(bright), fit_8bit=True)
+    clamped = [
+        clamped_in_bytes(read_gaussians(room / f"{name}.glb")).sum() for name in ("as_it_is", "fitted", "python")
+    ]
+    assert clamped[0] > 0
+    assert clamped[1:] == [0, 0]
 
 
 def test_a_file_beside_its_scene_does_not_take_its_place(room: Path, capsys: Capture) -> None:

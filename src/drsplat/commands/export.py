@@ -49,6 +49,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument(
         "--embeddings", action="store_true", help="keep the embedding of each object, where the format can hold it"
     )
+    what.add_argument(
+        "--fit-8bit", action="store_true", help="fit colours to viewers of the web, which keep and clamp them in bytes"
+    )
     add_kept_edits(what, "kept")
     add_overwrite(parser)
     add_query_kinds(parser.add_argument_group("other queries"))
@@ -63,10 +66,12 @@ def _suffixes() -> str:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from ..exporting.writing import written
+    from ..exporting.writing import for_8_bits, written
 
     output = _output(arguments)
     scene = _labelled(arguments)
+    if arguments.fit_8bit:
+        scene = for_8_bits(scene)
     note_applied(scene.num_edits)
     done = written(output, scene, arguments.overwrite)
     return {

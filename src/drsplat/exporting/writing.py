@@ -1,5 +1,6 @@
 """Writing a scene in a format of other programs, and what the format could not hold."""
 
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
@@ -8,6 +9,7 @@ from ..editing.kept import KeptEdits
 from ..errors import InputError
 from ..formats.exports import lacks, write_scene
 from ..query import Query, Scene
+from ..scene.eight_bits import fitted_to_8_bits
 from ..scene.gaussians import Gaussians
 from ..scene.labelled import LabelledScene
 from ..scene.moving import Moving
@@ -37,6 +39,7 @@ def export(
     time: float | None = None,
     edits: KeptEdits = "kept",
     embeddings: bool = False,
+    fit_8bit: bool = False,
     overwrite: bool = False,
 ) -> Exported:
     """Write a scene as the suffix of `path` says, with its objects and the answer to a query.
@@ -45,6 +48,7 @@ def export(
         path: NAME.glb, .ply, .spz or another that `formats.exports.WRITERS` has.
         scene: an opened scene; Gaussians alone; or what `labelled` made, as it is.
         query, only, time, edits, embeddings: as of `labelled`.
+        fit_8bit: fits colours to viewers that keep them in bytes (`scene.eight_bits.fitted_to_8_bits`).
         overwrite: replaces what is at `path`.
 
     Raises: InputError: a suffix that nothing is written as, more than the format can hold, `path` exists and not
@@ -56,7 +60,12 @@ def export(
         raise InputError("a query is answered by a field: open the scene together with its field")
     else:
         carried = scene if isinstance(scene, LabelledScene) else labelled_alone(scene, time=time)
-    return written(Path(path), carried, overwrite)
+    return written(Path(path), for_8_bits(carried) if fit_8bit else carried, overwrite)
+
+
+def for_8_bits(scene: LabelledScene) -> LabelledScene:
+    """Return the scene with colours that viewers which keep them in bytes do not clamp."""
+    return replace(scene, gaussians=fitted_to_8_bits(scene.gaussians))
 
 
 def written(path: Path, scene: LabelledScene, overwrite: bool = False) -> Exported:
