@@ -17,6 +17,7 @@ import glb_files
 import scene_files
 from drsplat.errors import DrSplatError, DrSplatWarning, FormatError
 from drsplat.formats.exports import write_scene
+from drsplat.formats.glb import names_in_glb
 from drsplat.formats.scenes import parse_gaussians, read_gaussians
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.labelled import LabelledScene, Thing
@@ -221,3 +222,16 @@ def test_errors_within_a_table_leave_nothing_that_cannot_be_collected() -> None:
             holder["error"], holder["self"] = error, holder
     gc.collect()
     assert isinstance(holder["error"], FormatError)
+
+
+def test_damaged_tables_of_names(tmp_path: Path, bounded_memory: None) -> None:
+    data, rng, path = labelled_glb(random_gaussians(np.random.default_rng(0), 20, 0)), seeded(7), tmp_path / "a.glb"
+    read = refused = 0
+    for mutant in mutants(data, rng, quota(1500)):
+        path.write_bytes(mutant)
+        try:
+            assert all(isinstance(one.name, str) for one in names_in_glb(path))
+            read += 1
+        except FormatError:
+            refused += 1
+    assert min(read, refused) > 100
