@@ -1,5 +1,6 @@
 // Answers that are in the page's own file: nothing is fetched, nobody is asked.
 
+import { glbOf } from "./glb";
 import { pick } from "./picking";
 import type { Act, Backend, Header, Mode, Paint, Result, SceneObject, Splats, State } from "./protocol";
 import { splatsOf } from "./spz";
@@ -40,7 +41,7 @@ export class PageBackend implements Backend {
     const file = JSON.parse(text("header")) as PageFile;
     const buffer = await inflated(text("blob"), "deflate");
     const arrays = Object.fromEntries(file.arrays.map(([name, kind, offset, length]) => [name, new KINDS[kind](buffer, offset, length)]));
-    const scene = inflated(text("scene"), "gzip").then((bytes) => splatsOf(bytes, file.frame));
+    const scene = inflated(sceneText(), "gzip").then((bytes) => splatsOf(bytes, file.frame));
     return new PageBackend(file, arrays, scene);
   }
 
@@ -122,10 +123,16 @@ export class PageBackend implements Backend {
   }
 
   /** Return the scene as a file of its own, as others read it. */
-  static sceneFile(): Blob {
-    return new Blob([bytesOf(document.getElementById("scene")?.textContent ?? "")], { type: "application/octet-stream" });
+  static spz(): Blob { return new Blob([bytesOf(sceneText())], { type: "application/octet-stream" }); }
+
+  /** Return the scene with its named objects. */
+  async glb(): Promise<Blob> {
+    const { title, objects, frame, antialiased } = this.file;
+    return glbOf(await inflated(sceneText(), "gzip"), { title, objects, numbers: (this.arrays.objects as Uint16Array | undefined) ?? null, frame, antialiased });
   }
 }
+
+function sceneText(): string { return document.getElementById("scene")?.textContent ?? ""; }
 
 function bytesOf(base64: string): Uint8Array<ArrayBuffer> { return Uint8Array.from(atob(base64.trim()), (c) => c.charCodeAt(0)); }
 

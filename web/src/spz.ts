@@ -4,25 +4,48 @@ import { toHalf } from "./halves";
 import type { Splats } from "./protocol";
 import type { Vec } from "./vectors";
 
-const MAGIC = 0x5053474e, HEADER = 16, SH_C0 = 0.28209479177387814, COLOUR_SCALE = 0.15, MOST_VARIANCE = 6e4;
+const MAGIC = 0x5053474e, HEADER = 16, COLOUR_SCALE = 0.15, MOST_VARIANCE = 6e4;
+export const SH_C0 = 0.28209479177387814;
 
-/** Unpack a decompressed SPZ into the browser's frame: scale * (x - center), with y and z turned as SPZ has them. */
-export function splatsOf(buffer: ArrayBuffer, frame: { center: Vec; scale: number }): Splats {
+/** One Gaussian in the axes of the scene's own file. quat: x, y, z, w. sh: the constant harmonic. opacity: 0 to 255. */
+export interface Row { center: Vec; quat: [number, number, number, number]; size: Vec; sh: Vec; opacity: number }
+
+/** Rows of a decompressed SPZ; `read` fills one and the same row again and again. */
+export interface Rows { count: number; read(i: number): Row }
+
+export function rowsOf(buffer: ArrayBuffer): Rows {
   const view = new DataView(buffer), bytes = new Uint8Array(buffer), count = view.getUint32(8, true), fraction = 2 ** -bytes[13];
   if (view.getUint32(0, true) !== MAGIC || view.getUint32(4, true) !== 3 || buffer.byteLength < HEADER + 20 * count) throw new Error("the scene in this page is damaged");
   const alphas = HEADER + 9 * count, colours = alphas + count, scales = colours + 3 * count, turns = scales + 3 * count;
-  const splats: Splats = { count, centers: new Float32Array(3 * count), covariances: new Uint16Array(6 * count), rgb: new Uint8Array(3 * count), opacity: bytes.slice(alphas, alphas + count) };
-  const quat = [0, 0, 0, 0], size = [0, 0, 0], flip = [1, -1, -1];
+  const row: Row = { center: [0, 0, 0], quat: [0, 0, 0, 0], size: [0, 0, 0], sh: [0, 0, 0], opacity: 0 }, flip = [1, -1, -1];
+  return {
+    count,
+    read(i) {
+      for (let k = 0; k < 3; k++) {
+        const at = HEADER + 9 * i + 3 * k, raw = (bytes[at] | (bytes[at + 1] << 8) | (bytes[at + 2] << 16)) << 8 >> 8;
+        row.center[k] = flip[k] * raw * fraction;
+        row.sh[k] = (bytes[colours + 3 * i + k] / 255 - 0.5) / COLOUR_SCALE;
+        row.size[k] = Math.exp(bytes[scales + 3 * i + k] / 16 - 10);
+      }
+      smallestThree(view.getUint32(turns + 4 * i, true), row.quat);
+      row.opacity = bytes[alphas + i];
+      return row;
+    },
+  };
+}
+
+/** Bring the rows of a decompressed SPZ into the browser's frame: scale * (x - center). */
+export function splatsOf(buffer: ArrayBuffer, frame: { center: Vec; scale: number }): Splats {
+  const { count, read } = rowsOf(buffer);
+  const splats: Splats = { count, centers: new Float32Array(3 * count), covariances: new Uint16Array(6 * count), rgb: new Uint8Array(3 * count), opacity: new Uint8Array(count) };
   for (let i = 0; i < count; i++) {
+    const { center, quat, size, sh, opacity } = read(i);
     for (let k = 0; k < 3; k++) {
-      const at = HEADER + 9 * i + 3 * k, raw = (bytes[at] | (bytes[at + 1] << 8) | (bytes[at + 2] << 16)) << 8 >> 8;
-      splats.centers[3 * i + k] = frame.scale * (flip[k] * raw * fraction - frame.center[k]);
-      const sh = (bytes[colours + 3 * i + k] / 255 - 0.5) / COLOUR_SCALE;
-      splats.rgb[3 * i + k] = Math.min(255, Math.max(0, Math.round(255 * (0.5 + SH_C0 * sh))));
-      size[k] = frame.scale * Math.exp(bytes[scales + 3 * i + k] / 16 - 10);
+      splats.centers[3 * i + k] = frame.scale * (center[k] - frame.center[k]);
+      splats.rgb[3 * i + k] = Math.min(255, Math.max(0, Math.round(255 * (0.5 + SH_C0 * sh[k]))));
     }
-    smallestThree(view.getUint32(turns + 4 * i, true), quat);
-    covariance(quat, size, splats.covariances, 6 * i);
+    splats.opacity[i] = opacity;
+    covariance(quat, size.map((s) => frame.scale * s), splats.covariances, 6 * i);
   }
   return splats;
 }

@@ -62,7 +62,10 @@ function sheet(): void {
 function about(app: App): void {
   byId("about").textContent = app.header.about;
   if (!(app.backend instanceof PageBackend)) return;
-  byId("about").append(" ", button("Download the scene (SPZ)", () => download(PageBackend.sceneFile(), "scene.spz"), { class: "quiet", id: "take" }));
+  const { backend } = app, take = (name: string, id: string, file: () => Promise<Blob> | Blob) =>
+    button(name, async () => download(await file(), `scene.${id}`), { class: "quiet", id: `take-${id}` });
+  const objects = app.header.objects.length ? "with its objects, " : "";
+  byId("about").append(" ", take("Download the scene (SPZ)", "spz", () => PageBackend.spz()), " ", take(`Download it ${objects}for 3D programs (GLB)`, "glb", () => backend.glb()));
 }
 
 // --- a link that holds the camera and the query ---
