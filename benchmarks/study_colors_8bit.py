@@ -26,7 +26,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import drsplat as ds
 from benchmarks.machine import describe
-from drsplat.scene.eight_bits import clamped_in_bytes, colors_in_bytes, fitted_to_8_bits
+from drsplat.kernels import sh_colors
+from drsplat.scene.eight_bits import clamped_in_bytes, fitted_to_8_bits, in_bytes
 from drsplat.scene.gaussians import SH_C0
 from drsplat.training import everyday, train
 from drsplat.training.metrics import psnr
@@ -38,7 +39,7 @@ EVERY, MEMORY = 8, 1 << 30
 
 def as_a_viewer_draws(gaussians: ds.Gaussians, view: ds.View) -> ds.Gaussians:
     """Return Gaussians of degree 0 that look from the view as a viewer with 8-bit colours shows the scene."""
-    colors = colors_in_bytes(gaussians, view.center)
+    colors = np.minimum(sh_colors(in_bytes(gaussians).sh, gaussians.means, view.center - gaussians.origin), 1)
     return replace(gaussians, sh=((colors - 0.5) / SH_C0)[:, None].astype(np.float32))
 
 

@@ -3,7 +3,7 @@
     python benchmarks/study_web_viewers.py CAPTURE SCENE [--photos 2] [--resolution 640]
 
 CAPTURE: photos, of which every eighth, that training held out, is drawn. "model": our own picture of Gaussians whose
-constant colours are in bytes (`colors_in_bytes`). "Spark as it is": without `preBlurAmount: 0.3, blurAmount: 0`, with
+constant colours are in bytes (`in_bytes`). "Spark as it is": without `preBlurAmount: 0.3, blurAmount: 0`, with
 which it draws plain scenes. "fitted": after `fitted_to_8_bits`. dB against the photos, mean; in brackets against the
 model. Needs Chromium, playwright, Node.js and `npm install --prefix tests/foreign`.
 """

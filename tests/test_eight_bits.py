@@ -8,7 +8,7 @@ import pytest
 
 from command_line import Capture, answer_of, text_of
 from drsplat import Gaussians, write_gaussians
-from drsplat.scene.eight_bits import MAX_CONSTANT, clamped_in_bytes, colors_in_bytes, fitted_to_8_bits, in_bytes
+from drsplat.scene.eight_bits import MAX_CONSTANT, clamped_in_bytes, fitted_to_8_bits, in_bytes
 from drsplat.scene.gaussians import SH_C0
 from drsplat.scene.similarity import sh_basis
 from scenes import random_gaussians
@@ -51,17 +51,6 @@ def test_in_bytes_constants_are_steps_of_a_byte() -> None:
     np.testing.assert_allclose(
         constants(in_bytes(of_colors(-1, 0.5, 0.25, 7)))[:, 0], [0, 128 / 255, 64 / 255, 1], atol=1e-6
     )
-
-
-def test_colors_are_clamped_again_once_harmonics_are_added() -> None:
-    scene = random_gaussians(300, sh_degree=2)
-    scene = replace(scene, sh=2 * scene.sh)
-    eye = np.array([3.0, -2, 1])
-    directions = (scene.means - eye) / np.linalg.norm(scene.means - eye, axis=1, keepdims=True)
-    expected = [shown(scene.subset(np.array([row])), directions[row : row + 1])[0, 0] for row in range(300)]
-    np.testing.assert_allclose(colors_in_bytes(scene, eye), expected, atol=2e-6)
-    moved = replace(scene, origin=np.array([1000.0, 0, 0]))
-    np.testing.assert_array_equal(colors_in_bytes(moved, eye + moved.origin), colors_in_bytes(scene, eye))
 
 
 def test_what_fits_stays_to_the_bit_and_the_rest_fits_then() -> None:

@@ -30,14 +30,6 @@ def in_bytes(gaussians: Gaussians) -> Gaussians:
     return replace(gaussians, sh=sh)
 
 
-def colors_in_bytes(gaussians: Gaussians, eye: Float64[np.ndarray, " 3"]) -> Float32[np.ndarray, "n 3"]:
-    """Return the colours that such a viewer gives the Gaussians as seen from a place in the world."""
-    from ..kernels import sh_colors
-
-    colors = sh_colors(in_bytes(gaussians).sh, gaussians.means, eye - gaussians.origin)
-    return np.asarray(np.minimum(colors, 1))
-
-
 def fitted_to_8_bits(gaussians: Gaussians) -> Gaussians:
     """Return the scene with constant colours from 0 to 1, and harmonics that change least what is seen of it.
 
