@@ -7,13 +7,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from browsing import PANEL, a_page, colorfulness, eventually, near, needs_chromium, opened, pixels_of, settled
+from drsplat import open_scene, read_gaussians
 from drsplat.drawing.rendering import render
 from drsplat.filming.looking import looking_at
+from drsplat.query.objects import objects_of
 from drsplat.viewing.client import client_file
 from drsplat.viewing.exporting import export_page
 from drsplat.viewing.session import Session
+from glb_files import Read
 from viewing_scenes import THINGS, boxes_scene
 
 WEB = Path(__file__).resolve().parent.parent / "web"
@@ -98,6 +102,33 @@ def test_the_client_draws_what_the_renderer_draws(exported: Path, chromium: Any,
     assert own.max() > 0.5
     psnr = -10 * np.log10((error**2).mean())
     assert psnr > 48, psnr  # 50.2 of both ways of drawing
+
+
+@needs_chromium
+def test_a_page_gives_its_scene_as_glb_with_named_objects(room: Path, tmp_path: Path, chromium: Any) -> None:
+    """Read by the specifications alone, and by our own reader."""
+    scene = open_scene(room / "room.field", scene=room / "scene.ply")
+    gaussians = scene.gaussians
+    scene.label(objects_of(scene.field).thing(1), "plate </script> 😀")
+    export_page(tmp_path / "page.html", scene, ["red mug"], up=UP)
+    with a_page(chromium, *SIZE) as page:
+        opened(page, (tmp_path / "page.html").as_uri())
+        with page.expect_download() as download:
+            page.evaluate("() => document.getElementById('take-glb').click()")
+        download.value.save_as(tmp_path / "scene.glb")
+    file = Read.of((tmp_path / "scene.glb").read_bytes())
+    table = file.table(0)
+    assert table["number"] == list(range(len(scene.objects)))
+    assert table["name"][1] == "plate </script> 😀"
+    assert table["num_gaussians"] == [len(match) for match in scene.objects]
+    for match, center, extent in zip(scene.objects, table["center"], table["extent"], strict=True):
+        np.testing.assert_allclose(center, match.center, atol=1e-3)
+        np.testing.assert_allclose(extent, match.extent, atol=1e-3)
+    read = read_gaussians(tmp_path / "scene.glb")
+    nearest = cKDTree(read.means).query(gaussians.means)[1]  # a page has rows in order of significance
+    np.testing.assert_allclose(read.means[nearest], gaussians.means, atol=1e-4)
+    np.testing.assert_allclose(read.opacities[nearest], gaussians.opacities, atol=1 / 255)
+    np.testing.assert_array_equal(read.extra["object_id"][nearest], scene.object_ids())
 
 
 @needs_chromium

@@ -46,7 +46,7 @@ function splats(file: Parts, buffer: ArrayBuffer): Record<string, number> {
 
 /** Return the table of objects; places and lengths are those of the scene's own file. */
 function table(file: Parts, objects: SceneObject[], frame: { center: Vec; scale: number }): object {
-  const texts = objects.map((thing) => new TextEncoder().encode(thing.name)), ends = [0], own = (x: number, k: number) => x / frame.scale + frame.center[k];
+  const texts = objects.map((thing) => new TextEncoder().encode(plainName(thing))), ends = [0], own = (x: number, k: number) => x / frame.scale + frame.center[k];
   texts.forEach((text) => ends.push(ends[ends.length - 1] + text.length));
   const bytes = new Uint8Array(Math.max(1, ends[ends.length - 1]));
   texts.forEach((text, k) => bytes.set(text, ends[k]));
@@ -66,6 +66,12 @@ function table(file: Parts, objects: SceneObject[], frame: { center: Vec; scale:
       },
     }],
   };
+}
+
+/** Return a name without the number that lists add to tell two mugs apart; the table has a column of numbers. */
+function plainName({ name, number }: SceneObject): string {
+  const added = ` · ${number}`;
+  return name.endsWith(added) ? name.slice(0, -added.length) : name;
 }
 
 /** The binary chunk while it is laid out. */
