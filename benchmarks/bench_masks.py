@@ -12,9 +12,11 @@ with thresholds at the median of the model's own scores passes about half of all
 are of all threads.
 """
 
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,9 +29,12 @@ from drsplat.masks.masks import Masks, cut_masks
 from drsplat.masks.selection import mask_nms
 from drsplat.models.graph import GraphSegmenter, regions
 from drsplat.models.graph.network import layers_of
-from drsplat.reference import photo_network
-from drsplat.reference import photo_regions as twin
-from drsplat.reference.photo_merging import Merging
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+
+from twins import photo_network
+from twins import photo_regions as twin
+from twins.photo_merging import Merging
 
 HEIGHT, WIDTH = 1080, 1920
 

@@ -10,9 +10,9 @@ from scipy.sparse import csr_array
 from drsplat.errors import InputError
 from drsplat.kernels import available_isas, pq_encode, weighted_rows
 from drsplat.kernels.algebra import changed_columns, code_sums, convolve, dense_rows
-from drsplat.reference import algebra as reference_algebra
 from fields import random_weights, unit_rows
 from test_views_hostile import unchecked_types
+from twins import algebra as reference_algebra
 
 every_isa = pytest.mark.parametrize("isa", available_isas())
 few = settings(derandomize=True, deadline=None, max_examples=40)

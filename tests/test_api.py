@@ -70,7 +70,6 @@ ORDER = (
     "masks",
     "formats",
     "kernels",
-    "reference",
     "codes",
     "evidence",
     "field",

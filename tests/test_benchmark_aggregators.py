@@ -23,11 +23,11 @@ from drsplat.evidence.aggregation.outliers import OutlierRejection
 from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import load_field
 from drsplat.kernels import splat_arrays, view_weights
-from drsplat.reference import registering as reference
 from drsplat.registration import Registration, register
 from scenes import random_gaussians, random_mask_map
 from test_aggregation import evidence_of, features, few, one_row, seeds, unit, votes
 from test_registration import capture, named_view, same
+from twins import registering as reference
 
 some = settings(derandomize=True, deadline=None, max_examples=8)
 

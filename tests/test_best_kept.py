@@ -9,8 +9,8 @@ from numpy.testing import assert_array_equal
 from drsplat.errors import InputError
 from drsplat.kernels import available_isas
 from drsplat.kernels.ranking import keep_best
-from drsplat.reference import ranking as twin
 from test_views_hostile import unchecked_types
+from twins import ranking as twin
 
 every_isa = pytest.mark.parametrize("isa", available_isas())
 few = settings(derandomize=True, deadline=None, max_examples=60)

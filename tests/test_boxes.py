@@ -18,12 +18,12 @@ from drsplat.evidence.aggregation import Sampling
 from drsplat.formats.field_folder import MANIFEST
 from drsplat.kernels.boxes import box_of, boxes_of
 from drsplat.query.tasks import locate
-from drsplat.reference import boxes as twin
-from drsplat.reference.boxes import core, mixture_quantile
 from drsplat.scene.boxes import Box, up_of, upward
 from scenes import look_at_view, random_gaussians
 from test_registration import capture
 from test_tasks import boxes_scene, field_of, unit
+from twins import boxes as twin
+from twins.boxes import core, mixture_quantile
 
 UP = np.array([0.0, 0, 1])
 SIZE = (0.6, 0.3, 0.9)

@@ -24,9 +24,9 @@ from drsplat.codes import (
 )
 from drsplat.encoders import EncoderIdentity
 from drsplat.errors import FormatError, InputError, MismatchError
-from drsplat.reference import algebra as reference_algebra
-from drsplat.reference import scan as reference_scan
 from fields import OFFICIAL_INDEX, unit_rows
+from twins import algebra as reference_algebra
+from twins import scan as reference_scan
 
 CLIP = EncoderIdentity("ViT-B-16/laion2b_s34b_b88k", 512)
 SMALL = EncoderIdentity("small", 24)

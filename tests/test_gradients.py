@@ -17,13 +17,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drsplat.drawing.rendering import render
 from drsplat.kernels import available_isas, splat_arrays
 from drsplat.kernels.training import Gradients, SceneParameters, forward
-from drsplat.reference import gradients as reference_gradients
-from drsplat.reference import registering as reference
-from drsplat.reference import training as reference_training
-from drsplat.reference.training import Parameters
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.views import View
 from scenes import look_at_view, random_gaussians
+from twins import gradients as reference_gradients
+from twins import registering as reference
+from twins import training as reference_training
+from twins.training import Parameters
 
 TOLERANCE = 1e-3
 KINDS = ("means", "log_scales", "quats", "logits", "sh", "screen")

@@ -45,9 +45,9 @@ from drsplat.models.graph.rule import MergeRule, shipped_rule
 from drsplat.models.graph.segmenter import GraphSettings, label_masks, segment_labels
 from drsplat.models.point_masks import PointMaskSettings
 from drsplat.models.sam import load_segmenter
-from drsplat.reference.photo_features import OF_NETWORK, pair_features
-from drsplat.reference.photo_merging import Merging
 from test_views_hostile import unchecked_types
+from twins.photo_features import OF_NETWORK, pair_features
+from twins.photo_merging import Merging
 
 NETWORK = shipped_network()[0]
 Y, X = np.mgrid[:240, :320]

@@ -25,10 +25,10 @@ from drsplat.kernels import (
     topk_contributions,
     view_weights,
 )
-from drsplat.reference import compositing
-from drsplat.reference import registering as reference
 from drsplat.scene.views import View
 from scenes import look_at_view, random_gaussians, random_mask_map
+from twins import compositing
+from twins import registering as reference
 
 WIDTH, HEIGHT = 128, 96
 SCENES = {

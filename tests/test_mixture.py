@@ -23,9 +23,9 @@ from drsplat.errors import FormatError, InputError
 from drsplat.evidence.evidence import Evidence
 from drsplat.field import LanguageField, build_field
 from drsplat.formats.tensors import map_tensors, write_tensors
-from drsplat.reference import mixture as reference_mixture
 from fields import SCENE, TOY, random_evidence, unit_rows
 from mutations import bounded_allocations
+from twins import mixture as reference_mixture
 
 SMALL = EncoderIdentity("small", 16)
 

@@ -24,8 +24,8 @@ from drsplat.kernels.mixture import (
     nearest_centres,
     nearest_members,
 )
-from drsplat.reference import mixture as reference_mixture
 from fields import unit_rows
+from twins import mixture as reference_mixture
 
 every_isa = pytest.mark.parametrize("isa", available_isas())
 few = settings(derandomize=True, deadline=None, max_examples=40)

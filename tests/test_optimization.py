@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from drsplat.errors import InputError
 from drsplat.kernels import available_isas
 from drsplat.kernels.training import adam_step, photometric_loss
-from drsplat.reference import loss as reference_loss
+from twins import loss as reference_loss
 
 every_isa = pytest.mark.parametrize("isa", available_isas())
 every_weight = pytest.mark.parametrize("weight", [0.0, 0.2, 1.0])

@@ -13,12 +13,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drsplat.kernels import sh_colors, splat_arrays
-from drsplat.reference import registering as reference
-from drsplat.reference.projection import BLUR, project
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.placing import PUBLISHED_NEAR
 from drsplat.scene.views import View
 from scenes import look_at_view, random_gaussians
+from twins import registering as reference
+from twins.projection import BLUR, project
 
 missing = [name for name in ("torch", "gsplat") if importlib.util.find_spec(name) is None]
 pytestmark = [pytest.mark.oracle, pytest.mark.skipif(bool(missing), reason=f"the oracle needs {' and '.join(missing)}")]

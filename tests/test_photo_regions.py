@@ -27,9 +27,9 @@ from drsplat.kernels.photo_regions import (
     Sight,
 )
 from drsplat.models.graph.network import layers_of, shipped_network
-from drsplat.reference import photo_network
-from drsplat.reference import photo_regions as twin
 from test_views_hostile import unchecked_types
+from twins import photo_network
+from twins import photo_regions as twin
 
 LAYERS = layers_of(shipped_network()[0])
 every_isa = pytest.mark.parametrize("isa", available_isas())

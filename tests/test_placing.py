@@ -19,7 +19,6 @@ from drsplat.formats.gaussian_ply import vertex_columns
 from drsplat.formats.ply import write_vertices
 from drsplat.kernels import splat_arrays
 from drsplat.query.places import nearest_gaussian
-from drsplat.reference import registering as reference
 from drsplat.scene.gaussians import concatenated
 from drsplat.scene.placing import PUBLISHED_NEAR, local_origin, near_plane, size_of
 from drsplat.training import TrainingSettings, train
@@ -27,6 +26,7 @@ from drsplat.viewing.picking import hit_by_ray
 from drsplat.viewing.shown import shown_of
 from scenes import look_at_view, random_gaussians
 from test_registration import capture
+from twins import registering as reference
 
 laws = settings(max_examples=8, deadline=None)
 FAR = np.array([500_000.0, 5_400_000.0, 100.0])

@@ -13,12 +13,12 @@ from scipy.spatial.transform import Rotation
 from scipy.special import factorial, lpmv
 
 from drsplat.kernels import SplatArrays, splat_arrays
-from drsplat.reference import registering as reference
-from drsplat.reference.projection import BLUR, dimming, project
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.placing import PUBLISHED_NEAR
 from drsplat.scene.views import View
 from scenes import look_at_view, random_gaussians, random_mask_map
+from twins import registering as reference
+from twins.projection import BLUR, dimming, project
 
 FOCAL, WIDTH, HEIGHT = 32.0, 48, 32
 AXIS_PIXEL = (16, 24)  # row, column whose centre is the principal point

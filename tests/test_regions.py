@@ -12,8 +12,8 @@ from scipy.sparse import csr_array
 from drsplat.errors import InputError
 from drsplat.kernels import Forest, MergeRule, agglomerate
 from drsplat.objects.neighbours import along_a_curve, neighbours
-from drsplat.reference import regions as twin
 from fields import random_weights
+from twins import regions as twin
 
 RULE = MergeRule(soft=0.5, far=2.0, unit=0.7, smallest=3)
 THRESHOLDS = tuple(k / 100 for k in range(95, 10, -5))

@@ -14,11 +14,11 @@ from drsplat.evidence.aggregation import Sampling
 from drsplat.formats.langsplat import read_features, write_features
 from drsplat.kernels import splat_arrays, view_weights
 from drsplat.masks.features import ViewFeatures
-from drsplat.reference import registering as reference
 from drsplat.registration import Registration, register
 from drsplat.scene.lens import distort_points
 from drsplat.scene.views import View, same_aspect
 from scenes import look_at_view, random_gaussians, random_mask_map
+from twins import registering as reference
 
 DIM = 32
 

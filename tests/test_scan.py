@@ -22,7 +22,7 @@ from drsplat.kernels import (
     scan_scores,
     scan_top,
 )
-from drsplat.reference import scan as reference_scan
+from twins import scan as reference_scan
 
 every_isa = pytest.mark.parametrize("isa", available_isas())
 FUSED = [isa for isa in available_isas() if isa in ("v3", "v4", "v4_vbmi")]  # multiply and add with one rounding

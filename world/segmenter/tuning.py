@@ -7,6 +7,7 @@ shapes, and --beside takes the mean of what a rule says and the learned one.
 """
 
 import argparse
+import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,12 +22,15 @@ from drsplat.models.graph.network import Tensors, look, shipped_network
 from drsplat.models.graph.regions import small_regions, working_image
 from drsplat.models.graph.rule import MergeRule, read_rule
 from drsplat.models.graph.segmenter import GraphSettings, merged
-from drsplat.reference.photo_features import OF_NETWORK
-from drsplat.reference.photo_merging import Likelihood, Merging
 
 from .network import both, first_rule, learn_rule, padded
 from .scenes import Photo, photos, with_smaller
 from .scores import score, shared_pixels
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
+
+from twins.photo_features import OF_NETWORK
+from twins.photo_merging import Likelihood, Merging
 
 KEPT = 0.06  # of the pairs that are met whose smaller region has USUAL_AREA pixels
 USUAL_AREA, MOST_AREA = 300, 5000

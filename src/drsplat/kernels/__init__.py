@@ -1,4 +1,4 @@
-"""The native core: arrays in, arrays out. A function of the same name in `reference` is its slow float64 twin.
+"""The native core: arrays in, arrays out. A function of the same name in tests/twins is its slow float64 twin.
 
 Imports `scene`.
 """

@@ -33,7 +33,7 @@ def box_of(gaussians: Gaussians, ids: Integer[np.ndarray, " m"], up: Float64[np.
     without strays, three thousandths of the mixture of normal distributions lie beyond either side of the box.
 
     Raises: InputError: no ids, or such as there are no Gaussians of.
-    Twin: reference.boxes.box_of.
+    Twin: tests/twins/boxes.py::box_of.
     """
     boxes = boxes_of(gaussians, np.array([0, len(ids)], np.int64), ids.astype(np.int64), up, threads=1)
     return Box(boxes.center[0], boxes.axes[0], boxes.extent[0])

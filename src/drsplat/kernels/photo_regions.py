@@ -138,7 +138,7 @@ def merged_regions(
     likeliest neighbour, smallest first.
 
     Raises: InputError: as pair_likelihoods.
-    Twin: reference.photo_merging.Merging.
+    Twin: tests/twins/photo_merging.py::Merging.
     """
     limits = threshold, least_area, least_width
     try:

@@ -22,7 +22,7 @@ def keep_best(
     scores: of each row the best, highest first, and `names` which they are. found: more, named first, first + 1, ...
 
     Raises: InputError: more than 256 scores a row, names above 65,535, arrays that are read-only or do not fit.
-    Twin: reference.ranking.keep_best.
+    Twin: tests/twins/ranking.py::keep_best.
     """
     try:
         _native.keep_best(scores, names, np.ascontiguousarray(found), first, threads, _checked_isa(isa))

@@ -69,7 +69,7 @@ def agglomerate(
     weights and edges, times the few rounds; the same bits for any number of threads.
 
     Raises: InputError: arrays that are not so.
-    Twin: reference.regions.agglomerate.
+    Twin: tests/twins/regions.py::agglomerate.
     """
     try:
         grown = _native.agglomerate(

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.sparse import csr_array
 
-from ..arrays import Float, Int32, Integer
-from ..kernels.regions import Forest, MergeRule
+from drsplat.arrays import Float, Int32, Integer
+from drsplat.kernels.regions import Forest, MergeRule
 
 Votes = Mapping[int, Mapping[int, float]]  # of a region, by view and mask
 FEW = 0.001

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ..arrays import Float64
-from ..kernels.photo_regions import (
+from drsplat.arrays import Float64
+from drsplat.kernels.photo_regions import (
     AREA,
     AROUND,
     BINS,

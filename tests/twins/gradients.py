@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Float, Float64
-from ..scene.views import View
+from drsplat.arrays import Float, Float64
+from drsplat.scene.views import View
+
 from .training import Branches, Entries, Footprints, Parameters, alphas_of, composite, decide, float64_of, footprints
 
 # Half widths of the differences. An image is linear in sh, and 1e-4 pixel is little.

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ..arrays import Float, Float64, Int32, Int64, UInt8
-from ..kernels.mixture import Blocks, Candidates, Dictionary, Encoded
+from drsplat.arrays import Float, Float64, Int32, Int64, UInt8
+from drsplat.kernels.mixture import Blocks, Candidates, Dictionary, Encoded
 
 DEPENDENT = 1e-4  # an atom adds nothing if its squared sine to the chosen ones is below
 LEAST_GAIN = 1e-8  # of the feature's squared norm

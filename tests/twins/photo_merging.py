@@ -5,8 +5,9 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from ..arrays import Float64, Int64
-from ..kernels.photo_regions import AREA, AROUND, LENGTH, RegionGraph
+from drsplat.arrays import Float64, Int64
+from drsplat.kernels.photo_regions import AREA, AROUND, LENGTH, RegionGraph
+
 from .photo_features import pair_features
 
 Likelihood = Callable[[Float64[np.ndarray, "e f"]], Float64[np.ndarray, " e"]]

@@ -8,8 +8,8 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from ..arrays import Float, Float64, Int
-from ..scene.views import View
+from drsplat.arrays import Float, Float64, Int
+from drsplat.scene.views import View
 
 TILE = 16
 FRUSTUM_MARGIN = 1.3

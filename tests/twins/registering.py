@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Bool, Float, Float64, Int, Int32
-from ..scene.views import View
+from drsplat.arrays import Bool, Float, Float64, Int, Int32
+from drsplat.scene.views import View
+
 from .compositing import Contributors, contributors, rank_in_pixel, select
 from .projection import Splats
 

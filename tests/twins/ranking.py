@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..arrays import Float, Integer
+from drsplat.arrays import Float, Integer
 
 
 def keep_best(

@@ -3,10 +3,10 @@
 import numpy as np
 from scipy.special import ndtr
 
-from ..arrays import Bool, Float64, Integer
-from ..kernels.boxes import OUTLIERS, SPARSE, STRAYS
-from ..scene.boxes import Box
-from ..scene.gaussians import Gaussians
+from drsplat.arrays import Bool, Float64, Integer
+from drsplat.kernels.boxes import OUTLIERS, SPARSE, STRAYS
+from drsplat.scene.boxes import Box
+from drsplat.scene.gaussians import Gaussians
 
 DEVIATIONS = 6.0  # beyond which a Gaussian has no mass
 STEPS = 30  # of bisection: to a billionth of the range

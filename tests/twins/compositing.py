@@ -8,8 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Bool, Float, Float64, Int, Int64
-from ..scene.views import View
+from drsplat.arrays import Bool, Float, Float64, Int, Int64
+from drsplat.scene.views import View
+
 from .projection import MIN_ALPHA, ROUNDING, TILE, Projection, Splats, project
 
 MAX_ALPHA = 0.99

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ..arrays import Float, Float64, Int64
-from ..kernels.scan import GroupedRows, QueryTables, rows_of_groups
+from drsplat.arrays import Float, Float64, Int64
+from drsplat.kernels.scan import GroupedRows, QueryTables, rows_of_groups
 
 
 def lookup_tables(

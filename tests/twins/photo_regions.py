@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ..arrays import Float64, Int32, Int64, UInt8
-from ..kernels.photo_regions import (
+from drsplat.arrays import Float64, Int32, Int64, UInt8
+from drsplat.kernels.photo_regions import (
     AREA,
     AROUND,
     BINS,

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ..arrays import Float64, UInt8
-from ..kernels.photo_regions import BORDER_STEPS, MOST, TRAIT_STEPS, Layers, Sight
+from drsplat.arrays import Float64, UInt8
+from drsplat.kernels.photo_regions import BORDER_STEPS, MOST, TRAIT_STEPS, Layers, Sight
 
 
 def look(image: UInt8[np.ndarray, "h w 3"], layers: Layers) -> Sight:

@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Bool, Float, Float64, Int
-from ..scene.placing import PUBLISHED_NEAR
-from ..scene.views import View
+from drsplat.arrays import Bool, Float, Float64, Int
+from drsplat.scene.placing import PUBLISHED_NEAR
+from drsplat.scene.views import View
+
 from .compositing import ALPHA_BAND, MAX_ALPHA, contributors
 from .projection import BLUR, FRUSTUM_MARGIN, dimming
 from .registering import sh_basis
