@@ -27,7 +27,7 @@ def weighted_rows(
     threads: int = 0,
     isa: str = "",
 ) -> Float32[np.ndarray, "b d"]:
-    """Rows [begin, end) of W @ E, each divided by its L2 norm; a row of zero norm stays zero.
+    """Return rows [begin, end) of W @ E, each divided by its L2 norm; a row of zero norm stays zero.
 
     W is CSR (indptr, indices, data). Nothing but the result is allocated: `embeddings` may be a
     memory map, and W may have any number of rows.
@@ -42,9 +42,9 @@ def weighted_rows(
     if not 0 <= low <= high <= len(indices) or len(indices) != len(data) or (np.diff(starts) < 0).any():
         raise InputError(f"rows {begin}:{end}: row starts do not fit {len(indices)} columns, {len(data)} weights")
     entries = np.ascontiguousarray(indices[low:high], np.int32), np.ascontiguousarray(data[low:high])
-    given = starts - low, *entries, np.ascontiguousarray(embeddings)
+    arrays = starts - low, *entries, np.ascontiguousarray(embeddings)
     try:
-        rows = _native.weighted_rows(*given, threads, _checked_isa(isa))
+        rows = _native.weighted_rows(*arrays, threads, _checked_isa(isa))
     except ValueError as error:
         raise InputError(f"rows {begin}:{end}: expected {error}; there are {len(embeddings)} embeddings") from None
     return np.asarray(rows)
@@ -84,9 +84,9 @@ def convolve(
     outputs = weight.shape[1]
     beyond = -outputs % LANES
     columns, added = np.pad(weight, ((0, 0), (0, beyond))), np.pad(bias, (0, beyond))
-    given = np.ascontiguousarray(images), np.ascontiguousarray(columns), added
+    arrays = np.ascontiguousarray(images), np.ascontiguousarray(columns), added
     try:
-        out = _native.convolve(*given, stride, threads, _checked_isa(isa))
+        out = _native.convolve(*arrays, stride, threads, _checked_isa(isa))
     except ValueError as error:
         raise InputError(
             f"expected {error}; got images {images.shape}, weights {weight.shape}, a bias {bias.shape}, stride {stride}"
@@ -97,18 +97,18 @@ def convolve(
 def changed_columns(
     weights: Entries, numbers: Int32[np.ndarray, " m"], added: Entries, *, threads: int = 0
 ) -> tuple[Int64[np.ndarray, " n1"], Int32[np.ndarray, " f"], Float32[np.ndarray, " f"]]:
-    """A CSR matrix with its columns numbered anew and the entries of another put in: row starts, columns, numbers.
+    """Renumber a CSR matrix's columns and add another's entries; return row starts, columns, numbers.
 
     numbers: the new number of each column, ascending, or below 0: its entries are left out. Columns of a row ascend
-    in both matrices, and then in what comes out.
+    in both matrices, and then in the result.
 
     Raises: InputError: other rows in one than in the other, a damaged matrix, or columns without a number.
     """
     try:
-        found = _native.changed_columns(*_csr(weights), np.ascontiguousarray(numbers), *_csr(added), threads)
+        merged = _native.changed_columns(*_csr(weights), np.ascontiguousarray(numbers), *_csr(added), threads)
     except ValueError as error:
         raise InputError(f"columns: expected {error}") from None
-    starts, columns, values = map(np.asarray, found)
+    starts, columns, values = map(np.asarray, merged)
     return starts.view(np.int64), columns, values  # it may come as "long long"
 
 
@@ -125,17 +125,16 @@ def code_sums(
     Raises: InputError: not one code per sub-vector.
     """
     try:
-        found = _native.code_sums(np.ascontiguousarray(points), np.ascontiguousarray(codes), threads)
+        sums, counts = _native.code_sums(np.ascontiguousarray(points), np.ascontiguousarray(codes), threads)
     except ValueError as error:
         raise InputError(f"expected {error}; got {points.shape} and {codes.shape}") from None
-    sums, counts = map(np.asarray, found)
-    return sums, counts.view(np.int64)  # it may come as "long long"
+    return np.asarray(sums), np.asarray(counts).view(np.int64)  # it may come as "long long"
 
 
 def pq_encode(
     features: Float32[np.ndarray, "n D"], centroids: Float32[np.ndarray, "L c d"], *, threads: int = 0, isa: str = ""
 ) -> UInt8[np.ndarray, "n L"]:
-    """The nearest of 256 centroids (L2) of each of L sub-vectors, ties to the lowest index.
+    """Return the nearest of 256 centroids (L2) for each of L sub-vectors, ties to the lowest index.
 
     Raises: InputError: centroids are not (L, 256, D / L), or features are not finite.
     Source: Jegou et al. 2011.

@@ -10,13 +10,13 @@ from ..errors import InputError
 from ..scene.boxes import Box
 from ..scene.gaussians import Gaussians
 
-OUTLIERS = 0.003  # of a thing's mass, cut off at each end of each axis
-STRAYS = 0.02  # of a set's mass: the most that is left out as strays at each end of each axis
-SPARSE = 8.0  # times less mass per length than the set has: from here on a tail is strays
+OUTLIERS = 0.003  # share of a thing's mass that is cut off at each end of each axis
+STRAYS = 0.02  # largest share of a set's mass that is left out as strays at each end of each axis
+SPARSE = 8.0  # a tail is strays where its mass per length is this many times below the set's
 
 
 class Boxes(NamedTuple):
-    """A `Box` of each of several sets."""
+    """Boxes of several sets, one `Box` each."""
 
     center: Float64[np.ndarray, "s 3"]
     axes: Float64[np.ndarray, "s 3 3"]
@@ -24,7 +24,7 @@ class Boxes(NamedTuple):
 
 
 def box_of(gaussians: Gaussians, ids: Integer[np.ndarray, " m"], up: Float64[np.ndarray, " 3"] | None = None) -> Box:
-    """Return the box that holds the Gaussians `ids`, but for strays and the outliers of their mass.
+    """Return the box that holds the Gaussians `ids`, without strays and the outliers of their mass.
 
     up: a unit direction; the box stands upright, along the principal axes in the plane. None: free, along the
     principal axes. Gaussians count by their opacity. First a halo and floaters are left out: along each axis the tails
@@ -47,7 +47,7 @@ def boxes_of(
     *,
     threads: int = 0,
 ) -> Boxes:
-    """`box_of` for each set ids[starts[s]:starts[s + 1]]; the same bits for any number of threads."""
+    """Return the box of each set ids[starts[s]:starts[s + 1]]; the same bits for any number of threads."""
     try:
         centers, axes, extents = _native.boxes(
             np.ascontiguousarray(gaussians.means),

@@ -1,4 +1,4 @@
-"""The mixture code's kernels (native): which atoms make a feature, and scans of what was chosen.
+"""Kernels of the mixture code (native): choosing the atoms of a feature, and scanning the rows.
 
 Encoding is the same to the bit for any number of threads. Scans add whole numbers: their scores are
 the same to the bit for any number of threads, of queries at once, and on any instruction set.
@@ -29,7 +29,7 @@ class Dictionary(NamedTuple):
 
 
 class Encoded(NamedTuple):
-    """Rows as chosen: ids and weights of the heaviest first; scale * sum of weight * atom is a unit vector."""
+    """Encoded rows, heaviest atom first; scale * sum of weight * atom is a unit vector."""
 
     ids: Int32[np.ndarray, "n k"]
     weights: UInt8[np.ndarray, "n k"]
@@ -37,7 +37,7 @@ class Encoded(NamedTuple):
 
 
 class Blocks(NamedTuple):
-    """Rows as they are scanned: within a block of 64 rows, the k-th ids of all rows lie together."""
+    """Rows laid out for scans: within a block of 64 rows, the k-th ids of all rows lie together."""
 
     ids: UInt16[np.ndarray, "b k r"]
     weights: UInt8[np.ndarray, "b k r"]
@@ -64,10 +64,10 @@ def mixture_encode(
     threads: int = 0,
     isa: str = "",
 ) -> Encoded:
-    """Up to `atoms_per_row` candidates whose mixture with positive weights comes nearest to a feature.
+    """Choose up to `atoms_per_row` candidates whose mixture with positive weights comes nearest to a feature.
 
-    Greedily by orthogonal least squares, then each chosen atom once gives way to the candidate that
-    fits best without it. Rows that no candidate points the way of become zero.
+    Greedy orthogonal least squares; then each chosen atom is replaced once by the candidate that fits
+    best in its place. Rows for which no candidate has a positive weight become zero.
 
     Raises: InputError: shapes disagree, candidates that are no atoms, more than 16 atoms per row.
     Source: Chen, Billings & Luo 1989 (orthogonal least squares).
@@ -75,21 +75,21 @@ def mixture_encode(
     if not np.isfinite(features).all():
         raise InputError("features to encode must be finite")
     starts = np.ascontiguousarray(candidates.indptr, np.int64)
-    given = (np.ascontiguousarray(features), starts, *map(np.ascontiguousarray, candidates[1:]))
-    arrays = (*_contiguous(dictionary), *given)
-    found = _refusing(_native.mixture_encode, *arrays, atoms_per_row, threads, _checked_isa(isa))
-    return Encoded(*map(np.asarray, found))
+    rows = (np.ascontiguousarray(features), starts, *map(np.ascontiguousarray, candidates[1:]))
+    arrays = (*_contiguous(dictionary), *rows)
+    encoded = _refusing(_native.mixture_encode, *arrays, atoms_per_row, threads, _checked_isa(isa))
+    return Encoded(*map(np.asarray, encoded))
 
 
 def nearest_centres(
     points: Float32[np.ndarray, "n D"], centres: Float32[np.ndarray, "c D"], *, threads: int = 0, isa: str = ""
 ) -> Int32[np.ndarray, " n"]:
-    """The centre of largest inner product with each point, ties to the lowest.
+    """Return the centre of the largest inner product with each point, ties to the lowest.
 
     Raises: InputError: no centres, or of another dimension.
     """
-    given = np.ascontiguousarray(points), np.ascontiguousarray(centres)
-    return np.asarray(_refusing(_native.nearest_centres, *given, threads, _checked_isa(isa)))
+    arrays = np.ascontiguousarray(points), np.ascontiguousarray(centres)
+    return np.asarray(_refusing(_native.nearest_centres, *arrays, threads, _checked_isa(isa)))
 
 
 def nearest_members(
@@ -102,24 +102,23 @@ def nearest_members(
     threads: int = 0,
     isa: str = "",
 ) -> Int32[np.ndarray, "n w"]:
-    """The `wanted` atoms with the largest inner products with each point, among the members of its group.
+    """Return the `wanted` atoms with the largest inner products with each point, among its group's members.
 
     Raises: InputError: groups or members that are not there, or fewer members than wanted.
     """
-    given = [np.ascontiguousarray(part) for part in (points, groups, members)]
-    arrays = (*_contiguous(dictionary), *given)
+    arrays = (*_contiguous(dictionary), *map(np.ascontiguousarray, (points, groups, members)))
     return np.asarray(_refusing(_native.nearest_members, *arrays, wanted, threads, _checked_isa(isa)))
 
 
 def mixture_scores(
     blocks: Blocks, dictionary: Dictionary, queries: Float32[np.ndarray, "q D"], *, threads: int = 0, isa: str = ""
 ) -> Float32[np.ndarray, "q n"]:
-    """scale_i * sum_k weight_ik * <query, atom of id_ik>, where <query, atom> is in steps of 1 / 32767.
+    """Return scale_i * sum_k weight_ik * <query, atom of id_ik>, where <query, atom> is in steps of 1 / 32767.
 
     Raises: InputError: shapes disagree, or a query that is not finite.
     """
-    given = _scanned(blocks, dictionary), _finite(queries)
-    return np.asarray(_refusing(_native.mixture_scores, *given, threads, _checked_isa(isa)))
+    arrays = _scan_arrays(blocks, dictionary), _finite(queries)
+    return np.asarray(_refusing(_native.mixture_scores, *arrays, threads, _checked_isa(isa)))
 
 
 def mixture_select(
@@ -132,13 +131,13 @@ def mixture_select(
     threads: int = 0,
     isa: str = "",
 ) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
-    """Rows with score - floor > threshold, ascending, and their scores.
+    """Return the rows with score - floor > threshold, ascending, and their scores.
 
     Raises: InputError: shapes disagree, or a query that is not finite.
     """
     floors = None if floor is None else np.ascontiguousarray(floor)
-    given = _scanned(blocks, dictionary), _finite(query), threshold, floors
-    rows, scores = _refusing(_native.mixture_select, *given, threads, _checked_isa(isa))
+    arguments = _scan_arrays(blocks, dictionary), _finite(query), threshold, floors
+    rows, scores = _refusing(_native.mixture_select, *arguments, threads, _checked_isa(isa))
     return np.asarray(rows).view(np.int64), np.asarray(scores)  # it may come as "long long"
 
 
@@ -151,26 +150,26 @@ def mixture_top(
     threads: int = 0,
     isa: str = "",
 ) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
-    """The `count` rows of the best scores, best first, ties to the lower row, and their scores.
+    """Return the `count` rows of the best scores, best first, ties to the lower row, and their scores.
 
     Raises: InputError: shapes disagree, a count below 1, or a query that is not finite.
     """
     if count < 1:
         raise InputError(f"count: expected 1 or more, got {count}")
-    given = _scanned(blocks, dictionary), _finite(query), count
-    rows, scores = _refusing(_native.mixture_top, *given, threads, _checked_isa(isa))
+    arguments = _scan_arrays(blocks, dictionary), _finite(query), count
+    rows, scores = _refusing(_native.mixture_top, *arguments, threads, _checked_isa(isa))
     return np.asarray(rows).view(np.int64), np.asarray(scores)  # it may come as "long long"
 
 
 def mixture_best(
     blocks: Blocks, dictionary: Dictionary, queries: Float32[np.ndarray, "c D"], *, threads: int = 0, isa: str = ""
 ) -> tuple[Int32[np.ndarray, " n"], Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
-    """Which query scores best in each row, ties to the first; its score, and the second best.
+    """Return each row's query of the highest score (ties to the first), that score, and the next highest.
 
     Raises: InputError: shapes disagree, no query, or one that is not finite.
     """
-    given = _scanned(blocks, dictionary), _finite(queries)
-    index, scores, runner_up = _refusing(_native.mixture_best, *given, threads, _checked_isa(isa))
+    arrays = _scan_arrays(blocks, dictionary), _finite(queries)
+    index, scores, runner_up = _refusing(_native.mixture_best, *arrays, threads, _checked_isa(isa))
     return np.asarray(index), np.asarray(scores), np.asarray(runner_up)
 
 
@@ -186,7 +185,7 @@ def _contiguous(dictionary: Dictionary) -> tuple[np.ndarray, np.ndarray]:
     return np.ascontiguousarray(dictionary.values), np.ascontiguousarray(dictionary.scales)
 
 
-def _scanned(blocks: Blocks, dictionary: Dictionary) -> tuple[np.ndarray, ...]:
+def _scan_arrays(blocks: Blocks, dictionary: Dictionary) -> tuple[np.ndarray, ...]:
     ids, weights, scales = (np.ascontiguousarray(part) for part in blocks)
     return ids, weights, scales.view(np.uint16), *_contiguous(dictionary)
 

@@ -33,7 +33,10 @@ PairRule = tuple[Float64[np.ndarray, "..."], ...]
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """borders: how likely a pixel touches another thing, 0 to BORDER_STEPS. traits: near for pixels of one thing."""
+    """Output of the network. borders: likelihood, 0 to BORDER_STEPS, that a pixel touches another thing.
+
+    traits: near each other for pixels of one thing.
+    """
 
     borders: Int32[np.ndarray, "h w"]
     traits: Int32[np.ndarray, "h w t"]
@@ -41,7 +44,7 @@ class Sight:
 
 @dataclass(frozen=True, eq=False)
 class RegionGraph:
-    """Regions of an image and which of them touch.
+    """Graph of an image's regions; an edge joins two that touch.
 
     sums: columns as named above: pixels, colours and their squares, pixels at the image's frame, length of the border
     to other regions, texture, histograms, traits and their squares. boxes: x0, y0, -x1, -y1. pairs: first below second,
@@ -68,7 +71,7 @@ def lab_colors(image: UInt8[np.ndarray, "h w 3"], *, threads: int = 0, isa: str 
 
 
 def small_regions(lab: Int32[np.ndarray, "h w 3"], scale: float, least: int) -> Int32[np.ndarray, "h w"]:
-    """Return a number for each region, from 0 in the order of their first pixels, every one in one piece.
+    """Return the region of each pixel, numbered from 0 by first pixel; every region is connected.
 
     scale: how unlike neighbours must be, in CIELAB units times pixels: higher, larger regions. least: pixels of a
     region. Neighbours that differ equally are merged in a fixed order: side by side, above each other, diagonally, each
@@ -92,9 +95,9 @@ def look(image: UInt8[np.ndarray, "h w 3"], layers: Layers, *, threads: int = 0,
 
     Raises: InputError: as lab_colors, or layers that do not fit together.
     """
-    given = tuple(np.ascontiguousarray(layer) for layer in layers)
+    contiguous = tuple(np.ascontiguousarray(layer) for layer in layers)
     try:
-        borders, traits = _native.look(np.ascontiguousarray(image), given, threads, _checked_isa(isa))
+        borders, traits = _native.look(np.ascontiguousarray(image), contiguous, threads, _checked_isa(isa))
     except ValueError as error:
         raise InputError(f"network: expected {error}") from None
     return Sight(np.asarray(borders), np.asarray(traits))

@@ -11,7 +11,7 @@ from .splatting import _checked_isa
 def keep_best(
     scores: Float32[np.ndarray, "t r"],
     names: UInt16[np.ndarray, "t r"],
-    found: Float32[np.ndarray, "c r"],
+    more: Float32[np.ndarray, "c r"],
     first: int,
     *,
     threads: int = 0,
@@ -19,12 +19,12 @@ def keep_best(
 ) -> None:
     """Let higher scores take the place of lower ones, in place; of equal ones the earlier stays in front.
 
-    scores: of each row the best, highest first, and `names` which they are. found: more, named first, first + 1, ...
+    scores: of each row the best, highest first, and `names` which they are. more: further scores, named first, first + 1, ...
 
     Raises: InputError: more than 256 scores a row, names above 65,535, arrays that are read-only or do not fit.
     Twin: tests/twins/ranking.py::keep_best.
     """
     try:
-        _native.keep_best(scores, names, np.ascontiguousarray(found), first, threads, _checked_isa(isa))
+        _native.keep_best(scores, names, np.ascontiguousarray(more), first, threads, _checked_isa(isa))
     except (TypeError, ValueError) as error:
-        raise InputError(f"scores {scores.shape}, names {names.shape}, found {found.shape}: {error}") from None
+        raise InputError(f"scores {scores.shape}, names {names.shape}, more {more.shape}: {error}") from None

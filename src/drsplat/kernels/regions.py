@@ -12,7 +12,7 @@ from ..errors import InputError
 
 @dataclass(frozen=True)
 class MergeRule:
-    """When two neighbouring regions are one; see docs/objects.md.
+    """Rule for merging two neighbouring regions; see docs/objects.md.
 
     soft: the weight in a view at which the view counts half. far: of a region's weight, for how well masks fit it.
     local: the share of the agreement along the border, the rest is that of the regions as wholes. prior, least: the
@@ -37,11 +37,12 @@ class MergeRule:
 
 
 class Forest(NamedTuple):
-    """Nodes 0 to N - 1 are the rows, then come merges: a parent has a higher number than its children, -1 is none.
+    """Tree of merges: nodes 0 to N - 1 are the rows, later ones merges.
 
-    agreements: the threshold of the merge. sizes: rows; masses: their weight. fits: the mean, over the views that
-    see a region, of the IoU with the mask most like it there. spreads: the largest distance of embeddings that was
-    merged in it, 1 for unrelated ones. Both are 0 for regions below `smallest`.
+    parents: a parent has a higher number than its children, -1 is none. agreements: the threshold of the merge.
+    sizes: rows; masses: their weight. fits: the mean, over the views that see a region, of the IoU with the mask most
+    like it there. spreads: the largest distance of embeddings that was merged in it, 1 for unrelated ones. fits and
+    spreads are 0 for regions below `smallest`.
     """
 
     parents: Int32[np.ndarray, " T"]
@@ -72,7 +73,7 @@ def agglomerate(
     Twin: tests/twins/regions.py::agglomerate.
     """
     try:
-        grown = _native.agglomerate(
+        forest = _native.agglomerate(
             np.ascontiguousarray(weights.indptr, np.int64),
             np.ascontiguousarray(weights.indices, np.int32),
             np.ascontiguousarray(weights.data, np.float32),
@@ -85,4 +86,4 @@ def agglomerate(
         )
     except ValueError as error:
         raise InputError(f"regions: expected {error}") from None
-    return Forest(*map(np.asarray, grown))
+    return Forest(*map(np.asarray, forest))

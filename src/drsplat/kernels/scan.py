@@ -18,13 +18,13 @@ from .algebra import CENTROIDS
 from .splatting import _checked_isa
 
 GROUP = 256
-ERROR = 1e-4  # of a score, never exceeded
-HYBRID_ERROR = 2e-3  # of a score, six standard deviations
+ERROR = 1e-4  # largest error of a score, never exceeded
+HYBRID_ERROR = 2e-3  # error of a score at six standard deviations
 HYBRID_WIDE = 16
 
 
 class GroupedRows(NamedTuple):
-    """Coded features. codes: see `group_codes`. coarse_ids: a row of the coarse table each, or None."""
+    """Coded features. codes: see `group_codes`. coarse_ids: each row's row of the coarse table, or None."""
 
     codes: UInt8[np.ndarray, "g L 256"]
     inverse_norms: Float32[np.ndarray, " n"]
@@ -32,14 +32,14 @@ class GroupedRows(NamedTuple):
 
 
 class QueryTables(NamedTuple):
-    """What queries give for each code, and for each coarse centroid or None."""
+    """Inner products of queries with each code's centroid, and with each coarse centroid or None."""
 
     luts: Float32[np.ndarray, "q L 256"]
     coarse: Float32[np.ndarray, "q C"] | None = None
 
 
 class Scanning(NamedTuple):
-    """How to scan. error: by how much a sum of look-ups may be off, at most.
+    """Settings of a scan. error: the largest error of a sum of look-ups.
 
     wide: 0, or only so many sub-vectors, of the widest range, have tables of more than one byte, and `error`
     is six standard deviations of the rounding: faster. threads: 0 takes all cores. isa: of
@@ -56,7 +56,7 @@ EXACT = Scanning()
 
 
 def group_codes(codes: UInt8[np.ndarray, "n L"]) -> UInt8[np.ndarray, "g L 256"]:
-    """Rows of codes as groups of 256 rows, sub-vector by sub-vector; the last is filled with zeros."""
+    """Arrange codes in groups of 256 rows, sub-vector by sub-vector; the last group is padded with zeros."""
     count, subvectors = codes.shape
     grouped = np.empty((-(-count // GROUP), subvectors, GROUP), np.uint8)
     whole = count // GROUP
@@ -68,14 +68,14 @@ def group_codes(codes: UInt8[np.ndarray, "n L"]) -> UInt8[np.ndarray, "g L 256"]
 
 
 def rows_of_groups(grouped: UInt8[np.ndarray, "g L 256"], rows: Integer[np.ndarray, " b"]) -> UInt8[np.ndarray, "b L"]:
-    """Codes of some rows, one after the other."""
+    """Return the codes of some rows, one row after the other."""
     return np.asarray(grouped[rows // GROUP, :, rows % GROUP])
 
 
 def lookup_tables(
     centroids: Float32[np.ndarray, "L d c"], queries: Float32[np.ndarray, "q D"], *, threads: int = 0, isa: str = ""
 ) -> Float32[np.ndarray, "q L c"]:
-    """The inner product of each part of each query with each centroid of that part.
+    """Return the inner product of each part of each query with each centroid of that part.
 
     centroids: number by number, (L, D / L, 256).
 
@@ -92,7 +92,7 @@ def lookup_tables(
 
 
 def scan_scores(rows: GroupedRows, tables: QueryTables, how: Scanning = EXACT) -> Float32[np.ndarray, "q n"]:
-    """score_i = (sum_m lut[m, codes[i, m]] + coarse[coarse_ids[i]]) * inverse_norms[i], for each query.
+    """Return (sum_m lut[m, codes[i, m]] + coarse[coarse_ids[i]]) * inverse_norms[i], for each query and row i.
 
     Raises: InputError: arrays that do not fit each other.
     Source: Jegou et al. 2011, asymmetric distance; Dr. Splat Eq. 5-6.
@@ -107,41 +107,41 @@ def scan_above(
     floor: Float32[np.ndarray, " n"] | None = None,
     how: Scanning = EXACT,
 ) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
-    """Rows whose score minus `floor` exceeds the threshold, ascending, and their scores; of one query.
+    """Return the rows whose score minus `floor` exceeds the threshold, ascending, and their scores; of one query.
 
     Raises: InputError: more than one query, or arrays that do not fit each other.
     """
-    asked = _checked(rows, tables, how)
-    _one_query(tables)
+    arguments = _checked(rows, tables, how)
+    _refuse_several_queries(tables)
     if floor is not None:
         if floor.shape != rows.inverse_norms.shape:
             raise InputError(f"expected a floor per row, got {floor.shape}")
         floor = np.ascontiguousarray(floor)
-    found, scores = _native.scan_above(*asked, float(threshold), floor)
-    return np.asarray(found).view(np.int64), np.asarray(scores)  # else "long long"
+    matches, scores = _native.scan_above(*arguments, float(threshold), floor)
+    return np.asarray(matches).view(np.int64), np.asarray(scores)  # else "long long"
 
 
 def scan_top(
     rows: GroupedRows, tables: QueryTables, count: int, how: Scanning = EXACT
 ) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
-    """The `count` best rows and their scores, best first, ties to the lower row; of one query.
+    """Return the `count` best rows and their scores, best first, ties to the lower row; of one query.
 
     Raises: InputError: more than one query, a count below 1, or arrays that do not fit each other.
     """
-    asked = _checked(rows, tables, how)
-    _one_query(tables)
+    arguments = _checked(rows, tables, how)
+    _refuse_several_queries(tables)
     if count < 1:
         raise InputError(f"expected a count of 1 or more, got {count}")
-    found, scores = _native.scan_top(*asked, min(count, len(rows.inverse_norms) + 1))
-    return np.asarray(found).view(np.int64), np.asarray(scores)  # else "long long"
+    best, scores = _native.scan_top(*arguments, min(count, len(rows.inverse_norms) + 1))
+    return np.asarray(best).view(np.int64), np.asarray(scores)  # else "long long"
 
 
 def scan_best(
     rows: GroupedRows, tables: QueryTables, how: Scanning = EXACT
 ) -> tuple[Int32[np.ndarray, " n"], Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
-    """For each row the query of the highest score (ties to the first), that score, and the next highest.
+    """Return each row's query of the highest score (ties to the first), that score, and the next highest.
 
-    Of one query the next highest is -inf.
+    With one query the next highest is -inf.
 
     Raises: InputError: arrays that do not fit each other.
     """
@@ -149,10 +149,10 @@ def scan_best(
     return np.asarray(index), np.asarray(scores), np.asarray(runner_up)
 
 
-_Asked = tuple[tuple[object, ...], tuple[object, ...], tuple[object, ...]]
+_ScanArguments = tuple[tuple[object, ...], tuple[object, ...], tuple[object, ...]]
 
 
-def _checked(rows: GroupedRows, tables: QueryTables, how: Scanning) -> _Asked:
+def _checked(rows: GroupedRows, tables: QueryTables, how: Scanning) -> _ScanArguments:
     codes, norms, ids = rows
     count, subvectors = len(norms), codes.shape[1]
     if codes.shape != (-(-count // GROUP), subvectors, GROUP) or not 0 < subvectors < 1 << 16:
@@ -180,6 +180,6 @@ def _checked(rows: GroupedRows, tables: QueryTables, how: Scanning) -> _Asked:
     return whole[0], whole[1], (how.error, how.wide, how.threads, _checked_isa(how.isa))
 
 
-def _one_query(tables: QueryTables) -> None:
+def _refuse_several_queries(tables: QueryTables) -> None:
     if len(tables.luts) != 1:
         raise InputError(f"expected the tables of one query, got {len(tables.luts)}")

@@ -18,14 +18,14 @@ from ..scene.placing import PUBLISHED_NEAR
 from ..scene.views import View
 
 BLOCK = 1 << 13  # Gaussians whose covariances are computed at once
-MAX_SIDE = 65536
-MOST_COUNTED = 2**31 - 1  # no ray meets so many: as good as all
+MAX_SIDE = 65536  # pixels
+MOST_COUNTED = 2**31 - 1  # the largest count that the kernels take; no ray meets as many Gaussians
 
 
 class SplatArrays(NamedTuple):
-    """What the kernels need of a scene, as structure of arrays; make it once, use it for all views.
+    """Structure of arrays that the kernels draw a scene from; make it once, use it for all views.
 
-    means: relative to origin. near: camera z up to which nothing is drawn. antialiased: as of `Gaussians`.
+    means: relative to origin. near: camera z up to which nothing is drawn. antialiased: see `Gaussians`.
     """
 
     means: Float32[np.ndarray, "3 n"]
@@ -36,7 +36,7 @@ class SplatArrays(NamedTuple):
     antialiased: bool = False
 
     def subset(self, index: Integer[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> "SplatArrays":
-        """Of the Gaussians at `index`, as `Gaussians.subset`; the near plane is that of the whole."""
+        """Return the arrays of the Gaussians at `index`; the near plane stays that of the whole scene."""
         return self._replace(
             means=np.ascontiguousarray(self.means[:, index]),
             covariances=np.ascontiguousarray(self.covariances[:, index]),
@@ -60,7 +60,10 @@ class Contributions(NamedTuple):
 
 
 class Rendering(NamedTuple):
-    """channels: sum of weight * value. depth: weighted mean of camera z, 0 where nothing is."""
+    """An image of per-Gaussian values.
+
+    channels: sum of weight * value. depth: weighted mean of camera z, 0 where nothing is.
+    """
 
     channels: Float32[np.ndarray, "h w c"]
     alpha: Float32[np.ndarray, "h w"]
@@ -68,25 +71,25 @@ class Rendering(NamedTuple):
 
 
 def available_isas() -> list[str]:
-    """Instruction sets of this build that this machine runs, best first."""
+    """Return the instruction sets of this build that this machine runs, best first."""
     return list(_native.available_isas())
 
 
 def compiler() -> str:
-    """What compiled this build, with its version."""
+    """Return the name and version of the compiler of this build."""
     return _native.compiler
 
 
 def default_isa() -> str:
-    """The instruction set taken when none is named: the best, or what DRSPLAT_ISA says.
+    """Return the instruction set used when none is named: that of DRSPLAT_ISA, else the best.
 
     Raises: InputError: DRSPLAT_ISA names one that is not available.
     """
     try:
         return _native.default_isa()
     except ValueError:
-        wanted = os.environ.get("DRSPLAT_ISA")
-        raise InputError(f"DRSPLAT_ISA asks for '{wanted}'; this machine and build have {available_isas()}") from None
+        isa = os.environ.get("DRSPLAT_ISA")
+        raise InputError(f"DRSPLAT_ISA asks for '{isa}'; this machine and build have {available_isas()}") from None
 
 
 def splat_arrays(gaussians: Gaussians, near: float | None = None) -> SplatArrays:
@@ -100,7 +103,7 @@ def splat_arrays(gaussians: Gaussians, near: float | None = None) -> SplatArrays
 
 
 def laid_out(gaussians: Gaussians, near: float) -> SplatArrays:
-    """As `splat_arrays`, counted from the origin that they have. Raises: as there."""
+    """Lay the scene out for the kernels, keeping its origin. Raises: InputError: see `splat_arrays`."""
     if not 0 < near < np.inf:
         raise InputError(f"near: expected a distance in front of the camera, got {near}")
     covariances = np.empty((6, len(gaussians)), np.float32)
@@ -113,8 +116,8 @@ def laid_out(gaussians: Gaussians, near: float) -> SplatArrays:
     return SplatArrays(means, covariances, opacities, near, gaussians.origin, gaussians.antialiased)
 
 
-def _seen(splats: SplatArrays, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool, np.ndarray]:
-    """Means, covariances, opacities, whether they are drawn antialiased, and the camera."""
+def _scene_and_camera(splats: SplatArrays, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool, np.ndarray]:
+    """Return means, covariances, opacities, whether they are drawn antialiased, and the camera."""
     return (
         splats.means,
         splats.covariances,
@@ -125,7 +128,7 @@ def _seen(splats: SplatArrays, view: View) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def camera_numbers(view: View, near: float) -> Float32[np.ndarray, "17"]:
-    """A camera as the kernels take it: rotation, translation, fx, fy, cx, cy, near.
+    """Return a camera as the kernels take it: rotation, translation, fx, fy, cx, cy, near.
 
     Raises: InputError: too large a raster, or skew.
     """
@@ -179,8 +182,8 @@ def view_weights(
         )
     pixels = np.ascontiguousarray(mask_ids, np.int32)
     limits = _positive("topk", topk), _positive("first_hits", first_hits)
-    found = _native.view_weights(*_seen(splats, view), pixels, *limits, threads, _checked_isa(isa))
-    return Triples(*found[:3])
+    triples = _native.view_weights(*_scene_and_camera(splats, view), pixels, *limits, threads, _checked_isa(isa))
+    return Triples(*triples[:3])
 
 
 def topk_contributions(
@@ -194,16 +197,16 @@ def topk_contributions(
     Source: Dr. Splat Sec. A; 3DGS Eq. 3.
     """
     size, limits = (view.width, view.height), (_positive("k", k), _positive("first_hits", first_hits))
-    found = _native.topk_contributions(*_seen(splats, view), *size, *limits, threads, _checked_isa(isa))
-    return Contributions(*found)
+    arrays = _scene_and_camera(splats, view)
+    return Contributions(*_native.topk_contributions(*arrays, *size, *limits, threads, _checked_isa(isa)))
 
 
 def heaviest_labels(
     seen: Contributions, labels: Int32[np.ndarray, " n"], *, threads: int = 0
 ) -> Int32[np.ndarray, "h w"]:
-    """Return the label that most of each pixel shows, of equal ones that of the heaviest Gaussian; -1 for none.
+    """Return the label with the most weight in each pixel, -1 for none; ties go to the heaviest Gaussian's.
 
-    seen: the eight largest weights of each pixel. labels: of each Gaussian.
+    seen: the eight largest weights of each pixel. labels: one per Gaussian.
 
     Raises: InputError: another number of weights, or Gaussians without a label.
     """
@@ -232,8 +235,8 @@ def render_channels(
     behind = np.zeros(channels, np.float32) if background is None else background
     if len(values) != n or behind.shape != (channels,):
         raise InputError(f"expected values ({n}, C) and background (C); got {values.shape} and {behind.shape}")
-    given = view.width, view.height, np.ascontiguousarray(values), np.ascontiguousarray(behind)
-    return Rendering(*_native.render(*_seen(splats, view), *given, threads, _checked_isa(isa)))
+    canvas = view.width, view.height, np.ascontiguousarray(values), np.ascontiguousarray(behind)
+    return Rendering(*_native.render(*_scene_and_camera(splats, view), *canvas, threads, _checked_isa(isa)))
 
 
 def sh_colors(
@@ -244,9 +247,9 @@ def sh_colors(
     threads: int = 0,
     isa: str = "",
 ) -> Float32[np.ndarray, "n 3"]:
-    """Colour of each Gaussian as seen from `center` (world coordinates): max(0, 0.5 + SH(direction)).
+    """Return the colour of each Gaussian seen from `center` (world coordinates): max(0, 0.5 + SH(direction)).
 
     Source: 3DGS, "Spherical harmonics".
     """
-    given = np.ascontiguousarray(sh), np.ascontiguousarray(means), np.asarray(center, np.float32)
-    return np.asarray(_native.sh_colors(*given, threads, _checked_isa(isa)))
+    arrays = np.ascontiguousarray(sh), np.ascontiguousarray(means), np.asarray(center, np.float32)
+    return np.asarray(_native.sh_colors(*arrays, threads, _checked_isa(isa)))

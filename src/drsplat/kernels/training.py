@@ -18,7 +18,7 @@ from .splatting import _checked_isa, camera_numbers
 
 
 class SceneParameters(NamedTuple):
-    """A scene as it is optimised: pre-activation, C-contiguous float32.
+    """Parameters of a scene before activation, as they are optimised: C-contiguous float32.
 
     quats: wxyz, of any length. log_scales: natural logarithms. logits: of the opacities.
     """
@@ -31,7 +31,7 @@ class SceneParameters(NamedTuple):
 
 
 class Gradients(NamedTuple):
-    """dL/d(parameter), and what density control wants to know; all zero for unseen Gaussians.
+    """Gradients dL/d(parameter) and what density control needs; all zero for unseen Gaussians.
 
     screen: norm of dL/d(projected centre), with the image 2 units wide and high (3DGS's measure).
     radii: three standard deviations of the splat's longer axis, rounded up, in pixels.
@@ -47,7 +47,7 @@ class Gradients(NamedTuple):
 
 
 class Loss(NamedTuple):
-    """value = (1 - w) l1 + w (1 - ssim), and its gradient by the image."""
+    """Photometric loss, value = (1 - w) l1 + w (1 - ssim), and its gradient by the image."""
 
     value: float
     l1: float
@@ -56,7 +56,7 @@ class Loss(NamedTuple):
 
 
 class TrainingView:
-    """One forward pass, kept for its backward pass; change no parameter in between.
+    """A forward pass, kept for its backward pass; change no parameter in between.
 
     image: RGB over the background. alpha: 1 - the transmittance that is left.
     """
@@ -69,7 +69,7 @@ class TrainingView:
         self.image, self.alpha = native.forward()
 
     def backward(self, image_gradient: Float32[np.ndarray, "h w 3"]) -> Gradients:
-        """Gradients of any loss, given its gradient by the image. Once for each forward pass.
+        """Return the parameters' gradients, given the loss's gradient by the image; once for each forward pass.
 
         Raises: InputError: a gradient of another size than the image; a second call.
         """
@@ -82,7 +82,7 @@ class TrainingView:
 
     @property
     def seconds(self) -> dict[str, float]:
-        """What each stage took."""
+        """Seconds by stage."""
         return dict(self._native.seconds)
 
 
@@ -99,7 +99,7 @@ def forward(
 ) -> TrainingView:
     """Render the scene as it stands, with SH coefficients up to `sh_degree` (0-3).
 
-    near: camera z up to which nothing is drawn, scene units. antialiased: as of `Gaussians`.
+    near: camera z up to which nothing is drawn, scene units. antialiased: see `Gaussians`.
 
     Raises: InputError: a degree beyond what is stored; arrays that are not contiguous float32.
     Source: 3DGS Sec. 4-5.
@@ -110,10 +110,10 @@ def forward(
     for name, array in parameters._asdict().items():
         if array.dtype != np.float32 or not array.flags.c_contiguous:
             raise InputError(f"{name}: expected contiguous float32, got {array.dtype}")
-    seen = camera_numbers(view, near), view.width, view.height
+    camera = camera_numbers(view, near), view.width, view.height
     behind = np.ascontiguousarray(background, np.float32)
     return TrainingView(
-        _native.training_pass(*parameters, antialiased, *seen, active, behind, threads, _checked_isa(isa))
+        _native.training_pass(*parameters, antialiased, *camera, active, behind, threads, _checked_isa(isa))
     )
 
 
@@ -125,7 +125,7 @@ def photometric_loss(
     threads: int = 0,
     isa: str = "",
 ) -> Loss:
-    """(1 - w) L1 + w (1 - SSIM); SSIM with a Gaussian window of 11, sigma 1.5, zeros outside.
+    """Return (1 - w) L1 + w (1 - SSIM); SSIM with a Gaussian window of 11, sigma 1.5, zeros outside.
 
     Raises: InputError: images of different sizes.
     Source: 3DGS Eq. 7; Wang et al. 2004.
@@ -153,9 +153,9 @@ def adam_step(
     threads: int = 0,
     isa: str = "",
 ) -> None:
-    """One Adam step in place: parameter and both moments change. step counts from 1.
+    """Take an Adam step in place: parameter and both moments change. step counts from 1.
 
-    constant_rate: of harmonics (N, K, 3), the rate of the constant term, K = 0.
+    constant_rate: rate of the constant term (K = 0) of harmonics (N, K, 3).
 
     Raises: InputError: arrays that are not contiguous float32 of one shape; a constant_rate for anything but harmonics.
     Source: Kingma & Ba 2015, Algorithm 1.
@@ -168,6 +168,6 @@ def adam_step(
             raise InputError("adam_step works in place: all arrays must be contiguous")
     if constant_rate is not None and (parameter.ndim != 3 or parameter.shape[2] != 3):
         raise InputError(f"constant_rate: expected harmonics (N, K, 3), got {parameter.shape}")
-    given = parameter, gradient.reshape(-1), first_moment, second_moment
+    flat = parameter, gradient.reshape(-1), first_moment, second_moment
     head: tuple[float, int] = (0.0, 0) if constant_rate is None else (constant_rate, 3 * parameter.shape[1])
-    _native.adam_step(*given, rate, step, beta1, beta2, epsilon, *head, threads, _checked_isa(isa))
+    _native.adam_step(*flat, rate, step, beta1, beta2, epsilon, *head, threads, _checked_isa(isa))
