@@ -19,7 +19,7 @@ def keep_best(
 ) -> None:
     """Let higher scores take the place of lower ones, in place; of equal ones the earlier stays in front.
 
-    scores: of each row the best, highest first, and `names` which they are. more: further scores, named first, first + 1, ...
+    scores: of each row the best, highest first, and their `names`. more: further scores, named first, first + 1, ...
 
     Raises: InputError: more than 256 scores a row, names above 65,535, arrays that are read-only or do not fit.
     Twin: tests/twins/ranking.py::keep_best.
