@@ -1,4 +1,4 @@
-"""What a photo is cut into: masks by level, which of them are kept, their crops, and a photo's features.
+"""Masks of photos by level, the choice among them, their crops, and the features of a photo.
 
 Imports nothing but errors and words for people.
 """

@@ -1,4 +1,4 @@
-"""What an encoder sees of a mask: its box of the image, background black, padded to a square."""
+"""Crops of masks for encoders: the mask's box of the image, background black, padded to a square."""
 
 import math
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ Crop = UInt8[np.ndarray, "_ _ 3"]
 def crop(
     image: UInt8[np.ndarray, "H W 3"], part: Bool[np.ndarray, "h w"], box: Integer[np.ndarray, "4"] | Sequence[int]
 ) -> Crop:
-    """The pixels of a mask on black, in the middle of a square whose side is the longer one of its box.
+    """Return the pixels of a mask on black, in the middle of a square whose side is the longer one of its box.
 
     box: x0, y0, x1, y1, ends excluded. Where the padding is odd, the pixel more is at the right or below.
 
@@ -64,7 +64,7 @@ def _shrunk(
 
 
 class Crops(Sequence[Crop]):
-    """The crops of an image's masks, each made when it is asked for. Made by `crops`.
+    """Crops of an image's masks, each made on access; `crops` returns one.
 
     kept: rows of the masks that have pixels, ascending: crop i is of mask kept[i]. num_empty: masks
     left out because they have none.
@@ -97,7 +97,7 @@ class Crops(Sequence[Crop]):
 
 
 def crops(image: UInt8[np.ndarray, "h w 3"], masks: Masks) -> Crops:
-    """The crops of all masks that have pixels, in their order.
+    """Return the crops of all masks that have pixels, in their order.
 
     Raises: InputError: the masks are of an image of another size.
     """

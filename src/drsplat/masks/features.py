@@ -1,4 +1,4 @@
-"""What is seen in one photo: its masks and their embeddings."""
+"""Masks of one photo and their embeddings."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from ..terminal import counted
 
 @dataclass(frozen=True, eq=False)
 class ViewFeatures:
-    """The masks of one view.
+    """Masks of one view and their embeddings.
 
     mask_ids: per pixel the mask that covers it, or -1; a value indexes a row of `embeddings`.
     embeddings: one unit vector per mask.
@@ -41,7 +41,7 @@ class ViewFeatures:
         return f"{type(self).__name__}({counted(count, 'mask')} on {width}x{height}, {dim}-d)"
 
     def resized(self, width: int, height: int) -> "ViewFeatures":
-        """The map on another raster, by nearest pixel centre."""
+        """Return the map on another raster, by nearest pixel centre."""
         h, w = self.mask_ids.shape
         if (w, h) == (width, height):
             return self

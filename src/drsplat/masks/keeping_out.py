@@ -7,7 +7,7 @@ import numpy as np
 from ..arrays import Bool
 from .masks import Masks, tight_box
 
-LEAST_KEPT_SHARE = 0.5  # of a mask's pixels; of less, what is embedded would be a rest of something else
+LEAST_KEPT_SHARE = 0.5  # of a mask's pixels; a smaller rest would be embedded as something else
 
 
 def kept_masks(levels: Mapping[str, Masks], kept: Bool[np.ndarray, "h w"]) -> dict[str, Masks]:

@@ -1,4 +1,4 @@
-"""Masks of one image, and who makes them."""
+"""Masks of one image, and the protocol of segmenters."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -52,21 +52,21 @@ class Masks:
         return np.array([np.count_nonzero(part) for part in self.parts], np.int64)
 
     def full(self, index: int) -> Bool[np.ndarray, "h w"]:
-        """One mask at the size of the image."""
+        """Return one mask at the size of the image."""
         mask = np.zeros((self.height, self.width), bool)
         x0, y0, x1, y1 = self.boxes[index]
         mask[y0:y1, x0:x1] = self.parts[index]
         return mask
 
     def subset(self, indices: Sequence[int] | Int64[np.ndarray, " k"]) -> "Masks":
-        """The masks of these indices, in their order."""
+        """Return the masks of these indices, in their order."""
         chosen = np.asarray(indices, np.int64)
         parts = tuple(self.parts[i] for i in chosen)
         return Masks(self.height, self.width, self.boxes[chosen], parts, self.scores[chosen])
 
 
 def cut_masks(full: Bool[np.ndarray, "n h w"], scores: Float32[np.ndarray, " n"]) -> Masks:
-    """Masks at the size of the image, each cut to the smallest box that has all of it.
+    """Cut each mask, given at the size of the image, to the smallest box that holds it.
 
     One without pixels gets the image's first pixel as its box and stays without pixels, so that
     numbers do not shift. Raises: InputError: images without pixels; scores of another number.
@@ -79,7 +79,7 @@ def cut_masks(full: Bool[np.ndarray, "n h w"], scores: Float32[np.ndarray, " n"]
 
 
 def tight_box(mask: Bool[np.ndarray, "h w"]) -> tuple[int, int, int, int] | None:
-    """x0, y0, x1, y1 of the smallest box around a mask, ends excluded; None where it has none."""
+    """Return x0, y0, x1, y1 of the smallest box around a mask, ends excluded; None for a mask without pixels."""
     rows = np.flatnonzero(mask.any(1))
     if not len(rows):
         return None
@@ -89,7 +89,7 @@ def tight_box(mask: Bool[np.ndarray, "h w"]) -> tuple[int, int, int, int] | None
 
 @runtime_checkable
 class Segmenter(Protocol):
-    """An image to masks.
+    """Model that cuts an image into masks.
 
     identity: everything that decides what comes out (model, hash of its weights, settings), for
     fingerprints: two segmenters of equal identity give equal masks.
@@ -98,5 +98,5 @@ class Segmenter(Protocol):
     identity: Mapping[str, object]
 
     def segment(self, image: UInt8[np.ndarray, "h w 3"]) -> Mapping[str, Masks]:
-        """Masks by level, keys from LEVELS; a segmenter of one level gives that of `large` only."""
+        """Return masks by level, keys from LEVELS; a segmenter of one level returns `large` only."""
         ...

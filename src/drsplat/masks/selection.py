@@ -1,4 +1,4 @@
-"""Which masks of an image stay, and how they become the mask maps that are stored."""
+"""Choice of an image's masks, and the mask maps that are stored."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -10,13 +10,13 @@ from ..arrays import Bool, Float64, Int32, Int64
 from ..errors import InputError
 from .masks import LEVELS, Masks
 
-_MOSTLY_INSIDE = 0.85  # of the inner mask: so much lies in the outer one
-_FAR_LARGER = 0.5  # of the outer mask: the inner one covers less than that
+_MOSTLY_INSIDE = 0.85  # least share of the inner mask that lies in the outer one
+_FAR_LARGER = 0.5  # the inner mask covers less than this share of the outer one
 
 
 @dataclass(frozen=True)
 class MaskMaps:
-    """One photo's masks, ready to be embedded and stored.
+    """Masks of one photo, ready to be embedded and stored.
 
     mask_ids: by level in the order of LEVELS; -1 for no mask, else the row in masks. masks: all
     that have a pixel in a map; row i of the embeddings is that of mask i.
@@ -27,7 +27,7 @@ class MaskMaps:
 
 
 def mask_nms(masks: Masks, max_iou: float = 0.8, min_score: float = 0.7, inner: float = 0.5) -> Int64[np.ndarray, " k"]:
-    """Indices of the masks that stay, ascending.
+    """Return the indices of the masks that stay, ascending.
 
     A mask goes if it has no pixels; if its score is not above min_score; if its IoU with one of a
     higher score (of equal ones the earlier) is above max_iou; or if it lies inside a far larger
@@ -68,7 +68,7 @@ def _inside_larger(
 
 
 def overlaps(masks: Masks) -> Int64[np.ndarray, "n n"]:
-    """Pixels that each two masks share; on the diagonal, areas. Exact.
+    """Count the pixels that each two masks share, exactly; the diagonal holds areas.
 
     Every row of the image is cut wherever any mask begins or ends; the pieces are then inside or
     outside of a mask as a whole, and the answer is a sparse product over pieces instead of pixels.
@@ -89,7 +89,7 @@ def overlaps(masks: Masks) -> Int64[np.ndarray, "n n"]:
 
 
 def _marked(masks: Masks, *places: Int64[np.ndarray, " r"]) -> Int64[np.ndarray, " c"]:
-    """Every place once, ascending: np.unique by a mark per pixel, several times as fast."""
+    """Return every place once, ascending: np.unique by a mark per pixel, several times as fast."""
     marks = np.zeros(masks.height * (masks.width + 1), bool)
     for some in places:
         marks[some] = True
@@ -97,16 +97,16 @@ def _marked(masks: Masks, *places: Int64[np.ndarray, " r"]) -> Int64[np.ndarray,
 
 
 def _runs(masks: Masks) -> tuple[Int64[np.ndarray, " r"], Int64[np.ndarray, " r"], Int64[np.ndarray, " r"]]:
-    """Where runs of a mask's pixels start and end, y * (width + 1) + x, and whose they are."""
+    """Return starts and ends of the runs of pixels, y * (width + 1) + x, and the mask of each run."""
     none = np.empty(0, np.int64)
     edges = [none] + [_edges(masks, i) for i in range(len(masks))]
     joined = np.concatenate(edges)
-    owners = np.repeat(np.arange(len(masks)), [len(found) // 2 for found in edges[1:]])
+    owners = np.repeat(np.arange(len(masks)), [len(ends) // 2 for ends in edges[1:]])
     return joined[::2], joined[1::2], owners.astype(np.int64)
 
 
 def _edges(masks: Masks, index: int) -> Int64[np.ndarray, " r2"]:
-    """Start, end, start, end... of the runs of one mask, row by row."""
+    """Return start, end, start, end... of the runs of one mask, row by row."""
     part, (x0, y0, _, _) = masks.parts[index], masks.boxes[index].astype(np.int64)
     fenced = np.zeros((part.shape[0], part.shape[1] + 2), bool)
     fenced[:, 1:-1] = part
@@ -116,7 +116,7 @@ def _edges(masks: Masks, index: int) -> Int64[np.ndarray, " r2"]:
 
 
 def paint(masks: Masks) -> Int32[np.ndarray, "h w"]:
-    """The number of the last mask that covers a pixel, -1 where none does.
+    """Return for each pixel the number of the last mask that covers it, -1 where none does.
 
     Later masks paint over earlier ones. Source: LangSplat preprocess.py, which paints in the order
     in which the mask generator returns them.
@@ -128,7 +128,7 @@ def paint(masks: Masks) -> Int32[np.ndarray, "h w"]:
 
 
 def mask_maps(levels: Mapping[str, Masks]) -> MaskMaps:
-    """The four maps of a photo, ids counted on from level to level: default, small, medium, large.
+    """Return the four maps of a photo, ids counted on from level to level: default, small, medium, large.
 
     Masks of `large` alone serve as all four levels, with the same ids. A mask that later ones paint over completely is
     left out: no pixel would refer to its row, and it need not be embedded (LangSplat's own files keep such rows).
@@ -152,7 +152,7 @@ def mask_maps(levels: Mapping[str, Masks]) -> MaskMaps:
 
 
 def _painted(masks: Masks, first_id: int) -> tuple[Int32[np.ndarray, "h w"], Masks]:
-    """A level's map with ids from first_id on, and the masks that are seen in it."""
+    """Return a level's map with ids from first_id on, and the masks that are seen in it."""
     ids = paint(masks)
     used = np.zeros(len(masks) + 1, bool)  # the last is that of -1
     used[ids] = True
