@@ -1,4 +1,4 @@
-"""Views that come to a registered scene and go from it: only they are looked at, and the field is as of all at once.
+"""Adding views to a registered scene and removing them: only these are read, and the field equals one of all at once.
 
 Imports `codes`, `encoders`, `evidence`, `field`, `formats`, `kernels`, `masks`, `objects`, `registration` and `scene`.
 """

@@ -30,9 +30,11 @@ CURE = "register its photos once more with `drsplat register`, and it can grow"
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """field: as it is now. added, replaced, removed: names of views, sorted. known: views that were in it already and
+    """Result of adding or removing views.
+
+    field: after the change. added, replaced, removed: names of views, sorted. known: views that were in it already and
     stayed. left_out: views that were removed or kept from it on purpose, and were not added. num_touched: Gaussians
-    that a mask of a view that changed sees. num_coded: whose features were coded again. seconds: by stage.
+    seen by masks of changed views. num_coded: Gaussians whose features were coded again. seconds: by stage.
     """
 
     field: LanguageField
@@ -76,14 +78,14 @@ def add_views(
     watch = Stopwatch()
     before, how = _opened(field, scene)
     _check_features(field, features)
-    found = with_features(views, features)
-    known = [(view, key) for view, key in found if view.name in before.masks.view_names]
-    others = Comparison(before, scene).changed(known, features, track) if renew and known else []
-    change = _wish(field, [view.name for view, _ in found], {view.name for view in others}, set(back))
+    chosen = with_features(views, features)
+    present = [(view, key) for view, key in chosen if view.name in before.masks.view_names]
+    others = Comparison(before, scene).changed(present, features, track) if renew and present else []
+    change = _planned(field, [view.name for view, _ in chosen], {view.name for view in others}, set(back))
     watch.lap("read")
     if change.is_none:
         return replace(change, seconds=watch.seconds)
-    new = [view for view, _ in found if view.name in {*change.added, *change.replaced}]
+    new = [view for view, _ in chosen if view.name in {*change.added, *change.replaced}]
     assert before.sampling is not None
     tell_isa(before.provenance)
     more = register(scene, new, features, before.sampling, parts=parts, threads=threads, track=track)
@@ -93,9 +95,10 @@ def add_views(
     return _changed(change, before, after, how, canonical_of(scene), watch=watch, threads=threads, track=track)
 
 
-def _wish(field: LanguageField, given: Sequence[str], others: set[str], back: set[str]) -> Change:
-    """What is to be done with the views that are given. others: that are in the field, and have become others. back:
-    that are wanted though they were left out.
+def _planned(field: LanguageField, given: Sequence[str], others: set[str], back: set[str]) -> Change:
+    """Return the change that is to be made for the views `given`, by name.
+
+    others: views of the field whose masks or embeddings have changed. back: left-out views to be added all the same.
     """
     assert field.evidence is not None
     names, left_out = set(field.evidence.masks.view_names), kept_out(field) - back
@@ -109,7 +112,7 @@ def _wish(field: LanguageField, given: Sequence[str], others: set[str], back: se
 
 
 def kept_out(field: LanguageField) -> set[str]:
-    """Views that people removed from a field, or kept out of it from the start."""
+    """Return the views that people removed from a field, or kept out of it from the start."""
     return {*field.left_out, *(field.growth.removed if field.growth else ())}
 
 
@@ -121,9 +124,10 @@ def remove_views(
     threads: int = 0,
     track: Track = untracked,
 ) -> Change:
-    """Take some views out of a field, by name; `add_views` leaves them out then. Words and negatives stay, objects are
-    left out: see `change_field`. Views that were removed before are passed over (`left_out`): a killed command can be
-    given again.
+    """Remove the named views from a field; `add_views` leaves them out from then on.
+
+    Words and negatives stay, objects are left out: see `change_field`. Views that were removed before are passed over
+    (`left_out`): a killed command can be given again.
 
     Raises: InputError: views that are not in it, or all of them; the field does not know how it was made.
     MismatchError: another scene.
@@ -143,7 +147,7 @@ def remove_views(
 
 
 def recorded_aggregator(field: LanguageField) -> Aggregator:
-    """That made a field's features. Raises: InputError, MismatchError: it is none of these here."""
+    """Return the aggregator of a field's features. Raises: InputError, MismatchError: not in this version."""
     record = field.aggregator
     how = aggregator(record.name)
     if dict(record.parameters) != how.parameters:
@@ -155,7 +159,7 @@ def recorded_aggregator(field: LanguageField) -> Aggregator:
 
 
 def registration_of(field: LanguageField, scene: Gaussians | Moving) -> Registration:
-    """What a field was made from. Raises: InputError: it does not say how. MismatchError: another scene."""
+    """Return a field's registration. Raises: InputError: it does not say how it came about. MismatchError: another scene."""
     field.check_scene(canonical_of(scene))
     field.check_motion(isinstance(scene, Moving))
     if field.evidence is None or field.growth is None or field.aggregator.sampling is None:
@@ -168,14 +172,14 @@ def _opened(field: LanguageField, scene: Gaussians | Moving) -> tuple[Registrati
 
 
 def _check_features(field: LanguageField, features: Mapping[str, ViewFeatures]) -> None:
-    """A folder knows its encoder or takes the field's; of a dictionary the field's is believed."""
+    """Refuse features of another encoder than the field's; those that name none are taken for the field's."""
     encoder = getattr(features, "encoder", None)
     if encoder is not None:
         field.check_encoder(encoder)
 
 
 def tell_isa(provenance: Provenance | None) -> None:
-    """Warns: DrSplatWarning: weights that were computed with another instruction set than this process has."""
+    """Warn of weights that were computed with another instruction set than this process has."""
     if provenance is None or provenance.isa == default_isa():
         return
     cure = f"set DRSPLAT_ISA={provenance.isa}" if provenance.isa in available_isas() else "register all on one machine"
@@ -208,7 +212,7 @@ def _changed(
     threads: int,
     track: Track,
 ) -> Change:
-    """The field of the registration `after`: as much of the old one as stays, or all anew."""
+    """Make the field of the registration `after`, with the old codes of untouched rows where they can stay."""
     field, names = change.field, {*change.added, *change.replaced, *change.removed}
     assert field.growth is not None
     assert after.provenance is not None
@@ -231,7 +235,7 @@ def _changed(
 
 
 def _touched(evidence: Evidence, names: Collection[str]) -> Bool[np.ndarray, " n"]:
-    """Rows that a mask of some views sees."""
+    """Return which rows a mask of the named views sees."""
     masks = evidence.masks
     changed = np.isin(masks.view_names, list(names))
     if not changed.any():

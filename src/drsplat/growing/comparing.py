@@ -19,7 +19,7 @@ from ..scene.views import View
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """With a registration of these Gaussians, whose provenance is known."""
+    """Comparison of views with a registration of these Gaussians whose provenance is known."""
 
     registration: Registration
     scene: Gaussians | Moving
@@ -27,14 +27,14 @@ class Comparison:
     def changed(
         self, views: Sequence[tuple[View, str]], features: Mapping[str, ViewFeatures], track: Track = untracked
     ) -> list[View]:
-        """Those whose camera, masks or embeddings are others, with the names of their features; one at a time."""
+        """Return the views whose camera, masks or embeddings have changed. views: each with its features' name."""
         return [view for view, key in track(views, "comparing views") if not self._is_same(view, features[key])]
 
     def _is_same(self, view: View, features: ViewFeatures) -> bool:
         return self.has_masks(view, features) and self._has_embeddings(view, features)
 
     def has_masks(self, view: View, features: ViewFeatures) -> bool:
-        """Whether camera and masks are those of the registration: W's columns would be."""
+        """Return whether camera and masks, and so W's columns, are those of the registration."""
         registration = self.registration
         assert registration.provenance is not None
         number = registration.masks.view_names.index(view.name)

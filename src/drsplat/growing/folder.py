@@ -1,4 +1,4 @@
-"""A field's folder with other views: one writer at a time, replaced as a whole, and what was found in it follows."""
+"""Changing the views of a field on disk: one writer at a time, the folder replaced as a whole, objects found again."""
 
 import os
 from collections.abc import Callable, Collection
@@ -17,7 +17,7 @@ from .changing import Change
 
 
 def parts_beside(path: str | os.PathLike[str]) -> Path:
-    """The folder of the finished views of an unfinished run."""
+    """Return the folder of the finished views of an unfinished run."""
     return Path(f"{os.path.realpath(path)}.parts")
 
 
@@ -28,10 +28,10 @@ def change_field(
     *,
     threads: int = 0,
 ) -> Change:
-    """Change the field in a folder, as `add_views` or `remove_views` do; where it has objects they are found again.
+    """Change the field in a folder by `change`, such as `add_views`; find its objects again where it has any.
 
-    Killed at any moment it leaves the field as it was or as it is then, and the same command can be given again. Names
-    that people gave to objects are beside the field and stay.
+    A run that is killed leaves the old field or the new one, and the same command can be given again. Labels of
+    objects are beside the field and stay.
 
     Raises: InputError: another process writes this field, there is none, the disk is full; as `change`.
     """

@@ -26,7 +26,7 @@ def with_weights_of(
     *,
     track: Track = untracked,
 ) -> Registration:
-    """The registration of other embeddings of the masks that a field was made from: equal to the bit to a full one.
+    """Return a field's registration with other embeddings of its masks; equal to the bit to a full one.
 
     Warns: DrSplatWarning: another instruction set than the field's.
     Raises: InputError: the field does not know how it was made; views of the one that the other has not.

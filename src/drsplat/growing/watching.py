@@ -25,8 +25,10 @@ class Batch(NamedTuple):
 
 
 class Watch:
-    """look: reads the capture; what it cannot read yet is being written. idle: seconds without news after which there
-    will be none; None: for ever. known: names of views that are not waited for.
+    """Watch over a capture that is being written.
+
+    look: reads the capture; what it cannot read yet is being written. idle: seconds without news after which the watch
+    ends; None: never. known: names of views that are not waited for.
     """
 
     def __init__(self, look: Look, known: Collection[str] = (), idle: float | None = None) -> None:
@@ -35,7 +37,7 @@ class Watch:
         self._stamps: dict[str, object] = {}
 
     def batches(self) -> Iterator[Batch]:
-        """Views that have come, those of one moment together."""
+        """Yield new views, those of one look together."""
         last = time.monotonic()
         while self._idle is None or time.monotonic() - last < self._idle:
             batch = self.arrived()
@@ -45,23 +47,23 @@ class Watch:
             time.sleep(EVERY_S)
 
     def arrived(self) -> Batch | None:
-        """New views that are as they were at the last look, and whole."""
+        """Return the new views that are complete and unchanged since the last look; None where there are none."""
         try:
             with warnings.catch_warnings():  # of photos that are still missing
                 warnings.simplefilter("ignore", DrSplatWarning)
                 views, features = self._look()
-            found = [(view, key) for view, key in with_features(views, features) if view.name not in self.known]
+            new = [(view, key) for view, key in with_features(views, features) if view.name not in self.known]
         except (DrSplatError, OSError):
             return None
-        before, self._stamps = self._stamps, {view.name: _stamp(view, features.files(key)) for view, key in found}
+        before, self._stamps = self._stamps, {view.name: _stamp(view, features.files(key)) for view, key in new}
         ready = [
-            view for view, key in found if before.get(view.name) == self._stamps[view.name] and features.can_read(key)
+            view for view, key in new if before.get(view.name) == self._stamps[view.name] and features.can_read(key)
         ]
         return Batch(ready, features) if ready else None
 
 
 def together(changes: Sequence[Change], path: str | os.PathLike[str]) -> Change:
-    """One after the other, as one; of none, the field as it is."""
+    """Join consecutive changes to one; without any, return the field at `path` unchanged."""
     if not changes:
         field = load_field(path)
         known = field.evidence.masks.view_names if field.evidence else ()
@@ -77,7 +79,7 @@ def together(changes: Sequence[Change], path: str | os.PathLike[str]) -> Change:
 
 
 def _stamp(view: View, files: Sequence[Path]) -> object:
-    """Of the pose and of the files: what is being written has another at the next look."""
+    """Return a stamp of the pose and the files; a file that is being written has another at the next look."""
     try:
         stats = [(stat.st_size, stat.st_mtime_ns) for stat in map(os.stat, files)]
     except OSError:
