@@ -18,12 +18,12 @@ from .errors import FormatError, InputError
 from .system import NO_WAITING, OF_OURS
 
 SMALL = 64 << 20  # bytes; read in some hundredths of a second
-_LINE = 64  # bytes that a processor reads at once
-_PIECE = 64 << 20  # bytes of a map that are in memory while all of them pass
+_CACHE_LINE = 64  # bytes
+_PIECE = 64 << 20  # bytes of a mapped file that are in memory at once
 
 
 def open_file(path: str | os.PathLike[str]) -> BufferedReader:
-    """A regular file, opened for reading; never waits for a pipe's writer.
+    """Open a regular file for reading; never wait for a pipe's writer.
 
     Raises: InputError: a folder, pipe, socket or device. OSError: as `open`.
     """
@@ -35,13 +35,13 @@ def open_file(path: str | os.PathLike[str]) -> BufferedReader:
 
 
 def file_text(path: str | os.PathLike[str]) -> str:
-    """A file of UTF-8, with or without a mark. Raises: UnicodeDecodeError; as `open_file`."""
+    """Read a UTF-8 file, with or without a byte order mark. Raises: UnicodeDecodeError; as `open_file`."""
     with open_file(path) as file:
         return file.read().decode("utf-8-sig")
 
 
 def file_bytes(path: Path) -> UInt8[np.ndarray, " n"]:
-    """All bytes of a file, read-only, beginning at a cache line.
+    """Return all bytes of a file, read-only, beginning at a cache line; map the file if it is large.
 
     Raises: InputError: there is no such file, or it is none. FormatError: it becomes shorter while it is read.
     """
@@ -64,7 +64,7 @@ def release(*arrays: np.ndarray) -> None:
 
 
 def pieces(array: np.ndarray) -> Iterator[memoryview]:
-    """The bytes of an array in C order, one after another; a map of a file is never in memory as a whole."""
+    """Yield the bytes of an array in C order, in pieces; a mapped file is never in memory as a whole."""
     raw = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
     for begin in range(0, raw.size, _PIECE):
         yield raw[begin : begin + _PIECE].data
@@ -72,8 +72,8 @@ def pieces(array: np.ndarray) -> Iterator[memoryview]:
 
 
 def _read(file: BufferedReader, size: int, path: Path) -> UInt8[np.ndarray, " n"]:
-    room = np.empty(size + _LINE, np.uint8)
-    start = -room.ctypes.data % _LINE
+    room = np.empty(size + _CACHE_LINE, np.uint8)
+    start = -room.ctypes.data % _CACHE_LINE
     content = room[start : start + size]
     if file.readinto(content.data) != size:
         raise FormatError(f"{path}: the file became shorter while it was read: try again")

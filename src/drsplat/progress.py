@@ -1,4 +1,4 @@
-"""Progress on the terminal, and what a run has cost."""
+"""Progress on the terminal, and the time of each stage of a run."""
 
 import sys
 import time
@@ -19,13 +19,13 @@ LINE_EVERY_S = 10.0
 BAR_COLUMNS = 10
 
 Follower = Callable[[str, int, int, str], None]
-"""Called with what a meter is of, how much is done, of how much, and what it has to say."""
+"""Called with a meter's description, the number of finished items, their total, and a text."""
 _FOLLOWER: ContextVar[Follower | None] = ContextVar("follower", default=None)
 
 
 @contextmanager
 def followed(follower: Follower) -> Iterator[None]:
-    """Tell `follower` of all progress in the block, which is then not shown here."""
+    """Report all progress in the block to `follower` instead of the terminal."""
     before = _FOLLOWER.set(follower)
     try:
         yield
@@ -34,7 +34,7 @@ def followed(follower: Follower) -> Iterator[None]:
 
 
 def track(items: Sequence[T], description: str, *, quiet: bool = False) -> Iterator[T]:
-    """The items, with the progress of a `Meter`."""
+    """Yield the items, with the progress of a `Meter`."""
     with Meter(description, len(items), quiet=quiet) as meter:
         for done, item in enumerate(items, 1):
             yield item
@@ -42,14 +42,14 @@ def track(items: Sequence[T], description: str, *, quiet: bool = False) -> Itera
 
 
 class Meter:
-    """Progress of one long job, with what it has to say: a bar on a terminal, else a line now and then.
+    """Progress of one long job with a text: a bar on a terminal, else a line now and then.
 
     All on stderr; nothing where `quiet`, and nothing in the first two seconds.
     """
 
     def __init__(self, description: str, total: int, *, quiet: bool = False) -> None:
         self._description, self._total, self._quiet = description, total, quiet
-        self._begin = self._told = time.monotonic()
+        self._begin = self._last_line = time.monotonic()
         self._first: int | None = None
         self._bar: Progress | None = None
 
@@ -61,7 +61,7 @@ class Meter:
             self._bar.stop()
 
     def update(self, done: int, text: str) -> None:
-        """done: of `total`, also what was done in an earlier sitting."""
+        """Show or report progress. done: finished of `total`, those of an earlier run included."""
         follower = _FOLLOWER.get()
         if follower is None:
             self.draw(done, text)
@@ -69,7 +69,7 @@ class Meter:
             follower(self._description, done, self._total, text)
 
     def draw(self, done: int, text: str) -> None:
-        """Show progress here, whoever follows."""
+        """Show progress on the terminal, also while a follower is set."""
         if self._first is None:
             self._first, self._begin = done - 1, time.monotonic()
         elapsed = time.monotonic() - self._begin
@@ -78,8 +78,8 @@ class Meter:
         facts = self._facts(done, elapsed)
         if self._bar is not None or sys.stderr.isatty():  # which the bar replaces, by what says it is no terminal
             self._show(done, "  ".join(filter(None, (*facts, plain(text)))))
-        elif time.monotonic() - self._told > LINE_EVERY_S:
-            self._told = time.monotonic()
+        elif time.monotonic() - self._last_line > LINE_EVERY_S:
+            self._last_line = time.monotonic()
             parts = facts[0], plain(text), *facts[1:]
             print(f"{self._description}: {', '.join(filter(None, parts))}", file=sys.stderr, flush=True)
 
@@ -117,7 +117,7 @@ def _job_bar() -> "Progress":
 
 
 class Stopwatch:
-    """seconds: by the name of the stage, in order."""
+    """Timer of consecutive stages. seconds: by the name of the stage, in order."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}

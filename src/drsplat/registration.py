@@ -38,12 +38,12 @@ from .scene.views import View
 from .terminal import counted, facts_html
 
 UNKNOWN_ENCODER = "unknown"
-LITTLE = 0.05  # of a span of times, that photos of all of it do not keep to
+MIN_SPAN_SHARE = 0.05  # photos whose times fill less of the scene's span are warned of
 
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """W, its columns and their embeddings: all that was learnt from the photos.
+    """Result of registration: W, its columns and their embeddings.
 
     evidence: the weights (N, M), the view and mask behind each column, one embedding per column.
     scene: fingerprint of the Gaussians. encoder: who made the embeddings. sampling: how the photos were
@@ -82,7 +82,7 @@ class Registration:
 
     @classmethod
     def from_field(cls, field: LanguageField) -> "Registration":
-        """What a field was made from, to add views or change the encoder without any photo.
+        """Return the registration that a field was made from, to add views or change the encoder without any photo.
 
         Raises: InputError: the field was saved without its evidence.
         """
@@ -120,7 +120,7 @@ class Registration:
         threads: int = 0,
         track: Track = untracked,
     ) -> LanguageField:
-        """One feature per Gaussian, coded; unseen Gaussians are pruned.
+        """Make a field: one coded feature per Gaussian, without unseen Gaussians.
 
         code: `PQ()` trains a codebook on this scene, `Mixture()` makes rows of its masks, `Smaller()` takes what is
         smaller of the two; or a `Codebook` that is ready. aggregator: how a Gaussian's
@@ -155,7 +155,7 @@ class Registration:
             )
 
     def with_embeddings(self, embeddings: Float32[np.ndarray, "m e"], encoder: EncoderIdentity) -> "Registration":
-        """The same weights with another encoder's embeddings: no photo is looked at again.
+        """Return the same weights with another encoder's embeddings; no photo is read again.
 
         Raises: InputError: not one unit vector per mask.
         """
@@ -164,7 +164,7 @@ class Registration:
         return replace(self, evidence=replace(self.evidence, embeddings=embeddings), encoder=encoder)
 
     def merged(self, other: "Registration") -> "Registration":
-        """This registration and one of further views of the same scene: equal to one pass over all.
+        """Merge with a registration of further views of the same scene; equal to one pass over all.
 
         Raises: MismatchError: another scene or encoder. InputError: a view in both.
         """
@@ -180,12 +180,12 @@ class Registration:
             raise InputError(f"{len(twice)} views are in both registrations, first '{twice[0]}': remove them from one")
         evidence = with_views(self.evidence, other.evidence)
         left_out = {*self.left_out, *other.left_out} - {*evidence.masks.view_names}
-        both = _both(self, other)
-        up = _between(self.up, other.up) if both is None else both.up
-        return replace(self, evidence=evidence, up=up, left_out=tuple(sorted(left_out)), provenance=both)
+        merged = _merged_provenance(self, other)
+        up = _between(self.up, other.up) if merged is None else merged.up
+        return replace(self, evidence=evidence, up=up, left_out=tuple(sorted(left_out)), provenance=merged)
 
     def without(self, views: Collection[str]) -> "Registration":
-        """This registration without some of its views, by name: equal to one pass over the others.
+        """Return this registration without the named views; equal to one pass over the others.
 
         Raises: InputError: a view that is not in it, or all of them.
         """
@@ -212,7 +212,7 @@ def register(
     threads: int = 0,
     track: Track = untracked,
 ) -> Registration:
-    """Register the masks of every view onto the Gaussians; onto those of a moving scene where they are at its time.
+    """Register the masks of every view onto the Gaussians; in a moving scene, as they are at the view's time.
 
     scene: a moving one makes one field for the whole film, of its canonical rows, which keeps the views' times.
     features: by view name, with or without suffix; views without features are left out with a warning. Their maps lie
@@ -252,7 +252,7 @@ def register(
 
 
 def times_of(scene: Gaussians | Moving, views: Sequence[View]) -> Float64[np.ndarray, " v"] | None:
-    """Of the views of a moving scene; None of one that stands still.
+    """Return the times of a moving scene's views; None for a still scene.
 
     Warns: DrSplatWarning: times of a scene that stands still, or that fill little of the scene's.
     Raises: InputError: a moving scene, and a view without a time, or with one outside of its span.
@@ -264,7 +264,7 @@ def times_of(scene: Gaussians | Moving, views: Sequence[View]) -> Float64[np.nda
         return None
     times = np.array([scene.inside(time_of(view)) for view in views])
     low, high = scene.span
-    if len(set(times.tolist())) > 1 and np.ptp(times) < LITTLE * (high - low):
+    if len(set(times.tolist())) > 1 and np.ptp(times) < MIN_SPAN_SHARE * (high - low):
         text = (
             f"the photos' times, {times.min():g} to {times.max():g}, fill little of the scene's, {low:g} to {high:g}: "
             "are both of one unit?"
@@ -274,10 +274,12 @@ def times_of(scene: Gaussians | Moving, views: Sequence[View]) -> Float64[np.nda
 
 
 def with_features(views: Sequence[View], features: Collection[str]) -> list[tuple[View, str]]:
-    """The views that have features, by name, and the names of these. features: the names that there are.
+    """Return the views that have features, by name, each with the name of its features.
 
-    Warns: DrSplatWarning: photos whose masks leave all of them out are none of these.
-    Raises: InputError: no view has any, or two have the same. FormatError, MismatchError: as `load_mask`.
+    features: the names that there are. Views whose photo's mask leaves everything out are dropped with a warning.
+
+    Warns: DrSplatWarning: photos that their masks leave out entirely.
+    Raises: InputError: no view has any, or two have the same. FormatError, MismatchError: see `load_mask`.
     """
     chosen = []
     keys = set(features)  # not `in features`: a folder of them finds one key by several names
@@ -289,20 +291,20 @@ def with_features(views: Sequence[View], features: Collection[str]) -> list[tupl
     _refuse_shared_features(chosen)
     if not chosen:
         example = next(iter(features), "(there are none)")
-        given = views[0].name if views else "(there are none)"
+        first = views[0].name if views else "(there are none)"
         raise InputError(
-            f"no view has features: views are named like '{given}', features like '{example}', so they belong to "
+            f"no view has features: views are named like '{first}', features like '{example}', so they belong to "
             "other photos: make the features of these with `drsplat embed CAPTURE`"
         )
-    kept = {view.name for view in views_with_something([view for view, _ in chosen])}
-    if not kept:
+    usable = {view.name for view in views_with_something([view for view, _ in chosen])}
+    if not usable:
         raise InputError("the masks of all photos leave all of them out: white is kept, and black is left out")
-    return [(view, key) for view, key in chosen if view.name in kept]
+    return [(view, key) for view, key in chosen if view.name in usable]
 
 
 def tell_missing(views: Sequence[View], chosen: Sequence[tuple[View, str]]) -> None:
-    found = {view.name for view, _ in chosen}
-    missing = sorted(view.name for view in views if view.name not in found and not keeps_nothing(view))
+    complete = {view.name for view, _ in chosen}
+    missing = sorted(view.name for view in views if view.name not in complete and not keeps_nothing(view))
     if missing:
         warn(
             f"{len(missing)} of {len(views)} views have no features: {', '.join(missing[:5])}",
@@ -328,14 +330,14 @@ def _refuse_shared_features(chosen: Sequence[tuple[View, str]]) -> None:
 
 
 def check_one_size(sizes: Mapping[int, str]) -> None:
-    """sizes: an example of a view for each. Raises: InputError: several."""
+    """Refuse embeddings of several sizes. sizes: an example of a view for each. Raises: InputError: several."""
     if len(sizes) > 1:
         listed = ", ".join(f"{size} ('{name}')" for size, name in sizes.items())
         raise InputError(f"embeddings of different sizes: {listed}: embed all views with one encoder")
 
 
 def masks_of(views: Sequence[View], counts: Sequence[int]) -> MaskIds:
-    """The masks of views, one after another, so many of each."""
+    """Return the ids of the masks of all views, `counts` of each, one view after another."""
     sources = tuple(view.rendered_from for view in views)
     return MaskIds(
         view_names=tuple(view.name for view in views),
@@ -346,11 +348,11 @@ def masks_of(views: Sequence[View], counts: Sequence[int]) -> MaskIds:
 
 
 def provenance_of(views: Sequence[View], keys: Sequence[bytes], features: Mapping[str, ViewFeatures]) -> Provenance:
-    """keys: of the columns of each view."""
+    """Return the provenance of the views' columns. keys: hash of each view's columns."""
     hashes = np.frombuffer(b"".join(keys), np.uint8).reshape(len(keys), -1)
     level = getattr(features, "level", None)
-    known = None if level is None else LEVELS[level]
-    return Provenance(camera_axes(views), hashes, default_isa(), known, cameras_of(views))
+    level_name = None if level is None else LEVELS[level]
+    return Provenance(camera_axes(views), hashes, default_isa(), level_name, cameras_of(views))
 
 
 def encoder_of(features: Mapping[str, ViewFeatures], dim: int) -> EncoderIdentity:
@@ -361,7 +363,7 @@ def encoder_of(features: Mapping[str, ViewFeatures], dim: int) -> EncoderIdentit
 def _between(
     one: Float64[np.ndarray, " 3"] | None, other: Float64[np.ndarray, " 3"] | None
 ) -> Float64[np.ndarray, " 3"] | None:
-    """The direction between two; of one alone that one; None of opposite ones."""
+    """Return the direction between two; the only one if the other is None; None for opposite ones."""
     if one is None or other is None:
         return other if one is None else one
     total = one + other
@@ -369,8 +371,8 @@ def _between(
     return total / length if length > 1 else None
 
 
-def _both(one: Registration, other: Registration) -> Provenance | None:
-    """Of views by name, where that of both is known."""
+def _merged_provenance(one: Registration, other: Registration) -> Provenance | None:
+    """Return the provenance of both registrations' views, by name; None where one is unknown."""
     if one.provenance is None or other.provenance is None:
         return None
     order = np.argsort(np.array(one.masks.view_names + other.masks.view_names, object), kind="stable")

@@ -1,4 +1,4 @@
-"""What is not the same on every system: the one module that asks which it is.
+"""Differences between operating systems; no other module asks which one it runs on.
 
 Linux and macOS have all of it. On Windows, files have other locks and cannot be renamed while they are open.
 """
@@ -35,7 +35,7 @@ def can_be_a_path(text: str) -> bool:
 
 
 def can_sweep() -> bool:
-    """Whether a lock tells files in use from those that a killed process left."""
+    """Return whether a lock tells files in use from those that a killed process left."""
     return fcntl is not None
 
 
@@ -46,7 +46,7 @@ def lock(descriptor: int) -> None:
 
 
 def try_lock(descriptor: int) -> bool:
-    """The lock of an open file, until it is closed; False where another has it.
+    """Take the lock of an open file until it is closed; return False if another process has it.
 
     Raises: OSError: the file system has no locks.
     """
@@ -85,7 +85,7 @@ def sync_folder(folder: str | os.PathLike[str]) -> None:
 
 
 def owner() -> str:
-    """Who runs this process, as part of a file's name."""
+    """Return the user of this process as part of a file's name: the user id, else the name."""
     return str(os.getuid()) if hasattr(os, "getuid") else getpass.getuser()
 
 
@@ -94,10 +94,9 @@ def is_ours(found: os.stat_result) -> bool:
 
 
 def end_with(parent: int) -> None:
-    """End this process, whatever it is doing, when the process that started it has ended, however that ended.
+    """End this process, whatever it is doing, as soon as its parent process has ended in any way.
 
-    parent: its number, as whoever starts a process knows it: a killed parent is not the parent of its children any
-    more.
+    parent: the parent's process id, passed by the parent itself: a killed parent is no longer its children's parent.
     """
     threading.Thread(target=_end_after, args=(parent,), name="end with parent", daemon=True).start()
 
@@ -123,7 +122,7 @@ def _wait_for_windows_process(number: int) -> None:
 
 
 def peak_memory_bytes() -> int:
-    """Largest resident size of this process so far."""
+    """Return the largest resident size of this process so far."""
     if resource is None:
         return _windows_peak_bytes()
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -148,7 +147,7 @@ def _windows_peak_bytes() -> int:
 
 
 def allow_open_files(wanted: int) -> int:
-    """How many files this process may open, after asking for that many."""
+    """Ask to open `wanted` files at once, and return how many this process may open."""
     if resource is None:
         return 512  # what Windows gives a process by itself
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)

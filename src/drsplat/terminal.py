@@ -6,12 +6,12 @@ from pathlib import PurePath
 
 # controls but tab and newline, what turns the direction of writing, and halves of surrogate pairs
 _UNSHOWN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
-LONGEST = 60
+LONGEST = 60  # characters of a quoted text
 
 
 def plain(text: str) -> str:
-    """The text with such characters written out: an escape sequence is \\x1b[2J, and does nothing."""
-    return _UNSHOWN.sub(lambda found: _written(ord(found[0])), text)
+    """Return the text with control characters written out: an escape sequence is \\x1b[2J, and does nothing."""
+    return _UNSHOWN.sub(lambda match: _written(ord(match[0])), text)
 
 
 def _written(code: int) -> str:
@@ -19,7 +19,7 @@ def _written(code: int) -> str:
 
 
 def plainly(value: object) -> object:
-    """A JSON object with all its texts, also names and paths, made `plain`."""
+    """Return a JSON object with all its texts, also names and paths, made `plain`."""
     if isinstance(value, str):
         return plain(value)
     if isinstance(value, PurePath):
@@ -32,24 +32,24 @@ def plainly(value: object) -> object:
 
 
 def quoted(text: str) -> str:
-    """What was given, for a message: plain, in quotes, and not longer than a line."""
+    """Quote an input for a message: plain, in quotes, and not longer than a line."""
     shown = plain(text[: LONGEST + 1])
     return f"'{shown[:LONGEST]}...'" if len(text) > LONGEST else f"'{shown}'"
 
 
 def counted(number: int, thing: str, things: str | None = None) -> str:
-    """1 photo; 2 photos; 1,000 entries. things: the plural where it is not `thing` and s."""
+    """Return a number with its noun: 1 photo, 2 photos. things: the plural where it is not `thing` and s."""
     return f"{number:,} {thing if number == 1 else things or thing + 's'}"
 
 
 def facts_html(title: str, facts: Mapping[str, object]) -> str:
-    """A small table for a notebook: what it is, and a row for each fact."""
+    """Return a small HTML table for a notebook: a title, and a row for each fact."""
     rows = "".join(f"<tr><th>{_cell(name)}</th><td>{_cell(fact)}</td></tr>" for name, fact in facts.items())
     return f"<table><caption><b>{_cell(title)}</b></caption>{rows}</table>"
 
 
 def rows_html(title: str, names: Sequence[str], rows: Iterable[Sequence[object]], of: int) -> str:
-    """A table for a notebook, of some of `of` rows."""
+    """Return an HTML table for a notebook; where `of` rows are more than are shown it says how many."""
     lines = ["".join(f"<td>{_cell(value)}</td>" for value in row) for row in rows]
     head = "".join(f"<th>{_cell(name)}</th>" for name in names)
     more = f"<tr><td colspan={len(names)}>and {of - len(lines):,} more</td></tr>" if of > len(lines) else ""
@@ -58,7 +58,7 @@ def rows_html(title: str, names: Sequence[str], rows: Iterable[Sequence[object]]
 
 
 def numbers_said(numbers: Iterable[float]) -> str:
-    """As a point or a size is written: 1.5, 0, -2.25."""
+    """Write the coordinates of a point or a size: 1.5, 0, -2.25."""
     return ", ".join(f"{number:.4g}" for number in numbers)
 
 
