@@ -159,7 +159,10 @@ def recorded_aggregator(field: LanguageField) -> Aggregator:
 
 
 def registration_of(field: LanguageField, scene: Gaussians | Moving) -> Registration:
-    """Return a field's registration. Raises: InputError: it does not say how it came about. MismatchError: another scene."""
+    """Return a field's registration.
+
+    Raises: InputError: the field does not say how it was made. MismatchError: another scene.
+    """
     field.check_scene(canonical_of(scene))
     field.check_motion(isinstance(scene, Moving))
     if field.evidence is None or field.growth is None or field.aggregator.sampling is None:
