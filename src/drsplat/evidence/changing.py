@@ -9,11 +9,11 @@ from ..kernels.algebra import changed_columns as merged
 from .aggregation.entries import canonical
 from .evidence import Evidence, MaskIds
 
-GONE = -1
+GONE = -1  # number of a column that is left out
 
 
 def without_views(evidence: Evidence, gone: Bool[np.ndarray, " v"]) -> Evidence:
-    """The evidence without the columns of some views."""
+    """Return the evidence without the columns of the views `gone`."""
     masks = evidence.masks
     names = tuple(name for name, goes in zip(masks.view_names, gone.tolist(), strict=True) if not goes)
     number, kept = (np.cumsum(~gone) - 1).astype(np.int32), ~gone[masks.views]
@@ -26,7 +26,7 @@ def without_views(evidence: Evidence, gone: Bool[np.ndarray, " v"]) -> Evidence:
 
 
 def with_views(evidence: Evidence, other: Evidence) -> Evidence:
-    """The evidence of both, of the same Gaussians and different views: columns by view name, then mask id."""
+    """Merge the evidence of different views of the same Gaussians: columns by view name, then mask id."""
     evidence, other = canonical(evidence), canonical(other)
     names = sorted(evidence.masks.view_names + other.masks.view_names)
     rank = {name: number for number, name in enumerate(names)}
@@ -41,8 +41,8 @@ def with_views(evidence: Evidence, other: Evidence) -> Evidence:
     embeddings = _interleaved(evidence.embeddings, other.embeddings, order)
     of_view = {name: source for masks in both for name, source in zip(masks.view_names, masks.sources, strict=True)}
     rendered = _rendered(tuple(of_view[name] for name in names))
-    known = MaskIds(tuple(names), views[order], ids[order], _times(both, rank), rendered)
-    return Evidence(changed_columns(evidence.weights, own, added), known, embeddings)
+    masks = MaskIds(tuple(names), views[order], ids[order], _times(both, rank), rendered)
+    return Evidence(changed_columns(evidence.weights, own, added), masks, embeddings)
 
 
 def _rendered(sources: tuple[str, ...]) -> tuple[str, ...]:
@@ -51,7 +51,7 @@ def _rendered(sources: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _times(both: tuple[MaskIds, MaskIds], rank: dict[str, int]) -> Float64[np.ndarray, " v"] | None:
-    """Of the views of both, by rank. Raises: MismatchError: only one of them is of a scene that moves."""
+    """Return the views' times by rank; None for a still scene. Raises: MismatchError: only one of both scenes moves."""
     one, other = (masks.times for masks in both)
     if one is None or other is None:
         if one is not other:
@@ -66,14 +66,14 @@ def _times(both: tuple[MaskIds, MaskIds], rank: dict[str, int]) -> Float64[np.nd
 
 
 def rows_with(weights: csr_array, columns: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " n"]:
-    """Which rows have an entry in any of some columns."""
+    """Return which rows have an entry in any of some columns."""
     rows = np.zeros(weights.shape[0], np.bool_)
     rows[_rows_of(weights, np.flatnonzero(columns[weights.indices]))] = True
     return rows
 
 
 def changed_columns(weights: csr_array, columns: Int32[np.ndarray, " m"], added: csr_array) -> csr_array:
-    """W with its columns numbered anew, and with more entries; entries of a row ascend, as they have to before.
+    """Renumber W's columns and add entries; the entries of a row must ascend, and ascend in the result.
 
     columns: the new number of each old column, ascending, or GONE. added: of as many rows, with the new numbers.
     """
@@ -85,7 +85,7 @@ def changed_columns(weights: csr_array, columns: Int32[np.ndarray, " m"], added:
 
 
 def _interleaved(own: np.ndarray, its: np.ndarray, order: Int64[np.ndarray, " n"]) -> np.ndarray:
-    """Rows of both, one after the other, in some order: runs of it are copied at once."""
+    """Concatenate the rows of both and put them in an order, copying runs of consecutive rows at once."""
     ends = np.append(np.flatnonzero((np.diff(order) != 1) | (order[1:] == len(own))) + 1, len(order))
     parts, begin = [own[:0]], 0
     for end in ends.tolist() if len(order) else []:

@@ -1,4 +1,4 @@
-"""The columns of W that one view makes: computed once, kept on disk, stacked into a sparse matrix."""
+"""Columns of W of each view: computed once, stored on disk, stacked into a sparse matrix."""
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
@@ -28,7 +28,7 @@ COLUMNS_VERSION = "2"
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """One view's part of W: its triples are on disk at `path`; mask s is column s of this view. key: of its inputs."""
+    """Part of W of one view, its triples on disk at `path`; mask s is its column s. key: hash of its inputs."""
 
     view_name: str
     path: Path
@@ -49,7 +49,7 @@ class Seen(NamedTuple):
 
 @runtime_checkable
 class Scenery(Protocol):
-    """A scene that is looked at. digest: of all that decides what a view sees. near: as of `SplatArrays`."""
+    """Scene that views look at. digest: hash of all that decides what a view sees. near: see `SplatArrays`."""
 
     @property
     def near(self) -> float: ...
@@ -59,7 +59,7 @@ class Scenery(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Whole:
-    """A scene in memory: every camera is given all of it."""
+    """Still scene in memory; every camera sees all of it."""
 
     gaussians: Gaussians
     given_near: float | None = None
@@ -84,7 +84,7 @@ class Whole:
 
 
 class Played:
-    """A moving scene: every camera is given it as it is at the time of its photo. The last time is held.
+    """Moving scene; every camera sees it at the time of its photo. The scene at the last time is cached.
 
     near: one for the whole film. Raises: InputError: a view has no time, or one outside of the scene's span.
     """
@@ -101,12 +101,12 @@ class Played:
 
 
 def scenery_of(scene: Gaussians | Moving, near: float | None = None) -> Whole | Played:
-    """A scene in memory, still or moving."""
+    """Return the scenery of a scene in memory, still or moving."""
     return Played(scene, near) if isinstance(scene, Moving) else Whole(scene, near)
 
 
 def time_of(view: View) -> float:
-    """Raises: InputError: nobody knows."""
+    """Return the time of a view of a moving scene. Raises: InputError: it has none."""
     if view.time is None:
         raise InputError(
             f"view '{view.name}' has no time, and the scene moves: give times=TABLE.csv or a pattern of names such as "
@@ -117,7 +117,7 @@ def time_of(view: View) -> float:
 
 @dataclass(frozen=True, eq=False)
 class ColumnMaker:
-    """Makes views' columns of one scene into `folder`, and recognises those that are there already."""
+    """Maker of the columns of one scene's views in `folder`; it recognises those that are there already."""
 
     scenery: Scenery
     folder: Path
@@ -132,7 +132,7 @@ class ColumnMaker:
         return self.made(view, features)[0]
 
     def made(self, view: View, features: ViewFeatures) -> tuple[Columns, bool]:
-        """As `columns`, and whether they were computed now."""
+        """Return the view's columns, and whether they were computed now; see `columns`."""
         mask_ids = _mask_ids(view, features)
         key = self._key(view, mask_ids)
         marks = _marks(key)
@@ -149,7 +149,7 @@ class ColumnMaker:
         return columns, is_new
 
     def key(self, view: View, features: ViewFeatures) -> bytes:
-        """A hash of all that the view's columns are made from: two of one key are equal, on one instruction set.
+        """Return a hash of all that decides a view's columns; equal keys mean equal columns on one instruction set.
 
         Raises: MismatchError: the map has another shape than the photo.
         """
@@ -161,16 +161,14 @@ class ColumnMaker:
 
     @cached_property
     def _settings(self) -> str:
-        """Of all that every view shares."""
+        """Version and sampling, as they enter the key of every view."""
         sampling = self.sampling
-        counted = f"{sampling.topk} {sampling.first_hits}"
-        if sampling.pixels != "all":
-            counted = f"{counted} {sampling.pixels}"
-        return f"{COLUMNS_VERSION} {counted}"
+        pixels = "" if sampling.pixels == "all" else f" {sampling.pixels}"
+        return f"{COLUMNS_VERSION} {sampling.topk} {sampling.first_hits}{pixels}"
 
 
 def _mask_ids(view: View, features: ViewFeatures) -> Int32[np.ndarray, "h w"]:
-    """On the view's raster, its lens undone; -1 also where the photo's mask leaves a pixel out."""
+    """Return the mask map on the view's raster, undistorted; -1 also where the photo's mask leaves a pixel out."""
     height, width = features.mask_ids.shape
     if not same_aspect((width, height), (view.width, view.height)):
         raise MismatchError(
@@ -202,7 +200,7 @@ def _marks(key: bytes) -> dict[str, str]:
 
 
 def is_finished(path: Path, marks: Mapping[str, str]) -> bool:
-    """Whether a file is there that was made with the same marks, and is not damaged."""
+    """Return whether the file exists, is not damaged and was made with the same marks."""
     if not path.exists():
         return False
     try:
@@ -212,15 +210,15 @@ def is_finished(path: Path, marks: Mapping[str, str]) -> bool:
 
 
 def stack_columns(columns: Sequence[Columns], num_gaussians: int) -> csr_array:
-    """W (N, M) in CSR form from the views' triples, in two passes over them; 8 bytes per weight.
+    """Stack the views' triples into W (N, M) in CSR form, in two passes over them; 8 bytes per weight.
 
-    Columns stay in the order given; within a row they are ascending.
+    Columns stay in the order of the views; within a row they are ascending.
     """
     return stacked([view.triples for view in columns], [len(view.embeddings) for view in columns], num_gaussians)
 
 
 def stacked(views: Sequence[Callable[[], Triples]], widths: Sequence[int], num_rows: int) -> csr_array:
-    """As `stack_columns`, of triples that are read when they are called, and the number of columns of each view."""
+    """Stack triples as `stack_columns` does. views: each reads one view's triples. widths: columns of each view."""
     starts = np.zeros(num_rows + 1, np.int64)
     for triples in views:
         ids = triples().gaussian_ids
@@ -242,6 +240,6 @@ def stacked(views: Sequence[Callable[[], Triples]], widths: Sequence[int], num_r
 
 
 def _runs(ids: UInt32[np.ndarray, " t"]) -> tuple[Int64[np.ndarray, " r"], Int64[np.ndarray, " r"]]:
-    """Where each of ascending ids begins, and how often it is there."""
+    """Return where each of ascending ids begins, and how often it occurs."""
     first = np.flatnonzero(np.diff(ids.astype(np.int64), prepend=-1))
     return first, np.diff(first, append=len(ids))

@@ -1,4 +1,4 @@
-"""What a field was made from: sparse weights, the masks behind them, and their embeddings."""
+"""Evidence of a field: sparse weights, the masks behind them, and their embeddings."""
 
 import json
 from collections.abc import Mapping
@@ -14,11 +14,11 @@ from ..errors import FormatError, InputError
 from ..formats.tensors import check_tensors
 from ..kernels import weighted_rows
 
-UNIT_TOLERANCE = 1e-3
+UNIT_TOLERANCE = 1e-3  # by which the norm of an embedding may differ from 1
 
 
 class Explanation(NamedTuple):
-    """One photo and mask behind an answer. share: its part of all that spoke for it, (0, 1]."""
+    """Photo and mask behind an answer. share: its part of all positive support, (0, 1]."""
 
     view_name: str
     mask_id: int
@@ -27,7 +27,7 @@ class Explanation(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class MaskIds:
-    """The columns of W. views: per column an index into view_names. ids: the mask in that view.
+    """Columns of W. views: per column an index into view_names. ids: the mask in that view.
 
     times: when each view was taken, of a scene that moves; None of one that stands still. rendered_from: scene that the
     picture of each view is a rendering of, "" for photos (`View.rendered_from`); () where all are photos.
@@ -64,7 +64,7 @@ class MaskIds:
 
 
 class Entries(NamedTuple):
-    """The arrays of a sparse matrix by rows: what `scipy.sparse.csr_array` calls so."""
+    """Arrays of a sparse matrix by rows, named as in `scipy.sparse.csr_array`."""
 
     indptr: Integer[np.ndarray, " n1"]
     indices: Integer[np.ndarray, " e"]
@@ -73,7 +73,7 @@ class Entries(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """W (rows x M) with its columns and their unit embeddings.
+    """Sparse weights W (rows x M) with the masks of its columns and their unit embeddings.
 
     A row belongs to a Gaussian: all of them after registration, those with a feature in a field.
 
@@ -113,7 +113,7 @@ class Evidence:
 
     @property
     def entries(self) -> Entries:
-        """The arrays of the weights, which need no SciPy where a file has them."""
+        """Arrays of the weights; evidence of a file has them without loading SciPy."""
         weights = self.weights
         return Entries(weights.indptr, weights.indices, weights.data)
 
@@ -127,35 +127,35 @@ class Evidence:
         return int((np.diff(self.entries.indptr) > 0).sum())
 
     def check_weights(self) -> None:
-        """Raises: InputError: weights that are no numbers, infinite or negative."""
+        """Refuse bad weights. Raises: InputError: weights that are no numbers, infinite or negative."""
         data = self.entries.data
         if len(data) and not 0 <= data.min() <= data.max() < np.inf:  # NaN fails as well
             raise InputError("weights: expected finite numbers of 0 or more")
 
     def features(self, begin: int, end: int, *, threads: int = 0) -> Float32[np.ndarray, "n d"]:
-        """Mean embedding of rows [begin, end), weighted and normalised; zero where there is none.
+        """Return the weighted mean embedding of rows [begin, end), normalised; zero where there is none.
 
         Source: Dr. Splat Sec. A "Training stage".
         """
         return weighted_rows(*self.entries, self.embeddings, begin, end, threads=threads)
 
     def rows(self, index: Integer[np.ndarray, " r"]) -> "Evidence":
-        """The evidence of some rows, in that order. Weights are shared where only empty rows go."""
+        """Return the evidence of some rows, in that order; weights are shared where only empty rows are dropped."""
         indptr = self.weights.indptr
         lengths = np.diff(indptr)[index]
         ascending = (np.diff(index) > 0).all()
         if ascending and int(lengths.sum()) == indptr[-1]:
             starts = np.append(indptr[index], indptr[-1]).astype(indptr.dtype)
             return self._with_weights(self.weights.data, self.weights.indices, starts)
-        kept = self.weights[index]
-        return self._with_weights(kept.data, kept.indices, kept.indptr)
+        weights = self.weights[index]
+        return self._with_weights(weights.data, weights.indices, weights.indptr)
 
     def _with_weights(self, data: np.ndarray, indices: np.ndarray, indptr: np.ndarray) -> "Evidence":
         weights = _matrix(Entries(indptr, indices, data), self.weights.shape[1])
         return Evidence(weights, self.masks, self.embeddings)
 
     def column_sums(self, rows: Integer[np.ndarray, " r"]) -> Float32[np.ndarray, " m"]:
-        """Return how much each mask says of some rows together, added up row by row."""
+        """Return the sum of W over some rows for each mask, added up row by row."""
         indptr, indices, data = self.entries
         lengths = indptr[rows + 1] - indptr[rows]
         at = np.arange(lengths.sum()) + np.repeat(indptr[rows + 1] - np.cumsum(lengths), lengths)
@@ -164,9 +164,9 @@ class Evidence:
         return sums
 
     def explain(self, row: int, query: Float32[np.ndarray, " d"], top: int = 5) -> list[Explanation]:
-        """The photos and masks that speak most for `query` in a row: the largest W_ij <q, e_j>.
+        """Return the photos and masks with the largest support W_ij <q, e_j> for `query` in a row.
 
-        Only what speaks for it is listed, so there may be fewer than `top`, or none.
+        Only positive support is listed, so there may be fewer than `top`, or none.
 
         Raises: InputError: no such row, or a query of another dimension.
         """
@@ -185,7 +185,7 @@ class Evidence:
         return Explanation(masks.view_names[masks.views[column]], int(masks.ids[column]), share)
 
     def tensors(self) -> dict[str, np.ndarray]:
-        """Its arrays by name, as they are written to files; `metadata` holds the rest."""
+        """Return the arrays by name, as they are written to files; `metadata` holds the rest."""
         of_time = {} if self.masks.times is None else {"view_times": self.masks.times}
         return {
             **of_time,
@@ -198,25 +198,22 @@ class Evidence:
         }
 
     def metadata(self) -> dict[str, str]:
-        """Further text of its file."""
+        """Return the texts of the file, beside its arrays: names and sources of the views."""
         rendered = self.masks.rendered_from
         more = {"rendered_from": json.dumps(rendered)} if rendered else {}
         return {"view_names": json.dumps(self.masks.view_names), **more}
 
 
 class StoredEvidence(Evidence):
-    """Evidence of a file, whose matrix is made when it is first asked for.
-
-    A search does without, and so without SciPy, which is slow to load.
-    """
+    """Evidence of a file, whose matrix is made on first access: a search needs no SciPy, which is slow to load."""
 
     @classmethod
     def of(cls, entries: Entries, masks: MaskIds, embeddings: Float32[np.ndarray, "m d"]) -> "StoredEvidence":
         """Return the evidence of arrays whose row starts fit. Raises: InputError: as of `Evidence`."""
-        made = cls.__new__(cls)
-        made.__dict__.update(stored=entries, masks=masks, embeddings=embeddings)
-        made._check(len(embeddings))
-        return made
+        evidence = cls.__new__(cls)
+        evidence.__dict__.update(stored=entries, masks=masks, embeddings=embeddings)
+        evidence._check(len(embeddings))
+        return evidence
 
     @property
     def entries(self) -> Entries:
@@ -242,7 +239,7 @@ _TIMES = {"view_times": ("float64", "v")}  # of scenes that move
 
 
 def evidence_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str], where: str) -> Evidence:
-    """The evidence of a file's arrays, which are used as they are: a memory map stays one.
+    """Return the evidence of a file's arrays without copying them: a memory map stays one.
 
     Raises: FormatError: an array is missing, of another type, or does not fit the others.
     """

@@ -1,4 +1,4 @@
-"""How the columns of W came about, view by view: what has to be known to add views later, or to leave some out."""
+"""Provenance of W's columns, view by view: what is needed to add views later, or to leave some out."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,13 +11,13 @@ from ..scene.boxes import upward_of
 from ..scene.views import View
 
 KEY_BYTES = 16
-NUMBERS = 18  # of a camera
-LARGEST = 2.0  # of any number of a direction
+NUMBERS = 18  # a camera: 3x4 pose, fx, fy, cx, cy, width, height
+LARGEST = 2.0  # absolute value of any number of a direction
 
 
 @dataclass(frozen=True, eq=False)
 class Provenance:
-    """A row per view, by name, as `MaskIds.view_names`.
+    """Provenance of W's columns: a row per view, in the order of `MaskIds.view_names`.
 
     axes: each camera's right and down, in the world; they tell what is up. keys: a hash of all that a view's columns
     are made from: its camera, its masks, the Gaussians and how pixels are sampled. isa: the instruction set that the
@@ -36,9 +36,9 @@ class Provenance:
     def __post_init__(self) -> None:
         count = len(self.axes)
         for name, dtype, shape in (("axes", "float64", (count, 2, 3)), ("keys", "uint8", (count, KEY_BYTES))):
-            given = getattr(self, name)
-            if given.dtype != dtype or given.shape != shape:
-                raise InputError(f"{name}: expected {dtype} {shape}, got {given.dtype} {given.shape}")
+            array = getattr(self, name)
+            if array.dtype != dtype or array.shape != shape:
+                raise InputError(f"{name}: expected {dtype} {shape}, got {array.dtype} {array.shape}")
         if not (np.abs(self.axes) <= LARGEST).all():  # NaN is not either
             raise InputError("axes: expected unit vectors")
         if self.cameras is not None and not _are_cameras(self.cameras, count):
@@ -51,19 +51,19 @@ class Provenance:
 
     @property
     def up(self) -> Float64[np.ndarray, " 3"] | None:
-        """The direction that is up in the photos (`boxes.upward`); None: they do not tell."""
+        """Direction that is up in the photos (`boxes.upward`); None: they do not tell."""
         try:
             return upward_of(self.axes)
         except InputError:
             return None
 
     def of(self, views: Int64[np.ndarray, " k"]) -> "Provenance":
-        """Of some views, in that order."""
+        """Return the provenance of some views, in that order."""
         cameras = None if self.cameras is None else self.cameras[views]
         return Provenance(self.axes[views], self.keys[views], self.isa, self.level, cameras)
 
     def views(self, names: Sequence[str]) -> list[View]:
-        """The cameras, without photos; none where they are unknown. names: of all views.
+        """Return the cameras as views without photos; none where they are unknown. names: of all views.
 
         Raises: InputError: a camera that is no rigid motion.
         """
@@ -71,20 +71,21 @@ class Provenance:
         return [_view(name, camera) for name, camera in zip(names, numbers, strict=False)]
 
     def with_views(self, other: "Provenance", order: Int64[np.ndarray, " v"]) -> "Provenance":
-        """Of the views of both, those of `other` after these, then in an order.
+        """Return the provenance of both: the views of `other` after these, then put in `order`.
 
         Raises: InputError: masks of two levels.
         """
         if None not in (self.level, other.level) and self.level != other.level:
             raise InputError(f"masks of the levels {self.level} and {other.level}: register both with the same level")
         axes, keys = (np.concatenate(pair)[order] for pair in ((self.axes, other.axes), (self.keys, other.keys)))
-        known = [come.cameras for come in (self, other) if come.cameras is not None]
-        cameras = np.concatenate(known)[order] if len(known) == 2 else None
+        cameras = None
+        if self.cameras is not None and other.cameras is not None:
+            cameras = np.concatenate([self.cameras, other.cameras])[order]
         return Provenance(axes, keys, _joined((self.isa, other.isa)), self.level or other.level, cameras)
 
 
 def cameras_of(views: Sequence[View]) -> Float64[np.ndarray, "v 18"]:
-    """As `Provenance.cameras`."""
+    """Return the numbers of each view's camera, as `Provenance.cameras` has them."""
     rows = [[*v.cam_from_world[:3].ravel(), *_lens(v), v.width, v.height] for v in views]
     return np.array(rows, np.float64).reshape(-1, NUMBERS)
 

@@ -1,6 +1,6 @@
-"""Ways from the votes of a Gaussian, its row of W, to one feature: see docs/aggregators.md.
+"""Aggregators, which make one feature of a Gaussian's votes, its row of W: see docs/aggregators.md.
 
-Names are loaded when they are first used: who reads the record of an aggregator loads none.
+Names are loaded on first use: reading the record of an aggregator loads none of them.
 """
 
 from importlib import import_module

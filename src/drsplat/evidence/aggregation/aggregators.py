@@ -1,4 +1,4 @@
-"""From a row of W to one feature per Gaussian: rules for the weights, put together and named."""
+"""Aggregators by name: rules for the weights of a row of W, put together."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -26,7 +26,7 @@ its parameters; a step of several such has them as `parts`."""
 
 @dataclass(frozen=True, eq=False)
 class Aggregated:
-    """Features of all rows, made when they are asked for.
+    """Features of all rows, computed on demand.
 
     evidence: the votes that count, with the weights that they count with. donors: for each row the row of
     `evidence` whose feature it has, or -1; None: its own. record: what made them.
@@ -41,19 +41,19 @@ class Aggregated:
 
     @property
     def weights(self) -> csr_array:
-        """Of the votes that count."""
+        """Weights of the votes that count."""
         return self.evidence.weights
 
     @cached_property
     def present(self) -> Bool[np.ndarray, " r"]:
-        """Rows that any vote is left for."""
+        """Whether any vote is left for each row."""
         has_votes: np.ndarray = np.diff(self.evidence.weights.indptr) > 0
         if self.donors is None:
             return has_votes
         return np.asarray((self.donors >= 0) & has_votes[self.donors])
 
     def features(self, begin: int, end: int, *, threads: int = 0) -> Float32[np.ndarray, "n d"]:
-        """Unit features of rows [begin, end); zero where there is none."""
+        """Return the unit features of rows [begin, end); zero where there is none."""
         if self.donors is None:
             return self.evidence.features(begin, end, threads=threads)
         wanted, at = np.unique(self.donors[begin:end], return_inverse=True)
@@ -63,7 +63,7 @@ class Aggregated:
         return features[at]
 
     def rows(self, index: Integer[np.ndarray, " r"]) -> "Aggregated":
-        """Of some rows, in that order."""
+        """Return the features of some rows, in that order."""
         if self.donors is None:
             return replace(self, evidence=self.evidence.rows(index))
         return replace(self, donors=self.donors[index])
@@ -71,7 +71,10 @@ class Aggregated:
 
 @dataclass(frozen=True)
 class Aggregator:
-    """sampling: the W that it is meant for, None for any. steps: in order. voting: after them, if any."""
+    """Rule that makes features of votes.
+
+    sampling: that of the W it is meant for, None for any. steps: in order. voting: after them, if any.
+    """
 
     name: str
     sampling: Sampling | None = None
@@ -100,7 +103,7 @@ class Aggregator:
 
     @property
     def parameters(self) -> dict[str, int | float]:
-        """All numbers of its steps, as "MassGate.share"."""
+        """Numbers of all steps by name, such as "MaskTrust.sharpness"."""
         parts = [part for step in self.steps for part in getattr(step, "parts", (step,))]
         parts += [self.voting] if self.voting else []
         return {
@@ -110,7 +113,7 @@ class Aggregator:
         }
 
     def record(self, sampling: Sampling | None = None) -> AggregatorRecord:
-        """For the field's files. sampling: of the W that it was given, where that is known."""
+        """Return the record for the field's files. sampling: that of the aggregated W, where it is known."""
         return AggregatorRecord(self.name, self.parameters, sampling or self.sampling)
 
 
@@ -123,11 +126,11 @@ _ALL = (
     Aggregator("robust", steps=(MaskTrust(),), voting=ModeVoting()),
 )
 AGGREGATORS: Mapping[str, Aggregator] = MappingProxyType({a.name: a for a in _ALL})
-"""By name."""
+"""Aggregators by name."""
 
 
 def aggregator(name: str) -> Aggregator:
-    """One of AGGREGATORS. Raises: InputError: there is none of that name."""
+    """Return the aggregator of that name. Raises: InputError: there is none in AGGREGATORS."""
     if name not in AGGREGATORS:
         raise InputError(f"no aggregator '{name}': there are {', '.join(AGGREGATORS)}")
     return AGGREGATORS[name]

@@ -1,4 +1,4 @@
-"""How much each photo sees of each Gaussian: W with the columns of each view added up."""
+"""Weight of each Gaussian in each photo: W with the columns of each view added up."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from ..evidence import Evidence
 
 @dataclass(frozen=True, eq=False)
 class ViewSums:
-    """One element per Gaussian and view with weight, in the order of W's rows, then of views.
+    """Sums of W, an element per Gaussian and view with weight, in the order of W's rows, then of views.
 
     weights: the sum over the view's columns, in pixels. entries: how many entries of W were added up.
     """
@@ -21,7 +21,7 @@ class ViewSums:
     entries: Int64[np.ndarray, " g"]
 
     def per_entry(self, kept: Bool[np.ndarray, " g"]) -> Bool[np.ndarray, " e"]:
-        """The same of each entry of W."""
+        """Repeat the value of each sum for every entry of W in it."""
         return np.repeat(kept, self.entries)
 
 
@@ -43,7 +43,7 @@ def view_sums(evidence: Evidence) -> ViewSums:
 
 
 def effective_views(evidence: Evidence) -> Float64[np.ndarray, " r"]:
-    """N_eff = (sum_v W_v)^2 / sum_v W_v^2: how many equal views are worth as much; 0 without any.
+    """Return N_eff = (sum_v W_v)^2 / sum_v W_v^2, the equivalent number of equal views; 0 without any.
 
     Source: NormLift (2026), reliability.
     """

@@ -18,9 +18,9 @@ from ...arrays import Bool, Float32, Float64, Int64, Integer
 from ...contents import release
 from ..evidence import Evidence, MaskIds
 
-BLOCK = 1024  # rows: the embeddings of a step, 2 MB at 512 numbers, stay near the processor
-CELLS = 1 << 19  # of a block's tables: rows of many votes come in smaller blocks
-ENTRIES = 1 << 20  # of W at once, where all of them pass: bounds what is held beside it
+BLOCK = 1024  # rows: the embeddings of a step, 2 MB at 512 numbers, stay in the processor's cache
+CELLS = 1 << 19  # largest number of cells in a block's tables: rows of many votes come in smaller blocks
+ENTRIES = 1 << 20  # of W at once, in passes over all of them: bounds the memory beside it
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,12 +40,12 @@ class RowBlock:
         return np.arange(len(self.positions))[:, None] < self.active
 
     def embeddings(self, table: Float32[np.ndarray, "m d"], entry: int) -> Float32[np.ndarray, "a d"]:
-        """Of the k-th entry of every row that has one."""
+        """Return the embedding of the k-th entry (k = `entry`) of every row that has one."""
         return table.take(self.columns[: self.active[entry], entry], axis=0)
 
 
 def row_block(weights: csr_array, rows: Int64[np.ndarray, " n"]) -> RowBlock:
-    """The entries of some rows, none of them empty, that come by falling length."""
+    """Return the entries of some rows as tables; rows must come by falling length, none of them empty."""
     starts = weights.indptr[rows].astype(np.int64)
     lengths = weights.indptr[rows + 1] - starts
     entries = np.arange(lengths[0])
@@ -60,12 +60,12 @@ Rule = Callable[[RowBlock], Float64[np.ndarray, "n k"]]
 
 
 def reweighted(evidence: Evidence, rule: Rule, threads: int = 0) -> Evidence:
-    """The evidence with the weights that `rule` gives to each block of rows; those of 0 are dropped."""
+    """Return the evidence with the weights that `rule` gives to each block of rows; those of 0 are dropped."""
     return with_weights(evidence, entry_values(evidence, rule, threads))
 
 
 def entry_values(evidence: Evidence, rule: Rule, threads: int = 0) -> Float32[np.ndarray, " e"]:
-    """What `rule` says of each entry of W, in the order of its arrays.
+    """Return the value of `rule` for each entry of W, in the order of its arrays.
 
     Blocks do not depend on each other, so that any number of threads gives the same bits.
     """
@@ -85,7 +85,7 @@ def entry_values(evidence: Evidence, rule: Rule, threads: int = 0) -> Float32[np
 
 
 def _blocks(order: Int64[np.ndarray, " r"], lengths: Integer[np.ndarray, " n"]) -> Iterator[Int64[np.ndarray, " b"]]:
-    """Rows by falling length in blocks of at most BLOCK rows, and CELLS entries unless one row has more."""
+    """Yield rows by falling length in blocks of at most BLOCK rows, and CELLS entries unless one row has more."""
     begin = 0
     while begin < len(order):
         size = min(BLOCK, max(1, CELLS // int(lengths[order[begin]])))
@@ -94,7 +94,7 @@ def _blocks(order: Int64[np.ndarray, " r"], lengths: Integer[np.ndarray, " n"]) 
 
 
 def with_weights(evidence: Evidence, data: Float32[np.ndarray, " e"]) -> Evidence:
-    """Other weights of the same entries; entries of weight 0 are dropped."""
+    """Return the evidence with other weights of the same entries; entries of weight 0 are dropped."""
     old = evidence.weights
     kept = data > 0
     if kept.all():
@@ -107,7 +107,7 @@ def with_weights(evidence: Evidence, data: Float32[np.ndarray, " e"]) -> Evidenc
 
 
 def row_chunks(weights: csr_array) -> Iterator[slice]:
-    """All rows, in slices of some ENTRIES entries; a W that is a map of files is never in memory as a whole."""
+    """Yield slices of rows with about ENTRIES entries each; a memory-mapped W is never in memory as a whole."""
     ends = np.arange(ENTRIES, weights.indptr[-1] + ENTRIES, ENTRIES)
     stops = np.unique([0, *np.searchsorted(weights.indptr, ends), len(weights.indptr) - 1])
     for begin, end in pairwise(stops[stops < len(weights.indptr)].tolist()):
@@ -116,7 +116,7 @@ def row_chunks(weights: csr_array) -> Iterator[slice]:
 
 
 def of_columns(evidence: Evidence, kept: Bool[np.ndarray, " m"]) -> Evidence:
-    """Without the entries of the other columns, and those of weight 0."""
+    """Return the evidence without the entries of the columns that are not kept, and without those of weight 0."""
     old, lengths = evidence.weights, np.zeros(len(evidence) + 1, np.int64)
     indices, data = [np.empty(0, old.indices.dtype)], [np.empty(0, np.float32)]
     for rows in row_chunks(old):
@@ -132,7 +132,7 @@ def of_columns(evidence: Evidence, kept: Bool[np.ndarray, " m"]) -> Evidence:
 
 
 def column_counts(weights: csr_array) -> Int64[np.ndarray, " m"]:
-    """How many entries each has."""
+    """Count the entries of each column."""
     counts = np.zeros(weights.shape[1], np.int64)
     for rows in row_chunks(weights):
         columns = weights.indices[weights.indptr[rows.start] : weights.indptr[rows.stop]]
@@ -141,9 +141,9 @@ def column_counts(weights: csr_array) -> Int64[np.ndarray, " m"]:
 
 
 def canonical(evidence: Evidence) -> Evidence:
-    """Columns by view name, then mask id, and entries of a row in that order.
+    """Sort the columns by view name, then mask id, and the entries of each row in that order.
 
-    So registrations leave them; evidence made by hand may not be so. Itself where it is.
+    Registrations are sorted, evidence made by hand may not be; sorted evidence is returned as it is.
     """
     masks, weights = evidence.masks, evidence.weights
     names = sorted(masks.view_names)

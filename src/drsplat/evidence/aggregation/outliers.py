@@ -1,4 +1,4 @@
-"""Votes that disagree with all the others of their Gaussian are dropped."""
+"""Rejection of votes that disagree with all the others of their Gaussian."""
 
 from dataclasses import dataclass
 
@@ -45,7 +45,7 @@ class OutlierRejection:
 
 
 def agreements(block: RowBlock, table: Float32[np.ndarray, "m d"]) -> Float64[np.ndarray, "n k"]:
-    """Cosine of each vote with the weighted sum of the row's others; 1 where there is no other."""
+    """Return the cosine of each vote with the weighted sum of the row's others; 1 where there is no other."""
     total = np.zeros((len(block.weights), table.shape[1]), np.float32)
     for k, rows in enumerate(block.active):
         f = block.embeddings(table, k)
@@ -63,7 +63,7 @@ def agreements(block: RowBlock, table: Float32[np.ndarray, "m d"]) -> Float64[np
 def weighted_medians(
     values: Float64[np.ndarray, "n k"], weights: Float64[np.ndarray, "n k"]
 ) -> Float64[np.ndarray, " n"]:
-    """Of each row: the lowest value that, with all lower ones, has half the weight."""
+    """Return each row's weighted median: the lowest value that, with all lower ones, has half the weight."""
     order = np.argsort(np.where(weights > 0, values, np.inf), axis=1, kind="stable")
     held = np.cumsum(np.take_along_axis(weights, order, 1), axis=1)
     first = (held >= held[:, -1:] / 2).argmax(axis=1)

@@ -1,4 +1,4 @@
-"""What a field says about how its features were made."""
+"""Record of a field's aggregator, and its JSON."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
@@ -10,7 +10,7 @@ from .sampling import Sampling
 
 @dataclass(frozen=True)
 class AggregatorRecord:
-    """name: of the aggregator. parameters: of its steps. sampling: of W, where it is known."""
+    """Record of an aggregator: its name, the parameters of its steps, and the sampling of W where it is known."""
 
     name: str = "mean"
     parameters: Mapping[str, int | float] = field(default_factory=dict)
@@ -26,9 +26,9 @@ def record_json(record: AggregatorRecord) -> dict[str, object]:
 
 
 def record_from_json(document: object, where: str) -> AggregatorRecord:
-    """As `record_json` gives it; files of older versions have none, and their features are means.
+    """Read the record that `record_json` returned; without one, as in older files, features are means.
 
-    Raises: FormatError: something else.
+    Raises: FormatError: the document is no such record.
     """
     if document is None:
         return MEAN_RECORD

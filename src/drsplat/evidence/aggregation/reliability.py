@@ -1,4 +1,4 @@
-"""How far a Gaussian's feature can be believed: agreement of its votes, and how many views they are of."""
+"""Reliability of a Gaussian's feature, by the agreement of its votes and the number of their views."""
 
 import numpy as np
 
@@ -7,11 +7,11 @@ from ...kernels import weighted_rows
 from ..evidence import Evidence
 from .by_view import effective_views
 
-BLOCK = 8192
+BLOCK = 8192  # rows at once
 
 
 def resultant_lengths(evidence: Evidence, threads: int = 0) -> Float64[np.ndarray, " r"]:
-    """|f_i| of the weighted mean of unit embeddings: 1 where all votes agree, 0 where there is none."""
+    """Return the length of each row's weighted mean of unit embeddings: 1 where all votes agree, 0 without votes."""
     weights, rows = evidence.weights, len(evidence)
     # A column of ones beside the embeddings adds up the weights: a row is then (sum of W e, sum of W) but for
     # its scale, and the quotient of the two parts is the length that the kernel divides away.
@@ -29,6 +29,6 @@ def resultant_lengths(evidence: Evidence, threads: int = 0) -> Float64[np.ndarra
 
 
 def reliability(evidence: Evidence, threads: int = 0) -> Float64[np.ndarray, " r"]:
-    """R = |f| N_eff / (N_eff + 1), in [0, 1); 0 without evidence. Source: NormLift (2026), reliability."""
+    """Return |f| N_eff / (N_eff + 1), in [0, 1); 0 without evidence. Source: NormLift (2026), reliability."""
     views = effective_views(evidence)
     return np.asarray(resultant_lengths(evidence, threads) * views / (views + 1))

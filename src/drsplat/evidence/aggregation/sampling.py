@@ -1,4 +1,4 @@
-"""How the photos are looked at: which contributors of which pixels make W."""
+"""Sampling of photos: which contributors of which pixels make W."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -13,7 +13,7 @@ from ...scene.views import View
 
 @dataclass(frozen=True)
 class Sampling:
-    """What W is made of. topk None: all contributors of a pixel. first_hits: only the first ones of each ray.
+    """Settings of W. topk None: all contributors of a pixel. first_hits: only the first ones of each ray.
 
     near: camera z up to which nothing is seen, scene units; None: the scene's own (`Gaussians.near`).
     pixels: "all" adds up the pixels of a mask. "centre" is in records only, of W that others made of the pixels
@@ -38,7 +38,7 @@ class Sampling:
             raise InputError(f"near: expected a distance in front of the camera, got {self.near}")
 
     def triples(self, splats: SplatArrays, view: View, mask_ids: Int32[np.ndarray, "h w"], threads: int = 0) -> Triples:
-        """The entries of W of one view. Raises: InputError: not of all pixels."""
+        """Return the entries of W of one view. Raises: InputError: `pixels` is not "all"."""
         if self.pixels != "all":
             raise InputError(f"pixels: only all of them can be registered, not '{self.pixels}'")
         return view_weights(splats, view, mask_ids, self.topk, first_hits=self.first_hits, threads=threads)

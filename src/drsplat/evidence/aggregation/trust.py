@@ -1,4 +1,4 @@
-"""Masks that disagree with what the other photos say of the same Gaussians count less."""
+"""Trust in masks: those that disagree with the other photos of the same Gaussians count less."""
 
 from dataclasses import dataclass
 
@@ -12,7 +12,7 @@ from .outliers import agreements
 
 @dataclass(frozen=True)
 class MaskTrust:
-    """W_ij becomes W_ij t_iv, v the photo of mask j: how much of its masks in row i are trusted.
+    """Multiply W_ij by t_iv, the trust in the masks of photo v, that of mask j, in row i.
 
     trust of a mask: exp(sharpness * surplus). surplus: its agreement with the other votes of a Gaussian minus
     the mean agreement of that Gaussian's votes, averaged over its Gaussians by W. So a mask that is called
@@ -39,7 +39,7 @@ class MaskTrust:
 
 
 def surpluses(evidence: Evidence, threads: int = 0) -> Float64[np.ndarray, " m"]:
-    """How much better each mask agrees with the rest than the votes of the same Gaussians do on average.
+    """Return how much better each mask agrees with the rest than its Gaussians' votes do on average.
 
     0 for a mask that no Gaussian has, and where there is nothing to agree with.
     """
@@ -61,7 +61,7 @@ def surpluses(evidence: Evidence, threads: int = 0) -> Float64[np.ndarray, " m"]
 
 
 def _runs(views: Integer[np.ndarray, " e"], starts: Integer[np.ndarray, " r1"]) -> Integer[np.ndarray, " p"]:
-    """Where the votes of another photo, or of another row, begin. Votes of a photo stand together."""
+    """Return where the votes of another photo, or of another row, begin; votes of a photo are adjacent."""
     new = np.zeros(len(views) + 1, np.bool_)
     new[1:-1] = views[1:] != views[:-1]
     new[starts] = True
@@ -71,7 +71,7 @@ def _runs(views: Integer[np.ndarray, " e"], starts: Integer[np.ndarray, " r1"]) 
 def _by_photo(
     weights: Float32[np.ndarray, " e"], trust: Float64[np.ndarray, " e"], runs: Integer[np.ndarray, " p"]
 ) -> Float64[np.ndarray, " e"]:
-    """The weights of each photo in each row, times the mean trust of its masks there."""
+    """Multiply the weights of each photo in each row by the mean trust of its masks there."""
     if not len(weights):
         return np.zeros(0)
     held = np.add.reduceat(weights.astype(np.float64), runs)

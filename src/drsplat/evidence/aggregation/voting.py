@@ -1,4 +1,4 @@
-"""Neighbours vote on a Gaussian's feature: it may take over another's, whole; nothing is averaged."""
+"""Votes of neighbours on a Gaussian's feature, which may be replaced by another's; nothing is averaged."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from ...scene.gaussians import Gaussians
 from ..evidence import Evidence
 from .reliability import reliability
 
-SAME = 1e-5  # relative; support that differs by less is one: products of float32 end otherwise on other processors
+SAME = 1e-5  # relative difference of support that counts as equal: float32 products differ between processors
 BLOCK = 512  # receivers at once, near each other: they share most neighbours
 
 Points = Float32[np.ndarray, "r 3"]
@@ -19,7 +19,7 @@ Points = Float32[np.ndarray, "r 3"]
 
 @dataclass(frozen=True)
 class ModeVoting:
-    """S_ij = R_j sum_k R_k d_ik g_jk over the neighbours j and k of i, itself among them.
+    """Vote by support S_ij = R_j sum_k R_k d_ik g_jk over the neighbours j and k of i, itself among them.
 
     d_ik = min(1, a_k / a_i)^footprint exp(-|x_i - x_k|^2 / 2 s^2): s is the distance of i to the middle one
     of its `neighbours`, a the product of the two larger scales, so that many small Gaussians on a thing do not
@@ -40,7 +40,7 @@ class ModeVoting:
     def donors(
         self, evidence: Evidence, gaussians: Gaussians, receivers: Int64[np.ndarray, " v"], threads: int = 0
     ) -> Int32[np.ndarray, " r"]:
-        """For each row the row whose feature it takes: mostly its own; -1 where it gets none.
+        """Return for each row the row whose feature it takes: mostly its own; -1 where it gets none.
 
         gaussians: those of the rows. receivers: rows that may take another's feature, or get one though they have none.
         """
@@ -77,7 +77,7 @@ class ModeVoting:
 
 
 def footprints(gaussians: Gaussians) -> Float64[np.ndarray, " n"]:
-    """Product of the two larger scales: what a Gaussian covers where a surface is."""
+    """Return the product of the two larger scales: the area that a Gaussian on a surface covers."""
     sides = np.sort(gaussians.scales.astype(np.float64), axis=1)
     return np.asarray(np.maximum(sides[:, 1] * sides[:, 2], np.finfo(np.float64).tiny))
 
@@ -85,7 +85,7 @@ def footprints(gaussians: Gaussians) -> Float64[np.ndarray, " n"]:
 def _near_each_other(
     tree: cKDTree, means: Points, receivers: Int64[np.ndarray, " v"], threads: int
 ) -> Iterator[Int64[np.ndarray, " b"]]:
-    """The receivers in the order of the tree's leaves, in blocks."""
+    """Yield the receivers in the order of the tree's leaves, in blocks."""
     rank = np.empty(tree.n, np.int64)
     rank[tree.indices] = np.arange(tree.n)
     nearest = tree.query(means[receivers], workers=threads or -1)[1]
@@ -96,7 +96,7 @@ def _near_each_other(
 def _neighbours(
     tree: cKDTree, points: Points, count: int, threads: int
 ) -> tuple[Float64[np.ndarray, "b k"], Integer[np.ndarray, "b k"]]:
-    """The nearest points of the tree, nearest first; equally near ones by index."""
+    """Return distances and indices of the nearest points of the tree, nearest first; equally near ones by index."""
     count = min(count, tree.n)
     distances, near = tree.query(points, k=np.arange(1, count + 1), workers=threads or -1)
     order = np.lexsort((near, distances), axis=1)
@@ -106,7 +106,7 @@ def _neighbours(
 def _with_self(
     candidates: Int64[np.ndarray, "b k"], rows: Int64[np.ndarray, " b"], trust: Float64[np.ndarray, " r"]
 ) -> Int64[np.ndarray, "b k"]:
-    """Rows that many others coincide with may not be among their own neighbours: put them there."""
+    """Put rows among their own candidates; one that many others coincide with may be missing there."""
     absent = (trust[rows] > 0) & ~(candidates == rows[:, None]).any(axis=1)
     candidates[absent, 0] = rows[absent]
     return candidates
@@ -120,7 +120,7 @@ def _closeness(distances: Float64[np.ndarray, "b k"]) -> Float64[np.ndarray, "b 
 def _likeness(
     evidence: Evidence, candidates: Int64[np.ndarray, "b k"], bandwidth: float, threads: int
 ) -> Float64[np.ndarray, "b k k"]:
-    """g of all pairs of candidates of each row, from one table of all pairs in the block."""
+    """Return g of all pairs of candidates of each row, from one table of all pairs in the block."""
     present, at = np.unique(candidates, return_inverse=True)
     features = evidence.rows(present).features(0, len(present), threads=threads)
     cosines, at = features @ features.T, at.reshape(candidates.shape)
