@@ -8,16 +8,16 @@ from ..arrays import Float32, Int32, Int64, Integer
 
 
 class Hits(NamedTuple):
-    """Rows that were found, and their scores."""
+    """Rows that a search returns, and their scores."""
 
     rows: Int64[np.ndarray, " h"]
     scores: Float32[np.ndarray, " h"]
 
 
 class Best(NamedTuple):
-    """Of several queries, for each row: the index of the best, its score, the second best score.
+    """Best of several queries for each row: its index, its score, and the second best score.
 
-    Of equals the first is the best. With one query the second best score is -inf.
+    Ties go to the first query. With one query the second best score is -inf.
     """
 
     index: Int32[np.ndarray, " n"]  # type: ignore[assignment]  # hides tuple.index
@@ -35,19 +35,19 @@ class Code(Protocol):
 
     @property
     def kind(self) -> str:
-        """Its name in files."""
+        """Name of the code in files."""
 
     @property
     def dim(self) -> int: ...
 
     @property
     def nbytes(self) -> int:
-        """Of all rows together, without what they share."""
+        """Bytes of all rows together, without what they share."""
 
     def __len__(self) -> int: ...
 
     def scores(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Float32[np.ndarray, "q n"]:
-        """Of every row, for each query; the same whether a query is asked alone or among others."""
+        """Return the score of every row for each query; the same whether a query comes alone or among others."""
 
     def select(
         self,
@@ -57,19 +57,19 @@ class Code(Protocol):
         *,
         threads: int = 0,
     ) -> Hits:
-        """Rows whose score, minus the row's `floor`, exceeds the threshold; ascending."""
+        """Return the rows whose score, minus the row's `floor`, exceeds the threshold; ascending."""
 
     def top(self, query: Float32[np.ndarray, " D"], count: int, *, threads: int = 0) -> Hits:
-        """The `count` best rows, best first, ties to the lower row."""
+        """Return the `count` best rows, best first, ties to the lower row."""
 
     def best(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Best:
-        """The best query of each row; there is never a matrix of queries and rows."""
+        """Return the best query of each row, without a matrix of queries and rows."""
 
     def decode(self, rows: Integer[np.ndarray, " b"]) -> Float32[np.ndarray, "b D"]:
-        """Unit features of some rows; zero for a row without direction."""
+        """Return the unit features of some rows; zero for a row without direction."""
 
     def rows(self, index: Integer[np.ndarray, " b"]) -> "Code":
-        """The code of some rows."""
+        """Return the code of some rows."""
 
     def tensors(self) -> dict[str, np.ndarray]:
-        """All of it as arrays by name, as they are written to files."""
+        """Return all arrays by name, as they are written to files."""

@@ -1,4 +1,4 @@
-"""What turns features into codes and back."""
+"""Codebooks, which turn features into codes and back."""
 
 import hashlib
 import json
@@ -17,13 +17,13 @@ from ..kernels.algebra import CENTROIDS
 from ..kernels.mixture import nearest_centres
 from .kmeans import Track, train_centroids, untracked
 
-BLOCK = 8192  # rows worked on at once: bounds what is decoded
+BLOCK = 8192  # rows at once: bounds the memory of decoded features
 TRAINING_POINTS = 64 * CENTROIDS
-LARGEST = 1e15  # centroids: their squared norms are float32
+LARGEST = 1e15  # absolute value in a centroid: squared norms are float32
 
 
 class Codes(NamedTuple):
-    """codes: a centroid per sub-vector. coarse_ids: a coarse centroid per row, or None (plain)."""
+    """Codes of rows: a centroid per sub-vector. coarse_ids: a coarse centroid per row, or None (plain)."""
 
     codes: UInt8[np.ndarray, "n L"]
     coarse_ids: UInt16[np.ndarray, " n"] | None = None
@@ -72,7 +72,7 @@ class Codebook:
 
     @property
     def code_bytes(self) -> int:
-        """Of one code: one per sub-vector, two more for the coarse id of a residual codebook."""
+        """Bytes of a code: one per sub-vector, two more for the coarse id of a residual codebook."""
         return self.num_subvectors + (0 if self.coarse is None else 2)
 
     @property
@@ -81,7 +81,7 @@ class Codebook:
 
     @cached_property
     def hash(self) -> str:
-        """Of everything in it: two codebooks with one hash give a code the same meaning."""
+        """Hash of the whole codebook: codebooks of equal hash give a code the same meaning."""
         digest = hashlib.blake2b(digest_size=16)
         shapes = [self.centroids.shape, None if self.coarse is None else self.coarse.shape]
         identity = [self.encoder.name, self.encoder.dim, self.encoder.weights]
@@ -92,7 +92,7 @@ class Codebook:
         return digest.hexdigest()
 
     def encode(self, features: Float32[np.ndarray, "n D"], *, threads: int = 0) -> Codes:
-        """The nearest code of each feature; blockwise, so n may be any number.
+        """Return the nearest code of each feature; blockwise, so n may be any number.
 
         Coarse centroids are chosen by inner product, as in the authors' index.
 
@@ -111,7 +111,7 @@ class Codebook:
         return Codes(codes, coarse_ids)
 
     def decode(self, codes: Codes) -> Float32[np.ndarray, "n D"]:
-        """The features that codes stand for, as coded: not normalised.
+        """Return the features that codes stand for, as coded: not normalised.
 
         Raises: InputError: codes of another codebook (see `check`).
         """
@@ -123,7 +123,7 @@ class Codebook:
         return features
 
     def inverse_norms(self, codes: Codes) -> Float32[np.ndarray, " n"]:
-        """1 / norm of each decoded feature, 0 where it is zero; decodes a block at a time."""
+        """Return 1 / norm of each decoded feature, 0 where it is zero; decodes a block at a time."""
         self.check(codes)
         squares = (self.centroids.astype(np.float64) ** 2).sum(axis=2).astype(np.float32)
         squared = np.empty(len(codes.codes), np.float32)
@@ -139,7 +139,7 @@ class Codebook:
         return np.asarray(np.divide(1, norms, out=np.zeros_like(norms), where=norms > 0))
 
     def tables(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> QueryTables:
-        """What each query gives for each code: its inner products with all centroids.
+        """Return each query's inner products with all centroids.
 
         Raises: InputError: queries of another dimension.
         """
@@ -171,7 +171,7 @@ class Codebook:
         self.check_coarse_ids(codes.coarse_ids, len(codes.codes))
 
     def check_coarse_ids(self, ids: UInt16[np.ndarray, " n"] | None, rows: int) -> None:
-        """Raises: InputError: ids missing, superfluous, out of range or not one per row."""
+        """Check coarse ids. Raises: InputError: ids missing, superfluous, out of range or not one per row."""
         if (ids is None) != (self.coarse is None):
             raise InputError("coarse ids belong with a residual codebook, and only with one")
         if self.coarse is not None and ids is not None:
@@ -182,7 +182,7 @@ class Codebook:
                 raise InputError(f"coarse id {largest}, but there are {len(self.coarse)} coarse centroids")
 
     def tensors(self) -> dict[str, np.ndarray]:
-        """Its arrays by name, as they are written to files."""
+        """Return the arrays by name, as they are written to files."""
         return {"centroids": self.centroids} | ({} if self.coarse is None else {"coarse": self.coarse})
 
 

@@ -47,7 +47,7 @@ def load_codebook(path: str | os.PathLike[str]) -> Codebook:
 def codebook_from_tensors(
     tensors: Mapping[str, np.ndarray], identity: object, expected_hash: object, where: str
 ) -> Codebook:
-    """A codebook from a file's arrays and the JSON identity of its encoder, checked by its hash.
+    """Return the codebook of a file's arrays and the JSON identity of its encoder, checked by its hash.
 
     Raises: FormatError: something is missing or ill-formed, or the hash differs.
     """

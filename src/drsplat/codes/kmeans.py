@@ -18,20 +18,20 @@ T = TypeVar("T")
 
 @runtime_checkable
 class Track(Protocol):
-    """Hands on the items of a long job, in order, and shows how far it is: `progress.track` does."""
+    """Function that yields the items of a long job, in order, and shows its progress, such as `progress.track`."""
 
     def __call__(self, items: Sequence[T], description: str, /) -> Iterable[T]: ...
 
 
 def untracked(items: Sequence[T], description: str, /) -> Iterable[T]:
-    """The items, shown to nobody."""
+    """Return the items and show no progress."""
     return items
 
 
 def train_centroids(
     points: Float32[np.ndarray, "n D"], num_subvectors: int, seed: int, threads: int = 0, track: Track = untracked
 ) -> Float32[np.ndarray, "L c d"]:
-    """256 centroids per sub-vector. A sub-vector of at most 256 distinct values gets exactly those.
+    """Train 256 centroids per sub-vector; one of at most 256 distinct values gets exactly those.
 
     Starts from distinct points. A centroid that serves no point moves to the worst-served one.
 
@@ -52,7 +52,7 @@ def train_centroids(
 
 
 def _keys(parts: Float32[np.ndarray, "n L d"]) -> UInt64[np.ndarray, "n L"]:
-    """A 64-bit hash of each sub-vector: equal for equal values."""
+    """Return a 64-bit hash of each sub-vector: equal for equal values."""
     words = (parts + np.float32(0)).view(np.uint32).astype(np.uint64)  # + 0 makes -0 equal 0
     keys = np.zeros(parts.shape[:2], np.uint64)
     for word in range(words.shape[2]):
@@ -62,7 +62,7 @@ def _keys(parts: Float32[np.ndarray, "n L d"]) -> UInt64[np.ndarray, "n L"]:
 
 
 def _starts(keys: UInt64[np.ndarray, " n"], rng: "np.random.Generator") -> Int[np.ndarray, " c"]:
-    """256 points of distinct values; all of them, the first one repeated, where there are fewer."""
+    """Draw 256 points of distinct values; where there are fewer, take all and repeat the first."""
     distinct = np.sort(np.unique(keys, return_index=True)[1])
     if len(distinct) <= CENTROIDS:
         return np.pad(distinct, (0, CENTROIDS - len(distinct)), constant_values=distinct[0])

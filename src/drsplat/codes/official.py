@@ -1,4 +1,4 @@
-"""The codebook and the codes that the authors of Dr. Splat publish."""
+"""Codebook and codes as the authors of Dr. Splat publish them."""
 
 import os
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from .files import load_codebook
 
 
 def read_faiss_codebook(path: str | os.PathLike[str], encoder: EncoderIdentity) -> Codebook:
-    """A codebook from a FAISS index: IndexPQ, or the IndexIVFPQ that Dr. Splat's authors publish.
+    """Read a codebook from a FAISS index: IndexPQ, or the IndexIVFPQ that Dr. Splat's authors publish.
 
     Raises: FormatError: another kind of file, or damaged. MismatchError: another dimension than the encoder's.
     """
@@ -26,9 +26,10 @@ def read_faiss_codebook(path: str | os.PathLike[str], encoder: EncoderIdentity) 
 
 
 def read_codebook(path: str | os.PathLike[str], encoder_name: str | None = None) -> Codebook:
-    """Ours, or the authors' .faiss, which does not say who made the embeddings: encoder_name does.
+    """Read a codebook of ours or the authors' .faiss file.
 
-    Raises: as `load_codebook` and `read_faiss_codebook`.
+    encoder_name: that of the embeddings, which a .faiss file does not name. Raises: as `load_codebook` and
+    `read_faiss_codebook`.
     """
     if os.path.splitext(path)[1] != ".faiss" and not is_faiss(path):
         return load_codebook(path)
@@ -38,21 +39,21 @@ def read_codebook(path: str | os.PathLike[str], encoder_name: str | None = None)
 
 
 def official_bytes(codes: Codes) -> UInt8[np.ndarray, "n b"]:
-    """Residual codes as the authors' files hold them: list id (two bytes, little-endian), codes."""
+    """Return residual codes as the authors' files hold them: list id (two bytes, little-endian), codes."""
     if codes.coarse_ids is None:
         raise InputError("plain codes have no official form: encode with the authors' codebook")
     return np.hstack([codes.coarse_ids.astype("<u2")[:, None].view(np.uint8), codes.codes])
 
 
 class OfficialRows(NamedTuple):
-    """ids: the rows that hold a code, ascending. codes: theirs."""
+    """Rows of an official file. ids: the rows that hold a code, ascending. codes: theirs."""
 
     ids: UInt32[np.ndarray, " r"]
     codes: Codes
 
 
 def from_official_bytes(rows: UInt8[np.ndarray, "n b"], codebook: Codebook) -> OfficialRows:
-    """Codes out of the authors' files. Rows of 255 are their mark for "no feature": left out.
+    """Return the codes of the authors' files; rows of 255, their mark for "no feature", are left out.
 
     Raises: InputError: a plain codebook. FormatError: rows of another length, or a list id that the
     codebook does not have.

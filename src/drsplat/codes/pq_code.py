@@ -30,9 +30,9 @@ MOST_SCALE = 64.0  # rows shorter than 1 / 64 are not given finer tables
 
 @dataclass(frozen=True, eq=False)
 class PQCode:
-    """A byte per sub-vector and row, scanned with a table per query.
+    """Product-quantised code, a byte per sub-vector and row, scanned with a table per query.
 
-    grouped: as `kernels.group_codes` lays codes out; what lies past the last row is never looked at.
+    grouped: as `kernels.group_codes` lays codes out; padding past the last row is never read.
     coarse_ids: a coarse centroid per row, or None for a plain codebook. inverse_norms: 1 / norm of each
     decoded feature, 0 where it is zero.
 
@@ -73,7 +73,7 @@ class PQCode:
         return self.grouped.nbytes + self.inverse_norms.nbytes + (0 if ids is None else ids.nbytes)
 
     def scores(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Float32[np.ndarray, "q n"]:
-        """See Code. Off by at most 1e-4."""
+        """See Code. The error is at most 1e-4."""
         batches = [scan_scores(self._rows, tables, self._exact(threads)) for tables in self._tables(queries, threads)]
         if len(batches) == 1:
             return batches[0]
@@ -104,12 +104,12 @@ class PQCode:
         if not len(queries):
             raise InputError("expected one or more queries to choose from")
         how = self._exact(threads) if len(queries) <= FEW else self._hybrid(threads)
-        found: Best | None = None
+        best: Best | None = None
         for number, tables in enumerate(self._tables(queries, threads)):
-            one = Best(*scan_best(self._rows, tables, how))
-            found = one if found is None else _better(found, one, number * BATCH)
-        assert found is not None
-        return found
+            batch = Best(*scan_best(self._rows, tables, how))
+            best = batch if best is None else _better(best, batch, number * BATCH)
+        assert best is not None
+        return best
 
     def decode(self, rows: Integer[np.ndarray, " b"]) -> Float32[np.ndarray, "b D"]:
         """See Code."""
@@ -117,7 +117,7 @@ class PQCode:
         return np.asarray(decoded * self.inverse_norms[rows, None])
 
     def codes(self, rows: Integer[np.ndarray, " b"] | None = None) -> Codes:
-        """Plain codes of some rows or all, one row after the other: to export or decode them."""
+        """Return plain codes of some rows or all, one row after the other, to export or decode them."""
         index = np.arange(len(self)) if rows is None else np.arange(len(self))[rows]
         ids = self.coarse_ids
         return Codes(rows_of_groups(self.grouped, index), None if ids is None else ids[index])
@@ -143,7 +143,7 @@ class PQCode:
 
     @cached_property
     def _scale(self) -> float:
-        """By how much a score can be off more than its sum of look-ups."""
+        """Largest factor from the error of a sum of look-ups to that of a score."""
         return float(np.clip(self.inverse_norms.max(initial=1.0), 1.0, MOST_SCALE))
 
     def _exact(self, threads: int) -> Scanning:
@@ -155,7 +155,7 @@ class PQCode:
 
 
 def pq_code(codebook: Codebook, codes: Codes, inverse_norms: Float32[np.ndarray, " n"] | None = None) -> PQCode:
-    """Codes as a code that can be searched. inverse_norms: computed where they are not given.
+    """Return codes as a code that can be searched. inverse_norms: computed if None.
 
     Raises: InputError: codes of another codebook.
     """
@@ -167,7 +167,7 @@ def pq_code(codebook: Codebook, codes: Codes, inverse_norms: Float32[np.ndarray,
 
 
 def _better(first: Best, second: Best, offset: int) -> Best:
-    """The best of two batches of queries, the first of equals."""
+    """Return the best of two batches of queries, the first of equals."""
     later = second.scores > first.scores
     index = np.where(later, second.index + np.int32(offset), first.index)
     scores = np.maximum(first.scores, second.scores)

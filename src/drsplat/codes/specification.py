@@ -1,4 +1,4 @@
-"""What a field's features shall be kept as: `PQ`, `Mixture`, the `Smaller` of the two, or a ready `Codebook`."""
+"""Specification of a field's code: `PQ`, `Mixture`, the `Smaller` of the two, or a trained `Codebook`."""
 
 import math
 from dataclasses import dataclass
@@ -10,8 +10,8 @@ from .codebook import Codebook
 from .mixture.encoding import DEFAULT_ATOMS, MOST_SCENE_ATOMS, ROWS_PER_SCENE_ATOM
 
 SUBVECTORS = 128
-_NORM = 4  # bytes of a PQ row's inverse norm
-_ATOM = 8  # bytes of an atom beside its numbers: scale and mask
+_NORM_BYTES = 4  # of a PQ row's inverse norm
+_ATOM_BYTES = 8  # of an atom beside its numbers: scale and mask
 
 
 @dataclass(frozen=True)
@@ -29,14 +29,14 @@ class PQ:
 
 @dataclass(frozen=True)
 class Mixture:
-    """Each row a mixture of `atoms` of the scene's masks and typical features, 3 atoms + 2 bytes: docs/mixture.md."""
+    """Mixture code of `atoms` of the scene's masks and typical features per row, 3 atoms + 2 bytes: docs/mixture.md."""
 
     atoms: int = DEFAULT_ATOMS
 
 
 @dataclass(frozen=True)
 class Smaller:
-    """`PQ` or `Mixture`, whichever takes fewer bytes for the scene at hand."""
+    """Choice of `PQ` or `Mixture`, whichever takes fewer bytes for the scene at hand."""
 
     atoms: int = DEFAULT_ATOMS
 
@@ -49,7 +49,7 @@ CodeSpecification = PQ | Mixture | Smaller | Codebook
 
 
 class Choice(NamedTuple):
-    """The smaller code, and the bytes of each: rows, and dictionary or codebook."""
+    """Name of the smaller code, and the bytes of each: rows, and dictionary or codebook."""
 
     name: Literal["pq", "mixture"]
     pq_bytes: int
@@ -57,15 +57,15 @@ class Choice(NamedTuple):
 
 
 def choose_code(n_rows: int, n_masks: int, dim: int, atoms_per_row: int = DEFAULT_ATOMS) -> Choice:
-    """Mixture where it takes fewer bytes in all, as if every mask were used; else PQ of 128 bytes per row.
+    """Choose the mixture where it takes fewer bytes in all, as if every mask were used; else PQ of 128 bytes per row.
 
-    With 512 numbers and 4 atoms per row that is from about 5 rows per mask on.
+    With 512 numbers and 4 atoms per row the mixture is smaller from about 5 rows per mask on.
 
     Raises: InputError: a number of rows, masks or numbers that cannot be.
     """
     if n_rows < 0 or n_masks < 0 or dim < 1:
         raise InputError(f"{n_rows} rows, {n_masks} masks, {dim} numbers: expected counts")
-    pq = n_rows * (SUBVECTORS + _NORM) + CENTROIDS * dim * 4
+    pq = n_rows * (SUBVECTORS + _NORM_BYTES) + CENTROIDS * dim * 4
     atoms = n_masks + min(MOST_SCENE_ATOMS, n_rows // ROWS_PER_SCENE_ATOM)
-    mixture = n_rows * (3 * atoms_per_row + 2) + atoms * (dim + _ATOM)
+    mixture = n_rows * (3 * atoms_per_row + 2) + atoms * (dim + _ATOM_BYTES)
     return Choice("mixture" if mixture < pq else "pq", pq, mixture)

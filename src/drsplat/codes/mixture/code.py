@@ -31,7 +31,7 @@ _ARRAYS = {
 
 
 class Part(NamedTuple):
-    """What speaks for a query in a row. mask: column of W, -1 for scene atoms together. share: (0, 1]."""
+    """Support of a query in a row. mask: column of W, -1 for scene atoms together. share: (0, 1]."""
 
     mask: int
     share: float
@@ -39,7 +39,7 @@ class Part(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class MixtureCode:
-    """A `Code` of 3 K + 2 bytes per row: feature = scale * sum over K of weight * atom, of unit length.
+    """Mixture code of 3 K + 2 bytes per row: feature = scale * sum over K of weight * atom, of unit length.
 
     Raises: InputError: arrays that do not fit each other, ids of no atom, scales that are no lengths.
     """
@@ -83,7 +83,7 @@ class MixtureCode:
 
     @property
     def nbytes(self) -> int:
-        """Of all rows together, without the atoms: see `AtomTable.nbytes`."""
+        """Bytes of all rows together, without the atoms: see `AtomTable.nbytes`."""
         return sum(array.nbytes for array in self.blocks)
 
     def scores(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Float32[np.ndarray, "q n"]:
@@ -127,7 +127,7 @@ class MixtureCode:
     def unpacked(
         self, rows: slice | Integer[np.ndarray, " b"]
     ) -> tuple[UInt16[np.ndarray, "b k"], UInt8[np.ndarray, "b k"], np.ndarray]:
-        """Ids, weights and scales of some rows, row by row."""
+        """Return ids, weights and scales of some rows, row by row."""
         index = np.arange(len(self))[rows]
         block, within = np.divmod(index, ROWS_OF_A_BLOCK)
         ids, weights, scales = self.blocks
@@ -138,7 +138,7 @@ class MixtureCode:
         return MixtureCode(packed(*self.unpacked(index)), self.atoms)
 
     def parts(self, row: int, query: Float32[np.ndarray, " D"], top: int = 5) -> list[Part]:
-        """The masks that speak most for `query` in a row, and their shares of all that speaks for it.
+        """Return the masks of the largest support for `query` in a row, and their shares of all positive support.
 
         Raises: InputError: no such row, or a query of another dimension.
         """
@@ -159,7 +159,7 @@ class MixtureCode:
 
 
 def packed(ids: UInt16[np.ndarray, "n k"], weights: UInt8[np.ndarray, "n k"], scales: np.ndarray) -> Blocks:
-    """Rows as they are scanned. The last block is filled up with rows of weight 0."""
+    """Lay rows out for scans; the last block is padded with rows of weight 0."""
     count, per_row = ids.shape
     blocks = -(-count // ROWS_OF_A_BLOCK)
 
@@ -172,7 +172,7 @@ def packed(ids: UInt16[np.ndarray, "n k"], weights: UInt8[np.ndarray, "n k"], sc
 
 
 def mixture_from_tensors(tensors: Mapping[str, np.ndarray], where: str) -> MixtureCode:
-    """The code of a file's arrays, which are used as they are: a memory map stays one.
+    """Return the code of a file's arrays without copying them: a memory map stays one.
 
     Raises: FormatError: an array is missing, of another type, or does not fit the others.
     """
@@ -186,7 +186,7 @@ def mixture_from_tensors(tensors: Mapping[str, np.ndarray], where: str) -> Mixtu
 
 
 def recoded(code: Code, codebook: Codebook, *, threads: int = 0) -> PQCode:
-    """Any code as a product-quantised one of a codebook; decoded a block at a time.
+    """Encode any code anew with a codebook's product quantisation; decoded a block at a time.
 
     With the authors' codebook, `official_bytes` of its `codes()` are their 130 bytes per row.
 

@@ -1,4 +1,4 @@
-"""The atoms that rows are mixed of."""
+"""Atoms of mixtures: quantised unit vectors."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,7 @@ _DTYPES = {"values": np.int8, "scales": np.float32, "masks": np.int32}
 
 
 def quantised(vectors: Float32[np.ndarray, "a D"]) -> Dictionary:
-    """Signed bytes, a scale per vector; what they stand for has unit length, or none where a vector has none.
+    """Quantise vectors to signed bytes and a scale each; decoded they have unit length, or zero for zero vectors.
 
     A vector whose entries are all below 3.8e-37 counts as one without length.
 
@@ -39,7 +39,7 @@ def _quantised(vectors: Float32[np.ndarray, "a D"]) -> Dictionary:
 
 @dataclass(frozen=True, eq=False)
 class AtomTable:
-    """Up to 65,536 atoms. masks: the column of W whose embedding an atom is, or -1: a scene atom.
+    """Table of up to 65,536 atoms. masks: the column of W whose embedding an atom is, or -1: a scene atom.
 
     Raises: InputError: arrays that do not fit each other, or scales that are no lengths.
     """
@@ -75,5 +75,5 @@ class AtomTable:
         return values.nbytes + scales.nbytes + self.masks.nbytes
 
     def vectors(self, ids: Integer[np.ndarray, " b"]) -> Float32[np.ndarray, "b D"]:
-        """The unit vectors of some atoms."""
+        """Return the unit vectors of some atoms."""
         return np.asarray(self.dictionary.values[ids] * self.dictionary.scales[ids, None])

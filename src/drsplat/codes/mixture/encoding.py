@@ -21,7 +21,7 @@ ROWS_PER_SCENE_ATOM = 16
 
 @runtime_checkable
 class MixtureSource(Protocol):
-    """What features are mixtures of: `Evidence` is one."""
+    """Source of the masks that features are mixtures of, such as `Evidence`."""
 
     @property
     def weights(self) -> Sparse: ...
@@ -33,20 +33,20 @@ class MixtureSource(Protocol):
 
 @runtime_checkable
 class SourceOfSome(MixtureSource, Protocol):
-    """One whose rows can be taken out."""
+    """Source whose rows can be taken out."""
 
     def rows(self, index: Integer[np.ndarray, " r"]) -> "MixtureSource": ...
 
 
 class Mixed(NamedTuple):
-    """scene_places: of the code's atoms that are no mask's, in their order, the numbers among the scene atoms."""
+    """Code and its scene atoms. scene_places: numbers among the scene's atoms of those in the code, in its order."""
 
     code: MixtureCode
     scene_places: Int32[np.ndarray, " p"]
 
 
 class Plan(NamedTuple):
-    """positions: of each column's atom, -1 for none. first_scene: position of the first scene atom."""
+    """Atoms to encode with. positions: of each column's atom, -1 for none. first_scene: of the first scene atom."""
 
     dictionary: Dictionary
     positions: Int32[np.ndarray, " m"]
@@ -63,12 +63,11 @@ def encode_mixture(
     threads: int = 0,
     track: Track = untracked,
 ) -> MixtureCode:
-    """The code of every row: 3 * atoms_per_row + 2 bytes each, and the atoms that are used.
+    """Encode every row as a mixture: 3 * atoms_per_row + 2 bytes each, and the atoms that are used.
 
     A row is made of the masks in it and of scene atoms near its feature. scene_atoms: those, or how many
-    to learn of these rows; None: one per 16 rows, up to 4,096; 0: none. Where rows use more than 65,536 atoms, those
-    used most are
-    kept and all rows are coded again with them. Equal to the bit for any number of threads.
+    to learn of these rows; None: one per 16 rows, up to 4,096; 0: none. Where rows use more than 65,536 atoms, all are
+    coded again with those used most. Equal to the bit for any number of threads.
 
     Raises: InputError: no rows, nothing to mix, atoms_per_row not in 1..16, or more than 32,768 scene atoms.
     """
@@ -80,7 +79,7 @@ def encode_mixture(
 def encode_with(
     source: MixtureSource, atoms_per_row: int, scene: SceneAtoms | None, *, threads: int = 0, track: Track = untracked
 ) -> Mixed:
-    """As `encode_mixture`, with scene atoms that are ready, or none."""
+    """Encode rows as `encode_mixture` does, with scene atoms that are trained already, or none."""
     if not 1 <= atoms_per_row <= MOST_ATOMS:
         raise InputError(f"expected 1 to {MOST_ATOMS} atoms per row, got {atoms_per_row}")
     if not len(source) or not len(source.embeddings):
@@ -96,7 +95,7 @@ def encode_with(
 
 
 def left_in(used: Int64[np.ndarray, " u"], masks: int, scene: SceneAtoms | None) -> Int32[np.ndarray, " c"]:
-    """Of the first `masks` atoms those used most, as many as can be addressed beside all of the scene's; ascending."""
+    """Return the most used of the first `masks` atoms that can be addressed beside all of the scene's; ascending."""
     own = used[used < masks][: ADDRESSABLE - (len(scene) if scene else 0)]
     return np.sort(own).astype(np.int32)
 
@@ -104,7 +103,9 @@ def left_in(used: Int64[np.ndarray, " u"], masks: int, scene: SceneAtoms | None)
 def learn_scene_atoms(
     source: SourceOfSome, wanted: int | None = None, *, seed: int = 0, threads: int = 0
 ) -> SceneAtoms | None:
-    """Typical features of some rows; wanted: as `scene_atoms` of `encode_mixture`. None: none wanted, or no features.
+    """Learn typical features of rows; None where none are wanted or no row has a feature.
+
+    wanted: how many; None: one per 16 rows, up to 4,096.
 
     Raises: InputError: more than 32,768 are wanted.
     """
@@ -122,7 +123,7 @@ def learn_scene_atoms(
 
 
 def plan_of(embeddings: Float32[np.ndarray, "m D"], columns: Int32[np.ndarray, " c"], scene: SceneAtoms | None) -> Plan:
-    """The atoms of some columns, then those of the scene."""
+    """Return a plan of the atoms of some columns, followed by those of the scene."""
     parts = [quantised(embeddings[columns])] + ([scene.coded] if scene else [])
     values, scales = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     positions = np.full(len(embeddings), -1, np.int32)
@@ -133,7 +134,7 @@ def plan_of(embeddings: Float32[np.ndarray, "m D"], columns: Int32[np.ndarray, "
 def encode_rows(
     source: MixtureSource, plan: Plan, atoms_per_row: int, *, threads: int = 0, track: Track = untracked
 ) -> Encoded:
-    """Each row by itself: the same to the bit whatever rows are coded with it."""
+    """Encode each row by itself: the same to the bit whatever rows are coded with it."""
     rows = len(source)
     ids = np.empty((rows, atoms_per_row), np.int32)
     weights, scales = np.empty((rows, atoms_per_row), np.uint8), np.empty(rows, np.float32)
@@ -161,7 +162,7 @@ def _candidates(
 
 
 def atoms_by_use(encoded: Encoded) -> Int64[np.ndarray, " u"]:
-    """Atoms with a weight in any row that has a direction, those used most first: scans find them close together."""
+    """Return the atoms with a weight in any row that has a direction, most used first, close together for scans."""
     counts = (encoded.weights > 0) & (encoded.scales.astype(np.float16) > 0)[:, None]
     uses = np.bincount(encoded.ids[counts])
     order = np.argsort(-uses, kind="stable")
@@ -169,7 +170,7 @@ def atoms_by_use(encoded: Encoded) -> Int64[np.ndarray, " u"]:
 
 
 def assembled(encoded: Encoded, plan: Plan, columns: Int32[np.ndarray, " c"], used: Int64[np.ndarray, " u"]) -> Mixed:
-    """Rows with the atoms that they use; parts without weight are of the first."""
+    """Return the code of the rows with the atoms that they use; parts without weight name the first atom."""
     kept = used if len(used) else np.zeros(1, np.int64)  # no row has a direction
     is_mask = kept < plan.first_scene
     masks = np.where(is_mask, columns[np.minimum(kept, len(columns) - 1)], SCENE_ATOM)

@@ -1,4 +1,4 @@
-"""A mixture code after some rows of W have changed: these are coded again, the others only renumbered."""
+"""Update of a mixture code after some rows of W have changed: these are coded again, the others only renumbered."""
 
 from typing import NamedTuple
 
@@ -13,14 +13,14 @@ from .scene_atoms import SceneAtoms
 
 
 class Regrown(NamedTuple):
-    """directed: of the rows that were coded again, which have a direction; the others are left out."""
+    """Updated code. directed: which of the rows coded again have a direction; the others are left out."""
 
     mixed: Mixed
     directed: Bool[np.ndarray, " t"]
 
 
 def fits_at_once(num_masks: int, scene: SceneAtoms | None) -> bool:
-    """Whether any use of the atoms can be addressed, so that no column is ever left out."""
+    """Return whether all atoms can be addressed at once, so that no column is ever left out."""
     return num_masks + (len(scene) if scene else 0) <= ADDRESSABLE
 
 
@@ -35,7 +35,7 @@ def regrown_mixture(
     threads: int = 0,
     track: Track = untracked,
 ) -> Regrown:
-    """The code of the rows `kept` of an older one and of all rows of `source`: as if all were coded now, to the bit.
+    """Join the rows `kept` of an older code with all rows of `source`, to the bit as if all were coded now.
 
     scene: the atoms that both are coded with. columns: the new number of each old column that the kept rows use.
     keys: of the kept rows, then of those of `source`: rows come in their order.
@@ -55,7 +55,7 @@ def regrown_mixture(
 def _planned(
     before: Mixed, columns: Int32[np.ndarray, " m"], kept: Int64[np.ndarray, " k"], first_scene: int
 ) -> Encoded:
-    """Rows of an older code, with the atoms' numbers of the new plan."""
+    """Return rows of an older code with the atoms' numbers of the new plan."""
     masks = before.code.atoms.masks
     atoms = columns[masks]
     atoms[masks == SCENE_ATOM] = before.scene_places + np.int32(first_scene)

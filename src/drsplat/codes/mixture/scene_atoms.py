@@ -21,7 +21,7 @@ OVERLAP_AT_FIRST = 24  # while atoms move
 
 @dataclass(frozen=True, eq=False)
 class SceneAtoms:
-    """vectors: unit atoms. centres: of groups of them. members: the atoms near each centre, overlapping."""
+    """Atoms that are no mask's. vectors: unit. centres: of groups of them. members: atoms near each, overlapping."""
 
     vectors: Float32[np.ndarray, "v D"]
     centres: Float32[np.ndarray, "g D"]
@@ -32,7 +32,7 @@ class SceneAtoms:
         return len(self.vectors)
 
     def near(self, features: Float32[np.ndarray, "n D"], *, threads: int = 0) -> Int32[np.ndarray, "n w"]:
-        """The atoms nearest to each feature, among those of its nearest group; best first."""
+        """Return the atoms nearest to each feature, among those of its nearest group; best first."""
         wanted = min(NEIGHBOURS, self.members.shape[1])
         groups = nearest_centres(features, self.centres, threads=threads)
         order = np.argsort(groups, kind="stable")  # so that a group's atoms stay in the cache
@@ -42,7 +42,7 @@ class SceneAtoms:
 
 
 def train_scene_atoms(points: Float32[np.ndarray, "n D"], count: int, *, seed: int = 0, threads: int = 0) -> SceneAtoms:
-    """`count` atoms for unit `points`, fewer where there are fewer points; the same bits for any threads.
+    """Train `count` atoms on unit `points`, fewer where there are fewer points; the same bits for any threads.
 
     By k-means in which a point is compared with the atoms around its group's centre alone.
 
@@ -71,7 +71,7 @@ def _group_centres(vectors: Float32[np.ndarray, "v D"], seed: int, threads: int)
 def _members(
     centres: Float32[np.ndarray, "g D"], vectors: Float32[np.ndarray, "v D"], shares: int
 ) -> Int32[np.ndarray, "g m"]:
-    """The atoms nearest to each centre, as many as `shares` groups have on average."""
+    """Return the atoms nearest to each centre, as many as `shares` groups have on average."""
     size = min(len(vectors), shares * -(-len(vectors) // len(centres)))
     # einsum and not a matrix product, whose last bits depend on how many threads NumPy's library takes
     nearness = np.einsum("gd,vd->gv", centres, vectors)
@@ -81,7 +81,7 @@ def _members(
 def spherical_kmeans(
     points: Float32[np.ndarray, "n D"], count: int, seed: int, threads: int
 ) -> Float32[np.ndarray, "c D"]:
-    """Unit centres. One that serves no point moves to the point that is served worst."""
+    """Return unit centres; one that serves no point moves to the worst-served point."""
     centres = _drawn(points, count, seed)
     for _ in range(ITERATIONS):
         moved = _means(points, nearest_centres(points, centres, threads=threads), centres, threads)
@@ -102,7 +102,7 @@ def _means(
     centres: Float32[np.ndarray, "c D"],
     threads: int,
 ) -> Float32[np.ndarray, "c D"]:
-    """The direction of the points of each centre; where they cancel out, what it was."""
+    """Return the mean direction of each centre's points; the old centre where they cancel out."""
     counts = np.bincount(nearest, minlength=len(centres))
     starts, order = np.append(0, np.cumsum(counts)), np.argsort(nearest, kind="stable").astype(np.int32)
     moved = weighted_rows(starts, order, np.ones(len(order), np.float32), points, 0, len(centres), threads=threads)
