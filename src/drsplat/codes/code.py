@@ -1,4 +1,4 @@
-"""What every code can do: the features of n rows, kept small, and searched without being decoded."""
+"""Protocol of every code: the features of n rows, kept small, and searched without being decoded."""
 
 from typing import NamedTuple, Protocol, runtime_checkable
 

@@ -1,4 +1,4 @@
-"""Whether a view's masks and embeddings are still those that a registration was made from."""
+"""Comparison of a view's masks and embeddings with those that a registration was made from."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -46,7 +46,7 @@ class Aggregated:
 
     @cached_property
     def present(self) -> Bool[np.ndarray, " r"]:
-        """Whether any vote is left for each row."""
+        """Mask of the rows that any vote is left for."""
         has_votes: np.ndarray = np.diff(self.evidence.weights.indptr) > 0
         if self.donors is None:
             return has_votes
