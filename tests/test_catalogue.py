@@ -398,7 +398,7 @@ def test_files_are_put_together_in_time(tmp_path: Path, monkeypatch: pytest.Monk
 
     table.tidy(path)
     assert fragments() == 8
-    monkeypatch.setattr(table, "FRAGMENTS", 4)
+    monkeypatch.setattr(table, "MAX_FRAGMENTS", 4)
     table.tidy(path)
     assert fragments() < 4
     for number in range(8):
@@ -408,7 +408,7 @@ def test_files_are_put_together_in_time(tmp_path: Path, monkeypatch: pytest.Monk
 def test_nobody_waits_while_files_are_put_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     rng, encoder, path = np.random.default_rng(4), EncoderIdentity("test", 16), tmp_path / "c"
     vectors = unit(rng, 8, 16)
-    monkeypatch.setattr(table, "FRAGMENTS", 4)
+    monkeypatch.setattr(table, "MAX_FRAGMENTS", 4)
     for number in range(8):
         own = vectors[number : number + 1]
         table.replace_scene(path, f"s{number}", rows_of(f"s{number}", own, encoder, 1), encoder)
@@ -820,7 +820,7 @@ def test_a_killed_removal_that_had_ended_is_given_again(scenes: Path, tmp_path: 
 def test_files_of_older_versions_may_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As putting files together removes them, at the same version of the table or at a newer one."""
     monkeypatch.setattr(table, "OUTDATED", timedelta(milliseconds=1))
-    monkeypatch.setattr(table, "FRAGMENTS", 0)
+    monkeypatch.setattr(table, "MAX_FRAGMENTS", 0)
     catalogue = two_rooms(tmp_path)
     expected = answer_to(catalogue)
     files, tries = catalogue.path / "objects.lance/data", 0

@@ -316,11 +316,11 @@ def test_voxels_are_the_twins(seed: int, side: float) -> None:
     grid = voxel.grid_over(gaussians.means, side)
     (got,) = voxel.voxel_labels(gaussians, [labels], 4, grid)
     scores = reference.voxel_scores(gaussians, labels, grid.centers, 4, voxel.CUT_OFF)
-    expected = np.where(scores.sum(1) * side**3 > voxel.EMPTY, scores.argmax(1), -1)
+    expected = np.where(scores.sum(1) * side**3 > voxel.MIN_MASS, scores.argmax(1), -1)
     first, second = -np.sort(-scores, axis=1)[:, :2].T
     mass = scores.sum(1) * side**3
-    border = np.abs(mass / voxel.EMPTY - 1) < 0.01
-    clear = ((first > second * (1 + 1e-4)) | (mass < voxel.EMPTY / 2)) & ~border
+    border = np.abs(mass / voxel.MIN_MASS - 1) < 0.01
+    clear = ((first > second * (1 + 1e-4)) | (mass < voxel.MIN_MASS / 2)) & ~border
     assert clear.mean() > 0.9
     assert_array_equal(got[clear], expected[clear])
     assert (expected[clear] >= 0).any()
@@ -332,7 +332,7 @@ def test_voxels_do_not_depend_on_threads_or_slabs(monkeypatch: pytest.MonkeyPatc
     grid = voxel.grid_over(gaussians.means, 0.1)
     expected = voxel.voxel_labels(gaussians, [labels, 3 - labels], 4, grid, threads=1)
     monkeypatch.setattr(voxel, "SLAB_SCORES", 20_000)
-    monkeypatch.setattr(voxel, "PAIRS", 3000)
+    monkeypatch.setattr(voxel, "MAX_PAIRS", 3000)
     for one, other in zip(
         expected, voxel.voxel_labels(gaussians, [labels, 3 - labels], 4, grid, threads=3), strict=True
     ):
