@@ -94,7 +94,7 @@ def test_crowded_gaussians_are_judged_by_a_sample() -> None:
     """Wide Gaussians have all 40,000 points in their box; a clear majority stays one."""
     gaussians = random_gaussians(60, 3, size=2.0)
     points = random_points(40_000, 3, 1)
-    assert len(points.labels) > module.MOST_CANDIDATES
+    assert len(points.labels) > module.MAX_CANDIDATES
     votes = reference.density_votes(gaussians, points.positions.astype(np.float64), points.labels, 3.0)
     clear = decided(votes, margin=0.3)
     assert clear.sum() > 10

@@ -86,8 +86,9 @@ def _is_a(value: object, hint: Any) -> bool:
         return True
     if not _is_kind(value, kind):
         return False
-    has_elements = parts and issubclass(kind, Sequence) and isinstance(value, Sequence) and len(value)
-    return _is_a(value[0], parts[0]) if has_elements else True
+    if parts and issubclass(kind, Sequence) and isinstance(value, Sequence) and len(value):
+        return _is_a(value[0], parts[0])
+    return True
 
 
 def _is_kind(value: object, kind: type) -> bool:
