@@ -15,3 +15,6 @@ export function toHalf(x: number): number {
   real[0] = size;
   return sign | Math.min(0x7bff, (bits[0] - 0x38000000 + 0x1000) >>> 13);
 }
+
+/** What all of them mean. */
+export const HALVES = Float32Array.from({ length: 65536 }, (_, h) => fromHalf(h));

@@ -1,6 +1,6 @@
 // Time in a page: what moves is put where it is, on straight lines between the times that the page has.
 
-import { fromHalf, toHalf } from "./halves";
+import { HALVES, toHalf } from "./halves";
 import type { Clock, PageBackend } from "./page_backend";
 import type { Place } from "./protocol";
 import { clamp, type Vec } from "./vectors";
@@ -14,7 +14,6 @@ export class Moves {
   private readonly turns: Uint16Array;
   private readonly fades: Uint8Array;
   private readonly things: Place[];
-  private readonly halves = Float32Array.from({ length: 65536 }, (_, bits) => fromHalf(bits));
 
   constructor(private readonly app: App, backend: PageBackend) {
     const { file, arrays } = backend;
@@ -37,7 +36,7 @@ export class Moves {
   }
 
   stand(part: number): void {
-    const { clock, places, turns, fades, halves, app } = this, { splats } = app;
+    const { clock, places, turns, fades, app } = this, { splats } = app;
     if (!splats) return;
     this.share = clamp(part, 0, 1);
     const last = clock.at.length - 1, at = this.share * last, low = Math.min(Math.floor(at), last - 1), t = at - low, { count } = clock;
@@ -45,7 +44,7 @@ export class Moves {
     for (let i = 0; i < 3 * count; i++) splats.centers[i] = clock.low[i % 3] + clock.step[i % 3] * (places[p + i] * (1 - t) + places[p + i + 3 * count] * t);
     for (let i = 0; i < 6 * count; i++) {
       const one = turns[c + i], other = turns[c + i + 6 * count];
-      splats.covariances[i] = one === other ? one : toHalf(halves[one] * (1 - t) + halves[other] * t);
+      splats.covariances[i] = one === other ? one : toHalf(HALVES[one] * (1 - t) + HALVES[other] * t);
     }
     for (let i = 0; i < count; i++) splats.opacity[i] = fades[o + i] * (1 - t) + fades[o + i + count] * t + 0.5;
     for (const thing of this.things) follow(thing, low, t);

@@ -1,6 +1,7 @@
 // The projection of Gaussians into a picture, as both painters have it (paper supplement: EWA splatting).
 
 import type { Pose } from "../camera";
+import { isSeen, slopesOf, type Chunks } from "./chunks";
 
 export const NEAR = 0.05;
 const BLUR = 0.3; // square pixels added to each footprint, as in 3D Gaussian Splatting
@@ -19,9 +20,9 @@ export function lensOf(pose: Pose, ratio: number): Lens {
 export interface Held { count: number; centers: Float32Array; covariances: Float32Array; rgba: Uint8Array; antialiased: boolean }
 
 /**
- * Rows of Gaussians that a lens sees, nearest first, of the first `limit` rows.
+ * Rows of Gaussians that a lens sees, nearest first: all of them, or about `limit`, those that look most significant.
  *
- * A counting sort of 65,536 depths: linear in the number of Gaussians.
+ * A counting sort of 65,536 depths: linear in the number of Gaussians that are drawn.
  */
 export class Sorter {
   private depth = new Float32Array(0);
@@ -29,25 +30,12 @@ export class Sorter {
   private order = new Uint32Array(0);
   private readonly starts = new Uint32Array(65537);
 
-  sorted(held: Held, lens: Lens, limit: number): Uint32Array {
-    const { centers, rgba } = held, count = Math.min(limit, held.count);
-    if (this.depth.length < count) {
-      this.depth = new Float32Array(count);
-      this.seen = new Uint32Array(count);
-      this.order = new Uint32Array(count);
-    }
-    const { depth, seen, order, starts } = this, [ex, ey, ez] = lens.eye, [rx, ry, rz, dx, dy, dz, ax, ay, az] = lens.rows;
-    const wide = (0.75 * lens.width) / lens.focal, tall = (0.75 * lens.height) / lens.focal; // half as much again
-    let number = 0, low = Infinity, high = -Infinity;
-    for (let i = 0, at = 0; i < count; i++, at += 3) {
-      const x = centers[at] - ex, y = centers[at + 1] - ey, z = centers[at + 2] - ez, d = x * ax + y * ay + z * az;
-      if (d < NEAR || rgba[4 * i + 3] === 0) continue;
-      const room = 0.5 + d; // large Gaussians reach in from outside
-      if (Math.abs(x * rx + y * ry + z * rz) > wide * d + 0.2 * room || Math.abs(x * dx + y * dy + z * dz) > tall * d + 0.2 * room) continue;
-      if (d < low) low = d;
-      if (d > high) high = d;
-      depth[number] = d;
-      seen[number++] = i;
+  sorted(held: Held, chunks: Chunks, lens: Lens, limit: number): Uint32Array {
+    const number = this.chosen(held, chunks, lens, limit), { depth, seen, order, starts } = this;
+    let low = Infinity, high = -Infinity;
+    for (let k = 0; k < number; k++) {
+      if (depth[k] < low) low = depth[k];
+      if (depth[k] > high) high = depth[k];
     }
     const scale = 65535 / Math.max(high - low, 1e-9);
     starts.fill(0);
@@ -55,6 +43,31 @@ export class Sorter {
     for (let k = 0; k < 65536; k++) starts[k + 1] += starts[k];
     for (let k = 0; k < number; k++) order[starts[((depth[k] - low) * scale) | 0]++] = seen[k];
     return order.subarray(0, number);
+  }
+
+  private chosen(held: Held, chunks: Chunks, lens: Lens, limit: number): number {
+    const seen = chunks.seen(lens), cut = limit < held.count ? chunks.cut(held, lens, seen, limit) : -Infinity;
+    const { order, level, reach } = chunks, { centers } = held, [ex, ey, ez] = lens.eye, r = lens.rows, slopes = slopesOf(lens);
+    let number = 0;
+    this.make(Math.min(held.count, seen.length * (seen[0]?.end - seen[0]?.begin || 0)));
+    for (const { begin, end, far } of seen) {
+      const least = cut + far;
+      for (let k = begin; k < end; k++) {
+        const i = order[k];
+        if (level[i] < least) break;
+        if (!isSeen(held, i, lens, slopes, reach[i])) continue;
+        this.depth[number] = (centers[3 * i] - ex) * r[6] + (centers[3 * i + 1] - ey) * r[7] + (centers[3 * i + 2] - ez) * r[8];
+        this.seen[number++] = i;
+      }
+    }
+    return number;
+  }
+
+  private make(room: number): void {
+    if (this.depth.length >= room) return;
+    this.depth = new Float32Array(room);
+    this.seen = new Uint32Array(room);
+    this.order = new Uint32Array(room);
   }
 }
 

@@ -1,6 +1,7 @@
 // A rasteriser for machines without a graphics card: Gaussians blended front to back, in this thread.
 // It is the same sum as the renderer's: color = sum of c_i * alpha_i * T_i (method.md, blending weights).
 
+import type { Chunks } from "./chunks";
 import { project, Sorter, type Footprint, type Held, type Lens } from "./project";
 
 const STEPS = 2048, FARTHEST2 = 9, LEAST_ALPHA = 1 / 255, DONE = 0.004, A_STEP = 4096;
@@ -15,8 +16,8 @@ export class Raster {
   private readonly foot: Footprint = { x: 0, y: 0, xx: 1, xy: 0, yy: 1, alpha: 0 };
 
   /** Draw what a lens sees over a background (0 to 1), in steps that yield; return RGBA pixels. */
-  *draw(held: Held, lens: Lens, background: number[], limit: number): Generator<void, Uint8ClampedArray<ArrayBuffer>> {
-    const pixels = lens.width * lens.height, sums = this.cleared(pixels), rows = this.sorter.sorted(held, lens, limit);
+  *draw(held: Held, chunks: Chunks, lens: Lens, background: number[], limit: number): Generator<void, Uint8ClampedArray<ArrayBuffer>> {
+    const pixels = lens.width * lens.height, sums = this.cleared(pixels), rows = this.sorter.sorted(held, chunks, lens, limit);
     for (let begin = 0; begin < rows.length; begin += A_STEP) {
       for (const i of rows.subarray(begin, begin + A_STEP)) {
         const at = 4 * i;

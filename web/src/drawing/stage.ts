@@ -3,7 +3,6 @@
 
 import workerText from "worker-text";
 import type { Camera, Pose } from "../camera";
-import { fromHalf } from "../halves";
 import type { Splats } from "../protocol";
 import { Card, isSoftware } from "./card";
 import { lensOf } from "./project";
@@ -12,6 +11,7 @@ import { clamp } from "../vectors";
 import type { Order, Reply } from "./worker";
 
 const WANTED_MS = 40, REST_MS = 180, FEWEST = 20_000, COARSEST = 0.35;
+const MOST_DRAWN = 1_500_000; // in a picture by a processor, also where nothing moves
 
 export class Stage {
   frames = 0; // pictures so far
@@ -74,13 +74,14 @@ export class Stage {
 
   private tell(order: Order, transfer: Transferable[] = []): void { this.worker.postMessage(order, transfer); }
 
-  hold(splats: Splats, antialiased: boolean): void {
+  /** Take another scene, or the same one with more rows, of `room` that will come. */
+  hold(splats: Splats, antialiased: boolean, from = 0, room = splats.count): void {
     if (this.card && splats.count > this.card.room) throw new Error(`this graphics card holds ${this.card.room.toLocaleString()} Gaussians, and there are ${splats.count.toLocaleString()}`);
     this.splats = splats;
     this.antialiased = antialiased;
     this.card?.load(splats);
-    const rgba = new Uint8Array(4 * splats.count).fill(255);
-    this.tell({ do: "hold", held: { count: splats.count, centers: splats.centers, covariances: unpacked(splats.covariances), rgba, antialiased } });
+    const centers = splats.centers.slice(3 * from), covariances = splats.covariances.slice(6 * from), opacity = splats.opacity.slice(from);
+    this.tell({ do: "hold", rows: { room, from, centers, covariances, opacity }, antialiased }, [centers.buffer, covariances.buffer, opacity.buffer]);
     this.stale = true;
     this.draw();
   }
@@ -90,7 +91,7 @@ export class Stage {
     const splats = this.splats;
     if (!splats) return;
     this.card?.move(splats, upto);
-    this.tell({ do: "move", centers: splats.centers.slice(0, 3 * upto), covariances: unpacked(splats.covariances.subarray(0, 6 * upto)) });
+    this.tell({ do: "move", centers: splats.centers.slice(0, 3 * upto), covariances: splats.covariances.slice(0, 6 * upto) });
     this.moves();
   }
 
@@ -130,9 +131,10 @@ export class Stage {
     });
   }
 
+  /** Rows that a picture has room for. */
   private get limit(): number {
-    const count = this.splats?.count ?? 0;
-    return this.moving ? Math.max(Math.min(count, FEWEST), Math.round(count * this.share)) : count;
+    const count = this.splats?.count ?? 0, whole = this.card ? count : Math.min(count, MOST_DRAWN);
+    return this.moving ? Math.max(Math.min(count, FEWEST), Math.round(whole * this.share)) : whole;
   }
 
   private get ratio(): number {
@@ -184,10 +186,4 @@ export class Stage {
     this.frames += 1;
     if (this.stale) this.draw();
   }
-}
-
-function unpacked(bits: Uint16Array): Float32Array {
-  const out = new Float32Array(bits.length);
-  for (let i = 0; i < bits.length; i++) out[i] = fromHalf(bits[i]);
-  return out;
 }
