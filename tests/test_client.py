@@ -132,6 +132,27 @@ def test_a_page_gives_its_scene_as_glb_with_named_objects(room: Path, tmp_path: 
 
 
 @needs_chromium
+def test_a_picture_with_little_room_has_what_looks_most_significant_there(exported: Path, chromium: Any) -> None:
+    """Of what a camera does not see nothing is drawn, so that there is room for all that it does see."""
+    room = "(share) => { Object.defineProperty(drsplat.stage, 'limit', { configurable: true, get: () => share }); }"
+    with a_page(chromium, *SIZE) as page:
+        opened(page, exported.as_uri())
+        page.evaluate("() => drsplat.act({ act: 'clear' })")
+        page.add_style_tag(content="#tools, #labels { display: none !important; }")
+        pictures = {}
+        for rows in (960, 480, 100):
+            page.evaluate(room, rows)
+            page.evaluate("() => drsplat.camera.nearer(1)")
+            settled(page)
+            pictures[rows] = pixels_of(page, SIZE[0])[:, PANEL:]
+    seen = pictures[960]
+    assert np.ptp(seen) > 0.3
+    np.testing.assert_array_equal(pictures[480], seen)  # this camera is before one of three things
+    error = ((pictures[100] - seen) ** 2).mean()
+    assert 0 < error < 0.02
+
+
+@needs_chromium
 def test_a_page_asks_nobody_names_itself_and_tells_what_is_there(exported: Path, chromium: Any) -> None:
     with a_page(chromium, *SIZE) as page:
         requests: list[str] = []

@@ -72,6 +72,19 @@ def test_ask_remove_undo(session: Session, size: tuple[int, int], chromium: Any)
         np.testing.assert_allclose(back.mean((0, 1)), there.mean((0, 1)), atol=0.05)
 
 
+def test_a_scene_comes_in_pieces_and_is_whole_with_its_answer(
+    session: Session, chromium: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drsplat.viewing.live.arrays.PIECE", len(session.scene.gaussians) // 7)
+    session.ask("red mug")
+    with served(session) as address, a_page(chromium) as page:
+        opened(page, address)
+        wait_for(page, "drsplat.isWhole")
+        assert page.evaluate("() => drsplat.splats.count") == len(session.scene.gaussians)
+        owned = page.evaluate("() => [drsplat.paint.owner.length, drsplat.paint.owner.filter((one) => one).length]")
+        assert owned == [len(session.scene.gaussians), len(session.results[0].gaussian_ids)]
+
+
 def test_a_click_takes_the_place_of_the_query_and_can_be_named(session: Session, chromium: Any) -> None:
     with served(session) as address, a_page(chromium, *SIZES["desk"]) as page:
         opened(page, address)

@@ -12,6 +12,7 @@ from drsplat import open_scene, write_gaussians
 from drsplat.editing import EditFile
 from drsplat.filming.looking import before
 from drsplat.query import Scene
+from drsplat.viewing.live import arrays
 from drsplat.viewing.session import Mode, Session
 from drsplat.viewing.shown import significance
 from live_clients import Viewer, a_viewer, camera, opened
@@ -72,6 +73,23 @@ def test_splats_are_those_of_the_session_the_most_significant_first(viewer: View
     np.testing.assert_allclose(arrays["opacity"] / 255, shown.opacities[rows], atol=0.5 / 255 + 1e-6)
 
 
+def test_rows_come_in_pieces_of_which_none_is_large(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    viewer.do("ask", text="red mug")
+    paths = ("/view/splats", "/view/paint", "/view/colors?mode=features")
+    whole = {path: viewer.get(path).content for path in paths}
+    sizes = {path: len(content) // COUNT for path, content in whole.items()}
+    assert sizes == {"/view/splats": 28, "/view/paint": 2, "/view/colors?mode=features": 3}
+    monkeypatch.setattr("drsplat.viewing.live.arrays.PIECE", 400)
+    for path in paths:
+        more = "&" if "?" in path else "?"
+        parts = [viewer.get(f"{path}{more}from={begin}") for begin in range(0, COUNT, 400)]
+        assert [part.headers["x-drsplat-rows"] for part in parts] == [str(COUNT)] * 3
+        assert [len(part.content) for part in parts] == [sizes[path] * rows for rows in (400, 400, 160)]
+        beyond = viewer.get(f"{path}{more}from={COUNT}")
+        assert beyond.status_code == 422
+        assert "expected a row below 960" in beyond.text
+
+
 def test_a_budget_is_kept_and_said() -> None:
     with a_viewer(Session(boxes_scene(), 100)) as viewer:
         assert len(viewer.arrays("/view/splats")["opacity"]) == 100
@@ -79,10 +97,9 @@ def test_a_budget_is_kept_and_said() -> None:
         assert "100 most significant of 960" in viewer.get("/view/header").json()["about"]
 
 
-def test_paint_says_which_query_and_match_each_row_is_of(viewer: Viewer) -> None:
+def test_paint_says_which_query_each_row_is_of(viewer: Viewer) -> None:
     state = viewer.do("ask", text="red mug; tall lamp")
     np.testing.assert_array_equal(things_with(viewer, "owner"), [np.arange(EACH), np.arange(2 * EACH, 3 * EACH)])
-    np.testing.assert_array_equal(things_with(viewer, "match"), [np.arange(EACH), np.arange(2 * EACH, 3 * EACH)])
     paint = viewer.arrays("/view/paint")
     assert (paint["heat"][paint["owner"] > 0] > 127).all()
     assert (paint["heat"][paint["owner"] == 0] <= 128).all()
@@ -90,15 +107,19 @@ def test_paint_says_which_query_and_match_each_row_is_of(viewer: Viewer) -> None
     assert "object" not in paint
 
 
-def test_an_unchanged_scene_is_made_into_bytes_once(viewer: Viewer) -> None:
-    first = viewer.shared.splats()
+def test_answers_are_painted_once_for_all_who_look(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[int] = []
+    made = arrays.paint
+    monkeypatch.setattr(arrays, "paint", lambda stage: calls.append(1) or made(stage))
     viewer.do("ask", text="mug")
-    assert viewer.shared.splats() is first
-    painted = viewer.shared.paint()
-    viewer.do("annotate", text="here", at="selection")
-    assert viewer.shared.paint() is painted
-    viewer.do("edit", change="remove")
-    assert viewer.shared.splats() is not first
+    for _ in range(3):
+        viewer.get("/view/paint")
+    viewer.do("annotate", text="here", at="selection")  # which changes nothing that is painted
+    viewer.get("/view/paint")
+    assert len(calls) == 1
+    viewer.do("ask", text="lamp")
+    viewer.get("/view/paint")
+    assert len(calls) == 2
 
 
 def test_counters_grow_with_what_they_count(viewer: Viewer) -> None:

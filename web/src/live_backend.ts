@@ -1,8 +1,12 @@
 // A running viewer: the service that this page came from.
 
-import type { Act, Backend, Film, Header, KeyFrame, Live, Mode, Paint, Photo, SceneObject, Splats, State } from "./protocol";
+import type { Act, Backend, Film, Growing, Header, KeyFrame, Live, Mode, Paint, Photo, SceneObject, Splats, State } from "./protocol";
 
 const KINDS = { f4: Float32Array, f2: Uint16Array, u1: Uint8Array, u2: Uint16Array, u4: Uint32Array };
+const EACH: Record<string, number> = { centers: 3, covariances: 6, rgb: 3 }; // numbers of a row
+const BYTES_A_ROW = 128; // of the page's copy and the worker's, with what both keep of it
+const MEMORY = ((navigator as { deviceMemory?: number }).deviceMemory ?? 4) * 2 ** 30; // of the machine, as far as browsers say: a power of two, 8 GiB or more
+const ROOM = Math.floor(MEMORY / 6 / BYTES_A_ROW); // rows: a sixth of the memory
 type Arrays = Record<string, Float32Array | Uint16Array | Uint8Array | Uint32Array | undefined>;
 
 const NOTHING: Omit<Header, "can"> = {
@@ -17,17 +21,25 @@ export class LiveBackend implements Backend, Live {
   async header(): Promise<Header> { return { ...NOTHING, ...(await this.json<Header>("/view/header")) }; }
   state(): Promise<State> { return this.json("/view/state"); }
 
-  async splats(): Promise<Splats> {
-    const { centers, covariances, rgb, opacity } = await this.arrays("/view/splats");
-    return { count: opacity?.length ?? 0, centers: centers as Float32Array, covariances: covariances as Uint16Array, rgb: rgb as Uint8Array, opacity: opacity as Uint8Array };
+  async *splats(): AsyncGenerator<Growing> {
+    let splats: Splats | null = null, shown = 0;
+    for await (const { arrays, begin, count, all } of this.pieces("/view/splats", ROOM)) {
+      const room = Math.min(all, ROOM);
+      splats ??= { count: 0, centers: new Float32Array(3 * room), covariances: new Uint16Array(6 * room), rgb: new Uint8Array(3 * room), opacity: new Uint8Array(room) };
+      for (const [name, each] of [["centers", 3], ["covariances", 6], ["rgb", 3], ["opacity", 1]] as const) splats[name].set(arrays[name] as Float32Array, each * begin);
+      splats.count = begin + count;
+      if (splats.count < Math.min(room, 2 * shown)) continue; // so that all that is done for each is done twice at most
+      shown = splats.count;
+      yield { splats: firstOf(splats), room, all };
+    }
   }
 
-  async paint(): Promise<Paint> {
-    const { heat, owner, match, object } = await this.arrays("/view/paint");
-    return { heat: heat as Uint8Array, owner: owner as Uint8Array, match: (match as Uint16Array) ?? null, object: (object as Uint16Array) ?? null };
+  async paint(count: number): Promise<Paint> {
+    const { heat, owner, object } = await this.whole("/view/paint", count);
+    return { heat: heat as Uint8Array, owner: owner as Uint8Array, object: (object as Uint16Array | undefined) ?? null };
   }
 
-  async colors(mode: Mode): Promise<Uint8Array> { return (await this.arrays(`/view/colors?mode=${mode}`)).rgb as Uint8Array; }
+  async colors(mode: Mode, count: number): Promise<Uint8Array> { return (await this.whole(`/view/colors?mode=${mode}`, count)).rgb as Uint8Array; }
 
   act(act: Act): Promise<State> { return this.json("/view/do", act); }
 
@@ -89,11 +101,38 @@ export class LiveBackend implements Backend, Live {
     return checked(await fetch(path, { method: "POST", body, headers: { "content-type": type } }));
   }
 
-  private async arrays(path: string): Promise<Arrays> {
-    const reply = await checked(await fetch(path)), layout = JSON.parse(reply.headers.get("x-drsplat-arrays") ?? "[]") as [string, keyof typeof KINDS, number, number][];
-    const buffer = await reply.arrayBuffer();
-    return Object.fromEntries(layout.map(([name, kind, offset, count]) => [name, new KINDS[kind](buffer, offset, count)]));
+  /** Yield the arrays of the first rows, up to `most` of them, piece by piece. */
+  private async *pieces(path: string, most: number): AsyncGenerator<{ arrays: Arrays; begin: number; count: number; all: number }> {
+    for (let begin = 0, all = 1; begin < Math.min(all, most);) {
+      const reply = await checked(await fetch(`${path}${path.includes("?") ? "&" : "?"}from=${begin}`));
+      const layout = JSON.parse(reply.headers.get("x-drsplat-arrays") ?? "[]") as [string, keyof typeof KINDS, number, number][];
+      all = Number(reply.headers.get("x-drsplat-rows"));
+      const buffer = await reply.arrayBuffer(), [, , , first] = layout[layout.length - 1], count = Math.min(layout[layout.length - 1][0] === "rgb" ? first / 3 : first, most - begin);
+      const arrays = Object.fromEntries(layout.map(([name, kind, offset, length]) => [name, new KINDS[kind](buffer, offset, Math.min(length, (EACH[name] ?? 1) * count))]));
+      yield { arrays, begin, count, all };
+      if (!count) return;
+      begin += count;
+    }
   }
+
+  private async whole(path: string, count: number): Promise<Arrays> {
+    const parts: Arrays[] = [];
+    for await (const { arrays } of this.pieces(path, count)) parts.push(arrays);
+    if (parts.length === 1) return parts[0];
+    return Object.fromEntries(Object.keys(parts[0]).map((name) => [name, joined(parts.map((part) => part[name] as Uint8Array | Uint16Array))]));
+  }
+}
+
+function joined(parts: (Uint8Array | Uint16Array)[]): Uint8Array | Uint16Array {
+  const length = parts.reduce((sum, part) => sum + part.length, 0), out = parts[0] instanceof Uint16Array ? new Uint16Array(length) : new Uint8Array(length);
+  let at = 0;
+  for (const part of parts) { out.set(part, at); at += part.length; }
+  return out;
+}
+
+/** Return the rows that are there so far; arrays are those of the whole. */
+function firstOf({ count, centers, covariances, rgb, opacity }: Splats): Splats {
+  return { count, centers: centers.subarray(0, 3 * count), covariances: covariances.subarray(0, 6 * count), rgb: rgb.subarray(0, 3 * count), opacity: opacity.subarray(0, count) };
 }
 
 /** Return the reply. Throws an Error with the service's own sentence where it refuses. */

@@ -2,7 +2,7 @@
 
 import { glbOf } from "./glb";
 import { pick } from "./picking";
-import type { Act, Backend, Header, Mode, Paint, Result, SceneObject, Splats, State } from "./protocol";
+import type { Act, Backend, Growing, Header, Mode, Paint, Result, SceneObject, Splats, State } from "./protocol";
 import { splatsOf } from "./spz";
 import type { Vec } from "./vectors";
 
@@ -47,7 +47,7 @@ export class PageBackend implements Backend {
 
   header(): Promise<Header> { return Promise.resolve(this.file); }
   state(): Promise<State> { return Promise.resolve(this.now); }
-  splats(): Promise<Splats> { return this.scene; }
+  async *splats(): AsyncGenerator<Growing> { const splats = await this.scene; yield { splats, room: splats.count, all: splats.count }; }
   listen(): void {}
   objectPicture(object: SceneObject): string { return object.picture ?? ""; }
   colors(): Promise<Uint8Array> { return Promise.resolve(this.arrays.features as Uint8Array); }
@@ -63,7 +63,7 @@ export class PageBackend implements Backend {
         for (let i = 0; i < count; i++) { heat[i] = Math.max(heat[i], warm[i]); if (own[i] && !owner[i]) owner[i] = k + 1; }
       });
     }
-    return { heat, owner, match: null, object };
+    return { heat, owner, object };
   }
 
   async act(act: Act): Promise<State> {

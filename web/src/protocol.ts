@@ -61,11 +61,14 @@ export interface State {
   annotations: Annotation[]; time: { at: number; during: [number, number] | null } | null; kept: boolean;
 }
 
-/** Per row of the splats: how well it answers, whose answer it is (0: nobody's), its match, its object. */
-export interface Paint { heat: Uint8Array; owner: Uint8Array; match: Uint16Array | null; object: Uint16Array | null }
+/** Per row of the splats: how well it answers, whose answer it is (0: nobody's), its object. */
+export interface Paint { heat: Uint8Array; owner: Uint8Array; object: Uint16Array | null }
 
 /** Gaussians in the browser's frame. covariances: float16 bits, xx xy xz yy yz zz. */
 export interface Splats { count: number; centers: Float32Array; covariances: Uint16Array; rgb: Uint8Array; opacity: Uint8Array }
+
+/** Rows so far. room: how many there will be. all: how many the scene has. */
+export interface Growing { splats: Splats; room: number; all: number }
 
 export interface CameraPlace { eye: Vec; target: Vec; fov: number; width: number; height: number }
 
@@ -75,9 +78,11 @@ export type Act = { act: string; [key: string]: unknown };
 export interface Backend {
   header(): Promise<Header>;
   state(): Promise<State>;
-  splats(): Promise<Splats>;
-  paint(): Promise<Paint>;
-  colors(mode: Mode): Promise<Uint8Array>;
+  /** Yield a scene, and then again with more and more rows behind those that were there. */
+  splats(): AsyncGenerator<Growing>;
+  /** Return what the first rows answer. */
+  paint(count: number): Promise<Paint>;
+  colors(mode: Mode, count: number): Promise<Uint8Array>;
   act(act: Act): Promise<State>;
   /** Hear of changes that others made. */
   listen(changed: (state: State) => void): void;

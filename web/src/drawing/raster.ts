@@ -11,7 +11,7 @@ const FALLOFF = Float32Array.from({ length: STEPS + 1 }, (_, k) => Math.exp((-0.
 export interface Marks { rows: Uint32Array; color: number[] }
 
 export class Raster {
-  private readonly sorter = new Sorter();
+  readonly sorter = new Sorter();
   private sums = new Float32Array(0); // red, green, blue, what is left of the light
   private readonly foot: Footprint = { x: 0, y: 0, xx: 1, xy: 0, yy: 1, alpha: 0 };
 

@@ -15,6 +15,7 @@ const MOST_DRAWN = 1_500_000; // in a picture by a processor, also where nothing
 
 export class Stage {
   frames = 0; // pictures so far
+  sorted = 0; // milliseconds that the last order of rows took
   background = [0.08, 0.09, 0.11];
   private readonly worker = new Worker(URL.createObjectURL(new Blob([workerText], { type: "text/javascript" })));
   private card: Card | null = null;
@@ -172,6 +173,7 @@ export class Stage {
   private replied(reply: Reply): void {
     const was = this.busy;
     this.busy = "no";
+    this.sorted = reply.sorted;
     if (reply.done === "sort") {
       this.card?.order(reply.rows);
       this.draw();

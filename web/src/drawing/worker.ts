@@ -17,8 +17,8 @@ export type Order =
   | { do: "draw"; lens: Lens; limit: number; background: number[] };
 
 export type Reply =
-  | { done: "sort"; rows: Uint32Array }
-  | { done: "draw"; picture: Uint8ClampedArray<ArrayBuffer>; lens: Lens; ms: number };
+  | { done: "sort"; rows: Uint32Array; sorted: number } // sorted: milliseconds
+  | { done: "draw"; picture: Uint8ClampedArray<ArrayBuffer>; lens: Lens; ms: number; sorted: number };
 
 const scope = self as unknown as { onmessage: (event: MessageEvent<Order>) => void; postMessage(message: Reply, transfer: Transferable[]): void };
 const sorter = new Sorter(), raster = new Raster(), chunks = new Chunks();
@@ -40,7 +40,7 @@ async function draw(held: Held, { lens, limit, background }: Extract<Order, { do
     if (own !== latest) return;
   }
   raster.outline(step.value, held, lens, marks, Math.max(1, Math.round(lens.height / 350)));
-  scope.postMessage({ done: "draw", picture: step.value, lens, ms: performance.now() - begin }, [step.value.buffer]);
+  scope.postMessage({ done: "draw", picture: step.value, lens, ms: performance.now() - begin, sorted: raster.sorter.ms }, [step.value.buffer]);
 }
 
 /** Take rows that follow those that are there. */
@@ -73,6 +73,6 @@ scope.onmessage = ({ data: order }) => {
   } else if (order.do === "paint") held.rgba = order.rgba;
   else if (order.do === "sort") {
     const rows = sorter.sorted(held, chunks, order.lens, order.limit).slice().reverse(); // a card blends back to front
-    scope.postMessage({ done: "sort", rows }, [rows.buffer]);
+    scope.postMessage({ done: "sort", rows, sorted: sorter.ms }, [rows.buffer]);
   } else void draw(held, order);
 };

@@ -6,10 +6,10 @@ import { Moves } from "../moves";
 import { Overlay } from "../overlay";
 import { PageBackend } from "../page_backend";
 import { painted } from "../painting";
-import type { Act, Backend, CameraPlace, Header, Mode, Paint, Place, Splats, State } from "../protocol";
+import type { Act, Backend, CameraPlace, Growing, Header, Mode, Paint, Place, Splats, State } from "../protocol";
 import { AskTab } from "./ask";
 import { CatalogueTab } from "./catalogue";
-import { byId } from "./dom";
+import { byId, counted } from "./dom";
 import { EditTab } from "./edit";
 import { FilmTab } from "./film";
 import type { Lasso } from "./lasso";
@@ -31,9 +31,12 @@ export class App {
   splats: Splats | null = null;
   paint: Paint | null = null;
   light = false;
+  isWhole = false; // whether all rows that there is room for are here
   lasso: Lasso | null = null;
   private colors: Uint8Array | null = null;
   private acting: Promise<void> = Promise.resolve();
+  private showing: Promise<void> = Promise.resolve();
+  private loading = 0; // which of the scenes that were begun is wanted
 
   constructor(readonly backend: Backend, public header: Header, public state: State) {
     this.camera = new Camera(header.up, header.fov, () => this.stage?.moves());
@@ -56,9 +59,7 @@ export class App {
   get asking(): Tab { return this.tabs.find((tab) => tab.name === "ask") ?? this.tabs[0]; }
 
   async begin(): Promise<void> {
-    this.splats = await this.backend.splats();
-    this.stage.hold(this.splats, this.header.antialiased);
-    await this.take(this.state, true);
+    await this.inTurn(() => this.show(this.state, true));
     this.backend.listen((state) => void this.take(state));
   }
 
@@ -83,23 +84,56 @@ export class App {
     return done;
   }
 
+  /** Show one thing after the other: each leaves rows and colours that belong together. */
+  private inTurn(show: () => Promise<void>): Promise<void> {
+    const done = this.showing.then(show);
+    this.showing = done.catch(() => undefined);
+    return done;
+  }
+
+  private take(state: State): Promise<void> { return this.inTurn(() => this.show(state)); }
+
   /** Show a state; what has not changed since the last one is not fetched again. */
-  private async take(state: State, first = false): Promise<void> {
+  private async show(state: State, first = false): Promise<void> {
     const before = this.state;
     if (!first && state.scene !== before.scene) { location.assign(location.pathname); return; }
-    if (!first && state.geometry !== before.geometry) {
-      this.splats = await this.backend.splats();
-      this.stage.hold(this.splats, this.header.antialiased);
-    }
     if (!first && state.header !== before.header) this.header = await this.backend.header();
-    const changed = first || state.paint !== before.paint || state.geometry !== before.geometry || state.mode !== before.mode;
     this.state = state;
-    if (changed) {
-      this.paint = await this.backend.paint();
-      this.colors = state.mode === "features" || state.mode === "classes" ? await this.backend.colors(state.mode) : null;
-      this.repaint();
-    }
+    if (first || state.geometry !== before.geometry) await this.load();
+    else if (state.paint !== before.paint || state.mode !== before.mode) { await this.fetchPaint(this.splats?.count ?? 0); this.repaint(); }
     this.render();
+  }
+
+  /** Show the first rows of a scene; the others come while people look around. */
+  private async load(): Promise<void> {
+    const own = ++this.loading, scenes = this.backend.splats(), first = await scenes.next();
+    if (first.done) return;
+    await this.grow(first.value, 0);
+    void this.rest(scenes, own).catch((error: unknown) => this.say(error instanceof Error ? error.message : String(error), true));
+  }
+
+  private async rest(scenes: AsyncGenerator<Growing>, own: number): Promise<void> {
+    for await (const scene of scenes) {
+      await this.inTurn(async () => { if (own === this.loading) await this.grow(scene, this.splats?.count ?? 0); });
+      if (own !== this.loading) return;
+    }
+  }
+
+  /** Take more rows, with their colours. */
+  private async grow({ splats, room, all }: Growing, from: number): Promise<void> {
+    await this.fetchPaint(splats.count);
+    this.splats = splats;
+    this.stage.hold(splats, this.header.antialiased, from, room);
+    this.repaint();
+    this.isWhole = splats.count === room;
+    const left = room < all ? ` This browser has room for ${room.toLocaleString("en")} of ${counted(all, "Gaussian")}.` : "";
+    byId("rows").textContent = `${this.header.about}${left}${this.isWhole ? "" : ` Here so far: ${splats.count.toLocaleString("en")}.`}`;
+  }
+
+  private async fetchPaint(count: number): Promise<void> {
+    const { mode } = this.state;
+    this.paint = await this.backend.paint(count);
+    this.colors = mode === "features" || mode === "classes" ? await this.backend.colors(mode, count) : null;
   }
 
   repaint(): void {

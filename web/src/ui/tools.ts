@@ -60,7 +60,7 @@ function sheet(): void {
 }
 
 function about(app: App): void {
-  byId("about").textContent = app.header.about;
+  byId("about").replaceChildren(h("span", { id: "rows" }, app.header.about));
   if (!(app.backend instanceof PageBackend)) return;
   const { backend } = app, take = (name: string, id: string, file: () => Promise<Blob> | Blob) =>
     button(name, async () => download(await file(), `scene.${id}`), { class: "quiet", id: `take-${id}` });

@@ -23,7 +23,7 @@ from ..client import client_file, live_html
 from ..texts import printable
 from . import files
 from .acts import AnyAct, Open, done, read_act
-from .arrays import HEADER, Packed
+from .arrays import HEADER, ROWS, Packed
 from .cameras import MOST_SIDE, Body, Camera, Path, Text, flight_document
 from .events import Events
 from .shared import Shared
@@ -91,15 +91,17 @@ class Viewer:
     async def state(self, _: Request) -> Response:
         return JSONResponse(await self.turns.take(self.shared.state))
 
-    async def splats(self, _: Request) -> Response:
-        return _binary(await self.turns.take(self.shared.splats))
+    async def splats(self, request: Request) -> Response:
+        begin = _number(request, "from", "0")
+        return _binary(await self.turns.take(lambda: self.shared.splats(begin)))
 
-    async def paint(self, _: Request) -> Response:
-        return _binary(await self.turns.take(self.shared.paint))
+    async def paint(self, request: Request) -> Response:
+        begin = _number(request, "from", "0")
+        return _binary(await self.turns.take(lambda: self.shared.paint(begin)))
 
     async def colors(self, request: Request) -> Response:
-        mode = request.query_params.get("mode", "")
-        return _binary(await self.turns.take(lambda: self.shared.colors(mode)))
+        mode, begin = request.query_params.get("mode", ""), _number(request, "from", "0")
+        return _binary(await self.turns.take(lambda: self.shared.colors(mode, begin)))
 
     async def listen(self, _: Request) -> Response:
         return StreamingResponse(self.events.open(), media_type="text/event-stream")
@@ -264,7 +266,7 @@ def _sent(reply: Reply) -> Response:
 
 
 def _binary(packed: Packed) -> Response:
-    return Response(packed.data, headers={HEADER: packed.layout}, media_type="application/octet-stream")
+    return Response(packed.data, headers={HEADER: packed.layout, ROWS: str(packed.rows)}, media_type="application/octet-stream")
 
 
 async def _body(request: Request, kind: type[B]) -> B:

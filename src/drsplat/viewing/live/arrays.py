@@ -1,6 +1,6 @@
 """What a browser draws, as little-endian arrays: splats, and what they answer.
 
-Rows go by falling significance, so that the first of them are a coarser picture of all.
+Rows go by falling significance, so that the first of them are a coarser picture of all, and come piece by piece.
 """
 
 import json
@@ -15,44 +15,59 @@ from ..page import packed
 from ..session import Mode
 from .stage import Stage
 
-HEADER = "x-drsplat-arrays"
-MOST_NUMBER = 65_534  # of matches and objects that 16 bits tell apart, with one for none
+HEADER, ROWS = "x-drsplat-arrays", "x-drsplat-rows"
+PIECE = 1 << 17  # rows of an answer
+MOST_NUMBER = 65_534  # of objects that 16 bits tell apart, with one for none
 COLOURED = (Mode.FEATURES, Mode.CLASSES)
 
 
 class Packed(NamedTuple):
-    """layout: JSON list of name, kind, offset in bytes and count of each array."""
+    """layout: JSON list of name, kind, offset in bytes and count of each array. rows: of the whole scene."""
 
     layout: str
     data: bytes
+    rows: int
 
 
-def splats(stage: Stage) -> Packed:
-    """Return places, shapes, colours and opacities, as edited and at the time that is shown."""
-    drawn, order = stage.session.drawn, stage.order
-    return _packed(
-        centers=drawn.centers[order],
-        covariances=drawn.covariances[order].astype(np.float16),
-        rgb=_bytes(drawn.rgb)[order],
-        opacity=_bytes(drawn.opacities)[order],
-    )
+Rows = dict[str, np.ndarray]
+"""Arrays by name, each with a row for each Gaussian that is drawn."""
 
 
-def paint(stage: Stage) -> Packed:
-    """Return what each row answers: heat, the query and the match that it belongs to, and its object."""
+def splats(stage: Stage, begin: int) -> Packed:
+    """Return places, shapes, colours and opacities from a row on, as edited and at the time that is shown.
+
+    Raises: InputError: there is no such row.
+    """
+    drawn, rows = stage.session.drawn, stage.order[begin : begin + PIECE]
+    part = {
+        "centers": drawn.centers[rows],
+        "covariances": drawn.covariances[rows].astype(np.float16),
+        "rgb": _bytes(drawn.rgb[rows]),
+        "opacity": _bytes(drawn.opacities[rows]),
+    }
+    return _packed(part, begin, len(stage.order))
+
+
+def piece(arrays: Rows, begin: int) -> Packed:
+    """Return `PIECE` rows from a row on, or as many as there are. Raises: InputError: there is no such row."""
+    part = {name: values[begin : begin + PIECE] for name, values in arrays.items()}
+    return _packed(part, begin, len(next(iter(arrays.values()))))
+
+
+def paint(stage: Stage) -> Rows:
+    """Return what each row answers: heat, the query that it belongs to, and its object."""
     session = stage.session
     found, count = session.results, len(session.scene.gaussians)
     arrays = {
         "heat": _bytes(results.heat(found, count)),
         "owner": (results.owners(found, count) + 1).astype(np.uint8),
-        "match": _numbered(results.match_ids(found, count)),
     }
     if session.has_objects:
         arrays["object"] = _numbered(session.object_ids)
-    return _packed(**{name: _drawn(stage, values) for name, values in arrays.items()})
+    return {name: _drawn(stage, values) for name, values in arrays.items()}
 
 
-def colors(stage: Stage, mode: str) -> Packed:
+def colors(stage: Stage, mode: str) -> Rows:
     """Return the colours of a mode that only this side can compute. Raises: InputError: another mode."""
     if mode not in COLOURED:
         raise InputError(f"mode: expected {' or '.join(COLOURED)}, got {mode!a:.40}")
@@ -62,16 +77,17 @@ def colors(stage: Stage, mode: str) -> Packed:
         painted = session.drawn_colors
     finally:
         session.mode = before
-    return _packed(rgb=_bytes(painted[session.drawn.ids])[stage.order])
+    return {"rgb": _bytes(painted[session.drawn.ids])[stage.order]}
 
 
 def nothing() -> Packed:
     """Return no rows at all, where no scene is open."""
     empty = np.empty(0, np.uint8)
-    return _packed(
-        centers=np.empty(0, np.float32), covariances=np.empty(0, np.float16), rgb=empty, opacity=empty, heat=empty,
-        owner=empty, match=np.empty(0, np.uint16),
-    )  # fmt: skip
+    part = {
+        "centers": np.empty(0, np.float32), "covariances": np.empty(0, np.float16), "rgb": empty, "opacity": empty,
+        "heat": empty, "owner": empty,
+    }  # fmt: skip
+    return _packed(part, 0, 0)
 
 
 def _drawn(stage: Stage, values: Shaped[np.ndarray, " n"]) -> Shaped[np.ndarray, " m"]:
@@ -89,6 +105,8 @@ def _bytes(values: Shaped[np.ndarray, "*any"]) -> UInt8[np.ndarray, "*any"]:
     return np.asarray(np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
-def _packed(**arrays: np.ndarray) -> Packed:
-    layout, data = packed(arrays)
-    return Packed(json.dumps(layout), data)
+def _packed(part: Rows, begin: int, rows: int) -> Packed:
+    if not 0 <= begin < max(rows, 1):
+        raise InputError(f"from: expected a row below {rows:,}, got {begin:,}")
+    layout, data = packed(part)
+    return Packed(json.dumps(layout), data, rows)

@@ -14,7 +14,7 @@ from ..saving import Saves
 from ..session import Session
 from ..texts import printable
 from . import arrays
-from .arrays import Packed
+from .arrays import Packed, Rows
 from .shelf import Shelf
 from .stage import Stage, Vector
 from .state import LONGEST, film_formats, header_of, state_of
@@ -60,7 +60,7 @@ class Shared:
     _counters: Counters = field(default_factory=Counters)
     _seen: tuple[Any, ...] = (None, None, None)
     _told: tuple[int, dict[str, Any]] | None = None
-    _packed: dict[str, tuple[object, Packed]] = field(default_factory=dict)
+    _rows: dict[str, tuple[object, Rows]] = field(default_factory=dict)
 
     @property
     def stage(self) -> Stage:
@@ -173,21 +173,24 @@ class Shared:
             "open": True,
         }
 
-    def splats(self) -> Packed:
-        return self._kept("splats", self._counters.geometry, arrays.splats)
+    def splats(self, begin: int = 0) -> Packed:
+        """Return a piece of what is drawn, from a row on. Raises: InputError: there is no such row."""
+        return arrays.nothing() if self._stage is None else arrays.splats(self._stage, begin)
 
-    def paint(self) -> Packed:
-        return self._kept("paint", (self._counters.geometry, self._counters.paint), arrays.paint)
+    def paint(self, begin: int = 0) -> Packed:
+        """Return what the same rows answer. Raises: as `splats`."""
+        return self._piece("paint", (self._counters.geometry, self._counters.paint), arrays.paint, begin)
 
-    def colors(self, mode: str) -> Packed:
+    def colors(self, mode: str, begin: int = 0) -> Packed:
+        """Return the colours of the same rows. Raises: as `splats`; InputError: another mode."""
         key = self._counters.geometry, self._counters.paint, mode
-        return self._kept("colors", key, lambda stage: arrays.colors(stage, mode))
+        return self._piece("colors", key, lambda stage: arrays.colors(stage, mode), begin)
 
-    def _kept(self, name: str, version: object, make: Callable[[Stage], Packed]) -> Packed:
-        """Return arrays as they were made for somebody else, where nothing has changed since."""
+    def _piece(self, name: str, version: object, make: Callable[[Stage], Rows], begin: int) -> Packed:
+        """Return a piece of arrays as they were made for somebody else, where nothing has changed since."""
         if self._stage is None:
             return arrays.nothing()
-        known = self._packed.get(name)
+        known = self._rows.get(name)
         if known is None or known[0] != version:
-            known = self._packed[name] = version, make(self._stage)
-        return known[1]
+            known = self._rows[name] = version, make(self._stage)
+        return arrays.piece(known[1], begin)
