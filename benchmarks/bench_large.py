@@ -18,9 +18,9 @@ from statistics import median
 from typing import Any
 
 import numpy as np
+from bench_client import CARD, PANEL, PATIENCE_MS, SIZE, SOFTWARE, TURN
 from playwright.sync_api import sync_playwright
 
-from bench_client import CARD, PANEL, PATIENCE_MS, SIZE, SOFTWARE, TURN
 from drsplat import open_scene
 from drsplat.formats.scenes import read_gaussians, write_gaussians
 from drsplat.scene.gaussians import Gaussians
@@ -93,8 +93,8 @@ def measured(opened: Any, address: str, card: bool) -> None:
     share, rows = page.evaluate("() => [drsplat.stage.limit, drsplat.splats.count]")
     memory = held(family(os.getpid())[1:])
     print(
-        f"  {'WebGL in software' if card else 'rasteriser':18} first picture {first:.1f} s, whole {whole:.1f} s; turned:"
-        f" {rate:.2f} pictures a second of {share:,} of {rows:,}, a sort {median(sorts):.0f} ms; {memory:,.0f} MB",
+        f"  {'WebGL in software' if card else 'rasteriser':18} first picture {first:.1f} s, whole {whole:.1f} s;"
+        f" turned {rate:.2f} pictures a second of {share:,} of {rows:,}, a sort {median(sorts):.0f} ms; {memory:,.0f} MB",
         flush=True,
     )
     page.close()

@@ -15,6 +15,7 @@ from drsplat.query import Scene, open_scene
 from drsplat.scene.annotations import Annotation
 from drsplat.viewing.exporting import export_page
 from drsplat.viewing.listening import listening_socket
+from drsplat.viewing.live.stage import Stage
 from drsplat.viewing.saving import Saves
 from drsplat.viewing.session import Session
 
@@ -83,6 +84,19 @@ def test_a_scene_comes_in_pieces_and_is_whole_with_its_answer(
         assert page.evaluate("() => drsplat.splats.count") == len(session.scene.gaussians)
         owned = page.evaluate("() => [drsplat.paint.owner.length, drsplat.paint.owner.filter((one) => one).length]")
         assert owned == [len(session.scene.gaussians), len(session.results[0].gaussian_ids)]
+
+
+def test_every_object_has_the_colour_that_saved_pictures_have(session: Session, chromium: Any) -> None:
+    with served(session) as address, a_page(chromium) as page:
+        opened(page, address)
+        page.evaluate("() => drsplat.act({ act: 'mode', mode: 'objects' })")
+        wait_for(page, "drsplat.state.mode === 'objects'")
+        shown = page.evaluate("() => [[...drsplat.stage.rgba], [...drsplat.paint.object]]")
+    rgba, numbers = np.array(shown[0]).reshape(-1, 4), np.array(shown[1])
+    rows = session.drawn.ids[Stage.of(session, UP).order]
+    assert len(np.unique(numbers)) > 2
+    own = session.drawn_colors[rows] * 255
+    np.testing.assert_allclose(rgba[numbers > 0, :3], own[numbers > 0], atol=2)  # bytes are cut off on both ways
 
 
 def test_a_click_takes_the_place_of_the_query_and_can_be_named(session: Session, chromium: Any) -> None:

@@ -15,6 +15,7 @@ from drsplat.objects.describing import describe
 from drsplat.query import Scene, open_scene
 from drsplat.query.nodes import Chosen, chosen_at, name_of
 from drsplat.query.query import Query
+from drsplat.viewing import painting
 from drsplat.viewing.session import Mode, Session
 from known_objects import CENTERS, EACH, with_objects
 from viewing_scenes import CENTERS as PLACES
@@ -198,11 +199,10 @@ def test_everything_colours_each_thing_by_its_number_and_back(session: Session) 
     session.everything()
     assert session.mode is Mode.OBJECTS
     colors = session.colors
-    hues = class_colors(3) / 255
-    for number in range(3):
-        own = colors[rows(number)]
-        own, hue = own / own.max(axis=1, keepdims=True), hues[number] / hues[number].max()
-        np.testing.assert_allclose(own, np.broadcast_to(hue, own.shape), atol=1e-5)
+    for number, hue in enumerate(painting.object_colors(3)):
+        plain = before[rows(number)]
+        shade = 0.35 + 0.65 * plain @ painting.LUMA
+        np.testing.assert_allclose(colors[rows(number)], 0.58 * plain + 0.42 * shade[:, None] * hue, atol=1e-6)
     np.testing.assert_array_equal(colors[-10:], colors[-10:, :1].repeat(3, axis=1))  # in no object: grey
     session.everything()
     assert session.mode is Mode.SCENE
@@ -211,6 +211,7 @@ def test_everything_colours_each_thing_by_its_number_and_back(session: Session) 
 
 def test_however_many_things_no_two_have_one_colour() -> None:
     assert len(np.unique(class_colors(1000), axis=0)) == 1000
+    assert len(np.unique(painting.object_colors(1000), axis=0)) == 1000
 
 
 def test_a_click_among_all_colours_keeps_them_and_marks_the_thing(session: Session) -> None:

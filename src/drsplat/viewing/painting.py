@@ -23,6 +23,8 @@ GREYED = 0.72  # share of its colour that it loses
 TINT = 0.35  # share of the query's colour in what was found, where several are told apart
 LOOK = {"dim": DIM, "floor": DIM_FLOOR, "greyed": GREYED, "tint": TINT}
 """The numbers above, as the client is told them: it paints answers as `highlighted` does."""
+OBJECT_TINT = 0.42  # share of an object's colour, where every object has one of its own
+TURN, CHROMA, CHROMA_STEP, DEPTH = 0.618034, 0.5, 0.18, 0.8  # of a hue for each object; how loud it is
 FEATURE_SAMPLE = 20_000
 
 
@@ -61,6 +63,23 @@ def class_painted(rgb: Colors, labels: Int32[np.ndarray, " n"], palette: UInt8[n
     found = labels >= 0
     shade = 0.5 + 0.5 * (rgb[found] @ LUMA)[:, None]
     painted[found] = palette[labels[found]].astype(np.float32) / 255 * shade
+    return painted
+
+
+def object_colors(count: int) -> Float32[np.ndarray, "c 3"]:
+    """Return the colours of objects, as the client has them: hues far from each other, none of them loud."""
+    numbers = np.arange(count)
+    places = (np.array([5.0, 3.0, 1.0]) + (6 * (numbers * TURN % 1))[:, None]) % 6
+    chroma = CHROMA + CHROMA_STEP * (numbers % 3)
+    lost = DEPTH * chroma[:, None] * np.clip(np.minimum(places, 4 - places), 0, 1)
+    return np.asarray(1 - lost, np.float32)
+
+
+def object_painted(rgb: Colors, labels: Int32[np.ndarray, " n"], count: int) -> Colors:
+    """Return objects with a share of a colour of their own, as the client paints them; the rest dimmed."""
+    painted, found = dimmed(rgb), labels >= 0
+    shade = (0.35 + 0.65 * (rgb[found] @ LUMA))[:, None]
+    painted[found] = (1 - OBJECT_TINT) * rgb[found] + OBJECT_TINT * shade * object_colors(count)[labels[found]]
     return painted
 
 

@@ -344,8 +344,7 @@ class Session:
             palette = class_colors(len(self.segmentation.names))
             return painting.class_painted(self.edits.colors, self.segmentation.labels, palette)
         if mode is Mode.OBJECTS and self.has_objects:
-            palette = class_colors(len(objects_of(self.scene.field)))
-            return painting.class_painted(self.edits.colors, self.object_ids, palette)
+            return painting.object_painted(self.edits.colors, self.object_ids, len(objects_of(self.scene.field)))
         if mode in (Mode.ANSWER, Mode.HEAT) and self.results:
             heat = results.heat(self.results, count)
             if mode is Mode.HEAT:

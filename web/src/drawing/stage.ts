@@ -10,7 +10,7 @@ import type { Marks } from "./raster";
 import { clamp } from "../vectors";
 import type { Order, Reply } from "./worker";
 
-const WANTED_MS = 40, REST_MS = 180, FEWEST = 20_000, COARSEST = 0.35;
+const WANTED_MS = 40, REST_MS = 180, FEWEST = 20_000, COARSEST = 0.35, FIRST_SHARE = 0.1;
 const MOST_DRAWN = 1_500_000; // in a picture by a processor, also where nothing moves
 
 export class Stage {
@@ -38,7 +38,10 @@ export class Stage {
   constructor(private canvas: HTMLCanvasElement, private readonly camera: Camera) {
     const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, preserveDrawingBuffer: true });
     if (gl && !isSoftware(gl)) this.card = new Card(gl);
-    else this.pen = this.flat(canvas, gl !== null);
+    else {
+      this.pen = this.flat(canvas, gl !== null);
+      this.share = FIRST_SHARE;
+    }
     this.canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
     this.canvas.addEventListener("webglcontextrestored", () => this.restore(gl));
     this.worker.onmessage = ({ data }: MessageEvent<Reply>) => this.replied(data);
@@ -83,8 +86,7 @@ export class Stage {
     this.card?.load(splats);
     const centers = splats.centers.slice(3 * from), covariances = splats.covariances.slice(6 * from), opacity = splats.opacity.slice(from);
     this.tell({ do: "hold", rows: { room, from, centers, covariances, opacity }, antialiased }, [centers.buffer, covariances.buffer, opacity.buffer]);
-    this.stale = true;
-    this.draw();
+    this.moves(); // coarsely at first: more rows may follow
   }
 
   /** Take other places of the first rows. */
@@ -116,9 +118,20 @@ export class Stage {
   moves(): void {
     this.moving = true;
     this.stale = true;
-    clearTimeout(this.rest);
-    this.rest = window.setTimeout(() => { this.moving = false; this.lastFrame = 0; this.stale = true; this.draw(); }, REST_MS);
+    this.settle();
     this.draw();
+  }
+
+  /** Draw everything once all stands still; what flies moves also where a busy machine draws it seldom. */
+  private settle(): void {
+    clearTimeout(this.rest);
+    this.rest = window.setTimeout(() => {
+      if (this.camera.isFlying) { this.settle(); return; }
+      this.moving = false;
+      this.lastFrame = 0;
+      this.stale = true;
+      this.draw();
+    }, REST_MS);
   }
 
   draw(): void {

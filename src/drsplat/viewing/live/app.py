@@ -266,7 +266,9 @@ def _sent(reply: Reply) -> Response:
 
 
 def _binary(packed: Packed) -> Response:
-    return Response(packed.data, headers={HEADER: packed.layout, ROWS: str(packed.rows)}, media_type="application/octet-stream")
+    return Response(
+        packed.data, headers={HEADER: packed.layout, ROWS: str(packed.rows)}, media_type="application/octet-stream"
+    )
 
 
 async def _body(request: Request, kind: type[B]) -> B:

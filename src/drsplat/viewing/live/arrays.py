@@ -39,7 +39,7 @@ def splats(stage: Stage, begin: int) -> Packed:
     Raises: InputError: there is no such row.
     """
     drawn, rows = stage.session.drawn, stage.order[begin : begin + PIECE]
-    part = {
+    part: Rows = {
         "centers": drawn.centers[rows],
         "covariances": drawn.covariances[rows].astype(np.float16),
         "rgb": _bytes(drawn.rgb[rows]),
@@ -58,10 +58,7 @@ def paint(stage: Stage) -> Rows:
     """Return what each row answers: heat, the query that it belongs to, and its object."""
     session = stage.session
     found, count = session.results, len(session.scene.gaussians)
-    arrays = {
-        "heat": _bytes(results.heat(found, count)),
-        "owner": (results.owners(found, count) + 1).astype(np.uint8),
-    }
+    arrays = {"heat": _bytes(results.heat(found, count)), "owner": (results.owners(found, count) + 1).astype(np.uint8)}
     if session.has_objects:
         arrays["object"] = _numbered(session.object_ids)
     return {name: _drawn(stage, values) for name, values in arrays.items()}
@@ -83,7 +80,7 @@ def colors(stage: Stage, mode: str) -> Rows:
 def nothing() -> Packed:
     """Return no rows at all, where no scene is open."""
     empty = np.empty(0, np.uint8)
-    part = {
+    part: Rows = {
         "centers": np.empty(0, np.float32), "covariances": np.empty(0, np.float16), "rgb": empty, "opacity": empty,
         "heat": empty, "owner": empty,
     }  # fmt: skip
