@@ -94,7 +94,7 @@ def measured(opened: Any, address: str, card: bool) -> None:
     memory = held(family(os.getpid())[1:])
     print(
         f"  {'WebGL in software' if card else 'rasteriser':18} first picture {first:.1f} s, whole {whole:.1f} s;"
-        f" turned {rate:.2f} pictures a second of {share:,} of {rows:,}, a sort {median(sorts):.0f} ms; {memory:,.0f} MB",
+        f" turned {rate:.2f} pictures a second of {share:,} of {rows:,}, sort {median(sorts):.0f} ms; {memory:,.0f} MB",
         flush=True,
     )
     page.close()
