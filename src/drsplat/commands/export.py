@@ -109,7 +109,7 @@ def show(answer: dict[str, Any]) -> None:
 
 
 def _output(arguments: argparse.Namespace) -> Path:
-    """Raises: InputError: a name that cannot be written, or options that do not go together."""
+    """Return the output. Raises: InputError: it cannot be written, or options that do not go together."""
     from ..errors import InputError
     from ..formats.exports import writer_of
 

@@ -16,7 +16,9 @@ from ..scene.gaussians import Gaussians
 
 @dataclass(frozen=True, eq=False)
 class After:
-    """everything: all rows, those that edits added behind the scene's own, removed ones still in it.
+    """The rows of a scene after a list of edits.
+
+    everything: all rows, those that edits added behind the scene's own, removed ones still in it.
 
     present: which of them are there. copies: per number of an object that an edit made, that of which it is a copy; -1
     for none.

@@ -32,7 +32,7 @@ RELEVANCY, ONLY = "relevancy", "drsplat_only"  # columns that go along with the 
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """What a query gives. said: in words."""
+    """The answer to a query and its matches. said: the query in words."""
 
     answer: Answer
     matches: list[Match]

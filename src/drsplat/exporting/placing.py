@@ -20,7 +20,9 @@ Ids = Int64[np.ndarray, " m"]
 
 @dataclass(frozen=True, eq=False)
 class Placing:
-    """registered: the rows that boxes of the field are about. after: where they are now. up: boxes stand along it."""
+    """What tells where the boxes of objects and matches are now.
+
+    registered: the rows that boxes of the field are about. after: where they are now. up: boxes stand along it."""
 
     registered: Gaussians
     after: After

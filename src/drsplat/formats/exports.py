@@ -51,7 +51,7 @@ def writer_of(path: Path) -> Writer:
 
 
 def require_writable(scene: LabelledScene) -> None:
-    """Raises: InputError: no Gaussians, or rows that no program can draw; says the first."""
+    """Refuse what no program can draw. Raises: InputError: no Gaussians, or rows that are not finite."""
     g = scene.gaussians
     if not len(g):
         raise InputError("there are no Gaussians to write: choose something that is there")

@@ -116,19 +116,19 @@ class _Budget:
     used: set[int] = field(default_factory=set)
 
     def add_plain(self, rows: int) -> None:
-        """Raises: FormatError: more rows than the bytes can hold."""
+        """Count rows of plain numbers. Raises: FormatError: more than the bytes can hold."""
         self.plain += rows
         if self.plain * BYTES_OF_A_ROW > self.size:
             raise FormatError(f"glTF: {self.plain:,} Gaussians do not fit into {self.size:,} bytes: damaged")
 
     def use(self, view: int) -> None:
-        """Raises: FormatError: an SPZ that is named twice."""
+        """Take note of an SPZ. Raises: FormatError: it is named twice."""
         if view in self.used:
             raise FormatError(f"glTF: bufferViews[{view}] is the SPZ of two primitives: expected one of each")
         self.used.add(view)
 
     def add_unfolded(self, rows: int) -> None:
-        """Raises: FormatError: more rows than are plausible of the bytes."""
+        """Count rows of an SPZ. Raises: FormatError: more than are plausible of the bytes."""
         self.unfolded += rows
         if self.unfolded > SPZ_ROWS + SPZ_ROWS_PER_BYTE * self.size:
             raise FormatError(f"glTF: {self.unfolded:,} Gaussians of {self.size:,} bytes of SPZ: damaged")

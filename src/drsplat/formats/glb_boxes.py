@@ -11,7 +11,7 @@ from .glb_layout import rotation_xyzw
 
 
 class NamedNodes(NamedTuple):
-    """roots: numbers of those that hang at the world's node."""
+    """Nodes of boxes. roots: numbers of those that hang at the world's node."""
 
     nodes: list[dict[str, Any]]
     roots: list[int]

@@ -16,7 +16,10 @@ OFFSETS = {"UINT8": "<u1", "UINT16": "<u2", "UINT32": "<u4", "UINT64": "<u8"}
 
 
 class ObjectName(NamedTuple):
-    """number: as `Gaussians.extra["object_id"]` has it."""
+    """Number and name of an object.
+
+    number: as `Gaussians.extra["object_id"]` has it.
+    """
 
     number: int
     name: str

@@ -14,14 +14,20 @@ _FLOAT = {"componentType": "FLOAT32", "required": True}
 
 
 class Column(NamedTuple):
-    """values: of all rows, one after the other. offsets: where each text begins in them, None for numbers."""
+    """Column of a table, as bytes hold it.
+
+    values: of all rows, one after the other. offsets: where each text begins in them, None for numbers.
+    """
 
     values: np.ndarray
     offsets: np.ndarray | None = None
 
 
 class Table(NamedTuple):
-    """kind: its class. properties: what the class says of each column."""
+    """Table of things of one class.
+
+    kind: its class. properties: what the class says of each column.
+    """
 
     name: str
     kind: str

@@ -19,7 +19,10 @@ BYTES_PER_COEFFICIENT = 12
 
 
 def exported(scene: Scene, asked: Export, limits: Limits) -> Reply:
-    """Raises: InputError: options that do not go together, a scene that is too large to send; as `labelled`."""
+    """Return a scene as a file.
+
+    Raises: InputError: options that do not go together, a scene that is too large to send; as `labelled`.
+    """
     query = query_of(asked, limits) if asks_something(asked) else None
     if asked.only and (query is None or asked.object is not None):
         raise InputError("only: what matches is that of a query: pass text, and no object")
