@@ -3,5 +3,5 @@
 `live` is what a browser talks to. Source: Dr. Splat Sec. F "Broader application".
 
 Imports `catalogue`, `encoders`, `scene`, `formats`, `kernels`, `codes`, `evidence`, `field`, `models`, `drawing`,
-`query`, `editing`, `filming` and `serving`.
+`query`, `editing`, `exporting`, `filming` and `serving`.
 """
