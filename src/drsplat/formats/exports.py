@@ -12,6 +12,7 @@ from ..scene.labelled import LabelledScene
 from .glb_writing import write_glb
 from .replacing import replacing
 from .scenes import write_gaussians
+from .sog_writing import sog_bytes
 from .spz_writing import spz_bytes
 
 BLOCK = 1 << 14  # rows that are looked at together
@@ -107,11 +108,20 @@ def _write_spz(path: Path, scene: LabelledScene, overwrite: bool) -> None:
         file.write(content)
 
 
-WRITERS: Mapping[str, Writer] = MappingProxyType({".glb": write_glb, ".ply": _write_ply, ".spz": _write_spz})
+def _write_sog(path: Path, scene: LabelledScene, overwrite: bool) -> None:
+    content = sog_bytes(scene)
+    with replacing(path, overwrite=overwrite) as file:
+        file.write(content)
+
+
+WRITERS: Mapping[str, Writer] = MappingProxyType(
+    {".glb": write_glb, ".ply": _write_ply, ".sog": _write_sog, ".spz": _write_spz}
+)
 HELD: Mapping[str, frozenset[str]] = MappingProxyType(
     {
         ".glb": frozenset(ASPECTS) - {"columns"},
         ".ply": frozenset({"numbers", "relevancy", "columns"}),
+        ".sog": frozenset({"numbers", "names", "relevancy"}),
         ".spz": frozenset(),
     }
 )

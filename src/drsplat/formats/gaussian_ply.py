@@ -124,7 +124,7 @@ def vertex_columns(gaussians: Gaussians) -> dict[str, np.ndarray]:
 
     Raises: InputError: values that could not be read back.
     """
-    _refuse_unwritable(gaussians)
+    refuse_unwritable(gaussians)
     rest = [gaussians.sh[:, c, channel] for channel in range(3) for c in range(1, gaussians.sh.shape[1])]
     log_scales = np.log(gaussians.scales)
     return {
@@ -138,7 +138,8 @@ def vertex_columns(gaussians: Gaussians) -> dict[str, np.ndarray]:
     }
 
 
-def _refuse_unwritable(g: Gaussians) -> None:
+def refuse_unwritable(g: Gaussians) -> None:
+    """Raises: InputError: Gaussians that no reader would take, such as NaN; the message says which and how many."""
     try:
         checked(g.means, g.quats.copy(), g.scales, g.opacities, g.sh)
     except FormatError as error:

@@ -6,7 +6,7 @@ and maxs of sign(x) ln(1 + |x|). quats holds three components of [-1, 1] / sqrt 
 codebooks of 256; its alpha is the opacity. Version 1, which states no version, has steps of 255 between
 mins and maxs instead, and the logit of the opacity. Harmonics beyond the first are those of a palette: 64
 entries a row, a pixel for each coefficient (of the three channels); labels are 16 bits in red and green. A `model`
-"antialiased" says how opacities are drawn.
+"antialiased" says how opacities are drawn. What drsplat writes beside, objects and relevancy, comes back in `extra`.
 
 Axes are those of the PLY that it was made from, as splat-transform reads and writes it.
 
@@ -15,16 +15,19 @@ Source: developer.playcanvas.com, "The SOG Format"; splat-transform's readers fo
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..arrays import Float32, UInt8
+from ..contents import file_bytes
 from ..errors import FormatError
 from ..scene.gaussians import Gaussians
 from .activation import checked, exp, from_smallest_three, sigmoid
 from .json_files import as_count, as_number, as_vector, shown
+from .labels import Labels, parse_labels
 from .sog_files import META, Member, folder_member, webp_pixels, webp_size, zip_member
 from .spz_streams import refuse_implausible
 
@@ -34,6 +37,7 @@ LARGEST_PALETTE = 1 << 16
 SPARE_ROWS = 8  # writers round both sides of a picture up to fours
 _FIRST_TAG = 252
 ANTIALIASED = "antialiased"  # the `model` of meta.json
+OWN = "drsplat"  # key of meta.json: what drsplat writes beside, see `sog_writing`
 Bytes = UInt8[np.ndarray, "n 4"]
 
 
@@ -49,6 +53,16 @@ def parse_sog(buffer: memoryview) -> Gaussians:
     pictures that are far larger than the count; a version that is not known; rows that are no Gaussians.
     """
     return _Sog(zip_member(buffer)).gaussians()
+
+
+def read_sog_labels(path: Path) -> Labels:
+    """Return the names and boxes of a SOG's objects: of its file, or of its meta.json.
+
+    Raises: FormatError: a damaged archive, or labels that are none.
+    """
+    if path.name == META:
+        return _Sog(folder_member(path.parent)).labels()
+    return _Sog(zip_member(file_bytes(path).data)).labels()
 
 
 class _Sog:
@@ -71,11 +85,39 @@ class _Sog:
         means, quats, scales = self._means(), self._quats(), self._scales()
         colours = self._plane("sh0")
         opacities, antialiased = self._opacities(colours), self.meta.get("model") == ANTIALIASED
-        return checked(means, quats, scales, opacities, self._harmonics(colours), antialiased=antialiased)
+        sh = self._harmonics(colours)
+        gaussians = checked(means, quats, scales, opacities, sh, self._own_columns(), antialiased)
+        origin = _part(self.meta, OWN).get("origin") if OWN in self.meta else None
+        return gaussians if origin is None else replace(gaussians, origin=as_vector(origin, 3, f"{META}: origin"))
+
+    def labels(self) -> Labels:
+        """Return the names and boxes of objects that drsplat wrote beside; none in files of other programs."""
+        name = _part(self.meta, OWN).get("labels") if OWN in self.meta else None
+        if name is None:
+            return Labels()
+        if not isinstance(name, str):
+            raise FormatError(f"{META}: {OWN}: labels: expected the name of a file, got {shown(name)}")
+        return parse_labels(self.member(name), name)
+
+    def _own_columns(self) -> dict[str, np.ndarray]:
+        """Return the object of each Gaussian, -1 for none, and its relevancy, as far as they are there."""
+        own = _part(self.meta, OWN) if OWN in self.meta else {}
+        columns: dict[str, np.ndarray] = {}
+        if "object_id" in own:
+            low, middle, high = self._plane_of(own, "object_id")[:, :3].T.astype(np.int32)
+            columns["object_id"] = (low | middle << 8 | high << 16) - 1
+        if "relevancy" in own:
+            low, high = self._plane_of(own, "relevancy")[:, :2].T.astype(np.uint16)
+            least, most = (as_number(own["relevancy"].get(end), f"{META}: relevancy: {end}") for end in ("min", "max"))
+            columns["relevancy"] = (least + (most - least) * ((low | high << 8) / 65535)).astype(np.float32)
+        return columns
 
     def _plane(self, part: str, place: int = 0) -> Bytes:
+        return self._plane_of(self.meta, part, place)
+
+    def _plane_of(self, meta: Mapping[str, Any], part: str, place: int = 0) -> Bytes:
         """The pixels of the Gaussians, in a picture that holds them and hardly more."""
-        name = _file(self.meta, part, place)
+        name = _file(meta, part, place)
         data = self.member(name)
         width, height = webp_size(data, name)
         needed = -(-self.count // width) * width
