@@ -31,7 +31,7 @@ needs_node = pytest.mark.skipif(NODE is None, reason="no node is installed")
 def splat_transform(*arguments: object) -> None:
     """Run splat-transform on the processor, in one thread; what it prints is in the failure."""
     script = npm_package("@playcanvas/splat-transform") / "bin" / "cli.mjs"
-    options = ["--quiet", "--overwrite", "--gpu", "cpu", "--max-workers", "0", "--sh-iterations", "1"]
+    options = ["--quiet", "--overwrite", "--gpu", "cpu", "--max-workers", "0", "--iterations", "1"]
     finished = subprocess.run(
         [str(NODE), str(script), *options, *map(str, arguments)], capture_output=True, text=True, timeout=300
     )

@@ -1,14 +1,22 @@
 """SPZ that we write: read back within the format's own steps, the same bytes each time, refused where it cannot be."""
 
+import contextlib
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drsplat.errors import InputError
-from drsplat.formats.spz import parse_spz
-from drsplat.formats.spz_writing import spz_bytes
+from drsplat import read_gaussians
+from drsplat.errors import DrSplatError, InputError
+from drsplat.formats.scenes import parse_gaussians
+from drsplat.formats.spz import parse_spz, read_spz_labels
+from drsplat.formats.spz_writing import spz4_bytes, spz_bytes
 from drsplat.scene.gaussians import SH_COEFFICIENTS, Gaussians
+from drsplat.scene.labelled import LabelledScene, Thing
+from foreign_programs import needs_node, needs_packages, splat_transform
+from mutations import mutants, quota, seeded
 
 
 def scene(count: int, degree: int, seed: int, size: float = 3.0, antialiased: bool = False) -> Gaussians:
@@ -57,3 +65,51 @@ def test_what_spz_cannot_hold_is_refused() -> None:
         spz_bytes(scene(5, 0, 0, size=1e8))
     with pytest.raises(InputError, match="got 0 Gaussians"):
         spz_bytes(own.subset(np.empty(0, np.int64)))
+
+
+def labelled(count: int, degree: int) -> LabelledScene:
+    """Make a scene whose objects have names that other places would take for markup or paths."""
+    box = {"center": np.zeros(3), "axes": np.eye(3), "extent": np.ones(3)}
+    things = tuple(Thing(name, 0.5, **box) for name in ("<i>a</i>", "🫖", "../b"))
+    object_of = (np.arange(count) % 4 - 1).astype(np.int32)
+    relevancy = np.linspace(-1, 1, count, dtype=np.float32)
+    return LabelledScene(scene(count, degree, 1), "s", things, (), object_of, "tea", relevancy)
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_version_4_is_version_3_with_objects(degree: int, tmp_path: Path) -> None:
+    own, path = labelled(50, degree), tmp_path / "s.spz"
+    path.write_bytes(spz4_bytes(own))
+    read, plain = read_gaussians(path), parse_spz(memoryview(spz_bytes(own.gaussians)))
+    for name in ("means", "quats", "scales", "opacities", "sh"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(plain, name))
+    np.testing.assert_array_equal(read.extra["object_id"], own.object_of)
+    np.testing.assert_array_equal(read.extra["relevancy"], own.relevancy)
+    labels = read_spz_labels(path)
+    assert [thing.name for thing in labels.things] == ["<i>a</i>", "🫖", "../b"]
+    assert labels.query == "tea"
+
+
+def test_version_4_without_objects_has_no_extension() -> None:
+    content = spz4_bytes(LabelledScene(scene(9, 1, 0)))
+    assert content[:8] == b"NGSP\x04\0\0\0"
+    assert parse_spz(memoryview(content)).extra == {}
+    assert content == spz4_bytes(LabelledScene(scene(9, 1, 0)))
+
+
+def test_damaged_objects_are_refused_or_read() -> None:
+    good = spz4_bytes(labelled(30, 0))
+    for damaged in mutants(good, seeded(41), quota(300)):
+        with contextlib.suppress(DrSplatError):
+            parse_gaussians(memoryview(damaged))
+
+
+@pytest.mark.oracle
+@needs_node
+@needs_packages("@playcanvas/splat-transform")
+def test_splat_transform_reads_version_4_and_steps_over_objects(tmp_path: Path) -> None:
+    (tmp_path / "ours.spz").write_bytes(spz4_bytes(labelled(50, 3)))
+    splat_transform(tmp_path / "ours.spz", tmp_path / "theirs.ply")
+    ours, theirs = read_gaussians(tmp_path / "ours.spz"), read_gaussians(tmp_path / "theirs.ply")
+    for name in ("means", "opacities", "sh", "scales"):
+        np.testing.assert_allclose(getattr(ours, name), getattr(theirs, name), rtol=1e-5, atol=1e-6)

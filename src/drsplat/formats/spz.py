@@ -16,13 +16,16 @@ Source: github.com/nianticlabs/spz, README "File Format" and extensions/README.
 import struct
 import warnings
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from ..arrays import Float32, UInt8
+from ..contents import file_bytes
 from ..errors import DrSplatWarning, FormatError
 from ..scene.gaussians import Gaussians
 from .activation import checked, exp, from_smallest_three
+from .labels import Labels, parse_labels
 from .spz_streams import gunzipped, unzstd
 
 MAGIC = b"NGSP"
@@ -30,6 +33,8 @@ PREFIX = struct.Struct("<4sIIBBBB")
 HEADER_BYTES = 32
 ANTIALIASED, HAS_EXTENSIONS, HAS_LOD_TREE = 0x01, 0x02, 0x80
 COORDINATE_SYSTEM = 0xADBE0003
+OBJECTS = 0xD25B0001  # drsplat's own extension: object and relevancy of each Gaussian, names and boxes
+OBJECT_SIZES = struct.Struct("<3Q")
 COLOUR_SCALE = 0.15
 REST_COEFFICIENTS = (0, 3, 8, 15, 24)
 # Sign of each SH basis function, degrees 1 to 3, as powers of the signs of x, y and z.
@@ -75,8 +80,46 @@ def parse_spz(buffer: memoryview) -> Gaussians:
         exp(log_scales),
         alphas.astype(np.float32) / 255,
         _harmonics(colours, rest, header, signs),
+        _objects(extensions, n)[0],
         antialiased=bool(header.flags & ANTIALIASED),
     )
+
+
+def read_spz_labels(path: Path) -> Labels:
+    """Return the names and boxes that drsplat wrote into an SPZ of version 4; none in other files.
+
+    Raises: FormatError: a damaged file, or labels that are none.
+    """
+    _, extensions, header = _planes(file_bytes(path).data)
+    content = _objects(extensions, header.count)[1]
+    return parse_labels(content, f"{path}: extension") if content else Labels()
+
+
+def _objects(extensions: bytes, count: int) -> tuple[dict[str, np.ndarray], bytes]:
+    """Return the columns of drsplat's extension, and its labels as JSON; neither where there is none."""
+    payload = _record(extensions, OBJECTS)
+    if payload is None:
+        return {}, b""
+    if len(payload) < OBJECT_SIZES.size:
+        raise FormatError("SPZ: drsplat's extension is truncated")
+    sizes = OBJECT_SIZES.unpack_from(payload)
+    if any(size not in (0, 4 * count) for size in sizes[:2]):
+        raise FormatError(f"SPZ: expected objects of {count} Gaussians, got {sizes[0]} and {sizes[1]} bytes")
+    content = unzstd(memoryview(payload)[OBJECT_SIZES.size :], sum(sizes))
+    ids, relevancy = content[: sizes[0]], content[sizes[0] : sizes[0] + sizes[1]]
+    columns = {"object_id": np.frombuffer(ids, "<i4").copy(), "relevancy": np.frombuffer(relevancy, "<f4").copy()}
+    return {name: column for name, column in columns.items() if len(column)}, content[sizes[0] + sizes[1] :]
+
+
+def _record(extensions: bytes, wanted: int) -> bytes | None:
+    """Return the payload of the first extension of a kind."""
+    offset = 0
+    while offset + 8 <= len(extensions):
+        kind, length = struct.unpack_from("<II", extensions, offset)
+        if kind == wanted:
+            return extensions[offset + 8 : offset + 8 + length]
+        offset += 8 + length
+    return None
 
 
 def _planes(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], bytes, SpzHeader]:

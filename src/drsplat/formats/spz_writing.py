@@ -1,22 +1,29 @@
-"""Writing SPZ, version 3: one gzip stream of quantised planes, which browsers, phones and other viewers read.
+"""Writing SPZ, version 3 (one gzip stream of quantised planes) and version 4 (a zstd stream of each plane).
 
 Values keep the format's own precision: opacities and colours 8 bits, scales 1/16 of a natural logarithm, rotations
 9 bits a component, positions 24 bits over the extent of the scene.
 
-Source: github.com/nianticlabs/spz, README "File Format".
+Version 4 has room for extensions: the object of each Gaussian, its relevancy, names and boxes travel in one, which
+other readers step over. Version 3, which more viewers read, has none.
+
+Source: github.com/nianticlabs/spz, README "File Format" and extensions/README.
 """
 
 import gzip
 import io
+import struct
 
 import numpy as np
 
 from ..arrays import Float32, UInt8
 from ..errors import InputError
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians
-from .spz import ANTIALIASED, COLOUR_SCALE, MAGIC, PARITIES, PREFIX
+from ..scene.labelled import LabelledScene
+from .labels import has_labels, labels_bytes
+from .spz import ANTIALIASED, COLOUR_SCALE, HAS_EXTENSIONS, HEADER_BYTES, MAGIC, OBJECTS, PARITIES, PREFIX
 
-VERSION = 3
+VERSION, VERSION_4 = 3, 4
+ZSTD_LEVEL = 12
 LARGEST_FIXED = (1 << 23) - 1  # of a position, in units of 2**-fractional_bits
 MAX_FRACTIONAL_BITS = 24
 TO_RUB = np.array([1, -1, -1], np.float32)  # a PLY's axes are right, down, front; SPZ has right, up, back
@@ -31,13 +38,54 @@ def spz_bytes(gaussians: Gaussians, degree: int | None = None) -> bytes:
 
     Raises: InputError: a scene without Gaussians or too wide for the format, a degree that the scene has not.
     """
-    degree = gaussians.sh_degree if degree is None else degree
+    planes = _planes(gaussians, gaussians.sh_degree if degree is None else degree, VERSION, 0)
+    out = io.BytesIO()
+    with gzip.GzipFile(fileobj=out, mode="wb", compresslevel=6, mtime=0) as stream:  # the same bytes at any time
+        for plane in planes:
+            stream.write(plane)
+    return out.getvalue()
+
+
+def spz4_bytes(scene: LabelledScene) -> bytes:
+    """Encode a scene as SPZ of version 4, with its objects in an extension, rows in their order.
+
+    Raises: InputError: a scene without Gaussians or too wide for the format.
+    """
+    import zstandard
+
+    gaussians = scene.gaussians
+    extension = _extension(scene) if has_labels(scene) else b""
+    flags = HAS_EXTENSIONS if extension else 0
+    prefix, *planes = _planes(gaussians, gaussians.sh_degree, VERSION_4, flags, 5 + bool(gaussians.sh_degree))
+    coder = zstandard.ZstdCompressor(level=ZSTD_LEVEL)
+    kept = [plane for plane in planes if plane]
+    streams = [coder.compress(plane) for plane in kept]
+    table = b"".join(struct.pack("<QQ", len(s), len(p)) for s, p in zip(streams, kept, strict=True))
+    head = struct.pack("<I12x", HEADER_BYTES + len(extension))
+    return b"".join([prefix, head, extension, table, *streams])
+
+
+def _extension(scene: LabelledScene) -> bytes:
+    """Encode objects as a record of drsplat's: sizes of three parts, and these, in a zstd stream."""
+    import zstandard
+
+    parts = [
+        b"" if scene.object_of is None else scene.object_of.astype("<i4").tobytes(),
+        b"" if scene.relevancy is None else scene.relevancy.astype("<f4").tobytes(),
+        labels_bytes(scene),
+    ]
+    payload = struct.pack("<3Q", *map(len, parts)) + zstandard.ZstdCompressor(ZSTD_LEVEL).compress(b"".join(parts))
+    return struct.pack("<II", OBJECTS, len(payload)) + payload
+
+
+def _planes(gaussians: Gaussians, degree: int, version: int, flags: int, streams: int = 0) -> tuple[bytes, ...]:
+    """Return the first 16 bytes and the planes in their order."""
     if not 0 <= degree <= gaussians.sh_degree:
         raise InputError(f"degree: expected 0 to {gaussians.sh_degree}, which the scene has, got {degree}")
     bits = _fractional_bits(gaussians.means)
-    flags = ANTIALIASED if gaussians.antialiased else 0
-    planes = (
-        PREFIX.pack(MAGIC, VERSION, len(gaussians), degree, bits, flags, 0),
+    flags |= ANTIALIASED if gaussians.antialiased else 0
+    return (
+        PREFIX.pack(MAGIC, version, len(gaussians), degree, bits, flags, streams),
         _fixed(gaussians.means * TO_RUB, bits).tobytes(),
         _byte(gaussians.opacities * 255).tobytes(),
         _byte((gaussians.sh[:, 0] * COLOUR_SCALE + 0.5) * 255).tobytes(),
@@ -45,11 +93,6 @@ def spz_bytes(gaussians: Gaussians, degree: int | None = None) -> bytes:
         _smallest_three(gaussians.quats * np.array([1, *TO_RUB], np.float32)).tobytes(),
         _harmonics(gaussians.sh[:, 1 : SH_COEFFICIENTS[degree]]).tobytes(),
     )
-    out = io.BytesIO()
-    with gzip.GzipFile(fileobj=out, mode="wb", compresslevel=6, mtime=0) as stream:  # the same bytes at any time
-        for plane in planes:
-            stream.write(plane)
-    return out.getvalue()
 
 
 def _fractional_bits(means: Float32[np.ndarray, "n 3"]) -> int:
