@@ -92,13 +92,18 @@ def _scene(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _named_objects(path: Path) -> dict[str, Any]:
-    """Describe the objects that a glTF has with their names; nothing of other files."""
+    """Describe the objects that a glTF or a USD has with their names; nothing of other files."""
     from ..formats.glb import names_in_glb
+    from ..formats.usd import SUFFIXES as USD_SUFFIXES
+    from ..formats.usd import read_usd
 
-    if path.suffix.lower() not in (".glb", ".gltf"):
+    if path.suffix.lower() in (".glb", ".gltf"):
+        names = [(one.number, one.name) for one in names_in_glb(path)]
+    elif path.suffix.lower() in USD_SUFFIXES:
+        names = [(thing.number, thing.name) for thing in read_usd(path).things]
+    else:
         return {}
-    names = names_in_glb(path)
-    return {"num_objects": len(names), "objects": [{"id": one.number, "name": one.name} for one in names]}
+    return {"num_objects": len(names), "objects": [{"id": number, "name": name} for number, name in names]}
 
 
 def _capture(arguments: argparse.Namespace) -> dict[str, Any]:

@@ -14,6 +14,8 @@ from .replacing import replacing
 from .scenes import write_gaussians
 from .sog_writing import sog_bytes
 from .spz_writing import spz_bytes
+from .usd_library import write_usdc, write_usdz
+from .usd_writing import write_usda
 
 BLOCK = 1 << 14  # rows that are looked at together
 ASPECTS: Mapping[str, str] = MappingProxyType(
@@ -115,14 +117,26 @@ def _write_sog(path: Path, scene: LabelledScene, overwrite: bool) -> None:
 
 
 WRITERS: Mapping[str, Writer] = MappingProxyType(
-    {".glb": write_glb, ".ply": _write_ply, ".sog": _write_sog, ".spz": _write_spz}
+    {
+        ".glb": write_glb,
+        ".ply": _write_ply,
+        ".sog": _write_sog,
+        ".spz": _write_spz,
+        ".usda": write_usda,
+        ".usdc": write_usdc,
+        ".usdz": write_usdz,
+    }
 )
+_USD_HELD = frozenset(ASPECTS) - {"columns", "embeddings"}
 HELD: Mapping[str, frozenset[str]] = MappingProxyType(
     {
         ".glb": frozenset(ASPECTS) - {"columns"},
         ".ply": frozenset({"numbers", "relevancy", "columns"}),
         ".sog": frozenset({"numbers", "names", "relevancy"}),
         ".spz": frozenset(),
+        ".usda": _USD_HELD,
+        ".usdc": _USD_HELD,
+        ".usdz": _USD_HELD,
     }
 )
 """What each format keeps, of `ASPECTS`; a format that is not in it keeps all."""

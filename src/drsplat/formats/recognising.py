@@ -16,7 +16,7 @@ from .field_folder import MANIFEST
 from .photo_files import PHOTO_SUFFIXES
 
 TRANSFORMS, TRAIN_TRANSFORMS, CAMERAS = "transforms.json", "transforms_train.json", "cameras.json"
-SCENE_SUFFIXES = (".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb", ".gltf")
+SCENE_SUFFIXES = (".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb", ".gltf", ".usda", ".usdc", ".usdz", ".usd")
 FIELD_SUFFIX = ".field"
 _HEAD_BYTES = 4096  # the properties of a PLY are named in them
 _SPLATS, _MOST_NAMES_BYTES = b"KHR_gaussian_splatting", 1 << 20  # of a glTF, whose names may stand anywhere in it
@@ -83,7 +83,7 @@ _SUFFIXES = {
     **dict.fromkeys(_VIDEOS, Kind.VIDEO),
     **dict.fromkeys(_UNREAD, Kind.UNREAD_PHOTOS),
     **dict.fromkeys((".zip", ".tar", ".tgz", ".gz", ".7z", ".rar"), Kind.ARCHIVE),
-    **dict.fromkeys((".obj", ".fbx", ".stl", ".dae", ".usdz", ".blend"), Kind.MESH),
+    **dict.fromkeys((".obj", ".fbx", ".stl", ".dae", ".blend"), Kind.MESH),
     **dict.fromkeys((".las", ".laz", ".e57", ".pcd", ".xyz"), Kind.POINTS),
     **dict.fromkeys((COMPACT, EMBEDDINGS), Kind.FEATURES),
     ".db": Kind.DATABASE,

@@ -30,6 +30,10 @@ from .spz import MAGIC as SPZ_MAGIC
 from .spz import parse_spz
 from .streamed_sog import LOD_META, finest_chunks
 from .tiles import TILES, read_tiles
+from .usd import SUFFIXES as USD_SUFFIXES
+from .usd import TEXT as USD_TEXT
+from .usd import layer_of, scene_of
+from .usd_text import parse_usda
 
 GLTF = ".gltf"  # a document of JSON, which has no mark
 GZIP_DEFLATE = b"\x1f\x8b\x08"
@@ -37,7 +41,7 @@ EDITED, HEADER_BEGIN_BYTES = "edited by drsplat", 256
 
 
 def read_gaussians(path: str | PathLike[str]) -> Gaussians:
-    """Read a scene: 3DGS PLY, compressed PLY, SPZ 2-4, SOG, KSPLAT, `.splat`, GLB, tiles, or a trained model's folder.
+    """Read a scene: PLY of 3DGS, compressed PLY, SPZ 2-4, SOG, KSPLAT, `.splat`, GLB, USD, tiles, a model's folder.
 
     The format is told by the file's first bytes; only `.splat`, which has no mark, by its suffix.
     In a folder, its tiles, its SOG (meta.json; lod-meta.json of a streamed one, the finest level; they may be named
@@ -60,6 +64,8 @@ def read_gaussians(path: str | PathLike[str]) -> Gaussians:
             return read_tiles(path.parent).gaussians()
         if path.suffix.lower() == GLTF:
             return local(read_glb(path), str(path))
+        if path.suffix.lower() in USD_SUFFIXES:
+            return local(scene_of(layer_of(path)).gaussians, str(path))
         content = file_bytes(path)
         if not content.size:
             raise FormatError("the file is empty")
@@ -93,12 +99,14 @@ def parse_gaussians(buffer: memoryview, suffix: str = "") -> Gaussians:
         return parse_sog(buffer)
     if start == GLB_MAGIC or suffix.lower() == GLTF:
         return parse_glb(buffer)
+    if bytes(buffer[: len(USD_TEXT)]) == USD_TEXT:
+        return scene_of(parse_usda(buffer)).gaussians
     if start == KSPLAT_MAGIC or suffix.lower() == ".ksplat":
         return parse_ksplat(buffer)
     if suffix.lower() == ".splat":
         return parse_splat(buffer)
     raise FormatError(
-        f"no scene format begins with {start!r}; PLY, compressed PLY, SPZ, SOG, KSPLAT, .splat and GLB "
+        f"no scene format begins with {start!r}; PLY, compressed PLY, SPZ, SOG, KSPLAT, .splat, GLB and USD "
         "can be read. Convert others first, e.g. `splat-transform scene.lcc scene.ply`"
     )
 

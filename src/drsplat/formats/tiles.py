@@ -6,7 +6,7 @@ the tile. What a photo sees is loaded from the tiles in front of its camera, nev
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -87,6 +87,10 @@ class Tiles:
             means, quats, widths, opacities, np.zeros((tile.num_rows, 1, 3), np.float32), origin=self.origin,
             antialiased=self.antialiased,
         )  # fmt: skip
+
+    def tile(self, tile: Tile) -> Gaussians:
+        """Return a tile with its colours. Raises: FormatError: damaged."""
+        return replace(self.shapes(tile), sh=self._read(tile, COLOURS, _COLOURS)["sh"])
 
     def gaussians(self) -> Gaussians:
         """The whole scene in memory, with the block and the row there that each Gaussian came from as extra columns.

@@ -17,10 +17,10 @@ def geodetic(origin: tuple[float, float, float], enu: Float64[np.ndarray, "n 3"]
 
     origin: its longitude, latitude and height. enu: metres east, north and up of it.
     """
-    return _from_geocentric(geocentric(np.array([origin]))[0] + enu @ _axes(origin))
+    return _from_geocentric(geocentric(np.array([origin]))[0] + enu @ enu_axes(origin))
 
 
-def _axes(origin: tuple[float, float, float]) -> Float64[np.ndarray, "3 3"]:
+def enu_axes(origin: tuple[float, float, float]) -> Float64[np.ndarray, "3 3"]:
     """Return rows east, north and up of an origin, in geocentric axes."""
     longitude, latitude = np.radians(origin[:2])
     sin_l, cos_l, sin_p, cos_p = np.sin(longitude), np.cos(longitude), np.sin(latitude), np.cos(latitude)
@@ -55,4 +55,4 @@ def local_offsets(
     origin: tuple[float, float, float], positions: Float64[np.ndarray, "n 3"]
 ) -> Float64[np.ndarray, "n 3"]:
     """Return metres east, north and up of an origin for longitudes, latitudes and heights; see `geodetic`."""
-    return np.asarray((geocentric(positions) - geocentric(np.array([origin]))[0]) @ _axes(origin).T)
+    return np.asarray((geocentric(positions) - geocentric(np.array([origin]))[0]) @ enu_axes(origin).T)

@@ -1,0 +1,138 @@
+"""Binary OpenUSD (`.usdc`, `.usdz`) through its own library, `usd-core`: the format is defined by that code alone.
+
+A layer is read as it lies in the file: nothing that it refers to is opened.
+"""
+
+import shutil
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import FormatError, MissingExtraError
+from ..scene.labelled import LabelledScene
+from .replacing import replacing
+from .usd_text import MAX_DEPTH, TIME_SAMPLES, UsdPrim, Value, is_wanted
+from .usd_writing import ROOT, SPLAT, Column, columns_of, layer_text
+
+MARK = b"PXR-USDC"
+INSTALL = 'pip install "drsplat[usd]"'
+_ARRAYS = {
+    "point3f[]": "Vec3fArray", "float3[]": "Vec3fArray", "quatf[]": "QuatfArray", "float[]": "FloatArray",
+    "int[]": "IntArray",
+}  # fmt: skip
+_TO_XYZW, _TO_WXYZ = [1, 2, 3, 0], [3, 0, 1, 2]  # of quaternions, whose real part the library keeps last
+
+
+def openusd() -> Any:
+    """Return the package pxr. Raises: MissingExtraError: it is not installed."""
+    try:
+        from pxr import Gf, Sdf, Tf, UsdUtils, Vt  # noqa: F401
+    except ModuleNotFoundError:
+        raise MissingExtraError(f"binary USD needs OpenUSD's own library: {INSTALL}, or use .usda") from None
+    import pxr
+
+    return pxr
+
+
+def write_usdc(path: Path, scene: LabelledScene, overwrite: bool = False) -> None:
+    """Write a scene as binary OpenUSD. Raises: MissingExtraError: no library. InputError: as `write_usda`."""
+    pxr = openusd()
+    layer = _library_layer_of(pxr, scene)
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder) / f"{ROOT}.usdc"
+        _export(pxr, layer, made)
+        _move(made, path, overwrite)
+
+
+def write_usdz(path: Path, scene: LabelledScene, overwrite: bool = False) -> None:
+    """Write a scene as a package of one binary layer. Raises: as `write_usdc`."""
+    pxr = openusd()
+    layer = _library_layer_of(pxr, scene)
+    with tempfile.TemporaryDirectory() as folder:
+        made, package = Path(folder) / f"{ROOT}.usdc", Path(folder) / f"{ROOT}.usdz"
+        _export(pxr, layer, made)
+        with pxr.Sdf.ZipFileWriter.CreateNew(str(package)) as writer:
+            writer.AddFile(str(made), made.name)
+        _move(package, path, overwrite)
+
+
+def library_layer(path: Path) -> UsdPrim:
+    """Return the layer of a binary file or a package, as `parse_usda` does that of a text.
+
+    Raises: MissingExtraError: no library. FormatError: damaged.
+    """
+    pxr = openusd()
+    try:
+        layer = pxr.Sdf.Layer.OpenAsAnonymous(str(path))
+    except pxr.Tf.ErrorException as error:
+        raise FormatError(f"OpenUSD does not read it: {str(error).strip()[:200]}") from None
+    if layer is None:
+        raise FormatError("OpenUSD does not read it")
+    root = UsdPrim("", "")
+    waiting = [(root, spec, 1) for spec in layer.rootPrims]
+    while waiting:
+        parent, spec, depth = waiting.pop(0)
+        prim = _prim(pxr, spec)
+        parent.children.append(prim)
+        if depth > MAX_DEPTH:
+            raise FormatError(f"expected prims in prims up to {MAX_DEPTH} deep")
+        waiting += [(prim, child, depth + 1) for child in spec.nameChildren]
+    return root
+
+
+def _library_layer_of(pxr: Any, scene: LabelledScene) -> Any:
+    """Return an open layer: its text without arrays is parsed by the library, and the arrays are set."""
+    columns = columns_of(scene)
+    layer = pxr.Sdf.Layer.CreateAnonymous(".usda")
+    layer.ImportFromString("".join(layer_text(scene, map(_declared, columns))))
+    for column in columns:
+        layer.GetAttributeAtPath(f"/{ROOT}/{SPLAT}.{column.name}").default = _library_array(pxr, column)
+    return layer
+
+
+def _declared(column: Column) -> str:
+    metadata = f" (\n            {column.metadata}\n        )" if column.metadata else ""
+    return f"        {column.kind} {column.name}{metadata}\n"
+
+
+def _library_array(pxr: Any, column: Column) -> Any:
+    rows = column.rows[:, _TO_XYZW] if column.kind == "quatf[]" else column.rows
+    return getattr(pxr.Vt, _ARRAYS[column.kind]).FromNumpy(np.ascontiguousarray(rows))
+
+
+def _export(pxr: Any, layer: Any, path: Path) -> None:
+    if not layer.Export(str(path)):
+        raise FormatError(f"OpenUSD could not write {path.name}")
+
+
+def _move(made: Path, path: Path, overwrite: bool) -> None:
+    with replacing(path, overwrite) as file, made.open("rb") as source:
+        shutil.copyfileobj(source, file, 1 << 20)
+
+
+def _prim(pxr: Any, spec: Any) -> UsdPrim:
+    prim = UsdPrim(spec.typeName, spec.name, spec.specifier == pxr.Sdf.SpecifierDef)
+    if spec.HasInfo("displayName"):
+        prim.metadata["displayName"] = str(spec.GetInfo("displayName"))
+    for attribute in spec.attributes:
+        value = _value(attribute.default) if is_wanted(attribute.name) else None
+        if value is not None:
+            prim.attributes[attribute.name] = value
+        elif attribute.HasInfo("timeSamples"):
+            prim.attributes[f"{attribute.name}{TIME_SAMPLES}"] = ""
+    return prim
+
+
+def _value(value: Any) -> Value | None:
+    """Return text, or numbers in one row; None for anything else."""
+    if value is None or isinstance(value, str):
+        return value
+    try:
+        numbers = np.asarray(value)
+        if type(value).__name__.startswith("Quat") and numbers.ndim == 2:
+            numbers = numbers[:, _TO_WXYZ]
+    except (TypeError, ValueError):
+        return None
+    return numbers.reshape(-1) if numbers.dtype.kind in "fiub" else None

@@ -1,0 +1,504 @@
+"""OpenUSD: scenes with their objects written and read, by us, by OpenUSD's library, and by programs of others."""
+
+import shutil
+import subprocess
+import sys
+import tracemalloc
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from command_line import Capture, answer_of
+from drsplat import read_gaussians
+from drsplat.errors import DrSplatWarning, FormatError, InputError
+from drsplat.formats.exports import write_scene
+from drsplat.formats.usd import read_usd
+from drsplat.formats.usd_text import parse_usda
+from drsplat.formats.usd_writing import prim_name
+from drsplat.scene.annotations import Annotation
+from drsplat.scene.gaussians import Gaussians
+from drsplat.scene.labelled import LabelledScene, Thing
+from mutations import bounded_allocations, mutants, quota, seeded
+from scene_files import ply_bytes, ply_columns, random_gaussians
+
+TURNED = np.array([[0.6, 0.8, 0], [-0.8, 0.6, 0], [0, 0, 1]])
+NAMES = (
+    'red "mug" \\ x', "<b>é 🦊</b>", "../a/b\\c", "line\none\ttwo\x01\x7f", "7 up", "'''\"\"\"", "日本", "red mug",
+    "red mug", "# no comment", "a" * 300,
+)  # fmt: skip
+SUFFIXES = [".usda", pytest.param(".usdc", marks=pytest.mark.oracle), pytest.param(".usdz", marks=pytest.mark.oracle)]
+MUTANTS = quota(600)
+ALLOWANCE = 48 << 20
+
+
+def labelled(count: int = 40, names: tuple[str, ...] = NAMES) -> LabelledScene:
+    """Make a scene with everything that a file can carry, none of it at zero or upright."""
+    rng = np.random.default_rng(0)
+    gaussians = replace(random_gaussians(rng, count), origin=np.array([5e5, 4e6, 100.25]))
+    unit = np.array([0.6, 0.8], np.float32)
+    things = tuple(
+        Thing(
+            name, number / 100, np.array([number, 1 / 3, -2.0]), TURNED, np.array([1.0, 2.0, 0.1]), number % 2 - 1, unit
+        )
+        for number, name in enumerate(names)
+    )
+    notes = (
+        Annotation.at("a point", [1, 2, 3]),
+        Annotation.box("a box", np.array([1.0, 2, 3]), TURNED, np.array([1.0, 2, 3])),
+    )
+    group = Thing("dishes", 0.75, np.ones(3), np.eye(3), np.ones(3))
+    return LabelledScene(
+        gaussians, "room é", things, (group,), (np.arange(count) % (len(names) + 1) - 1).astype(np.int32), "red mug",
+        rng.uniform(size=count).astype(np.float32), things[:1], notes, (0.6, 0.0, 0.8), "an encoder",
+    )  # fmt: skip
+
+
+def needs_library(path: Path) -> None:
+    if path.suffix != ".usda":
+        pytest.importorskip("pxr")
+
+
+def assert_equal(read: Gaussians, written: Gaussians, atol: float = 2e-7) -> None:
+    """Compare all but positions to what another normalising of quaternions leaves."""
+    np.testing.assert_array_equal(read.means, written.means)
+    for name in ("quats", "scales", "opacities", "sh"):
+        np.testing.assert_allclose(getattr(read, name), getattr(written, name), rtol=0, atol=atol, err_msg=name)
+
+
+def assert_same_things(read: tuple[Thing, ...], written: tuple[Thing, ...]) -> None:
+    for ours, theirs in zip(read, written, strict=True):
+        assert (ours.name, ours.score, ours.parent) == (theirs.name, theirs.score, theirs.parent)
+        for name in ("center", "axes", "extent"):
+            np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name))
+        if theirs.embedding is not None:
+            np.testing.assert_array_equal(ours.embedding, theirs.embedding)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_a_scene_comes_back_with_everything(suffix: str, tmp_path: Path) -> None:
+    scene, path = labelled(), tmp_path / f"out{suffix}"
+    needs_library(path)
+    write_scene(path, scene)
+    read = read_usd(path)
+    assert_equal(read.gaussians, scene.gaussians)
+    assert read.gaussians.fingerprint == scene.gaussians.fingerprint
+    for name in ("things", "groups", "matches"):
+        assert_same_things(getattr(read, name), getattr(scene, name))
+    np.testing.assert_array_equal(read.object_of, scene.object_of)
+    np.testing.assert_array_equal(read.relevancy, scene.relevancy)
+    assert (read.title, read.query, read.up, read.encoder) == (scene.title, scene.query, scene.up, scene.encoder)
+    assert [(note.text, note.outline is None) for note in read.annotations] == [("a point", True), ("a box", False)]
+    np.testing.assert_array_equal(read.annotations[1].outline.axes, TURNED)
+    with pytest.raises(InputError, match="exists already"):
+        write_scene(path, scene)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("degree", range(4))
+def test_each_degree_comes_back(degree: int, suffix: str, tmp_path: Path) -> None:
+    gaussians = replace(random_gaussians(np.random.default_rng(degree), 9, degree), antialiased=degree == 2)
+    path = tmp_path / f"out{suffix}"
+    needs_library(path)
+    write_scene(path, LabelledScene(gaussians))
+    read = read_gaussians(path)
+    assert_equal(read, gaussians)
+    assert (read.sh_degree, read.antialiased, dict(read.extra)) == (degree, degree == 2, {})
+
+
+def test_blocks_of_rows_meet(tmp_path: Path) -> None:
+    """4,096 rows are text at once, and 4 MiB of text numbers; a row more than one of each."""
+    gaussians = random_gaussians(np.random.default_rng(1), 9_000)
+    write_scene(tmp_path / "out.usda", LabelledScene(gaussians))
+    assert (tmp_path / "out.usda").stat().st_size > 6 << 20
+    assert_equal(read_gaussians(tmp_path / "out.usda"), gaussians)
+
+
+def test_openusd_reads_what_we_write(tmp_path: Path) -> None:
+    """Typed values, and where the prims stand: up is +Y, boxes are where their numbers say."""
+    pytest.importorskip("pxr")
+    from pxr import Gf, Usd, UsdGeom, UsdVol
+
+    scene = labelled()
+    write_scene(tmp_path / "out.usda", scene)
+    stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
+    assert (UsdGeom.GetStageUpAxis(stage), UsdGeom.GetStageMetersPerUnit(stage)) == ("Y", 1.0)
+    splat = UsdVol.ParticleField3DGaussianSplat(stage.GetPrimAtPath("/scene/gaussians"))
+    g = scene.gaussians
+    np.testing.assert_array_equal(splat.GetPositionsAttr().Get(), g.means)
+    np.testing.assert_array_equal(splat.GetScalesAttr().Get(), g.scales)
+    np.testing.assert_array_equal(splat.GetOpacitiesAttr().Get(), g.opacities)
+    turns = splat.GetOrientationsAttr().Get()
+    np.testing.assert_array_equal([[turn.GetReal(), *turn.GetImaginary()] for turn in turns], g.quats)
+    harmonics = splat.GetRadianceSphericalHarmonicsCoefficientsAttr().Get()
+    np.testing.assert_array_equal(np.array(harmonics).reshape(len(g), -1, 3), g.sh)
+    assert splat.GetRadianceSphericalHarmonicsDegreeAttr().Get() == 3
+    numbers = UsdGeom.PrimvarsAPI(splat).GetPrimvar("object_id")
+    assert numbers.GetInterpolation() == "vertex"
+    np.testing.assert_array_equal(numbers.Get(), scene.object_of)
+    turn = UsdGeom.Xformable(splat).ComputeLocalToWorldTransform(Usd.TimeCode.Default())
+    np.testing.assert_allclose(turn.TransformDir(Gf.Vec3d(*scene.up)), [0, 1, 0], atol=1e-12)
+    world = UsdGeom.XformCache().GetLocalToWorldTransform(stage.GetPrimAtPath("/scene"))
+    np.testing.assert_allclose(turn.ExtractTranslation(), world.Transform(Gf.Vec3d(*g.origin)), atol=1e-6)
+    prims = stage.GetPrimAtPath("/scene/objects").GetChildren()
+    assert [prim.GetDisplayName() for prim in prims] == list(NAMES)
+    for prim, thing in zip(prims, scene.things, strict=True):
+        place = UsdGeom.Cube(prim).GetLocalTransformation()
+        corner = thing.center + 0.5 * thing.extent @ thing.axes
+        np.testing.assert_allclose(place.Transform(Gf.Vec3d(0.5, 0.5, 0.5)), corner, atol=1e-12)
+
+
+def test_the_extent_holds_three_standard_deviations(tmp_path: Path) -> None:
+    """Of one Gaussian that is turned by a quarter about z: its longest axis then lies along y."""
+    pytest.importorskip("pxr")
+    from pxr import Usd, UsdGeom
+
+    half = np.float32(np.sqrt(0.5))
+    one = Gaussians(
+        np.array([[1, 2, 3]], np.float32), np.array([[half, 0, 0, half]], np.float32),
+        np.array([[2, 1, 0.5]], np.float32), np.ones(1, np.float32), np.zeros((1, 1, 3), np.float32),
+    )  # fmt: skip
+    write_scene(tmp_path / "out.usda", LabelledScene(one))
+    stage = Usd.Stage.Open(str(tmp_path / "out.usda"))
+    extent = np.array(UsdGeom.Boundable(stage.GetPrimAtPath("/scene/gaussians")).GetExtentAttr().Get())
+    np.testing.assert_allclose(extent, [[-2, -4, 1.5], [4, 8, 4.5]], atol=1e-5)
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
+def test_openusd_finds_nothing_to_object(suffix: str, tmp_path: Path) -> None:
+    pytest.importorskip("pxr")
+    from pxr import Usd, UsdValidation
+
+    write_scene(tmp_path / f"out{suffix}", labelled())
+    validators = UsdValidation.ValidationRegistry().GetOrLoadAllValidators()
+    assert len(validators) > 10
+    errors = UsdValidation.ValidationContext(validators).Validate(Usd.Stage.Open(str(tmp_path / f"out{suffix}")))
+    assert [error.GetMessage() for error in errors] == []
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
+def test_tinyusdz_reads_what_we_write(suffix: str, tmp_path: Path) -> None:
+    """Another implementation than OpenUSD's, in another language."""
+    tinyusdz = pytest.importorskip("tinyusdz")
+    scene, path = labelled(), tmp_path / f"out{suffix}"
+    needs_library(path)
+    write_scene(path, scene)
+    prims = {prim.name: prim for prim in tinyusdz.traverse(tinyusdz.load(str(path)))}
+    splat = prims["gaussians"]
+    assert splat.type_name == "ParticleField3DGaussianSplat"
+    for name, expected in (("positions", scene.gaussians.means), ("scales", scene.gaussians.scales)):
+        np.testing.assert_array_equal(np.asarray(splat.get_attribute(name).value).reshape(-1, 3), expected)
+    assert {prim_name(name, number) for number, name in enumerate(NAMES)} <= set(prims)
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usdz"])
+def test_we_read_what_nvidias_converter_writes(suffix: str, tmp_path: Path) -> None:
+    program = Path(sys.executable).with_name("usd-convert-gsplat")
+    if not program.exists() or shutil.which("usd-convert-gsplat", path=str(program.parent)) is None:
+        pytest.skip("usd-convert-gsplat is not installed")
+    pytest.importorskip("pxr")
+    gaussians = random_gaussians(np.random.default_rng(3), 50, 2)
+    (tmp_path / "in.ply").write_bytes(ply_bytes(ply_columns(gaussians)))
+    command = [str(program), "-i", str(tmp_path / "in.ply"), "-o", str(tmp_path / f"made{suffix}")]
+    subprocess.run(command, check=True, capture_output=True)
+    assert_equal(read_gaussians(tmp_path / f"made{suffix}"), read_gaussians(tmp_path / "in.ply"), 2e-6)
+
+
+def library_stage(path: Path, halves: bool = False, degree: int = 1) -> Gaussians:
+    """Write three Gaussians with OpenUSD's own classes, as half-precision numbers where `halves`."""
+    from pxr import Gf, Usd, UsdGeom, UsdVol, Vt
+
+    gaussians = random_gaussians(np.random.default_rng(4), 3, 3)
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageUpAxis(stage, "Z")
+    UsdGeom.Mesh.Define(stage, "/World/table")
+    splat = UsdVol.ParticleField3DGaussianSplat.Define(stage, "/World/splat")
+    wide = {
+        "Positions": Vt.Vec3fArray.FromNumpy(gaussians.means), "Scales": Vt.Vec3fArray.FromNumpy(gaussians.scales),
+        "Opacities": Vt.FloatArray.FromNumpy(gaussians.opacities),
+        "Orientations": Vt.QuatfArray([Gf.Quatf(*map(float, quat)) for quat in gaussians.quats]),
+    }  # fmt: skip
+    narrow = {
+        "Positions": Vt.Vec3hArray.FromNumpy(gaussians.means.astype(np.float16)),
+        "Scales": Vt.Vec3hArray.FromNumpy(gaussians.scales.astype(np.float16)),
+        "Opacities": Vt.HalfArray.FromNumpy(gaussians.opacities.astype(np.float16)),
+        "Orientations": Vt.QuathArray([Gf.Quath(*map(float, quat)) for quat in gaussians.quats]),
+    }  # fmt: skip
+    for name, value in (narrow if halves else wide).items():
+        getattr(splat, f"Create{name}{'h' if halves else ''}Attr")(value)
+    splat.CreateRadianceSphericalHarmonicsDegreeAttr(degree)
+    coefficients = np.zeros((3, (degree + 1) ** 2, 3), np.float32)
+    shared = min(16, coefficients.shape[1])
+    coefficients[:, :shared] = gaussians.sh[:, :shared]
+    splat.CreateRadianceSphericalHarmonicsCoefficientsAttr(Vt.Vec3fArray.FromNumpy(coefficients.reshape(-1, 3)))
+    stage.GetRootLayer().Save()
+    return replace(gaussians, sh=np.ascontiguousarray(gaussians.sh[:, :shared]))
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc"])
+@pytest.mark.parametrize("halves", [False, True])
+def test_we_read_what_openusd_writes(suffix: str, halves: bool, tmp_path: Path) -> None:
+    pytest.importorskip("pxr")
+    gaussians = library_stage(tmp_path / f"in{suffix}", halves)
+    read = read_gaussians(tmp_path / f"in{suffix}")
+    np.testing.assert_allclose(read.means, gaussians.means, atol=2e-3 if halves else 0)
+    np.testing.assert_allclose(read.quats, gaussians.quats, atol=2e-3 if halves else 2e-7)
+    np.testing.assert_allclose(read.sh, gaussians.sh, atol=1e-7)
+
+
+@pytest.mark.parametrize("suffix", [".usda", ".usdc"])
+def test_harmonics_above_degree_3_are_cut(suffix: str, tmp_path: Path) -> None:
+    pytest.importorskip("pxr")
+    gaussians = library_stage(tmp_path / f"in{suffix}", degree=4)
+    with pytest.warns(DrSplatWarning, match="degree 4 are cut to 3"):
+        read = read_gaussians(tmp_path / f"in{suffix}")
+    np.testing.assert_allclose(read.sh, gaussians.sh, atol=1e-7)
+
+
+SPLAT = """def ParticleField3DGaussianSplat "s" {
+  point3f[] positions = [(1, 2, 3), (4, 5, 6),]  # a comment, "with a quote
+  quatf[] orientations = [(2, 0, 0, 0), (0, 0, 0, 1)]; float3[] scales = [(1, 1, 1), (1e-3, .5, 2.)]
+  float[] opacities = [0.5, 1]
+  uniform int radiance:sphericalHarmonicsDegree = 0
+  float3[] radiance:sphericalHarmonicsCoefficients = [(0, 0, 0), (1, -1, +1)] ( elementSize = 1 )
+}
+"""
+
+
+def test_what_other_layers_have_is_stepped_over(tmp_path: Path) -> None:
+    others = '''#usda 1.0
+( """a layer's
+  notes""" customLayerData = { dictionary d = { string a = "}" } } subLayers = [ @a.usda@, @@@b@c@@@ (offset = 1) ] )
+class "_c" { }
+over "o" { float x.timeSamples = { 0: 1, 1: 2 } }
+def Xform "w" ( prepend references = @x.usd@</y> prepend variantSets = "v" variants = { string v = "a" } )
+{
+  variantSet "v" = { "a" { def Mesh "m" { int[] i = [1, 2] } } }
+  prepend rel r = [</a>, </b>]
+  color3f inputs:c.connect = </m.outputs:c>
+  asset f = @tex.png@ ( doc = """it's) """ )
+  string[] names = ["a]", 'b"', "c\\""]
+  matrix4d m = ( (1, 0, 0, 0), (0, 1, 0, 0), (0, 0, 1, 0), (0, 0, 0, 1) )
+  double y = None
+  /* no { brace */ // nor } this
+  reorder nameChildren = ["s"]
+''' + SPLAT + "}\n"  # fmt: skip
+    (tmp_path / "in.usda").write_text(others)
+    read = read_gaussians(tmp_path / "in.usda")
+    np.testing.assert_array_equal(read.means, [[1, 2, 3], [4, 5, 6]])
+    np.testing.assert_array_equal(read.quats, [[1, 0, 0, 0], [0, 0, 0, 1]])
+    np.testing.assert_array_equal(read.sh[:, 0], [[0, 0, 0], [1, -1, 1]])
+
+
+def test_a_package_of_text_needs_no_library(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "in.usdz", "w") as package:
+        package.writestr("a.usda", "#usda 1.0\n" + SPLAT)
+    assert len(read_gaussians(tmp_path / "in.usdz")) == 2
+
+
+def test_several_splats_are_one_scene_unless_they_are_moved(tmp_path: Path) -> None:
+    both = SPLAT + SPLAT.replace('"s"', '"t"')
+    (tmp_path / "in.usda").write_text("#usda 1.0\n" + both)
+    assert len(read_gaussians(tmp_path / "in.usda")) == 4
+    moved = both.replace("{", '{ uniform token[] xformOpOrder = ["xformOp:translate"]', 1)
+    (tmp_path / "in.usda").write_text("#usda 1.0\n" + moved)
+    with pytest.raises(FormatError, match="2 splats, and prims that are moved"):
+        read_gaussians(tmp_path / "in.usda")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("ParticleField3DGaussianSplat", "Mesh"), "no prim of the schema ParticleField3DGaussianSplat, only Mesh"),
+        (("point3f[] positions =", "point3f[] positions.timeSamples = { 0:"), "expected"),
+        (("(4, 5, 6)", "(4, 5)"), "expected positions of 3 numbers each"),
+        (("(4, 5, 6),", "(4 5 6),"), "expected a comma after each number"),
+        (("(4, 5, 6)", "(4, 5, x)"), "expected numbers, got"),
+        (("(4, 5, 6)", "(4, 5, nan)"), "positions .* that are not finite"),
+        (("(4, 5, 6)", "(4, 5, 1e39)"), "positions .* that are not finite"),
+        (("(2, 0, 0, 0)", "(0, 0, 0, 0)"), "rotations"),
+        (("(1, 1, 1)", "(0, 1, 1)"), "scales"),
+        (("[0.5, 1]", "[0.5, 1.5]"), "opacities"),
+        (("[0.5, 1]", "[0.5]"), "2 positions, but 1 opacities"),
+        (("Degree = 0", "Degree = 1"), "have 8 harmonics, got 2"),
+        (("Degree = 0", "Degree = -1"), "degree from 0 to 3"),
+        (("Degree = 0", "Degree = 1e300"), "degree from 0 to 3"),
+        (("elementSize = 1 )", "elementSize = 1 "), "expected"),
+        (("[(1, 2, 3), (4, 5, 6),]", "[]"), "but 2 orientations"),
+        (('"s"', '"s'), "text in quotes that ends"),
+        (('"s"', "s"), "text in quotes"),
+    ],
+)
+def test_damage_is_named(change: tuple[str, str], message: str, tmp_path: Path) -> None:
+    (tmp_path / "in.usda").write_text("#usda 1.0\n" + SPLAT.replace(*change))
+    with pytest.raises(FormatError, match=message):
+        read_gaussians(tmp_path / "in.usda")
+
+
+def test_a_splat_that_moves_is_named(tmp_path: Path) -> None:
+    moving = SPLAT.replace("positions = [(1, 2, 3), (4, 5, 6),]", "positions.timeSamples = { 0: [(1, 2, 3)] }")
+    (tmp_path / "in.usda").write_text("#usda 1.0\n" + moving)
+    with pytest.raises(FormatError, match="positions move with time"):
+        read_gaussians(tmp_path / "in.usda")
+
+
+def test_mutants_of_text() -> None:
+    """Sound Gaussians or a precise error, with little memory."""
+    originals = [("#usda 1.0\n" + SPLAT).encode()]
+    rng, outcomes = seeded(7), {"read": 0, "refused": 0}
+    with bounded_allocations(ALLOWANCE):
+        for data in mutants(originals[0], rng, MUTANTS):
+            from drsplat.formats.usd import scene_of
+
+            try:
+                gaussians = scene_of(parse_usda(memoryview(data))).gaussians
+            except FormatError:
+                outcomes["refused"] += 1
+                continue
+            outcomes["read"] += 1
+            assert np.isfinite(gaussians.means).all()
+            assert (gaussians.scales > 0).all()
+    assert min(outcomes.values()) > MUTANTS // 20
+
+
+def test_mutants_with_objects(tmp_path: Path) -> None:
+    from drsplat.formats.usd import scene_of
+
+    write_scene(tmp_path / "out.usda", labelled(3))
+    refused = 0
+    for data in mutants((tmp_path / "out.usda").read_bytes(), seeded(8), MUTANTS):
+        try:
+            scene_of(parse_usda(memoryview(data)))
+        except FormatError:
+            refused += 1
+    assert 0 < refused < MUTANTS
+
+
+def test_mutants_of_packages(tmp_path: Path) -> None:
+    path = tmp_path / "in.usdz"
+    with zipfile.ZipFile(path, "w") as package:
+        package.writestr("a.usda", "#usda 1.0\n" + SPLAT)
+    refused = 0
+    for data in mutants(path.read_bytes(), seeded(9), 300):
+        if data[:8] == b"PXR-USDC":
+            continue
+        path.write_bytes(data)
+        try:
+            read_usd(path)
+        except (FormatError, InputError):
+            refused += 1
+    assert 0 < refused < 300
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        b"[" * (100 << 20),
+        b"(" + b"[" * (100 << 20),
+        b"(a = " + b"[]" * (1 << 20),
+        b'def X "a" {' * 300,
+        b'def X "a" { string s = "' + b"a" * (10 << 20),
+        b'def X "a" { float[] primvars:x = [' + b"(" * (10 << 20),
+        b'def X "a" { float[] primvars:x = [' + b"1" * (10 << 20) + b"]",
+        b'def X "a" { float[] primvars:x = ["' * 1000,
+        b"#" * (10 << 20),
+        b"/*" * (1 << 20),
+        b'(a = """' + b'"" ' * (1 << 20),
+        b"def X " + b"'''\\" * (1 << 20),
+    ],
+    ids=map(str, range(12)),
+)
+def test_hostile_text_is_refused_in_bounded_memory(text: bytes) -> None:
+    data = b"#usda 1.0\n" + text
+    tracemalloc.start()
+    with pytest.raises(FormatError):
+        read_scene(data)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 64 << 20
+
+
+def read_scene(data: bytes) -> None:
+    from drsplat.formats.usd import scene_of
+
+    scene_of(parse_usda(memoryview(data)))
+
+
+def test_numbers_that_text_repeats_cost_what_the_text_costs() -> None:
+    """The shortest number is two bytes of text; four bytes each in the end, eight for a piece at a time."""
+    data = b'#usda 1.0\ndef X "a" { float[] primvars:x = [' + b"1," * (8 << 20) + b"]}"
+    tracemalloc.start()
+    layer = parse_usda(memoryview(data))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert layer.children[0].attributes["primvars:x"].nbytes == 32 << 20
+    assert peak < 160 << 20
+
+
+HUNDRED_THOUSAND = """
+import sys; import numpy as np; from pathlib import Path
+from drsplat.formats.exports import write_scene; from drsplat.formats.usd import read_usd
+from drsplat.scene.gaussians import Gaussians; from drsplat.scene.labelled import LabelledScene, Thing
+def rows(*shape): return np.ones(shape, np.float32)
+things = tuple(Thing(f"thing {n % 7}", 0.5, np.zeros(3), np.eye(3), np.ones(3)) for n in range(100_000))
+g = Gaussians(rows(3, 3), rows(3, 4) / 2, rows(3, 3), rows(3), rows(3, 1, 3))
+path = Path(sys.argv[1])
+write_scene(path, LabelledScene(g, things=things, object_of=np.array([0, 99_999, -1], np.int32)))
+read = read_usd(path)
+assert [thing.name for thing in read.things] == [thing.name for thing in things]
+assert read.object_of.tolist() == [0, 99_999, -1]
+"""
+
+
+@pytest.mark.slow
+def test_a_hundred_thousand_objects(tmp_path: Path) -> None:
+    """In a process of its own: checks of types would take most of the time."""
+    subprocess.run([sys.executable, "-c", HUNDRED_THOUSAND, str(tmp_path / "out.usda")], check=True)
+
+
+def test_writing_takes_the_memory_of_a_block(tmp_path: Path) -> None:
+    """Twice the Gaussians take no more than a little more memory: rows are text some thousand at a time."""
+    peaks = []
+    for count in (5_000, 15_000):
+        scene = LabelledScene(random_gaussians(np.random.default_rng(0), count))
+        tracemalloc.start()
+        write_scene(tmp_path / "out.usda", scene, overwrite=True)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < peaks[0] + (3 << 20)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_what_no_file_could_give_back_is_refused(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"out{suffix}"
+    needs_library(path)
+    gaussians = random_gaussians(np.random.default_rng(0), 3)
+    gaussians.sh[1, 0, 0] = np.nan
+    with pytest.raises(InputError, match=r"the first is row 1|row 1 has"):
+        write_scene(path, LabelledScene(gaussians))
+    with pytest.raises(InputError, match=r"(no|without) Gaussians"):
+        write_scene(path, LabelledScene(gaussians.subset(np.zeros(0, int))))
+    with pytest.raises(InputError, match="name that can be written"):
+        write_scene(path, LabelledScene(gaussians.subset(np.array([0])), title="\ud800"))
+    assert not path.exists()
+
+
+def test_inspect_shows_the_objects(tmp_path: Path, capsys: Capture) -> None:
+    write_scene(tmp_path / "out.usda", labelled())
+    answer = answer_of(capsys, "inspect", tmp_path / "out.usda")
+    assert answer["num_gaussians"] == 40
+    assert [one["name"] for one in answer["objects"]] == list(NAMES)
+    assert answer["fingerprint"] == labelled().gaussians.fingerprint
+
+
+def test_binary_without_the_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from drsplat.errors import MissingExtraError
+
+    monkeypatch.setitem(sys.modules, "pxr", None)
+    (tmp_path / "in.usdc").write_bytes(b"PXR-USDC" + bytes(80))
+    with pytest.raises(MissingExtraError, match=r"drsplat\[usd\]"):
+        read_gaussians(tmp_path / "in.usdc")
+    with pytest.raises(MissingExtraError, match=r"or use \.usda"):
+        write_scene(tmp_path / "out.usdz", labelled())
