@@ -1,0 +1,201 @@
+"""Writing 3D Tiles 1.1: a scene as a tree of levels of detail that viewers of globes load as they need them.
+
+Leaves are runs of neighbouring Gaussians; what is above them is merged from four children to as many Gaussians as the
+largest of them has. One leaf and the levels on the way up from it are in memory, so a folder of tiles may be of any
+size. The tileset's axes are those of a PLY turned upright, in metres; the root's transform sets it on the Earth.
+
+Source: OGC 22-025r4, "3D Tiles Specification 1.1".
+"""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..arrays import Float64
+from ..scene.gaussians import Gaussians, concatenated
+from ..scene.geodesy import enu_axes, geocentric
+from ..scene.labelled import PLY_UP, LabelledScene, Thing
+from ..scene.merging import coarser
+from ..scene.morton import morton_order
+from .field_folder import replacing_folder
+from .georeference import Georeference
+from .replacing import replacing
+from .tiles import Tiles
+from .tiles3d_content import SPLATTING, SPZ, content_glb
+from .usd_writing import extent_of, refuse_unwritable, upright
+
+TILESET = "tileset.json"
+ROWS = 1 << 16  # of a leaf
+BRANCH = 4  # children of a tile
+ERROR_SHARE = 0.95  # of the merged Gaussians, which are no farther from where they were than the error
+OBJECT = "object_of"  # the column with which numbers of objects go through merging
+_UP_TO_Z = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from the axes of a PLY to those of a tileset
+
+
+class _Leaf(NamedTuple):
+    read: Callable[[], Gaussians]
+
+
+class _Node(NamedTuple):
+    """A tile that is written. gaussians: what the one above is merged of. error: metres."""
+
+    tile: dict[str, Any]
+    gaussians: Gaussians
+    error: float
+    low: Float64[np.ndarray, " 3"]
+    high: Float64[np.ndarray, " 3"]
+
+
+class _Source(NamedTuple):
+    """What reads each leaf, the middle of the scene in the world, and its objects."""
+
+    leaves: list[_Leaf]
+    middle: Float64[np.ndarray, " 3"]
+    things: tuple[Thing, ...]
+
+
+def write_tiles3d(
+    path: Path,
+    source: LabelledScene | Tiles,
+    *,
+    georeference: Georeference | None = None,
+    overwrite: bool = False,
+    rows: int = ROWS,
+) -> None:
+    """Write a scene as a folder with a tileset.json and a GLB for each tile; all of it or nothing.
+
+    Args:
+        path: the folder.
+        source: a scene with its objects, or a folder of tiles, of which a few are in memory at a time.
+        georeference: where on the Earth it lies; without one the tileset stands upright about its own middle.
+        overwrite: replaces a tileset that is there.
+        rows: Gaussians of a leaf, of a scene that is not cut into tiles already.
+
+    Raises: InputError: no Gaussians, or some that no file could give back; `path` exists and not `overwrite`.
+    FormatError: damaged tiles.
+    """
+    leaves, middle, things = _source(source, rows)
+    scale = 1.0 if georeference is None else georeference.scale
+    up = source.up if isinstance(source, LabelledScene) else PLY_UP
+    with replacing_folder(path, overwrite, TILESET) as folder:
+        writer = _Writer(folder, middle, scale, things)
+        root = writer.tree(leaves)
+        document = _tileset(root, _transform(georeference, middle, up))
+        with replacing(folder / TILESET) as file:
+            file.write(json.dumps(document, separators=(",", ":")).encode())
+
+
+def _source(source: LabelledScene | Tiles, rows: int) -> _Source:
+    """Split a scene into leaves. Raises: InputError: no Gaussians, or some that no file could give back."""
+    if isinstance(source, Tiles):
+        low, high = np.min([t.low for t in source.tiles], axis=0), np.max([t.high for t in source.tiles], axis=0)
+        leaves = [_Leaf(_reader(source.tile, tile)) for tile in source.tiles]
+        return _Source(leaves, source.origin + (low + high) / 2, ())
+    gaussians = source.gaussians
+    refuse_unwritable(gaussians)
+    column = {} if source.object_of is None else {OBJECT: source.object_of}
+    bare = replace(gaussians, extra=column)
+    order = morton_order(gaussians.means.astype(np.float64))
+    runs = [order[begin : begin + rows] for begin in range(0, len(order), rows)]
+    middle = gaussians.origin + (gaussians.means.min(0).astype(np.float64) + gaussians.means.max(0)) / 2
+    return _Source([_Leaf(_reader(bare.subset, run)) for run in runs], middle, source.things)
+
+
+def _reader(read: Callable[[Any], Gaussians], part: Any) -> Callable[[], Gaussians]:
+    return lambda: read(part)
+
+
+@dataclass
+class _Writer:
+    """A folder that is being filled. middle: of the scene in the world; scale: metres of a unit."""
+
+    folder: Path
+    middle: Float64[np.ndarray, " 3"]
+    scale: float
+    things: tuple[Thing, ...]
+    count: int = 0
+
+    def tree(self, leaves: Sequence[_Leaf]) -> _Node:
+        """Write a subtree, its children first."""
+        if len(leaves) == 1:
+            gaussians = self._local(leaves[0].read())
+            return self._written(gaussians, 0.0, [])
+        size = BRANCH
+        while size * BRANCH < len(leaves):
+            size *= BRANCH
+        step = max(1, size if len(leaves) > size else size // BRANCH)
+        children = [self.tree(leaves[begin : begin + step]) for begin in range(0, len(leaves), step)]
+        everything = concatenated([child.gaussians for child in children])
+        most = max(len(child.gaussians) for child in children)
+        level = coarser(everything, most, everything.extra.get(OBJECT))
+        moved = everything.positions - level.gaussians.positions[level.group_of]
+        error = float(np.quantile(np.linalg.norm(moved, axis=1), ERROR_SHARE))
+        error = max(child.error for child in children) + max(error, 1e-6)
+        return self._written(level.gaussians, error, children)
+
+    def _local(self, gaussians: Gaussians) -> Gaussians:
+        """Return Gaussians in metres, counted from the middle of the scene."""
+        means = ((gaussians.means + (gaussians.origin - self.middle)) * self.scale).astype(np.float32)
+        kept = {name: column for name, column in gaussians.extra.items() if name == OBJECT}
+        scales = gaussians.scales * np.float32(self.scale)
+        return replace(gaussians, means=means, scales=scales, origin=np.zeros(3), extra=kept)
+
+    def _written(self, gaussians: Gaussians, error: float, children: list[_Node]) -> _Node:
+        name, self.count = f"{self.count}.glb", self.count + 1
+        positions = gaussians.positions
+        offset = np.asarray((positions.min(0) + positions.max(0)) / 2)
+        centred = replace(gaussians, means=(positions - offset).astype(np.float32), origin=np.zeros(3))
+        content = content_glb(centred, offset, gaussians.extra.get(OBJECT), self.things)
+        with replacing(self.folder / name) as file:
+            file.write(content)
+        low, high = extent_of(centred).astype(np.float64) + offset
+        low = np.min([low, *(child.low for child in children)], axis=0)
+        high = np.max([high, *(child.high for child in children)], axis=0)
+        tile: dict[str, Any] = {
+            "boundingVolume": {"box": _box(low, high)},
+            "geometricError": error,
+            "content": {"uri": name},
+        }
+        if children:
+            tile |= {"refine": "REPLACE", "children": [child.tile for child in children]}
+        return _Node(tile, gaussians, error, low, high)
+
+
+def _box(low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray, " 3"]) -> list[float]:
+    """Return the middle of a box and its three half axes, in the axes of a tileset."""
+    half = np.diag((high - low) / 2) @ _UP_TO_Z.T
+    return [*(_UP_TO_Z @ (low + high) / 2).tolist(), *half.ravel().tolist()]
+
+
+def _tileset(root: _Node, transform: Float64[np.ndarray, "4 4"]) -> dict[str, Any]:
+    from .. import __version__
+
+    names = [SPLATTING, SPZ]
+    whole = float(np.linalg.norm(root.high - root.low))
+    return {
+        "asset": {"version": "1.1", "generator": f"drsplat {__version__}"},
+        "extensionsUsed": ["3DTILES_content_gltf"],
+        "extensions": {"3DTILES_content_gltf": {"extensionsUsed": names, "extensionsRequired": names}},
+        "geometricError": max(whole, root.error),
+        "root": {"refine": "REPLACE", **root.tile, "transform": transform.T.ravel().tolist()},
+    }
+
+
+def _transform(
+    georeference: Georeference | None, middle: Float64[np.ndarray, " 3"], up: tuple[float, float, float]
+) -> Float64[np.ndarray, "4 4"]:
+    """Return the matrix from the tileset to the Earth, or to axes whose z is up. Metres on both sides."""
+    matrix = np.eye(4)
+    if georeference is None:
+        y_up = upright(np.array(up, np.float64))
+        matrix[:3, :3] = _UP_TO_Z @ np.diag([1.0, -1.0, -1.0]) @ y_up @ _UP_TO_Z.T
+        return matrix
+    place = (georeference.longitude, georeference.latitude, georeference.height)
+    earth_from_world = enu_axes(place).T @ georeference.enu_from_world
+    matrix[:3, :3] = earth_from_world @ _UP_TO_Z.T
+    matrix[:3, 3] = geocentric(np.array([place]))[0] + earth_from_world @ (georeference.scale * middle)
+    return matrix

@@ -1,0 +1,84 @@
+"""A tileset of ours in CesiumJS, in a real browser: where it lies, which level is loaded, and what is shown."""
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from browsing import a_browser, a_page, eventually, needs_chromium, pixels_of
+from drsplat.formats.georeference import Georeference
+from drsplat.formats.tiles3d_writing import write_tiles3d
+from drsplat.scene.gaussians import SH_C0, Gaussians
+from drsplat.scene.labelled import LabelledScene
+from foreign_programs import NPM_FOLDER, needs_packages
+
+pytestmark = [needs_chromium, needs_packages("cesium"), pytest.mark.oracle, pytest.mark.slow]
+NORTH_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # of a PLY, whose y is down
+COUNT, ROWS = 400, 100
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with a_browser() as browser:
+        yield browser
+
+
+def wall() -> Gaussians:
+    """Make a wall that faces south: green above, red below on its left, and blue below on its right."""
+    rng = np.random.default_rng(0)
+    means = (rng.uniform(-1, 1, (COUNT, 3)) * [3, 3, 0.05]).astype(np.float32)
+    above, left = means[:, 1] < 0, means[:, 0] < 0
+    colors = np.where(above[:, None], [0, 1, 0], np.where(left[:, None], [1, 0, 0], [0, 0, 1]))
+    quats = np.tile(np.array([1, 0, 0, 0], np.float32), (COUNT, 1))
+    scales = np.full((COUNT, 3), 0.15, np.float32)
+    sh = ((colors - 0.5) / SH_C0).astype(np.float32)[:, None]
+    return Gaussians(means, quats, scales, np.full(COUNT, 0.9, np.float32), sh)
+
+
+@contextmanager
+def serving(tileset: Path) -> Iterator[str]:
+    class Handler(SimpleHTTPRequestHandler):
+        def translate_path(self, path: str) -> str:
+            path = path.split("?")[0]
+            return str(tileset / path[7:]) if path.startswith("/tiles/") else super().translate_path(path)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(NPM_FOLDER)))
+    thread = threading.Thread(target=server.serve_forever)
+    thread.start()
+    yield f"http://127.0.0.1:{server.server_address[1]}"
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+@pytest.mark.parametrize(("error", "splats"), [(0.01, COUNT), (10_000, ROWS)])
+def test_cesium_draws_our_tilesets(error: float, splats: int, chromium: Any, tmp_path: Path) -> None:
+    """From the south: what is above is above, west is left. A large error allows for the coarsest level."""
+    place = Georeference(8.5, 47.4, 400.0, NORTH_UP, 2.0)
+    write_tiles3d(tmp_path / "out", LabelledScene(wall()), georeference=place, rows=ROWS)
+    with serving(tmp_path / "out") as address, a_page(chromium, 320, 240) as page:
+        page.goto(f"{address}/tiles3d.html?error={error}")
+        page.wait_for_function("window.loaded || window.failed")
+        eventually(lambda: page.evaluate("window.numSplats()") == splats)
+        page.wait_for_timeout(3000)
+        pixels = pixels_of(page, 320)
+        failed, center = page.evaluate("[window.failed ?? null, window.center]")
+    assert failed is None
+    expected = np.radians([8.5, 47.4])
+    np.testing.assert_allclose([center["longitude"], center["latitude"]], expected, atol=1e-6)
+    shown = pixels.max(axis=2) > 0.4
+    ys, xs = np.nonzero(shown)
+    assert len(ys) > 1000
+    top, low = ys < np.median(ys) - 15, ys > np.median(ys) + 15
+    west, east = xs < np.median(xs) - 15, xs > np.median(xs) + 15
+    for where, channel in ((top, 1), (low & west, 0), (low & east, 2)):
+        assert pixels[ys[where], xs[where]].mean(0).argmax() == channel
