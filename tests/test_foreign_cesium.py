@@ -60,7 +60,7 @@ def serving(tileset: Path) -> Iterator[str]:
     server.server_close()
 
 
-@pytest.mark.parametrize(("error", "splats"), [(0.01, COUNT), (10_000, ROWS)])
+@pytest.mark.parametrize(("error", "splats"), [(0.01, COUNT), (100.0, ROWS)])
 def test_cesium_draws_our_tilesets(error: float, splats: int, chromium: Any, tmp_path: Path) -> None:
     """From the south: what is above is above, west is left. A large error allows for the coarsest level."""
     place = Georeference(8.5, 47.4, 400.0, NORTH_UP, 2.0)

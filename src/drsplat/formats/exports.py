@@ -11,6 +11,7 @@ from ..errors import InputError, did_you_mean
 from ..scene.labelled import LabelledScene
 from .glb_writing import write_glb
 from .replacing import replacing
+from .rerun_writing import write_rrd
 from .scenes import write_gaussians
 from .sog_writing import sog_bytes
 from .spz_writing import spz_bytes
@@ -120,6 +121,7 @@ WRITERS: Mapping[str, Writer] = MappingProxyType(
     {
         ".glb": write_glb,
         ".ply": _write_ply,
+        ".rrd": write_rrd,
         ".sog": _write_sog,
         ".spz": _write_spz,
         ".usda": write_usda,
@@ -127,11 +129,12 @@ WRITERS: Mapping[str, Writer] = MappingProxyType(
         ".usdz": write_usdz,
     }
 )
-_USD_HELD = frozenset(ASPECTS) - {"columns", "embeddings"}
+_USD_HELD = frozenset(ASPECTS) - {"columns"}
 HELD: Mapping[str, frozenset[str]] = MappingProxyType(
     {
         ".glb": frozenset(ASPECTS) - {"columns"},
         ".ply": frozenset({"numbers", "relevancy", "columns"}),
+        ".rrd": frozenset({"names", "matches", "annotations"}),
         ".sog": frozenset({"numbers", "names", "relevancy"}),
         ".spz": frozenset(),
         ".usda": _USD_HELD,
