@@ -21,7 +21,20 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 TESTERS = ("pytest", "hypothesis", "beartype", "jaxtyping")
-EXTRAS = ("capture", "viewer", "serve", "mcp", "catalogue", "completion", "docs", "ray", "models", "open-clip")
+EXTRAS = (
+    "capture",
+    "viewer",
+    "serve",
+    "mcp",
+    "catalogue",
+    "completion",
+    "docs",
+    "ray",
+    "models",
+    "open-clip",
+    "usd",
+    "rerun",
+)
 QUICK = tuple(f"tests/test_{name}.py" for name in ("api", "doctor", "system", "algebra", "registration", "notebook"))
 IMPORT = "import drsplat, numpy, platform; print(platform.python_version(), numpy.__version__)"
 

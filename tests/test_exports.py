@@ -7,7 +7,7 @@ import pytest
 
 from drsplat import read_gaussians
 from drsplat.errors import InputError
-from drsplat.formats.exports import write_scene
+from drsplat.exporting.writers import write_scene
 from drsplat.scene.labelled import LabelledScene, Thing
 from scene_files import random_gaussians
 

@@ -16,7 +16,7 @@ import zstandard
 import glb_files
 import scene_files
 from drsplat.errors import DrSplatError, DrSplatWarning, FormatError
-from drsplat.formats.exports import write_scene
+from drsplat.exporting.writers import write_scene
 from drsplat.formats.glb import names_in_glb
 from drsplat.formats.scenes import parse_gaussians, read_gaussians
 from drsplat.scene.gaussians import Gaussians

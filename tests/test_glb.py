@@ -13,8 +13,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 import glb_files
 import scene_files
 from drsplat.errors import FormatError, InputError
+from drsplat.exporting.writers import lacks, write_scene
 from drsplat.formats import glb_writing
-from drsplat.formats.exports import lacks, write_scene
 from drsplat.formats.glb import names_in_glb
 from drsplat.formats.glb_layout import standing_up
 from drsplat.formats.scenes import parse_gaussians, read_gaussians
@@ -269,9 +269,9 @@ def test_a_file_that_exists_stays(tmp_path: Path) -> None:
 
 def test_what_a_format_cannot_hold_is_said() -> None:
     scene = replace(with_objects(made()), relevancy=np.zeros(40, np.float32), matches=(thing("m"),))
-    assert lacks(Path("a.glb"), scene) == ()
-    assert lacks(Path("a.ply"), scene) == (".ply keeps no names and boxes of objects", ".ply keeps no boxes of matches")
-    assert len(lacks(Path("a.spz"), scene)) == 4
+    assert lacks(".glb", scene) == ()
+    assert lacks(".ply", scene) == (".ply keeps no names and boxes of objects", ".ply keeps no boxes of matches")
+    assert len(lacks(".spz", scene)) == 4
 
 
 # --- reading ---

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drsplat.errors import InputError, MissingExtraError
-from drsplat.formats.exports import write_scene
+from drsplat.exporting.writers import write_scene
 from drsplat.formats.rerun_writing import write_rrd
 from drsplat.scene.labelled import LabelledScene
 from drsplat.scene.views import View

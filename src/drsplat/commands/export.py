@@ -12,6 +12,8 @@ from .query_options import add_measure_options, add_query_kinds, open_scene, que
 
 if TYPE_CHECKING:
     from ..exporting.labelling import Only
+    from ..exporting.writing import Exported
+    from ..formats.tiles import Tiles
     from ..query import Query, Scene
     from ..scene.gaussians import Gaussians
     from ..scene.labelled import LabelledScene
@@ -37,7 +39,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "source", metavar="SCENE", help="scene, a field, or a folder with a field, its scene and photos"
     )
-    parser.add_argument("--output", "-o", required=True, metavar="FILE", help=f"file to write: {_suffixes()}")
+    parser.add_argument(
+        "--output", "-o", required=True, metavar="FILE|DIR", help=f"file to write: {_suffixes()}; a folder of 3D Tiles"
+    )
+    parser.add_argument(
+        "--tiles3d", action="store_true", help="write 3D Tiles into the folder --output: levels of detail for maps"
+    )
     parser.add_argument("--field", help="field of the scene, for objects with names and for queries")
     parser.add_argument("--scene", help="scene that was registered, where SCENE is a field")
     parser.add_argument("--at", dest="time", type=finite, metavar="TIME", help="time of a scene that moves")
@@ -62,28 +69,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _suffixes() -> str:
-    return ".glb, .ply, .spz"
+    return ".glb, .ply, .rrd, .sog, .spz, .usda, .usdc, .usdz"
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..exporting.writing import for_8_bits, written
 
     output = _output(arguments)
+    if arguments.tiles3d and _is_tiles(arguments):
+        return _tiles_of_tiles(arguments, output)
     scene = _labelled(arguments)
     if arguments.fit_8bit:
         scene = for_8_bits(scene)
     note_applied(scene.num_edits)
-    done = written(output, scene, arguments.overwrite)
+    done = _tiles3d(arguments, output, scene) if arguments.tiles3d else written(output, scene, arguments.overwrite)
+    return _report(arguments, scene, done)
+
+
+def _report(arguments: argparse.Namespace, scene: LabelledScene | None, done: Exported) -> dict[str, Any]:
+    """Return what was written. scene: None for a folder of tiles, which has no objects."""
+    query, owners = (None, None) if scene is None else (scene.query or None, scene.object_of)
     return {
         "scene": arguments.source,
         "saved": arguments.output,
         "format": done.format,
         "bytes": done.bytes,
-        "query": scene.query or None,
+        "query": query,
         "num_gaussians": done.num_gaussians,
-        "num_objects": None if scene.object_of is None else done.num_objects,
-        "num_in_objects": None if scene.object_of is None else int((scene.object_of >= 0).sum()),
-        "num_matches": done.num_matches if scene.query else None,
+        "num_objects": None if owners is None else done.num_objects,
+        "num_in_objects": None if owners is None else int((owners >= 0).sum()),
+        "num_matches": None if query is None else done.num_matches,
         "num_annotations": done.num_annotations,
         "num_edits": done.num_edits,
         "lacks": list(done.lacks),
@@ -111,16 +126,45 @@ def show(answer: dict[str, Any]) -> None:
 def _output(arguments: argparse.Namespace) -> Path:
     """Return the output. Raises: InputError: it cannot be written, or options that do not go together."""
     from ..errors import InputError
-    from ..formats.exports import writer_of
+    from ..exporting.writers import writer_of
 
     output = new_output(arguments.output, arguments.overwrite)
-    writer_of(output)
+    if not arguments.tiles3d:
+        writer_of(output)
     if not output.parent.is_dir():
         raise InputError(f"there is no folder {output.parent} to write {output.name} into: make it first")
     chosen = only_one(arguments, ("only", "object", "label"))
     if chosen == "only" and only_one(arguments, QUERIES) is None:
         raise InputError("only: what matches is that of a query: give --query WORDS")
     return output
+
+
+def _tiles3d(arguments: argparse.Namespace, output: Path, source: LabelledScene | Tiles) -> Exported:
+    """Write 3D Tiles, where the scene lies on the Earth if a georeference.json beside it says so."""
+    from ..exporting.writing import written_tiles3d
+    from ..formats.georeference import read_georeference
+
+    named = [Path(path) for path in (arguments.source, arguments.scene, arguments.field) if path is not None]
+    folders = [path if path.is_dir() else path.parent for path in named] + [path.parent for path in named]
+    return written_tiles3d(output, source, read_georeference(*folders), arguments.overwrite)
+
+
+def _is_tiles(arguments: argparse.Namespace) -> bool:
+    from ..formats.tiles import TILES
+
+    return arguments.field is None and (Path(arguments.source) / TILES).is_file()
+
+
+def _tiles_of_tiles(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
+    """Write 3D Tiles of a folder of tiles, a few of which are in memory at a time."""
+    from ..formats.tiles import read_tiles
+
+    if arguments.fit_8bit:
+        from ..errors import InputError
+
+        raise InputError("fit_8bit: the scene is cut into tiles, which go into 3D Tiles as they are")
+    done = _tiles3d(arguments, output, read_tiles(Path(arguments.source)))
+    return _report(arguments, None, done)
 
 
 def _labelled(arguments: argparse.Namespace) -> LabelledScene:

@@ -3,7 +3,7 @@
 `labelled` brings together what is known of a scene, as it is after its edits; `export` writes it as the name of the
 output says.
 
-Imports `editing`, `field`, `formats`, `kernels`, `query` and `scene`.
+Imports `codes`, `editing`, `field`, `formats`, `kernels`, `query` and `scene`.
 """
 
 from .labelling import labelled, labelled_alone

@@ -7,13 +7,16 @@ from typing import NamedTuple
 
 from ..editing.kept import KeptEdits
 from ..errors import InputError
-from ..formats.exports import lacks, write_scene
+from ..formats.georeference import Georeference
+from ..formats.tiles import Tiles
+from ..formats.tiles3d_writing import write_tiles3d
 from ..query import Query, Scene
 from ..scene.eight_bits import fitted_to_8_bits
 from ..scene.gaussians import Gaussians
 from ..scene.labelled import LabelledScene
 from ..scene.moving import Moving
 from .labelling import Only, labelled, labelled_alone
+from .writers import TILES3D, lacks, write_scene
 
 
 class Exported(NamedTuple):
@@ -45,7 +48,7 @@ def export(
     """Write a scene as the suffix of `path` says, with its objects and the answer to a query.
 
     Args:
-        path: NAME.glb, .ply, .spz or another that `formats.exports.WRITERS` has.
+        path: NAME.glb, .ply, .spz or another that `exporting.writers.WRITERS` has.
         scene: an opened scene; Gaussians alone; or what `labelled` made, as it is.
         query, only, time, edits, embeddings: as of `labelled`.
         fit_8bit: fits colours to viewers that keep them in bytes (`scene.eight_bits.fitted_to_8_bits`).
@@ -74,7 +77,23 @@ def written(path: Path, scene: LabelledScene, overwrite: bool = False) -> Export
     return described(path, scene)
 
 
+def written_tiles3d(
+    path: Path, source: LabelledScene | Tiles, georeference: Georeference | None = None, overwrite: bool = False
+) -> Exported:
+    """Write a scene, or a folder of tiles without loading it whole, as 3D Tiles. Raises: as `write_tiles3d`."""
+    write_tiles3d(path, source, georeference=georeference, overwrite=overwrite)
+    if isinstance(source, LabelledScene):
+        return described(path, source)
+    return Exported(path, TILES3D, _size(path), len(source), 0, 0, 0, 0, ())
+
+
 def described(path: Path, scene: LabelledScene) -> Exported:
-    """Return what a file that was written of a scene has in it."""
+    """Return what a file that was written of a scene has in it; of a folder, it is 3D Tiles."""
     counts = (len(scene.gaussians), len(scene.things), len(scene.matches), len(scene.annotations))
-    return Exported(path, path.suffix.lower()[1:], path.stat().st_size, *counts, scene.num_edits, lacks(path, scene))
+    kind = TILES3D if path.is_dir() else path.suffix.lower()
+    return Exported(path, kind.removeprefix("."), _size(path), *counts, scene.num_edits, lacks(kind, scene))
+
+
+def _size(path: Path) -> int:
+    files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
+    return sum(file.stat().st_size for file in files)

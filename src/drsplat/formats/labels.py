@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..errors import FormatError
-from ..scene.labelled import LabelledScene, Thing
+from ..scene.labelled import LabelledScene, Thing, places_of
 from .json_files import as_count, as_matrix, as_number, as_vector, is_text, shown
 
 FORMAT, VERSION = "drsplat objects", 1
@@ -66,6 +66,7 @@ def _entry(thing: Thing) -> dict[str, object]:
         "extent": [float(x) for x in thing.extent],
         "axes": [[float(x) for x in row] for row in thing.axes],
         **({} if thing.parent == NO_GROUP else {"parent": int(thing.parent)}),
+        **({} if thing.number < 0 else {"number": thing.number}),
     }
 
 
@@ -88,15 +89,15 @@ def _thing(entry: Any, where: str, groups: int) -> Thing:
         as_matrix(entry.get("axes"), 3, 3, f"{where}: axes"),
         as_vector(entry.get("extent"), 3, f"{where}: extent"),
         parent,
+        number=as_count(entry["number"], f"{where}: number") if "number" in entry else -1,
     )
 
 
 def labelled(gaussians: Any, labels: Labels, title: str) -> LabelledScene:
     """Return the scene with its objects, whose numbers are the column `object_id`; none where no names are there."""
     object_of, relevancy = (gaussians.extra.get(name) for name in ("object_id", "relevancy"))
-    return LabelledScene(
-        gaussians, title, labels.things, labels.groups, object_of if labels.things else None, labels.query, relevancy
-    )
+    places = places_of(object_of, labels.things) if labels.things and object_of is not None else None
+    return LabelledScene(gaussians, title, labels.things, labels.groups, places, labels.query, relevancy)
 
 
 def names_of(things: Sequence[Thing]) -> list[str]:

@@ -70,7 +70,7 @@ def _extension(scene: LabelledScene) -> bytes:
     import zstandard
 
     parts = [
-        b"" if scene.object_of is None else scene.object_of.astype("<i4").tobytes(),
+        b"" if (numbers := scene.object_numbers) is None else numbers.astype("<i4").tobytes(),
         b"" if scene.relevancy is None else scene.relevancy.astype("<f4").tobytes(),
         labels_bytes(scene),
     ]

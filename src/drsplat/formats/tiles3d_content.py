@@ -70,7 +70,7 @@ def content_glb(
         attributes["_FEATURE_ID_0"] = len(accessors)
         view = binary.view(places.tobytes(), target=ARRAY_BUFFER)
         accessors.append({"bufferView": view, "componentType": FLOAT, "count": len(places), "type": "SCALAR"})
-        table = [(int(number), things[number]) for number in used if number >= 0]
+        table = [(_number(int(place), things[place]), things[place]) for place in used if place >= 0]
         feature = {"featureCount": len(table), "nullFeatureId": NO_OBJECT, "attribute": 0, "propertyTable": 0}
         extensions[FEATURES] = {"featureIds": [{**feature, "label": "objects"}]}
         document["extensions"] = {METADATA: _table(binary, table)}
@@ -114,6 +114,11 @@ def _declared(gaussians: Gaussians) -> tuple[list[dict[str, Any]], dict[str, int
         for kind, component, more in kinds.values()
     ]
     return accessors, {name: number for number, name in enumerate(kinds)}
+
+
+def _number(place: int, thing: Thing) -> int:
+    """Return the number of an object as `drsplat objects` counts, its place where it has none."""
+    return place if thing.number < 0 else thing.number
 
 
 def _table(binary: _Binary, things: list[tuple[int, Thing]]) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from ..contents import file_bytes, open_file
 from ..errors import DrSplatWarning, FormatError, InputError
 from ..scene.annotations import Annotation
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenated
-from ..scene.labelled import PLY_UP, LabelledScene, Thing
+from ..scene.labelled import PLY_UP, LabelledScene, Thing, places_of
 from .activation import checked
 from .usd_library import MARK as CRATE
 from .usd_library import library_layer
@@ -83,12 +83,10 @@ def scene_of(layer: UsdPrim) -> LabelledScene:
     root = next((prim for prim in prims if "drsplat:up" in prim.attributes), layer)
     things = {kind: tuple(_thing(prim) for prim in prims if prim.text("drsplat:kind") == kind) for kind in KINDS}
     notes = tuple(_annotation(prim) for prim in prims if prim.text("drsplat:kind") == "annotation")
-    object_of = gaussians.extra.get("object_id")
-    if object_of is not None and not ((object_of >= -1) & (object_of < len(things["object"]))).all():
-        object_of = None
+    numbers = gaussians.extra.get("object_id")
     return LabelledScene(
         gaussians, root.text("displayName") or "scene", things["object"], things["group"],
-        None if object_of is None else object_of.astype(np.int32), root.text("drsplat:query"),
+        None if numbers is None else places_of(numbers, things["object"]), root.text("drsplat:query"),
         gaussians.extra.get("relevancy"), things["match"], notes, _up(root), root.text("drsplat:encoder"),
     )  # fmt: skip
 
@@ -201,6 +199,7 @@ def _thing(prim: UsdPrim) -> Thing:
         _numbers(prim, "drsplat:extent", np.zeros(3)),
         int(_number(prim, "drsplat:parent", -1)),
         embedding.astype(np.float32) if isinstance(embedding, np.ndarray) else None,
+        int(_number(prim, "drsplat:number", -1)),
     )
 
 

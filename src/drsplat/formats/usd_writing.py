@@ -65,7 +65,7 @@ def columns_of(scene: LabelledScene) -> list[Column]:
         Column("float3[]", "radiance:sphericalHarmonicsCoefficients", coefficients, f"{size}\n{VERTEX}"),
         Column("float3[]", "extent", extent_of(gaussians)),
     ]
-    numbers = {"object_id": ("int[]", scene.object_of), "relevancy": ("float[]", scene.relevancy)}
+    numbers = {"object_id": ("int[]", scene.object_numbers), "relevancy": ("float[]", scene.relevancy)}
     columns += [
         Column(kind, f"primvars:{name}", rows, VERTEX) for name, (kind, rows) in numbers.items() if rows is not None
     ]
@@ -167,6 +167,7 @@ def _thing_text(kind: str, number: int, thing: Thing) -> str:
     lines = [
         f"custom double drsplat:score = {_number(thing.score)}",
         f"custom int drsplat:parent = {thing.parent}",
+        f"custom int drsplat:number = {thing.number}",
         *_box_lines(thing.center, thing.axes, thing.extent),
     ]
     if thing.embedding is not None:

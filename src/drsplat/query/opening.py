@@ -24,7 +24,8 @@ from .encoding import Load, encoder_for
 from .scene import Scene
 
 EDITS = ".edits.json"  # of NAME.ply, NAME.edits.json: a scene that people work on
-COPIES = (".glb", ".gltf")  # with the same rows, as `drsplat export` writes them; what people trained is another file
+COPIES = (".glb", ".gltf", ".usda", ".usdc", ".usdz")
+"""Suffixes of files with the same rows that `drsplat export` writes; what people trained is another file."""
 CAMERAS = ("sparse", "transforms.json", "cameras.json", "colmap")
 
 

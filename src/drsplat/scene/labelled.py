@@ -1,5 +1,6 @@
 """A scene together with what was found in it: what an exported file carries besides Gaussians."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,3 +74,23 @@ class LabelledScene:
                 raise InputError(f"{name}: expected {len(self.gaussians):,} numbers, got an array {column.shape}")
         if self.object_of is not None and not ((self.object_of >= -1) & (self.object_of < len(self.things))).all():
             raise InputError(f"object_of: expected numbers from -1 to {len(self.things) - 1}, which things there are")
+
+    @property
+    def object_numbers(self) -> Int32[np.ndarray, " n"] | None:
+        """The number of each Gaussian's object as `drsplat objects` counts, -1 for none; None without objects."""
+        if self.object_of is None:
+            return None
+        numbers = [place if thing.number < 0 else thing.number for place, thing in enumerate(self.things)]
+        return np.asarray(np.array([*numbers, -1], np.int32)[self.object_of])
+
+
+def places_of(numbers: np.ndarray, things: Sequence[Thing]) -> Int32[np.ndarray, " n"] | None:
+    """Return the place in `things` of the object of each Gaussian, -1 for none, by the objects' numbers.
+
+    None: there is a number that no object has.
+    """
+    place_of = {place if thing.number < 0 else thing.number: place for place, thing in enumerate(things)} | {-1: -1}
+    known, which = np.unique(numbers, return_inverse=True)
+    if not {*known.tolist()} <= place_of.keys():
+        return None
+    return np.asarray(np.array([place_of[number] for number in known.tolist()], np.int32)[which])

@@ -13,10 +13,10 @@ from ...arrays import UInt8
 from ...drawing.pictures import OtherPixels, as_pixels
 from ...drawing.rendering import render
 from ...errors import InputError
+from ...exporting.writers import write_scene
 from ...filming.path_files import path_of, write_path
 from ...filming.paths import frame_count
 from ...filming.writing import write_film
-from ...formats.exports import write_scene
 from ...formats.json_files import document_in
 from ...query.sheets import AT_ONCE
 from ...serving.pictures import jpeg, png

@@ -21,13 +21,13 @@ import numpy as np
 from ..arrays import Float32, Float64, Int64, Integer, UInt8, UInt16
 from ..codes.kmeans import train_centroids
 from ..errors import InputError
+from ..formats.gaussian_ply import refuse_unwritable
+from ..formats.labels import has_labels, labels_bytes
+from ..formats.sog import ANTIALIASED, LARGEST_PALETTE, OWN, PALETTE_ROW
+from ..formats.sog_files import META
 from ..kernels import pq_encode
 from ..scene.labelled import LabelledScene
 from ..scene.morton import morton_order
-from .gaussian_ply import refuse_unwritable
-from .labels import has_labels, labels_bytes
-from .sog import ANTIALIASED, LARGEST_PALETTE, OWN, PALETTE_ROW
-from .sog_files import META
 
 VERSION, GENERATOR = 2, "drsplat"
 CODEBOOK = 256
@@ -215,8 +215,8 @@ def _own_parts(scene: LabelledScene, order: Int64[np.ndarray, " n"]) -> tuple[di
         part["origin"] = scene.gaussians.origin.tolist()
     if has_labels(scene):
         part["labels"], files["drsplat_labels.json"] = "drsplat_labels.json", labels_bytes(scene)
-    if scene.object_of is not None:
-        part["object_id"], files["drsplat_objects.webp"] = _object_ids(scene.object_of[order])
+    if (numbers := scene.object_numbers) is not None:
+        part["object_id"], files["drsplat_objects.webp"] = _object_ids(numbers[order])
     if scene.relevancy is not None:
         part["relevancy"], files["drsplat_relevancy.webp"] = _relevancy(scene.relevancy[order])
     return ({OWN: part} if len(part) > 1 else {}), files

@@ -8,16 +8,17 @@ from types import MappingProxyType
 import numpy as np
 
 from ..errors import InputError, did_you_mean
+from ..formats.glb_writing import write_glb
+from ..formats.replacing import replacing
+from ..formats.rerun_writing import write_rrd
+from ..formats.scenes import write_gaussians
+from ..formats.spz_writing import spz_bytes
+from ..formats.usd_library import write_usdc, write_usdz
+from ..formats.usd_writing import write_usda
 from ..scene.labelled import LabelledScene
-from .glb_writing import write_glb
-from .replacing import replacing
-from .rerun_writing import write_rrd
-from .scenes import write_gaussians
 from .sog_writing import sog_bytes
-from .spz_writing import spz_bytes
-from .usd_library import write_usdc, write_usdz
-from .usd_writing import write_usda
 
+TILES3D = "3D Tiles"
 BLOCK = 1 << 14  # rows that are looked at together
 ASPECTS: Mapping[str, str] = MappingProxyType(
     {
@@ -76,9 +77,8 @@ def require_writable(scene: LabelledScene) -> None:
                 raise InputError(f"{name}: row {row} has numbers that are not finite: leave it out, see `subset`")
 
 
-def lacks(path: Path, scene: LabelledScene) -> tuple[str, ...]:
-    """Return what of a scene a file of this name cannot hold, in sentences."""
-    suffix = path.suffix.lower()
+def lacks(kind: str, scene: LabelledScene) -> tuple[str, ...]:
+    """Return what of a scene a file of this suffix, or `TILES3D`, cannot hold, in sentences."""
     there = {
         "numbers": scene.object_of is not None,
         "names": bool(scene.things),
@@ -88,17 +88,14 @@ def lacks(path: Path, scene: LabelledScene) -> tuple[str, ...]:
         "embeddings": any(thing.embedding is not None for thing in scene.things),
         "columns": bool(scene.gaussians.extra),
     }
-    held = HELD.get(suffix, frozenset(ASPECTS))
-    return tuple(f"{suffix} keeps no {ASPECTS[name]}" for name, has in there.items() if has and name not in held)
+    held = HELD[kind]
+    return tuple(f"{kind} keeps no {ASPECTS[name]}" for name, has in there.items() if has and name not in held)
 
 
 def columns_of(scene: LabelledScene) -> dict[str, np.ndarray]:
     """Return the columns of a PLY that say each Gaussian's object and relevancy."""
-    columns = {} if scene.relevancy is None else {"relevancy": scene.relevancy}
-    if scene.object_of is None:
-        return columns
-    numbers = [place if thing.number < 0 else thing.number for place, thing in enumerate(scene.things)]
-    return {"object_id": np.array([*numbers, -1], np.int32)[scene.object_of], **columns}
+    columns = {"object_id": scene.object_numbers, "relevancy": scene.relevancy}
+    return {name: column for name, column in columns.items() if column is not None}
 
 
 def _write_ply(path: Path, scene: LabelledScene, overwrite: bool) -> None:
@@ -140,6 +137,7 @@ HELD: Mapping[str, frozenset[str]] = MappingProxyType(
         ".usda": _USD_HELD,
         ".usdc": _USD_HELD,
         ".usdz": _USD_HELD,
+        TILES3D: frozenset({"numbers", "names"}),
     }
 )
-"""What each format keeps, of `ASPECTS`; a format that is not in it keeps all."""
+"""What each format keeps, of `ASPECTS`."""
