@@ -4,7 +4,7 @@
 
 Scenes of so many Gaussians are made of SCENE.ply by copies that are jittered by a hundredth of its radius. A viewer of
 each is opened, and turned for some seconds: by the client's rasteriser, and by its shaders with WebGL in software.
-Memory is what all processes of the browser hold (proportional set size). 10,000,000 take 5 GB. Needs playwright and a
+Memory is what all processes of the browser hold (proportional set size). Needs playwright and a
 Chromium.
 """
 

@@ -1,5 +1,6 @@
 """`drsplat export`: what is in the file for whatever is asked, read by the specifications alone."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from drsplat.errors import InputError
 from drsplat.exporting import export, labelled
 from drsplat.exporting.choosing import only_used
 from drsplat.formats.annotations import AnnotationFile
+from drsplat.formats.georeference import Georeference, write_georeference
 from drsplat.formats.moving_scenes import write_moving
 from drsplat.scene.annotations import Annotation
 from drsplat.scene.eight_bits import clamped_in_bytes
@@ -301,6 +303,42 @@ def test_colors_can_be_fitted_to_bytes(room: Path, capsys: Capture) -> None:
     ]
     assert clamped[0] > 0
     assert clamped[1:] == [0, 0]
+
+
+@pytest.mark.parametrize(("suffix", "more"), [("glb", ()), ("usda", ()), ("sog", ()), ("spz", ("--spz-version", 4))])
+def test_names_come_back_from_every_format_that_holds_them(
+    room: Path, capsys: Capture, suffix: str, more: tuple[object, ...]
+) -> None:
+    scene, out = opened(room), room / f"part.{suffix}"
+    answer_of(capsys, "objects", room / "room.field", "--id", 1, "--label", 'a/b "plate" 😀')
+    given = ("--field", room / "room.field", "--object", 1, *more)
+    assert answer_of(capsys, "export", room / "scene.ply", *given, "-o", out)["lacks"] == []
+    told = answer_of(capsys, "inspect", out)
+    assert told["objects"] == [{"id": 1, "name": 'a/b "plate" 😀'}]
+    read = read_gaussians(out)
+    assert told["num_gaussians"] == len(read)
+    assert set(read.extra["object_id"].tolist()) <= {1, -1}
+    assert (read.extra["object_id"] == 1).sum() == (scene.object_ids() == 1).sum()
+
+
+def test_three_d_tiles_by_the_verb_stand_where_the_scene_lies(room: Path, capsys: Capture) -> None:
+    given = ("--field", room / "room.field", "--tiles3d")
+    answer = answer_of(capsys, "export", room / "scene.ply", *given, "-o", room / "free")
+    assert (answer["format"], answer["num_gaussians"], answer["num_objects"]) == ("3D Tiles", 2 * PER_THING, 2)
+    free = json.loads((room / "free" / "tileset.json").read_text())
+    write_georeference(room, Georeference(4.36, 52.0, 1.0, np.eye(3), 1.0))
+    answer_of(capsys, "export", room / "scene.ply", *given, "-o", room / "placed")
+    placed = json.loads((room / "placed" / "tileset.json").read_text())
+    assert np.linalg.norm(placed["root"]["transform"][12:15]) == pytest.approx(6.365e6, rel=2e-3)
+    assert np.linalg.norm(free["root"]["transform"][12:15]) < 100
+    assert "exists already" in error_of(capsys, "export", room / "scene.ply", *given, "-o", room / "free")
+
+
+def test_tiles_become_3d_tiles_without_a_field(room: Path, capsys: Capture) -> None:
+    answer_of(capsys, "tile", room / "scene.ply", "--output", room / "tiles")
+    answer = answer_of(capsys, "export", room / "tiles", "--tiles3d", "-o", room / "tileset")
+    assert (answer["num_gaussians"], answer["num_objects"]) == (2 * PER_THING, None)
+    assert "fit_8bit" in error_of(capsys, "export", room / "tiles", "--tiles3d", "--fit-8bit", "-o", room / "again")
 
 
 def test_a_file_beside_its_scene_does_not_take_its_place(room: Path, capsys: Capture) -> None:

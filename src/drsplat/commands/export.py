@@ -59,6 +59,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument(
         "--fit-8bit", action="store_true", help="fit colours to viewers of the web, which keep and clamp them in bytes"
     )
+    what.add_argument(
+        "--spz-version", type=int, choices=(3, 4), default=3, help="version of a .spz: 3, which most programs read, or "
+        "4, which keeps objects and names (default: 3)",
+    )  # fmt: skip
     add_kept_edits(what, "kept")
     add_overwrite(parser)
     add_query_kinds(parser.add_argument_group("other queries"))
@@ -73,7 +77,7 @@ def _suffixes() -> str:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from ..exporting.writing import for_8_bits, written
+    from ..exporting.writing import for_8_bits
 
     output = _output(arguments)
     if arguments.tiles3d and _is_tiles(arguments):
@@ -82,8 +86,14 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     if arguments.fit_8bit:
         scene = for_8_bits(scene)
     note_applied(scene.num_edits)
-    done = _tiles3d(arguments, output, scene) if arguments.tiles3d else written(output, scene, arguments.overwrite)
+    done = _tiles3d(arguments, output, scene) if arguments.tiles3d else _written(arguments, output, scene)
     return _report(arguments, scene, done)
+
+
+def _written(arguments: argparse.Namespace, output: Path, scene: LabelledScene) -> Exported:
+    from ..exporting.writing import written
+
+    return written(output, scene, arguments.overwrite, arguments.spz_version)
 
 
 def _report(arguments: argparse.Namespace, scene: LabelledScene | None, done: Exported) -> dict[str, Any]:

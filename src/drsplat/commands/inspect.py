@@ -92,8 +92,10 @@ def _scene(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _named_objects(path: Path) -> dict[str, Any]:
-    """Describe the objects that a glTF or a USD has with their names; nothing of other files."""
+    """Describe the objects that a file has with their names; nothing where it has none."""
     from ..formats.glb import names_in_glb
+    from ..formats.sog import read_sog_labels
+    from ..formats.spz import read_spz_labels
     from ..formats.usd import SUFFIXES as USD_SUFFIXES
     from ..formats.usd import read_usd
 
@@ -101,7 +103,12 @@ def _named_objects(path: Path) -> dict[str, Any]:
         names = [(one.number, one.name) for one in names_in_glb(path)]
     elif path.suffix.lower() in USD_SUFFIXES:
         names = [(thing.number, thing.name) for thing in read_usd(path).things]
+    elif path.suffix.lower() in (".sog", ".spz"):
+        labels = (read_sog_labels if path.suffix.lower() == ".sog" else read_spz_labels)(path)
+        names = [(place if thing.number < 0 else thing.number, thing.name) for place, thing in enumerate(labels.things)]
     else:
+        names = []
+    if not names:
         return {}
     return {"num_objects": len(names), "objects": [{"id": number, "name": name} for number, name in names]}
 

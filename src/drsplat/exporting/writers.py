@@ -12,13 +12,13 @@ from ..formats.glb_writing import write_glb
 from ..formats.replacing import replacing
 from ..formats.rerun_writing import write_rrd
 from ..formats.scenes import write_gaussians
-from ..formats.spz_writing import spz_bytes
+from ..formats.spz_writing import spz4_bytes, spz_bytes
 from ..formats.usd_library import write_usdc, write_usdz
 from ..formats.usd_writing import write_usda
 from ..scene.labelled import LabelledScene
 from .sog_writing import sog_bytes
 
-TILES3D = "3D Tiles"
+TILES3D, SPZ_4 = "3D Tiles", ".spz, version 4"  # formats that no suffix says
 BLOCK = 1 << 14  # rows that are looked at together
 ASPECTS: Mapping[str, str] = MappingProxyType(
     {
@@ -34,14 +34,20 @@ ASPECTS: Mapping[str, str] = MappingProxyType(
 Writer = Callable[[Path, LabelledScene, bool], None]
 
 
-def write_scene(path: str | PathLike[str], scene: LabelledScene, overwrite: bool = False) -> None:
+def write_scene(
+    path: str | PathLike[str], scene: LabelledScene, overwrite: bool = False, *, spz_version: int = 3
+) -> None:
     """Write a scene as the suffix of `path` says; it appears whole or not at all.
+
+    spz_version: 3, which most programs read, or 4, which keeps objects, names and relevancy, of a `.spz`.
 
     Raises: InputError: a suffix that nothing is written as, a scene without Gaussians or with numbers that are not
     finite, one that the format cannot hold, or `path` exists and not `overwrite`.
     """
     path = Path(path)
     writer = writer_of(path)
+    if format_of(path, spz_version) == SPZ_4:
+        writer = _write_spz_4
     require_writable(scene)
     writer(path, scene, overwrite)
 
@@ -53,6 +59,14 @@ def writer_of(path: Path) -> Writer:
         near = did_you_mean(path.suffix.lower(), WRITERS)
         raise InputError(f"{path.name}: expected a name that ends in {', '.join(WRITERS)}.{near}")
     return writer
+
+
+def format_of(path: Path, spz_version: int = 3) -> str:
+    """Return which of `HELD` a file is. Raises: InputError: another version of SPZ than 3 and 4."""
+    if spz_version not in (3, 4):
+        raise InputError(f"spz_version: expected 3 or 4, got {spz_version}")
+    suffix = path.suffix.lower()
+    return SPZ_4 if suffix == ".spz" and spz_version == 4 else suffix
 
 
 def require_writable(scene: LabelledScene) -> None:
@@ -108,6 +122,12 @@ def _write_spz(path: Path, scene: LabelledScene, overwrite: bool) -> None:
         file.write(content)
 
 
+def _write_spz_4(path: Path, scene: LabelledScene, overwrite: bool) -> None:
+    content = spz4_bytes(scene)
+    with replacing(path, overwrite=overwrite) as file:
+        file.write(content)
+
+
 def _write_sog(path: Path, scene: LabelledScene, overwrite: bool) -> None:
     content = sog_bytes(scene)
     with replacing(path, overwrite=overwrite) as file:
@@ -134,6 +154,7 @@ HELD: Mapping[str, frozenset[str]] = MappingProxyType(
         ".rrd": frozenset({"names", "matches", "annotations"}),
         ".sog": frozenset({"numbers", "names", "relevancy"}),
         ".spz": frozenset(),
+        SPZ_4: frozenset({"numbers", "names", "relevancy"}),
         ".usda": _USD_HELD,
         ".usdc": _USD_HELD,
         ".usdz": _USD_HELD,

@@ -16,7 +16,7 @@ from ..scene.gaussians import Gaussians
 from ..scene.labelled import LabelledScene
 from ..scene.moving import Moving
 from .labelling import Only, labelled, labelled_alone
-from .writers import TILES3D, lacks, write_scene
+from .writers import TILES3D, format_of, lacks, write_scene
 
 
 class Exported(NamedTuple):
@@ -43,6 +43,7 @@ def export(
     edits: KeptEdits = "kept",
     embeddings: bool = False,
     fit_8bit: bool = False,
+    spz_version: int = 3,
     overwrite: bool = False,
 ) -> Exported:
     """Write a scene as the suffix of `path` says, with its objects and the answer to a query.
@@ -52,6 +53,7 @@ def export(
         scene: an opened scene; Gaussians alone; or what `labelled` made, as it is.
         query, only, time, edits, embeddings: as of `labelled`.
         fit_8bit: fits colours to viewers that keep them in bytes (`scene.eight_bits.fitted_to_8_bits`).
+        spz_version: as of `write_scene`.
         overwrite: replaces what is at `path`.
 
     Raises: InputError: a suffix that nothing is written as, more than the format can hold, `path` exists and not
@@ -63,7 +65,7 @@ def export(
         raise InputError("a query is answered by a field: open the scene together with its field")
     else:
         carried = scene if isinstance(scene, LabelledScene) else labelled_alone(scene, time=time)
-    return written(Path(path), for_8_bits(carried) if fit_8bit else carried, overwrite)
+    return written(Path(path), for_8_bits(carried) if fit_8bit else carried, overwrite, spz_version)
 
 
 def for_8_bits(scene: LabelledScene) -> LabelledScene:
@@ -71,10 +73,10 @@ def for_8_bits(scene: LabelledScene) -> LabelledScene:
     return replace(scene, gaussians=fitted_to_8_bits(scene.gaussians))
 
 
-def written(path: Path, scene: LabelledScene, overwrite: bool = False) -> Exported:
+def written(path: Path, scene: LabelledScene, overwrite: bool = False, spz_version: int = 3) -> Exported:
     """Write a labelled scene; returns what is in the file. Raises: as `write_scene`."""
-    write_scene(path, scene, overwrite)
-    return described(path, scene)
+    write_scene(path, scene, overwrite, spz_version=spz_version)
+    return described(path, scene, format_of(path, spz_version))
 
 
 def written_tiles3d(
@@ -83,14 +85,13 @@ def written_tiles3d(
     """Write a scene, or a folder of tiles without loading it whole, as 3D Tiles. Raises: as `write_tiles3d`."""
     write_tiles3d(path, source, georeference=georeference, overwrite=overwrite)
     if isinstance(source, LabelledScene):
-        return described(path, source)
+        return described(path, source, TILES3D)
     return Exported(path, TILES3D, _size(path), len(source), 0, 0, 0, 0, ())
 
 
-def described(path: Path, scene: LabelledScene) -> Exported:
-    """Return what a file that was written of a scene has in it; of a folder, it is 3D Tiles."""
+def described(path: Path, scene: LabelledScene, kind: str) -> Exported:
+    """Return what a file, or a folder, that was written of a scene has in it; kind: one of `writers.HELD`."""
     counts = (len(scene.gaussians), len(scene.things), len(scene.matches), len(scene.annotations))
-    kind = TILES3D if path.is_dir() else path.suffix.lower()
     return Exported(path, kind.removeprefix("."), _size(path), *counts, scene.num_edits, lacks(kind, scene))
 
 
