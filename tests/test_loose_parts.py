@@ -1,10 +1,13 @@
 """Loose parts: what belongs to a thing though no object says so goes with it, and nothing of what is beside it does."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from drsplat import Gaussians
 from drsplat.editing import Edit, Fill, Remove, Rows, edited
+from drsplat.editing.draft import OBJECT_ID
 from drsplat.editing.edits import EditList
 from drsplat.editing.loose_parts import loose_parts
 from drsplat.editing.resolving import completed
@@ -106,15 +109,34 @@ def test_what_lies_on_a_table_is_not_cloned_into_a_hole() -> None:
     assert in_hole.sum() > 50
 
 
+def test_what_stands_in_a_hole_stays() -> None:
+    """A low thing below the block stays, and grime of the floor that training left there goes."""
+    scene, block = a_hole_among_crumbs()
+    grime = of(grid((-0.05, -0.09, 0.002), (0.05, -0.08, 0.002), 0.01), (0.01, 0.01, 0.001))
+    thing = of(grid((-0.04, -0.04, 0.003), (0.04, 0.04, 0.009), 0.01), (0.005, 0.005, 0.005), ORANGE)
+    first = len(scene)
+    scene = joined(scene, grime, thing)
+    owners = np.zeros(len(scene), np.int32)
+    owners[block], owners[first + len(grime) :] = 1, 2
+    scene = replace(scene, extra={OBJECT_ID: owners})
+    rows = Rows.of(block)
+    counts = {}
+    for version in (2, 3):
+        after = edited(scene, [Edit(rows, Remove()), Edit(rows, Fill(version))])
+        counts[version] = int((after.extra[OBJECT_ID] == 2).sum())
+        assert not (after.means[:, None] == grime.means[None]).all(axis=2).any()
+    assert counts[2] < counts[3] == len(thing)
+
+
 def test_an_earlier_list_is_filled_as_it_was() -> None:
     rows = Rows.of(np.arange(3))
     listed = EditList("scene", (Edit(rows, Fill()), Edit(rows, Fill(1))), 2)
     document = document_of(listed)
-    assert [edit.change for edit in edits_of(document, "list").edits] == [Fill(2), Fill(1)]
+    assert [edit.change for edit in edits_of(document, "list").edits] == [Fill(3), Fill(1)]
     del document["edits"][1]["version"]  # type: ignore[index]
     assert edits_of(document, "list").edits[1].change == Fill(1)
-    document["edits"][1]["version"] = 3  # type: ignore[index]
-    with pytest.raises(FormatError, match="expected version 1 or 2, got 3"):
+    document["edits"][1]["version"] = 4  # type: ignore[index]
+    with pytest.raises(FormatError, match="expected version 1, 2 or 3, got 4"):
         edits_of(document, "list")
-    with pytest.raises(InputError, match="expected version 1 or 2"):
+    with pytest.raises(InputError, match="expected version 1, 2 or 3"):
         Fill(0)

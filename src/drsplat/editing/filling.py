@@ -29,7 +29,7 @@ CLEAR = 0.2  # opacity of what stands on a plane up to which it is taken to be b
 NEEDLE = 6.0  # times longer than wide: no patch of a surface
 FOOT_CELLS = 3  # around what stands on a plane, where its foot may lie in the plane
 LEAST_SHARE = 0.2  # of the Gaussians in a plane, of an object that the plane is part of
-VERSIONS = (1, 2)
+VERSIONS = (1, 2, 3)
 FAR = 40.0  # sizes of a plane that it is looked at from
 Ids = Int64[np.ndarray, " m"]
 Cells = Bool[np.ndarray, "h w"]
@@ -42,8 +42,9 @@ class Fill:
     A table goes on below a vase, a floor and a wall behind a shelf; what training left there unseen goes. Nothing is
     made up: no edge, no pattern with a place of its own; shadows and reflections stay, and what no plane holds is open.
 
-    version: 2 clones nothing that lies on the plane or stands out from it, and by the shift with the best seam; 1 is
-    what lists of edits without a version mean, and does neither.
+    version: 2 clones nothing that lies on the plane or stands out from it, and by the shift with the best seam; 3 also
+    lets other things in the hole be, such as what stands below a table; 1 is what lists of edits without a version
+    mean, and does none of it.
 
     Raises: InputError: another version.
     """
@@ -52,7 +53,7 @@ class Fill:
 
     def __post_init__(self) -> None:
         if self.version not in VERSIONS:
-            raise InputError(f"fill: expected version 1 or 2, got {self.version}: a newer drsplat may know it")
+            raise InputError(f"fill: expected version 1, 2 or 3, got {self.version}: a newer drsplat may know it")
 
     def apply(self, draft: Draft, ids: Ids) -> None:
         """Raises: InputError: too few rows to leave a hole, or no plane was found. Warns: DrSplatWarning: a hole that
@@ -73,7 +74,7 @@ class Fill:
             )
         for plane in planes:
             others = [other for other in planes if other is not plane]
-            _fill(draft, near, scene, plane, others, thing, is_clean=self.version > 1)
+            _fill(draft, near, scene, plane, others, thing, self.version)
 
 
 def _near(draft: Draft, ids: Ids, thing: Float64[np.ndarray, "t 3"]) -> Int64[np.ndarray, " k"]:
@@ -87,7 +88,7 @@ def _near(draft: Draft, ids: Ids, thing: Float64[np.ndarray, "t 3"]) -> Int64[np
 
 def _fill(
     draft: Draft, near: Ids, scene: Gaussians, plane: Plane, others: list[Plane], thing: Float64[np.ndarray, "t 3"],
-    *, is_clean: bool,
+    version: int,
 ) -> None:  # fmt: skip
     places = scene.means.astype(np.float64)
     heights = plane.heights(places)
@@ -104,10 +105,13 @@ def _fill(
     cells = grid.cells(flat)
     low = np.flatnonzero(np.abs(heights) <= STANDS * plane.tolerance)
     below = grid.cells(plane.flat(scene.means[low].astype(np.float64)))
-    draft.present[near[low[hole[below[:, 0], below[:, 1]]]]] = False
+    goes = hole[below[:, 0], below[:, 1]]
+    if version > 2:
+        goes &= _is_of_surface(scene.subset(low), goes)
+    draft.present[near[low[goes]]] = False
     missing, good, colors = hole.copy(), (coverage >= COVERED) & ~hole & bare, None
     own = np.ones(len(surface), bool)
-    if is_clean:
+    if version > 1:
         own = _own(scene, surface, grid, plane, cells)
         known = (grid.coverage(scene.subset(surface[own]), plane) >= COVERED) & ~hole
         colors = Surface(grid.colors(scene.subset(surface[own]), plane), known)
@@ -155,6 +159,15 @@ def _own(
         _, which, counts = np.unique(owners, return_inverse=True, return_counts=True)
         own &= (counts >= LEAST_SHARE * len(surface))[which]
     return np.asarray(own)
+
+
+def _is_of_surface(low: Gaussians, in_hole: Bool[np.ndarray, " l"]) -> Bool[np.ndarray, " l"]:
+    """Return which Gaussians about a plane are of no object, or of one that goes on beside the hole, as a floor does."""
+    owners = low.extra.get(OBJECT_ID)
+    if owners is None:
+        return np.ones(len(low), bool)
+    _, which, counts = np.unique(owners, return_inverse=True, return_counts=True)
+    return np.asarray((owners < 0) | (2 * np.bincount(which[in_hole], minlength=len(counts)) <= counts)[which])
 
 
 def _is_flat(scene: Gaussians, plane: Plane) -> Bool[np.ndarray, " n"]:
