@@ -167,6 +167,7 @@ def a_run_of(verb: str, room: Path, out: Path) -> list[str]:
             "--words",
             "mug",
         ],
+        "export": [scene, "--field", field, "--views", capture, "-o", str(out / "out.glb"), "--overwrite"],
         "photograph": [
             *[scene, "-o", str(out / "pictures"), "--overwrite"],
             *["--size", "32x24", "--number", "2", "--path", "swing"],

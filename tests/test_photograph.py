@@ -45,7 +45,7 @@ STEP = 0.2
 @pytest.fixture(autouse=True)
 def few_candidates(monkeypatch: pytest.MonkeyPatch) -> None:
     """Choose from fewer cameras, which takes less time."""
-    for name, count in (("PLACES", 12), ("TARGETS", 8), ("FAR_VIEWS", 16), ("NEAR_VIEWS", 3)):
+    for name, count in (("MAX_PLACES", 12), ("NUM_TARGETS", 8), ("FAR_VIEWS", 16), ("NEAR_VIEWS", 3)):
         monkeypatch.setattr(candidates, name, count)
 
 

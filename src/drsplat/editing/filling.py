@@ -162,7 +162,7 @@ def _own(
 
 
 def _is_of_surface(low: Gaussians, in_hole: Bool[np.ndarray, " l"]) -> Bool[np.ndarray, " l"]:
-    """Return which Gaussians about a plane are of no object, or of one that goes on beside the hole, as a floor does."""
+    """Return which Gaussians about a plane are of no object, or of one that goes on beside the hole, like a floor."""
     owners = low.extra.get(OBJECT_ID)
     if owners is None:
         return np.ones(len(low), bool)

@@ -1,4 +1,4 @@
-"""Writing SOG, version 2: lossless WebP pictures of quantised planes, for PlayCanvas, SuperSplat and Spark.
+"""Writing SOG, version 2: lossless WebP pictures of quantised planes, the format of PlayCanvas and SuperSplat.
 
 Rows follow a Morton curve, which the format asks for, so they are others than those of the scene. The object and the
 relevancy of each Gaussian, which the format has no place for, are pictures of their own beside those of the format,

@@ -27,4 +27,4 @@ def keep_best(
     try:
         _native.keep_best(scores, names, np.ascontiguousarray(more), first, threads, _checked_isa(isa))
     except (TypeError, ValueError) as error:
-        raise InputError(f"scores {scores.shape}, names {names.shape}, more {more.shape}: {error}") from None
+        raise InputError(f"scores {scores.shape}, names {names.shape}, found {more.shape}: {error}") from None
