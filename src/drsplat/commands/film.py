@@ -23,7 +23,7 @@ SAME = "-"  # --side-by-side without a value
 
 
 def size(text: str) -> tuple[int, int]:
-    """Of an option, 1280x720."""
+    """Return width and height of an option such as 1280x720."""
     found = re.fullmatch(r"(\d{1,9})[xX](\d{1,9})", text)
     if not found:
         raise argparse.ArgumentTypeError(f"expected a width and height such as 1280x720, got {text!a}")
@@ -31,7 +31,7 @@ def size(text: str) -> tuple[int, int]:
 
 
 def around(text: str) -> str | int:
-    """Of an option: the scene, the best match, or the number of an object."""
+    """Return what an option names: the scene, the best match, or the number of an object."""
     return text if text in (SCENE, MATCH) else whole(text)
 
 
@@ -105,7 +105,7 @@ def film(
 
 
 def _target(arguments: argparse.Namespace, answer: Highlight | None, opened: OpenedScene | None) -> Match | None:
-    """What --around names; None for the scene. Raises: InputError: it is not there."""
+    """Return the match that --around names; None for the scene. Raises: InputError: it is not there."""
     from ..errors import InputError
     from ..query.objects import match_of, objects_of
 

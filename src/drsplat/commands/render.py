@@ -208,7 +208,7 @@ def _answer(arguments: argparse.Namespace) -> tuple[OpenedScene | None, Highligh
 
 
 def _notes(arguments: argparse.Namespace) -> list[Mark]:
-    """Of --annotations: those that are kept beside the scene."""
+    """Return the annotations that are kept beside the scene, none without --annotations."""
     from ..drawing.labels import notes_of
     from ..formats.annotations import AnnotationFile
 

@@ -59,7 +59,7 @@ class Draft:
         return finite and near and bool((self.scales > 0).all())
 
     def gaussians(self) -> Gaussians:
-        """What is there now, removed rows left out."""
+        """Return the scene as it is now, without removed rows."""
         return self.part(np.flatnonzero(self.present))
 
     def everything(self) -> Gaussians:

@@ -37,7 +37,7 @@ Cells = Bool[np.ndarray, "h w"]
 
 @dataclass(frozen=True)
 class Fill:
-    """What is missing where these rows stood at first is cloned from the planes that they stood on or before.
+    """Change that clones what is missing where rows stood at first from the planes that they stood on or before.
 
     A table goes on below a vase, a floor and a wall behind a shelf; what training left there unseen goes. Nothing is
     made up: no edge, no pattern with a place of its own; shadows and reflections stay, and what no plane holds is open.
@@ -103,12 +103,7 @@ def _fill(
     hole = grid.shadow(plane.flat(thing)) & (coverage < COVERED) | grid.shadow(plane.flat(foot))
     hole &= open_there
     cells = grid.cells(flat)
-    low = np.flatnonzero(np.abs(heights) <= STANDS * plane.tolerance)
-    below = grid.cells(plane.flat(scene.means[low].astype(np.float64)))
-    goes = hole[below[:, 0], below[:, 1]]
-    if version > 2:
-        goes &= _is_of_surface(scene.subset(low), goes)
-    draft.present[near[low[goes]]] = False
+    draft.present[near[_guessed(scene, plane, grid, hole, version)]] = False
     missing, good, colors = hole.copy(), (coverage >= COVERED) & ~hole & bare, None
     own = np.ones(len(surface), bool)
     if version > 1:
@@ -159,6 +154,16 @@ def _own(
         _, which, counts = np.unique(owners, return_inverse=True, return_counts=True)
         own &= (counts >= LEAST_SHARE * len(surface))[which]
     return np.asarray(own)
+
+
+def _guessed(scene: Gaussians, plane: Plane, grid: "_Grid", hole: Cells, version: int) -> Ids:
+    """Return the Gaussians about a plane, in a hole of it, that training guessed there unseen."""
+    low = np.flatnonzero(np.abs(plane.heights(scene.means.astype(np.float64))) <= STANDS * plane.tolerance)
+    cells = grid.cells(plane.flat(scene.means[low].astype(np.float64)))
+    goes = hole[cells[:, 0], cells[:, 1]]
+    if version > 2:
+        goes &= _is_of_surface(scene.subset(low), goes)
+    return np.asarray(low[goes])
 
 
 def _is_of_surface(low: Gaussians, in_hole: Bool[np.ndarray, " l"]) -> Bool[np.ndarray, " l"]:

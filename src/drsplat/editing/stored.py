@@ -98,13 +98,13 @@ class EditFile:
 
 
 def document_of(listed: EditList) -> dict[str, object]:
-    """What is written."""
+    """Return a list of edits as the JSON document that is stored."""
     edits = [{"of": _target_json(edit.target), **_change_json(edit.change)} for edit in listed.edits]
     return {"format": FORMAT, "version": VERSION, "scene": listed.scene, "done": listed.done, "edits": edits}
 
 
 def edits_of(document: object, where: str) -> EditList:
-    """What was written. Raises: FormatError: no such document, or an edit that there is not."""
+    """Return the edits in a stored document. Raises: FormatError: no such document, or an edit that there is not."""
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise FormatError(f"{where}: expected '{FORMAT}'")
     if document.get("version") != VERSION:

@@ -47,7 +47,7 @@ def write_scene(
     path = Path(path)
     writer = writer_of(path)
     if format_of(path, spz_version) == SPZ_4:
-        writer = _write_spz_4
+        writer = _encoded_by(spz4_bytes)
     require_writable(scene)
     writer(path, scene, overwrite)
 
@@ -116,22 +116,15 @@ def _write_ply(path: Path, scene: LabelledScene, overwrite: bool) -> None:
     write_gaussians(path, scene.gaussians, columns_of(scene), overwrite, is_edited=scene.num_edits > 0)
 
 
-def _write_spz(path: Path, scene: LabelledScene, overwrite: bool) -> None:
-    content = spz_bytes(scene.gaussians)
-    with replacing(path, overwrite=overwrite) as file:
-        file.write(content)
+def _encoded_by(encode: Callable[[LabelledScene], bytes]) -> Writer:
+    """Return a writer of what a function encodes in memory."""
 
+    def write(path: Path, scene: LabelledScene, overwrite: bool) -> None:
+        content = encode(scene)
+        with replacing(path, overwrite=overwrite) as file:
+            file.write(content)
 
-def _write_spz_4(path: Path, scene: LabelledScene, overwrite: bool) -> None:
-    content = spz4_bytes(scene)
-    with replacing(path, overwrite=overwrite) as file:
-        file.write(content)
-
-
-def _write_sog(path: Path, scene: LabelledScene, overwrite: bool) -> None:
-    content = sog_bytes(scene)
-    with replacing(path, overwrite=overwrite) as file:
-        file.write(content)
+    return write
 
 
 WRITERS: Mapping[str, Writer] = MappingProxyType(
@@ -139,8 +132,8 @@ WRITERS: Mapping[str, Writer] = MappingProxyType(
         ".glb": write_glb,
         ".ply": _write_ply,
         ".rrd": write_rrd,
-        ".sog": _write_sog,
-        ".spz": _write_spz,
+        ".sog": _encoded_by(sog_bytes),
+        ".spz": _encoded_by(lambda scene: spz_bytes(scene.gaussians)),
         ".usda": write_usda,
         ".usdc": write_usdc,
         ".usdz": write_usdz,

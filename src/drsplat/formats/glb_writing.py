@@ -123,22 +123,29 @@ def write_glb(path: Path, scene: LabelledScene, overwrite: bool = False) -> None
     """
     binary = Binary()
     document = _document(scene, binary)
-    text = json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode(errors="replace")
-    text += b" " * (-(HEADER.size + 2 * CHUNK.size + len(text)) % ALIGNMENT)
-    size = HEADER.size + 2 * CHUNK.size + len(text) + binary.size
+    head = head_of(document, binary.size)
+    size = len(head) + binary.size
     if size > MOST_BYTES:
         raise InputError(
             f"{path.name} would have {size / 1e9:.1f} GB, and a GLB holds up to {MOST_BYTES / 1e9:.2f}: write it as "
             "PLY, SPZ or SOG, cut it into 3D Tiles, or export a part of it"
         )
     with replacing(path, overwrite) as file:
-        file.write(HEADER.pack(MAGIC, VERSION, size))
-        file.write(CHUNK.pack(len(text), JSON_CHUNK) + text)
-        file.write(CHUNK.pack(binary.size, BINARY_CHUNK))
+        file.write(head)
         for part in binary.parts:
             for block in part.blocks():
                 file.write(block)
             file.write(bytes(-part.size % ALIGNMENT))
+
+
+def head_of(document: dict[str, Any], binary_size: int) -> bytes:
+    """Return a GLB up to its binary chunk, which begins at a multiple of `ALIGNMENT`."""
+    text = json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode(errors="replace")
+    text += b" " * (-(HEADER.size + 2 * CHUNK.size + len(text)) % ALIGNMENT)
+    size = HEADER.size + 2 * CHUNK.size + len(text) + binary_size
+    length = min(size, MOST_BYTES)  # a longer one is refused before it is written
+    chunks = CHUNK.pack(len(text), JSON_CHUNK) + text + CHUNK.pack(min(binary_size, MOST_BYTES), BINARY_CHUNK)
+    return HEADER.pack(MAGIC, VERSION, length) + chunks
 
 
 def _document(scene: LabelledScene, binary: Binary) -> dict[str, Any]:

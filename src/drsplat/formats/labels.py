@@ -5,12 +5,11 @@ Embeddings and annotations do not go along.
 """
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from ..errors import FormatError
-from ..scene.labelled import LabelledScene, Thing, places_of
+from ..scene.labelled import LabelledScene, Thing
 from .json_files import as_count, as_matrix, as_number, as_vector, is_text, shown
 
 FORMAT, VERSION = "drsplat objects", 1
@@ -91,15 +90,3 @@ def _thing(entry: Any, where: str, groups: int) -> Thing:
         parent,
         number=as_count(entry["number"], f"{where}: number") if "number" in entry else -1,
     )
-
-
-def labelled(gaussians: Any, labels: Labels, title: str) -> LabelledScene:
-    """Return the scene with its objects, whose numbers are the column `object_id`; none where no names are there."""
-    object_of, relevancy = (gaussians.extra.get(name) for name in ("object_id", "relevancy"))
-    places = places_of(object_of, labels.things) if labels.things and object_of is not None else None
-    return LabelledScene(gaussians, title, labels.things, labels.groups, places, labels.query, relevancy)
-
-
-def names_of(things: Sequence[Thing]) -> list[str]:
-    """Return the names of things, in order."""
-    return [thing.name for thing in things]

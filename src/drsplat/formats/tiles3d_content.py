@@ -7,8 +7,6 @@ Source: KHR_gaussian_splatting, KHR_gaussian_splatting_compression_spz_2 (draft)
 EXT_structural_metadata.
 """
 
-import json
-import struct
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,13 +15,27 @@ import numpy as np
 from ..arrays import Float64, Int32
 from ..scene.gaussians import Gaussians
 from ..scene.labelled import Thing
+from .glb_layout import (
+    COLOR,
+    COLOR_SPACE,
+    FEATURE_ID,
+    FEATURES,
+    FLOAT,
+    HARMONICS,
+    KERNEL,
+    METADATA,
+    OPACITY,
+    POSITION,
+    ROTATION,
+    SCALE,
+    SPLATTING,
+    SPZ,
+    UNSIGNED_BYTE,
+)
+from .glb_writing import ALIGNMENT, ARRAY_BUFFER, NO_OBJECT_FLOAT, head_of
 from .spz_writing import TO_RUB, spz_bytes
 
-SPLATTING, SPZ = "KHR_gaussian_splatting", "KHR_gaussian_splatting_compression_spz_2"
-FEATURES, METADATA = "EXT_mesh_features", "EXT_structural_metadata"
-FLOAT, UNSIGNED_BYTE, ARRAY_BUFFER = 5126, 5121, 34962
-NO_OBJECT = 2**24 - 1  # the largest number that an attribute of floats can hold
-KEPT = {"kernel": "ellipse", "colorSpace": "srgb_rec709_display", "sortingMethod": "cameraDistance"}
+KEPT = {"kernel": KERNEL, "colorSpace": COLOR_SPACE, "sortingMethod": "cameraDistance"}
 
 
 @dataclass
@@ -37,7 +49,7 @@ class _Binary:
     def view(self, content: bytes, **more: Any) -> int:
         content = content or b"\0"
         self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": len(content), **more})
-        self.parts.append(content + bytes(-len(content) % 8))
+        self.parts.append(content + bytes(-len(content) % ALIGNMENT))
         self.size += len(self.parts[-1])
         return len(self.views) - 1
 
@@ -66,12 +78,12 @@ def content_glb(
     document: dict[str, Any] = {}
     if objects is not None and (objects >= 0).any():
         used, rows = np.unique(objects, return_inverse=True)
-        places = np.where(used < 0, NO_OBJECT, np.cumsum(used >= 0) - 1)[rows.reshape(-1)].astype("<f4")
-        attributes["_FEATURE_ID_0"] = len(accessors)
+        places = np.where(used < 0, NO_OBJECT_FLOAT, np.cumsum(used >= 0) - 1)[rows.reshape(-1)].astype("<f4")
+        attributes[FEATURE_ID] = len(accessors)
         view = binary.view(places.tobytes(), target=ARRAY_BUFFER)
         accessors.append({"bufferView": view, "componentType": FLOAT, "count": len(places), "type": "SCALAR"})
         table = [(_number(int(place), things[place]), things[place]) for place in used if place >= 0]
-        feature = {"featureCount": len(table), "nullFeatureId": NO_OBJECT, "attribute": 0, "propertyTable": 0}
+        feature = {"featureCount": len(table), "nullFeatureId": NO_OBJECT_FLOAT, "attribute": 0, "propertyTable": 0}
         extensions[FEATURES] = {"featureIds": [{**feature, "label": "objects"}]}
         document["extensions"] = {METADATA: _table(binary, table)}
     names = [SPLATTING, SPZ, *([FEATURES] if FEATURES in extensions else []), *document.get("extensions", {})]
@@ -87,7 +99,7 @@ def content_glb(
         "bufferViews": binary.views,
         "buffers": [{"byteLength": binary.size}],
     }
-    return _glb(document, b"".join(binary.parts))
+    return head_of(document, binary.size) + b"".join(binary.parts)
 
 
 def _spz(binary: _Binary, gaussians: Gaussians) -> int:
@@ -98,17 +110,13 @@ def _declared(gaussians: Gaussians) -> tuple[list[dict[str, Any]], dict[str, int
     """Return the accessors of what the SPZ stream holds, in which nothing is stored, and the attributes they are of."""
     turned = gaussians.means * TO_RUB
     kinds = {
-        "POSITION": ("VEC3", FLOAT, {"min": turned.min(0).tolist(), "max": turned.max(0).tolist()}),
-        "COLOR_0": ("VEC4", UNSIGNED_BYTE, {"normalized": True}),
-        f"{SPLATTING}:ROTATION": ("VEC4", FLOAT, {}),
-        f"{SPLATTING}:SCALE": ("VEC3", FLOAT, {}),
-        f"{SPLATTING}:OPACITY": ("SCALAR", FLOAT, {}),
+        POSITION: ("VEC3", FLOAT, {"min": turned.min(0).tolist(), "max": turned.max(0).tolist()}),
+        COLOR: ("VEC4", UNSIGNED_BYTE, {"normalized": True}),
+        ROTATION: ("VEC4", FLOAT, {}),
+        SCALE: ("VEC3", FLOAT, {}),
+        OPACITY: ("SCALAR", FLOAT, {}),
     }
-    kinds |= {
-        f"{SPLATTING}:SH_DEGREE_{degree}_COEF_{n}": ("VEC3", FLOAT, {})
-        for degree in range(1, gaussians.sh_degree + 1)
-        for n in range(2 * degree + 1)
-    }
+    kinds |= {name: ("VEC3", FLOAT, {}) for name in HARMONICS[1 : gaussians.sh.shape[1]]}
     accessors = [
         {"componentType": component, "count": len(gaussians), "type": kind, **more}
         for kind, component, more in kinds.values()
@@ -149,11 +157,3 @@ def _table(binary: _Binary, things: list[tuple[int, Thing]]) -> dict[str, Any]:
 
 def _float(kind: str) -> dict[str, Any]:
     return {"type": kind, "componentType": "FLOAT32"}
-
-
-def _glb(document: dict[str, Any], binary: bytes) -> bytes:
-    text = json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode(errors="replace")
-    text += b" " * (-(20 + len(text) + 8) % 8)
-    size = 12 + 8 + len(text) + 8 + len(binary)
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(binary), b"BIN\0") + binary
-    return struct.pack("<4sII", b"glTF", 2, size) + chunks

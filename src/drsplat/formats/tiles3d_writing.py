@@ -23,9 +23,10 @@ from ..scene.merging import coarser
 from ..scene.morton import morton_order
 from .field_folder import replacing_folder
 from .georeference import Georeference
+from .glb_layout import SPLATTING, SPZ
 from .replacing import replacing
 from .tiles import Tiles
-from .tiles3d_content import SPLATTING, SPZ, content_glb
+from .tiles3d_content import content_glb
 from .usd_writing import extent_of, refuse_unwritable, upright
 
 TILESET = "tileset.json"

@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..arrays import Float32, Float64
-from ..errors import FormatError, InputError
+from ..errors import InputError
 from ..scene.annotations import Annotation
 from ..scene.gaussians import Gaussians, covariances_of
 from ..scene.labelled import LabelledScene, Thing
-from .activation import checked
+from . import gaussian_ply
 from .json_files import is_text
 from .replacing import replacing
 
@@ -76,10 +76,7 @@ def refuse_unwritable(gaussians: Gaussians) -> None:
     """Raises: InputError: there are no Gaussians, or rows that are none."""
     if not len(gaussians):
         raise InputError("a scene without Gaussians cannot be written: there is nothing in it to show")
-    try:
-        checked(gaussians.means, gaussians.quats.copy(), gaussians.scales, gaussians.opacities, gaussians.sh)
-    except FormatError as error:
-        raise InputError(f"these Gaussians could not be read back: {error}") from None
+    gaussian_ply.refuse_unwritable(gaussians)
 
 
 def extent_of(gaussians: Gaussians) -> Float32[np.ndarray, "2 3"]:
