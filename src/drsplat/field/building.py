@@ -33,18 +33,18 @@ class Features(Protocol):
 
 @runtime_checkable
 class RowCoder(Protocol):
-    """Who codes the rows `seen` of some features: nothing but who works, and when, depends on it."""
+    """Strategy that codes rows of features, in this process or in others. The result never depends on the strategy."""
 
     def mixed(
         self, features: Aggregated, seen: Int64[np.ndarray, " s"], atoms_per_row: int, scene: SceneAtoms | None,
         threads: int, track: Track,
     ) -> Mixed:  # fmt: skip
-        """As `encode_with`."""
+        """Code rows as mixtures of atoms; see `encode_with` for the arguments."""
 
     def quantised(
         self, features: Aggregated, seen: Int64[np.ndarray, " s"], codebook: Codebook, threads: int, track: Track
     ) -> tuple[Codes, Bool[np.ndarray, " s"]]:
-        """As `encode_features`."""
+        """Code rows by a codebook; see `encode_features` for the arguments."""
 
 
 class AtOnce:
@@ -87,13 +87,13 @@ def build_field(
     threads: int = 0,
     track: Track = untracked,
 ) -> LanguageField:
-    """The feature of each Gaussian, coded. Gaussians without any are left out.
+    """Build the field of evidence: the coded feature of each Gaussian that has one.
 
     evidence: one row per Gaussian of the scene; the field keeps all of it, whatever the features are made
     of. scene: fingerprint of those Gaussians. code: what features are kept as. aggregated: the features of
     the rows, as an aggregator makes them of the evidence, None for their mean. provenance: of the evidence's columns;
-    a field that is to grow needs it. coder: who codes. track: shows progress. The same to the bit for any number of
-    threads.
+    a field that is to grow needs it. coder: the strategy of coding. track: shows progress. The bits are the same for
+    any number of threads.
 
     Raises: InputError: no Gaussian has evidence, or not one feature per row. MismatchError: the
     embeddings, the encoder and the codebook are not of one dimension.
@@ -120,7 +120,7 @@ def build_field(
 
 
 def chosen_code(code: CodeSpecification, evidence: Evidence) -> PQ | Mixture | Codebook:
-    """The smaller one where that is wished for."""
+    """Return the code itself, or, for `Smaller`, the code that makes the smaller field."""
     if isinstance(code, Smaller):
         return code.chosen(evidence.num_seen, len(evidence.masks), evidence.dim)
     return code
@@ -134,7 +134,7 @@ def grown_of(
     learnt: Learnt,
     scene_places: Int32[np.ndarray, " p"] | None,
 ) -> Growth:
-    """What a field of these Gaussians has to keep beside its rows of the evidence."""
+    """Return what a field of these Gaussians has to keep beside its rows of the evidence."""
     has_rest = np.diff(evidence.weights.indptr) > 0
     has_rest[gaussian_ids] = False
     rest_ids = np.flatnonzero(has_rest).astype(np.uint32)
@@ -146,7 +146,7 @@ def grown_of(
 
 
 def _rows(evidence: Evidence, index: Integer[np.ndarray, " q"]) -> csr_array:
-    """Some rows of W, with int32 columns."""
+    """Return some rows of W, with int32 columns."""
     rows = evidence.weights[index]
     arrays = (rows.data, rows.indices.astype(np.int32), rows.indptr.astype(np.int32))
     return csr_array(arrays, shape=rows.shape)
@@ -156,7 +156,7 @@ def _coded(
     coder: RowCoder, features: Aggregated, seen: Int64[np.ndarray, " s"], code: PQ | Mixture | Codebook,
     learnt: Learnt, threads: int, track: Track,
 ) -> Coded:  # fmt: skip
-    """The code of the rows that have a direction, and which of those seen do: embeddings can cancel out."""
+    """Code the rows that have a direction, and mark them among those seen: embeddings can cancel out."""
     if isinstance(code, Mixture):
         mixed = coder.mixed(features, seen, code.atoms, learnt.atoms, threads, track)
         directed = mixed.code.blocks.scales > 0

@@ -1,4 +1,4 @@
-"""What a field keeps beside its evidence so that views can come and go: growth.safetensors (docs/growing.md)."""
+"""Growth: arrays beside a field's evidence that let views come and go (growth.safetensors, docs/growing.md)."""
 
 import json
 from collections.abc import Mapping
@@ -62,7 +62,7 @@ class Growth:
             raise InputError(f"rest: column {indices.max()} of {self.rest.shape[1]}")
 
     def specification(self, code: Code) -> CodeSpecification:
-        """What to code with, given the code that the field has."""
+        """Return the specification to code with, given the code that the field has."""
         if self.code is not None:
             return self.code
         if not isinstance(code, PQCode):
@@ -117,7 +117,7 @@ class Growth:
 def growth_from_tensors(
     tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str], document: object, masks: int, where: str
 ) -> Growth:
-    """As `Growth.tensors`, `metadata` and `json` give it. masks: of the field's evidence.
+    """Read what `Growth.tensors`, `metadata` and `json` wrote. masks: number of masks of the field's evidence.
 
     Raises: FormatError: something is missing, of another type, or does not fit the rest.
     """

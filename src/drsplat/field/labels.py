@@ -44,7 +44,7 @@ class Label:
     def of(
         cls, name: str, scene: str, gaussian_ids: Integer[np.ndarray, " m"], center: Float64[np.ndarray, " 3"]
     ) -> "Label":
-        """Of ascending rows of the scene."""
+        """Return the label of ascending rows of the scene."""
         return cls(name.strip(), scene, spans_of(gaussian_ids), center)
 
     def __post_init__(self) -> None:
@@ -58,7 +58,7 @@ class Label:
         return int((self.spans[:, 1] - self.spans[:, 0]).sum())
 
     def is_of(self, field: LanguageField) -> bool:
-        """Whether it names Gaussians of the field's scene."""
+        """Return True if the label names Gaussians of the field's scene."""
         return self.scene == field.scene and int(self.spans[-1, 1]) <= field.num_gaussians
 
     def gaussian_ids(self, field: LanguageField) -> Int64[np.ndarray, " m"]:
@@ -85,7 +85,7 @@ class LabelFile:
 
     @classmethod
     def beside(cls, field: str | os.PathLike[str]) -> "LabelFile":
-        """Of the field in a folder NAME.field: NAME.labels.json."""
+        """Return the label file of a field in a folder NAME.field: NAME.labels.json."""
         folder = Path(field)
         name = folder.stem if folder.suffix == ".field" else folder.name
         return cls(folder.with_name(f"{name}.labels.json"))
@@ -146,7 +146,7 @@ class Matched:
     orphans: tuple[Label, ...]
 
     def called(self, name: str) -> list[int]:
-        """The nodes that people gave this name."""
+        """Return the nodes that people gave this name."""
         return [node for node, label in self.by_node.items() if label.means(name)]
 
 

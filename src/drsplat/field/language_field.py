@@ -37,7 +37,7 @@ def relevancy_from_scores(
 
 @dataclass(frozen=True, eq=False)
 class Negatives:
-    """What a query is compared with. maxima: each row's best score among the unit `embeddings`.
+    """Negatives that a query is compared with. maxima: each row's best score among the unit `embeddings`.
 
     texts: the words they came from, () where there were none.
     """
@@ -144,7 +144,7 @@ class LanguageField:
         return len(self.gaussian_ids)
 
     def rows_of(self, gaussian_ids: Integer[np.ndarray, " m"]) -> Int64[np.ndarray, " m"]:
-        """The row of each Gaussian of the scene; -1 where it has no feature, or there is no such Gaussian."""
+        """Return the row of each Gaussian of the scene, -1 where it has no feature, or there is no such Gaussian."""
         if not len(self):
             return np.full(len(gaussian_ids), -1)
         ids = np.clip(gaussian_ids, 0, self.gaussian_ids[-1]).astype(np.uint32)  # else all rows are cast
@@ -153,7 +153,7 @@ class LanguageField:
 
     @property
     def codebook(self) -> Codebook:
-        """Of product-quantised features. Raises: InputError: they are kept in another way."""
+        """The codebook of product-quantised features. Raises: InputError: they are kept in another way."""
         if not isinstance(self.code, PQCode):
             raise InputError(f"this field's features are of the code '{self.code.kind}': no codebook")
         return self.code.codebook
@@ -210,7 +210,7 @@ class LanguageField:
         return self.code.select(self._unit(query), margin, self.negatives.maxima, threads=threads)
 
     def top(self, query: Float32[np.ndarray, " D"], count: int, *, threads: int = 0) -> Hits:
-        """The `count` rows of the highest cosine, best first. Raises: as `scores`; InputError: a count below 1."""
+        """Return the `count` rows of the highest cosine, best first. Raises: as `scores`; InputError: count < 1."""
         return self.code.top(self._unit(query), count, threads=threads)
 
     def best(self, queries: Float32[np.ndarray, "c D"], *, threads: int = 0) -> Best:
@@ -260,7 +260,7 @@ class LanguageField:
     def with_negatives(
         self, embeddings: Float32[np.ndarray, "n D"], texts: tuple[str, ...] = (), *, threads: int = 0
     ) -> "LanguageField":
-        """The same field with its negatives scored once and for all; `save` keeps them."""
+        """Return the field with its negatives scored once and for all; `save` keeps them."""
         return replace(self, negatives=self.score_negatives(embeddings, texts, threads=threads))
 
     def with_words_of(self, other: "LanguageField", *, threads: int = 0) -> "LanguageField":
@@ -270,7 +270,7 @@ class LanguageField:
         return replace(self, negatives=negatives, contrast=other.contrast)
 
     def with_contrast(self, embeddings: Float32[np.ndarray, "n D"], texts: tuple[str, ...]) -> "LanguageField":
-        """The same field with the words that queries are contrasted with; `save` keeps them.
+        """Return the field with the words that queries are contrasted with; `save` keeps them.
 
         Raises: InputError: not one embedding of the encoder's dimension for each text.
         """
@@ -281,7 +281,7 @@ class LanguageField:
         return replace(self, contrast=WordList(texts, _unit(embeddings)))
 
     def with_objects(self, objects: Objects | None) -> "LanguageField":
-        """The same field with what belongs together; `save` keeps it. Raises: InputError: of another field."""
+        """Return the field with objects; `save` keeps them. Raises: InputError: objects of another field."""
         return replace(self, objects=objects)
 
     def dense(self, scores: Float32[np.ndarray, " r"], fill: float | int = -1.0) -> Float32[np.ndarray, " N"]:
@@ -291,11 +291,11 @@ class LanguageField:
         return values
 
     def feature(self, rows: Integer[np.ndarray, " b"] | slice) -> Float32[np.ndarray, "b D"]:
-        """Decoded unit features of some rows."""
+        """Return decoded unit features of some rows."""
         return self.code.decode(np.arange(len(self))[rows])
 
     def explain(self, gaussian_id: int, query: Float32[np.ndarray, " D"], top: int = 5) -> list[Explanation]:
-        """The photos and masks that speak most for `query` at a Gaussian; none without a feature.
+        """Return the photos and masks that speak most for `query` at a Gaussian; none without a feature.
 
         Raises: InputError: no such Gaussian, or the field was made without evidence.
         """
@@ -321,7 +321,7 @@ class LanguageField:
 
     @property
     def times(self) -> Float64[np.ndarray, " v"] | None:
-        """Of its views, of a scene that moves; None of one that stands still, or without evidence."""
+        """Capture times of the views, or None for a still scene or a field without evidence."""
         return None if self.evidence is None else self.evidence.masks.times
 
     @property
@@ -366,7 +366,7 @@ class LanguageField:
         write_folder(Path(path), self._manifest(list(files)), files, overwrite)
 
     def equals(self, other: "LanguageField") -> bool:
-        """Whether both are saved as the same content."""
+        """Return True if both are saved as the same content."""
         mine, theirs = self._files(), other._files()
         return self._manifest(list(mine)) == other._manifest(list(theirs)) and all(
             file.equals(theirs[name]) for name, file in mine.items()

@@ -1,4 +1,4 @@
-"""What a scene's code is learnt from: a few of its views, always the same, so that another view seldom changes it."""
+"""Learning of a scene's code from a few of its views, always the same ones, so that a new view seldom changes it."""
 
 import hashlib
 from typing import NamedTuple
@@ -27,7 +27,7 @@ class Learnt(NamedTuple):
 def learn(
     features: Aggregated, code: PQ | Mixture | Codebook, encoder: EncoderIdentity, threads: int, track: Track
 ) -> Learnt:
-    """What a code needs that is not in a row itself. A codebook that is given is what it is."""
+    """Learn what a code needs beside the rows; a given codebook is taken as it is."""
     if isinstance(code, Codebook):
         return Learnt(codebook=code)
     views = learning_views(features.evidence)
@@ -50,13 +50,13 @@ def learning_views(evidence: Evidence) -> tuple[str, ...]:
 
 
 def source_of(features: Aggregated) -> Evidence:
-    """What each row is a mixture of, in canonical order."""
+    """Return the evidence that each row is a mixture of, in canonical order."""
     rows = features.evidence if features.donors is None else features.evidence.rows(features.donors)
     return canonical(rows)
 
 
 def drawn(name: str) -> bytes:
-    """Where a view comes in an order that looks like chance, and that further views do not change."""
+    """Return a view's sort key in an order that looks random, and that further views do not change."""
     return hashlib.blake2b(name.encode(), digest_size=8).digest()
 
 

@@ -114,7 +114,7 @@ def verify_field(path: str | os.PathLike[str]) -> list[str]:
 
 
 def _checked_manifest(path: Path) -> dict[str, object]:
-    """Of a version that can be read. Raises: as `load_field`."""
+    """Read a manifest of a version that can be read. Raises: as `load_field`."""
     if not (path / MANIFEST).exists():
         raise mistaken(path, Kind.FIELD)
     manifest = read_manifest(path)
@@ -163,7 +163,7 @@ def _left_out(document: object, path: Path) -> tuple[str, ...]:
 
 
 def _code(tensors: _Tensors, manifest: dict[str, object], path: Path) -> Code:
-    """Of any kind; version 1 knew product quantisation only, and wrote codes row by row."""
+    """Read a code of any kind; version 1 had product quantisation only, and wrote codes row by row."""
     where = str(path / CODES)
     old = manifest.get("version") == 1
     about = manifest.get("codebook" if old else "code")
@@ -191,7 +191,7 @@ def _code(tensors: _Tensors, manifest: dict[str, object], path: Path) -> Code:
 
 
 def _names(manifest: dict[str, object]) -> list[str]:
-    """The files that must be there."""
+    """Return the names of the files that must be there."""
     files = manifest.get("files")
     listed = files if isinstance(files, list) else []
     return [CODES, *(name for name in (EVIDENCE, NEGATIVES, CONTRAST, *LATER) if name in listed)]
@@ -245,7 +245,7 @@ def _contrast(file: _File | None, manifest: dict[str, object], dim: int) -> Word
 
 
 def _read_objects(path: Path, manifest: dict[str, object], field: StoredField) -> None:
-    """Raises: as `load_field`."""
+    """Read the objects of a field. Raises: as `load_field`."""
     file = _tied(path, OBJECTS, manifest)
     check_tensors(file.tensors, ARRAYS, str(file.path))
     try:
@@ -258,7 +258,7 @@ def _read_objects(path: Path, manifest: dict[str, object], field: StoredField) -
 
 
 def _read_growth(path: Path, manifest: dict[str, object], field: StoredField) -> None:
-    """Raises: as `load_field`."""
+    """Read the growth of a field. Raises: as `load_field`."""
     file, evidence = _tied(path, GROWTH, manifest), field.__dict__["evidence"]
     if evidence is None:
         raise FormatError(f"{file.path}: belongs to evidence, and there is none. {CURE}")

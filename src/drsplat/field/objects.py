@@ -1,4 +1,4 @@
-"""What belongs together: a forest of parts, objects and groups over the rows of a field (docs/objects.md)."""
+"""Objects: a forest of parts, things and groups over the rows of a field (docs/objects.md)."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -114,8 +114,10 @@ class Objects:
         return self._belonging(self._right_below)
 
     def single_of(self) -> Int32[np.ndarray, " R"]:
-        """Return per row of the field the node that answers as one: its thing, or the part right below a thing that is
-        nothing but its parts, as what was joined from pieces is. -1 for loose rows."""
+        """Return per row of the field the node that answers as a whole, -1 for loose rows.
+
+        That is its thing, or the part right below a thing that is nothing but its parts, as one joined from pieces is.
+        """
         has_own = np.bincount(self.node_of[self.node_of >= 0], minlength=self.num_nodes) > 0
         return self._belonging((self.levels == THING) & has_own | self._right_below & ~has_own[self.parents])
 
@@ -161,17 +163,17 @@ class Objects:
         return self.counts(np.arange(len(self.node_of)))
 
     def above(self, node: int) -> int | None:
-        """The node that this one is a part or member of. Raises: InputError: no such node."""
+        """Return the node that this one is a part or member of. Raises: InputError: no such node."""
         parent = int(self.parents[self._checked(node)])
         return None if parent < 0 else parent
 
     def below(self, node: int) -> list[int]:
-        """The nodes that this one is made of, ascending. Raises: InputError: no such node."""
+        """Return the nodes that this one is made of, ascending. Raises: InputError: no such node."""
         below: list[int] = np.flatnonzero(self.parents == self._checked(node)).tolist()
         return below
 
     def path(self, row: int) -> list[int]:
-        """The nodes that a row of the field belongs to, smallest first: parts, thing, groups; [] for none.
+        """Return the nodes that a row of the field belongs to, smallest first: parts, thing, groups; [] for none.
 
         Raises: InputError: no such row.
         """
@@ -184,7 +186,7 @@ class Objects:
         return path
 
     def thing(self, number: int) -> int:
-        """The node of object 0, 1, ...
+        """Return the node of object 0, 1, ...
 
         Raises: InputError: there is none of that number.
         """
@@ -199,7 +201,7 @@ class Objects:
         return self.masks[part], self.shares[part]
 
     def descriptors_of(self, node: int) -> Float32[np.ndarray, "p D"]:
-        """Unit embeddings of a node. Raises: InputError: no such node."""
+        """Return the unit embeddings of a node. Raises: InputError: no such node."""
         return self.descriptors[slice(*self.descriptor_starts[self._checked(node) :][:2])]
 
     def tensors(self) -> dict[str, np.ndarray]:
@@ -272,7 +274,7 @@ def check_forest(
 
 
 def _within(values: np.ndarray, low: float, high: float) -> Bool[np.ndarray, "..."]:
-    """False also where a value is NaN."""
+    """Mark values within a range, NaN not."""
     return np.asarray((values >= low) & (values <= high))
 
 

@@ -25,7 +25,7 @@ from .learning import Learnt, learning_views
 
 
 def whole_evidence(field: LanguageField) -> Evidence:
-    """A row for each Gaussian of the scene, those without a feature included, where the field knows them.
+    """Return evidence with a row for each Gaussian of the scene, also for those without a feature, as far as kept.
 
     Raises: InputError: the field was saved without its evidence.
     """
@@ -55,10 +55,10 @@ def regrown_field(
     threads: int = 0,
     track: Track = untracked,
 ) -> LanguageField | None:
-    """The field of other evidence of the same Gaussians, in canonical order; None where it has to be built anew.
+    """Return the field of changed evidence of the same Gaussians, or None where it has to be built anew.
 
-    touched: the Gaussians whose rows of W have changed, before or now. changed: the views that have come, gone or
-    become others. What the features do not decide (words, objects, what is up) is left out.
+    evidence: in canonical order. touched: the Gaussians whose rows of W have changed, before or now. changed: the
+    views that have come, gone or become others. What features do not decide (words, objects, what is up) is left out.
     """
     growth = field.growth
     if growth is None or field.evidence is None or not _can_stay(field, growth, evidence, changed):
@@ -80,13 +80,13 @@ def regrown_field(
 
 
 def _neighbours(evidence: Evidence, rows: Int64[np.ndarray, " s"]) -> Int64[np.ndarray, " s"]:
-    """The rows in the order of their first masks: what is under one is under the same others, which stay in caches."""
+    """Sort rows by their first masks: rows under one mask share their others, which then stay in caches."""
     weights = evidence.weights
     return rows[np.argsort(weights.indices[weights.indptr[rows]], kind="stable")]
 
 
 def _can_stay(field: LanguageField, growth: Growth, evidence: Evidence, changed: Collection[str]) -> bool:
-    """Whether rows that have not changed have the same code as if all were coded anew."""
+    """Return True if rows that have not changed have the same code as if all were coded anew."""
     how = aggregator(field.aggregator.name)
     code = chosen_code(growth.specification(field.code), evidence)
     assert field.evidence is not None
@@ -107,7 +107,7 @@ def _all_addressable(field: LanguageField, growth: Growth, evidence: Evidence) -
 
 
 def _columns(before: MaskIds, now: MaskIds, changed: Collection[str]) -> Int32[np.ndarray, " m"]:
-    """The new number of each old column, GONE for those of views that have changed."""
+    """Return the new number of each old column, GONE for those of views that have changed."""
     number = {name: place for place, name in enumerate(now.view_names)}
     views = np.array([GONE if name in changed else number[name] for name in before.view_names], np.int32)
     within = np.arange(len(before)) - np.searchsorted(before.views, before.views)
@@ -142,7 +142,7 @@ def _coded_again(
 
 
 def _ordered(one: Codes, other: Codes, order: Int64[np.ndarray, " n"]) -> Codes:
-    """Of both, one after the other, those at `order`."""
+    """Return the codes at `order` of both, one after the other."""
     places = np.empty_like(order)
     places[order] = np.arange(len(order))
     codes = np.empty((len(order), one.codes.shape[1]), np.uint8)

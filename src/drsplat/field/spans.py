@@ -19,8 +19,10 @@ from .regrowing import whole_evidence
 def field_during(
     field: LanguageField, during: Span, gaussians: Gaussians | None = None, *, threads: int = 0
 ) -> LanguageField:
-    """The field as if only the views of a span of time, its ends included, had been registered; coded with the same
-    codebook, where it has one. Columns of the evidence keep their numbers. Words and negatives stay, objects do not.
+    """Return the field as if only the views of a span of time, its ends included, had been registered.
+
+    It is coded with the same codebook, where it has one. Columns of the evidence keep their numbers. Words and
+    negatives stay, objects do not.
 
     gaussians: the canonical ones, for aggregators that look at neighbours.
 
@@ -55,7 +57,7 @@ def views_during(field: LanguageField, during: Span) -> Bool[np.ndarray, " v"]:
 
 
 def _code(field: LanguageField) -> PQ | Mixture | Codebook:
-    """What the field is coded with: its codebook, or as many masks for each row."""
+    """Return the specification of the field's code: its codebook, or as many masks for each row."""
     if isinstance(field.code, PQCode):
         return field.code.codebook
     wish = None if field.growth is None else field.growth.code

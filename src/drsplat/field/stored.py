@@ -35,7 +35,7 @@ class StoredField(LanguageField):
     growth = _guarded("growth", GROWTH)  # type: ignore[assignment]  # so is this
 
     def compared_by(self, checks: Mapping[str, Callable[["StoredField"], None]]) -> "StoredField":
-        """This field, with what is to be done once before a file's arrays are used."""
+        """Return this field with checks to run once, before a file's arrays are used."""
         self.__dict__["_checks"] = dict(checks)
         return self
 

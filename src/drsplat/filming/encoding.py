@@ -37,7 +37,7 @@ PATIENCE_S = 600.0  # for the last pictures, once all have been given
 
 
 def ffmpeg() -> str | None:
-    """Where the program is, None where it is not."""
+    """Return the path of the program ffmpeg, None where it is not installed."""
     return shutil.which("ffmpeg")
 
 
@@ -82,7 +82,7 @@ def _hand_over(pipe: IO[bytes] | None, pictures: Iterable[OtherPixels]) -> None:
 
 
 def _encoder(program: str, suffix: str) -> tuple[str, ...]:
-    """Raises: InputError: this build has none."""
+    """Return the arguments of an encoder for a suffix. Raises: InputError: this build of ffmpeg has none."""
     here = _encoders(program)
     for encoder in ENCODERS[suffix]:
         if encoder[0] in here:
@@ -93,7 +93,7 @@ def _encoder(program: str, suffix: str) -> tuple[str, ...]:
 
 @cache
 def _encoders(program: str) -> frozenset[str]:
-    """The names of those that a build of ffmpeg has. Raises: InputError: it does not run."""
+    """Return the names of the encoders that a build of ffmpeg has. Raises: InputError: it does not run."""
     command = [program, "-hide_banner", "-loglevel", "error", "-encoders"]
     try:
         listed = subprocess.run(command, capture_output=True, stdin=subprocess.DEVNULL, timeout=60, check=True)

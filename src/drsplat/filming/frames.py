@@ -22,11 +22,11 @@ BORDER = 2  # pixels between two sides
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """What is filmed. views: of each picture, all of one size.
+    """A film to be drawn. views: one for each picture, all of one size.
 
-    Of a moving scene the film lasts from its first time to its last. answer: fades in. beside: another scene, or the
-    same, in the left half, without the answer; the views are of one half. near: as of `splat_arrays`. notes: drawn
-    from the first picture to the last, on both sides.
+    A film of a moving scene lasts from its first time to its last. answer: fades in. beside: another scene, or the
+    same, in the left half, without the answer; the views are those of one half. near: as in `splat_arrays`. notes:
+    drawn from the first picture to the last, on both sides.
 
     Raises: InputError: no views; an answer of another scene.
     """
@@ -84,7 +84,7 @@ class _Side:
         self.splats = None if isinstance(scene, Moving) else splat_arrays(scene, film.near)
 
     def draw(self, view: View, time: float, answer: Highlight | None, share: float) -> tuple[OtherPixels, OtherPixels]:
-        """The view at a share of all time, without and with the answer."""
+        """Draw the view at a time, without the answer and with a share of it."""
         gaussians = _at(self.scene, time)
         splats: SplatArrays = self.splats or splat_arrays(gaussians, self.film.near)
         drawn = render(

@@ -16,7 +16,7 @@ FASTEST = 50.0  # browsers take less than two hundredths of a second to be ten
 
 
 def write_gif(file: BinaryIO, pictures: Iterator[OtherPixels], fps: float) -> None:
-    """An endless loop, of 50 pictures a second at most: times are in hundredths of a second."""
+    """Write an endless loop of 50 pictures a second at most: GIF counts time in hundredths of a second."""
     for number, picture in enumerate(pictures):
         image = Image.fromarray(picture).quantize(COLORS, method=Image.Quantize.FASTOCTREE)
         if number == 0:

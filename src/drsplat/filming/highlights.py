@@ -32,7 +32,7 @@ class Highlight:
 
     @classmethod
     def of(cls, scene: Scene, query: Query, *, heat: bool = False, boxes: bool = False) -> "Highlight":
-        """What a scene answers. heat: colours for how well each Gaussian fits; else what was found stays in colour.
+        """Ask a scene and return its answer. heat: colours show how well each Gaussian fits; else matches keep theirs.
 
         Raises: as `Scene.locate`.
         """
@@ -68,7 +68,7 @@ class Highlight:
         return len(np.unique(np.concatenate([np.empty(0, np.int64), *(match.gaussian_ids for match in self.matches)])))
 
     def over(self, drawn: Picture, picture: Pixels, view: View, share: float, moved: Gaussians | None = None) -> Pixels:
-        """The answer over what was drawn of a view with `values`. share: how much of it, from 0 to 1.
+        """Draw the answer over a view that was drawn with `values`. share: how much of it, from 0 to 1.
 
         picture: the pixels of `drawn`. moved: the Gaussians as they are now, where they move.
         """
@@ -86,7 +86,7 @@ class Highlight:
 
 
 def marks_of(matches: Sequence[Match], text: str) -> list[Mark]:
-    """A box with a name for each match: its label, else the text; numbers tell several apart."""
+    """Return a box with a name for each match: its label, else the text; numbers tell several apart."""
     names = [match.label or text for match in matches]
     return [
         box_mark(f"{number} {name}" if len(matches) > 1 else name, match)

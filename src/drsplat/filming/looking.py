@@ -1,4 +1,4 @@
-"""Where to look from: which way is up, the place before a match, a swing around it."""
+"""Viewpoints: which way is up, the place before a match, a swing around it."""
 
 from collections.abc import Sequence
 
@@ -19,7 +19,7 @@ UP_WITHOUT_VIEWS = (0.0, -1.0, 0.0)  # COLMAP's first camera, which most scenes 
 
 
 def up_direction(scene: Scene) -> Vector:
-    """What the scene calls up, as its boxes stand; where nothing tells, that of COLMAP's first camera."""
+    """Return the scene's upward direction, as its boxes stand; where nothing tells, that of COLMAP's first camera."""
     return np.array(UP_WITHOUT_VIEWS) if scene.up is None else scene.up
 
 
@@ -34,7 +34,7 @@ def named_up(text: str) -> Vector:
 def looking_at(
     eye: Vector, target: Vector, up: Vector, size: tuple[int, int], fov_degrees: float = FOV_DEGREES
 ) -> View:
-    """A camera at `eye` with `target` in the middle of its picture; size: width and height.
+    """Return a camera at `eye` with `target` in the middle of its picture. size: width and height.
 
     fov_degrees: from the top to the bottom of the picture.
 
@@ -94,7 +94,7 @@ def _showing(views: Sequence[View], point: Vector) -> Bool[np.ndarray, " v"]:
 
 
 def size_of(match: Match, gaussians: Gaussians) -> float:
-    """The longest side of its box, but not less than a small part of the scene."""
+    """Return the longest side of a match's box, but not less than a small part of the scene."""
     return size_in(match.extent, radius_of(gaussians))
 
 

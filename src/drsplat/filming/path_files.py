@@ -32,7 +32,7 @@ def read_path(path: str | PathLike[str]) -> CameraPath:
 
 
 def path_of(document: object, where: str) -> CameraPath:
-    """As `read_path`, of what was read. where: names it in errors."""
+    """Return the path of a JSON document, see `read_path`. where: names the document in errors."""
     if isinstance(document, dict) and "camera_path" in document:
         return _told(where, lambda: _of_nerfstudio(document, where))
     if isinstance(document, dict) and "key_frames" in document:
@@ -72,7 +72,7 @@ def _key_json(key: KeyFrame) -> dict[str, object]:
 
 
 def _told(where: str, read: Callable[[], CameraPath]) -> CameraPath:
-    """What a file says that no path can be made of is the file's fault."""
+    """Read a path, and blame the file for values that no path can be made of."""
     try:
         found = read()
         if found.size is not None:

@@ -47,12 +47,12 @@ class KeyFrame:
 
     @classmethod
     def of(cls, view: View, seconds: float | None = None) -> "KeyFrame":
-        """The camera of a view, with its principal point in the middle of the picture."""
+        """Return the key frame of a view's camera, with the principal point moved to the middle of the picture."""
         fov = np.degrees(2 * np.arctan(view.height / (2 * view.K[1, 1])))
         return cls(view.center, view.cam_from_world[:3, :3], float(np.clip(fov, *LENSES)), seconds)
 
     def view(self, size: tuple[int, int], name: str = "camera") -> View:
-        """As a view of so many pixels across and down."""
+        """Return the view of this key frame. size: pixels across and down."""
         width, height = size
         focal = height / (2 * np.tan(np.radians(self.fov_degrees) / 2))
         pose = np.eye(4)
@@ -64,10 +64,10 @@ class KeyFrame:
 
 @dataclass(frozen=True, eq=False)
 class CameraPath:
-    """A smooth curve through key frames: places by a centripetal Catmull-Rom spline, rotations by SciPy's spline on
-    the sphere, lenses without overshoot.
+    """A smooth camera path through key frames.
 
-    closed: the last leads to the first. Where key frames have seconds they are passed then; `even`, one after the
+    Places follow a centripetal Catmull-Rom spline, rotations SciPy's spline on the sphere, lenses do not overshoot.
+    closed: the last key frame leads to the first. Key frames with seconds are passed then, with `even` one after the
     other in equal times; else the camera has one speed, in which half of all time goes to moving and half to turning.
     seconds, fps, size: wished for, None for the default.
 
@@ -98,7 +98,7 @@ class CameraPath:
         return self.keys[0].seconds is not None
 
     def at(self, shares: Float64[np.ndarray, " f"]) -> list[KeyFrame]:
-        """The cameras at shares of the path's time, from 0 to 1."""
+        """Return the cameras at shares of the path's time, from 0 to 1."""
         knots = self._knot_at(shares)
         return [
             KeyFrame(eye, rotation, float(np.clip(fov, *LENSES)))
@@ -108,7 +108,7 @@ class CameraPath:
         ]
 
     def views(self, frames: int, size: tuple[int, int]) -> list[View]:
-        """A view for each picture of a film. Of a closed path the last is the one before the first.
+        """Return a view for each picture of a film; the last of a closed path is the one before the first.
 
         Raises: InputError: no pictures or too many, or too large ones.
         """
@@ -174,7 +174,7 @@ class CameraPath:
         )
 
     def _knot_at(self, shares: Float64[np.ndarray, " f"]) -> Float64[np.ndarray, " f"]:
-        """Where on the curve the camera is: `even` and timed paths run as the knots do."""
+        """Return where on the curve the camera is; `even` and timed paths run as the knots do."""
         shown = self._knots[self._first : self._last + 1]
         if self.even or self.is_timed:
             return np.asarray(shown[0] + np.clip(shares, 0, 1) * (shown[-1] - shown[0]))
@@ -185,7 +185,7 @@ class CameraPath:
 
 
 def _tangents(knots: Float64[np.ndarray, " k"], points: Float64[np.ndarray, "k 3"]) -> Float64[np.ndarray, "k 3"]:
-    """Of a Catmull-Rom spline over knots that are not even; straight on at both ends.
+    """Return the tangents of a Catmull-Rom spline over uneven knots; it runs straight on at both ends.
 
     Source: Barry and Goldman 1988; Yuksel et al. 2011 (centripetal knots make no loops).
     """
@@ -196,7 +196,7 @@ def _tangents(knots: Float64[np.ndarray, " k"], points: Float64[np.ndarray, "k 3
 
 
 def check_size(size: tuple[int, int]) -> None:
-    """Raises: InputError: a film of no pixels, or of more than memory is given for."""
+    """Check a film's width and height. Raises: InputError: no pixels, or more than the limit."""
     width, height = size
     if not (2 <= width <= MOST_SIDE and 2 <= height <= MOST_SIDE and width * height <= MOST_PIXELS):
         raise InputError(f"size: expected 2x2 to {MOST_SIDE} pixels a side and 7680x4320 in all, got {width}x{height}")

@@ -1,4 +1,4 @@
-"""From what people ask for to a film: which path, how many pictures, how large."""
+"""Plan of a film: which path, how many pictures, how large."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -37,7 +37,9 @@ def path_named(
     name: str, gaussians: Gaussians, views: Sequence[View], match: Match | None = None, up: Vector | None = None,
     seconds: float | None = None,
 ) -> CameraPath:  # fmt: skip
-    """The path orbit or swing, around a match or else the scene; photos; else a file's. up: None as the photos tell.
+    """Return a path by its name: orbit or swing (around a match, else the scene), photos, or a file's.
+
+    up: None for the direction that the photos tell.
 
     Raises: InputError: photos without any; no such file. FormatError: as `read_path`.
     """
@@ -55,10 +57,10 @@ def planned(
     path: CameraPath, *, views: Sequence[View] = (), fps: float | None = None, seconds: float | None = None,
     size: tuple[int, int] | None = None, sides: int = 1,
 ) -> Plan:  # fmt: skip
-    """The pictures of a film along a path: what is given, else what the path wishes, else the photos' size, 30 a
-    second, and two seconds for each key frame.
+    """Plan the pictures of a film along a path.
 
-    sides: side by side in a picture, each of its share of the width.
+    What is None comes from the path, else it is the photos' size, 30 pictures a second, and two seconds for each key
+    frame. sides: number of pictures side by side in each, which share its width.
 
     Raises: InputError: no pictures or too many, too large ones, or a width that cannot be shared.
     """
@@ -75,7 +77,7 @@ def planned(
 
 
 def _wished(path: CameraPath, views: Sequence[View], sides: int) -> tuple[int, int]:
-    """Of even sides, as films need them."""
+    """Return the size of a path or of the photos, with even sides as films need them."""
     width, height = path.size or SIZE
     if path.size is None and views:
         view = views[0].limited(LONGEST)
@@ -84,7 +86,7 @@ def _wished(path: CameraPath, views: Sequence[View], sides: int) -> tuple[int, i
 
 
 def _first(*given: float | None) -> float:
-    """The first that is not None."""
+    """Return the first value that is not None."""
     return next(one for one in given if one is not None)
 
 

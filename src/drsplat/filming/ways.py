@@ -24,7 +24,7 @@ FACING = 0.5  # of the photos: what fewer have before them is not what they were
 
 
 class Around(NamedTuple):
-    """What a camera circles: it looks at `target` and begins at `eye`."""
+    """A circling camera: it looks at `target` and begins at `eye`."""
 
     target: Vector
     eye: Vector
@@ -65,7 +65,7 @@ def orbit(around: Around, up: Vector, views: Sequence[View] = ()) -> CameraPath:
 
 
 def _arc(arms: Sequence[Vector], level: Vector, aside: Vector) -> tuple[float, float] | None:
-    """From which angle to which most photos are, None where they are all around, or nowhere."""
+    """Return the range of angles that the photos are in, None where they are all around, or nowhere."""
     if not arms:
         return None
     angles = np.sort([np.arctan2(arm @ aside, arm @ level) for arm in arms])
@@ -85,12 +85,14 @@ def swinging(around: Around, up: Vector, turn_degrees: float = 60.0) -> CameraPa
 
 
 def around_match(match: Match, gaussians: Gaussians, views: Sequence[View], up: Vector) -> Around:
-    """From the side that most photos see it from."""
+    """Return a camera that circles a match, from the side that most photos see it from."""
     return Around(match.center, before(match, gaussians, views, up))
 
 
 def around_scene(gaussians: Gaussians, views: Sequence[View], up: Vector) -> Around:
-    """What the photos look at, as far from it and as high as they are; without photos the middle, from outside.
+    """Return a camera that circles what the photos look at, from their distance and height.
+
+    Without photos it circles the middle of the scene, from outside.
 
     Raises: InputError: no Gaussians.
     """
@@ -113,7 +115,7 @@ def around_scene(gaussians: Gaussians, views: Sequence[View], up: Vector) -> Aro
 
 
 def focus_of(views: Sequence[View], middle: Vector) -> Vector:
-    """The place that the photos' optical axes pass nearest to; `middle` where that is not before most of them."""
+    """Return the place that the photos' optical axes pass nearest to; `middle` where most do not face it."""
     eyes, ahead = np.array([view.center for view in views]), np.array([view.cam_from_world[2, :3] for view in views])
     across = np.eye(3) - ahead[:, :, None] * ahead[:, None]
     held = 1e-3 * np.eye(3)  # where all axes are parallel, or there is one, any place along them will do

@@ -20,7 +20,7 @@ OPAQUE_AND_ALONE = 0x02  # of the flags in ANMF: what was there before is not bl
 
 
 def write_webp(file: BinaryIO, pictures: Iterator[OtherPixels], fps: float) -> None:
-    """An endless loop. Raises: InputError: more than 4 GB."""
+    """Write an endless loop. Raises: InputError: more than 4 GB."""
     done, size = 0, (0, 0)
     file.write(bytes(12))
     for done, picture in enumerate(pictures, 1):
@@ -40,7 +40,7 @@ def write_webp(file: BinaryIO, pictures: Iterator[OtherPixels], fps: float) -> N
 
 
 def _bitstream(picture: OtherPixels) -> bytes:
-    """The chunk of a still WebP that holds its pixels."""
+    """Return the chunk of a still WebP that holds its pixels."""
     out = io.BytesIO()
     Image.fromarray(picture).save(out, "WEBP", quality=QUALITY, method=METHOD)
     data, at = out.getvalue(), 12

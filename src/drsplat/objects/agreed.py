@@ -23,8 +23,9 @@ def agreed(sure: Float32[np.ndarray, " o"], num_views: Integer[np.ndarray, " o"]
 
 
 def agreement(sure: Float32[np.ndarray, " o"], num_views: Integer[np.ndarray, " o"]) -> Float64[np.ndarray, " o"]:
-    """Return the mean sureness of an object's photos and of two that know nothing of it: a photo alone only agrees
-    with itself. Arguments are those of `agreed`.
+    """Return the mean sureness of an object's photos and of two that know nothing of it.
+
+    The two are there because a photo alone only agrees with itself. Arguments are those of `agreed`.
     """
     photos = num_views.astype(np.float64)
     return np.asarray(sure * photos / (photos + FEW_PHOTOS))

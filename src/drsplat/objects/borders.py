@@ -1,4 +1,4 @@
-"""Where pieces meet in the photos, and how far apart in depth they are there.
+"""Borders of pieces: where they meet in the photos, and how far apart in depth they are there.
 
 What is in front of something else ends in a jump of depth; where a surface goes on, depth does as well. So the borders
 of pieces tell whether two of them are one surface of different colours, or one thing before another.
@@ -77,7 +77,7 @@ def _summed(keys: Int64[np.ndarray, " k"], counts: Int64[np.ndarray, "k 2"]) -> 
 def _seen(
     splats: SplatArrays, view: View, pieces: Int32[np.ndarray, " n"], threads: int
 ) -> tuple[View, Labels, Float32[np.ndarray, "h w"]]:
-    """The piece that most of each pixel shows, -1 for none, and how far away it is."""
+    """Return the piece that each pixel shows most of, -1 for none, and its depth."""
     drawing = render_channels(splats, view, np.empty((len(pieces), 0), np.float32), threads=threads)
     most = heaviest_labels(topk_contributions(splats, view, HEAVIEST, threads=threads), pieces, threads=threads)
     return view, np.where(drawing.alpha < SEEN, NONE, most).astype(np.int32), drawing.depth
@@ -111,5 +111,5 @@ def _crossings(
 
 
 def _clear(shown: Labels, y: Int64[np.ndarray, " k"], x: Int64[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
-    """Where both pieces are two pixels wide or more: slivers between others say nothing."""
+    """Mark places where both pieces are two pixels wide or more: slivers between others say nothing."""
     return np.asarray((shown[y, x - 1] == shown[y, x]) & (shown[y, x + 2] == shown[y, x + 1]))

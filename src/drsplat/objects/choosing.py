@@ -25,7 +25,7 @@ class Tree(NamedTuple):
 
 
 def choose(forest: Forest, rows: int, smallest: int) -> Tree:
-    """The hierarchy of a forest over so many rows.
+    """Choose the hierarchy of parts, things and groups in a forest over `rows` rows.
 
     Things are the disjoint nodes with the largest sum of weight times the root of fit; none merges regions whose
     embeddings are `APART`. Small things on them are things of their own (`_small_things`), what is left of them
@@ -69,7 +69,7 @@ def _small_things(
 
 
 def _within(parents: Int32[np.ndarray, " t"], nodes: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
-    """The forest of some nodes alone: for each the number of the lowest of them above it, -1 for none."""
+    """Return the forest of some nodes alone: for each the number of the lowest of them above it, -1 for none."""
     among = np.zeros(len(parents), bool)
     among[nodes] = True
     number = np.append(np.cumsum(among) - 1, NONE)  # -1 stays -1
@@ -77,9 +77,9 @@ def _within(parents: Int32[np.ndarray, " t"], nodes: Int64[np.ndarray, " n"]) ->
 
 
 def best_nodes(parents: Integer[np.ndarray, " t"], worth: Float64[np.ndarray, " t"]) -> Bool[np.ndarray, " t"]:
-    """The set of nodes, none above another, of the largest sum of worth; nodes of negative worth are never chosen.
+    """Return the set of nodes, none above another, of the largest sum of worth; negative worth is never chosen.
 
-    Of equal sums the one of larger nodes. Linear: children come before their parents.
+    Of sets of equal sums it is the one of larger nodes. Linear: children come before their parents.
     """
     below = [0.0] * len(parents)
     own = np.zeros(len(parents), bool)
@@ -106,7 +106,7 @@ def _above(parents: Integer[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) ->
 def _parts(
     parents: Int64[np.ndarray, " t"], worth: Float64[np.ndarray, " t"], things: Bool[np.ndarray, " t"]
 ) -> Bool[np.ndarray, " t"]:
-    """The best nodes strictly within things, where a thing has two or more."""
+    """Return the best nodes strictly within things, where a thing has two or more."""
     thing = _above(parents, things)
     found = best_nodes(parents, np.where(thing >= 0, worth, NONE))
     several = np.bincount(thing[found], minlength=len(parents)) > 1
@@ -136,7 +136,7 @@ def _several_branches(parents: Int64[np.ndarray, " t"], things: Bool[np.ndarray,
 
 
 def _kept(forest: Forest, rows: int, nodes: Int64[np.ndarray, " n"], levels: UInt8[np.ndarray, " n"]) -> Tree:
-    """The chosen nodes alone, in their order."""
+    """Return the tree of the chosen nodes alone, in their order."""
     among = np.zeros(len(forest.parents), bool)
     among[nodes] = True
     number = np.append(np.cumsum(among) - 1, NONE)

@@ -1,4 +1,4 @@
-"""From a forest over the rows of a field to `Objects`: boxes, masses, photos, masks and descriptors of its nodes.
+"""Description of a forest's nodes as `Objects`: their boxes, masses, photos, masks and descriptors.
 
 Linear in the weights of the evidence: rows of W are summed into nodes and these into those above, and no step is
 nodes times Gaussians.
@@ -25,7 +25,7 @@ SLIVER = 0.01  # of what the best photo of a node shows of it: a photo with less
 
 
 def describe(field: LanguageField, gaussians: Gaussians, tree: Tree, *, threads: int = 0) -> Objects:
-    """What is known of each node of a tree over the rows of a field. The same bits at any `threads`.
+    """Describe each node of a tree over the rows of a field. The result has the same bits at any `threads`.
 
     Nodes that no row belongs to, themselves or below them, are refused: they would be nowhere.
 
@@ -57,8 +57,9 @@ def node_weights(evidence: Evidence, tree: Tree) -> csr_array:
 
 
 def objects_during(whole: LanguageField, some: LanguageField, *, threads: int = 0) -> Objects:
-    """The objects of a field for one of some of its photos (`field_during`): the same nodes, with the same numbers,
-    boxes and masks; their rows are those that it has, their descriptors of what those photos show.
+    """Return the objects of a field for one made of some of its photos (`field_during`).
+
+    Nodes, numbers, boxes and masks stay; rows are those of the smaller field, descriptors are of what its photos show.
 
     Raises: InputError: the first has no objects, the second no evidence.
     """
@@ -72,7 +73,7 @@ def objects_during(whole: LanguageField, some: LanguageField, *, threads: int = 
 
 
 def _members(node_of: Int32[np.ndarray, " R"], parents: Int32[np.ndarray, " T"]) -> csr_array:
-    """As `_inside`. Raises: InputError: a node without rows."""
+    """Return `_inside`, checked. Raises: InputError: a node without rows."""
     inside, count = _inside(parents), len(parents)
     empty = np.flatnonzero(inside @ np.bincount(node_of[node_of >= 0], minlength=count) == 0)
     if len(empty):
@@ -107,7 +108,7 @@ def _weights(evidence: Evidence, inside: csr_array, node_of: Int32[np.ndarray, "
 def _boxes(
     field: LanguageField, gaussians: Gaussians, inside: csr_array, node_of: Int32[np.ndarray, " R"], threads: int
 ) -> Boxes:
-    """Of what can be seen of each node, or of all of it where nothing can, as of `scene.boxes.solid`."""
+    """Return the box of what can be seen of each node (`scene.boxes.solid`), or of all of it where nothing can."""
     starts, rows = _rows(inside, node_of)
     nodes = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
     ids = field.gaussian_ids[rows].astype(np.int64)
@@ -120,7 +121,7 @@ def _boxes(
 def _rows(
     inside: csr_array, node_of: Int32[np.ndarray, " R"]
 ) -> tuple[Int64[np.ndarray, " T1"], Int64[np.ndarray, " e"]]:
-    """Of each node, those below it included: where its rows begin, and all of them."""
+    """Return the rows of each node and of those below it, in CSR form (starts, rows)."""
     order = np.argsort(node_of, kind="stable")
     begins = np.searchsorted(node_of[order], np.arange(inside.shape[0] + 1))
     lengths = np.diff(begins)[inside.indices]
@@ -150,7 +151,7 @@ def _num_views(weights: csr_array, evidence: Evidence) -> Int32[np.ndarray, " T"
 
 
 def _masks(weights: csr_array) -> tuple[Int64[np.ndarray, " T1"], Int32[np.ndarray, " E"], Float32[np.ndarray, " E"]]:
-    """Of each node those of the largest share of its weight, largest first."""
+    """Return each node's masks of the largest shares of its weight, largest first, in CSR form."""
     kept = heaviest(weights, MOST_MASKS)
     totals: Float64[np.ndarray, " T"] = weights.sum(axis=1)
     shares = kept.data / np.repeat(totals, np.diff(kept.indptr))

@@ -55,7 +55,7 @@ class _Clusters:
         return np.repeat(np.arange(self.weights.shape[0]), np.diff(self.weights.indptr))
 
     def settle(self, labels: Int64[np.ndarray, " e"], part: Int64[np.ndarray, " p"], count: int) -> None:
-        """Puts the entries of `part` in the cluster of the nearest centre, the first of equal ones, some times."""
+        """Move the entries of `part` to the cluster of the nearest centre, the first of equal ones, in some rounds."""
         for _ in range(ROUNDS):
             found = self.cosines(labels, part, count).argmax(axis=1)
             if (found == labels[part]).all():
@@ -65,7 +65,7 @@ class _Clusters:
     def worst_served(
         self, part: Int64[np.ndarray, " p"], cosines: Float32[np.ndarray, " p"]
     ) -> Int64[np.ndarray, " t"]:
-        """Of the entries of `part` in each row that which is unlike all centres and served worst, by its place."""
+        """Return the place of each row's worst served entry of `part`, among those that are unlike all centres."""
         served = np.where(cosines < ALIKE, self.weights.data[part] * (1 - cosines.astype(np.float64)), 0)
         rows = self.rows[part]
         most = np.zeros(self.weights.shape[0])
@@ -74,7 +74,7 @@ class _Clusters:
         return np.asarray(worst[np.diff(rows[worst], prepend=-1) > 0])
 
     def means(self, labels: Int64[np.ndarray, " e"]) -> Float32[np.ndarray, "T k D"]:
-        """The unit mean of each cluster, zero where it has no entries or they cancel out."""
+        """Return the unit mean of each cluster, zero where it has no entries or they cancel out."""
         clusters = self.rows * MOST_DESCRIPTORS + labels
         order = np.argsort(clusters, kind="stable")
         count = self.weights.shape[0] * MOST_DESCRIPTORS
@@ -88,8 +88,10 @@ class _Clusters:
     def cosines(
         self, labels: Int64[np.ndarray, " e"], part: Int64[np.ndarray, " p"], count: int
     ) -> Float32[np.ndarray, "p k"]:
-        """Of the entries of `part` with the first centres of their rows; empty ones are like nothing. No BLAS, whose
-        bits depend on the number of its threads."""
+        """Return the cosines of the entries of `part` with the first centres of their rows, the lowest with empty ones.
+
+        BLAS is avoided: its bits depend on the number of its threads.
+        """
         means = self.means(labels)
         there = np.asarray(means.any(axis=2))
         found = np.empty((len(part), count), np.float32)

@@ -13,7 +13,9 @@ CLEAR = 0.8  # of a Gaussian's weight in masks of one object
 
 
 class Drifting(NamedTuple):
-    """gaussian_ids: rows of the scene, ascending. shares: of each, the largest share that one object has of it over
+    """Gaussians whose masks name different objects at different times.
+
+    gaussian_ids: rows of the scene, ascending. shares: for each, the largest share that one object has of it over
     all times. first, last: the objects that it belongs to at the first and the last time that it is seen, -1 for what
     is of none.
     """
@@ -25,7 +27,7 @@ class Drifting(NamedTuple):
 
 
 def drifting(field: LanguageField) -> Drifting:
-    """The Gaussians whose masks disagree between times.
+    """Find the Gaussians whose masks disagree between times.
 
     A mask is one of the object that has most of its weight, p_i(t) the shares of objects in the weight of Gaussian i in
     the photos of time t, and p_i those in all photos. It drifts where it is clear at each time what it belongs to, the
@@ -45,7 +47,7 @@ def drifting(field: LanguageField) -> Drifting:
 
 
 class _Sums(NamedTuple):
-    """Of objects (number + 1): a Gaussian's weight in them at a time; `at` is row times number of times plus time."""
+    """Weights of Gaussians in objects (number + 1) at times; `at` is row times number of times plus time."""
 
     at: Int64[np.ndarray, " e"]
     thing: Int64[np.ndarray, " e"]
@@ -53,7 +55,7 @@ class _Sums(NamedTuple):
 
 
 def _owners(weights: csr_array, thing_of: Integer[np.ndarray, " r"]) -> Int64[np.ndarray, " m"]:
-    """The object that has most of a mask's weight, -1 for none."""
+    """Return the object that has most of each mask's weight, -1 for none."""
     rows = np.repeat(thing_of.astype(np.int64) + 1, np.diff(weights.indptr))
     width = int(rows.max(initial=0)) + 1
     pairs, place = np.unique(weights.indices.astype(np.int64) * width + rows, return_inverse=True)

@@ -1,4 +1,4 @@
-"""From the masks of the photos to objects: what belongs together is in one mask wherever it is seen.
+"""Objects from the masks of photos: what belongs together is in one mask wherever it is seen.
 
 Two Gaussians of one thing lie in the same mask in the photos that see both. Neighbours are merged, best first, while
 their masks agree; of the regions that come about, things are those that single masks fit best. See docs/objects.md.
@@ -37,7 +37,7 @@ MOST_WEIGHTS = 32_000_000  # that are held at once, in some 66 bytes each
 def find_objects(
     field: LanguageField, gaussians: Gaussians, *, views: Sequence[View] | None = None, threads: int = 0
 ) -> Objects:
-    """The things of a scene with their parts and groups, from the evidence that its field keeps.
+    """Find the things of a scene, with their parts and groups, in the evidence that its field keeps.
 
     views: whose cameras tell which pieces are one thing (`joining`); None: those that the field keeps. No encoder is
     needed. Time and memory are linear in the weights, of which up to MOST_WEIGHTS are looked at: of more
@@ -74,7 +74,7 @@ def find_tree(
 def of_pieces(
     tree: Tree, gaussians: Gaussians, ids: UInt32[np.ndarray, " r"], views: Sequence[View], *, threads: int = 0
 ) -> Tree:
-    """The tree with the things that its things are pieces of. ids: the Gaussians of its rows."""
+    """Return the tree with pieces joined to the things that they are of. ids: the Gaussians of its rows."""
     (things,) = np.nonzero(tree.levels == THING)
     owners = _owners(tree.parents, tree.levels == THING)
     numbers = np.append(np.where(owners >= 0, np.searchsorted(things, owners), NONE), NONE)
@@ -91,7 +91,7 @@ def cameras_of(field: LanguageField) -> list[View]:
 
 
 def of_few_views(evidence: Evidence, most: int = MOST_WEIGHTS) -> Evidence:
-    """The evidence of as many views as have that many weights together; itself where all have no more."""
+    """Return the evidence of as many views as have `most` weights together, or itself if it has no more."""
     if evidence.weights.nnz <= most:
         return evidence
     masks, entries = evidence.masks, column_counts(evidence.weights)
@@ -103,7 +103,7 @@ def of_few_views(evidence: Evidence, most: int = MOST_WEIGHTS) -> Evidence:
 
 
 def grow(evidence: Evidence, means: Float32[np.ndarray, "r 3"], *, threads: int = 0) -> Forest:
-    """The forest of merges over the rows of the evidence; means: the Gaussians' centres."""
+    """Grow the forest of merges over the rows of the evidence. means: the Gaussians' centres."""
     order = along_a_curve(means)
     weights, views, embeddings = _by_view(evidence)
     embeddings, unit = _fewer_directions(embeddings)
@@ -139,7 +139,7 @@ def _sights(weights: csr_array, views: Int32[np.ndarray, " m"]) -> int:
 
 
 def _fewer_directions(embeddings: Float32[np.ndarray, "m d"]) -> tuple[Float32[np.ndarray, "m k"], float]:
-    """The embeddings along the directions that they spread most in, and 1 - the mean cosine of any two."""
+    """Return the embeddings along the directions in which they spread most, and 1 - the mean cosine of any two."""
     exact = embeddings.astype(np.float64)
     unit = max(1 - float(np.square(exact.mean(0)).sum()), 1e-3) if len(exact) else 1.0
     directions = np.linalg.eigh(exact.T @ exact)[1][:, -DIRECTIONS:]

@@ -18,7 +18,7 @@ def heaviest(matrix: csr_array, most: int) -> csr_array:
 
 
 def _bars(matrix: csr_array, most: int) -> Float64[np.ndarray, " r"]:
-    """The weight that is `most`-th in each row, nothing where there are no more."""
+    """Return the `most`-th largest weight of each row, -inf where it has no more than that."""
     bars = np.full(matrix.shape[0], -np.inf)
     for row in np.flatnonzero(np.diff(matrix.indptr) > most):
         data = matrix.data[matrix.indptr[row] : matrix.indptr[row + 1]]

@@ -126,7 +126,7 @@ def with_joined(tree: Tree, found: list[Joined]) -> Tree:
 
 
 def _crossed(tree: Tree, things: Int64[np.ndarray, " o"], sets: list[np.ndarray]) -> Bool[np.ndarray, " t"]:
-    """Groups that hold some of a set and not all of it, or nothing but a set."""
+    """Mark groups that hold some of a set and not all of it, or nothing but a set."""
     parents, crossed = tree.parents.tolist(), np.zeros(len(tree.parents), bool)
     held = Counter(group for thing in things.tolist() for group in _groups(parents, thing))
     for members in sets:

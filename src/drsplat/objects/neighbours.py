@@ -15,7 +15,7 @@ CELLS = 10  # bits of each coordinate along the curve
 
 
 def along_a_curve(points: Float[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
-    """The rows of points in Morton's order: what lies near in space then mostly lies near in memory as well."""
+    """Return the rows of points in Morton order: what is near in space then mostly lies near in memory too."""
     if not len(points):
         return np.zeros(0, np.int64)
     low, high = np.quantile(points, (0.01, 0.99), axis=0)
@@ -43,7 +43,7 @@ def neighbours(points: Float[np.ndarray, "n 3"], threads: int = 0) -> Int32[np.n
 def _nearest(
     points: Float[np.ndarray, "n 3"], count: int, threads: int
 ) -> tuple[Float64[np.ndarray, "n k"], Int32[np.ndarray, "n k"]]:
-    """The nearest of each but for the first, which mostly is itself: how far, and which; some thousand at a time."""
+    """Return distances and rows of each point's nearest but the first, which mostly is itself, in blocks."""
     tree = cKDTree(points)
     distances, found = np.empty((len(points), count)), np.empty((len(points), count), np.int32)
     for begin in range(0, len(points), AT_ONCE):
@@ -56,7 +56,7 @@ def _nearest(
 def _keys(
     found: Int32[np.ndarray, "n k"], distances: Float64[np.ndarray, "n k"], reach: Float64[np.ndarray, " n"], begin: int
 ) -> Int64[np.ndarray, " p"]:
-    """A number for each pair of some rows, the same whichever of the two it is of."""
+    """Return a number for each pair of neighbours of some rows, the same whichever of the two it comes from."""
     rows = slice(begin, begin + AT_ONCE)
     near = distances[rows] <= reach[rows, None]
     first = np.broadcast_to(np.arange(begin, begin + len(near))[:, None], near.shape)[near]

@@ -1,4 +1,4 @@
-"""What comes back: values and a threshold, and the places that they make."""
+"""The answer to a query: values with a threshold, and the matches that they make."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -19,8 +19,10 @@ from .search import LOWEST
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """vector: unit, of the query, None where values came without one. values: per row of the field what is compared
-    with the threshold. scores: cosines.
+    """The values of a query for each row of a field, and the threshold that selects among them.
+
+    vector: the query's unit vector, None where values came without one. values: what is compared with the threshold,
+    one per row of the field. scores: cosines.
 
     measure: "cosine" or "relevancy". rule: who chose the threshold: given, top share, auto, list,
     encoder or default; object or label, where exactly what belongs together is meant. drawn: who draws it, the
@@ -39,7 +41,7 @@ class Answer:
 
     @classmethod
     def of(cls, field: LanguageField, values: Float32[np.ndarray, " r"], threshold: float) -> "Answer":
-        """Of values that were made elsewhere, one per row of the field. Raises: InputError: not one per row."""
+        """Return an answer of values computed elsewhere. Raises: InputError: not one per row of the field."""
         if values.shape != (len(field),):
             raise InputError(f"expected {len(field)} values, one per row of the field; got shape {values.shape}")
         return cls(field, None, values, COSINE, threshold, GIVEN, values)
@@ -64,7 +66,7 @@ class Answer:
         return facts_html("Answer", facts) + self._picture_html()
 
     def show(self, view: View | str | None = None, max_side: int = 640) -> PilImage:
-        """A picture of what is selected, the rest in grey; a notebook shows it, `.show()` opens it elsewhere.
+        """Draw what is selected, the rest in grey; a notebook shows the picture, `.show()` opens it elsewhere.
 
         view: as of `Scene.picture`. Raises: InputError: the answer is of no scene with Gaussians and views.
         """
@@ -85,12 +87,12 @@ class Answer:
 
     @property
     def lowest(self) -> float:
-        """What a Gaussian has that nothing selects."""
+        """The value of a Gaussian that no threshold selects."""
         return 0.0 if self.measure == RELEVANCY else LOWEST
 
     @property
     def is_exact(self) -> bool:
-        """Whether exactly what belongs together is meant, so that no other threshold makes sense."""
+        """True where an object or a label is meant as a whole, so that no other threshold makes sense."""
         return self.rule in (OBJECT, LABEL)
 
     @property
@@ -107,7 +109,7 @@ class Answer:
         return self.field.gaussian_ids[self.values > self.threshold].astype(np.int64)
 
     def cut_at(self, threshold: float) -> "Answer":
-        """The same values with another threshold."""
+        """Return the same values with another threshold."""
         return replace(self, threshold=threshold, rule=GIVEN)
 
 
@@ -192,7 +194,7 @@ class MatchTrack:
         return len(self.times)
 
     def at(self, time: float) -> Match | None:
-        """The match with its box at one of the scene's times; None where it is not there then."""
+        """Return the match with its box at one of the scene's times, None where it is not there then."""
         (found,) = np.nonzero(self.times == time)
         if not len(found):
             return None

@@ -1,4 +1,4 @@
-"""Where one thing rests on another: its lower Gaussians touch the other's, which lie around or under its middle.
+"""Contact between things: one rests on another whose Gaussians its lower ones touch, around or under its middle.
 
 Boxes overlap, or hover by the thickness of a splat, and photos see little of what lies under a thing. Both say little
 of whether it stands there; Gaussians beside its foot do. Defined in docs/objects.md.

@@ -65,7 +65,7 @@ class Contrast:
         return min(PEAK, max(LEAST_PEAK, round(PEAK_SHARE * len(self.scores))))
 
     def height(self, peak: int = PEAK) -> float:
-        """The cosine that enough rows for a thing reach with a word of the list, whichever fits them best."""
+        """Return the cosine that as many rows as make a thing reach with the word of the list that fits each best."""
         levels = (self.vectors @ self.usual)[self.words]
         return peak_score((self.scores + levels).max(1), peak) if len(self.scores) else 0.0
 
@@ -96,7 +96,7 @@ class Contrast:
         return replace(self, scores=scores, words=words)
 
     def _near(self, query: Float32[np.ndarray, " D"]) -> Bool[np.ndarray, " n"]:
-        """The words that mean what the query means."""
+        """Mark the words that mean the same as the query."""
         texts = np.concatenate([self.vectors, query[None]]).astype(np.float64)
         same = texts[:-1] @ texts[-1] > 1 - 1e-5
         texts -= texts.mean(0)
@@ -153,8 +153,7 @@ def least_clear(rows: int, margin: float = CLEAR_MARGIN) -> float:
 def middle_threshold(
     relevancy: Float32[np.ndarray, " r"], peak: int = PEAK, clear_margin: float = CLEAR_MARGIN
 ) -> float:
-    """Return where to cut between what fits and what does not: above the list's level, where nearly all of what fits
-    stands high above it.
+    """Return a threshold above the list's level where nearly all of what fits stands high above that level.
 
     In margins: 0.6 of what is 0.7 of the way from the median of what fits worse than the list to what 1 in 500 reaches,
     or `peak` rows. The level alone lets in what fits a little; the query's own values alone leave out half of what
@@ -191,7 +190,7 @@ def _contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], threads
 def _usual(
     pictures: Float32[np.ndarray, "s D"], vectors: Float32[np.ndarray, "n D"]
 ) -> tuple[Float32[np.ndarray, " D"], float]:
-    """The mean picture, times TILT, and the unit of margins."""
+    """Return the mean picture times TILT, and the unit of margins."""
     return (TILT * pictures.mean(0, dtype=np.float64)).astype(np.float32), _spread(pictures @ vectors.T)
 
 

@@ -1,4 +1,4 @@
-"""Who turns words into queries of a field."""
+"""The encoder that turns words into queries of a field."""
 
 from collections.abc import Callable
 from copy import copy
@@ -17,7 +17,7 @@ Load = Callable[[str, str], Encoder]
 
 @runtime_checkable
 class Embedded(Protocol):
-    """What one encoder has embedded: a field, a catalogue."""
+    """A field or a catalogue, embedded by one encoder."""
 
     @property
     def encoder(self) -> EncoderIdentity: ...
@@ -32,9 +32,9 @@ def encoder_for(
     device: str = "auto",
     load: Load = load_encoder,
 ) -> Encoder:
-    """What turns words into queries of this field.
+    """Return the encoder that turns words into queries of this field.
 
-    load: what makes an encoder of a name and a device; several fields can share its models.
+    load: makes an encoder of a name and a device; several fields can share its models.
 
     Raises: InputError: a field of another encoder than the built-in one, and neither its name nor a
     vocabulary; or both. MismatchError: another encoder, or one of another dimension where the field
@@ -66,7 +66,7 @@ def encoder_for(
 
 
 def _loaded_encoder(field: Embedded, name: str, device: str, load: Load) -> Encoder:
-    """Checked against the field; a field that does not know its encoder takes the given one's word."""
+    """Load an encoder and check it against the field; a field without an encoder's name accepts any."""
     encoder = copy(load(name, device))
     if field.encoder.name == "unknown" and encoder.identity.dim == field.encoder.dim:
         encoder.identity = EncoderIdentity("unknown", field.encoder.dim)
@@ -75,7 +75,7 @@ def _loaded_encoder(field: Embedded, name: str, device: str, load: Load) -> Enco
 
 
 def source_of(field: Embedded, encoder: Encoder | Callable[[], Encoder] | None) -> Callable[[], Encoder]:
-    """Makes an encoder that is given, or told how to make; None: the built-in one that the field names."""
+    """Return a function that makes the encoder: a given one, or, for None, the built-in one that the field names."""
     if encoder is None:
         return lambda: encoder_for(field)
     if isinstance(encoder, Encoder) and not isinstance(encoder, type):  # a class makes one

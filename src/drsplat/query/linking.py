@@ -43,7 +43,7 @@ def join_to_held(
 def _join_near_parts(
     points: Float64[np.ndarray, "n 3"], labels: Int64[np.ndarray, " n"], reach: float
 ) -> Int64[np.ndarray, " p"]:
-    """New label of each part: nearest neighbours alone can leave a gap narrower than the reach."""
+    """Return a new label for each part; nearest neighbours alone can leave gaps narrower than the reach."""
     order = np.argsort(labels, kind="stable")
     parts = np.split(points[order], np.flatnonzero(np.diff(labels[order])) + 1)
     low, high = np.array([p.min(0) for p in parts]), np.array([p.max(0) for p in parts])
@@ -66,5 +66,5 @@ def _connected(
 
 
 def _reach(distances: Float64[np.ndarray, "n k"]) -> float:
-    """From the distances of points to their neighbours."""
+    """Return the linking distance: a multiple of the median distance to the last neighbour."""
     return LINK_FACTOR * float(np.median(distances[:, -1]))

@@ -1,4 +1,4 @@
-"""From a field and a query to values and a threshold: every rule of measuring and cutting."""
+"""All rules of measuring and cutting: a field and a query become values and a threshold."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -282,7 +282,7 @@ def whole(
 
 
 def embedded_image(encoder: Encoder, picture: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, " D"]:
-    """A picture of a thing as the masks were: padded with black to a square.
+    """Embed a picture of a thing as masks are embedded: padded with black to a square.
 
     Raises: InputError: an encoder of words only.
     """

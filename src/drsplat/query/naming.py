@@ -90,7 +90,7 @@ def object_names(
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What is to be named. pictures: what is usual in the scene. rows: a descriptor for each node that `has` one."""
+    """Descriptors to be named. pictures: usual ones of the scene. rows: a descriptor for each node that `has` one."""
 
     pictures: Float32[np.ndarray, "s D"]
     rows: Float32[np.ndarray, "r D"]
@@ -163,7 +163,7 @@ def best_names(
     vocabulary: Sequence[str] | None,
     top: int,
 ) -> list[tuple[str, float]]:
-    """The `top` texts of the highest cosine with a unit feature, best first.
+    """Return the `top` texts of the highest cosine with a unit feature, best first.
 
     Raises: InputError: no texts. MismatchError: another encoder.
     """

@@ -25,11 +25,11 @@ class Chosen:
         return self.path[self.at]
 
     def larger(self) -> "Chosen | None":
-        """The next node that this one is in, None for none."""
+        """Return the next node that contains this one, None at the top."""
         return Chosen(self.path, self.at + 1) if self.at + 1 < len(self.path) else None
 
     def smaller(self, objects: Objects) -> "Chosen | None":
-        """The next node on the way back to the place; where that ends, the heaviest part. None for none."""
+        """Return the next node on the way back to the place, then the heaviest part; None at the bottom."""
         if self.at:
             return Chosen(self.path, self.at - 1)
         parts = objects.below(self.node)
@@ -37,9 +37,9 @@ class Chosen:
 
 
 def chosen_at(scene: Scene, gaussian_ids: Integer[np.ndarray, " h"], weights: Float[np.ndarray, " h"]) -> Chosen | None:
-    """The object that most is seen of where some Gaussians with features are met; None where that is in none.
+    """Return the object that is seen most where some Gaussians are met, None where that belongs to no object.
 
-    weights: of each in what is seen there. Raises: InputError: the field has no objects.
+    weights: the blending weight of each Gaussian there. Raises: InputError: the field has no objects.
     """
     objects = objects_of(scene.field)
     path = objects.path(most_seen(objects, scene.field.rows_of(gaussian_ids), weights))
@@ -48,7 +48,7 @@ def chosen_at(scene: Scene, gaussian_ids: Integer[np.ndarray, " h"], weights: Fl
 
 
 def name_of(scene: Scene, node: int, words: Sequence[str] = ()) -> str:
-    """What people call a node: its label, else the word that the encoder is sure of, else "object 7".
+    """Return what people call a node: its label, else the word that the encoder is sure of, else "object 7".
 
     words: to choose from; where there are none, those of an encoder that knows a list. Raises: InputError: no such
     node, or no objects.
@@ -59,7 +59,7 @@ def name_of(scene: Scene, node: int, words: Sequence[str] = ()) -> str:
 
 
 def numbered(objects: Objects, node: int) -> str:
-    """A node by numbers: "object 7", "part of object 7", "group of 3 objects"; "part" where that is of no object."""
+    """Name a node by its number: "object 7", "part of object 7", "group of 3 objects", or "part" outside any object."""
     number, level = int(objects.number_of[node]), int(objects.levels[node])
     if level == GROUP:
         return f"group of {counted(len(things_in(objects, node)), 'object')}"

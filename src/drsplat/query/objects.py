@@ -15,14 +15,14 @@ SUPPORT = 3  # masks listed for an object
 
 
 def objects_of(field: LanguageField) -> Objects:
-    """Raises: InputError: the field has none."""
+    """Return the objects of a field. Raises: InputError: it has none."""
     if field.objects is None:
         raise InputError("nobody has looked for objects in this field: `drsplat objects FIELD --scene SCENE` does")
     return field.objects
 
 
 def most_seen(objects: Objects, rows: Integer[np.ndarray, " h"], weights: Float[np.ndarray, " h"]) -> int:
-    """Of rows that are seen at one place the heaviest of the object that is most seen there."""
+    """Return the row of the largest weight among those of the object that is seen most at a place."""
     numbers = objects.thing_of()[rows]
     most = np.bincount(numbers + 1, weights).argmax() - 1
     return int(rows[np.where(numbers == most, weights, -1).argmax()])
@@ -35,7 +35,7 @@ def answer_of(field: LanguageField, nodes: Sequence[int], rule: str) -> Answer:
 
 
 def match_of(field: LanguageField, node: int, label: str | None = None) -> Match:
-    """A node as a match: its own box, and how far the photos agree on it as its score.
+    """Return a node as a match: its own box, and how far the photos agree on it as its score.
 
     Raises: InputError: the field has no objects, or no such node.
     """
@@ -55,7 +55,7 @@ def match_of(field: LanguageField, node: int, label: str | None = None) -> Match
 
 
 def object_of(field: LanguageField, match: Match) -> int | None:
-    """The number of the object that has most of a match's Gaussians, None where none has half of them."""
+    """Return the number of the object that has most of a match's Gaussians, None where none has half of them."""
     if match.object_id is not None or field.objects is None:
         return match.object_id
     rows = field.rows_of(match.gaussian_ids)
@@ -64,7 +64,7 @@ def object_of(field: LanguageField, match: Match) -> int | None:
 
 
 def support_of(field: LanguageField, node: int) -> Iterable[Explanation]:
-    """The masks that speak for a node, the largest share first; none where the field kept no evidence."""
+    """Yield the masks that speak for a node, the largest share first; none where the field kept no evidence."""
     if field.evidence is None:
         return
     masks = field.evidence.masks

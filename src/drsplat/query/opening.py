@@ -1,4 +1,4 @@
-"""From a folder, or from files, to a scene that can be asked."""
+"""Opening scenes: folders and files become a scene that can be queried."""
 
 import warnings
 from collections.abc import Sequence
@@ -31,7 +31,7 @@ CAMERAS = ("sparse", "transforms.json", "cameras.json", "colmap")
 
 @dataclass(frozen=True)
 class SceneFiles:
-    """What a scene is read from. scenes: candidates; the one that the field was registered on is taken.
+    """The files that a scene is read from. scenes: candidates; the one that the field was registered on is taken.
 
     capture: poses and photos, or None. encoder: of words, where a scan says that it is the default one, else None.
     """
@@ -44,8 +44,7 @@ class SceneFiles:
 
 
 def find_scene(folder: str | PathLike[str]) -> SceneFiles:
-    """The files of a folder such as `drsplat demo` or `drsplat scan` writes: one *.field, a scene, and if there is one
-    a capture.
+    """Find the files of a folder that `drsplat demo` or `drsplat scan` wrote: one *.field, a scene, perhaps a capture.
 
     Raises: InputError: no such folder, not exactly one field, no scene. FormatError: a damaged record of a scan.
     """
@@ -87,7 +86,7 @@ def _is_edited(path: Path) -> bool:
 
 
 def _is_folder_of_a_scene(path: Path) -> bool:
-    """Whether it is NAME.motion, tiles, or numbered PLY files; most folders are of photos, which are many."""
+    """Return True for NAME.motion, tiles and numbered PLY files; most folders hold photos, which are many."""
     if (path / MOTION).is_file() or (path / TILES).is_file():
         return True
     return next(path.glob("*[0-9].[pP][lL][yY]"), None) is not None and is_sequence(path)
@@ -96,8 +95,7 @@ def _is_folder_of_a_scene(path: Path) -> bool:
 def scene_files(
     path: str | PathLike[str], scene: str | PathLike[str] | None = None, views: str | PathLike[str] | None = None
 ) -> SceneFiles:
-    """The files of a field, or of a folder that has one; scene and views, where they are given, instead of what lies
-    there.
+    """Find the files of a field or of a folder with one; a given scene or views replace what lies there.
 
     Raises: as `find_scene`.
     """
@@ -169,9 +167,9 @@ def open_scene(
 
 
 def registered_scene(files: SceneFiles, field: LanguageField | None = None) -> tuple[Path, Gaussians | Moving]:
-    """The scene that the field was made of; others may lie beside it, such as saved answers.
+    """Find and read the scene that the field was registered on; others, such as saved answers, may lie beside it.
 
-    field: that of the files, where it is loaded already. Raises: MismatchError: it is of none of them.
+    field: the field of the files where it is loaded already. Raises: MismatchError: it is of none of them.
     """
     field = field or load_field(files.field)
     moves = field.times is not None  # what was registered, where a film and its first frame lie side by side

@@ -1,4 +1,4 @@
-"""From a point of the world to the Gaussian that is there."""
+"""Points of the world and the Gaussians that are there."""
 
 import numpy as np
 

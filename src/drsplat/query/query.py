@@ -1,4 +1,4 @@
-"""What is asked of a scene, how it is measured and where it is cut: the same names in every front."""
+"""The query: what is asked, how it is measured and where it is cut, under the same names in every front."""
 
 from dataclasses import dataclass
 
@@ -45,13 +45,13 @@ class Cut:
 
     @property
     def is_default(self) -> bool:
-        """Whether nothing is said of how to measure and to cut, so that an object or a label may be the answer."""
+        """True without options of measuring and cutting, so that an object or a label may be the answer."""
         is_uncut = self.threshold is None and self.top_share is None
         return is_uncut and not self.measures_relevancy and self.asks_objects
 
     @property
     def asks_objects(self) -> bool:
-        """Whether objects answer as wholes, where the field has them."""
+        """True where objects answer as wholes, if the field has them."""
         return self.objects == AUTO
 
     @property

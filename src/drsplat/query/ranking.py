@@ -86,7 +86,7 @@ class Surroundings:
         return contrast_of(self.usual, vectors) if len(vectors) and len(self.usual) else None
 
     def vector(self, query: Query) -> Float32[np.ndarray, " D"]:
-        """The unit vector of a query.
+        """Return the unit vector of a query.
 
         Raises: InputError: a point, a click or a share, which are of one scene; a query that never asks objects; no
         encoder; words that it does not know. MismatchError: a vector of another dimension, or another encoder.

@@ -1,4 +1,4 @@
-"""What lies in a part of a scene."""
+"""The contents of a part of a scene, by name."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -13,10 +13,7 @@ from .scene import Scene
 
 
 class InRegion(NamedTuple):
-    """What a share of a region's Gaussians is called. center: their median, in world coordinates.
-
-    score: mean cosine.
-    """
+    """A name that a share of a region's Gaussians has. center: their median in the world. score: mean cosine."""
 
     name: str
     num_gaussians: int
@@ -28,7 +25,7 @@ class InRegion(NamedTuple):
 def region(
     scene: Scene, center: tuple[float, float, float], radius: float, vocabulary: Sequence[str] | None = None
 ) -> list[InRegion]:
-    """What the Gaussians within `radius` (scene units) of a point are called, most frequent first.
+    """Name the Gaussians within `radius` (scene units) of a point, most frequent name first.
 
     Each has the name of the highest cosine. A name has to have 40 Gaussians there, and to exceed the
     threshold of an encoder that has one. vocabulary: as for `what_is`.

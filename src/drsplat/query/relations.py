@@ -55,9 +55,7 @@ def related(
 
 
 def is_beside(view: View, side: Side, thing: Match, other: Match) -> bool:
-    """Whether the centre of a thing is further left, or right, in a picture than that of another; both in front of the
-    camera.
-    """
+    """Return True if a thing's centre is left, or right, of another's in a picture, both before the camera."""
     pose = view.cam_from_world
     one, two = (pose[:3, :3] @ each.center + pose[:3, 3] for each in (thing, other))
     if min(one[2], two[2]) <= 0:
@@ -67,7 +65,7 @@ def is_beside(view: View, side: Side, thing: Match, other: Match) -> bool:
 
 
 def lies_in(gaussians: Gaussians, thing: Match, container: Match, up: Up) -> bool:
-    """Whether half of a thing is in the box of a larger one, which has walls around it at its own heights."""
+    """Return True if half of a thing is in the box of a larger one that has walls around it at its own heights."""
     points, walls = (_points(gaussians, one) for one in (thing, container))
     if np.linalg.norm(thing.extent) >= np.linalg.norm(container.extent):
         return False
@@ -84,14 +82,14 @@ def lies_in(gaussians: Gaussians, thing: Match, container: Match, up: Up) -> boo
 
 
 def lies_above(gaussians: Gaussians, thing: Match, other: Match, up: Up) -> bool:
-    """Whether a thing's middle is over another one, all of it higher, and it does not stand on it."""
+    """Return True if all of a thing is higher than another, its middle over it, and it does not stand on it."""
     top, foot = (_heights(gaussians, one, up)[end] for one, end in ((other, 1), (thing, 0)))
     over = is_over(_points(gaussians, thing), _points(gaussians, other), up)
     return bool(foot >= top and over and not stands_on(gaussians, thing, other, up))
 
 
 def lies_next_to(gaussians: Gaussians, thing: Match, other: Match, up: Up) -> bool:
-    """Whether two are beside each other, nearer than the mean of their boxes' longest sides."""
+    """Return True if two things are beside each other, nearer than the mean of their boxes' longest sides."""
     (low, high), (foot, head) = (_heights(gaussians, one, up) for one in (thing, other))
     shared = min(high, head) - max(low, foot)
     if shared < BESIDE * min(high - low, head - foot):
@@ -120,7 +118,7 @@ def lies_between(gaussians: Gaussians, thing: Match, one: Match, other: Match, u
 
 
 def _meets(begin: Up, way: Up, half: Up) -> bool:
-    """Whether a line, from `begin` by `way`, meets a box about zero."""
+    """Return True if the line from `begin` by `way` meets a box around zero."""
     still = way == 0
     if (np.abs(begin[still]) > half[still]).any():
         return False
@@ -135,7 +133,7 @@ def _points(gaussians: Gaussians, thing: Match) -> Float64[np.ndarray, "n 3"]:
 
 
 def _heights(gaussians: Gaussians, thing: Match, up: Up) -> tuple[float, float]:
-    """Of the lower and the upper side."""
+    """Return the heights of a thing's lower and upper side."""
     low, high = np.quantile(_points(gaussians, thing) @ up, (0.02, 0.98))
     return float(low), float(high)
 

@@ -75,7 +75,7 @@ class Scene:
 
     @property
     def has_gaussians(self) -> bool:
-        """Whether places can be told, and pictures be drawn."""
+        """True where the scene has Gaussians, so that matches can be located and pictures drawn."""
         return self._gaussians is not None
 
     @property
@@ -126,7 +126,7 @@ class Scene:
 
     @property
     def agreed(self) -> Bool[np.ndarray, " o"]:
-        """Whether photos agree on each object, by number, or people named it: those that are shown first.
+        """True for each object, by number, that photos agree on or people named: those that are shown first.
 
         Raises: InputError: the field has no objects.
         """
@@ -135,7 +135,7 @@ class Scene:
         return agreed(objects.sure[objects.things], objects.num_views[objects.things]) | labelled
 
     def object_names(self, nodes: Sequence[int] | None = None, words: Sequence[str] = ()) -> list[str | None]:
-        """The word that the encoder is sure of for each object, or each of some nodes, else None.
+        """Return the word that the encoder is sure of for each object, or each of some nodes, else None.
 
         words: to choose from; where there are none, those of an encoder that knows a list.
         """
@@ -180,7 +180,7 @@ class Scene:
         self.labels = matched(self.label_file.add(new, instead=former), self.field)
 
     def object_at(self, place: Place) -> list[int]:
-        """The nodes of what is at a Gaussian, a point or a click, smallest first: parts, thing, groups.
+        """Return the nodes at a Gaussian, a point or a click, smallest first: parts, thing, groups.
 
         Raises: InputError: nothing with a feature there, or nothing that belongs to an object.
         """
@@ -191,7 +191,7 @@ class Scene:
         return path
 
     def view(self, name: str) -> View:
-        """Raises: InputError: there is none of that name."""
+        """Return the view of a photo's name. Raises: InputError: there is none of that name."""
         return view_named(self.views, name)
 
     def _repr_html_(self) -> str:
@@ -233,7 +233,7 @@ class Scene:
         return measuring.of_vector(self.feature_of(place))
 
     def during(self, span: Span) -> "Scene":
-        """The same scene, of which only photos of a span of time were registered; the last two are kept.
+        """Return the scene with only the photos of a span of time registered; the last two results are kept.
 
         Raises: InputError: a field without evidence or of a scene that stands still, or no photo in the span.
         """
@@ -249,17 +249,17 @@ class Scene:
         return self.motion
 
     def at(self, time: float | int) -> "Scene":
-        """The same scene as it is at a time: it stands still there. Raises: InputError: a time outside of its span."""
+        """Return the still scene at a time. Raises: InputError: a time outside of the scene's span."""
         from .tracks import at_time
 
         return at_time(self, self.moving.inside(time))
 
     def seen_by(self, view: View) -> "Scene":
-        """As it was when a photo was taken; itself where it stands still, or nobody knows when that was."""
+        """Return the scene at the time of a photo; the scene itself if it is still or the photo has no time."""
         return self if self.motion is None or view.time is None else self.at(view.time)
 
     def tracks(self, matches: Sequence[Match], box: BoxKind = "upright") -> list[MatchTrack]:
-        """Where matches are over time, and when photos see them. Raises: InputError: a scene that stands still."""
+        """Return where matches are over time, and when photos see them. Raises: InputError: a still scene."""
         from .tracks import tracks
 
         return tracks(self.moving, self.field, matches, self.up if box == "upright" else None)
@@ -267,10 +267,10 @@ class Scene:
     def when(
         self, one: Match | Query | str, relation: str, other: Match | Query | str, view: View | str | None = None
     ) -> tuple[Span, ...]:
-        """Return the spans of time in which one match, or any that is sure of a query, stands in a relation to another:
-        on, in, next_to, above, left_of, right_of.
+        """Return the spans of time in which one match, or any of a query, stands in a relation to another.
 
-        view: the camera, or a photo's name, that left_of and right_of are meant from.
+        relation: on, in, next_to, above, left_of or right_of. view: the camera, or a photo's name, that left_of and
+        right_of are meant from.
 
         Raises: InputError: no match for a query, no such view, a scene that stands still; an unknown relation.
         """
@@ -286,7 +286,7 @@ class Scene:
         top: int | None = None,
         box: BoxKind = "upright",
     ) -> list[Match]:
-        """The places that a query, or an answer, finds, best first (`tasks.rank`), with their support; nothing is [].
+        """Return the matches of a query or of an answer, best first (`tasks.rank`), with their support; none is [].
 
         min_gaussians: smaller ones are specks. top: how many of them. box: "upright" stands on the ground, where
         the photos tell which way is up; "free" lies as the thing does.
@@ -302,7 +302,7 @@ class Scene:
         ]
 
     def segment(self, classes: Sequence[str], cut: Cut | None = None) -> Segmentation:
-        """The best of several texts for each Gaussian, where it is above its threshold.
+        """Give each Gaussian the best of several texts, where that is above its threshold.
 
         cut: how all of them are measured and cut.
 
@@ -324,7 +324,7 @@ class Scene:
         return np.where(answer.values > answer.threshold, values, np.float32(-np.inf))
 
     def what_is(self, place: Place, names: Sequence[str] | None = None, top: int = 5) -> list[Word]:
-        """The best words for what is at a Gaussian (its row), a point (world xyz) or a click (view, x, y).
+        """Return the best words for a place: a Gaussian (its row), a point (world xyz) or a click (view, x, y).
 
         names: the words to choose from, None for those of an encoder that knows a list.
 
@@ -334,7 +334,7 @@ class Scene:
         return [Word(*one) for one in best_names(self.encoder, self.field, feature, names, top)]
 
     def feature_of(self, place: Place) -> Float32[np.ndarray, " D"]:
-        """The unit feature at a Gaussian, a point or a click. Raises: InputError: nothing with a feature there."""
+        """Return the unit feature at a Gaussian, a point or a click. Raises: InputError: no feature there."""
         if isinstance(place, int | np.integer):
             return feature_of(self.field, int(place))
         if isinstance(place[0], str):
@@ -397,7 +397,7 @@ class Scene:
         return highlighted(pixels, share)
 
     def best_view(self, gaussian_ids: Integer[np.ndarray, " m"] | None = None) -> View:
-        """The view that shows most of some Gaussians; the first one for None.
+        """Return the view that shows most of some Gaussians; the first one for None.
 
         Raises: InputError: the scene has no views.
         """
@@ -424,7 +424,7 @@ class Scene:
         return answer_of(self.field, nodes, LABEL) if exact else None
 
     def _thing_at(self, place: Place, measuring: Measuring) -> Answer:
-        """The object at a place, and what is like it where that is none."""
+        """Answer with the object at a place, or, where there is none, with what is like the place."""
         objects = objects_of(self.field)
         row = self._row_at(place, objects)
         number = int(objects.thing_of()[row])
@@ -433,7 +433,7 @@ class Scene:
         return answer_of(self.field, [objects.thing(number)], OBJECT)
 
     def _row_at(self, place: Place, objects: Objects) -> int:
-        """Of a click that of the heaviest Gaussian of the object that is most seen there."""
+        """Return the row at a place; for a click, the heaviest Gaussian of the object that is seen most there."""
         if isinstance(place, int | np.integer):
             return row_of(self.field, int(place))
         if not isinstance(place[0], str):

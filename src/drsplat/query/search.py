@@ -22,7 +22,7 @@ _BUT_NOT = re.compile(r"\s*,\s*(?:(?:and|but)\s+)?not(?:\s+|$)|\s+but\s+not(?:\s
 
 
 def embed_query(encoder: Encoder, field: Embedded, text: str) -> Float32[np.ndarray, " D"]:
-    """The unit vector of a text. Raises: MismatchError: the field was written with another encoder."""
+    """Return the unit vector of a text. Raises: MismatchError: the field was written with another encoder."""
     field.check_encoder(encoder.identity)
     return np.asarray(encoder.encode_texts([text])[0], np.float32)
 
@@ -30,7 +30,7 @@ def embed_query(encoder: Encoder, field: Embedded, text: str) -> Float32[np.ndar
 def text_negatives(
     field: LanguageField, encoder: Encoder, texts: Sequence[str] = NEGATIVES, *, threads: int = 0
 ) -> Negatives:
-    """The field's own negatives if they are of these texts; otherwise they are embedded and scored.
+    """Return the field's own negatives if they are of these texts; otherwise embed and score the texts.
 
     Raises: MismatchError: the field was written with another encoder. InputError: no texts.
     """
@@ -44,7 +44,7 @@ def text_negatives(
 
 
 def split_negation(text: str) -> tuple[str, tuple[str, ...]]:
-    """What is wanted and what is not: "mug, not red" and "mug but not red" are ("mug", ("red",)).
+    """Split a text into what is wanted and what is not: "mug, not red", "mug but not red" become ("mug", ("red",)).
 
     Raises: InputError: nothing before or after a "not".
     """
@@ -66,12 +66,12 @@ def rival_scores(
 
 
 def without(scores: Float32[np.ndarray, " r"], rivals: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
-    """The scores, LOWEST where a rival fits as well or better."""
+    """Return the scores, LOWEST where a rival fits as well or better."""
     return np.asarray(np.where(rivals >= scores, np.float32(LOWEST), scores))
 
 
 def row_of(field: LanguageField, gaussian_id: int) -> int:
-    """The row of a Gaussian of the scene. Raises: InputError: it has no feature."""
+    """Return the row of a Gaussian of the scene. Raises: InputError: it has no feature."""
     row = int(field.rows_of(np.array([gaussian_id]))[0])
     if row < 0:
         raise InputError(f"Gaussian {gaussian_id} has no feature: no mask of any photo covers it")
@@ -79,7 +79,7 @@ def row_of(field: LanguageField, gaussian_id: int) -> int:
 
 
 def feature_of(field: LanguageField, gaussian_id: int) -> Float32[np.ndarray, " D"]:
-    """The unit feature of a Gaussian of the scene. Raises: InputError: it has none."""
+    """Return the unit feature of a Gaussian of the scene. Raises: InputError: it has none."""
     feature: np.ndarray = field.feature(np.array([row_of(field, gaussian_id)]))[0]
     return feature
 
@@ -87,7 +87,7 @@ def feature_of(field: LanguageField, gaussian_id: int) -> Float32[np.ndarray, " 
 def feature_at(
     field: LanguageField, gaussians: Gaussians, view: View, xy: tuple[float, float], *, threads: int = 0
 ) -> Float32[np.ndarray, " D"]:
-    """The feature of what a pixel of a view shows, as a query: self-referencing, of any encoder.
+    """Return the feature of what a pixel of a view shows, a query that needs no encoder.
 
     xy: pixels from the left and from the top; the centre of the first pixel is at (0.5, 0.5). The
     feature is that of the Gaussian with the largest blending weight there among those that have one.

@@ -35,7 +35,7 @@ MOST_ATTRIBUTES, ATTRIBUTE_SIDE = 12, 640  # pictures in a row; pixels of their 
 
 
 def object_picture(scene: Scene, match: Match, view: View | None = None, size: tuple[int, int] = TILE) -> OtherPixels:
-    """An object cut out of a photo of it, or of a rendering where there is no photo. view: None for the best one.
+    """Cut an object out of a photo of it, or of a rendering where there is no photo. view: None for the best one.
 
     size: width and height in pixels, of 4 to 3.
 

@@ -49,7 +49,7 @@ def stands_on(gaussians: Gaussians, thing: Match, support: Match, up: Float64[np
 def is_over(
     above: Float64[np.ndarray, "m 3"], below: Float64[np.ndarray, "n 3"], up: Float64[np.ndarray, " 3"]
 ) -> bool:
-    """Whether the middle of some points is over others, as seen from above: within a twentieth of their size."""
+    """Return True if the middle of some points is over others, seen from above: within a twentieth of their size."""
     flat = np.eye(3) - np.outer(up, up)
     size = float(np.linalg.norm(np.ptp(below @ flat, axis=0)))
     distance = cKDTree(below @ flat).query(above.mean(0) @ flat)[0]

@@ -15,7 +15,7 @@ from .objects import SUPPORT, objects_of, support_of
 def supporting_masks(
     field: LanguageField, gaussian_ids: Integer[np.ndarray, " m"], query: Float32[np.ndarray, " D"], top: int = 5
 ) -> list[Explanation]:
-    """The masks that speak most for `query` in the Gaussians together: largest sum of W_ij <q, e_j>.
+    """Return the masks that speak most for `query` in all the Gaussians together: largest sum of W_ij <q, e_j>.
 
     Only what speaks for it is listed, so there may be fewer than `top`. Gaussians without a feature
     say nothing.
@@ -40,7 +40,7 @@ def supporting_masks(
 
 
 def support_in(match: Match, answer: Answer) -> tuple[Explanation, ...]:
-    """The masks that are listed for a match of an answer: those of its query, or of the object that it is."""
+    """Return the masks that support a match of an answer: those of its query, or of the object that it is."""
     field = answer.field
     if answer.vector is None and match.object_id is not None:
         return tuple(islice(support_of(field, objects_of(field).thing(match.object_id)), SUPPORT))

@@ -1,4 +1,4 @@
-"""From values per Gaussian to places, and to a class of each: functions of arrays, without words."""
+"""Localisation and segmentation: functions of arrays that turn values per Gaussian into matches and classes."""
 
 from collections.abc import Iterable, Sequence
 
@@ -72,7 +72,7 @@ def sure_matches(matches: Sequence[Match], gaussians: Gaussians) -> list[Match]:
 
 
 def _places(answer: Answer, gaussians: Gaussians, link_distance: float | None) -> Int64[np.ndarray, " m"]:
-    """Of each selected Gaussian the number of its object; loose ones that hang together share one below 0."""
+    """Return the object's number of each selected Gaussian; loose ones that hang together share one below 0."""
     objects, ids = answer.field.objects, answer.gaussian_ids
     places = np.full(len(ids), -1, np.int64)
     if objects is not None:
@@ -94,10 +94,10 @@ def segment(
     class_scores: Iterable[Float32[np.ndarray, " r"]],
     thresholds: float | Sequence[float] = -np.inf,
 ) -> Int32[np.ndarray, " N"]:
-    """The class of the highest score for each Gaussian of the scene, NO_CLASS where there is none.
+    """Return the class of the highest score for each Gaussian of the scene, NO_CLASS where there is none.
 
-    class_scores: per class one score per row of the field, taken one class at a time. thresholds: of
-    all classes or one of each; only classes above theirs compete, and the first of equals wins.
+    class_scores: per class one score per row of the field, taken one class at a time. thresholds: one for
+    all classes or one for each; only classes above theirs compete, and the first of equals wins.
     By default every Gaussian with a feature gets a class, as in the paper.
 
     Raises: InputError: not one score per row, or not one threshold per class.
@@ -124,7 +124,7 @@ def _threshold(thresholds: float | Sequence[float], label: int) -> float:
 
 
 def _check_rows(field: LanguageField, scores: Float32[np.ndarray, " _"]) -> None:
-    """Raises: InputError: not one score per row of the field."""
+    """Check that there is one score per row of the field. Raises: InputError: there is not."""
     if scores.shape != (len(field.gaussian_ids),):
         raise InputError(
             f"expected {len(field.gaussian_ids)} scores, one per row of the field; got shape {scores.shape}"

@@ -1,4 +1,4 @@
-"""Where to cut the scores of a query, judged by the scores themselves: pure functions of arrays.
+"""Thresholds of a query's scores, judged by the scores themselves: pure functions of arrays.
 
 Selected is what lies *above* a threshold. Where nothing stands out, the threshold is the highest score.
 All follow the scores when these are shifted or scaled, and none depends on their order.
@@ -16,7 +16,7 @@ Scores = Float[np.ndarray, " r"]
 
 
 def peak_score(scores: Scores, peak: int = PEAK) -> float:
-    """The `peak`-th highest, the lowest of fewer: what as many rows reach as make a thing.
+    """Return the `peak`-th highest score, or the lowest of fewer: as many rows as make a thing reach it.
 
     Raises: InputError: no scores, or some that are not finite.
     """
@@ -34,7 +34,7 @@ def automatic_threshold(scores: Scores, cut: float = CUT, *, peak: int = PEAK) -
 
 
 def default_threshold(cosines: Scores, least: float | None, cut: float = CUT) -> float:
-    """Where nothing but cosines is known: by `least`, the encoder's own threshold, or without one automatic."""
+    """Return a threshold of cosines: by `least`, the encoder's own threshold, or, without one, automatic."""
     return automatic_threshold(cosines, cut) if least is None else threshold_above(cosines, least, cut)
 
 
@@ -58,7 +58,7 @@ def clear_threshold(scores: Scores, least: float, clear: float, *, peak: int = P
 
 
 def share_threshold(scores: Scores, share: float) -> float:
-    """The threshold above which this share of the rows lies, rounded; fewer where scores are equal.
+    """Return the threshold above which this share of the rows lies, rounded; fewer where scores are equal.
 
     Raises: InputError: a share outside of [0, 1], or as `peak_score`.
     """
@@ -77,7 +77,7 @@ def _check(scores: Scores) -> None:
 
 
 def _largest(scores: Scores, rank: int) -> float:
-    """The `rank`-th largest, counted from 1."""
+    """Return the `rank`-th largest score, counted from 1."""
     at = len(scores) - rank
     return float(np.partition(scores, at)[at])
 

@@ -1,4 +1,4 @@
-"""Where matches of a scene that moves are over time, when photos see them, and when they stand in a relation."""
+"""Matches over time in a moving scene: where they are, when photos see them, when they stand in a relation."""
 
 from collections.abc import Callable, Iterable, Sequence
 from itertools import product
@@ -29,7 +29,7 @@ SLIVER = 0.01  # of what the best photo shows of a match: a photo with less does
 
 
 def tracks(moving: Moving, field: LanguageField, matches: Sequence[Match], up: Up | None = None) -> list[MatchTrack]:
-    """Of each match its box at all times of the scene; one time is looked at at a time.
+    """Return the box of each match at all times of the scene, taken one time after another.
 
     up: boxes stand upright along it; None: as things lie.
     """
@@ -62,8 +62,9 @@ def _track(
 
 
 def seen_during(field: LanguageField, match: Match) -> tuple[tuple[Span, ...], tuple[str, ...]]:
-    """In which spans of the photos' times a photo sees a match, and which photos do, by the weights of its Gaussians;
-    nothing where the field has no evidence, or no times.
+    """Return the spans of time in which photos see a match, and these photos, by the weights of its Gaussians.
+
+    Both are empty where the field has no evidence or no times.
     """
     if field.evidence is None or field.times is None:
         return (), ()
@@ -87,8 +88,7 @@ def when(
     moving: Moving, relation: Relation | Side, ones: Sequence[MatchTrack], others: Sequence[MatchTrack], up: Up | None,
     view: View | None,
 ) -> tuple[Span, ...]:  # fmt: skip
-    """Return the spans of the scene's times, first to last, in which any of some matches stands in a relation to any of
-    others; both are there.
+    """Return the spans of time in which any of some matches stands in a relation to any of others, both there.
 
     view: the camera that left and right are meant from; it stands still. Source: docs/moving.md.
 
@@ -146,7 +146,7 @@ def of_span(scene: Scene, span: Span) -> Scene:
 
 
 def _kept(scene: Scene, key: tuple[str, object], make: Callable[[], Scene]) -> Scene:
-    """Of those asked for last; made outside of any lock, at worst twice."""
+    """Return a scene from the cache of the last ones, or make it, outside of any lock and at worst twice."""
     made = scene.kept.pop(key, None) or make()
     for old in [other for other in list(scene.kept) if other[0] == key[0]][: 1 - KEPT]:
         scene.kept.pop(old, None)

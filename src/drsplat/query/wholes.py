@@ -1,4 +1,4 @@
-"""From what each Gaussian says to what whole objects say."""
+"""Answers of whole objects, from the values of their Gaussians."""
 
 import numpy as np
 

@@ -36,7 +36,7 @@ _EMBEDDED: "WeakKeyDictionary[Encoder, Float32[np.ndarray, 'n D']]" = WeakKeyDic
 
 
 def _embedded_nouns(encoder: Encoder) -> Float32[np.ndarray, "n D"]:
-    """The vectors of those nouns that the encoder knows."""
+    """Return the vectors of those nouns that the encoder knows."""
     return known_words(encoder, getattr(encoder, "nouns", None) or broad_list())[1]
 
 

@@ -96,7 +96,7 @@ class CodeTask:
     threads: int
 
     def __call__(self, run: Run) -> bool:
-        """Whether it was done now, and not before."""
+        """Code a run of rows; return True if that was done now, and not before."""
         name = self.name(run)
         path = self.store.bring(name)
         is_new = not is_finished(path, {"key": self.key})
@@ -169,11 +169,11 @@ class TileCoder:
         return Codes(arrays["codes"], arrays.get("coarse_ids")), arrays["directed"]
 
     def _has(self, features: Aggregated) -> bool:
-        """Whether the features are those of the rows on disk, and not of other weights."""
+        """Return True if the features are those of the rows on disk, and not of other weights."""
         return features.evidence is self.evidence and features.donors is None
 
     def _coded(self, coding: Mixing | Quantising, track: Track) -> dict[str, np.ndarray]:
-        """The arrays of all rows that have weights, one after another."""
+        """Return the coded arrays of all rows that have weights, one after another."""
         task = CodeTask(self.store, coding, self._key_of(coding), self.threads)
         self.store.send(EMBEDDINGS)
         names = [run.name for run in self.runs]

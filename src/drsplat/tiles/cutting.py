@@ -43,7 +43,7 @@ def cut(blocks: Sequence[Block], output: Path, rows: int = ROWS, *, overwrite: b
 
 
 class _Placed(NamedTuple):
-    """What is kept: where in the world, how large, and the block and the row there that it is."""
+    """Gaussians that are kept: their positions in the world, sizes, blocks, and rows within the blocks."""
 
     positions: Float64[np.ndarray, "n 3"]
     sizes: Float32[np.ndarray, " n"]
@@ -75,7 +75,7 @@ def _tile(
     blocks: Sequence[Block], block_of: UInt16[np.ndarray, " m"], row_of: UInt32[np.ndarray, " m"],
     origin: Float64[np.ndarray, " 3"],
 ) -> Gaussians:  # fmt: skip
-    """Some rows of some blocks in that order, counted from the origin."""
+    """Return some rows of some blocks, ordered by block and row, with positions counted from the origin."""
     order = np.lexsort((row_of, block_of))  # files are read front to back
     parts = []
     for number in np.unique(block_of):

@@ -1,7 +1,7 @@
-"""Who does the work: this process, several of this machine, or a Ray cluster. Each task leaves files and no more.
+"""Launchers run tasks in this process, in several of this machine, or on a Ray cluster; tasks leave files only.
 
-Tasks are idempotent: one that was cut off is done again, one whose files are there is not. So whoever runs them may
-be killed at any moment, and another may go on.
+Tasks are idempotent: one that was cut off is done again, one whose files are there is not. So a worker may be killed
+at any moment, and another may go on.
 """
 
 import logging
@@ -66,7 +66,7 @@ class Processes:
         )
 
     def _of_one_pool(self, work: Callable[[T], R], items: Sequence[T], left: set[int]) -> Iterator[R]:
-        """Of those items that are `left`; takes out what is done."""
+        """Yield the results of the items in `left`, removing each when it is done."""
         with ProcessPoolExecutor(self.count, get_context("spawn"), _take, (os.getpid(), work)) as pool:
             waiting = iter(sorted(left))
             running: dict[Future[Any], int] = {}

@@ -44,8 +44,9 @@ from .transposing import RowMaker, filed, joined_rows, runs_of
 
 
 class Made(NamedTuple):
-    """What a view's task says of its files. is_new: whether it was computed now. tiles: a bit for each, set where the
-    view has weights.
+    """Report of a view's task on its files.
+
+    is_new: the view was computed now. tiles: a bit for each, set where the view has weights.
     """
 
     view_name: str
@@ -125,14 +126,14 @@ def register_tiles(
     track: Track = untracked,
     tell: Callable[[Work], None] = lambda _: None,
 ) -> Registration:
-    """As `registration.register`, equal to the bit, in the memory of a few tiles.
+    """Register views on tiles in the memory of a few of them; the bits equal those of `registration.register`.
 
     parts: folder of the finished work, which every worker sees, or the address of an object store as fsspec takes it;
     the registration's arrays are maps of files there, or of its copies here, so they have to stay until a field is
-    saved. launcher: who works; features have to be picklable for other processes.
-    threads: of each worker. tell: is told how much was done.
+    saved. launcher: runs the tasks; features have to be picklable for other processes.
+    threads: of each worker. tell: receives how much was done.
 
-    Raises: as there, and as `Launcher.results`.
+    Raises: as `registration.register`, and as `Launcher.results`.
     """
     chosen = with_features(views, features)
     tell_missing(views, chosen)
@@ -170,6 +171,6 @@ def _key(tiles: Tiles, made: Sequence[Made]) -> str:
 
 
 def _embeddings(store: Store, columns: Sequence[str], count: int, dim: int) -> Float32[np.ndarray, "m d"]:
-    """Of all masks, in a file that is mapped."""
+    """Return the embeddings of all masks, mapped from a file."""
     parts = (map_tensors(store.bring(embeddings_file(Path(name)).name))[0]["embeddings"] for name in columns)
     return filed(store.folder / EMBEDDINGS, np.float32, (count, dim), parts)

@@ -57,7 +57,7 @@ def _borders(view: View) -> list[tuple[Float64[np.ndarray, " 3"], float]]:
 def _furthest(
     plane: Float64[np.ndarray, " 4"], low: Float64[np.ndarray, "t 3"], high: Float64[np.ndarray, "t 3"]
 ) -> Float64[np.ndarray, " t"]:
-    """The largest value of n x + d over each box."""
+    """Return the largest value of n x + d over each box."""
     return np.asarray(np.where(plane[:3] > 0, high, low) @ plane[:3] + plane[3])
 
 
@@ -107,7 +107,7 @@ class Gallery:
         return self._held[tile.name]
 
     def _here(self, tile: Tile) -> Tiles:
-        """The tiles in the folder where this one is."""
+        """Return the tiles in the folder to which this one was brought."""
         if self.store is None:
             return self.tiles
         return replace(self.tiles, path=self.store.bring(_stored(self.tiles, tile)).parent)
@@ -117,7 +117,7 @@ class Gallery:
 
 
 def with_tiles(store: Store, tiles: Tiles) -> Store | None:
-    """The store, with the shapes of all tiles in it for workers that do not see their folder; None: they do."""
+    """Return the store with the shapes of all tiles, or None where all workers see the tiles' folder."""
     if isinstance(store, Shared):
         return None
     for tile in tiles.tiles:
@@ -131,5 +131,5 @@ def with_tiles(store: Store, tiles: Tiles) -> Store | None:
 
 
 def _stored(tiles: Tiles, tile: Tile) -> str:
-    """The name of a tile in a store, which may have held other scenes, whose tiles are called the same."""
+    """Name a tile in a store, which may hold other scenes with tiles of the same names."""
     return f"{tiles.digest}/{file_name(tile, SHAPES)}"

@@ -1,4 +1,4 @@
-"""Where finished work is kept for all workers: a folder that all of them see, or an address of any object store."""
+"""Stores of finished work for all workers: a folder that all of them see, or the address of an object store."""
 
 import hashlib
 import os
@@ -20,10 +20,10 @@ class Store(Protocol):
     @property
     def folder(self) -> Path: ...
     def bring(self, name: str) -> Path:
-        """The place of a file, where it lies now if it is in the store."""
+        """Return the local path of a file, fetching it first if it is in the store."""
 
     def has(self, name: str) -> bool:
-        """Whether all workers can have a file."""
+        """Return True if all workers can have a file."""
 
     def send(self, name: str) -> None:
         """Let all workers have a file of `folder`."""
@@ -110,5 +110,5 @@ class Remote:
 
 
 def store_of(place: str | os.PathLike[str]) -> Store:
-    """A folder, or an address with "://"."""
+    """Return the store of a folder, or of an address with "://"."""
     return Remote(str(place)) if "://" in str(place) else Shared(Path(place))

@@ -55,7 +55,7 @@ class RowMaker:
     key: str
 
     def __call__(self, run: Run) -> bool:
-        """Whether they were made, and not there already."""
+        """Make the rows of a run; return True if they were made, and not there already."""
         name = rows_name(run)
         path = self.store.bring(name)
         is_new = not is_finished(path, {"key": self.key})
@@ -76,7 +76,7 @@ class RowMaker:
 
 
 def _part(view: Path, first: int, count: int) -> Triples:
-    """A view's triples of some rows, which lie together in its file, counted from the first."""
+    """Return a view's triples of a run of rows, which lie together in its file, counted from the first."""
     tensors, _ = map_tensors(view)
     ids = tensors["gaussian_ids"]
     run = slice(*np.searchsorted(ids, np.array([first, first + count], ids.dtype)))
@@ -124,7 +124,7 @@ def joined_rows(runs: Sequence[Run], store: Store, num_masks: int) -> csr_array:
 
 
 def filed(path: Path, kind: type, shape: tuple[int, ...], parts: Iterable[np.ndarray]) -> np.ndarray:
-    """An array of so many numbers, written a part at a time, as a map of its file; an empty one cannot be mapped."""
+    """Write an array a part at a time and return it mapped from its file; an empty one cannot be mapped."""
     if not math.prod(shape):
         return np.empty(shape, kind)
     with replacing(path, overwrite=True) as file:  # whoever has mapped an older one keeps it

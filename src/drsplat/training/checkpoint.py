@@ -141,7 +141,7 @@ def _check_length(path: Path, run: Run, planned: int) -> None:
 
 
 def _check_values(arrays: Mapping[str, np.ndarray], texts: Mapping[str, str], run: Run) -> None:
-    """Raises: ValueError: sizes or indices that a run of these settings cannot have."""
+    """Check a checkpoint's values. Raises: ValueError: sizes or indices that a run of these settings cannot have."""
     for name, array in run.optimizer.state().items():
         if arrays[name].shape[1:] != array.shape[1:]:
             raise ValueError(f"{name} has rows {arrays[name].shape[1:]}, not {array.shape[1:]}")

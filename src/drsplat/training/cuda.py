@@ -36,15 +36,15 @@ def unavailable() -> str | None:
 
 
 def _has_cuda_compiler() -> bool:
-    """Where torch looks for it."""
+    """Look for nvcc where torch does."""
     named = os.environ.get("CUDA_HOME") or os.environ.get("CUDA_PATH") or "/usr/local/cuda"
     return shutil.which("nvcc") is not None or (Path(named) / "bin" / "nvcc").is_file()
 
 
 def train(job: Job) -> Training:
-    """As `gsplat_loop.train`, with gsplat on "cuda".
+    """Train with gsplat on "cuda", see `gsplat_loop.train`.
 
-    Raises: as there, and MissingExtraError: torch, gsplat, its kernels or a GPU is absent.
+    Raises: as `gsplat_loop.train`, and MissingExtraError: torch, gsplat, its kernels or a GPU is absent.
     """
     engine = installed_engine()
     from . import gsplat_loop
@@ -53,7 +53,7 @@ def train(job: Job) -> Training:
 
 
 def installed_engine() -> Any:
-    """A `gsplat_run.Engine`: gsplat on "cuda", its kernels built where they are not yet (minutes, the first time).
+    """Return a `gsplat_run.Engine`: gsplat on "cuda", its kernels built first if need be (minutes).
 
     Raises: MissingExtraError: it cannot be used; says why.
     """

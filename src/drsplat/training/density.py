@@ -134,7 +134,7 @@ def _logit(opacity: float) -> float:
 
 
 def _largest(values: Float32[np.ndarray, " n"], count: int) -> Bool[np.ndarray, " n"]:
-    """Marks the `count` largest; equal ones by index. Each clone or split adds one Gaussian."""
+    """Mark the `count` largest values, equal ones by index. Each clone or split adds one Gaussian."""
     marked = np.zeros(len(values), bool)
     order: Integer[np.ndarray, " n"] = np.argsort(-values, kind="stable")
     marked[order[: max(count, 0)]] = True

@@ -74,7 +74,7 @@ def evaluate(
 def rendered(
     parameters: SceneParameters, view: View, settings: TrainingSettings, near: float = PUBLISHED_NEAR, threads: int = 0
 ) -> Float32[np.ndarray, "h w 3"]:
-    """The picture with all SH degrees on the settings' backdrop, clipped to [0, 1]."""
+    """Render a picture with all SH degrees on the settings' backdrop, clipped to [0, 1]."""
     backdrop = np.array(settings.backdrop, np.float32)
     drawn = forward(
         parameters, view, settings.sh_degree, backdrop, near=near, antialiased=settings.antialiased, threads=threads
@@ -84,7 +84,7 @@ def rendered(
 
 
 def _score(name: str, image: Float32[np.ndarray, "h w 3"], photo: Photo) -> ViewScore:
-    """What a mask leaves out is not compared, nor do the windows of SSIM beside it see it."""
+    """Compare a rendering with its photo, without what a mask leaves out, also in the windows of SSIM beside it."""
     colors = photo.colors()
     if photo.left_out is not None:
         colors[photo.left_out] = image[photo.left_out]

@@ -17,7 +17,7 @@ FULL_SIZE = 1 / 4  # of the iterations, from when on photos are as they are
 DEGREES = 7  # of harmonics that would come in all the iterations
 OPACITY_PENALTY = 0.01
 RATES = {"means_rate_end": 1.6e-5, "sh_rest_rate": 5e-4, "scales_rate": 1e-2, "quats_rate": 4e-3}
-"""Of Adam, in the units of TrainingSettings: there are few steps, so that longer ones reach as far."""
+"""Steps of Adam, in the units of TrainingSettings: there are few, so that longer ones reach as far."""
 PIXELS_EACH = 1.9  # of a photo, for each Gaussian
 PHOTOS = 100  # that a budget of one photo's pixels serves; more photos show more
 

@@ -16,7 +16,7 @@ from .result import Training
 
 
 def train(job: Job, engine: Engine) -> Training:
-    """As `loop.train`, on the engine's device; on a GPU not the same to the bit each time.
+    """Train on the engine's device, see `loop.train`; on a GPU the bits differ from run to run.
 
     Start, photos, schedules and files are those of the CPU. Held-out photos are rendered by our own
     kernels on the CPU, so that the measures of all devices compare. torch's generators are seeded.

@@ -58,7 +58,7 @@ def mcmc_arguments(settings: TrainingSettings) -> dict[str, Any]:
 
 
 def require_what_gsplat_can(settings: TrainingSettings) -> None:
-    """Raises: InputError: a setting that gsplat has fixed at another value."""
+    """Check the settings. Raises: InputError: a setting that gsplat has fixed at another value."""
     fixed = FIXED_BY_MCMC if settings.strategy == "mcmc" else FIXED_BY_DEFAULT
     for name, value in fixed.items():
         given = getattr(settings, name)
@@ -132,7 +132,7 @@ class DefaultControl:
             setattr(density, ours, _copied(self.state[theirs]))
 
     def learn(self, density: Any) -> None:
-        """The way back."""
+        """Copy the density control's observations into gsplat's state."""
         device = self.scene.tensors["means"].device
         for ours, theirs in OBSERVED.items():
             self.state[theirs] = torch.tensor(getattr(density, ours), device=device)
@@ -165,10 +165,10 @@ class MonteCarloControl:
         self.strategy.step_post_backward(tensors, adams, self.state, iteration, seen, lr=rate)
 
     def tell(self, density: Any) -> None:
-        """It remembers nothing."""
+        """Do nothing: this strategy remembers nothing."""
 
     def learn(self, density: Any) -> None:
-        """It remembers nothing."""
+        """Do nothing: this strategy remembers nothing."""
 
 
 def _copied(tensor: Tensor) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""What a training is asked for, what it tells while it is under way, and where its optimisation begins."""
+"""A training's job, its status while it is under way, and the beginning of its optimisation."""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
@@ -19,7 +19,7 @@ SAVE_AT = (7000,)
 
 
 class Status(NamedTuple):
-    """Of a run under way. psnr: running mean over the photos it is trained on, in dB."""
+    """Status of a run under way. psnr: running mean over the photos it is trained on, in dB."""
 
     iteration: int
     iterations: int
@@ -52,7 +52,7 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class Beginning:
-    """What a run is made of. origin: of the frame that views and Gaussians are in, in the world."""
+    """Inputs of a run. origin: the point of the world that is zero in the frame of views and Gaussians."""
 
     views: Sequence[View]
     settings: TrainingSettings

@@ -76,7 +76,7 @@ class Keeper:
             self._checkpoint()  # whatever is written from here on can be gone on with
 
     def after_step(self, interrupted: bool) -> None:
-        """Raises: KeyboardInterrupt: `interrupted`; what is done so far is in the checkpoint."""
+        """Evaluate and save where it is time. Raises: KeyboardInterrupt: `interrupted`; all is in the checkpoint."""
         run, settings = self.run, self.run.settings
         if run.iteration == settings.iterations:
             return
@@ -131,7 +131,7 @@ class Keeper:
         )  # fmt: skip
 
     def _psnr_train(self, count: int) -> float:
-        """Of so many of the photos that it was trained on, evenly chosen."""
+        """Return the PSNR on `count` evenly spaced training photos."""
         views = self.split.train
         chosen = np.linspace(0, len(views) - 1, min(count, len(views))).round().astype(int)
         some = [views[index] for index in chosen]

@@ -28,7 +28,7 @@ def train(job: Job) -> Training:
 
 
 def trained(job: Job, run_of: Callable[[Beginning], R], optimise: Callable[[R, Keeper, Job], None]) -> Training:
-    """A job from its photos to its results, whatever the steps are taken on."""
+    """Run a job from its photos to its results, on any device."""
     settings = job.settings
     split, points, origin = local_capture(split_views(job.views, settings.test_every), job.points)
     rng = np.random.default_rng(settings.seed)

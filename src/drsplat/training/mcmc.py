@@ -118,7 +118,7 @@ def shared_place(
 
 
 def _line_integral(opacity: Float64[np.ndarray, " n"], sharing: int) -> Float64[np.ndarray, " n"]:
-    """Of 1 - (1 - o g(x))^N along a line, in units of that of g, a Gaussian of unit height.
+    """Return the integral of 1 - (1 - o g(x))^N along a line, in units of that of g, a Gaussian of unit height.
 
     Sum over i = 1..N, k = 0..i-1 of C(i-1, k) (-1)^k o^(k+1) / sqrt(k+1); over i first, that is C(N, k+1).
     """
@@ -128,7 +128,7 @@ def _line_integral(opacity: Float64[np.ndarray, " n"], sharing: int) -> Float64[
 
 
 def drawn(weights: Float32[np.ndarray, " n"], count: int, rng: np.random.Generator) -> Integer[np.ndarray, " count"]:
-    """Indices drawn with replacement, in proportion to the weights."""
+    """Draw indices with replacement, in proportion to the weights."""
     steps = np.cumsum(weights, dtype=np.float64)
     at = np.searchsorted(steps, rng.random(count) * steps[-1], side="right")
     inside: np.ndarray = np.minimum(at, len(weights) - 1)

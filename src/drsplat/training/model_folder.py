@@ -42,7 +42,7 @@ _LEFT_BEHIND = re.compile(r"\.[0-9a-f]{16}\.tmp")  # by a run that was killed wh
 
 @contextmanager
 def model_folder(path: str | Path | None, overwrite: bool) -> Iterator["ModelFolder | None"]:
-    """The folder, ready, and while the block runs nobody else's; None for None.
+    """Prepare the folder and hold it against other processes while the block runs; None for None.
 
     Raises: InputError: as `ModelFolder.prepare`; another process trains in it.
     """
@@ -132,7 +132,7 @@ class ModelFolder:
 
 
 def _source_and_images(view: View) -> tuple[Path, str]:
-    """The capture's folder and that of its photos in it, by where a view's photo is."""
+    """Return the capture's folder and that of its photos in it, from the place of a view's photo."""
     folder = photo_folder(view)
     if folder.name.startswith("images"):
         return folder.parent, folder.name

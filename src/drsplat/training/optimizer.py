@@ -1,4 +1,4 @@
-"""What is optimised, with Adam's moments row by row beside it."""
+"""The optimised parameters, with Adam's moments row by row beside them."""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -83,20 +83,20 @@ class Optimizer:
                 array[rows] = 0
 
     def replace_logits(self, logits: Float32[np.ndarray, " n"]) -> None:
-        """New opacities for all, and no memory of the way they came."""
+        """Set all opacities anew, and forget their moments."""
         self.parameters.logits[:] = logits
         self.first.logits[:] = 0
         self.second.logits[:] = 0
 
     def rows(self, rows: Rows) -> SceneParameters:
-        """Copies of the parameters of some Gaussians."""
+        """Return copies of the parameters of some Gaussians."""
         return _rows(self.parameters, rows)
 
     def is_finite(self) -> bool:
         return all(np.isfinite(array).all() for array in self.parameters)
 
     def gaussians(self) -> Gaussians:
-        """The scene as it is now, after activation. Raises: FormatError: a value that is not finite."""
+        """Return the present scene, after activation. Raises: FormatError: a value that is not finite."""
         p = self.parameters
         limited = np.clip(p.log_scales, -LOG_SCALE_LIMIT, LOG_SCALE_LIMIT)
         try:
@@ -111,7 +111,7 @@ class Optimizer:
 
     @classmethod
     def from_state(cls, state: Mapping[str, np.ndarray]) -> "Optimizer":
-        """Of what `state` gave; arrays are copied."""
+        """Return the optimizer of what `state` returned; arrays are copied."""
         groups = [
             SceneParameters(*(np.array(state[f"{group}.{name}"], np.float32) for name in FLOATING))
             for group in ("parameters", "first", "second")

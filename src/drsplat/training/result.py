@@ -1,4 +1,4 @@
-"""What a run has made."""
+"""The result of a training."""
 
 from dataclasses import dataclass
 
@@ -11,9 +11,9 @@ FAR_BELOW = 10.0  # dB; captures that were covered well lose 3 on photos that we
 
 @dataclass(frozen=True, eq=False)
 class Training:
-    """What a run has made.
+    """The result of a training.
 
-    evaluation: of the held-out photos; None when there are none. psnr_train: mean over as many of the photos that
+    evaluation: on the held-out photos; None when there are none. psnr_train: mean over as many of the photos that
     it was trained on, in dB. seconds: of optimisation, over all sittings. stage_seconds: the same by stage.
     history: evaluations on the way. start: points that it started from, by where they came from. num_masked: photos,
     trained on or held out, of which masks leave pixels out: these take no part, in measures neither.
@@ -31,12 +31,12 @@ class Training:
 
     @property
     def held_out_far_below(self) -> bool:
-        """Whether photos that were held out are rendered so much worse that the scene is fog from elsewhere."""
+        """True where held-out photos are rendered so much worse that the scene is fog from other viewpoints."""
         test = self.evaluation
         return test is not None and self.psnr_train - test.psnr > FAR_BELOW
 
     def measures(self) -> dict[str, object]:
-        """The headline, for JSON."""
+        """Return the main numbers, for JSON."""
         return {
             "psnr_test": self.evaluation.psnr if self.evaluation else None,
             "psnr_train": self.psnr_train,

@@ -12,7 +12,7 @@ def unit(quats: Float32[np.ndarray, "n 4"]) -> Float32[np.ndarray, "n 4"]:
 
 
 def rotated(quats: Float32[np.ndarray, "n 4"], vectors: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
-    """From the local axes of each row to the world."""
+    """Rotate vectors from the local axes of each row to the world."""
     # einsum, not matmul: BLAS may round differently with another number of threads
     turned: np.ndarray = np.einsum("nij,nj->ni", rotation_matrices(unit(quats)), vectors)
     return turned

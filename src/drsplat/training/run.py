@@ -31,7 +31,7 @@ STAGES = ("photo", "forward", "loss", "backward", "optimizer", "density")
 
 
 class Outcome(NamedTuple):
-    """What one iteration gave. psnr: of the photo that was drawn, dB, at most 99; counted when it is asked for."""
+    """Outcome of one iteration. psnr: of its photo, dB, at most 99; computed when it is called."""
 
     loss: float
     psnr: Callable[[], float]
@@ -62,7 +62,7 @@ class Run:
         return len(self.optimizer)
 
     def step(self, threads: int = 0) -> Outcome:
-        """The next iteration. Raises: DrSplatError: the loss is no longer a number."""
+        """Run the next iteration. Raises: DrSplatError: the loss is no longer a number."""
         self._since = time.perf_counter()
         self.iteration += 1
         self.density.before_step(self.optimizer, self.iteration)
@@ -106,7 +106,7 @@ class Run:
         return np.array(self.settings.backdrop, np.float32)
 
     def _loss(self, drawn: TrainingView, target: Float32[np.ndarray, "h w 3"], photo: Photo, threads: int) -> Loss:
-        """Where the photo says nothing, the rendering is its own target and learns nothing."""
+        """Return the loss; where the photo is masked, the rendering is its own target and nothing is learnt."""
         unused = photo.unused
         if len(unused):
             target.reshape(-1, 3)[unused] = drawn.image.reshape(-1, 3)[unused]
@@ -150,7 +150,7 @@ class Run:
         self._since = now
 
     def gaussians(self) -> Gaussians:
-        """The scene as it is now, in the world's coordinates. Raises: as `Optimizer.gaussians`."""
+        """Return the present scene in world coordinates. Raises: as `Optimizer.gaussians`."""
         return replace(self.optimizer.gaussians(), origin=self.origin, antialiased=self.settings.antialiased)
 
     def state(self) -> tuple[dict[str, np.ndarray], dict[str, str]]:

@@ -1,4 +1,4 @@
-"""What changes with the iteration, counted from 1."""
+"""Schedules: values that change with the iteration, counted from 1."""
 
 import math
 
@@ -37,8 +37,9 @@ def refines(settings: TrainingSettings, iteration: int) -> bool:
 
 
 def resets_opacity(settings: TrainingSettings, iteration: int) -> bool:
-    """After this iteration, before the next. Of adaptive density control only; a white background has one more, when
-    refinement starts.
+    """Return True if opacities are reset after this iteration, in adaptive density control.
+
+    A white background has one more reset, when refinement starts.
 
     Source: 3DGS Sec. 5.2; its published defaults for the white one.
     """

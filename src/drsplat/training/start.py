@@ -1,4 +1,4 @@
-"""Where an optimisation starts: views that can be trained on, their extent, the first Gaussians."""
+"""The start of an optimisation: views that can be trained on, their extent, the first Gaussians."""
 
 import math
 from collections.abc import Sequence
@@ -71,7 +71,7 @@ class Local(NamedTuple):
 
 
 def local_capture(split: Split, points: SparsePoints | None) -> Local:
-    """The same capture if it is not far from zero for its size, see `placing.local_origin`."""
+    """Move a capture to zero if it is far from it for its size, see `placing.local_origin`."""
     given = points is not None and len(points.positions) > NEIGHBOURS
     cameras = np.array([view.center for view in split.train])
     origin = local_origin(points.positions if points is not None and given else cameras)
@@ -129,7 +129,7 @@ def scene_extent(views: Sequence[View]) -> float:
 
 
 def first_gaussians(points: SparsePoints, settings: TrainingSettings) -> SceneParameters:
-    """A round Gaussian per point, as large as its neighbours are far.
+    """Return a round Gaussian per point, as large as its neighbours are far.
 
     Size: root of the mean squared distance to the 3 nearest. Higher SH are zero.
     Source: 3DGS Sec. 5.1 and its published defaults.

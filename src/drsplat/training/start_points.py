@@ -1,4 +1,4 @@
-"""Where the Gaussians start: at given points, else at triangulated ones, else at random ones."""
+"""Starting points of the Gaussians: given ones, else triangulated ones, else random ones."""
 
 import warnings
 from collections.abc import Sequence
@@ -41,8 +41,9 @@ def start_points(
     *,
     threads: int = 0,
 ) -> Start:
-    """The given points, thinned to the budget, or else those of `triangulate`; where they are few, with
-    random ones in the space that several cameras look into.
+    """Return the given points, thinned to the budget, or else those of `triangulate`.
+
+    Where these are few, random ones in the space that several cameras look into are added.
 
     Warns: DrSplatWarning: few points, poses that do not fit the photos.
     Raises: InputError: points that are not finite, or too few of them.

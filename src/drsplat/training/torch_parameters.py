@@ -1,4 +1,4 @@
-"""What is optimised, on the device: tensors and their Adams as gsplat's strategies want them."""
+"""Parameters on the device: tensors and their Adams as gsplat's strategies expect them."""
 
 import math
 from collections.abc import Callable
@@ -63,7 +63,7 @@ class DeviceParameters:
             self.tensors["sh0"].clamp_(-MAX_CONSTANT, MAX_CONSTANT)
 
     def reset_opacity(self, ceiling: float) -> None:
-        """As `density.reset_opacity`."""
+        """Reset opacities as `density.reset_opacity` does."""
         opacities = self.tensors["opacities"]
         with torch.no_grad():
             opacities.clamp_(max=math.log(ceiling / (1 - ceiling)))
@@ -71,7 +71,7 @@ class DeviceParameters:
             self.adams["opacities"].state[opacities][name].zero_()
 
     def download(self) -> Optimizer:
-        """Copies of parameters and moments on the host."""
+        """Return copies of parameters and moments on the host."""
         optimizer = Optimizer(self._arrays(lambda name: self.tensors[name]))
         first, second = (
             self._arrays(lambda name, key=key: self.adams[name].state[self.tensors[name]][key])  # type: ignore[misc]
