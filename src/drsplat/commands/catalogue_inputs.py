@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 def box(text: str | None) -> Corners | None:
-    """Of "-1,0,0,2,3,1.5". Raises: InputError: not six finite numbers."""
+    """Return the corners of a box such as "-1,0,0,2,3,1.5". Raises: InputError: not six finite numbers."""
     if text is None:
         return None
     a, b, c, d, e, f = _numbers("--box", text, 6)
@@ -19,7 +19,7 @@ def box(text: str | None) -> Corners | None:
 
 
 def area(text: str | None) -> Degrees | None:
-    """Of "13.3,52.4,13.5,52.6". Raises: InputError: not four finite numbers."""
+    """Return the degrees of an area such as "13.3,52.4,13.5,52.6". Raises: InputError: not four finite numbers."""
     if text is None:
         return None
     west, south, east, north = _numbers("--area", text, 4)
@@ -27,7 +27,7 @@ def area(text: str | None) -> Degrees | None:
 
 
 def moment(text: str | None) -> datetime | None:
-    """Of "2026-11-22" or "2026-11-22T14:00", on this machine's clock where no zone is given.
+    """Return the time of "2026-11-22" or "2026-11-22T14:00", on this machine's clock where no zone is given.
 
     Raises: InputError: no such time.
     """

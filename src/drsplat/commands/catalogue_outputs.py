@@ -1,4 +1,4 @@
-"""What `drsplat catalogue` prints."""
+"""Output of `drsplat catalogue`."""
 
 from __future__ import annotations
 

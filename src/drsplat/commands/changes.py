@@ -1,4 +1,4 @@
-"""What `drsplat add` and `drsplat remove` have in common: which field, and what has become of it."""
+"""Common parts of `drsplat add` and `drsplat remove`: the field to change, and the answer."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def add_field_options(parser: argparse.ArgumentParser) -> None:
 
 
 def field_and_scene(arguments: argparse.Namespace) -> tuple[Path, Gaussians | Moving]:
-    """The field's folder and its Gaussians.
+    """Return the field's folder and its Gaussians.
 
     Raises: InputError: no such field, or no scene is given or beside it; as `read_scene`.
     """
@@ -37,7 +37,7 @@ def field_and_scene(arguments: argparse.Namespace) -> tuple[Path, Gaussians | Mo
 
 
 def answer_of(change: Change, path: Path) -> dict[str, Any]:
-    """What has changed, and the new totals."""
+    """Return what has changed, and the new totals."""
     from ..field.labels import LabelFile, matched
     from ..system import peak_memory_bytes
 

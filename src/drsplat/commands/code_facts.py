@@ -1,4 +1,4 @@
-"""What there is to say of the code of a field, and of a codebook."""
+"""Facts about the code of a field, and about a codebook."""
 
 from __future__ import annotations
 

@@ -152,7 +152,7 @@ def _given(arguments: argparse.Namespace) -> tuple[np.ndarray, EncoderIdentity, 
 
 
 def _trained(rows: np.ndarray, encoder: EncoderIdentity, arguments: argparse.Namespace) -> tuple[Codebook, np.ndarray]:
-    """The codebook, and of each held-out row the cosine with what its code stands for."""
+    """Return the codebook, and the cosine of each held-out row with its decoded code."""
     import numpy as np
 
     from .. import train_codebook

@@ -35,7 +35,7 @@ SERVERS = {
     "serve scenes over HTTP (drsplat serve)": ("serve", ("fastapi", "uvicorn", "prometheus_client")),
     "scenes for language models (drsplat mcp)": ("mcp", ("mcp", "prometheus_client")),
 }
-"""What needs an extra, and the modules of it."""
+"""Features that need an extra, and its modules."""
 MODELS = {
     "laion/CLIP-ViT-B-16-laion2B-s34B-b88K": "embeddings and words",
     "facebook/sam-vit-huge": "masks, on a GPU",
@@ -47,7 +47,7 @@ _PROBE_SECONDS = 120
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """It has no options of its own."""
+    """Add nothing: `drsplat doctor` has no options of its own."""
 
 
 CACHED = {
@@ -194,7 +194,7 @@ def _native() -> dict[str, Any]:
 
 
 def _models() -> dict[str, dict[str, Any]]:
-    """The default models by id: what for, and whether they are here (None: cannot be told)."""
+    """Return the purpose of each default model, and whether it is here (None: cannot be told), by id."""
     from ..models.pretrained import cached_in_full
 
     known = _is_installed("huggingface_hub")

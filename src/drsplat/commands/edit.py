@@ -240,7 +240,7 @@ class _Work:
     # --- what is edited ---
 
     def target(self) -> Target:
-        """Raises: InputError: none was named, or several; nothing is there."""
+        """Return the target that the options name. Raises: InputError: none, or several; nothing is there."""
         import numpy as np
 
         from ..editing import Box, Copies, Everything, Rows
@@ -350,7 +350,7 @@ class _Work:
     # --- annotations ---
 
     def annotated(self, known: tuple[Annotation, ...], listed: EditList, file: EditFile) -> tuple[Annotation, ...]:
-        """The annotations, with what the options add and drop, after the edits; themselves where they say nothing."""
+        """Return the annotations after the edits, with what the options add and drop."""
         from ..editing.edits import drafted
         from ..errors import InputError
         from ..formats.annotations import without

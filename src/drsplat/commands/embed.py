@@ -44,7 +44,7 @@ AUTO, ALL = "auto", "all"
 COARSE_TO_FINE = {"first_points_per_side": 4, "points_per_side": 64, "most_points": 128}
 """Rounds of 4, 8, 16, 32 and 64 points a side, where no mask explains the photo yet."""
 NESTED = {"mask_inner": 0.0}
-"""Of large masks in rounds: what stands on a thing stays beside the mask of both."""
+"""Settings of large masks in rounds: what stands on a thing stays beside the mask of both."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -269,7 +269,7 @@ def _not_chosen(answer: dict[str, Any]) -> str:
 
 
 def _segmenter(arguments: argparse.Namespace) -> Segmenter | FeatureFolder:
-    """That of --segmenter, or the masks of --masks. InputError: both."""
+    """Return the segmenter of --segmenter, or the masks of --masks. Raises: InputError: both were given."""
     from .. import read_features
     from ..errors import InputError
     from ..models.sam import load_segmenter
@@ -296,7 +296,7 @@ def _output_folder(arguments: argparse.Namespace) -> Path:
 
 
 def image_encoder(arguments: argparse.Namespace) -> ImageEncoder:
-    """That of --encoder and --device. InputError: one that knows words only."""
+    """Return the encoder of --encoder and --device. Raises: InputError: it embeds words only."""
     from ..encoders import ImageEncoder
     from ..errors import InputError
     from ..models.loading import load_encoder

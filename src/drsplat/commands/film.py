@@ -1,4 +1,4 @@
-"""What drsplat render makes of a path: a film."""
+"""Films of camera paths, for `drsplat render --path`."""
 
 from __future__ import annotations
 

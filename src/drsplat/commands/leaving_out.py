@@ -66,7 +66,7 @@ def _listed(names: Sequence[str], path: str) -> set[str]:
 
 
 def lines_of(path: str, what: str) -> list[str]:
-    """The lines of a text file, without empty ones.
+    """Return the lines of a text file, without empty ones.
 
     Raises: InputError: there is no such file. FormatError: it is not in UTF-8.
     """

@@ -35,7 +35,7 @@ def add_computing(parser: argparse.ArgumentParser, workers: int) -> None:
 
 
 def checked_key(arguments: argparse.Namespace) -> str | None:
-    """The key that requests have to give, None for none.
+    """Return the key that requests have to give, None for none.
 
     Raises: InputError: other machines could ask without one, and --open does not say so; no key in its file.
     """
@@ -50,7 +50,7 @@ def checked_key(arguments: argparse.Namespace) -> str | None:
 
 
 def own_names(arguments: argparse.Namespace) -> tuple[str, ...] | None:
-    """What a request may call this machine; None for anything, where others can reach it."""
+    """Return the host names that a request may use, None for any, where other machines can reach this one."""
     return names_of(arguments.host) if is_loopback(arguments.host) else None
 
 

@@ -15,8 +15,10 @@ from ..terminal import plain
 
 
 class _Both(TextIOBase):
-    """A terminal and a file; each line of the latter begins with its time. No terminal to those who ask for one, so
-    that progress comes in lines."""
+    """Stream that writes to a terminal and, with the time before each line, to a file.
+
+    It does not claim to be a terminal, so that progress comes in lines.
+    """
 
     def __init__(self, terminal: Any, file: TextIO) -> None:
         self._terminal, self._file, self._line = terminal, file, ""

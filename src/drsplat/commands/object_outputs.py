@@ -1,4 +1,4 @@
-"""What `drsplat objects` prints and writes."""
+"""Output of `drsplat objects`, printed and written."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def check(arguments: argparse.Namespace) -> None:
 
 
 def listing(scene: Scene) -> list[dict[str, Any]]:
-    """The objects of a scene as JSON has them."""
+    """Return the objects of a scene as JSON has them."""
     from ..query.objects import objects_of, photos_of
 
     objects = objects_of(scene.field)
@@ -89,8 +89,10 @@ def _save_json(path: Path, scene: Scene, listed: list[dict[str, Any]], overwrite
 
 
 def _save_csv(path: Path, _: Scene, listed: list[dict[str, Any]], overwrite: bool) -> None:
-    """Write a column for each number of a box, axes by rows; the views in one, with semicolons between them; last,
-    0 or 1 for `agreed`.
+    """Write a CSV table of objects.
+
+    Each number of a box has a column, axes row by row; views share one, with semicolons between them; the last is 0 or
+    1 for `agreed`.
     """
     from ..formats.replacing import replacing
 
@@ -112,7 +114,7 @@ def _cell(value: Any) -> Any:
 
 
 def _save_folder(path: Path, scene: Scene, listed: list[dict[str, Any]], overwrite: bool) -> None:
-    """A PLY of each object, and the table that says which is which; the folder appears whole or not at all."""
+    """Write a PLY of each object and a table of them; the folder appears whole or not at all."""
     from .. import write_gaussians
     from ..formats.field_folder import replacing_folder
 

@@ -161,7 +161,7 @@ def _row(one: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _with_objects(arguments: argparse.Namespace) -> Scene:
-    """The scene of a field that has objects; where it has none they are found, and kept in it."""
+    """Open the scene of a field; objects are found, and kept in the field, where it has none."""
     from ..formats.claiming import claimed_output
     from ..query.opening import scene_files
 

@@ -29,7 +29,7 @@ LEVEL_HELP = (
 
 
 def whole(text: str, least: int = 0, most: int = MOST) -> int:
-    """An option's whole number."""
+    """Return an option's whole number."""
     digits = text.lstrip("0") or text[:1]
     readable = digits.isascii() and digits.isdecimal() and len(digits) <= len(str(most))
     if not readable or not least <= int(digits) <= most:
@@ -38,7 +38,7 @@ def whole(text: str, least: int = 0, most: int = MOST) -> int:
 
 
 def count(text: str) -> int:
-    """An option's positive whole number."""
+    """Return an option's positive whole number."""
     return whole(text, least=1)
 
 
@@ -55,7 +55,7 @@ PORT = up_to(65535)
 
 
 def finite(text: str) -> float:
-    """An option's number; NaN would compare with nothing, and JSON has no word for it."""
+    """Return an option's finite number: NaN compares with nothing, and JSON cannot hold it."""
     try:
         number = float(text)
     except ValueError:
@@ -66,7 +66,7 @@ def finite(text: str) -> float:
 
 
 def length(text: str) -> float:
-    """An option's positive number, as scenes are measured."""
+    """Return an option's positive number, as scenes are measured."""
     number = finite(text)
     if not number >= SMALLEST:
         raise argparse.ArgumentTypeError(f"expected a number above 0, got {quoted(text)}")
@@ -74,7 +74,7 @@ def length(text: str) -> float:
 
 
 def words(text: str) -> str:
-    """An option's text, or a name; a path may be any bytes, but these are compared and kept."""
+    """Return an option's text, or a name; a path may be any bytes, but these are compared and kept."""
     try:
         text.encode()
     except UnicodeEncodeError:
@@ -139,7 +139,7 @@ def views_of(arguments: argparse.Namespace, capture: str) -> list[View]:
 
 
 def add_query_encoders(parser: argparse.ArgumentParser) -> None:
-    """--encoder, --device, --vocabulary: what turns words into vectors."""
+    """Add --encoder, --device and --vocabulary, which turn words into vectors."""
     parser.add_argument(
         "--encoder", type=words, metavar="NAME",
         help="model that embedded the masks, for queries in words or by picture: a folder or an id such as "

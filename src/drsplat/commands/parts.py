@@ -14,17 +14,17 @@ COMPLETE = " (it was complete already; only its parts were still to be removed)"
 
 
 def parts_of(output: str | Path) -> Path:
-    """The folder of an output's parts."""
+    """Return the folder of an output's parts."""
     return Path(f"{output}.parts")
 
 
 def new_or_complete(path: str, overwrite: bool, suffix: str = "") -> Path:
-    """As `new_output`, but what has parts beside it may be what this command made before it was killed."""
+    """Check an output as `new_output` does, but accept one with parts beside it, which a killed run left."""
     return new_output(path, overwrite or parts_of(path).is_dir(), suffix)
 
 
 def was_complete(output: Path, overwrite: bool, is_this: Callable[[], bool]) -> bool:
-    """Whether the output is there already, and is the one that was to be written.
+    """Return True if the output is there already and is what would be written.
 
     Raises: InputError: another one is there.
     """

@@ -1,4 +1,4 @@
-"""What a query on the command line is given as: pictures, vectors, pixels, points."""
+"""Inputs of queries on the command line: pictures, vectors, pixels, points."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def pixel(text: str) -> tuple[str, float, float]:
-    """The view's name and the pixel of "photo_003:210,140". Raises: InputError: it does not look so."""
+    """Return the view's name and the pixel of "photo_003:210,140". Raises: InputError: it has another form."""
     import re
 
     from ..errors import InputError
@@ -22,7 +22,7 @@ def pixel(text: str) -> tuple[str, float, float]:
 
 
 def point(text: str) -> tuple[float, float, float]:
-    """Of "0.3,-0.14,1.2". Raises: InputError: not three finite numbers."""
+    """Return the point "0.3,-0.14,1.2". Raises: InputError: not three finite numbers."""
     import math
 
     from ..errors import InputError
@@ -44,7 +44,7 @@ def negatives(text: str) -> tuple[str, ...] | np.ndarray:
 
 
 def read_picture(path: str) -> np.ndarray:
-    """The RGB of a picture file, upright, on black where it is transparent.
+    """Read the RGB of a picture file, upright, on black where it is transparent.
 
     Raises: InputError: there is no such file. FormatError: damaged, or not a picture.
     """
@@ -74,7 +74,7 @@ def read_vector(path: str) -> np.ndarray:
 
 
 def read_vectors(path: str) -> np.ndarray:
-    """The vectors of a .npy file, (n, D) or (D,), as float32.
+    """Read the vectors of a .npy file, (n, D) or (D,), as float32.
 
     Raises: InputError: there is no such file. FormatError: damaged, not numbers.
     """

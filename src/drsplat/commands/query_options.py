@@ -159,7 +159,7 @@ def check_outputs(arguments: argparse.Namespace, suffixes: tuple[str, ...] = (".
 
 
 def ask(arguments: argparse.Namespace, suffixes: tuple[str, ...] = (".ply",)) -> tuple[Scene, Answer]:
-    """The scene that the options mean, and its answer; what is wrong with outputs is said before any work.
+    """Open the scene that the options name and ask it; wrong outputs are refused before any work.
 
     Raises: as `check_outputs` and `open_scene`.
     """
@@ -172,7 +172,9 @@ SCENE_OPTIONS = ("scene", "views", "encoder", "vocabulary", "device", "threads")
 
 
 def open_scene(arguments: argparse.Namespace, field: str | None = None) -> Scene:
-    """The scene that a field (None: the verb's own), --scene, --views and the options of encoders and captures mean.
+    """Open the scene of the options: --scene, --views, those of encoders and captures, and a field.
+
+    field: None for the verb's own.
 
     Raises: as `drsplat.open_scene`.
     """
@@ -193,7 +195,7 @@ def _refuse_swapped(arguments: argparse.Namespace) -> None:
 
 
 def open_scene_for_output(arguments: argparse.Namespace) -> Scene:
-    """That scene, if --save and --picture can be made of it. Raises: InputError: they cannot; as `open_scene`."""
+    """Open the scene, if --save and --picture can be made of it. Raises: InputError: they cannot; as `open_scene`."""
     scene = open_scene(arguments)
     drawn = arguments.picture is not None
     if drawn or (arguments.save is not None and not arguments.save.lower().endswith(WITHOUT_SCENE)):
@@ -233,7 +235,7 @@ def cut_of(arguments: argparse.Namespace) -> Cut:
 
 
 def query_said(arguments: argparse.Namespace) -> str:
-    """The query in the words of the command line."""
+    """Return the query in the words of the command line."""
     nots = "".join(f", not {words}" for words in arguments.exclude)
     text = f"{arguments.text}{nots}" if arguments.text else None
     return str(text or arguments.image or arguments.vector or arguments.click or arguments.point)
@@ -288,5 +290,5 @@ def draw(arguments: argparse.Namespace, scene: Scene, ids: np.ndarray, note: str
 
 
 def chosen_view(arguments: argparse.Namespace, scene: Scene, ids: np.ndarray) -> View:
-    """The view named, else the one that shows most of the Gaussians at `ids`."""
+    """Return the named view, else the one that shows most of the Gaussians at `ids`."""
     return scene.view(arguments.view) if arguments.view else scene.best_view(ids)

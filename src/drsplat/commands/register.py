@@ -299,15 +299,15 @@ def _at_times(answer: dict[str, Any]) -> str:
 
 
 def _parts(arguments: argparse.Namespace, output: Path) -> str | Path:
-    """A folder, or an address of `tiles.store`."""
+    """Return the folder of --parts, or its address of `tiles.store`."""
     given = arguments.parts or parts_of(output)
     return given if "://" in str(given) else Path(given)
 
 
 def _weights_of(arguments: argparse.Namespace) -> "LanguageField | None":
-    """The field of --weights-of; its settings become those of the command.
+    """Return the field of --weights-of; its settings become those of the command.
 
-    Raises: InputError: options that have a word in what the field has settled.
+    Raises: InputError: options about what the field has settled.
     """
     from .. import load_field
     from ..errors import InputError
@@ -331,7 +331,7 @@ def _written(parts: str | Path) -> dict[str, int]:
 
 
 def _sampling(arguments: argparse.Namespace, how: "Aggregator") -> "Sampling":
-    """The aggregator's own where it has one; --topk and --first-hits may not contradict it."""
+    """Return the aggregator's own sampling where it has one; --topk and --first-hits may not contradict it."""
     from ..errors import InputError
     from ..evidence.aggregation import Sampling
 
@@ -347,7 +347,7 @@ def _sampling(arguments: argparse.Namespace, how: "Aggregator") -> "Sampling":
 
 
 def _level(text: str) -> str | int:
-    """A name, or a number from 0 to 3; which names there are, the reader of features says."""
+    """Return a level as a number from 0 to 3, or as a name, which the reader of features checks."""
     return whole(text, most=3) if text.isdecimal() else words(text)
 
 

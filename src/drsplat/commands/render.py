@@ -159,7 +159,7 @@ def show(answer: dict[str, Any]) -> None:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    """Raises: InputError: options that do not go together."""
+    """Check the options. Raises: InputError: some do not go together."""
     from ..errors import InputError
 
     films, row = arguments.path is not None, arguments.attributes is not None

@@ -112,7 +112,7 @@ def _output(arguments: argparse.Namespace) -> Path:
 
 
 def _refuse_strangers(output: Path, source: ScanInput) -> None:
-    """Raises: InputError: files are there that no scan made, or the output is the capture itself."""
+    """Check the output. Raises: InputError: it holds files that no scan made, or is the capture itself."""
     from ..errors import InputError
     from ..formats.claiming import LOCK
     from ..formats.scan_record import RECORD

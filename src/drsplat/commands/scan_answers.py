@@ -1,4 +1,4 @@
-"""What a scan answers: queries and their matches, numbers of all stages, and both for people."""
+"""Answers of a scan: queries and their matches, numbers of all stages, and both for people."""
 
 from __future__ import annotations
 

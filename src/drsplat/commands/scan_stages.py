@@ -25,7 +25,7 @@ SAM_ON_A_CPU = {"points": "auto", "crop-layers": "0", "levels": "large"}
 """Options of embed: few points. Fewer photos and crops may cost answers on real photos (docs/embedding.md)."""
 UNKNOWN_PHOTOS = 100  # of a video whose frames are not chosen yet
 SECONDS = {"capture": 1.1, "train": 0.05, "embed": 0.7, "register": 0.3}
-"""Of a photo, in training of an iteration, on two cores: what the time that is left is guessed by at first."""
+"""Seconds a photo, in training an iteration, on two cores: the first guess of the time that is left."""
 SAM_SECONDS = {"cpu": 8.0, "cuda": 1.5, "mps": 5.0}
 
 

@@ -91,7 +91,7 @@ def show(answer: dict[str, Any]) -> None:
 
 
 def _classes(arguments: argparse.Namespace) -> list[str]:
-    """Raises: InputError: not one list."""
+    """Return the names of --classes or --classes-file. Raises: InputError: none or both were given."""
     from ..errors import InputError
 
     if (arguments.classes is None) == (arguments.classes_file is None):

@@ -37,6 +37,7 @@ def verb_line(
     """Return what a verb's own parser makes of a line and of the verb's table in --config.
 
     Args:
+        verb: name of the verb, such as register.
         given: what the scan settles, positional arguments first.
         common: --config, --threads and --json of the scan.
         defaults: options and values that count where neither the line nor the file has them.

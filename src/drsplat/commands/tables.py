@@ -15,7 +15,7 @@ def show_facts(title: str, facts: Mapping[str, object]) -> None:
 
 
 def show_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], *, headed: bool = True) -> None:
-    """The first column to the left, in headed tables the others to the right.
+    """Print a table, the first column to the left, in headed tables the others to the right.
 
     Nothing is cut: a headed table is as wide as it needs to be, facts are folded where a terminal ends.
     """
@@ -34,7 +34,7 @@ def show_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]
 
 
 def _console(width: int | None) -> "Console":
-    """Shows texts as they are: [red] and :warning: are no commands. width: None for the terminal's."""
+    """Return a console that shows texts as they are ([red], :warning:). width: None for the terminal's."""
     from rich.console import Console
 
     height = None if width is None else 1
@@ -42,7 +42,7 @@ def _console(width: int | None) -> "Console":
 
 
 def said(value: object) -> str:
-    """A value for people: 1,234; 0.123; a, b."""
+    """Format a value for people: 1,234; 0.123; a, b."""
     if value is None:
         return "none"
     if hasattr(value, "tolist"):

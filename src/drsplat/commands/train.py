@@ -212,7 +212,7 @@ def planned_iterations(arguments: argparse.Namespace) -> int:
 
 
 def _with_photo(arguments: argparse.Namespace) -> Iterable[View]:
-    """Views without a photo were warned of by the reader; when all are, `train` says so."""
+    """Return the views with photos, or all where none has one; the reader warns of the others, `train` of all."""
     views = views_of(arguments, arguments.capture)
     return [view for view in views if view.image_path is not None] or views
 

@@ -172,7 +172,7 @@ def _serve_catalogue(arguments: argparse.Namespace) -> NoReturn:
 
 
 def _require_packages() -> None:
-    """Raises: MissingExtraError: a package of the viewer is not installed."""
+    """Check the viewer's packages. Raises: MissingExtraError: one is not installed."""
     from ..serving.libraries import require_packages
 
     require_packages("viewer", "fastapi", "uvicorn", "prometheus_client")

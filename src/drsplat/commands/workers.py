@@ -37,7 +37,7 @@ def add_workers(group: argparse._ArgumentGroup) -> None:
 
 
 def scene_of(arguments: argparse.Namespace) -> tuple[Gaussians | Moving | Tiles, Register]:
-    """The scene, of which tiles and frames stay on disk, and how it is registered: by `register`, or whom options say.
+    """Return the scene, whose tiles and frames stay on disk, and the function that registers it.
 
     Raises: InputError: workers for a scene without tiles, or two kinds of them.
     """

@@ -1,4 +1,4 @@
-"""From what scene files store (logits, logarithms, bytes) to checked, post-activation Gaussians.
+"""Activation: numbers of scene files (logits, logarithms, bytes) become checked, post-activation Gaussians.
 
 Nothing is repaired: a row that cannot be a Gaussian is an error that says which and how many,
 because dropping or mending rows would change what a row number means.
@@ -51,7 +51,7 @@ def unit_quats(quats: Float32[np.ndarray, "n 4"]) -> Float32[np.ndarray, "n 4"]:
 def from_smallest_three(
     three: Float32[np.ndarray, "n 3"], largest: Integer[np.ndarray, " n"]
 ) -> Float32[np.ndarray, "n 4"]:
-    """Unit quaternions from all components but the one at index `largest`, which is positive."""
+    """Return unit quaternions from all components but the one at index `largest`, which is positive."""
     rest = 1 - np.einsum("ni,ni->n", three, three)
     four = np.column_stack([three, np.sqrt(np.maximum(rest, 0))])
     return np.take_along_axis(four, SMALLEST_THREE[largest], axis=1)
@@ -67,7 +67,7 @@ def checked(
     extra: Mapping[str, np.ndarray] = {},
     antialiased: bool = False,
 ) -> Gaussians:
-    """The Gaussians, their quats normalised (in place), once every row has passed.
+    """Return Gaussians with normalised quats (in place), once every row has passed the checks.
 
     Raises: FormatError: a row with a position or colour that is not finite, a rotation without a
     direction, a scale that is not finite and positive, or an opacity that is no number.

@@ -33,7 +33,7 @@ class AnnotationFile:
 
     @classmethod
     def beside(cls, scene: str | os.PathLike[str]) -> "AnnotationFile":
-        """Of the scene in a file NAME.ply, or in a folder NAME: NAME.annotations.json."""
+        """Return the file of a scene's annotations: NAME.annotations.json beside NAME.ply or the folder NAME."""
         return cls(companion(scene, "annotations"))
 
     def read(self) -> Annotations:
@@ -51,7 +51,7 @@ class AnnotationFile:
             yield
 
     def write(self, annotations: Annotations) -> None:
-        """Whoever calls holds it. Raises: InputError: too many, or it cannot be written."""
+        """Write the annotations; the caller must hold the file. Raises: InputError: too many, or no place to write."""
         if len(annotations) > MOST:
             raise InputError(f"{self.path}: would have {len(annotations):,} annotations, the most are {MOST:,}")
         text = json.dumps(document_of(annotations), ensure_ascii=False, indent=1)
@@ -77,7 +77,7 @@ def without(known: Annotations, number: int) -> Annotations:
 
 
 def document_of(annotations: Sequence[Annotation]) -> dict[str, Any]:
-    """What is written."""
+    """Return the annotations as the GeoJSON document that is stored on disk."""
     features = [
         {
             "type": "Feature",
@@ -90,7 +90,7 @@ def document_of(annotations: Sequence[Annotation]) -> dict[str, Any]:
 
 
 def annotations_of(document: object, where: str) -> Annotations:
-    """What was written, also by hand: format and version may be missing.
+    """Return the annotations of a document, also of one written by hand without format and version.
 
     Raises: FormatError: no collection of features with a point and a text.
     """

@@ -18,7 +18,7 @@ KEYS = ("img_name", "width", "height", "position", "rotation", "fx", "fy")
 
 
 def read_cameras_json(path: Path) -> list[View]:
-    """The views of a cameras.json, in the order of the file, without photos.
+    """Read the views of a cameras.json, in the order of the file, without photos.
 
     position is the camera's centre, rotation camera-to-world in OpenCV axes. The format knows no principal point (the
     raster's centre is meant) and no distortion (3DGS trains on undistorted photos).

@@ -34,7 +34,7 @@ class SparsePoints(NamedTuple):
     colors: UInt8[np.ndarray, "n 3"]
 
     def moved(self, by: Float64[np.ndarray, " 3"]) -> "SparsePoints":
-        """The same points, further along by a vector."""
+        """Return the points moved by a vector."""
         return SparsePoints(self.positions + by, self.colors) if by.any() else self
 
 
@@ -52,7 +52,7 @@ def read_views(
     times: str | Path | None = None,
     invert_masks: bool = False,
 ) -> list[View]:
-    """The posed photos of a capture, sorted by name.
+    """Read the posed photos of a capture, sorted by name.
 
     capture: a folder with a COLMAP model (see `colmap.find_model`), a transforms.json, a
     transforms_train.json (of which a transforms_test.json beside it is no part) or a cameras.json,
@@ -90,7 +90,7 @@ def read_views(
 def read_sparse_points(
     capture: str | Path, *, points: str | Path | None = None, dataparser_transforms: str | Path | None = None
 ) -> SparsePoints | None:
-    """The points of a capture in the frame of its views, or None where it has none.
+    """Read the points of a capture in the frame of its views, or None where it has none.
 
     Arguments as for `read_views`. COLMAP models have points, and a transforms.json may name some
     (`ply_file_path`). points: a PLY to read instead, in the frame of the capture's own camera file.

@@ -24,7 +24,7 @@ INDENTS = (1, 2)  # that we write JSON documents with
 
 
 def hash_file(path: Path) -> str:
-    """Of the content of a file: blake2b, 16 bytes, as hexadecimals."""
+    """Return the checksum of a file's content: blake2b, 16 bytes, in hexadecimal."""
     with open_file(path) as file:
         return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
@@ -36,7 +36,7 @@ def file_checksum(path: Path) -> str:
 
 
 def with_checksums(header: Mapping[str, object], tensors: Mapping[str, np.ndarray]) -> dict[str, object]:
-    """A safetensors header with the checksum of each tensor, and of the header itself, in its metadata."""
+    """Return a safetensors header with the checksum of each tensor, and of the header itself, in its metadata."""
     metadata = {**_metadata(header), TENSORS: json.dumps(_sums(tensors))}
     metadata.pop(HEADER, None)
     whole = _of_json({**header, "__metadata__": metadata})
@@ -49,7 +49,7 @@ def header_checksum(metadata: object) -> str:
 
 
 def check_header(header: Mapping[str, object], where: str) -> None:
-    """Raises: FormatError: a header that carries its checksum is not what was written."""
+    """Check a header. Raises: FormatError: it carries a checksum and is not what was written."""
     metadata = _metadata(header)
     written = metadata.pop(HEADER, None)
     if written is not None and written != _of_json({**header, "__metadata__": metadata}):
@@ -110,7 +110,7 @@ def check_row(row: np.ndarray, sums: Sequence[str], number: int, where: str) -> 
 
 
 def sealed(document: Mapping[str, object]) -> dict[str, object]:
-    """A JSON document with its own checksum."""
+    """Return a JSON document with its own checksum."""
     return {**document, DOCUMENT: _of_json(_unsealed(document))}
 
 
@@ -155,12 +155,12 @@ def _written(metadata: Mapping[str, str], key: str = TENSORS) -> object:
 
 
 def _of_json(document: object) -> str:
-    """Of what a document says, whatever its spaces and the order of its keys."""
+    """Return the checksum of a document's values, whatever its spaces and the order of its keys."""
     return _hex([json.dumps(document, sort_keys=True, separators=(",", ":")).encode()])
 
 
 def _sums(tensors: Mapping[str, np.ndarray]) -> dict[str, str]:
-    """The checksum of each, of large ones at the same time."""
+    """Return the checksum of each tensor; large ones are hashed in parallel."""
     if max((array.nbytes for array in tensors.values()), default=0) < LARGE:
         return {name: _hex(pieces(array)) for name, array in tensors.items()}
     with ThreadPoolExecutor(AT_ONCE) as pool:

@@ -39,7 +39,7 @@ def claimed_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
 
 @contextmanager
 def claimed_output(output: str | os.PathLike[str], patience: float = 0.0) -> Iterator[None]:
-    """As `claimed_folder`, of what appears as a whole and may be no more than a name yet; the lock is beside it.
+    """Claim an output that appears as a whole and may not exist yet; the lock is beside it, see `claimed_folder`.
 
     patience: seconds to wait for another process or thread that has it.
 
@@ -68,7 +68,7 @@ def _held(lock: Path, output: Path, patience: float = 0.0) -> Iterator[None]:
 
 
 def _locked(lock: Path, output: Path, until: float) -> BinaryIO:
-    """The file that has the lock's name, held. until: when waiting for another ends, by the monotonic clock."""
+    """Return the lock's file, held. until: time of the monotonic clock at which waiting for another process ends."""
     while True:
         file = _opened(lock)
         if not _ours_now(file):
@@ -86,7 +86,7 @@ def _locked(lock: Path, output: Path, until: float) -> BinaryIO:
 
 
 def _ours_now(file: BinaryIO) -> bool:
-    """False where another holds it; where there are no locks, nobody does."""
+    """Return False where another process holds the file; where there are no locks, none does."""
     try:
         return system.try_lock(file.fileno())
     except OSError as error:
@@ -96,7 +96,7 @@ def _ours_now(file: BinaryIO) -> bool:
 
 
 def _opened(lock: Path) -> BinaryIO:
-    """The file of that name, made if there is none: no link from a stranger's folder is followed to be written over.
+    """Open the lock's file, made if there is none; links are not followed, so that none leads to be overwritten.
 
     Raises: InputError: it is no plain file.
     """
@@ -118,7 +118,7 @@ def _not_ours(lock: Path) -> InputError:
 
 
 def _is_named(file: BinaryIO, lock: Path) -> bool:
-    """False where the one before has unlinked it meanwhile."""
+    """Return False where the process that held the file before has unlinked it meanwhile."""
     try:
         return os.path.samestat(os.fstat(file.fileno()), os.stat(lock))
     except FileNotFoundError:

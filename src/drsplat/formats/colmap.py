@@ -18,7 +18,7 @@ _PARSERS = {".bin": colmap_binary, ".txt": colmap_text}  # in this order, as COL
 
 
 def find_model(capture: Path) -> Path | None:
-    """The folder of a capture that holds cameras and images of one COLMAP model, or None.
+    """Return the folder of a capture that holds cameras and images of one COLMAP model, or None.
 
     Looked for in CAPTURE/sparse/0, CAPTURE/sparse, CAPTURE/colmap/sparse/0 and CAPTURE. COLMAP may
     leave several models (sparse/1, ...), whose frames do not agree: name such a folder to read it.
@@ -30,7 +30,7 @@ def find_model(capture: Path) -> Path | None:
 
 
 def read_colmap(model: Path) -> list[View]:
-    """The views of a model folder, in the order of the file, without photos.
+    """Read the views of a model folder, in the order of the file, without photos.
 
     rigs and frames files of COLMAP 4 are not needed: images carry their own poses.
 
@@ -45,7 +45,7 @@ def read_colmap(model: Path) -> list[View]:
 
 
 def read_points(capture: str | Path) -> tuple[Float64[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
-    """The sparse points of a COLMAP capture: world positions and RGB colours, in file order.
+    """Read the sparse points of a COLMAP capture: world positions and RGB colours, in file order.
 
     Raises: InputError: the capture has no points3D file. FormatError: it is damaged, or a point is not finite.
     """
@@ -103,5 +103,5 @@ def _has(folder: Path, suffix: str, *stems: str) -> bool:
 
 
 def has_points(folder: Path) -> bool:
-    """Whether a model folder has a points3D file."""
+    """Return True if a model folder has a points3D file."""
     return any(_has(folder, suffix, "points3D") for suffix in _PARSERS)

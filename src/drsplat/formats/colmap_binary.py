@@ -36,7 +36,7 @@ class _Cursor:
         return layout.unpack_from(self._content, start)
 
     def count(self, record_bytes: int) -> int:
-        """A count of records, each at least `record_bytes` long, that can still follow."""
+        """Read a count of records, each at least `record_bytes` long, that can still follow."""
         (count,) = self.take(COUNT)
         left = len(self._content) - self._at
         if count * record_bytes > left:

@@ -1,4 +1,4 @@
-"""What a COLMAP model says, whether in text or in binary.
+"""Records of a COLMAP model, whether in text or in binary.
 
 Source: https://colmap.github.io/format.html and COLMAP's list of camera models.
 """
@@ -21,7 +21,7 @@ PARAMETERS = {
     "SIMPLE_PINHOLE": ("f", "cx", "cy"), "PINHOLE": ("fx", "fy", "cx", "cy"), "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
     "RADIAL": ("f", "cx", "cy", "k1", "k2"), "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
 }  # fmt: skip
-"""Of the models that a remap to a pinhole can undo."""
+"""Parameters of the camera models that a remap to a pinhole can undo."""
 
 
 class CameraRecord(NamedTuple):
@@ -42,7 +42,7 @@ class ImageRecord(NamedTuple):
 
 
 def parameter_names(model: str, where: str) -> tuple[str, ...]:
-    """The order of a model's parameters in the file.
+    """Return the order of a model's parameters in the file.
 
     Raises: FormatError: a lens that no pinhole stands for; the message says what to run.
     """

@@ -16,7 +16,7 @@ from .tensors import check_tensors, read_tensors, write_tensors
 
 FORMAT = "drsplat features 1"
 MOST_PIXELS = 1 << 27
-"""Of a map: beyond any photo. What a file decompresses to is bounded by it."""
+"""Most pixels of a map, beyond any photo; it bounds what a file decompresses to."""
 _WIDE = 1 << 16  # embeddings, from which on ids are kept in 32 bits
 _STRENGTH = 12  # of zstd: a third smaller than its default, and still far quicker than embedding
 _CHUNK = 1 << 20
@@ -24,7 +24,7 @@ _CHUNK = 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class CompactFile:
-    """What a file holds; maps are decompressed when they are asked for.
+    """Content of a compact file; maps are decompressed on demand.
 
     embeddings: (N, D), as stored. size: height and width of its maps. levels: the number of the map that
     serves each of the four levels, or the only one, of a file without levels.
@@ -98,7 +98,7 @@ def read_compact(path: Path) -> CompactFile:
 
 
 def _dtype(num_embeddings: int) -> np.dtype[np.unsignedinteger]:
-    """Of ids, which count from 1; 0 is none."""
+    """Return the type of ids, which count from 1; 0 is none."""
     return np.dtype("<u2" if num_embeddings < _WIDE else "<u4")
 
 

@@ -28,7 +28,7 @@ COLOUR_BOUNDS = ("min_r", "min_g", "min_b", "max_r", "max_g", "max_b")
 
 
 def is_compressed(header: Header) -> bool:
-    """Whether the header is that of a compressed PLY: a `vertex` with a packed position."""
+    """Return True if the header is that of a compressed PLY: a `vertex` with a packed position."""
     return "vertex" in header.elements and "packed_position" in header.elements["vertex"].names()
 
 

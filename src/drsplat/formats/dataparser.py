@@ -22,7 +22,7 @@ class SceneFrame:
     scale: float
 
     def after(self, applied: "SceneFrame") -> "SceneFrame":
-        """The way from the frame that `applied` leads to, where this one starts before it."""
+        """Return the transform from the frame that `applied` leads to, where this one starts before it."""
         return SceneFrame(self.transform @ np.linalg.inv(applied.transform), self.scale / applied.scale)
 
     def points(self, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
@@ -31,14 +31,14 @@ class SceneFrame:
         return self.scale * moved
 
     def view(self, view: View) -> View:
-        """The same camera in the scene: scaled world, scaled distances, every pixel as before."""
+        """Return the same camera in the scene: scaled world, scaled distances, every pixel as before."""
         rotation = view.cam_from_world[:3, :3] @ self.transform[:3, :3].T
         translation = self.scale * (view.cam_from_world[:3, 3] - rotation @ self.transform[:3, 3])
         return replace(view, cam_from_world=pose(rotation, translation))
 
 
 def read_dataparser_transforms(path: Path) -> SceneFrame:
-    """From the file beside a nerfstudio config: {"transform": 3x4, "scale": s}.
+    """Read the file beside a nerfstudio config: {"transform": 3x4, "scale": s}.
 
     The frame it starts from is that of COLMAP, before the applied_transform of transforms.json.
 
@@ -51,7 +51,7 @@ def read_dataparser_transforms(path: Path) -> SceneFrame:
 
 
 def scene_frame(transform: object, scale: object, where: str) -> SceneFrame:
-    """Of a 3x4 (or 4x4) matrix and a number from a file."""
+    """Return the frame of a 3x4 (or 4x4) matrix and a number from a file."""
     rows = transform[:3] if isinstance(transform, list) else transform
     matrix = as_matrix(rows, 3, 4, f"{where}: transform")
     factor = as_number(scale, f"{where}: scale")

@@ -25,9 +25,11 @@ _ENDINGS = (MAPS, COMPACT, EMBEDDINGS)  # what makes a photo listed goes first
 
 @dataclass(frozen=True)
 class Finished:
-    """One photo's files. photo: hash of its bytes and its raster. embeddings: hash of `_f.npy`, which
-    is written first, or of the compact file; map_bytes: size of `_s.npy`, None of a compact file, which has
-    none. masks: by level. empty_masks: left out.
+    """Files of one photo that are finished.
+
+    photo: hash of its bytes and its raster. embeddings: hash of `_f.npy`, which is written first, or of the compact
+    file. map_bytes: size of `_s.npy`, None for a compact file, which has none. masks: number by level. empty_masks:
+    number left out.
     """
 
     photo: str
@@ -67,8 +69,10 @@ class EmbeddingRecord:
         return [stem for stem in _listed_stems(self.folder) if stem not in self.finished]
 
     def make_room(self, stem: str) -> None:
-        """Before files are replaced. An entry that outlives its files could come to fit others; maps
-        must not be there beside embeddings that are not theirs, whenever the run is killed.
+        """Forget a photo's files before they are replaced.
+
+        An entry that outlives its files could come to fit others; maps must not be there beside embeddings that are
+        not theirs, whenever the run is killed.
         """
         if stem in self.finished:
             self._change(stem, None)
@@ -108,7 +112,7 @@ class EmbeddingRecord:
 
 
 def open_record(folder: Path, settings: Mapping[str, object], overwrite: bool = False) -> EmbeddingRecord:
-    """The record of a folder for files of these settings; both are made where they are not there.
+    """Open the record of a folder for files of these settings; both are made where they are missing.
 
     Where the folder's settings are others, nothing in it counts as finished. With `overwrite`
     nothing does either, and features without a record are taken over.
@@ -217,7 +221,7 @@ def _told(identity: EncoderIdentity) -> str:
 
 
 def encoder_from_json(identity: object, where: str) -> EncoderIdentity:
-    """An identity as `identity_json` gives it; files of older versions have no preprocessing.
+    """Return an identity as `identity_json` gives it; files of older versions have no preprocessing.
 
     Raises: FormatError: not an object of name, dim and weights.
     """

@@ -58,7 +58,7 @@ def is_faiss(path: str | os.PathLike[str]) -> bool:
 
 
 def read_faiss_quantizer(path: str | os.PathLike[str]) -> FaissQuantizer:
-    """The centroids of the index in `path`.
+    """Read the centroids of the index in `path`.
 
     Raises: InputError: there is no such file. FormatError: another kind of index, damaged, not 8
     bits per code, or centroids that are not finite.

@@ -9,6 +9,6 @@ Form = Literal["compact", "langsplat"]
 
 
 def stems(directory: Path, ending: str) -> list[str]:
-    """What is before `ending` in the names of a folder's files and those of its subfolders, sorted."""
+    """Return the names, without `ending`, of the files in a folder and its subfolders that end so, sorted."""
     names = (path.relative_to(directory).as_posix() for path in directory.rglob(f"*{ending}"))
     return sorted(name.removesuffix(ending) for name in names)

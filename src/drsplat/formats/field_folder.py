@@ -42,7 +42,7 @@ class TensorFile(NamedTuple):
     metadata: Mapping[str, str]
 
     def equals(self, other: "TensorFile") -> bool:
-        """Whether both hold the same arrays, of the same types, under the same names."""
+        """Return True if both hold the same arrays, of the same types, under the same names."""
         return (self.metadata, self.tensors.keys()) == (other.metadata, other.tensors.keys()) and all(
             array.dtype == other.tensors[name].dtype and np.array_equal(array, other.tensors[name])
             for name, array in self.tensors.items()
@@ -70,7 +70,7 @@ def write_folder(
 
 @contextmanager
 def replacing_folder(path: Path, overwrite: bool, mark: str) -> Iterator[Path]:
-    """A new folder beside `path` that takes its name when the block ends well, or else vanishes.
+    """Make a new folder beside `path` that takes its name when the block ends well, or else vanishes.
 
     mark: the file that a folder has to hold to be ours to replace. Killed: as `write_folder`.
 
@@ -114,7 +114,7 @@ def _locked_folder(path: Path) -> tuple[Path, int]:
 
 @contextmanager
 def claimed_field(path: Path) -> Iterator[Path]:
-    """A folder that a field is to be written to, before the work for it: no other process has it meanwhile.
+    """Claim a folder that a field is to be written to, before the work: no other process has it meanwhile.
 
     Raises: InputError: something else is there; as `claimed_output`.
     """
@@ -124,7 +124,7 @@ def claimed_field(path: Path) -> Iterator[Path]:
 
 
 def refuse_to_replace_others(path: Path, mark: str = MANIFEST) -> None:
-    """Raises: InputError: something is at `path` that is not such a folder."""
+    """Check `path`. Raises: InputError: something is there that is not such a folder."""
     if (path.exists() or path.is_symlink()) and not (path / mark).is_file():
         raise InputError(f"{path} exists and has no {mark}: it is not ours to replace")
 
@@ -132,7 +132,7 @@ def refuse_to_replace_others(path: Path, mark: str = MANIFEST) -> None:
 def read_manifest(
     path: Path, name: str = MANIFEST, what: str = "field", most: int = _MAX_MANIFEST
 ) -> dict[str, object]:
-    """The JSON object of a folder. name: of its file, of at most so many bytes; what: is in the folder.
+    """Read the JSON object of a folder. name: of its file, of at most so many bytes; what: is in the folder.
 
     Raises: InputError: there is no such folder, or its manifest is no file. FormatError: not a JSON object.
     """

@@ -45,7 +45,7 @@ def parse_gaussian_ply(buffer: memoryview, header: Header) -> Gaussians:
 
 
 def drawn_antialiased(header: Header) -> bool:
-    """Whether the last comment that says how the Gaussians are drawn says antialiased.
+    """Return True if the last comment that says how the Gaussians are drawn says antialiased.
 
     Brush writes `SplatRenderMode: default`, `mip` or `2dgs`, Postshot `antialiased 0` or `1`; case does not count.
     """
@@ -55,7 +55,7 @@ def drawn_antialiased(header: Header) -> bool:
 
 
 def gaussian_rows(buffer: memoryview, header: Header) -> Records:
-    """The rows of `vertex` as they are in the file; of a binary one, a view of `buffer`.
+    """Return the rows of `vertex` as they are in the file; of a binary one, a view of `buffer`.
 
     Raises: FormatError: no 3DGS PLY, or truncated.
     """
@@ -71,7 +71,7 @@ def gaussian_rows(buffer: memoryview, header: Header) -> Records:
 
 
 def gaussians_of(rows: Records) -> Gaussians:
-    """Some rows of `vertex`. Raises: FormatError: rows that are no Gaussians."""
+    """Return some rows of `vertex`. Raises: FormatError: rows that are no Gaussians."""
     sh_names = _sh_names(list(rows.dtype.names or ()))
     means, origin = _means(rows)
     gaussians = checked(
@@ -107,7 +107,7 @@ def _sh_names(names: list[str]) -> list[str]:
 
 
 def extra_columns(rows: Records, known: set[str]) -> dict[str, np.ndarray]:
-    """Copies, in native byte order, of the columns that are not `known`."""
+    """Return copies, in native byte order, of the columns that are not `known`."""
     names = [name for name in rows.dtype.names or () if name not in known]
     extra = {name: rows[name].astype(rows.dtype[name].newbyteorder("=")) for name in names}
     if not any(extra[name].any() for name in NORMALS if name in extra):
@@ -116,7 +116,7 @@ def extra_columns(rows: Records, known: set[str]) -> dict[str, np.ndarray]:
 
 
 def vertex_columns(gaussians: Gaussians) -> dict[str, np.ndarray]:
-    """The Gaussians as pre-activation columns in the published order, normals among them, without other extras.
+    """Return pre-activation columns in the published order, normals among them, without other extras.
 
     Normals are those of `extra`, or zero, as trainers write them: viewers of 3DGS read rows of a fixed length.
 
@@ -139,7 +139,7 @@ def vertex_columns(gaussians: Gaussians) -> dict[str, np.ndarray]:
 
 
 def refuse_unwritable(g: Gaussians) -> None:
-    """Raises: InputError: Gaussians that no reader would take, such as NaN; the message says which and how many."""
+    """Check Gaussians. Raises: InputError: no reader would take some, such as NaN; it says which and how many."""
     try:
         checked(g.means, g.quats.copy(), g.scales, g.opacities, g.sh)
     except FormatError as error:

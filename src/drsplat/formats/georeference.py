@@ -1,4 +1,4 @@
-"""Where on the Earth a scene lies: georeference.json beside it."""
+"""Georeference: a scene's place on the Earth, in georeference.json beside it."""
 
 import json
 import os

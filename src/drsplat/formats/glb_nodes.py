@@ -1,4 +1,4 @@
-"""Where the meshes of a glTF stand: its nodes, from the roots of the scene down."""
+"""Nodes of a glTF, from the roots of the scene down, which place its meshes."""
 
 from collections.abc import Iterator
 

@@ -35,7 +35,7 @@ class Journal:
         sync_folder(path.parent)
 
     def add(self, change: dict[str, object]) -> None:
-        """Raises: NoRoom: the disk is full."""
+        """Append a change and sync it to disk. Raises: NoRoom: the disk is full."""
         with saying_what_is_full(self.path):
             line = json.dumps(sealed(change)).encode() + b"\n"
             while line:

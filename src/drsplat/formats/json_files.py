@@ -14,7 +14,7 @@ LARGEST = 1e100  # of any number: three multiplied are still finite
 
 
 def read_json(path: Path) -> object:
-    """The document in `path`.
+    """Read the document in `path`.
 
     Raises: InputError: there is no such file. FormatError: it is not UTF-8 JSON, nested too deep, or as `parsed` says.
     """
@@ -28,7 +28,7 @@ def read_json(path: Path) -> object:
 
 
 def document_in(text: str | bytes, where: str) -> object:
-    """As `read_json`, of what was read. where: names it in the error."""
+    """Return the document of a text, see `read_json`. where: names the text in errors."""
     try:
         return parsed(text)
     except (ValueError, RecursionError) as error:
@@ -36,7 +36,7 @@ def document_in(text: str | bytes, where: str) -> object:
 
 
 def parsed(text: str | bytes) -> object:
-    """A JSON document in which each name is given once, and all text is Unicode that can be written.
+    """Parse a JSON document; each name must be given once, and all text be Unicode that can be written.
 
     Raises: ValueError, RecursionError: it is not.
     """
@@ -83,7 +83,7 @@ def as_number(value: object, where: str) -> float:
 
 
 def as_count(value: object, where: str) -> int:
-    """A whole number; files also write them as 1080.0."""
+    """Return a value as a whole number; files also write them as 1080.0."""
     number = as_number(value, where)
     if number != int(number):
         raise FormatError(f"{where}: expected a whole number, got {shown(value)}")
@@ -105,7 +105,7 @@ def as_matrix(value: object, rows: int, columns: int, where: str) -> Float64[np.
 
 
 def shown(value: object) -> str:
-    """A value short enough for an error message."""
+    """Format a value, short enough for an error message."""
     if isinstance(value, int) and value.bit_length() > 256:
         return "a huge integer"  # str() of it may be refused by Python itself
     text = ascii(value) if not isinstance(value, list | dict) else f"a {type(value).__name__} of {len(value)}"

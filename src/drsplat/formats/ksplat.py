@@ -55,7 +55,7 @@ class _Section(NamedTuple):
 
 
 class _Place(NamedTuple):
-    """Where a section lies: its buckets, its rows, and the number of its first row in the file."""
+    """Place of a section: its buckets, its rows, and the number of its first row in the file."""
 
     section: _Section
     buckets: int
@@ -122,7 +122,7 @@ def _header(buffer: memoryview) -> _Header:
 
 
 def _places(buffer: memoryview, header: _Header) -> Iterator[_Place]:
-    """The sections, once each has been found to fit the file; in the end, all of them to be the file."""
+    """Yield the sections, each checked to fit the file, and check at last that they are all of the file."""
     at, first = HEADER.itemsize + header.sections * SECTION.itemsize, 0
     if at > len(buffer):
         raise FormatError(
@@ -193,7 +193,7 @@ def _positions(buffer: memoryview, place: _Place, table: np.ndarray) -> Float64[
 
 
 def _fill_further(sh: Float32[np.ndarray, "n k 3"], rest: np.ndarray, header: _Header) -> None:
-    """The coefficients beyond the constant one that a row has."""
+    """Fill in the coefficients that a row has beyond the constant one."""
     lowest, highest = header.low or HARMONIC_BOUNDS[0], header.high or HARMONIC_BOUNDS[1]
     of_bytes = (lowest + (highest - lowest) * (np.arange(256) / 255)).astype(np.float32)
     values = of_bytes[rest] if header.level == 2 else rest

@@ -18,7 +18,7 @@ NO_GROUP = -1
 
 @dataclass(frozen=True, eq=False)
 class Labels:
-    """What a file says of the objects of its Gaussians. query: that the relevancy is to, empty for none."""
+    """Labels of a file: the objects of its Gaussians. query: text that the relevancy is of, empty for none."""
 
     things: tuple[Thing, ...] = ()
     groups: tuple[Thing, ...] = ()

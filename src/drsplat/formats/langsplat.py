@@ -1,5 +1,7 @@
-"""Language features by photo: LangSplat's `<photo>_s.npy`, mask maps, and `<photo>_f.npy`, embeddings; or our
-compact `<photo>.features.safetensors`, which holds the same.
+"""Language features by photo, in LangSplat's form or in our compact one.
+
+LangSplat's are `<photo>_s.npy`, mask maps, and `<photo>_f.npy`, embeddings; ours is
+`<photo>.features.safetensors`, which holds the same.
 """
 
 from collections.abc import Iterator, Mapping
@@ -75,7 +77,7 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
         return f"FeatureFolder('{self.directory}', {photos}, {level}, {self.dim}-d by {by})"
 
     def key(self, name: str) -> str | None:
-        """The key that the name of a view finds, or None."""
+        """Return the key that the name of a view finds, or None."""
         path = PurePosixPath(name)
         candidates = (name, (path.parent / path.stem).as_posix(), path.stem)
         return next((candidate for candidate in candidates if candidate in self._keys), None)
@@ -103,13 +105,13 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
         return stored_features(self.directory, key, self._keys[key])
 
     def files(self, name: str) -> list[Path]:
-        """Where the features of a photo are stored. Raises: KeyError: no such photo."""
+        """Return the files that hold the features of a photo. Raises: KeyError: no such photo."""
         key = self._known(name)
         endings = (COMPACT,) if self._keys[key] == "compact" else (EMBEDDINGS, MAPS)
         return [self.directory / f"{key}{ending}" for ending in endings]
 
     def can_read(self, name: str) -> bool:
-        """Whether the features of a photo are there and whole, as they are not while they are being written."""
+        """Return True if the features of a photo are there and whole; while they are written they are not."""
         try:
             _ = self[name]
         except (DrSplatError, KeyError, OSError):
@@ -141,7 +143,7 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
 def read_features(
     directory: str | Path, level: str | int = "large", encoder: EncoderIdentity | None = None
 ) -> FeatureFolder:
-    """A folder of features in LangSplat's form or the compact one; one level of it. Read when asked for.
+    """Open one level of a folder of features, in LangSplat's form or the compact one; photos are read on demand.
 
     level: "default", "small", "medium" or "large", or 0..3 in this order. A trap: Dr. Splat's own
     preprocessing stores its *large* masks in all four levels and its README trains with
@@ -213,7 +215,7 @@ def write_features(
 
 
 def has_features(directory: Path) -> bool:
-    """Whether a folder holds features of any form, it or its subfolders."""
+    """Return True if a folder holds features of any form, it or its subfolders."""
     return any(next(directory.rglob(f"*{ending}"), None) for ending in (MAPS, COMPACT))
 
 
@@ -289,7 +291,7 @@ def _map_embeddings(path: Path) -> np.ndarray:
 
 
 def unit_rows(rows: np.ndarray, wanted: Int64[np.ndarray, " s"], path: Path) -> Float32[np.ndarray, "s d"]:
-    """Some rows of a file, brought to unit length. Raises: FormatError: one has no direction."""
+    """Return some rows of a file, brought to unit length. Raises: FormatError: one has no direction."""
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         taken = rows[wanted].astype(np.float64)
         norms = np.sqrt((taken**2).sum(1))

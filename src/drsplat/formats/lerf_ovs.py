@@ -54,7 +54,7 @@ class LabelledFrame:
 
 
 def read_lerf_labels(folder: Path) -> list[LabelledFrame]:
-    """The labelled frames of a scene, by name.
+    """Read the labelled frames of a scene, by name.
 
     Raises: InputError: no such folder, or no label in it. FormatError: as `read_lerf_frame`.
     """

@@ -61,7 +61,7 @@ class Instance:
 
 @dataclass(frozen=True)
 class Annotations:
-    """What one file holds; instances in its order. photos, categories: by id."""
+    """Content of one file; instances in its order. photos, categories: by id."""
 
     path: Path
     photos: Mapping[int, AnnotatedPhoto]
@@ -69,7 +69,7 @@ class Annotations:
     instances: tuple[Instance, ...]
 
     def mask(self, instance: Instance) -> Bool[np.ndarray, "h w"]:
-        """The pixels of an instance; polygons by `rle.fill_polygon`, united.
+        """Return the pixels of an instance; polygons are filled by `rle.fill_polygon` and united.
 
         Raises: FormatError: runs that do not fit the photo.
         """
@@ -87,7 +87,7 @@ class Annotations:
 
 
 def read_annotations(path: str | Path) -> Annotations:
-    """The annotations in a JSON file of LVIS v1 or COCO.
+    """Read the annotations in a JSON file of LVIS v1 or COCO.
 
     A photo's name is its file_name; LVIS v1 has none, then it is the end of its coco_url with the
     folder of the split ("train2017/000000391895.jpg"), because LVIS's splits are not COCO's.
@@ -125,7 +125,7 @@ def _document(path: Path) -> dict[str, list[object]]:
 
 
 def _compacted(entry: dict[str, object]) -> dict[str, object]:
-    """Lists of numbers as arrays; whatever else is there is left for the checks to name."""
+    """Turn lists of numbers into arrays; anything else is left for the checks to name."""
     outlines = entry.get("segmentation")
     if isinstance(outlines, list):
         entry["segmentation"] = [_array(outline, np.float64) for outline in outlines]

@@ -16,7 +16,7 @@ SUFFIX = ".motion"
 
 
 def read_scene(path: str | Path, times: tuple[float, float] | None = None) -> Gaussians | Moving:
-    """A moving scene, or else a still one as `read_gaussians` reads it.
+    """Read a moving scene, or else a still one as `read_gaussians` reads it.
 
     Moving are: a folder with motion.safetensors, or that file; a folder of two or more numbered PLY files; a PLY of
     SpacetimeGaussians. times: of the first and the last frame of numbered files.
@@ -36,7 +36,7 @@ def read_scene(path: str | Path, times: tuple[float, float] | None = None) -> Ga
 
 
 def read_moving(path: str | Path, times: tuple[float, float] | None = None) -> Moving:
-    """As `read_scene`. Raises: InputError: a scene that stands still."""
+    """Read a moving scene, see `read_scene`. Raises: InputError: a scene that stands still."""
     scene = read_scene(path, times)
     if not isinstance(scene, Moving):
         raise InputError(
@@ -47,13 +47,13 @@ def read_moving(path: str | Path, times: tuple[float, float] | None = None) -> M
 
 
 def is_moving(path: str | Path) -> bool:
-    """Whether `read_scene` would read a moving scene, by names and the header of a PLY."""
+    """Return True if `read_scene` would read a moving scene, by names and the header of a PLY."""
     path = Path(path)
     return path.name == MOTION or (path / MOTION).is_file() or is_sequence(path) or _is_spacetime(path)
 
 
 def is_sequence(path: Path) -> bool:
-    """Whether it is a folder of numbered PLY files, and no trained model or tiles."""
+    """Return True for a folder of numbered PLY files that is no trained model and no tiles."""
     if not path.is_dir() or (path / MOTION).is_file():
         return False
     try:
@@ -64,7 +64,7 @@ def is_sequence(path: Path) -> bool:
 
 
 def write_moving(path: str | Path, moving: Moving, overwrite: bool = False) -> None:
-    """A folder: with our motion where its name ends in .motion, else of numbered PLY files.
+    """Write a folder: with our motion where its name ends in .motion, else of numbered PLY files.
 
     Raises: InputError: it exists and not `overwrite`, or is not such a folder.
     """

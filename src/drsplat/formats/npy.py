@@ -25,7 +25,7 @@ _MAX_BYTES = 1 << 62  # beyond any file, within what NumPy can count
 
 
 def map_npy(path: Path) -> np.ndarray:
-    """The array of integers or floats in `path`, read-only and memory-mapped.
+    """Map the array of integers or floats in `path`, read-only.
 
     Raises: InputError: there is no such file. FormatError: not a .npy of plain numbers, or shorter
     than its header says.
@@ -38,7 +38,7 @@ def map_npy(path: Path) -> np.ndarray:
 
 
 def read_npy(content: bytes, where: str) -> np.ndarray:
-    """The array of integers or floats that a file holds. Raises: FormatError: as `map_npy`."""
+    """Read the array of integers or floats that a file holds. Raises: FormatError: as `map_npy`."""
     file = BytesIO(content)
     dtype, shape, order = _header(file, where)
     data, expected = file.read(), math.prod(shape) * dtype.itemsize

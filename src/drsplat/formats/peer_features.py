@@ -130,7 +130,7 @@ def _read(path: Path) -> Rows:
 
 
 def _leaves(path: Path) -> Rows:
-    """Of OpenGaussian's clusters."""
+    """Read the features of OpenGaussian's clusters."""
     try:
         with zipfile.ZipFile(path) as archive:
             parts = {Path(name).stem.removesuffix(".npy"): name for name in archive.namelist()}
@@ -152,7 +152,7 @@ def _leaves(path: Path) -> Rows:
 
 
 def _torch(path: Path) -> Mapping[str, np.ndarray]:
-    """The tensors of a file of PyTorch's, by where in it they are."""
+    """Return the tensors of a PyTorch file, by their place in it."""
     try:
         import torch
     except ImportError:
@@ -182,7 +182,7 @@ def _tensors(value: Any, name: str, tensor: type, depth: int = 0) -> Iterator[tu
 
 
 def _only(arrays: Mapping[str, np.ndarray], path: Path) -> np.ndarray:
-    """The one array that can be features: in LangSplat's checkpoints the codes, which are the last of their width."""
+    """Return the only array that can be features; in LangSplat's checkpoints that is the last of its width."""
     wide = {name: array for name, array in arrays.items() if array.ndim == 2 and array.dtype in FLOATS}
     named = [array for name, array in wide.items() if "feature" in name.lower()]
     if len(named) == 1:

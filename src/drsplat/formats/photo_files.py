@@ -33,7 +33,7 @@ def safe_name(name: str, where: str) -> str:
 
 
 def find_photo(folder: Path, name: str) -> Path | None:
-    """The file of that name; where there is none, of that name plus a photo's suffix."""
+    """Return the file of that name; where there is none, of that name plus a photo's suffix."""
     exact = folder / name
     if exact.is_file():
         return exact
@@ -42,13 +42,13 @@ def find_photo(folder: Path, name: str) -> Path | None:
 
 
 def capture_folder(path: Path) -> Path:
-    """The folder of a capture that is named by itself, its model's folder or one of its files."""
+    """Return the folder of a capture that is named by itself, its model's folder or one of its files."""
     folder = path if path.is_dir() else path.parent
     return Path(_MODEL_FOLDERS.sub("", folder.as_posix()))
 
 
 def image_folder(capture: Path, images: str | Path | None) -> Path:
-    """Where a capture's photos are: `images`, else CAPTURE/images, else CAPTURE.
+    """Return the folder of a capture's photos: `images`, else CAPTURE/images, else CAPTURE.
 
     `images` is looked for inside the capture first ("images_4"). Where the capture is named by its
     model folder (CAPTURE/sparse/0), CAPTURE is the folder above "sparse" or "colmap/sparse".
@@ -66,7 +66,7 @@ def image_folder(capture: Path, images: str | Path | None) -> Path:
 
 
 def on_photo(view: View, path: Path) -> View:
-    """The view with its photo, K and size scaled to the photo's own raster.
+    """Return the view with its photo, K and size scaled to the photo's own raster.
 
     Raises: FormatError: not a photo. MismatchError: the photo has another shape than the camera.
     """
@@ -82,6 +82,6 @@ def on_photo(view: View, path: Path) -> View:
 
 
 def listed(names: list[str], most: int = 8) -> str:
-    """The first names, and how many more there are."""
+    """Join the first names, and say how many more there are."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more

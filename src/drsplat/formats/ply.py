@@ -22,7 +22,7 @@ WRITTEN_TYPES = {code: name for name, code in reversed(SCALAR_TYPES.items()) if 
 
 
 def read_elements(buffer: memoryview, header: Header, names: Collection[str]) -> dict[str, Records]:
-    """The named elements, each as a structured array with one row per entry.
+    """Read the named elements, each as a structured array with one row per entry.
 
     Rows of a binary file are views of `buffer`: nothing is copied, whatever its size. All elements
     in front of the last one named are stepped over, lists included.

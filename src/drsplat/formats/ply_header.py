@@ -56,7 +56,7 @@ class Element:
 
 @dataclass(frozen=True)
 class Header:
-    """What a PLY file says it holds. `order`: "<", ">" or, for ASCII, "="; `body`: its offset. comments: in order."""
+    """Header of a PLY file. `order`: "<", ">" or, for ASCII, "="; `body`: its offset. comments: in order."""
 
     order: str
     elements: dict[str, Element]

@@ -22,7 +22,7 @@ MOST = 100_000  # frames
 
 
 def frames_of(folder: Path) -> dict[int, Path]:
-    """The numbered PLY files of a folder by their number, ascending; none where there are not two.
+    """Return the numbered PLY files of a folder by their number, ascending; none where there are not two.
 
     Raises: FormatError: of several sequences, or two of one number.
     """

@@ -1,4 +1,4 @@
-"""From what camera files say to a View, with the errors naming the entry."""
+"""Poses: entries of camera files become Views, with errors that name the entry."""
 
 import math
 
@@ -25,7 +25,7 @@ def pinhole(fx: float, fy: float, cx: float, cy: float) -> Matrix3:
 
 
 def pose(rotation: Matrix3, translation: Vector3) -> Matrix4:
-    """The 4x4 of x -> rotation @ x + translation."""
+    """Return the 4x4 of x -> rotation @ x + translation."""
     matrix = np.eye(4)
     matrix[:3, :3] = rotation
     matrix[:3, 3] = translation
@@ -38,7 +38,7 @@ def inverse_pose(rotation: Matrix3, center: Vector3) -> Matrix4:
 
 
 def rotation_from_quaternion(quaternion: tuple[float, ...], where: str) -> Matrix3:
-    """Of (w, x, y, z), of any length but zero. Raises: FormatError: a zero or non-finite quaternion."""
+    """Return the rotation of (w, x, y, z), of any length. Raises: FormatError: a zero or non-finite quaternion."""
     norm = math.hypot(*quaternion)
     if not (math.isfinite(norm) and norm > 1e-12):
         raise FormatError(f"{where}: expected a rotation quaternion, got {quaternion}")
@@ -47,7 +47,7 @@ def rotation_from_quaternion(quaternion: tuple[float, ...], where: str) -> Matri
 
 
 def nearest_rotation(matrix: Matrix3, where: str) -> Matrix3:
-    """The rotation that a 3x3 written with few digits stands for.
+    """Return the rotation that a 3x3 written with few digits stands for.
 
     Raises: FormatError: the matrix scales, shears or mirrors by more than rounding.
     """
@@ -71,7 +71,7 @@ def posed_view(
     size: tuple[int, int],
     distortion: tuple[float, ...] = (),
 ) -> View:
-    """A View of numbers from a file; `distortion` (k1, k2, p1, p2) that is all zero becomes None.
+    """Return a View of numbers from a file; `distortion` (k1, k2, p1, p2) that is all zero becomes None.
 
     Raises: FormatError: an impossible raster, focal length, pose or distortion.
     """

@@ -41,7 +41,7 @@ class _Writer(io.BufferedWriter):
 
 @contextmanager
 def replacing(path: str | os.PathLike[str], overwrite: bool = False) -> Iterator[BinaryIO]:
-    """A new file beside `path` that takes its name when the block ends well, or else vanishes.
+    """Open a new file beside `path` that takes its name when the block ends well, or else vanishes.
 
     Raises: InputError: `path` exists and `overwrite` is false, is a folder, or has no folder to be
     in; the disk is full.
@@ -97,7 +97,7 @@ def together() -> Iterator[None]:
 
 
 def _holding(raw: io.FileIO) -> int | None:
-    """A copy of an open file, which keeps its lock; none where open files have no other name to take."""
+    """Return a copy of an open file, which keeps its lock; none where open files have no other name to take."""
     return os.dup(raw.fileno()) if system.RENAMES_OPEN_FILES else None
 
 
@@ -112,14 +112,16 @@ def at_once() -> Iterator[None]:
 
 
 def refuse_missing_parent(path: Path) -> None:
-    """Raises: InputError: there is no folder for `path` to be in."""
+    """Check the folder of `path`. Raises: InputError: there is none."""
     if not path.parent.is_dir():
         raise InputError(f"there is no folder {path.parent} to write {path.name} into: make it first")
 
 
 @contextmanager
 def saying_what_is_full(path: Path) -> Iterator[None]:
-    """Raises: NoRoom: the block ran out of disk while it wrote `path`, or something for it. InputError: it may
+    """Turn errors of a full or protected disk into ours.
+
+    Raises: NoRoom: the block ran out of disk while it wrote `path`, or something for it. InputError: it may
     not write there.
     """
     try:
@@ -142,12 +144,12 @@ def _told(path: Path, reason: str) -> str:
 
 
 def temporary_beside(path: Path, name: str = "") -> Path:
-    """A hidden name that is free, and swept if what gets it is left there."""
+    """Return a hidden name that is free, and swept if what gets it is left there."""
     return path.with_name(f".{name}{os.urandom(8).hex()}.tmp")
 
 
 def lock(descriptor: int) -> None:
-    """What is open is not swept until it is closed, where the file system has locks."""
+    """Lock an open file against sweeping until it is closed, where the file system has locks."""
     with suppress(OSError):
         system.lock(descriptor)
 
@@ -182,7 +184,7 @@ def _remove_unlocked(path: Path) -> None:
 
 
 def _new_file(path: Path) -> tuple[Path, io.FileIO]:
-    """A hidden file beside `path`, locked. Between its making and its lock it may be swept: then another."""
+    """Make a hidden, locked file beside `path`; one that is swept before it is locked is made again."""
     while True:
         temporary = temporary_beside(path)
         raw = io.FileIO(temporary, "xb")

@@ -16,7 +16,7 @@ _CROSSINGS = 1 << 18  # worked on at once, so that memory does not grow with a p
 
 
 def decode_runs(counts: Int64[np.ndarray, " n"], height: int, width: int, where: str) -> Bool[np.ndarray, "h w"]:
-    """The mask of run lengths, the first of which are pixels outside.
+    """Return the mask of run lengths, the first of which are pixels outside.
 
     Raises: FormatError: a negative length, or lengths that do not add up to the image. Nothing is
     allocated before that is known.
@@ -70,7 +70,7 @@ def _codes(text: str, where: str) -> UInt8[np.ndarray, " c"]:
 
 
 def fill_polygon(points: Float[np.ndarray, "v 2"], height: int, width: int) -> Bool[np.ndarray, "h w"]:
-    """The pixels whose centres lie inside a closed polygon, by the even-odd rule.
+    """Return the pixels whose centres lie inside a closed polygon, by the even-odd rule.
 
     points: x, y in pixels; the centre of pixel (0, 0) is at (0.5, 0.5), a centre on a left or upper
     edge is inside. What lies outside the image is cut off. pycocotools rounds the outline to a grid of
@@ -97,7 +97,7 @@ def _parity(
     rows: slice,
     width: int,
 ) -> Bool[np.ndarray, "r w"]:
-    """Of some rows: inside is where an odd number of edges, each in its rows top to bottom, is left."""
+    """Return the inside of some rows: pixels with an odd number of edges (each in rows top to bottom) to the left."""
     counts = bottom - top
     edge = np.repeat(np.arange(len(counts)), counts)
     row = np.arange(len(edge)) - np.repeat(np.cumsum(counts) - counts, counts) + top[edge]

@@ -11,7 +11,7 @@ Spans = Int64[np.ndarray, "s 2"]
 
 
 def spans_of(ids: Integer[np.ndarray, " m"]) -> Spans:
-    """Of ascending rows: from the first number of a pair to before the second, ascending."""
+    """Return the spans of ascending rows, each from its first number to before its second."""
     rows = ids.astype(np.int64)
     begins = np.flatnonzero(np.diff(rows, prepend=-2) != 1)
     lasts = np.append(begins[1:], len(rows)) - 1
@@ -19,7 +19,7 @@ def spans_of(ids: Integer[np.ndarray, " m"]) -> Spans:
 
 
 def are_rows(spans: Spans) -> bool:
-    """Whether they are ascending rows, one or more."""
+    """Return True if spans are those of one or more ascending rows."""
     ends = spans.ravel()
     return bool(len(ends) and ends[0] >= 0 and (ends[1:] > ends[:-1]).all())
 

@@ -61,7 +61,7 @@ def scene_file(scene: Path, ending: str) -> Path:
 
 
 def read_scannet_labels(path: Path) -> LabelledCloud:
-    """The vertices of a `_vh_clean_2.labels.ply`.
+    """Read the vertices of a `_vh_clean_2.labels.ply`.
 
     Raises: InputError: there is no such file. FormatError: damaged, no `label`, positions that are not finite.
     """
@@ -77,7 +77,7 @@ def read_scannet_labels(path: Path) -> LabelledCloud:
 
 
 def read_scannet_instances(segments: Path, aggregation: Path) -> Instances:
-    """The object of each vertex, from `.segs.json` and `.aggregation.json`.
+    """Read the object of each vertex, from `.segs.json` and `.aggregation.json`.
 
     Raises: InputError: there is no such file. FormatError: damaged; the message names the group and the field.
     """
@@ -125,7 +125,7 @@ def read_label_table(path: Path) -> dict[str, int]:
 
 
 def raw_category_labels(instances: Instances, table: Mapping[str, int]) -> Int32[np.ndarray, " n"]:
-    """The category id of each vertex's object; 0 without one, or where the table has no such name."""
+    """Return the category id of each vertex's object; 0 without one, or where the table has no such name."""
     ids = np.array([table.get(name, 0) for name in instances.names] + [0], np.int32)
     labels: np.ndarray = ids[instances.objects]
     return labels

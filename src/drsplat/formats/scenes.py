@@ -77,7 +77,7 @@ def read_gaussians(path: str | PathLike[str]) -> Gaussians:
 
 
 def local(gaussians: Gaussians, where: str) -> Gaussians:
-    """Counted from a local origin where they are far from zero; with what float32 has lost by then."""
+    """Move Gaussians far from zero to a local origin, and warn of what float32 has lost by then."""
     for loss in lost_precision(gaussians):
         warnings.warn(f"{where}: {loss}", DrSplatWarning, stacklevel=3)
     return gaussians.localized()
@@ -112,7 +112,7 @@ def parse_gaussians(buffer: memoryview, suffix: str = "") -> Gaussians:
 
 
 def scene_file(path: Path) -> Path:
-    """The scene file at `path`: itself, or that of a folder: tiles, a SOG, or the latest PLY of a trained model.
+    """Return the scene file at `path`, or in that folder: tiles, a SOG, or the latest PLY of a trained model.
 
     Raises: InputError: there is none.
     """
@@ -136,7 +136,7 @@ def scene_file(path: Path) -> Path:
 
 
 def companion(scene: str | PathLike[str], kind: str) -> Path:
-    """What lies beside a scene: NAME.kind.json of the file NAME.ply, or of the folder NAME."""
+    """Return the path of a file beside a scene: NAME.kind.json of the file NAME.ply, or of the folder NAME."""
     path = Path(scene)
     path = path.resolve() if path.is_dir() else path
     return path.with_name(f"{path.name if path.is_dir() else path.stem}.{kind}.json")

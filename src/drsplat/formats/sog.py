@@ -42,12 +42,12 @@ Bytes = UInt8[np.ndarray, "n 4"]
 
 
 def read_unpacked_sog(meta: Path) -> Gaussians:
-    """A SOG whose files lie beside its meta.json. Raises: FormatError: as `parse_sog`."""
+    """Read a SOG whose files lie beside its meta.json. Raises: FormatError: as `parse_sog`."""
     return _Sog(folder_member(meta.parent)).gaussians()
 
 
 def parse_sog(buffer: memoryview) -> Gaussians:
-    """A bundled SOG (.sog), a ZIP.
+    """Read a bundled SOG (.sog), a ZIP.
 
     Raises: FormatError: a damaged archive, file or picture; counts that the pictures cannot hold, or
     pictures that are far larger than the count; a version that is not known; rows that are no Gaussians.
@@ -116,7 +116,7 @@ class _Sog:
         return self._plane_of(self.meta, part, place)
 
     def _plane_of(self, meta: Mapping[str, Any], part: str, place: int = 0) -> Bytes:
-        """The pixels of the Gaussians, in a picture that holds them and hardly more."""
+        """Return the pixels of the Gaussians, from a picture that holds them and hardly more."""
         name = _file(meta, part, place)
         data = self.member(name)
         width, height = webp_size(data, name)
@@ -222,7 +222,7 @@ def _document(data: bytes) -> dict[str, Any]:
 
 
 def is_sog_meta(document: object) -> bool:
-    """Whether this is what a SOG's meta.json holds."""
+    """Return True if this is what a SOG's meta.json holds."""
     return isinstance(document, dict) and all(
         isinstance(document.get(part), dict) for part in ("means", "scales", "quats", "sh0")
     )

@@ -32,7 +32,7 @@ class Source(Protocol):
     def name(self) -> str: ...
     def positions(self) -> Float64[np.ndarray, "n 3"]: ...
     def sizes(self) -> Float32[np.ndarray, " n"]:
-        """Standard deviation along the longest axis."""
+        """Return the standard deviation along the longest axis."""
 
     def gaussians(self, rows: Integer[np.ndarray, " m"]) -> Gaussians: ...
 
@@ -106,7 +106,7 @@ class _Whole:
 
 
 def sources_of(path: Path) -> list[Source]:
-    """A scene file, a trained model's folder, or the chunks of a streamed SOG (its folder or lod-meta.json).
+    """Return the sources of a scene file, a trained model's folder, or a streamed SOG (its folder or lod-meta.json).
 
     Raises: InputError: there is none. FormatError: as `read_gaussians`, at the latest when rows are read.
     """

@@ -29,13 +29,13 @@ STEPS = 50  # frames of the published films
 
 
 def is_spacetime(header: Header) -> bool:
-    """Whether a PLY has a row's centre in time."""
+    """Return True if a PLY has a column for the centre in time."""
     return "vertex" in header.elements and CENTER in header.elements["vertex"].names()
 
 
 @np.errstate(all="ignore")  # what damaged floats do on the way is judged at its end
 def read_spacetime(path: Path) -> Moving:
-    """Times are 0 to 1; `canonical` is each row at its own centre, as `read_gaussians` reads the file.
+    """Read a moving scene; times are 0 to 1, `canonical` is each row at its own centre, as `read_gaussians` reads it.
 
     Raises: InputError: there is no such file. FormatError: no such PLY, truncated, or rows that are no Gaussians, or do
     not move as they may.

@@ -19,7 +19,7 @@ GZIP_MAGIC = b"\x1f\x8b"
 
 
 def refuse_implausible(size: int, compressed: int) -> None:
-    """Raises: FormatError: `size` bytes cannot honestly come of `compressed` ones."""
+    """Check a size. Raises: FormatError: `size` bytes cannot honestly come of `compressed` ones."""
     limit = FREE_BYTES + LARGEST_RATIO * compressed
     if size > limit:
         raise FormatError(
@@ -29,7 +29,7 @@ def refuse_implausible(size: int, compressed: int) -> None:
 
 
 def gunzipped(buffer: memoryview, start_bytes: int, payload_bytes: Callable[[bytes], int]) -> tuple[bytes, bytes]:
-    """The payload, whose size `payload_bytes` tells from its start, and up to 1 MiB behind it.
+    """Decompress the payload, whose size `payload_bytes` tells from its start, and up to 1 MiB behind it.
 
     A `buffer` that is not gzip is taken as the payload itself.
 

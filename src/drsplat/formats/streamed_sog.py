@@ -21,7 +21,7 @@ DEEPEST = 64  # of the tree; a million chunks of two branches a node need 20
 
 
 def finest_chunks(lod_meta: Path) -> list[Path]:
-    """The meta.json of each chunk with Gaussians of the finest level, in the order of the tree, and the environment's.
+    """Return the meta.json of each chunk of the finest level, in the order of the tree, and the environment's.
 
     Raises: FormatError: another version, a tree that names no chunk, names one twice or leads out of the folder, or
     chunks that hold more than one level.

@@ -64,7 +64,7 @@ def write_tensors(
 
 
 def map_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """The arrays of a file, read-only, and its metadata: read where they are small, else mapped (`file_bytes`).
+    """Return the arrays of a file, read-only, and its metadata; small files are read, others mapped (`file_bytes`).
 
     The header is compared with its checksum where it has one, the arrays are not: see `read_tensors`.
 
@@ -91,7 +91,7 @@ def map_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], di
 
 
 def read_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """As `map_tensors`, of a file of ours, each array compared with its checksum.
+    """Read a file of ours, each array compared with its checksum; see `map_tensors`.
 
     Raises: as `map_tensors`; FormatError: an array is not what was written, or has no checksum.
     """

@@ -80,7 +80,7 @@ class Tiles:
         return self.tiles[-1].first + self.tiles[-1].num_rows
 
     def shapes(self, tile: Tile) -> Gaussians:
-        """A tile without its colours, which registration does not need. Raises: FormatError: damaged."""
+        """Return a tile without its colours, which registration does not need. Raises: FormatError: damaged."""
         arrays = self._read(tile, SHAPES, _SHAPES)
         means, quats, widths, opacities = (arrays[name] for name in _SHAPES)
         return Gaussians(
@@ -93,7 +93,7 @@ class Tiles:
         return replace(self.shapes(tile), sh=self._read(tile, COLOURS, _COLOURS)["sh"])
 
     def gaussians(self) -> Gaussians:
-        """The whole scene in memory, with the block and the row there that each Gaussian came from as extra columns.
+        """Return the whole scene in memory; extra columns hold the block and the row that a Gaussian came from.
 
         Raises: FormatError: damaged.
         """
@@ -133,7 +133,7 @@ def file_name(tile: Tile, kind: str) -> str:
 
 
 def read_tiles(path: Path) -> Tiles:
-    """The tiles of a folder; only the manifest is read.
+    """Read the tiles of a folder; only the manifest is read.
 
     Raises: InputError: there are none. FormatError: a damaged manifest, or of a newer version.
     """
@@ -205,7 +205,7 @@ class _Writer:
         )
 
     def manifest(self, sources: Sequence[str]) -> dict[str, object]:
-        """What is told of the whole: its fingerprint and near plane need all positions, 16 bytes a Gaussian."""
+        """Return the manifest; its fingerprint and near plane need all positions, 16 bytes a Gaussian."""
         means, antialiased = np.concatenate(self.means), drawn_alike(self.antialiased)
         bare = np.zeros((len(means), 4), np.float32)
         whole = Gaussians(

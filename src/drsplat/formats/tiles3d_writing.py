@@ -52,7 +52,7 @@ class _Node(NamedTuple):
 
 
 class _Source(NamedTuple):
-    """What reads each leaf, the middle of the scene in the world, and its objects."""
+    """Source of a tileset: readers of its leaves, the middle of the scene in the world, its objects."""
 
     leaves: list[_Leaf]
     middle: Float64[np.ndarray, " 3"]

@@ -28,7 +28,7 @@ Entry = Mapping[str, object]
 
 
 def read_transforms(path: Path, images: Path | None = None) -> list[View]:
-    """The views of a transforms.json whose photos exist, with photos, in the order of the file.
+    """Read the views of a transforms.json whose photos exist, with photos, in the order of the file.
 
     transform_matrix is camera-to-world in OpenGL axes (+y up, -z forward). Intrinsics (fl_x, fl_y, cx, cy or
     camera_angle_x; w, h or the photo's size; k1, k2, p1, p2; camera_model) are of the frame, else of the file.
@@ -60,7 +60,7 @@ def read_transforms(path: Path, images: Path | None = None) -> list[View]:
 
 
 def read_applied_transform(path: Path) -> SceneFrame:
-    """The frame of transforms.json from that of COLMAP: applied_transform and applied_scale."""
+    """Read the frame of transforms.json from that of COLMAP: applied_transform and applied_scale."""
     document = _document(path)
     identity = np.eye(4)[:3].tolist()
     transform, scale = (document.get("applied_transform", identity), document.get("applied_scale", 1.0))
@@ -68,7 +68,7 @@ def read_applied_transform(path: Path) -> SceneFrame:
 
 
 def point_file(path: Path) -> Path | None:
-    """The point cloud that a transforms.json names (`ply_file_path` of nerfstudio), in its frame.
+    """Return the point cloud that a transforms.json names (`ply_file_path` of nerfstudio), in its frame.
 
     Raises: FormatError: a name that leaves the folder.
     """
@@ -163,7 +163,7 @@ def _file_path(frame: object, where: str) -> str:
 
 
 def _shared_folder(document: Mapping[str, object]) -> str | None:
-    """The folder of all photos whose paths are absolute; None where none is."""
+    """Return the folder of all photos whose paths are absolute; None where none is."""
     frames: list[object] = document["frames"]  # type: ignore[assignment]
     paths = [frame.get("file_path") for frame in frames if isinstance(frame, dict)]
     folders = [os.path.dirname(str(path)) for path in paths if _is_absolute(path)]
@@ -171,14 +171,14 @@ def _shared_folder(document: Mapping[str, object]) -> str | None:
 
 
 def _is_absolute(path: object) -> bool:
-    """A plain absolute path: one with ".." in it is not taken, nor what no file system has."""
+    """Return True for a plain absolute path, without ".." and short enough for a file system."""
     if not isinstance(path, str) or not path.isprintable() or len(path) > _MAX_PATH:
         return False
     return path.startswith("/") and ".." not in path.split("/")
 
 
 def _relative(path: str, base: Path, shared: str | None) -> str:
-    """What an absolute path is called: below the capture where it lies there, else below `shared`."""
+    """Return an absolute path as a relative one: below the capture where it lies there, else below `shared`."""
     if shared is None or not _is_absolute(path):
         return path
     inside = os.path.realpath(base)

@@ -73,7 +73,7 @@ def columns_of(scene: LabelledScene) -> list[Column]:
 
 
 def refuse_unwritable(gaussians: Gaussians) -> None:
-    """Raises: InputError: there are no Gaussians, or rows that are none."""
+    """Check Gaussians. Raises: InputError: there are none, or rows that are no Gaussians."""
     if not len(gaussians):
         raise InputError("a scene without Gaussians cannot be written: there is nothing in it to show")
     gaussian_ply.refuse_unwritable(gaussians)

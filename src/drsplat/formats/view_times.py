@@ -39,7 +39,7 @@ def with_times(views: Sequence[View], times: str | Path) -> list[View]:
 
 
 def read_times(path: Path) -> dict[str, float]:
-    """The times of a table by the names of photos, with or without suffix.
+    """Read the times of a table by the names of photos, with or without suffix.
 
     Raises: InputError: there is no such file. FormatError: not a table of names and finite numbers, or a name twice.
     """

@@ -47,7 +47,7 @@ class VocabularyEncoder:
 
 
 def read_vocabulary(path: str | Path, name: str | None = None) -> VocabularyEncoder:
-    """The vocabulary in a .json or .safetensors file; vectors are brought to unit length.
+    """Read the vocabulary in a .json or .safetensors file; vectors are brought to unit length.
 
     JSON: {text: [numbers, ...]}, as OpenGaussian's text_features.json. Safetensors: a tensor
     "embeddings" (T, D) and metadata "texts" (a JSON list), "name", "weights"; see
