@@ -15,7 +15,7 @@ _HOST = re.compile(r"(\[[0-9a-f:.]*\]|[a-z0-9._-]+)(?::\d{1,5})?")
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine reaches a server that listens on `host`."""
+    """Return True if only this machine reaches a server that listens on `host`."""
     try:
         return ipaddress.ip_address(host.strip("[]")).is_loopback
     except ValueError:
@@ -23,7 +23,7 @@ def is_loopback(host: str) -> bool:
 
 
 def names_of(host: str) -> tuple[str, ...] | None:
-    """What requests to a server that listens on `host` may call it; None for anything, where it listens everywhere."""
+    """Return the names that requests to a server on `host` may use, None for any, where it listens everywhere."""
     if host in EVERYWHERE:
         return None
     own = f"[{host}]" if ":" in host and not host.startswith("[") else host
@@ -31,13 +31,13 @@ def names_of(host: str) -> tuple[str, ...] | None:
 
 
 def is_addressed(header: str, names: Sequence[str] | None) -> bool:
-    """Whether a `Host` header calls one of `names`, whatever the port; with None, whether it is one at all."""
+    """Return True if a `Host` header has one of `names`, at any port; with None, if it is well formed."""
     named = _HOST.fullmatch(header.lower())
     return named is not None and (names is None or named[1] in names)
 
 
 def is_own_page(origin: str | None, header: str) -> bool:
-    """Whether a request comes from a page of the same server, or (None) not from a page.
+    """Return True if a request comes from a page of the same server, or (None) not from a page.
 
     origin, header: what `Origin` and `Host` say. Another port is another server.
     """
@@ -45,6 +45,6 @@ def is_own_page(origin: str | None, header: str) -> bool:
 
 
 def is_secret(given: str | bytes, secret: str) -> bool:
-    """Compared in a time that says nothing about where they differ."""
+    """Compare a key with the secret, in a time that does not tell where they differ."""
     said = given.encode("utf-8", "surrogateescape") if isinstance(given, str) else given
     return hmac.compare_digest(said, secret.encode())

@@ -91,7 +91,7 @@ def details(scene: Scene, asked: Details, _: Limits) -> SceneDetails:
 
 
 def photo(scene: Scene, asked: Photo, _: Limits) -> bytes:
-    """Raises: InputError: no such view, or it has no photo."""
+    """Return a photo as PNG. Raises: InputError: no such view, or it has no photo."""
     chosen = scene.view(asked.view)
     if chosen.image_path is None:
         raise InputError(f"view '{chosen.name}' has no photo here: request a picture")
@@ -208,7 +208,7 @@ ANSWERS: Mapping[str, Answering] = {
 
 
 def answered(scene: Scene, what: str, asked: Mapping[str, Any], limits: Limits) -> Reply:
-    """The reply to one of `ANSWERS`. Raises: DrSplatError: what the question makes of the scene."""
+    """Return the reply to one of `ANSWERS`. Raises: DrSplatError: the question does not fit the scene."""
     way = ANSWERS[what]
     answer = way.answer(scene, way.asked(**asked), limits)
     field = scene.field.fingerprint

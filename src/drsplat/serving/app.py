@@ -51,7 +51,7 @@ REFUSALS: dict[int | str, dict[str, Any]] = {
 
 
 def binary(media_type: str) -> dict[int | str, dict[str, Any]]:
-    """The responses of a route that sends bytes."""
+    """Return the responses of a route that sends bytes."""
     return {200: {"content": {media_type: {"schema": {"type": "string", "format": "binary"}}}}}
 
 
@@ -72,7 +72,7 @@ class Settings:
 
 
 def create_app(settings: Settings) -> FastAPI:
-    """The service over the scenes of a folder, as an ASGI application. Raises: InputError: no such folder."""
+    """Create the service over the scenes of a folder, an ASGI application. Raises: InputError: no such folder."""
     limits, metrics = settings.limits, Metrics()
     catalogue = None if settings.catalogue is None else Path(settings.catalogue)
     scene_folder = SceneFolder(Path(settings.folder), settings.sources, catalogue_path=catalogue)
@@ -159,7 +159,7 @@ def _sent(reply: Reply, headers: Any = None) -> Response:
 def _add_watching(app: FastAPI, scene_folder: SceneFolder, metrics: Metrics) -> None:
     @app.get("/health", tags=["watching"])
     async def health() -> Health:
-        """Whether the service lives; needs no key."""
+        """Tell that the service lives; needs no key."""
         return Health(status="ok", num_scenes=len(scene_folder.folders()))
 
     @app.get(
@@ -190,7 +190,7 @@ def _add_scenes(app: FastAPI, bench: Workbench) -> None:
         view: Annotated[str, Query(min_length=1, max_length=500, description="a photo's name")],
         max_side: Annotated[int, Query(ge=16, le=Limits.side)] = 800,
     ) -> Response:
-        """A photo of the scene, such as a supporting one, as PNG."""
+        """Send a photo of the scene, such as a supporting one, as PNG."""
         return _sent(await bench.run(Job("photo", scene, {"view": view, "max_side": max_side})))
 
 
@@ -199,19 +199,19 @@ def _add_objects(app: FastAPI, bench: Workbench) -> None:
     async def objects(
         scene: Scene, all: Annotated[bool, Query(description="list also the objects that photos agree less on")] = False
     ) -> Response:
-        """The objects of a scene that photos agree on, found across photos, without any word for them."""
+        """List the objects of a scene that photos agree on, found across photos, without any word for them."""
         return _sent(await bench.run(Job("objects", scene, {"all": all})))
 
     @app.get(
         "/scenes/{scene}/objects/{number}/picture", tags=["objects"], response_class=Response, responses=binary(JPEG)
     )
     async def object_picture(scene: Scene, number: Number) -> Response:
-        """An object, cut out of the photo that shows it best, as JPEG."""
+        """Send an object, cut out of the photo that shows it best, as JPEG."""
         return _sent(await bench.run(Job("object-picture", scene, {"number": number})))
 
     @app.get("/scenes/{scene}/objects/{number}/ply", tags=["objects"], response_class=Response, responses=binary(PLY))
     async def object_ply(scene: Scene, number: Number) -> Response:
-        """The Gaussians of an object, as PLY."""
+        """Send the Gaussians of an object, as PLY."""
         return _sent(await bench.run(Job("object-ply", scene, {"number": number})))
 
 
@@ -221,12 +221,12 @@ def _add_queries(app: FastAPI, bench: Workbench) -> None:
 
     @app.post("/scenes/{scene}/select", tags=["queries"], response_model=Selected)
     async def select(scene: Scene, asked: Select) -> Response:
-        """The Gaussians that a text, vector, image, point or click selects."""
+        """Select the Gaussians of a text, vector, image, point or click."""
         return await computed("select", scene, asked)
 
     @app.post("/scenes/{scene}/locate", tags=["queries"], response_model=Located)
     async def locate(scene: Scene, asked: Locate) -> Response:
-        """The matches of a query, best first: centre, oriented box, supporting photos."""
+        """Locate the matches of a query, best first: centre, oriented box, supporting photos."""
         return await computed("locate", scene, asked)
 
     @app.post("/scenes/{scene}/when", tags=["queries"], response_model=models.When)
@@ -236,36 +236,36 @@ def _add_queries(app: FastAPI, bench: Workbench) -> None:
 
     @app.post("/scenes/{scene}/segment", tags=["queries"], response_model=Segmented)
     async def segment(scene: Scene, asked: Segment) -> Response:
-        """The best of some classes for each Gaussian."""
+        """Give each Gaussian the best of some classes."""
         return await computed("segment", scene, asked)
 
     @app.post("/scenes/{scene}/what-is", tags=["queries"], response_model=Words)
     async def what_is(scene: Scene, asked: WhatIs) -> Response:
-        """The best words for what is at a point or a pixel."""
+        """Name what is at a point or a pixel, best words first."""
         return await computed("what-is", scene, asked)
 
     @app.post("/scenes/{scene}/picture", tags=["queries"], response_class=Response, responses=binary(PNG))
     async def picture(scene: Scene, asked: Picture) -> Response:
-        """A rendering as PNG, optionally with the matches of a query kept in colour."""
+        """Render a picture as PNG, optionally with the matches of a query kept in colour."""
         return await computed("picture", scene, asked)
 
     files = binary(GLB)[200]["content"] | binary(PLY)[200]["content"]
 
     @app.post("/scenes/{scene}/export", tags=["queries"], response_class=Response, responses={200: {"content": files}})
     async def export(scene: Scene, asked: Export) -> Response:
-        """The scene as a file for other programs: GLB with named objects, PLY or SPZ."""
+        """Export the scene as a file for other programs: GLB with named objects, PLY or SPZ."""
         return await computed("export", scene, asked)
 
 
 def _add_catalogue(app: FastAPI, bench: Workbench) -> None:
     @app.get("/catalogue", tags=["catalogue"], response_model=CatalogueScenes)
     async def catalogue_scenes() -> Response:
-        """The scenes whose objects can be asked for together."""
+        """List the scenes whose objects can be asked for together."""
         return _sent(await bench.run(Job("catalogue-list")))
 
     @app.post("/catalogue/ask", tags=["catalogue"], response_model=CatalogueAnswer)
     async def ask_catalogue(asked: AskCatalogue) -> Response:
-        """The objects of all scenes that a text, vector or image means, best first."""
+        """Search the objects of all scenes by a text, vector or image, best first."""
         return _sent(await bench.run(Job("catalogue-ask", asked=asked.model_dump(mode="json"))))
 
     @app.get("/catalogue/picture", tags=["catalogue"], response_class=Response, responses=binary(JPEG))
@@ -274,7 +274,7 @@ def _add_catalogue(app: FastAPI, bench: Workbench) -> None:
         object_id: Annotated[int, Query(ge=0, le=2**31 - 1)],
         tile: Annotated[int, Query(ge=0, le=2**31 - 1)] = 0,
     ) -> Response:
-        """The thumbnail of an object, as JPEG."""
+        """Send the thumbnail of an object, as JPEG."""
         asked = {"scene": scene, "object_id": object_id, "tile": tile}
         return _sent(await bench.run(Job("catalogue-picture", asked=asked)))
 

@@ -1,4 +1,4 @@
-"""What is asked of a catalogue over HTTP and by language models, and what comes back."""
+"""Requests to a catalogue, over HTTP and by language models, and their answers."""
 
 from collections.abc import Mapping
 from datetime import datetime
@@ -163,7 +163,7 @@ def _query(asked: AskCatalogue, limits: Limits) -> engine.Query:
 
 
 def _where(asked: AskCatalogue) -> Where:
-    """Raises: InputError: a box or an area that is none, or no time."""
+    """Return the conditions of a request. Raises: InputError: a box or an area that is none, or no time."""
     box, area = (None if given is None else tuple(given) for given in (asked.box, asked.area))
     return Where(tuple(asked.scenes), box, area, None if asked.since is None else _time(asked.since))  # type: ignore[arg-type]
 

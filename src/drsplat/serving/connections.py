@@ -16,7 +16,7 @@ from ..system import allow_open_files
 
 
 class Stage(Enum):
-    """What a connection waits for."""
+    """Stage of a connection: what it waits for."""
 
     IDLE = "a request"
     HEAD = "the rest of its head"
@@ -89,7 +89,7 @@ class Connection(H11Protocol):
         super().connection_lost(exc)
 
     def _watch(self) -> None:
-        """The clock starts with each stage, not with each byte."""
+        """Start the clock at each new stage, not at each byte."""
         stage = self._now()
         if stage is self.stage or (self.stage is None and self.transport.is_closing()):
             return
@@ -133,7 +133,7 @@ def room() -> int:
 
 
 def connection_class(most: int, seconds: Mapping[Stage, float] = SECONDS) -> type[Connection]:
-    """What uvicorn makes for each connection of one service. most: of a `Lobby`. seconds: that it waits at most."""
+    """Return the class of a service's connections, for uvicorn. most: as in `Lobby`. seconds: longest wait by stage."""
     return type("Connection", (Connection,), {"lobby": Lobby(most), "seconds": seconds})
 
 

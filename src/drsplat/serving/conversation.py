@@ -1,4 +1,4 @@
-"""What a language model can ask of a scene: each method is a tool, with short answers that it can reason on."""
+"""Conversation of a language model with a scene: each method is a tool with a short answer to reason on."""
 
 import base64
 from collections.abc import Callable, Mapping, Sequence
@@ -104,7 +104,7 @@ class Region(Body):
 
 
 class About(Body):
-    """What positions and lengths in a scene mean."""
+    """Frame of a scene: the meaning of its positions and lengths."""
 
     scene: str
     low: Vector = Field(description="corner of the box of the middle 98 % of the Gaussians")

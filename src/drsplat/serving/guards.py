@@ -1,4 +1,4 @@
-"""What stands before every route: key, body size, time, and a JSON reason for whatever is refused."""
+"""Guards before every route: key, body size, time, and a JSON reason for each refusal."""
 
 import asyncio
 import json
@@ -43,7 +43,7 @@ class DoorKeeper:
             await self.app(scope, receive, send)
 
     async def turned_away(self, scope: Message, answer: "Answer") -> bool:
-        """Whether a request was refused."""
+        """Refuse a request that may not come in; return True if it was refused."""
         headers = dict(scope["headers"])
         if not self._is_let_in(scope["path"], headers):
             await answer.refuse(401, "unauthorised", "give the key: Authorization: Bearer KEY")
@@ -135,13 +135,13 @@ class Answer:
 
 
 def _bearer(header: bytes) -> bytes:
-    """What an `Authorization` header of that scheme, in letters of either case, carries."""
+    """Return the token of an `Authorization` header with the scheme Bearer, in letters of either case."""
     scheme, _, token = header.partition(b" ")
     return token.strip() if scheme.lower() == b"bearer" else b""
 
 
 def _without_body(send: Send) -> Send:
-    """As HEAD is answered: the head of what GET would give."""
+    """Return a `send` that answers HEAD: the head of GET's response, without its body."""
 
     async def head(message: Message) -> None:
         await send({**message, "body": b""} if "body" in message else message)
@@ -151,7 +151,7 @@ def _without_body(send: Send) -> Send:
 
 @runtime_checkable
 class LargeBodies(Protocol):
-    """Whoever counts the large bodies that are received and answered at once."""
+    """Counter of the large bodies that are received and answered at the same time."""
 
     large: int
     limits: Limits

@@ -7,7 +7,7 @@ from ..errors import InputError, MissingExtraError
 
 
 def require(extra: str, *modules: str) -> None:
-    """Raises: MissingExtraError: a module of an extra is not installed. InputError: there are no services here."""
+    """Check an extra's modules. Raises: MissingExtraError: one is not installed. InputError: no services here."""
     if system.WINDOWS:
         raise InputError(
             "services give sockets to their processes, which Windows cannot: run them in WSL or a container"
@@ -16,7 +16,7 @@ def require(extra: str, *modules: str) -> None:
 
 
 def require_packages(extra: str, *modules: str) -> None:
-    """Raises: MissingExtraError: a module of an extra is not installed."""
+    """Check an extra's modules. Raises: MissingExtraError: one is not installed."""
     absent = [name for name in modules if find_spec(name) is None]
     if absent:
         raise MissingExtraError(f'{" and ".join(absent)} not installed: pip install "drsplat[{extra}]"')

@@ -1,4 +1,4 @@
-"""What a request may cost."""
+"""Limits of what a request may cost."""
 
 from dataclasses import dataclass
 
@@ -29,5 +29,5 @@ class Limits:
 
     @property
     def too_slow(self) -> str:
-        """What is said to whoever waited so long."""
+        """The message for a client that waited too long."""
         return f"no answer within {self.seconds:g} s: ask for less, or later"

@@ -1,4 +1,4 @@
-"""What the service did, for Prometheus."""
+"""Metrics of the service, for Prometheus."""
 
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 

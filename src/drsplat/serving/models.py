@@ -1,4 +1,4 @@
-"""What answers look like as JSON, for programs and for language models alike.
+"""Answers as JSON, for programs and for language models alike.
 
 Coordinates are world coordinates of the scene, in scene units: metres only where the capture was scaled so.
 """
@@ -86,7 +86,7 @@ class Measured(Body):
 
 
 class Selected(Body):
-    """What a query selects."""
+    """Selection of a query."""
 
     measured: Measured
     score_range: Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -125,7 +125,7 @@ class Support(Body):
 
 
 class Track(Body):
-    """Where a match is over time, and when photos see it."""
+    """Track of a match: its places over time, and when photos see it."""
 
     times: list[float] = Field(description="those of the scene's times at which it is there, ascending")
     centers: list[Vector] = Field(description="one of each time, as are extents and axes")
@@ -224,7 +224,7 @@ def matches_of(found: Sequence[engine.Match], decimals: int) -> list[Match]:
 
 
 def tracked(scene: engine.Scene, found: Sequence[engine.Match], box: BoxKind, most: int | None = None) -> list[Match]:
-    """Matches with their tracks; most: times of each, and photos, at most, evenly chosen; None: all of them.
+    """Return matches with their tracks. most: times and photos of each at most, evenly chosen; None: all of them.
 
     Raises: InputError: a scene that stands still.
     """
@@ -249,7 +249,7 @@ def _track(track: engine.MatchTrack, decimals: int, most: int | None) -> Track:
 def when_told(
     scene: engine.Scene, one: engine.Query, relation: str, other: engine.Query, view: str | None = None
 ) -> When:
-    """Raises: as `Scene.when`."""
+    """Return when two queries stand in a relation. Raises: as `Scene.when`."""
     spans = scene.when(one, relation, other, view)
     return When(
         one=one.text or "",
@@ -309,7 +309,7 @@ def _object(scene: engine.Scene, match: engine.Match, name: str | None, agreed: 
 
 
 def decimals_of(scene: engine.Scene) -> int:
-    """Of coordinates: a ten-thousandth of the scene's size or finer, 4 for a room in metres."""
+    """Return the decimals of coordinates: a ten-thousandth of the scene's size or finer, 4 for a room in metres."""
     low, high = scene.box
     size = max(float(np.linalg.norm(high - low)), 1e-12)
     return 4 - math.floor(math.log10(size))

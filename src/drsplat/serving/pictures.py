@@ -36,7 +36,7 @@ def decoded(data: bytes, most_pixels: int) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def from_base64(text: str, most_pixels: int) -> UInt8[np.ndarray, "h w 3"]:
-    """As `decoded`, of base64. Raises: InputError: it is none; as `decoded`."""
+    """Decode a picture in base64, see `decoded`. Raises: InputError: it is no base64; as `decoded`."""
     try:
         data = base64.b64decode(text, validate=True)
     except (binascii.Error, ValueError) as error:

@@ -1,4 +1,4 @@
-"""What goes back to a client: bytes with a status, and a reason in JSON for whatever is refused."""
+"""Replies to a client: bytes with a status, and a reason in JSON for each refusal."""
 
 import json
 from typing import NamedTuple
@@ -51,7 +51,7 @@ def refusal(error: DrSplatError, message: str) -> Reply:
 
 
 def packed(reply: Reply) -> bytes:
-    """As it travels from the process that computed it: a line about it, and the body."""
+    """Pack a reply for its way from the process that computed it: a line about it, and the body."""
     about = {"media_type": reply.media_type, "status": reply.status, "field": reply.field}
     return json.dumps(about).encode() + b"\n" + reply.body
 

@@ -1,4 +1,4 @@
-"""What can be asked over HTTP, and how it becomes a query of the engine."""
+"""Requests over HTTP, and the queries of the engine that they become."""
 
 from typing import Annotated, Any, Literal
 
@@ -184,7 +184,7 @@ def asks_something(query: Query) -> bool:
 
 
 def query_of(given: Query, limits: Limits) -> engine.Query:
-    """Raises: InputError: not one of the five, or a picture that cannot be read or is too large."""
+    """Return the engine's query. Raises: InputError: not one of the five, or a picture that is damaged or too large."""
     return engine.Query(
         given.text,
         None if given.vector is None else np.asarray(given.vector, np.float32),
@@ -208,7 +208,7 @@ def cut_of(given: Cut) -> engine.Cut:
 
 
 def place(given: WhatIs) -> tuple[float, float, float] | tuple[str, float, float]:
-    """Raises: InputError: not one of the two."""
+    """Return the point or the click of a request. Raises: InputError: not exactly one of the two."""
     if (given.point is None) == (given.click is None):
         raise InputError("expected exactly one of point and click")
     if given.click is not None:

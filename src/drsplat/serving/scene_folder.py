@@ -34,7 +34,7 @@ class UnknownSceneError(InputError):
 
 @dataclass(frozen=True)
 class Sources:
-    """Who embeds words in all scenes, and the threads of one question."""
+    """Encoder of words for all scenes, and the threads of one question."""
 
     encoder: str | None = None
     vocabulary: str | None = None
@@ -44,7 +44,7 @@ class Sources:
 
 @dataclass(frozen=True)
 class Summary:
-    """What can be said of a scene without opening it. fault: why it cannot be opened, else ""."""
+    """Summary of a scene without opening it. fault: why it cannot be opened, else ""."""
 
     name: str
     num_gaussians: int = 0
@@ -116,7 +116,7 @@ class SceneFolder:
         read_vocabulary(self.sources.vocabulary)
 
     def check_catalogue(self) -> None:
-        """Raises: InputError: nothing was added yet. FormatError: damaged. MissingExtraError."""
+        """Open the catalogue. Raises: InputError: nothing was added yet. FormatError: damaged. MissingExtraError."""
         if self.catalogue_path is not None:
             _ = self.catalogue.encoder
 
@@ -148,7 +148,7 @@ class SceneFolder:
             raise SceneFaultError(f"scene {name!r} cannot be opened: {reason}") from error
 
     def only(self) -> str | None:
-        """The name of the only scene, None if there are more or none."""
+        """Return the name of the only scene, None if there are more or none."""
         names = list(self.folders())
         return names[0] if len(names) == 1 else None
 
@@ -203,14 +203,14 @@ class SceneFolder:
 
 
 def version_of(files: SceneFiles) -> Version:
-    """What changes when a file of a scene is replaced, cut short or written to: which it is, its size and times."""
+    """Return a version that changes when a file of a scene is replaced, cut short or written to."""
     capture = [] if files.capture is None else [files.capture / name for name in CAMERAS]
     labels = LabelFile.beside(files.field).path
     return frozenset(_stats(files.field) | _stats(*files.scenes, *capture, labels))
 
 
 def without_paths(message: str, roots: Sequence[Path]) -> str:
-    """A message for others than the one who started the service: no folders of this machine."""
+    """Return a message without this machine's folders, for others than the one who started the service."""
     for root in sorted({str(one) for one in roots}, key=len, reverse=True):
         if root not in (os.sep, "", "."):
             message = message.replace(f"{root}{os.sep}", "")
@@ -219,7 +219,7 @@ def without_paths(message: str, roots: Sequence[Path]) -> str:
 
 
 def _stats(*paths: Path) -> set[tuple[str, int, int, int, int]]:
-    """Of files, and of those in folders to a depth of three: a model of COLMAP lies in sparse/0."""
+    """Return identity, size and times of files, and of those in folders to a depth of three (COLMAP's sparse/0)."""
     found = set()
     for top in paths:
         for path in (top, *(one for deep in ("*", "*/*", "*/*/*") for one in top.glob(deep))):
@@ -232,7 +232,7 @@ def _stats(*paths: Path) -> set[tuple[str, int, int, int, int]]:
 
 
 def _is_file(given: str) -> bool:
-    """Whether it names a file or folder of this machine, be it there or not, and no model of a hub."""
+    """Return True if a text names a file or folder of this machine, be it there or not, and no model of a hub."""
     return Path(given).is_absolute() or Path(given).exists()
 
 
@@ -255,5 +255,5 @@ def _name(folder: Path) -> str:
 
 
 def _text(text: str) -> str:
-    """As UTF-8 can say it: JSON may hold halves of surrogate pairs."""
+    """Return a text that UTF-8 can encode: JSON may hold halves of surrogate pairs."""
     return text.encode("utf-8", "backslashreplace").decode()

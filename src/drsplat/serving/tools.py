@@ -108,7 +108,7 @@ class _Asking:
         return listed.model_copy(update={"advice": advice})
 
     async def told(self, model: type[T], tool: str, scene: str, **arguments: Any) -> T:
-        """What a tool of `Conversation` says of a scene; "" is the only one."""
+        """Return what a tool of `Conversation` answers about a scene; "" is the only one."""
         name = scene or self.scene_folder.only()
         if not name:
             known = ", ".join(map(repr, list(self.scene_folder.folders())[:MOST_MATCHES])) or "none"
@@ -133,9 +133,9 @@ class _Asking:
 
 
 def make_server(scene_folder: SceneFolder, bench: Workbench, limits: Limits) -> MCPServer:
-    """An MCP server over the scenes of a folder; run it with `run("stdio")` or as streamable HTTP.
+    """Make an MCP server over the scenes of a folder; run it with `run("stdio")` or as streamable HTTP.
 
-    bench: of the same folder; whoever made it closes it.
+    bench: of the same folder; the caller closes it.
     """
     server = _Server(
         "drsplat",
@@ -159,7 +159,7 @@ def make_server(scene_folder: SceneFolder, bench: Workbench, limits: Limits) -> 
 def _add_scenes(server: MCPServer, asking: _Asking) -> None:
     @server.tool(title="List scenes", annotations=READS)
     async def list_scenes() -> SceneList:
-        """The scenes that can be searched, and how large they are."""
+        """List the scenes that can be searched, and how large they are."""
         return await asking.list_scenes()
 
     @server.tool(title="About a scene", annotations=READS)
@@ -199,7 +199,7 @@ def _add_matches(server: MCPServer, asking: _Asking) -> None:
     async def where_is(
         text: Text, scene: SceneName = "", during: During = None, objects: WithObjects = "auto"
     ) -> Place:
-        """The best match of a text: where it is, how large it is, and the photo that shows it best."""
+        """Find the best match of a text: where it is, how large it is, and the photo that shows it best."""
         return await asking.told(Place, "where_is", scene, text=text, during=during, objects=objects)
 
     @server.tool(title="How far apart", annotations=READS)
@@ -217,7 +217,7 @@ def _add_places(server: MCPServer, asking: _Asking) -> None:
         scene: SceneName = "",
         names: Names = None,
     ) -> Here:
-        """What is at a point of the scene: the best words for it."""
+        """Name what is at a point of the scene, best words first."""
         return await asking.told(Here, "what_is_at", scene, point=point, names=names)
 
     @server.tool(title="What is at a pixel", annotations=READS)
@@ -228,7 +228,7 @@ def _add_places(server: MCPServer, asking: _Asking) -> None:
         scene: SceneName = "",
         names: Names = None,
     ) -> Here:
-        """What a pixel of a photo shows, and where that is in the scene."""
+        """Name what a pixel of a photo shows, and tell where that is in the scene."""
         return await asking.told(Here, "what_is_at_pixel", scene, view=view, x=x, y=y, names=names)
 
     @server.tool(title="Describe a region", annotations=READS)
@@ -238,7 +238,7 @@ def _add_places(server: MCPServer, asking: _Asking) -> None:
         scene: SceneName = "",
         names: Names = None,
     ) -> Region:
-        """What lies within a radius of a point: names, how much of the region each is, and where."""
+        """Name what lies within a radius of a point: names, how much of the region each is, and where."""
         return await asking.told(Region, "describe_region", scene, center=center, radius=radius, names=names)
 
 
@@ -249,7 +249,7 @@ def _add_objects(server: MCPServer, asking: _Asking) -> None:
         top: Annotated[int, Field(ge=1, le=MOST_OBJECTS, description="most objects to list")] = 20,
         unsure: Annotated[bool, Field(description="list also what photos agree less on, most of it scraps")] = False,
     ) -> ObjectList:
-        """What is in a scene, largest first, without words for it: number, name if known, box, photos."""
+        """List what is in a scene, largest first, without words for it: number, name if known, box, photos."""
         return await asking.told(ObjectList, "list_objects", scene, top=top, unsure=unsure)
 
     @server.tool(title="How objects lie", annotations=READS)
@@ -259,7 +259,7 @@ def _add_objects(server: MCPServer, asking: _Asking) -> None:
         and_to: Annotated[str | None, Field(description="the second one, for 'between' only", max_length=200)] = None,
         scene: SceneName = "",
     ) -> Related:
-        """Which objects are on, in, next to or above one, or between two: what lies on the table?"""
+        """Find the objects on, in, next to or above one, or between two, such as what lies on the table."""
         return await asking.told(Related, "relations", scene, relation=relation, to=to, and_to=and_to)
 
 
@@ -288,7 +288,7 @@ def _add_pictures(server: MCPServer, asking: _Asking) -> None:
         scene: SceneName = "",
         objects: WithObjects = "auto",
     ) -> Annotated[CallToolResult, Shown]:
-        """A rendered picture (PNG) of the scene, optionally with the matches of a text kept in colour."""
+        """Render a picture (PNG) of the scene, optionally with the matches of a text kept in colour."""
         found = await asking.told(Pictured, "show", scene, text=text, view=view, objects=objects)
         picture = ImageContent(type="image", data=found.png, mime_type="image/png")
         content: Any = [TextContent(type="text", text=found.shown.model_dump_json()), picture]
@@ -304,5 +304,5 @@ def _add_catalogue(server: MCPServer, asking: _Asking) -> None:
             list[str] | None, Field(description="names of scenes to search; left out: all", max_length=64)
         ] = None,
     ) -> CatalogueAnswer:
-        """Where is it, in all that was scanned? The best objects of a catalogue, with scene, box and photo."""
+        """Search all that was scanned: the best objects of a catalogue, with scene, box and photo."""
         return await asking.search(text=text, top=top, scenes=scenes or [])

@@ -1,5 +1,7 @@
-"""Where questions are computed: in a few processes, one question in each, some more waiting, the rest told to come
-again."""
+"""Workbench that computes questions in a few processes, one in each.
+
+Some more wait, the rest are told to come again.
+"""
 
 import asyncio
 import json
@@ -43,7 +45,7 @@ class Job:
 
     @property
     def opens(self) -> bool:
-        """Whether files are read and models loaded for it, which may take longer than a question."""
+        """True if files are read and models loaded for it, which may take longer than a question."""
         return bool(self.scene) or self.act == "catalogue-ask"
 
     def begin(self, process: "subprocess.Popen[bytes]") -> bool:
@@ -53,7 +55,7 @@ class Job:
             return not self._ended
 
     def leave(self) -> None:
-        """The process now does what other questions need as well, or is free."""
+        """Let go of the process, which now does what other questions need as well, or is free."""
         with self._lock:
             self._process = None
 
@@ -86,7 +88,7 @@ class Workbench:
             worker.started()
 
     async def run(self, job: Job) -> Reply:
-        """The answer. Cancelled, it ends the process that computes it.
+        """Compute the answer; cancelling ends the process that computes it.
 
         Raises: BusyError. LostError: the process ended.
         """
@@ -139,7 +141,7 @@ class _Worker:
         self._end: finalize[..., _Worker] | None = None
 
     def answer(self, job: Job) -> Reply:
-        """Raises: LostError."""
+        """Open the job's scene if need be and compute its answer. Raises: LostError: the process ended."""
         if job.opens:
             opened = self._open(job)
             if opened.status != 200:
@@ -156,7 +158,7 @@ class _Worker:
         return self._line
 
     def kill(self) -> None:
-        """Whoever waits for the process is told that it ended; it is not started again."""
+        """End the process for good; a job that waits for it fails with `LostError`."""
         self._closed = True
         if self._line is not None:
             self._line[0].kill()
@@ -166,7 +168,7 @@ class _Worker:
             self._end()
 
     def _open(self, job: Job) -> Reply:
-        """A scene that is opened for the first time may take long; nobody could ever ask it otherwise.
+        """Open a scene; the first time may take long, and only so can it be asked at all.
 
         A process that has ended while it was idle is found out here, and another one asked.
         """
@@ -184,7 +186,7 @@ class _Worker:
         raise AssertionError("not reached")
 
     def _said(self, job: Job, act: str, asked: Mapping[str, Any], seconds: float | None = None) -> Reply:
-        """The answer of the process. seconds: how long it may take whoever waits; None: until the job ends."""
+        """Return the answer of the process. seconds: how long it may take; None: until the job ends."""
         process, line = self.started()
         if seconds is None and not job.begin(process):
             raise LostError("nobody waits for it")

@@ -29,7 +29,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Workplace:
-    """What a worker needs to start."""
+    """Settings that a worker starts with."""
 
     folder: str
     sources: Sources = field(default_factory=Sources)
