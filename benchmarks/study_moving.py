@@ -104,9 +104,9 @@ def told_right(film: Film, scene: Scene, one: int, other: int) -> tuple[float, s
         match = scene.locate(film.names[one], top=1)[0]
         ends = [replace(match, center=box.center, axes=box.axes, extent=box.extent) for box in boxes]
         true.append(is_beside(view, "left_of", *ends))
-    from drsplat.query.tracks import runs, spans_said
+    from drsplat.query.tracks import runs, spans_text
 
-    return float((told == true).mean()), spans_said(spans), spans_said(runs(times, np.array(true)))
+    return float((told == true).mean()), spans_text(spans), spans_text(runs(times, np.array(true)))
 
 
 def study(seed: int) -> list[tuple[float, float, float]]:

@@ -14,7 +14,7 @@ from drsplat.editing.edits import Edit, edited
 from drsplat.editing.replacement import Replace
 from drsplat.editing.targets import Rows
 from drsplat.errors import DrSplatWarning, FormatError, InputError
-from drsplat.evidence.columns import Whole
+from drsplat.evidence.columns import StillScenery
 from drsplat.formats.motion import read_motion, write_motion
 from drsplat.formats.ply_sequence import read_ply_sequence, write_ply_sequence
 from drsplat.formats.scenes import parse_gaussians, read_gaussians, write_gaussians
@@ -109,7 +109,7 @@ def test_only_antialiased_scenes_have_another_fingerprint():
 
 def test_columns_that_are_kept_of_one_kind_are_not_taken_for_the_other():
     view = look_at_view((0, -6, 1), width=32, height=24)
-    assert Whole(random_gaussians(40)).digest(view) != Whole(marked()).digest(view)
+    assert StillScenery(random_gaussians(40)).digest(view) != StillScenery(marked()).digest(view)
 
 
 def test_parts_and_sums_of_parts_keep_it():
@@ -133,8 +133,8 @@ def test_tiles_keep_it_and_are_seen_as_the_whole(tmp_path):
     assert read_tiles(tmp_path / "tiles").antialiased
     assert whole.antialiased
     assert whole.fingerprint == tiles.fingerprint
-    assert Gallery(tiles).digest(view) == Whole(whole).digest(view)
-    seen, masks = Gallery(tiles).seen(view), np.zeros((64, 96), np.int32)
+    assert Gallery(tiles).digest(view) == StillScenery(whole).digest(view)
+    seen, masks = Gallery(tiles).visible_splats(view), np.zeros((64, 96), np.int32)
     weights = view_weights(splat_arrays(whole), view, masks)
     assert_array_equal(view_weights(seen.splats, view, masks).weights, weights.weights)
     plain = view_weights(splat_arrays(replace(whole, antialiased=False)), view, masks)

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from drsplat import PQ, load_field, register
 from drsplat.errors import DrSplatWarning, InputError, MismatchError
 from drsplat.evidence.aggregation import Sampling
-from drsplat.evidence.columns import Played, part_name
+from drsplat.evidence.columns import MovingScenery, part_name
 from drsplat.field import LanguageField
 from drsplat.growing import add_views, change_field, remove_views, with_weights_of
 from drsplat.registration import Registration
@@ -199,21 +199,21 @@ class Killed(BaseException):
 
 def test_a_killed_registration_goes_on_to_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     looked: list[str] = []
-    seen = Played.seen
+    seen = MovingScenery.visible_splats
 
-    def dying(self: Played, view: View):
+    def dying(self: MovingScenery, view: View):
         if len(looked) == 4:
             raise Killed
         looked.append(view.name)
         return seen(self, view)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Played, "seen", dying)
+        patch.setattr(MovingScenery, "visible_splats", dying)
         with pytest.raises(Killed):
             register(sliding(), timed(), features(), TOP, parts=tmp_path / "parts")
     assert all((tmp_path / "parts" / part_name(name)).exists() for name in looked)
     looked[:] = ["none"] * 5
-    monkeypatch.setattr(Played, "seen", dying)
+    monkeypatch.setattr(MovingScenery, "visible_splats", dying)
     again = register(sliding(), timed(), features(), TOP, parts=tmp_path / "parts")
     assert len(looked) == 5 + 3  # only those that were not there
     once = register(sliding(), timed(), features(), TOP)

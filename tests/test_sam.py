@@ -26,7 +26,7 @@ from drsplat.models.mask_geometry import (
     spread,
     without_small_regions,
 )
-from drsplat.models.point_masks import Found, PointMaskSettings, PointSegmenter
+from drsplat.models.point_masks import PointMasks, PointMaskSettings, PointSegmenter
 
 # --- where points are asked, which boxes and regions stay -----------------------------------------
 
@@ -150,7 +150,7 @@ class Drawn:
             ).reshape(-1, *crop.shape[:2])  # fmt: skip
             scores = np.array(self.scores[: len(inside)], np.float32)
             outputs, number_of = np.arange(len(inside)), np.full(len(inside), number)
-            yield Found(masks, scores, np.full(len(inside), 0.95, np.float32), outputs, number_of)
+            yield PointMasks(masks, scores, np.full(len(inside), 0.95, np.float32), outputs, number_of)
 
 
 def placed(height: int, width: int) -> np.ndarray:
@@ -298,7 +298,7 @@ def test_masks_are_painted_from_sure_to_unsure():
         def find(self, crop, points, settings):
             masks = np.zeros((2, 120, 200), bool)
             masks[0, 20:80, 20:80], masks[1, 20:80, 60:120] = True, True
-            yield Found(masks, np.float32([0.8, 0.95]), np.float32([1, 1]), np.array([2, 2]), np.array([0, 1]))
+            yield PointMasks(masks, np.float32([0.8, 0.95]), np.float32([1, 1]), np.array([2, 2]), np.array([0, 1]))
 
     levels = PointSegmenter(Two(), NO_CROPS).segment(placed(120, 200))
     np.testing.assert_allclose(levels["large"].scores, [0.95, 0.8])

@@ -20,7 +20,7 @@ from drsplat import errors
 from drsplat.cli import main, make_parser, spelled
 from drsplat.commands.tables import show_facts, show_table
 from drsplat.progress import Meter
-from drsplat.terminal import counted, plain, plainly, quoted
+from drsplat.terminal import counted, plain, plain_json, quoted
 from toy_capture import write_toy_capture
 
 EVIL = "\x1b[2J\x1b]0;pwned\x07\x9b31m\u202e\ud800"
@@ -39,7 +39,7 @@ def test_plain_text_has_nothing_that_a_terminal_obeys(text: str) -> None:
 def test_what_is_harmless_stays() -> None:
     assert plain("größer, 赤い, \U0001f34e\n\tnext") == "größer, 赤い, \U0001f34e\n\tnext"
     assert plain("\x1b[2J\u202e") == "\\x1b[2J\\u202e"
-    assert plainly({"a\x07": ["\x1b", Path("x\x1b"), 3]}) == {"a\\x07": ["\\x1b", "x\\x1b", 3]}
+    assert plain_json({"a\x07": ["\x1b", Path("x\x1b"), 3]}) == {"a\\x07": ["\\x1b", "x\\x1b", 3]}
     assert quoted("9" * 5000) == f"'{'9' * 60}...'"
 
 

@@ -236,7 +236,7 @@ def test_what_is_left_out_was_not_seen(tmp_path_factory, seed, eye, at, width, f
     view = replace(view, K=K)
     ids = (np.arange(width * 48).reshape(48, width) % 7).astype(np.int32)
     whole = view_weights(splat_arrays(tiles.gaussians()), view, ids)
-    seen = Gallery(tiles).seen(view)
+    seen = Gallery(tiles).visible_splats(view)
     some = view_weights(seen.splats, view, ids)
     assert seen.rows is not None
     assert_array_equal(seen.rows[some.gaussian_ids], whole.gaussian_ids)
@@ -251,7 +251,7 @@ def test_what_is_behind_is_not_loaded(tmp_path):
     assert 0.1 < seen.mean() < 0.7
     away = look_at_view((900.0, 0.0, 0.3), (1000.0, 0.0, 0.0), width=64, height=48)
     assert not seen_tiles(tiles, away, tiles.near).any()
-    nothing = Gallery(tiles).seen(away)
+    nothing = Gallery(tiles).visible_splats(away)
     assert len(view_weights(nothing.splats, away, np.zeros((48, 64), np.int32)).weights) == 0
 
 
@@ -259,7 +259,7 @@ def test_few_tiles_are_held(tmp_path):
     tiles = tiled(scattered(3000), tmp_path)
     gallery = Gallery(tiles, held_bytes=4 * 50 * 40)
     view = look_at_view((0.0, -40.0, 3.0), width=64, height=48)
-    first, again = gallery.seen(view), gallery.seen(view)
+    first, again = gallery.visible_splats(view), gallery.visible_splats(view)
     assert 0 < gallery._bytes() <= 4 * 50 * 40 < 40 * len(tiles)
     assert_array_equal(first.splats.means, again.splats.means)
 

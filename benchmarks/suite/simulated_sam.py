@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float64, Int32, UInt8
 from scipy import ndimage
 
 from drsplat import View, load_image
-from drsplat.models.point_masks import Found, PointMaskSettings
+from drsplat.models.point_masks import PointMasks, PointMaskSettings
 
 from .scenes import BenchScene
 
@@ -48,7 +48,7 @@ class Answers:
     groups: Mapping[int, frozenset[int]]
     given: dict[tuple[int, int, int], Answer] = field(default_factory=dict)
 
-    def at(self, x: int, y: int, point: int) -> Found:
+    def at(self, x: int, y: int, point: int) -> PointMasks:
         """Return the three answers at a point that shows a thing, with its number."""
         rng = np.random.default_rng([*self.name.encode(), x, y, *self.draw])
         numbers = int(self.parts[y, x]), *[int(self.things[y, x])] * 2
@@ -57,7 +57,7 @@ class Answers:
         ]
         missed = np.array([rng.random() < (MISSED_SMALL if answer.is_small else MISSED) for answer in answers])
         scores = np.where(missed, 0.4, [answer.iou for answer in answers]) + rng.normal(0, SCORE_NOISE, 3)
-        return Found(
+        return PointMasks(
             np.stack([answer.mask for answer in answers]),
             scores.clip(0, 1).astype(np.float32),
             np.where(missed, 0.6, 0.95).astype(np.float32),
@@ -103,7 +103,7 @@ class SimulatedSam:
 
     def find(
         self, crop: UInt8[np.ndarray, "h w 3"], points: Float64[np.ndarray, "p 2"], settings: PointMaskSettings
-    ) -> Iterator[Found]:
+    ) -> Iterator[PointMasks]:
         """Yield the three answers of each point. The crop has to be a whole photo."""
         view = self._by_photo[_hash(crop)]
         if self._last is None or self._last.name != view.name:

@@ -26,7 +26,7 @@ from .commands.parsing import Parser, UsageError, VerbParser, did_you_mean
 from .commands.verbs import GROUPS, SUMMARIES
 from .errors import DrSplatError, DrSplatWarning, InputError, MissingExtraError
 from .system import can_be_a_path
-from .terminal import plain, plainly, quoted
+from .terminal import plain, plain_json, quoted
 
 VERBS = tuple(SUMMARIES)
 _ARGUMENT = re.compile(r"\b([a-z_]+)=(True\b|[A-Z][A-Z_]*\b(?:\.\w+|[,:][A-Z]\b)*|\d+\b)|\A([a-z_]+)(?=: )")
@@ -119,14 +119,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         with logged(path_of(options), f"drsplat {shlex.join(given)}"):
-            return _told(given, as_json, debug)
+            return _run_reporting(given, as_json, debug)
     except (InputError, OSError) as error:  # of the log, or what --debug lets through
         if debug:
             raise
         return _failed(error, type(error).__name__, FAILED, as_json)
 
 
-def _told(given: list[str], as_json: bool, debug: bool) -> int:
+def _run_reporting(given: list[str], as_json: bool, debug: bool) -> int:
     """Run a command and report its errors; return the exit code."""
     try:
         return _run(given)
@@ -218,7 +218,7 @@ def _run(argv: list[str]) -> int:
     if arguments.json:
         _print_json(answer)
     else:
-        arguments.command.show(plainly(answer))
+        arguments.command.show(plain_json(answer))
     sys.stdout.flush()
     return 0
 

@@ -49,7 +49,7 @@ def identity_json(identity: EncoderIdentity) -> dict[str, object]:
     return {"name": identity.name, "dim": identity.dim, "weights": identity.weights, **preprocessing}
 
 
-def identity_said(encoder: EncoderIdentity) -> str:
+def identity_text(encoder: EncoderIdentity) -> str:
     """Describe an encoder for people."""
     weights = f", weights {encoder.weights[:12]}" if encoder.weights else ""
     images = f", images at {encoder.preprocessing}" if encoder.preprocessing else ""

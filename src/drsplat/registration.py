@@ -230,8 +230,8 @@ def register(
     """
     chosen = with_features(views, features)
     gaussians, seen = scene.canonical if isinstance(scene, Moving) else scene, [view for view, _ in chosen]
-    tell_missing(views, chosen)
-    tell_doubts(gaussians, seen)
+    warn_of_missing(views, chosen)
+    warn_of_doubts(gaussians, seen)
     times = times_of(scene, seen)
     with ExitStack() as stack:
         folder = parts or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="drsplat-")))
@@ -302,7 +302,7 @@ def with_features(views: Sequence[View], features: Collection[str]) -> list[tupl
     return [(view, key) for view, key in chosen if view.name in usable]
 
 
-def tell_missing(views: Sequence[View], chosen: Sequence[tuple[View, str]]) -> None:
+def warn_of_missing(views: Sequence[View], chosen: Sequence[tuple[View, str]]) -> None:
     complete = {view.name for view, _ in chosen}
     missing = sorted(view.name for view in views if view.name not in complete and not keeps_nothing(view))
     if missing:
@@ -313,7 +313,7 @@ def tell_missing(views: Sequence[View], chosen: Sequence[tuple[View, str]]) -> N
         )
 
 
-def tell_doubts(gaussians: Gaussians, views: Sequence[View]) -> None:
+def warn_of_doubts(gaussians: Gaussians, views: Sequence[View]) -> None:
     for doubt in doubts(gaussians, views):
         warn(doubt, DrSplatWarning, stacklevel=4)
 

@@ -18,16 +18,16 @@ def _written(code: int) -> str:
     return f"\\x{code:02x}" if code < 256 else f"\\u{code:04x}"
 
 
-def plainly(value: object) -> object:
+def plain_json(value: object) -> object:
     """Return a JSON object with all its texts, also names and paths, made `plain`."""
     if isinstance(value, str):
         return plain(value)
     if isinstance(value, PurePath):
         return plain(str(value))
     if isinstance(value, Mapping):
-        return {plainly(name): plainly(part) for name, part in value.items()}
+        return {plain_json(name): plain_json(part) for name, part in value.items()}
     if isinstance(value, list | tuple):
-        return [plainly(part) for part in value]
+        return [plain_json(part) for part in value]
     return value
 
 
@@ -57,7 +57,7 @@ def rows_html(title: str, names: Sequence[str], rows: Iterable[Sequence[object]]
     return f"<table><caption><b>{_cell(title)}</b></caption><tr>{head}</tr>{body}{more}</table>"
 
 
-def numbers_said(numbers: Iterable[float]) -> str:
+def numbers_text(numbers: Iterable[float]) -> str:
     """Write the coordinates of a point or a size: 1.5, 0, -2.25."""
     return ", ".join(f"{number:.4g}" for number in numbers)
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..arrays import Float32
-from ..encoders import EncoderIdentity, identity_json, identity_said
+from ..encoders import EncoderIdentity, identity_json, identity_text
 from ..errors import DrSplatError, DrSplatWarning, FormatError, InputError, MismatchError, MissingExtraError
 from ..formats.claiming import claimed_output
 from .conditions import of_scene
@@ -103,8 +103,8 @@ class Snapshot:
         """Refuse an encoder with incompatible embeddings. Raises: MismatchError."""
         if not self.encoder.matches(identity):
             raise MismatchError(
-                f"{self.path}: the descriptors of this catalogue are of {identity_said(self.encoder)}, given was "
-                f"{identity_said(identity)}: a catalogue has one encoder; use that one, or another catalogue"
+                f"{self.path}: the descriptors of this catalogue are of {identity_text(self.encoder)}, given was "
+                f"{identity_text(identity)}: a catalogue has one encoder; use that one, or another catalogue"
             )
 
     @property

@@ -70,7 +70,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     if arguments.watch:
         return _watched(arguments, path, scene)
     views, features = views_of(arguments, arguments.capture), _features(arguments, path)
-    return answer_of(_added(arguments, path, scene, _wanted(arguments, views, features), features), path)
+    return answer_of(_added(arguments, path, scene, _views_to_add(arguments, views, features), features), path)
 
 
 def show(answer: dict[str, Any]) -> None:
@@ -83,7 +83,7 @@ def show(answer: dict[str, Any]) -> None:
         print("Views that were removed or kept out stay out; --views NAME... brings them back.")
 
 
-def _wanted(arguments: argparse.Namespace, views: Sequence[View], features: FeatureFolder) -> Sequence[View]:
+def _views_to_add(arguments: argparse.Namespace, views: Sequence[View], features: FeatureFolder) -> Sequence[View]:
     """All, or those that --views names. Raises: InputError: it names none that has features."""
     from ..growing.naming import views_named
     from ..registration import with_features
@@ -140,13 +140,13 @@ def _watched(arguments: argparse.Namespace, path: Path, scene: Gaussians | Movin
             change = _added(arguments, path, scene, views, features)
             watch.known |= {view.name for view in views}
             done.append(change)
-            _tell(arguments, change)
+            _print_change(arguments, change)
     except KeyboardInterrupt:
         _say(arguments, "stopped; what had come is added")
     return answer_of(together(done, path), path)
 
 
-def _tell(arguments: argparse.Namespace, change: Change) -> None:
+def _print_change(arguments: argparse.Namespace, change: Change) -> None:
     if not change.is_none:
         views = len(change.field.evidence.masks.view_names) if change.field.evidence else 0
         seconds = sum(change.seconds.values())

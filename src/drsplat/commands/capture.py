@@ -132,7 +132,7 @@ def interrupted(arguments: argparse.Namespace) -> str:
 
 
 def show(answer: dict[str, Any]) -> None:
-    from .tables import said, show_facts, show_table, size_said
+    from .tables import said, show_facts, show_table, size_text
 
     registered, photos = answer["num_registered"], answer["num_photos"]
     residual = answer["gps_residual_m"]
@@ -140,12 +140,12 @@ def show(answer: dict[str, Any]) -> None:
         f"capture: {answer['capture']}",
         {
             "posed": f"{said(registered)} of {said(photos)} photos",
-            **({} if answer["video"] is None else {"frames": _frames_said(answer["video"])}),
+            **({} if answer["video"] is None else {"frames": _frames_text(answer["video"])}),
             "points": f"{said(answer['num_points'])}, {answer['reprojection_error_px']:.2f} px on average",
             "lengths": "in metres, from " + answer["scale_from"] if answer["unit"] == "m" else "in units of no length",
             "up": f"+z, from {answer['up_from']}" if answer["up"] else "unknown",
             "GPS": "not used" if residual is None else f"{residual:.2f} m from the cameras (median)",
-            "peak memory": size_said(answer["peak_memory_bytes"]),
+            "peak memory": size_text(answer["peak_memory_bytes"]),
         },
     )
     if answer["left_out"]:
@@ -153,7 +153,7 @@ def show(answer: dict[str, Any]) -> None:
         show_table("Photos without a pose", ("photo", "why"), rows)
 
 
-def _frames_said(counts: dict[str, int]) -> str:
+def _frames_text(counts: dict[str, int]) -> str:
     from .tables import said
 
     return (

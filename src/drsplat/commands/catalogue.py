@@ -122,11 +122,11 @@ def _remove(arguments: argparse.Namespace, catalogue: Catalogue) -> dict[str, An
 
 
 def _list(_: argparse.Namespace, catalogue: Catalogue) -> dict[str, Any]:
-    from ..encoders import identity_said
+    from ..encoders import identity_text
 
     scenes = catalogue.scenes()
     return {
-        "encoder": identity_said(catalogue.encoder),
+        "encoder": identity_text(catalogue.encoder),
         "num_objects": sum(one.num_objects for one in scenes),
         "scenes": [_scene_json(one) for one in scenes],
     }

@@ -69,7 +69,7 @@ def answer_of(change: Change, path: Path) -> dict[str, Any]:
 
 
 def show_change(answer: dict[str, Any], title: str) -> None:
-    from .tables import said, show_facts, size_said
+    from .tables import said, show_facts, size_text
 
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in answer["stage_seconds"].items())
     facts = {name: _listed(answer[name]) for name in ("added", "replaced", "removed", "left_out") if answer[name]}
@@ -79,7 +79,7 @@ def show_change(answer: dict[str, Any], title: str) -> None:
         "views": said(answer["num_views"]),
         "masks": said(answer["num_masks"]),
         "Gaussians": f"{said(answer['num_registered'])} of {said(answer['num_gaussians'])}",
-        "field": size_said(answer["field_bytes"]),
+        "field": size_text(answer["field_bytes"]),
         "time": f"{answer['seconds']:.1f} s ({stages})",
     }
     if answer["num_objects"] is not None:

@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         raise InputError("codebook train: give either FEATURES.npy or --lvis with --images")
     watch = Stopwatch()
     parts = parts_of(output)
-    rows, encoder, facts = _embedded(arguments, parts) if arguments.features is None else _given(arguments)
+    rows, encoder, facts = _embedded(arguments, parts) if arguments.features is None else _training_rows(arguments)
     watch.lap("embed")
     codebook, cosines = _trained(rows, encoder, arguments)
     watch.lap("train")
@@ -100,7 +100,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def show(answer: dict[str, Any]) -> None:
     from ..terminal import counted
-    from .tables import said, show_facts, size_said
+    from .tables import said, show_facts, size_text
 
     held_out = answer["num_held_out"]
     facts = {
@@ -110,7 +110,7 @@ def show(answer: dict[str, Any]) -> None:
         "cosine": f"{answer['held_out_cosine']:.4f} on average, {answer['held_out_cosine_worst']:.4f} at worst, of "
         f"{said(held_out)} held out" if held_out else "not measured: one embedding",
         "time": ", ".join(f"{name} {s:.1f} s" for name, s in answer["stage_seconds"].items()),
-        "peak memory": size_said(answer["peak_memory_bytes"]),
+        "peak memory": size_text(answer["peak_memory_bytes"]),
     }  # fmt: skip
     if "num_photos" in answer:
         facts["photos"] = f"{said(answer['num_photos'])} ({said(answer['num_missing_photos'])} missing)"
@@ -137,7 +137,7 @@ def _embedded(arguments: argparse.Namespace, parts: Path) -> tuple[np.ndarray, E
     return embedded.embeddings, encoder.identity, facts
 
 
-def _given(arguments: argparse.Namespace) -> tuple[np.ndarray, EncoderIdentity, dict[str, int]]:
+def _training_rows(arguments: argparse.Namespace) -> tuple[np.ndarray, EncoderIdentity, dict[str, int]]:
     from .. import EncoderIdentity
     from ..errors import FormatError, InputError
     from ..formats.npy import map_npy

@@ -32,7 +32,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
     folder = Path(arguments.output_dir)
     with resumable(folder, arguments.overwrite):
-        return _tell(arguments, folder)
+        return _run_story(arguments, folder)
 
 
 def interrupted(arguments: argparse.Namespace) -> str:
@@ -41,7 +41,7 @@ def interrupted(arguments: argparse.Namespace) -> str:
     return f"the photos embedded so far are kept in {arguments.output_dir}: give the same command again{again} to go on"
 
 
-def _tell(arguments: argparse.Namespace, folder: Path) -> dict[str, Any]:
+def _run_story(arguments: argparse.Namespace, folder: Path) -> dict[str, Any]:
     from ..demo.album import write_album
     from ..demo.household import SCENE
     from ..demo.page import write_page
@@ -79,13 +79,13 @@ def _tell(arguments: argparse.Namespace, folder: Path) -> dict[str, Any]:
 def show(answer: dict[str, Any]) -> None:
     from rich.console import Console
 
-    from .tables import said, show_table, size_said
+    from .tables import said, show_table, size_text
 
     photos, masks = answer["num_photos"], answer["num_masks"]
     title = f"{said(answer['num_gaussians'])} Gaussians, {photos} photos, {said(masks)} masks"
     columns = ("query", "", "", "IoU", "Gaussians", "centre (m)", "ms")
     show_table(title, columns, [_row(query) for query in answer["queries"]])
-    seconds, memory = answer["seconds"], size_said(answer["peak_memory_bytes"])
+    seconds, memory = answer["seconds"], size_text(answer["peak_memory_bytes"])
     print(
         f"{answer['num_right']} of {len(answer['queries'])} answers are right, measured in {answer['num_held_out']} "
         f"photos held out; {seconds:.1f} s, {memory} at most."

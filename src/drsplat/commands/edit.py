@@ -19,7 +19,7 @@ from .edit_options import (
     only_one,
 )
 from .options import add_capture_options, add_overwrite, add_query_encoders, words
-from .query_options import add_measure_options, add_query_kinds, check_outputs, open_scene, query_of, query_said
+from .query_options import add_measure_options, add_query_kinds, check_outputs, open_scene, query_of, query_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -130,7 +130,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         "kept": not alone,
         "num_edits": listed.done,
         "num_undone": len(listed.edits) - listed.done,
-        "edits": _told(listed),
+        "edits": _edits_json(listed),
         "annotations": [_annotation_json(one) for one in annotations],
         "num_gaussians_before": len(work.gaussians),
         "num_gaussians": None if after is None else len(after),
@@ -170,7 +170,7 @@ def show(answer: dict[str, Any]) -> None:
         )
 
 
-def _told(listed: EditList) -> list[dict[str, Any]]:
+def _edits_json(listed: EditList) -> list[dict[str, Any]]:
     from ..editing.stored import NAMES
 
     return [
@@ -253,7 +253,7 @@ class _Work:
         if which is None:
             raise InputError("nothing to edit was named: pass --query WORDS, --object NUMBER or --everything")
         if which in QUERIES:
-            return query_rows(self.scene, query_of(arguments), query_said(arguments))
+            return query_rows(self.scene, query_of(arguments), query_text(arguments))
         match which:
             case "object":
                 return object_rows(self.scene, arguments.object)
@@ -399,7 +399,7 @@ class _Work:
             raise InputError("a picture needs a place to be seen from: pass views=CAPTURE, the photos' poses")
         rows = last.target.ids(Draft.of(self.gaussians)) if last and isinstance(last.target, Rows) else None
         view = scene.view(self.arguments.view) if self.arguments.view else scene.best_view(rows)
-        said = ", ".join(f"{one['do']} {one['of']}" for one in _told(listed)[: listed.done][-2:])
+        said = ", ".join(f"{one['do']} {one['of']}" for one in _edits_json(listed)[: listed.done][-2:])
         picture = before_after(self.gaussians, after, view, said, self.arguments.threads)
         write_picture(self.arguments.picture, picture, self.arguments.overwrite)
         return view

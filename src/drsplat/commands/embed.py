@@ -243,7 +243,7 @@ def interrupted(arguments: argparse.Namespace) -> str:
 
 def show(answer: dict[str, Any]) -> None:
     from ..terminal import counted
-    from .tables import said, show_facts, size_said
+    from .tables import said, show_facts, size_text
 
     made, reused = answer["num_photos"] - answer["num_photos_reused"], said(answer["num_photos_reused"])
     anew = f", {said(answer['num_photos_redone'])} over older files" if answer["num_photos_redone"] else ""
@@ -257,7 +257,7 @@ def show(answer: dict[str, Any]) -> None:
             "empty masks": said(answer["num_empty_masks"]),
             "encoder": f"{answer['encoder']} ({answer['dim']}-d)",
             "time": f"{answer['seconds']:.1f} s for {counted(made, 'photo')}",
-            "peak memory": size_said(answer["peak_memory_bytes"]),
+            "peak memory": size_text(answer["peak_memory_bytes"]),
         },
     )
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from .edit_options import add_kept_edits, note_applied, note_left_out, only_one
 from .options import add_capture_options, add_overwrite, add_query_encoders, finite, new_output, whole, words
-from .query_options import add_measure_options, add_query_kinds, open_scene, query_of, query_said
+from .query_options import add_measure_options, add_query_kinds, open_scene, query_of, query_text
 
 if TYPE_CHECKING:
     from ..exporting.labelling import Only
@@ -192,7 +192,7 @@ def _labelled(arguments: argparse.Namespace) -> LabelledScene:
         time=arguments.time,
         edits=arguments.edits or "kept",
         embeddings=arguments.embeddings,
-        said="" if query is None else query_said(arguments),
+        said="" if query is None else query_text(arguments),
     )
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..query.defaults import MIN_GAUSSIANS
 from .options import count
-from .query_options import add_output_options, add_query_options, answer_json, ask, draw, measured_said
+from .query_options import add_output_options, add_query_options, answer_json, ask, draw, measured_text
 
 if TYPE_CHECKING:
     from ..query import Answer, Match, MatchTrack, Scene
@@ -74,7 +74,7 @@ def show(answer: dict[str, Any]) -> None:
     from ..terminal import counted
     from .tables import said, show_table
 
-    measured = measured_said(answer)
+    measured = measured_text(answer)
     if not (answer["num_selected"] if answer["matches"] is None else answer["matches"]):
         print(f"No match for '{answer['query']}'.\n{measured}")
         if answer["num_selected"]:
@@ -95,7 +95,7 @@ def show(answer: dict[str, Any]) -> None:
             photos = dict.fromkeys(mask["view"] for mask in match["support"])
             print(f"match {number} is supported by {', '.join(photos)}")
         if "track" in match:
-            print(f"match {number} {_track_said(match['track'])}")
+            print(f"match {number} {_track_text(match['track'])}")
 
 
 def _row(number: int, match: dict[str, Any]) -> tuple[str, ...]:
@@ -125,13 +125,13 @@ def _track_json(track: MatchTrack) -> dict[str, Any]:
     }
 
 
-def _track_said(track: dict[str, Any]) -> str:
-    from ..query.tracks import spans_said
+def _track_text(track: dict[str, Any]) -> str:
+    from ..query.tracks import spans_text
 
     if not len(track["times"]):
         return "is nowhere at any time"
     start, end = (" ".join(f"{x:.2f}" for x in track["centers"][place]) for place in (0, -1))
-    seen = f", seen {spans_said(track['spans'])}" if track["spans"] else ""
+    seen = f", seen {spans_text(track['spans'])}" if track["spans"] else ""
     return f"goes from ({start}) at {track['times'][0]:.4g} to ({end}) at {track['times'][-1]:.4g}{seen}"
 
 

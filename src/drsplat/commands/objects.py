@@ -117,7 +117,7 @@ def show(answer: dict[str, Any]) -> None:
     if answer["doubt"]:
         print(f"warning: {answer['doubt']}")
     if answer["drifting"]:
-        print(_drifting_said(answer["drifting"]))
+        print(_drifting_text(answer["drifting"]))
     for name in answer["labels_of_none"]:
         print(f"the label '{name}' names nothing in this field; it is kept")
     for output in (answer["saved"], answer["picture"]):
@@ -144,7 +144,7 @@ def _drifting(scene: Scene) -> dict[str, Any] | None:
     return {"num_gaussians": len(found.gaussian_ids), "between": most, "gaussian_ids": found.gaussian_ids}
 
 
-def _drifting_said(drift: dict[str, Any]) -> str:
+def _drifting_text(drift: dict[str, Any]) -> str:
     from ..terminal import counted
 
     if not drift["num_gaussians"]:

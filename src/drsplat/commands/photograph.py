@@ -140,7 +140,7 @@ def _settings(arguments: argparse.Namespace, path: CameraPath | None) -> Photogr
 
 
 def show(answer: dict[str, Any]) -> None:
-    from .tables import said, show_facts, size_said
+    from .tables import said, show_facts, size_text
 
     width, height = answer["settings"]["size"]
     cover = answer["coverage"]
@@ -156,7 +156,7 @@ def show(answer: dict[str, Any]) -> None:
             "coverage": f"{cover['often']:.1%} of {said(cover['significant'])} Gaussians that matter are seen in three "
             f"pictures, {cover['once']:.1%} in one; all poses together show {cover['reachable']:.1%} in three",
             "seconds": f"{answer['seconds']:.1f}",
-            "peak memory": size_said(answer["peak_memory_bytes"]),
+            "peak memory": size_text(answer["peak_memory_bytes"]),
         },
     )
 

@@ -234,7 +234,7 @@ def cut_of(arguments: argparse.Namespace) -> Cut:
     )
 
 
-def query_said(arguments: argparse.Namespace) -> str:
+def query_text(arguments: argparse.Namespace) -> str:
     """Return the query in the words of the command line."""
     nots = "".join(f", not {words}" for words in arguments.exclude)
     text = f"{arguments.text}{nots}" if arguments.text else None
@@ -249,7 +249,7 @@ def answer_json(arguments: argparse.Namespace, answer: Answer) -> dict[str, Any]
     values = values if len(values) else np.full(1, answer.lowest, np.float32)
     return {
         "field": arguments.field,
-        "query": query_said(arguments),
+        "query": query_text(arguments),
         "measure": answer.measure,
         "threshold": answer.threshold,
         "threshold_rule": answer.rule,
@@ -268,7 +268,7 @@ RULES = {
 }  # fmt: skip
 
 
-def measured_said(answer: dict[str, Any]) -> str:
+def measured_text(answer: dict[str, Any]) -> str:
     """Return a line of the scores and the threshold, and a warning line if the answer is doubtful."""
     low, high = answer["score_range"]
     doubt = f"\nwarning: {answer['doubt']}" if answer["doubt"] else ""
@@ -283,7 +283,7 @@ def draw(arguments: argparse.Namespace, scene: Scene, ids: np.ndarray, note: str
     from ..drawing.pictures import titled, write_picture
 
     view = chosen_view(arguments, scene, ids)
-    title = f"“{query_said(arguments)}”" if arguments.text else query_said(arguments)
+    title = f"“{query_text(arguments)}”" if arguments.text else query_text(arguments)
     picture = titled(scene.picture(view, ids, photo=True), title, note)
     write_picture(arguments.picture, picture, arguments.overwrite)
     return view.name

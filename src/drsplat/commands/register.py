@@ -273,7 +273,7 @@ def _code(arguments: argparse.Namespace, codebook: "Codebook | None") -> "CodeSp
 
 
 def show(answer: dict[str, Any]) -> None:
-    from .tables import said, show_facts, size_said
+    from .tables import said, show_facts, size_text
 
     reused = f" ({answer['num_views_reused']} from an earlier run)" if answer["num_views_reused"] else ""
     out = f", {said(len(answer['left_out']))} left out" if answer["left_out"] else ""
@@ -287,9 +287,9 @@ def show(answer: dict[str, Any]) -> None:
             "masks": f"{said(answer['num_masks'])}, embedded by {answer['encoder']} ({answer['dim']}-d)",
             "weights": said(answer["num_weights"]),
             "codes": f"{answer['bytes_per_gaussian']} bytes per Gaussian",
-            "field": size_said(answer["field_bytes"]),
+            "field": size_text(answer["field_bytes"]),
             "time": f"{answer['seconds']:.1f} s ({stages})",
-            "peak memory": size_said(answer["peak_memory_bytes"]),
+            "peak memory": size_text(answer["peak_memory_bytes"]),
         },
     )
 

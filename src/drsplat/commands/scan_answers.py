@@ -123,7 +123,7 @@ def notes(states: Mapping[str, Any]) -> list[str]:
 
 def show_answer(answer: Mapping[str, Any]) -> None:
     """Print what a scan has made, for people."""
-    from .tables import said, show_facts, show_table, size_said
+    from .tables import said, show_facts, show_table, size_text
 
     psnr = answer["psnr_test"]
     seconds = ", ".join(f"{verb} {spent:.0f}" for verb, spent in answer["stage_seconds"].items())
@@ -136,7 +136,7 @@ def show_answer(answer: Mapping[str, Any]) -> None:
             "masks": said(answer["num_masks"]),
             "objects": f"{said(answer['num_objects'])}, and {said(answer['num_unsure_objects'])} less sure",
             "time": f"{answer['seconds']:.0f} s ({seconds})",
-            "peak memory": size_said(answer["peak_memory_bytes"]),
+            "peak memory": size_text(answer["peak_memory_bytes"]),
         },
     )
     if answer["left_out"]:
@@ -144,13 +144,13 @@ def show_answer(answer: Mapping[str, Any]) -> None:
             "Photos without a pose", ("photo", "why"), [(one["name"], one["reason"]) for one in answer["left_out"]]
         )
     for one in answer["answers"]:
-        print(f"{one['query']}: {_answer_said(one)}")
+        print(f"{one['query']}: {_answer_text(one)}")
     for note in answer["notes"]:
         print(note)
     print(f"Open {Path(answer['page'])} in a browser. To search it live: {answer['view']}")
 
 
-def _answer_said(one: Mapping[str, Any]) -> str:
+def _answer_text(one: Mapping[str, Any]) -> str:
     from ..terminal import counted
 
     if "fault" in one:

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .query_options import add_output_options, add_query_options, answer_json, ask, draw, measured_said
+from .query_options import add_output_options, add_query_options, answer_json, ask, draw, measured_text
 
 if TYPE_CHECKING:
     from ..query import Answer, Scene
@@ -54,7 +54,7 @@ def show(answer: dict[str, Any]) -> None:
 
     selected, registered = (said(answer["num_selected"]), counted(answer["num_registered"], "Gaussian"))
     print(f"{selected} of {registered} selected for '{answer['query']}', {answer['share']:.2%}")
-    print(measured_said(answer))
+    print(measured_text(answer))
     if answer["saved"]:
         print(f"written to {answer['saved']}")
 

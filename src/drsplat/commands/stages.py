@@ -134,11 +134,16 @@ def differences(before: Mapping[str, Any], stages: Sequence[Stage]) -> list[tupl
             old, new = before[stage.verb]["options"], stage.line.options
             for name in sorted(old.keys() | new.keys()):
                 if old.get(name) != new.get(name):
-                    found.append((stage.verb, f"{stage.verb}: {name} was {_said(old, name)}, now {_said(new, name)}"))
+                    found.append(
+                        (
+                            stage.verb,
+                            f"{stage.verb}: {name} was {_options_text(old, name)}, now {_options_text(new, name)}",
+                        )
+                    )
     return found
 
 
-def _said(options: Mapping[str, Any], name: str) -> str:
+def _options_text(options: Mapping[str, Any], name: str) -> str:
     uses = options.get(name)
     if not uses:
         return "not given"

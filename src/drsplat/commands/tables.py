@@ -61,7 +61,7 @@ def said(value: object) -> str:
     return str(value)
 
 
-def size_said(num_bytes: int) -> str:
+def size_text(num_bytes: int) -> str:
     amount, units = float(num_bytes), iter(("B", "KB", "MB", "GB", "TB"))
     unit = next(units)
     while amount >= 1000 and unit != "TB":

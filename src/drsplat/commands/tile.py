@@ -60,14 +60,14 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def show(answer: dict[str, Any]) -> None:
     from ..terminal import counted
-    from .tables import said, show_facts, size_said
+    from .tables import said, show_facts, size_text
 
     show_facts(
         f"cut: {answer['tiles']}",
         {
             "Gaussians": f"{said(answer['num_gaussians'])} of {counted(len(answer['sources']), 'file')}",
-            "tiles": f"{said(answer['num_tiles'])}, {size_said(answer['bytes'])}",
+            "tiles": f"{said(answer['num_tiles'])}, {size_text(answer['bytes'])}",
             "time": f"{answer['seconds']:.1f} s",
-            "peak memory": size_said(answer["peak_memory_bytes"]),
+            "peak memory": size_text(answer["peak_memory_bytes"]),
         },
     )

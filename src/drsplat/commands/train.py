@@ -142,7 +142,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     points = read_sparse_points(
         arguments.capture, points=arguments.points, dataparser_transforms=arguments.dataparser_transforms
     )
-    _tell_of_triangulation(points, arguments)
+    _print_triangulation(points, arguments)
     with Meter("training", settings.iterations, quiet=arguments.json) as meter:
         training = train(
             views, settings, arguments.output_dir, points=points, device=device,
@@ -168,7 +168,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def show(answer: dict[str, Any]) -> None:
     from ..terminal import counted
-    from .tables import said, show_facts, size_said
+    from .tables import said, show_facts, size_text
 
     seconds, count = answer["seconds"], max(answer["iterations"], 1)
     stages = answer["stage_seconds"].items()
@@ -187,7 +187,7 @@ def show(answer: dict[str, Any]) -> None:
             + (f", {answer['num_masked_views']} with masks" if answer["num_masked_views"] else ""),
             "time": f"{seconds:.1f} s on {answer['device']}, {1000 * seconds / count:.1f} ms an iteration",
             "stages, ms": ", ".join(f"{name} {1000 * spent / count:.1f}" for name, spent in stages),
-            "peak memory": size_said(answer["peak_memory_bytes"]),
+            "peak memory": size_text(answer["peak_memory_bytes"]),
         },
     )
 
@@ -217,7 +217,7 @@ def _with_photo(arguments: argparse.Namespace) -> Iterable[View]:
     return [view for view in views if view.image_path is not None] or views
 
 
-def _tell_of_triangulation(points: SparsePoints | None, arguments: argparse.Namespace) -> None:
+def _print_triangulation(points: SparsePoints | None, arguments: argparse.Namespace) -> None:
     """Before the meter begins to move."""
     if points is None and not arguments.json:
         text = "the capture has no points: triangulating some from its photos, a fifth of a second each"

@@ -144,7 +144,7 @@ def _serve(arguments: argparse.Namespace) -> NoReturn:
     up, shown = _up(arguments, scene), session.shown
     with _service(arguments) as service:
         service.show(session, up, arguments.ask)
-        _tell(arguments.json, service.address, {"num_shown": len(shown)}, shown.said)
+        _print_address(arguments.json, service.address, {"num_shown": len(shown)}, shown.said)
         service.run()
     raise SystemExit(0)  # all has been said
 
@@ -166,7 +166,9 @@ def _serve_catalogue(arguments: argparse.Namespace) -> NoReturn:
     number = len(catalogue)
     with _service(arguments, catalogue) as service:
         service.search(arguments.ask)
-        _tell(arguments.json, service.address, {"num_objects": number}, f"{counted(number, 'object')} to search.")
+        _print_address(
+            arguments.json, service.address, {"num_objects": number}, f"{counted(number, 'object')} to search."
+        )
         service.run()
     raise SystemExit(0)
 
@@ -200,7 +202,7 @@ def _service(arguments: argparse.Namespace, catalogue: Catalogue | None = None) 
         yield Service(shared, listening, arguments.host)
 
 
-def _tell(as_json: bool, address: str, numbers: dict[str, int], said: str) -> None:
+def _print_address(as_json: bool, address: str, numbers: dict[str, int], said: str) -> None:
     """At once: who waits for the end never learns the address."""
     if as_json:
         print(json.dumps({"address": address, **numbers}), flush=True)

@@ -58,9 +58,9 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def show(answer: dict[str, Any]) -> None:
-    from ..query.tracks import spans_said
+    from ..query.tracks import spans_text
 
     start, end = answer["times"]
     said = f"'{answer['one']}' is {answer['relation'].replace('_', ' ')} '{answer['other']}'"
-    held = spans_said(answer["spans"]) or "at no time"
+    held = spans_text(answer["spans"]) or "at no time"
     print(f"{said}: {held} (of {start:.4g} to {end:.4g})")

@@ -106,7 +106,7 @@ def embed(
         **pictures_setting(views),
     }
     with claimed_folder(output_dir), closing(open_record(Path(output_dir), settings, overwrite)) as record:
-        _tell_changes(record)
+        _warn_of_changes(record)
         photos = {stem: _photo_identity(view) for stem, view in rasters.items()}
         if isinstance(segmenter, FeatureFolder):
             photos = {stem: f"{photo} {masks_hash(segmenter, stem)}" for stem, photo in photos.items()}
@@ -141,7 +141,7 @@ def recorded_renderings(folder: str | Path) -> list[str]:
 def finish_folder(record: EmbeddingRecord, encoder: ImageEncoder) -> None:
     """Write the words that queries are contrasted with, and warn of files with other settings."""
     _record_words(record.folder, encoder)
-    _tell_leftovers(record)
+    _warn_of_leftovers(record)
 
 
 def report_of(record: EmbeddingRecord, stems: Sequence[str], num_embedded: int, redone: int) -> EmbeddingReport:
@@ -332,7 +332,7 @@ def _totals(record: EmbeddingRecord, stems: Sequence[str]) -> tuple[dict[str, in
     return masks, sum(photo.empty_masks for photo in finished)
 
 
-def _tell_changes(record: EmbeddingRecord) -> None:
+def _warn_of_changes(record: EmbeddingRecord) -> None:
     if record.changes:
         text = f"{record.folder} was made with other settings, so all photos are embedded again: " + "; ".join(
             record.changes
@@ -340,7 +340,7 @@ def _tell_changes(record: EmbeddingRecord) -> None:
         warn(text, DrSplatWarning, stacklevel=4)
 
 
-def _tell_leftovers(record: EmbeddingRecord) -> None:
+def _warn_of_leftovers(record: EmbeddingRecord) -> None:
     leftovers = record.unfinished()
     if leftovers:
         text = (

@@ -76,7 +76,7 @@ def _sights(gaussians: Gaussians, views: Sequence[View], threads: int, track: Tr
     for view in track(views, "looking at what photos show"):
         small = replace(view, distortion=None).limited(LONGER_SIDE)
         everything = np.zeros((small.height, small.width), np.int32)
-        triples = sampling.triples(scenery.seen(small).splats, small, everything, threads)
+        triples = sampling.triples(scenery.visible_splats(small).splats, small, everything, threads)
         ids.append(triples.gaussian_ids.astype(np.int64))
         weights.append(triples.weights.astype(np.float64))
     starts = np.cumsum([len(row_ids) for row_ids in ids])

@@ -40,7 +40,7 @@ class Columns:
         return Triples(tensors["gaussian_ids"], tensors["segment_ids"], tensors["weights"])
 
 
-class Seen(NamedTuple):
+class VisibleSplats(NamedTuple):
     """Gaussians in front of a camera. rows: of the scene, ascending; None: all of them."""
 
     splats: SplatArrays
@@ -54,11 +54,11 @@ class Scenery(Protocol):
     @property
     def near(self) -> float: ...
     def digest(self, view: View) -> str: ...
-    def seen(self, view: View) -> Seen: ...
+    def visible_splats(self, view: View) -> VisibleSplats: ...
 
 
 @dataclass(frozen=True, eq=False)
-class Whole:
+class StillScenery:
     """Still scene in memory; every camera sees all of it."""
 
     gaussians: Gaussians
@@ -79,11 +79,11 @@ class Whole:
     def digest(self, view: View) -> str:
         return self._digest
 
-    def seen(self, view: View) -> Seen:
-        return Seen(self.splats)
+    def visible_splats(self, view: View) -> VisibleSplats:
+        return VisibleSplats(self.splats)
 
 
-class Played:
+class MovingScenery:
     """Moving scene; every camera sees it at the time of its photo. The scene at the last time is cached.
 
     near: one for the whole film. Raises: InputError: a view has no time, or one outside of the scene's span.
@@ -91,18 +91,18 @@ class Played:
 
     def __init__(self, moving: Moving, given_near: float | None = None) -> None:
         self.moving, self.near = moving, moving.canonical.near if given_near is None else given_near
-        self._at = lru_cache(maxsize=1)(lambda time: Whole(moving.at(time), self.near))
+        self._at = lru_cache(maxsize=1)(lambda time: StillScenery(moving.at(time), self.near))
 
     def digest(self, view: View) -> str:
         return self._at(time_of(view)).digest(view)
 
-    def seen(self, view: View) -> Seen:
-        return self._at(time_of(view)).seen(view)
+    def visible_splats(self, view: View) -> VisibleSplats:
+        return self._at(time_of(view)).visible_splats(view)
 
 
-def scenery_of(scene: Gaussians | Moving, near: float | None = None) -> Whole | Played:
+def scenery_of(scene: Gaussians | Moving, near: float | None = None) -> StillScenery | MovingScenery:
     """Return the scenery of a scene in memory, still or moving."""
-    return Played(scene, near) if isinstance(scene, Moving) else Whole(scene, near)
+    return MovingScenery(scene, near) if isinstance(scene, Moving) else StillScenery(scene, near)
 
 
 def time_of(view: View) -> float:
@@ -139,7 +139,7 @@ class ColumnMaker:
         path = self.folder / part_name(view.name)
         columns, is_new = Columns(view.name, path, features.embeddings, key), not is_finished(path, marks)
         if is_new:
-            splats, rows = self.scenery.seen(view)
+            splats, rows = self.scenery.visible_splats(view)
             triples = self.sampling.triples(splats, view, mask_ids, self.threads)
             if rows is not None:
                 triples = triples._replace(gaussian_ids=rows[triples.gaussian_ids])

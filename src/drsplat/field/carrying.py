@@ -49,7 +49,7 @@ def assign(old: Gaussians, new: Gaussians, *, threads: int = 0) -> Assignment:
     here, there = old.positions - old.origin, new.positions - old.origin
     reach = REACH * _spacing(here, threads)
     found, costs = _candidates(here, there, reach, _looks(old), _looks(new), threads)
-    rows = _given_away(found, costs, len(new))
+    rows = _objects_lost(found, costs, len(new))
     distances = np.linalg.norm(there[np.maximum(rows, 0)] - here, axis=1)
     return Assignment(rows, np.where(rows < 0, np.inf, distances), reach, new.fingerprint, len(new))
 
@@ -133,7 +133,7 @@ def _candidates(
     return found, costs
 
 
-def _given_away(
+def _objects_lost(
     found: Int64[np.ndarray, "n k"], costs: Float32[np.ndarray, "n k"], count: int
 ) -> Int64[np.ndarray, " n"]:
     """Give each row of the new scene to one Gaussian: the most alike first, of equal ones the lower row."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..arrays import Float32, Float64, Int64, Integer, UInt32
 from ..codes import Best, Code, Codebook, Hits, PQCode
-from ..encoders import EncoderIdentity, identity_json, identity_said
+from ..encoders import EncoderIdentity, identity_json, identity_text
 from ..errors import InputError, MismatchError
 from ..evidence.aggregation import MEAN_RECORD, AggregatorRecord, record_json
 from ..evidence.evidence import Evidence, Explanation
@@ -121,8 +121,8 @@ class LanguageField:
             )
         if isinstance(self.code, PQCode) and not self.encoder.matches(self.codebook.encoder):
             raise MismatchError(
-                f"the embeddings are of {identity_said(self.encoder)}, the codebook is of "
-                f"{identity_said(self.codebook.encoder)}: use a codebook of the same encoder"
+                f"the embeddings are of {identity_text(self.encoder)}, the codebook is of "
+                f"{identity_text(self.codebook.encoder)}: use a codebook of the same encoder"
             )
         if self.up is not None and not (self.up.shape == (3,) and abs(np.linalg.norm(self.up) - 1) < 1e-6):
             raise InputError(f"up: expected a unit vector of three numbers, got {self.up}")
@@ -165,7 +165,7 @@ class LanguageField:
         Photos that were left out or removed are no part of it, so that a field which views were taken out of has the
         files of one that was registered without them. A field on disk has the one that its files carry.
         """
-        identity = f"{self.scene} {self.code.kind} {identity_said(self.encoder)}"
+        identity = f"{self.scene} {self.code.kind} {identity_text(self.encoder)}"
         digest = hashlib.blake2b(identity.encode(), digest_size=16)
         arrays = {"gaussian_ids": self.gaussian_ids} | self.code.tensors()
         for name in sorted(arrays):
@@ -342,8 +342,8 @@ class LanguageField:
         """Refuse an encoder whose embeddings mean something else. Raises: MismatchError."""
         if not self.encoder.matches(identity):
             raise MismatchError(
-                f"this field was written with {identity_said(self.encoder)}; the given encoder is "
-                f"{identity_said(identity)}: use {self.encoder.name} with the same weights, or "
+                f"this field was written with {identity_text(self.encoder)}; the given encoder is "
+                f"{identity_text(identity)}: use {self.encoder.name} with the same weights, or "
                 f"register again with {identity.name}"
             )
 
@@ -424,7 +424,7 @@ class LanguageField:
         if query.shape[-1:] != (self.encoder.dim,):
             raise MismatchError(
                 f"the query has {query.shape[-1] if query.ndim else 0} numbers; this field was written with "
-                f"{identity_said(self.encoder)}: embed the query with that encoder"
+                f"{identity_text(self.encoder)}: embed the query with that encoder"
             )
         return _unit(query)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arrays import Bool, Float32, Float64, Int32, Int64, Integer, UInt8
 from ..errors import InputError
-from ..terminal import counted, numbers_said, rows_html
+from ..terminal import counted, numbers_text, rows_html
 
 PART, THING, GROUP = 0, 1, 2
 LEVELS = ("part", "thing", "group")
@@ -79,7 +79,7 @@ class Objects:
         names = ("object", "photos", "agreement", "mass", "centre", "size")
         rows = (
             (number, int(self.num_views[node]), f"{self.sure[node]:.2f}", f"{self.masses[node]:.1f}",
-             numbers_said(self.centers[node]), numbers_said(self.extents[node]))
+             numbers_text(self.centers[node]), numbers_text(self.extents[node]))
             for number, node in enumerate(self.things[:MOST_SHOWN].tolist())
         )  # fmt: skip
         return rows_html(repr(self), names, rows, len(self))

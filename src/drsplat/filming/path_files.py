@@ -34,9 +34,9 @@ def read_path(path: str | PathLike[str]) -> CameraPath:
 def path_of(document: object, where: str) -> CameraPath:
     """Return the path of a JSON document, see `read_path`. where: names the document in errors."""
     if isinstance(document, dict) and "camera_path" in document:
-        return _told(where, lambda: _of_nerfstudio(document, where))
+        return _checked_path(where, lambda: _of_nerfstudio(document, where))
     if isinstance(document, dict) and "key_frames" in document:
-        return _told(where, lambda: _of_ours(document, where))
+        return _checked_path(where, lambda: _of_ours(document, where))
     raise FormatError(f'{where}: expected a path: an object with "key_frames", or with nerfstudio\'s "camera_path"')
 
 
@@ -71,7 +71,7 @@ def _key_json(key: KeyFrame) -> dict[str, object]:
     return entry if key.seconds is None else entry | {"seconds": key.seconds}
 
 
-def _told(where: str, read: Callable[[], CameraPath]) -> CameraPath:
+def _checked_path(where: str, read: Callable[[], CameraPath]) -> CameraPath:
     """Read a path, and blame the file for values that no path can be made of."""
     try:
         found = read()

@@ -172,8 +172,8 @@ def embedded_by(folder: Path, named: EncoderIdentity | None) -> EncoderIdentity 
     if named is None or recorded.matches(named):
         return recorded
     raise MismatchError(
-        f"{folder} was embedded by '{_told(recorded)}', as drsplat embed noted in {FILE_NAME}; named was "
-        f"'{_told(named)}': name no encoder, or if other embeddings were put there, remove {FILE_NAME}"
+        f"{folder} was embedded by '{_encoder_text(recorded)}', as drsplat embed noted in {FILE_NAME}; named was "
+        f"'{_encoder_text(named)}': name no encoder, or if other embeddings were put there, remove {FILE_NAME}"
     )
 
 
@@ -215,7 +215,7 @@ def verify_embedding(folder: Path) -> list[str]:
     return sorted([FILE_NAME, *journal, *names])
 
 
-def _told(identity: EncoderIdentity) -> str:
+def _encoder_text(identity: EncoderIdentity) -> str:
     weights = f", weights {identity.weights}" if identity.weights else ""
     return f"{identity.name} ({identity.dim}-d{weights})"
 

@@ -132,12 +132,12 @@ def saying_what_is_full(path: Path) -> Iterator[None]:
             raise InputError(f"{path}: cannot be written ({reason}): name another place") from error
         if error.errno not in _NO_ROOM:
             raise
-        raise NoRoom(_told(path, os.strerror(error.errno)), os.strerror(error.errno)) from error
+        raise NoRoom(_no_room_text(path, os.strerror(error.errno)), os.strerror(error.errno)) from error
     except NoRoom as error:
-        raise NoRoom(_told(path, error.reason), error.reason) from error
+        raise NoRoom(_no_room_text(path, error.reason), error.reason) from error
 
 
-def _told(path: Path, reason: str) -> str:
+def _no_room_text(path: Path, reason: str) -> str:
     return (
         f"{path}: there is no room left to write it ({reason}), so it was left as it was: free some space and try again"
     )

@@ -87,7 +87,7 @@ def add_views(
         return replace(change, seconds=watch.seconds)
     new = [view for view, _ in chosen if view.name in {*change.added, *change.replaced}]
     assert before.sampling is not None
-    tell_isa(before.provenance)
+    warn_of_isa(before.provenance)
     more = register(scene, new, features, before.sampling, parts=parts, threads=threads, track=track)
     watch.lap("register")
     after = _replaced(before, set(change.replaced), replace(more, encoder=field.encoder))
@@ -181,7 +181,7 @@ def _check_features(field: LanguageField, features: Mapping[str, ViewFeatures]) 
         field.check_encoder(encoder)
 
 
-def tell_isa(provenance: Provenance | None) -> None:
+def warn_of_isa(provenance: Provenance | None) -> None:
     """Warn of weights that were computed with another instruction set than this process has."""
     if provenance is None or provenance.isa == default_isa():
         return

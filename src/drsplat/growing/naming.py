@@ -27,14 +27,14 @@ def views_named(wanted: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
 def _meant(text: str, names: Sequence[str]) -> set[str]:
     if text in names:
         return {text}
-    for spelled in (_whole, _without_suffix, _stem):
+    for spelled in (_full_path, _without_suffix, _stem):
         matches = {name for name in names if fnmatchcase(spelled(PurePosixPath(name)), text)}
         if matches:
             return matches
     return set()
 
 
-def _whole(path: PurePosixPath) -> str:
+def _full_path(path: PurePosixPath) -> str:
     return path.as_posix()
 
 

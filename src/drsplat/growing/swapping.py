@@ -14,7 +14,7 @@ from ..registration import UNKNOWN_ENCODER, Registration, with_features
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Moving
 from ..scene.views import View
-from .changing import kept_out, registration_of, tell_isa
+from .changing import kept_out, registration_of, warn_of_isa
 from .comparing import Comparison
 
 
@@ -33,7 +33,7 @@ def with_weights_of(
     MismatchError: another scene, or other masks or poses.
     """
     before = registration_of(field, scene)
-    tell_isa(before.provenance)
+    warn_of_isa(before.provenance)
     new = [(view, key) for view, key in with_features(views, features) if view.name not in kept_out(field)]
     _refuse_other_views(before.masks.view_names, [view.name for view, _ in new])
     compared = Comparison(before, scene)

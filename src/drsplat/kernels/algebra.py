@@ -9,7 +9,7 @@ import numpy as np
 from .. import _native
 from ..arrays import Float32, Float64, Int32, Int64, Integer, UInt8
 from ..errors import InputError
-from .splatting import _checked_isa
+from .splatting import checked_isa
 
 CENTROIDS = 256
 LANES = 16  # numbers that the native code takes at once
@@ -44,7 +44,7 @@ def weighted_rows(
     entries = np.ascontiguousarray(indices[low:high], np.int32), np.ascontiguousarray(data[low:high])
     arrays = starts - low, *entries, np.ascontiguousarray(embeddings)
     try:
-        rows = _native.weighted_rows(*arrays, threads, _checked_isa(isa))
+        rows = _native.weighted_rows(*arrays, threads, checked_isa(isa))
     except ValueError as error:
         raise InputError(f"rows {begin}:{end}: expected {error}; there are {len(embeddings)} embeddings") from None
     return np.asarray(rows)
@@ -60,7 +60,7 @@ def dense_rows(
     width = b.shape[1]
     columns = np.pad(b, ((0, 0), (0, -width % LANES)))
     try:
-        product = _native.dense_rows(np.ascontiguousarray(a), np.ascontiguousarray(columns), threads, _checked_isa(isa))
+        product = _native.dense_rows(np.ascontiguousarray(a), np.ascontiguousarray(columns), threads, checked_isa(isa))
     except ValueError:
         raise InputError(f"expected matrices (n, k) and (k, m), got {a.shape} and {b.shape}") from None
     return np.asarray(product)[:, :width]
@@ -86,7 +86,7 @@ def convolve(
     columns, added = np.pad(weight, ((0, 0), (0, beyond))), np.pad(bias, (0, beyond))
     arrays = np.ascontiguousarray(images), np.ascontiguousarray(columns), added
     try:
-        out = _native.convolve(*arrays, stride, threads, _checked_isa(isa))
+        out = _native.convolve(*arrays, stride, threads, checked_isa(isa))
     except ValueError as error:
         raise InputError(
             f"expected {error}; got images {images.shape}, weights {weight.shape}, a bias {bias.shape}, stride {stride}"
@@ -148,6 +148,6 @@ def pq_encode(
     if not np.isfinite(features).all():
         raise InputError("features to encode must be finite")
     codes = _native.pq_encode(
-        np.ascontiguousarray(features), np.ascontiguousarray(centroids), threads, _checked_isa(isa)
+        np.ascontiguousarray(features), np.ascontiguousarray(centroids), threads, checked_isa(isa)
     )
     return np.asarray(codes)

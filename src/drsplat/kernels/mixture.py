@@ -13,7 +13,7 @@ import numpy as np
 from .. import _native
 from ..arrays import Float16, Float32, Int8, Int32, Int64, Integer, UInt8, UInt16
 from ..errors import InputError
-from .splatting import _checked_isa
+from .splatting import checked_isa
 
 ROWS_OF_A_BLOCK = 64
 MOST_ATOMS = 16  # of one row
@@ -77,7 +77,7 @@ def mixture_encode(
     starts = np.ascontiguousarray(candidates.indptr, np.int64)
     rows = (np.ascontiguousarray(features), starts, *map(np.ascontiguousarray, candidates[1:]))
     arrays = (*_contiguous(dictionary), *rows)
-    encoded = _refusing(_native.mixture_encode, *arrays, atoms_per_row, threads, _checked_isa(isa))
+    encoded = _refusing(_native.mixture_encode, *arrays, atoms_per_row, threads, checked_isa(isa))
     return Encoded(*map(np.asarray, encoded))
 
 
@@ -89,7 +89,7 @@ def nearest_centres(
     Raises: InputError: no centres, or of another dimension.
     """
     arrays = np.ascontiguousarray(points), np.ascontiguousarray(centres)
-    return np.asarray(_refusing(_native.nearest_centres, *arrays, threads, _checked_isa(isa)))
+    return np.asarray(_refusing(_native.nearest_centres, *arrays, threads, checked_isa(isa)))
 
 
 def nearest_members(
@@ -107,7 +107,7 @@ def nearest_members(
     Raises: InputError: groups or members that are not there, or fewer members than wanted.
     """
     arrays = (*_contiguous(dictionary), *map(np.ascontiguousarray, (points, groups, members)))
-    return np.asarray(_refusing(_native.nearest_members, *arrays, wanted, threads, _checked_isa(isa)))
+    return np.asarray(_refusing(_native.nearest_members, *arrays, wanted, threads, checked_isa(isa)))
 
 
 def mixture_scores(
@@ -118,7 +118,7 @@ def mixture_scores(
     Raises: InputError: shapes disagree, or a query that is not finite.
     """
     arrays = _scan_arrays(blocks, dictionary), _finite(queries)
-    return np.asarray(_refusing(_native.mixture_scores, *arrays, threads, _checked_isa(isa)))
+    return np.asarray(_refusing(_native.mixture_scores, *arrays, threads, checked_isa(isa)))
 
 
 def mixture_select(
@@ -137,7 +137,7 @@ def mixture_select(
     """
     floors = None if floor is None else np.ascontiguousarray(floor)
     arguments = _scan_arrays(blocks, dictionary), _finite(query), threshold, floors
-    rows, scores = _refusing(_native.mixture_select, *arguments, threads, _checked_isa(isa))
+    rows, scores = _refusing(_native.mixture_select, *arguments, threads, checked_isa(isa))
     return np.asarray(rows).view(np.int64), np.asarray(scores)  # it may come as "long long"
 
 
@@ -157,7 +157,7 @@ def mixture_top(
     if count < 1:
         raise InputError(f"count: expected 1 or more, got {count}")
     arguments = _scan_arrays(blocks, dictionary), _finite(query), count
-    rows, scores = _refusing(_native.mixture_top, *arguments, threads, _checked_isa(isa))
+    rows, scores = _refusing(_native.mixture_top, *arguments, threads, checked_isa(isa))
     return np.asarray(rows).view(np.int64), np.asarray(scores)  # it may come as "long long"
 
 
@@ -169,7 +169,7 @@ def mixture_best(
     Raises: InputError: shapes disagree, no query, or one that is not finite.
     """
     arrays = _scan_arrays(blocks, dictionary), _finite(queries)
-    index, scores, runner_up = _refusing(_native.mixture_best, *arrays, threads, _checked_isa(isa))
+    index, scores, runner_up = _refusing(_native.mixture_best, *arrays, threads, checked_isa(isa))
     return np.asarray(index), np.asarray(scores), np.asarray(runner_up)
 
 

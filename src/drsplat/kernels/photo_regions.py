@@ -11,7 +11,7 @@ import numpy as np
 from .. import _native
 from ..arrays import Float32, Float64, Int32, UInt8
 from ..errors import InputError
-from .splatting import _checked_isa
+from .splatting import checked_isa
 
 LAB_STEPS = 16
 TRAITS = 8
@@ -65,7 +65,7 @@ def lab_colors(image: UInt8[np.ndarray, "h w 3"], *, threads: int = 0, isa: str 
     Raises: InputError: an image without pixels, or of 2^16 or more to a side.
     """
     try:
-        return np.asarray(_native.lab_colors(np.ascontiguousarray(image), threads, _checked_isa(isa)))
+        return np.asarray(_native.lab_colors(np.ascontiguousarray(image), threads, checked_isa(isa)))
     except ValueError as error:
         raise InputError(f"colours: expected {error}") from None
 
@@ -97,7 +97,7 @@ def look(image: UInt8[np.ndarray, "h w 3"], layers: Layers, *, threads: int = 0,
     """
     contiguous = tuple(np.ascontiguousarray(layer) for layer in layers)
     try:
-        borders, traits = _native.look(np.ascontiguousarray(image), contiguous, threads, _checked_isa(isa))
+        borders, traits = _native.look(np.ascontiguousarray(image), contiguous, threads, checked_isa(isa))
     except ValueError as error:
         raise InputError(f"network: expected {error}") from None
     return Sight(np.asarray(borders), np.asarray(traits))
@@ -126,7 +126,7 @@ def pair_likelihoods(graph: RegionGraph, rule: PairRule, *, isa: str = "") -> Fl
     Raises: InputError: a graph or rule of other shapes, pairs that are not in order.
     """
     try:
-        return np.asarray(_native.pair_likelihoods(_arrays(graph), graph.pixels, rule, _checked_isa(isa)))
+        return np.asarray(_native.pair_likelihoods(_arrays(graph), graph.pixels, rule, checked_isa(isa)))
     except ValueError as error:
         raise InputError(f"regions: expected {error}") from None
 
@@ -145,7 +145,7 @@ def merged_regions(
     """
     limits = threshold, least_area, least_width
     try:
-        return np.asarray(_native.merged_regions(_arrays(graph), graph.pixels, rule, *limits, _checked_isa(isa)))
+        return np.asarray(_native.merged_regions(_arrays(graph), graph.pixels, rule, *limits, checked_isa(isa)))
     except ValueError as error:
         raise InputError(f"regions: expected {error}") from None
 

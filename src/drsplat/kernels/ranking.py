@@ -5,7 +5,7 @@ import numpy as np
 from .. import _native
 from ..arrays import Float32, UInt16
 from ..errors import InputError
-from .splatting import _checked_isa
+from .splatting import checked_isa
 
 
 def keep_best(
@@ -25,6 +25,6 @@ def keep_best(
     Twin: tests/twins/ranking.py::keep_best.
     """
     try:
-        _native.keep_best(scores, names, np.ascontiguousarray(more), first, threads, _checked_isa(isa))
+        _native.keep_best(scores, names, np.ascontiguousarray(more), first, threads, checked_isa(isa))
     except (TypeError, ValueError) as error:
         raise InputError(f"scores {scores.shape}, names {names.shape}, found {more.shape}: {error}") from None

@@ -15,7 +15,7 @@ from .. import _native
 from ..arrays import Float32, Int32, Int64, Integer, UInt8, UInt16
 from ..errors import InputError
 from .algebra import CENTROIDS
-from .splatting import _checked_isa
+from .splatting import checked_isa
 
 GROUP = 256
 ERROR = 1e-4  # largest error of a score, never exceeded
@@ -88,7 +88,7 @@ def lookup_tables(
             f"expected (L, D / L, {CENTROIDS})"
         )
     arrays = np.ascontiguousarray(centroids), np.ascontiguousarray(queries)
-    return np.asarray(_native.lookup_tables(*arrays, threads, _checked_isa(isa)))
+    return np.asarray(_native.lookup_tables(*arrays, threads, checked_isa(isa)))
 
 
 def scan_scores(rows: GroupedRows, tables: QueryTables, how: Scanning = EXACT) -> Float32[np.ndarray, "q n"]:
@@ -177,7 +177,7 @@ def _checked(rows: GroupedRows, tables: QueryTables, how: Scanning) -> _ScanArgu
         raise InputError(f"expected an error above 0 and wide of 0 or more, got {how}")
     arrays = (codes, norms, ids), tables
     whole = tuple(tuple(None if part is None else np.ascontiguousarray(part) for part in parts) for parts in arrays)
-    return whole[0], whole[1], (how.error, how.wide, how.threads, _checked_isa(how.isa))
+    return whole[0], whole[1], (how.error, how.wide, how.threads, checked_isa(how.isa))
 
 
 def _refuse_several_queries(tables: QueryTables) -> None:

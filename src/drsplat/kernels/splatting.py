@@ -99,10 +99,10 @@ def splat_arrays(gaussians: Gaussians, near: float | None = None) -> SplatArrays
 
     Raises: InputError: a near plane that is not in front of the camera.
     """
-    return laid_out(gaussians.localized(), gaussians.near if near is None else near)
+    return splat_arrays_at_origin(gaussians.localized(), gaussians.near if near is None else near)
 
 
-def laid_out(gaussians: Gaussians, near: float) -> SplatArrays:
+def splat_arrays_at_origin(gaussians: Gaussians, near: float) -> SplatArrays:
     """Lay the scene out for the kernels, keeping its origin. Raises: InputError: see `splat_arrays`."""
     if not 0 < near < np.inf:
         raise InputError(f"near: expected a distance in front of the camera, got {near}")
@@ -143,7 +143,7 @@ def camera_numbers(view: View, near: float) -> Float32[np.ndarray, "17"]:
     return np.array(numbers, np.float32)
 
 
-def _checked_isa(isa: str) -> str:
+def checked_isa(isa: str) -> str:
     if not isa:
         return default_isa()
     if isa not in available_isas():
@@ -182,7 +182,7 @@ def view_weights(
         )
     pixels = np.ascontiguousarray(mask_ids, np.int32)
     limits = _positive("topk", topk), _positive("first_hits", first_hits)
-    triples = _native.view_weights(*_scene_and_camera(splats, view), pixels, *limits, threads, _checked_isa(isa))
+    triples = _native.view_weights(*_scene_and_camera(splats, view), pixels, *limits, threads, checked_isa(isa))
     return Triples(*triples[:3])
 
 
@@ -198,7 +198,7 @@ def topk_contributions(
     """
     size, limits = (view.width, view.height), (_positive("k", k), _positive("first_hits", first_hits))
     arrays = _scene_and_camera(splats, view)
-    return Contributions(*_native.topk_contributions(*arrays, *size, *limits, threads, _checked_isa(isa)))
+    return Contributions(*_native.topk_contributions(*arrays, *size, *limits, threads, checked_isa(isa)))
 
 
 def heaviest_labels(
@@ -236,7 +236,7 @@ def render_channels(
     if len(values) != n or behind.shape != (channels,):
         raise InputError(f"expected values ({n}, C) and background (C); got {values.shape} and {behind.shape}")
     canvas = view.width, view.height, np.ascontiguousarray(values), np.ascontiguousarray(behind)
-    return Rendering(*_native.render(*_scene_and_camera(splats, view), *canvas, threads, _checked_isa(isa)))
+    return Rendering(*_native.render(*_scene_and_camera(splats, view), *canvas, threads, checked_isa(isa)))
 
 
 def sh_colors(
@@ -252,4 +252,4 @@ def sh_colors(
     Source: 3DGS, "Spherical harmonics".
     """
     arrays = np.ascontiguousarray(sh), np.ascontiguousarray(means), np.asarray(center, np.float32)
-    return np.asarray(_native.sh_colors(*arrays, threads, _checked_isa(isa)))
+    return np.asarray(_native.sh_colors(*arrays, threads, checked_isa(isa)))

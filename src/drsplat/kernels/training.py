@@ -14,7 +14,7 @@ from ..arrays import Float32
 from ..errors import InputError
 from ..scene.placing import PUBLISHED_NEAR
 from ..scene.views import View
-from .splatting import _checked_isa, camera_numbers
+from .splatting import camera_numbers, checked_isa
 
 
 class SceneParameters(NamedTuple):
@@ -113,7 +113,7 @@ def forward(
     camera = camera_numbers(view, near), view.width, view.height
     behind = np.ascontiguousarray(background, np.float32)
     return TrainingView(
-        _native.training_pass(*parameters, antialiased, *camera, active, behind, threads, _checked_isa(isa))
+        _native.training_pass(*parameters, antialiased, *camera, active, behind, threads, checked_isa(isa))
     )
 
 
@@ -133,7 +133,7 @@ def photometric_loss(
     if image.shape != target.shape or image.ndim != 3 or image.shape[2] != 3:
         raise InputError(f"expected two images (H, W, 3), got {image.shape} and {target.shape}")
     l1, ssim, gradient = _native.photometric_loss(
-        np.ascontiguousarray(image), np.ascontiguousarray(target), ssim_weight, threads, _checked_isa(isa)
+        np.ascontiguousarray(image), np.ascontiguousarray(target), ssim_weight, threads, checked_isa(isa)
     )
     return Loss((1 - ssim_weight) * l1 + ssim_weight * (1 - ssim), l1, ssim, gradient)
 
@@ -170,4 +170,4 @@ def adam_step(
         raise InputError(f"constant_rate: expected harmonics (N, K, 3), got {parameter.shape}")
     flat = parameter, gradient.reshape(-1), first_moment, second_moment
     head: tuple[float, int] = (0.0, 0) if constant_rate is None else (constant_rate, 3 * parameter.shape[1])
-    _native.adam_step(*flat, rate, step, beta1, beta2, epsilon, *head, threads, _checked_isa(isa))
+    _native.adam_step(*flat, rate, step, beta1, beta2, epsilon, *head, threads, checked_isa(isa))

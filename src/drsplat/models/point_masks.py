@@ -84,7 +84,7 @@ class PointMaskSettings:
         yield last
 
 
-class Found(NamedTuple):
+class PointMasks(NamedTuple):
     """Masks of a batch of points, at the size of their crop.
 
     output: index of each mask among the three of its point. stability: area at a stricter threshold over area at a
@@ -106,7 +106,7 @@ class PointPredictor(Protocol):
 
     def find(
         self, crop: UInt8[np.ndarray, "h w 3"], points: Float64[np.ndarray, "p 2"], settings: PointMaskSettings
-    ) -> Iterator[Found]:
+    ) -> Iterator[PointMasks]:
         """Yield masks at points (x, y in pixels of the crop), by point, then by output, a few at a time.
 
         Masks of outputs outside settings.looked_at, with a predicted IoU not above min_predicted_iou or a stability
@@ -177,7 +177,7 @@ class PointSegmenter:
         return passing
 
     def _explain(
-        self, explained: Bool[np.ndarray, "h w"], batch: Found, middle: dict[int, Bool[np.ndarray, "h w"]]
+        self, explained: Bool[np.ndarray, "h w"], batch: PointMasks, middle: dict[int, Bool[np.ndarray, "h w"]]
     ) -> None:
         """Mark the pixels that masks explain. middle: last good middle mask by point, maybe of the batch before."""
         finest = self.settings.outputs[0]
@@ -197,11 +197,11 @@ class PointSegmenter:
             if len(points):
                 yield points
 
-    def _good(self, batch: Found) -> Bool[np.ndarray, " n"]:
+    def _good(self, batch: PointMasks) -> Bool[np.ndarray, " n"]:
         s = self.settings
         return np.asarray((batch.predicted_iou > s.min_predicted_iou) & (batch.stability >= s.min_stability))
 
-    def _passing(self, batch: Found, crop: Box, size: tuple[int, int]) -> Iterator[_Candidate]:
+    def _passing(self, batch: PointMasks, crop: Box, size: tuple[int, int]) -> Iterator[_Candidate]:
         left, top, right, bottom = crop
         for i in np.flatnonzero(self._good(batch) & np.isin(batch.output, self.settings.outputs)):
             tight = tight_box(batch.masks[i])

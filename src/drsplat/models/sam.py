@@ -18,7 +18,7 @@ from .graph import GraphSegmenter
 from .libraries import models_library
 from .memory import fitting
 from .point_decoder import PointDecoder, SharedImage
-from .point_masks import Found, PointMaskSettings, PointSegmenter
+from .point_masks import PointMasks, PointMaskSettings, PointSegmenter
 from .pretrained import load_model, model_folder, model_type, weight_files, weights_hash
 
 DEFAULT_SEGMENTER = "facebook/sam-vit-huge"
@@ -122,7 +122,7 @@ class SamPredictor:
 
     def find(
         self, crop: UInt8[np.ndarray, "h w 3"], points: Float64[np.ndarray, "p 2"], settings: PointMaskSettings
-    ) -> Iterator[Found]:
+    ) -> Iterator[PointMasks]:
         """Yield masks at points; see PointPredictor. The last image's encoding is reused; points go in batches."""
         size = crop.shape[:2]
         if self._last[0] is not crop:
@@ -163,13 +163,13 @@ class SamPredictor:
         wanted: Int64[np.ndarray, "n 2"],
         size: tuple[int, ...],
         settings: PointMaskSettings,
-    ) -> Iterator[Found]:
+    ) -> Iterator[PointMasks]:
         """Yield the stable masks at the size of the crop. wanted: point and output of each mask."""
         chunk = max(1, _CHUNK_FLOATS // max(size[0] * size[1], self.frame.side**2))
         for start in range(0, len(wanted), chunk):
             points, outputs = wanted[start : start + chunk].T
             good, masks, stability = self._stable(logits[points, outputs], size, settings)
-            yield Found(masks, iou[points, outputs][good], stability, outputs[good], points[good])
+            yield PointMasks(masks, iou[points, outputs][good], stability, outputs[good], points[good])
 
     def _stable(
         self, logits: Any, size: tuple[int, ...], settings: PointMaskSettings

@@ -46,7 +46,7 @@ def choose(forest: Forest, rows: int, smallest: int) -> Tree:
     for level, nodes in ((PART, parts), (THING, things | small), (GROUP, groups | crowded)):
         levels[nodes] = level
     kept = levels != NONE
-    return _with_rests(_kept(forest, rows, judged[kept], levels[kept].astype(np.uint8)), crowded[kept])
+    return _with_rests(_tree_of(forest, rows, judged[kept], levels[kept].astype(np.uint8)), crowded[kept])
 
 
 def _small_things(
@@ -135,7 +135,7 @@ def _several_branches(parents: Int64[np.ndarray, " t"], things: Bool[np.ndarray,
     return np.array(branches) > 1
 
 
-def _kept(forest: Forest, rows: int, nodes: Int64[np.ndarray, " n"], levels: UInt8[np.ndarray, " n"]) -> Tree:
+def _tree_of(forest: Forest, rows: int, nodes: Int64[np.ndarray, " n"], levels: UInt8[np.ndarray, " n"]) -> Tree:
     """Return the tree of the chosen nodes alone, in their order."""
     among = np.zeros(len(forest.parents), bool)
     among[nodes] = True

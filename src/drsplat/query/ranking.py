@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Bool, Float32, Int64
-from ..encoders import Encoder, identity_said
+from ..encoders import Encoder, identity_text
 from ..errors import InputError, MismatchError
 from ..field import relevancy_from_scores
 from .contrast import Contrast, contrast_of, relevancy_threshold
@@ -24,7 +24,7 @@ from .search import NEGATIVES, embed_query, split_negation
 from .thresholds import automatic_threshold, threshold_above
 from .word_list import list_vectors, rival_vectors
 
-ONE = 1  # object that fits is enough
+MIN_OBJECTS = 1  # object that fits is enough
 CUT_OF_OBJECTS = 0.8  # of the way to the peak: values of whole objects are further apart than those of Gaussians
 LEAST_OF_OBJECTS = 0.35  # relevancy of a whole thing: some of its Gaussians fit no better than any word
 
@@ -105,7 +105,7 @@ class Surroundings:
         if query.vector.shape != (self.embedded.encoder.dim,):
             raise MismatchError(
                 f"the query has {query.vector.size} numbers; the descriptors are of "
-                f"{identity_said(self.embedded.encoder)}: embed the query with that encoder"
+                f"{identity_text(self.embedded.encoder)}: embed the query with that encoder"
             )
         return _unit(query.vector)
 
@@ -126,7 +126,7 @@ class Surroundings:
             return values, RELEVANCY, RELEVANCY_THRESHOLD, DEFAULT
         own = own_threshold(self.encoder) if query.text is not None else None
         if own is not None:
-            return cosines, COSINE, threshold_above(cosines, own, CUT_OF_OBJECTS, peak=ONE), ENCODER
+            return cosines, COSINE, threshold_above(cosines, own, CUT_OF_OBJECTS, peak=MIN_OBJECTS), ENCODER
         text = None if query.text is None else split_negation(query.text)[0]
         known = None if text is None else self._contrast_for(text)
         contrasted = None if known is None else self._contrasted(known, vector, objects, cosines)
@@ -148,24 +148,24 @@ class Surroundings:
         if values is None:
             return None
         values = objects.best(values)
-        is_sum = np.isfinite(least_peak(self.encoder, known, ONE)) and not known.of_kind
-        return whole(cosines, values, ONE) if is_sum else values
+        is_sum = np.isfinite(least_peak(self.encoder, known, MIN_OBJECTS)) and not known.of_kind
+        return whole(cosines, values, MIN_OBJECTS) if is_sum else values
 
     def _list_threshold(
         self, known: Contrast, cosines: Float32[np.ndarray, " o"], values: Float32[np.ndarray, " o"]
     ) -> float:
         """Return the threshold; the highest value where nothing stands out, or no cosine is high enough."""
-        least = relevancy_threshold(values, ONE, known.clear_margin)
+        least = relevancy_threshold(values, MIN_OBJECTS, known.clear_margin)
         if not len(values) or least != RELEVANCY_THRESHOLD:
             return least
-        if cosines.max() <= least_peak(self.encoder, known, ONE):
+        if cosines.max() <= least_peak(self.encoder, known, MIN_OBJECTS):
             return float(values.max())
-        return threshold_above(values, LEAST_OF_OBJECTS, CUT_OF_OBJECTS, peak=ONE)
+        return threshold_above(values, LEAST_OF_OBJECTS, CUT_OF_OBJECTS, peak=MIN_OBJECTS)
 
     def _automatic(self, vector: Float32[np.ndarray, " D"], cosines: Float32[np.ndarray, " o"]) -> float:
         """Between what objects usually reach and the best."""
         known = np.concatenate([self.usual @ vector, cosines])
-        return automatic_threshold(known, CUT_OF_OBJECTS, peak=ONE) if len(known) else 0.0
+        return automatic_threshold(known, CUT_OF_OBJECTS, peak=MIN_OBJECTS) if len(known) else 0.0
 
     def _excluded(self, query: Query, objects: Described, cosines: Float32[np.ndarray, " o"]) -> Bool[np.ndarray, " o"]:
         """Objects that the text with a word of an exclusion before it fits as well: "red mug", of "mug, not red"."""

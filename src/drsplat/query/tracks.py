@@ -24,7 +24,7 @@ from .tasks import sure_matches
 
 THERE = 0.1  # of the Gaussians that a match has where it has most: with fewer it is not there
 MOST_MEANT = 8  # matches of a query whose relations are examined
-KEPT = 2  # scenes of a time, and of a span, that are held
+NUM_CACHED = 2  # scenes of a time, and of a span, that are held
 SLIVER = 0.01  # of what the best photo shows of a match: a photo with less does not see it
 
 
@@ -137,18 +137,18 @@ def when_of(
 
 def at_time(scene: Scene, time: float) -> Scene:
     """`Scene.at`."""
-    return _kept(scene, ("at", time), lambda: _still(scene, time))
+    return _cached(scene, ("at", time), lambda: _still(scene, time))
 
 
 def of_span(scene: Scene, span: Span) -> Scene:
     """`Scene.during`."""
-    return _kept(scene, ("during", span), lambda: _spanned(scene, span))
+    return _cached(scene, ("during", span), lambda: _spanned(scene, span))
 
 
-def _kept(scene: Scene, key: tuple[str, object], make: Callable[[], Scene]) -> Scene:
+def _cached(scene: Scene, key: tuple[str, object], make: Callable[[], Scene]) -> Scene:
     """Return a scene from the cache of the last ones, or make it, outside of any lock and at worst twice."""
     made = scene.kept.pop(key, None) or make()
-    for old in [other for other in list(scene.kept) if other[0] == key[0]][: 1 - KEPT]:
+    for old in [other for other in list(scene.kept) if other[0] == key[0]][: 1 - NUM_CACHED]:
         scene.kept.pop(old, None)
     scene.kept[key] = made
     return made
@@ -183,6 +183,6 @@ def _meant(scene: Scene, what: Match | Query | str) -> list[Match]:
     return matches
 
 
-def spans_said(spans: Iterable[Sequence[float | int]]) -> str:
+def spans_text(spans: Iterable[Sequence[float | int]]) -> str:
     """For people: "0 to 0.5, 1"."""
     return ", ".join(f"{start:.4g}" if start == end else f"{start:.4g} to {end:.4g}" for start, end in spans)

@@ -167,9 +167,9 @@ class Conversation:
         self, text: str, on: str | None = None, top: int = 5, box: BoxKind = "upright", during: Range | None = None,
         tracks: bool = False, objects: str = AUTO,
     ) -> Located:  # fmt: skip
-        answer = self.scene.ask(_asked(text, during, objects))
+        answer = self.scene.ask(_query_of(text, during, objects))
         every = self.scene.locate(answer, box=box)
-        found = every if on is None else standing_on(self.scene, every, _asked(on, objects=objects))
+        found = every if on is None else standing_on(self.scene, every, _query_of(on, objects=objects))
         return Located(
             query=_query(text, on),
             num_matches=len(found),
@@ -182,8 +182,8 @@ class Conversation:
         )
 
     def count(self, text: str, on: str | None = None, during: Range | None = None, objects: str = AUTO) -> Count:
-        every = self.scene.locate(_asked(text, during, objects))
-        counted = every if on is None else standing_on(self.scene, every, _asked(on, objects=objects))
+        every = self.scene.locate(_query_of(text, during, objects))
+        counted = every if on is None else standing_on(self.scene, every, _query_of(on, objects=objects))
         digits = decimals_of(self.scene)
         return Count(
             query=_query(text, on),
@@ -195,7 +195,7 @@ class Conversation:
         )
 
     def where_is(self, text: str, during: Range | None = None, objects: str = AUTO) -> Place:
-        found = self.scene.locate(_asked(text, during, objects))
+        found = self.scene.locate(_query_of(text, during, objects))
         if not found:
             return Place(query=text, best=None, others=0, best_view=None, field=self._field, advice=_absent(text))
         return Place(
@@ -207,7 +207,7 @@ class Conversation:
         )
 
     def how_far_apart(self, first: str, second: str, objects: str = AUTO) -> Distance:
-        one, other = (self._best(_asked(text, objects=objects)) for text in (first, second))
+        one, other = (self._best(_query_of(text, objects=objects)) for text in (first, second))
         if np.intersect1d(one.gaussian_ids, other.gaussian_ids).size:
             raise InputError(
                 f"'{first}' and '{second}' mean the same place here: describe each more exactly, e.g. by colour"
@@ -248,7 +248,7 @@ class Conversation:
         return Related(**listed.model_dump(), relation=relation, to=numbers)
 
     def when(self, one: str, relation: str, other: str, view: str | None = None, objects: str = AUTO) -> When:
-        first, second = (_asked(text, objects=objects) for text in (one, other))
+        first, second = (_query_of(text, objects=objects) for text in (one, other))
         return when_told(self.scene, first, relation, second, view)
 
     def describe_region(self, center: Sequence[float], radius: float, names: list[str] | None = None) -> Region:
@@ -269,7 +269,7 @@ class Conversation:
     def show(self, text: str | None = None, view: str | None = None, objects: str = AUTO) -> Pictured:
         ids, advice, count = None, "", 0
         if text:
-            found = self.scene.locate(_asked(text, objects=objects))
+            found = self.scene.locate(_query_of(text, objects=objects))
             count = len(found)
             ids = np.concatenate([m.gaussian_ids for m in found] or [np.empty(0, np.int64)])
             advice = "" if found else _absent(text)
@@ -371,7 +371,7 @@ def _text(text: str) -> str:
     return text
 
 
-def _asked(text: str, during: Range | None = None, objects: str = AUTO) -> engine.Query:
+def _query_of(text: str, during: Range | None = None, objects: str = AUTO) -> engine.Query:
     """Return the query of a text, of all times or a span of them."""
     span = None if during is None else (during[0], during[1])
     return engine.Query(_text(text), during=span, objects=objects)

@@ -146,7 +146,7 @@ class _Worker:
             opened = self._open(job)
             if opened.status != 200:
                 return opened
-        return self._said(job, job.act, job.asked)
+        return self._reply(job, job.act, job.asked)
 
     def started(self) -> "tuple[subprocess.Popen[bytes], Connection]":
         if self._line is None:
@@ -175,7 +175,7 @@ class _Worker:
         for last in (False, True):
             first = job.scene not in self._opened
             try:
-                reply = self._said(job, "open", {"for": job.act}, seconds=OPENING if first else None)
+                reply = self._reply(job, "open", {"for": job.act}, seconds=OPENING if first else None)
             except LostError:
                 if last or job.ended:
                     raise
@@ -185,7 +185,7 @@ class _Worker:
             return reply
         raise AssertionError("not reached")
 
-    def _said(self, job: Job, act: str, asked: Mapping[str, Any], seconds: float | None = None) -> Reply:
+    def _reply(self, job: Job, act: str, asked: Mapping[str, Any], seconds: float | None = None) -> Reply:
         """Return the answer of the process. seconds: how long it may take; None: until the job ends."""
         process, line = self.started()
         if seconds is None and not job.begin(process):

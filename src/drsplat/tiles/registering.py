@@ -32,7 +32,7 @@ from ..registration import (
     encoder_of,
     masks_of,
     provenance_of,
-    tell_missing,
+    warn_of_missing,
     with_features,
 )
 from ..scene.views import View
@@ -43,7 +43,7 @@ from .store import Shared, Store, store_of
 from .transposing import RowMaker, filed, joined_rows, runs_of
 
 
-class Made(NamedTuple):
+class ViewReport(NamedTuple):
     """Report of a view's task on its files.
 
     is_new: the view was computed now. tiles: a bit for each, set where the view has weights.
@@ -70,7 +70,7 @@ class ColumnTask:
     features: Mapping[str, ViewFeatures]
     ends: UInt32[np.ndarray, " t"]
 
-    def __call__(self, task: tuple[View, str | ViewFeatures]) -> Made:
+    def __call__(self, task: tuple[View, str | ViewFeatures]) -> ViewReport:
         view, given = task
         features = self.features[given] if isinstance(given, str) else given
         name = part_name(view.name)
@@ -83,7 +83,7 @@ class ColumnTask:
         count, dim = features.embeddings.shape
         ids = columns.triples().gaussian_ids
         held = np.diff(np.searchsorted(ids, self.ends), prepend=0) > 0
-        return Made(view.name, count, dim, len(ids), columns.key, is_new, np.packbits(held).tobytes())
+        return ViewReport(view.name, count, dim, len(ids), columns.key, is_new, np.packbits(held).tobytes())
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +136,7 @@ def register_tiles(
     Raises: as `registration.register`, and as `Launcher.results`.
     """
     chosen = with_features(views, features)
-    tell_missing(views, chosen)
+    warn_of_missing(views, chosen)
     store = store_of(parts)
     gallery = Gallery(tiles, sampling.near, with_tiles(store, tiles))
     ends = np.array([tile.first + tile.num_rows for tile in tiles.tiles], np.uint32)
@@ -165,7 +165,7 @@ def register_tiles(
     )  # fmt: skip
 
 
-def _key(tiles: Tiles, made: Sequence[Made]) -> str:
+def _key(tiles: Tiles, made: Sequence[ViewReport]) -> str:
     told = repr([(one.view_name, one.num_masks, one.key) for one in made])
     return hashlib.blake2b(f"{tiles.digest} {told}".encode(), digest_size=16).hexdigest()
 

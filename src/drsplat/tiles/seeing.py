@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..arrays import Bool, Float64
-from ..evidence.columns import Seen
+from ..evidence.columns import VisibleSplats
 from ..formats.tiles import SHAPES, Tile, Tiles, file_name
-from ..kernels import SplatArrays, laid_out
+from ..kernels import SplatArrays, splat_arrays_at_origin
 from ..scene.views import View
 from .store import Shared, Store
 
@@ -86,7 +86,7 @@ class Gallery:
     def digest(self, view: View) -> str:
         return f"{self.tiles.digest} {self.near!r}"
 
-    def seen(self, view: View) -> Seen:
+    def visible_splats(self, view: View) -> VisibleSplats:
         """All tiles that a view may see. Raises: FormatError: one is damaged or missing."""
         tiles = self.tiles.tiles
         chosen = [tiles[number] for number in np.flatnonzero(seen_tiles(self.tiles, view, self.near))]
@@ -96,11 +96,11 @@ class Gallery:
             np.concatenate([part[k] for part in (NOTHING, *parts)], axis=-1) for k in range(3)
         )
         splats = SplatArrays(means, covariances, opacities, self.near, self.tiles.origin, self.tiles.antialiased)
-        return Seen(splats, np.concatenate([NO_ROWS, *rows]))
+        return VisibleSplats(splats, np.concatenate([NO_ROWS, *rows]))
 
     def _splats(self, tile: Tile) -> SplatArrays:
         if tile.name not in self._held:
-            self._held[tile.name] = laid_out(self._here(tile).shapes(tile), self.near)
+            self._held[tile.name] = splat_arrays_at_origin(self._here(tile).shapes(tile), self.near)
         self._held.move_to_end(tile.name)
         while len(self._held) > 1 and self._bytes() > self.held_bytes:
             self._held.popitem(last=False)

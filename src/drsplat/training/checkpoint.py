@@ -99,7 +99,7 @@ def load_checkpoint(path: Path, run: Run, capture: str) -> None:
 
 def _changed(texts: Mapping[str, str], run: Run, capture: str) -> list[str]:
     """Return what differs: settings, poses, photos, points."""
-    names = [] if texts["settings"] == run.settings.fingerprint else [_settings_said(texts["settings"], run)]
+    names = [] if texts["settings"] == run.settings.fingerprint else [_settings_text(texts["settings"], run)]
     if texts["capture"] == capture:
         return names
     try:
@@ -109,7 +109,7 @@ def _changed(texts: Mapping[str, str], run: Run, capture: str) -> list[str]:
         return [*names, "inputs"]
 
 
-def _settings_said(before: str, run: Run) -> str:
+def _settings_text(before: str, run: Run) -> str:
     """Return "settings" with the names of those that differ, where the checkpoint tells."""
     try:
         then, now = json.loads(before), json.loads(run.settings.fingerprint)

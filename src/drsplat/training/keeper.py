@@ -152,14 +152,14 @@ class Keeper:
             gaussians, run.settings, evaluation, run.seconds, run.stage_seconds, run.history, train, run.start,
             sum(view.mask_path is not None for view in [*self.split.train, *self.split.test]),
         )  # fmt: skip
-        _tell_of_fog(training)
+        _warn_of_fog(training)
         if folder is not None:
             details = {"history": run.history, "test": evaluation.plain() if evaluation else None}
             folder.write_json("results.json", training.measures() | details)
         return training
 
 
-def _tell_of_fog(training: Training) -> None:
+def _warn_of_fog(training: Training) -> None:
     test = training.evaluation
     if test is None or not training.held_out_far_below:
         return

@@ -49,14 +49,16 @@ def start_points(
     Raises: InputError: points that are not finite, or too few of them.
     """
     if points is None or len(points.positions) == 0:
-        return _thinned(_found(views, settings, rng, threads), settings, rng)
+        return _thinned(_triangulated_start(views, settings, rng, threads), settings, rng)
     _check_points(points)
     return _thinned(Start(points), settings, rng)
 
 
-def _found(views: Sequence[View], settings: TrainingSettings, rng: np.random.Generator, threads: int) -> Start:
+def _triangulated_start(
+    views: Sequence[View], settings: TrainingSettings, rng: np.random.Generator, threads: int
+) -> Start:
     found = triangulate(views, threads=threads)
-    _tell_of_wrong_poses(found)
+    _warn_of_wrong_poses(found)
     count = len(found.positions)
     if count >= FEW:
         return Start(SparsePoints(found.positions, found.colors), count)
@@ -90,7 +92,7 @@ def _random_places(
     return cube
 
 
-def _tell_of_wrong_poses(found: Triangulation) -> None:
+def _warn_of_wrong_poses(found: Triangulation) -> None:
     if found.alike < ENOUGH_ALIKE or found.agreeing >= LEAST_AGREEING * found.alike:
         return
     warnings.warn(
