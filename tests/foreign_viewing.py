@@ -26,11 +26,14 @@ WORLD = np.eye(3)
 
 @contextmanager
 def serving(scene: Path) -> Iterator[str]:
-    """Serve `tests/foreign`, and the scene as /scene with its suffix."""
+    """Serve `tests/foreign`, and the scene as /scene with its suffix, or what is in its folder as /scene/."""
+    prefix = "/scene/" if scene.is_dir() else f"/scene{scene.suffix}"
 
     class Handler(SimpleHTTPRequestHandler):
         def translate_path(self, path: str) -> str:
-            return str(scene) if path.split("?")[0] == f"/scene{scene.suffix}" else super().translate_path(path)
+            path = path.split("?")[0]
+            rest = path.removeprefix(prefix)
+            return str(scene / rest if rest else scene) if path.startswith(prefix) else super().translate_path(path)
 
         def log_message(self, *_: object) -> None:
             pass
@@ -72,10 +75,12 @@ def pictured(
     view: ds.View,
     turn: Float64[np.ndarray, "3 3"] = WORLD,
     antialiased: bool = False,
+    level: int | None = None,
 ) -> np.ndarray:
     """Return what the viewer shows from the place of a view, once it has stopped changing.
 
     turn: from the world of the view to that of the viewer. antialiased: how it draws, where its page knows of both.
+    level: of a streamed SOG, whose folder `scene` is.
     """
     viewer_from_world = np.eye(4)
     viewer_from_world[:3, :3] = turn
@@ -87,6 +92,7 @@ def pictured(
         .ravel()
         .tolist(),
         "antialiased": antialiased,
+        "level": level,
     }
     shots = [np.zeros((view.height, view.width, 3))]
 

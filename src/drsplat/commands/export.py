@@ -26,6 +26,7 @@ EXAMPLES = """\
   drsplat export drsplat-demo --query "red vase" --only --output vase.glb
   drsplat export drsplat-demo --object 4 --output thing.ply
   drsplat export film.field --scene film.motion --at 1.5 --output moment.glb
+  drsplat export tiles --output city/lod-meta.json
 
 A .glb has a table of the objects (number, name, score, box, group), and of each Gaussian which one it belongs to; with
 --query also its relevancy, and the matches as named nodes. Other formats keep what they can, and the answer says what
@@ -73,15 +74,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _suffixes() -> str:
-    return ".glb, .ply, .rrd, .sog, .spz, .usda, .usdc, .usdz"
+    return ".glb, .ply, .rrd, .sog, .spz, .usda, .usdc, .usdz, DIR/lod-meta.json (streamed SOG)"
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..exporting.writing import for_8_bits
+    from ..formats.streamed_sog import LOD_META
 
     output = _output(arguments)
-    if arguments.tiles3d and _is_tiles(arguments):
-        return _tiles_of_tiles(arguments, output)
+    if (arguments.tiles3d or output.name == LOD_META) and _is_tiles(arguments):
+        return _levels_of_tiles(arguments, output)
     scene = _labelled(arguments)
     if arguments.fit_8bit:
         scene = for_8_bits(scene)
@@ -137,12 +139,15 @@ def _output(arguments: argparse.Namespace) -> Path:
     """Return the output. Raises: InputError: it cannot be written, or options that do not go together."""
     from ..errors import InputError
     from ..exporting.writers import writer_of
+    from ..formats.streamed_sog import LOD_META
 
-    output = new_output(arguments.output, arguments.overwrite)
+    output = Path(arguments.output)
+    place = output.resolve().parent if output.name == LOD_META else output
+    new_output(str(place), arguments.overwrite)
     if not arguments.tiles3d:
         writer_of(output)
-    if not output.parent.is_dir():
-        raise InputError(f"there is no folder {output.parent} to write {output.name} into: make it first")
+    if not place.parent.is_dir():
+        raise InputError(f"there is no folder {place.parent} to write {place.name} into: make it first")
     chosen = only_one(arguments, ("only", "object", "label"))
     if chosen == "only" and only_one(arguments, QUERIES) is None:
         raise InputError("only: what matches is that of a query: give --query WORDS")
@@ -160,21 +165,26 @@ def _tiles3d(arguments: argparse.Namespace, output: Path, source: LabelledScene 
 
 
 def _is_tiles(arguments: argparse.Namespace) -> bool:
+    """Return whether the source is a folder of tiles without kept edits, which are of the whole scene in memory."""
+    from ..formats.scenes import companion
     from ..formats.tiles import TILES
 
-    return arguments.field is None and (Path(arguments.source) / TILES).is_file()
+    source = Path(arguments.source)
+    return arguments.field is None and (source / TILES).is_file() and not companion(source, "edits").exists()
 
 
-def _tiles_of_tiles(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
-    """Write 3D Tiles of a folder of tiles, a few of which are in memory at a time."""
+def _levels_of_tiles(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
+    """Write levels of detail of a folder of tiles, a few of which are in memory at a time."""
+    from ..errors import InputError
+    from ..exporting.writing import written_streamed_sog
     from ..formats.tiles import read_tiles
 
     if arguments.fit_8bit:
-        from ..errors import InputError
-
-        raise InputError("fit_8bit: the scene is cut into tiles, which go into 3D Tiles as they are")
-    done = _tiles3d(arguments, output, read_tiles(Path(arguments.source)))
-    return _report(arguments, None, done)
+        raise InputError("fit_8bit: the scene is cut into tiles, whose colours are written as they are")
+    tiles = read_tiles(Path(arguments.source))
+    if arguments.tiles3d:
+        return _report(arguments, None, _tiles3d(arguments, output, tiles))
+    return _report(arguments, None, written_streamed_sog(output, tiles, arguments.overwrite))
 
 
 def _labelled(arguments: argparse.Namespace) -> LabelledScene:

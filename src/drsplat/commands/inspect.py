@@ -86,16 +86,28 @@ def _scene(arguments: argparse.Namespace) -> dict[str, Any]:
         "scale": _percentiles(scene.scales.max(1)),
         "extra_columns": sorted(scene.extra),
         "num_kept_edits": EditFile.beside(arguments.path).num_done(scene),
+        **_levels(Path(arguments.path)),
         **_named_objects(Path(arguments.path)),
         "fingerprint": scene.fingerprint,
     }
+
+
+def _levels(path: Path) -> dict[str, Any]:
+    """Describe the levels of detail of a streamed SOG, the finest of which is read; nothing of other scenes."""
+    from ..formats.streamed_sog import LOD_META, counts_of_levels
+
+    lod_meta = path / LOD_META if path.is_dir() else path
+    is_streamed = lod_meta.name == LOD_META and lod_meta.is_file()
+    return {"num_gaussians_of_levels": counts_of_levels(lod_meta)} if is_streamed else {}
 
 
 def _named_objects(path: Path) -> dict[str, Any]:
     """Describe the objects that a file has with their names; nothing where it has none."""
     from ..formats.glb import names_in_glb
     from ..formats.sog import read_sog_labels
+    from ..formats.sog_files import META
     from ..formats.spz import read_spz_labels
+    from ..formats.streamed_sog import LOD_META, read_streamed_labels
     from ..formats.usd import SUFFIXES as USD_SUFFIXES
     from ..formats.usd import read_usd
 
@@ -103,11 +115,12 @@ def _named_objects(path: Path) -> dict[str, Any]:
         names = [(one.number, one.name) for one in names_in_glb(path)]
     elif path.suffix.lower() in USD_SUFFIXES:
         names = [(thing.number, thing.name) for thing in read_usd(path).things]
-    elif path.suffix.lower() in (".sog", ".spz"):
-        labels = (read_sog_labels if path.suffix.lower() == ".sog" else read_spz_labels)(path)
-        names = [(place if thing.number < 0 else thing.number, thing.name) for place, thing in enumerate(labels.things)]
     else:
-        names = []
+        path = path / LOD_META if (path / LOD_META).is_file() else path
+        by_name = {LOD_META: read_streamed_labels, META: read_sog_labels}
+        reader = by_name.get(path.name) or {".sog": read_sog_labels, ".spz": read_spz_labels}.get(path.suffix.lower())
+        things = () if reader is None else reader(path).things
+        names = [(place if thing.number < 0 else thing.number, thing.name) for place, thing in enumerate(things)]
     if not names:
         return {}
     return {"num_objects": len(names), "objects": [{"id": number, "name": name} for number, name in names]}

@@ -15,10 +15,11 @@ import io
 import json
 import zipfile
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import Float32, Float64, Int64, Integer, UInt8, UInt16
+from ..arrays import Float32, Float64, Integer, UInt8, UInt16
 from ..codes.kmeans import train_centroids
 from ..errors import InputError
 from ..formats.gaussian_ply import refuse_unwritable
@@ -26,6 +27,7 @@ from ..formats.labels import has_labels, labels_bytes
 from ..formats.sog import ANTIALIASED, LARGEST_PALETTE, OWN, PALETTE_ROW
 from ..formats.sog_files import META
 from ..kernels import pq_encode
+from ..scene.gaussians import Gaussians
 from ..scene.labelled import LabelledScene
 from ..scene.morton import morton_order
 
@@ -38,6 +40,7 @@ LARGEST_ID = (1 << 24) - 2  # of an object: three bytes, 0 for none
 OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
 MOST_ROWS = 1 << 26
 SEED = 0
+LABELS, OBJECTS, RELEVANCIES = "drsplat_labels.json", "drsplat_objects.webp", "drsplat_relevancy.webp"
 
 
 def sog_bytes(scene: LabelledScene) -> bytes:
@@ -56,15 +59,28 @@ def sog_files(scene: LabelledScene) -> dict[str, bytes]:
 
     Raises: InputError: a scene without Gaussians, or too many for the format's pictures or for an object's number.
     """
-    gaussians = scene.gaussians
-    if not 0 < len(gaussians) <= MOST_ROWS:
-        raise InputError(
-            f"SOG: expected 1 to {MOST_ROWS:,} Gaussians, got {len(gaussians):,}: cut the scene into tiles"
-        )
-    refuse_unwritable(gaussians)
-    order = morton_order(gaussians.means)
-    own, own_files = _own_parts(scene, order)
-    gaussians = gaussians.subset(order)
+    refuse_other_counts(len(scene.gaussians))
+    refuse_unwritable(scene.gaussians)
+    gaussians = replace(scene.gaussians, extra=scene.columns).subset(morton_order(scene.gaussians.means))
+    return ordered_files(gaussians, labels_bytes(scene) if has_labels(scene) else b"")
+
+
+def refuse_other_counts(count: int) -> None:
+    """Raises: InputError: no Gaussians, or more than the format's pictures hold."""
+    if not 0 < count <= MOST_ROWS:
+        raise InputError(f"SOG: expected 1 to {MOST_ROWS:,} Gaussians, got {count:,}: cut the scene into tiles")
+
+
+def ordered_files(gaussians: Gaussians, labels: bytes = b"") -> dict[str, bytes]:
+    """Encode Gaussians in their order, which is along a Morton curve, as the files of an unpacked SOG.
+
+    Args:
+        gaussians: the extra columns "object_id" and "relevancy" go along, others do not.
+        labels: the names of the objects, as `labels_bytes` writes them; none if empty.
+
+    Raises: InputError: too many objects for the numbers of a picture.
+    """
+    own, own_files = _own_parts(gaussians, labels)
     means, mean_files = _means(gaussians.means)
     scales, scale_codes = coded(np.log(gaussians.scales))
     colours, colour_codes = coded(gaussians.sh[:, 0])
@@ -207,18 +223,18 @@ def _nearest(rows: Float32[np.ndarray, "n d"], centroids: Float32[np.ndarray, "c
     return np.asarray(pq_encode(np.ascontiguousarray(rows), centroids[None])[:, 0])
 
 
-def _own_parts(scene: LabelledScene, order: Int64[np.ndarray, " n"]) -> tuple[dict[str, object], dict[str, bytes]]:
+def _own_parts(gaussians: Gaussians, labels: bytes) -> tuple[dict[str, object], dict[str, bytes]]:
     """Encode what the format has no place for: objects, relevancy and an origin."""
     part: dict[str, object] = {"version": 1}
     files: dict[str, bytes] = {}
-    if scene.gaussians.origin.any():
-        part["origin"] = scene.gaussians.origin.tolist()
-    if has_labels(scene):
-        part["labels"], files["drsplat_labels.json"] = "drsplat_labels.json", labels_bytes(scene)
-    if (numbers := scene.object_numbers) is not None:
-        part["object_id"], files["drsplat_objects.webp"] = _object_ids(numbers[order])
-    if scene.relevancy is not None:
-        part["relevancy"], files["drsplat_relevancy.webp"] = _relevancy(scene.relevancy[order])
+    if gaussians.origin.any():
+        part["origin"] = gaussians.origin.tolist()
+    if labels:
+        part["labels"], files[LABELS] = LABELS, labels
+    if "object_id" in gaussians.extra:
+        part["object_id"], files[OBJECTS] = _object_ids(gaussians.extra["object_id"])
+    if "relevancy" in gaussians.extra:
+        part["relevancy"], files[RELEVANCIES] = _relevancy(gaussians.extra["relevancy"])
     return ({OWN: part} if len(part) > 1 else {}), files
 
 
@@ -228,7 +244,7 @@ def _object_ids(object_of: Integer[np.ndarray, " n"]) -> tuple[Mapping[str, obje
         raise InputError(f"SOG: expected at most {LARGEST_ID + 1:,} objects, got the number {object_of.max():,}")
     ids = object_of.astype(np.int64) + 1
     rows = np.column_stack([low_bytes(ids >> shift) for shift in (0, 8, 16)])
-    return {"files": ["drsplat_objects.webp"]}, picture(rows)
+    return {"files": [OBJECTS]}, picture(rows)
 
 
 def _relevancy(relevancy: Float32[np.ndarray, " n"]) -> tuple[Mapping[str, object], bytes]:
@@ -236,4 +252,4 @@ def _relevancy(relevancy: Float32[np.ndarray, " n"]) -> tuple[Mapping[str, objec
     low, high = float(relevancy.min()), float(relevancy.max())
     steps = np.rint((relevancy.astype(np.float64) - low) / max(high - low, 1e-30) * 65535).astype(np.uint16)
     rows = np.column_stack([low_bytes(steps), (steps >> 8).astype(np.uint8)])
-    return {"min": low, "max": high, "files": ["drsplat_relevancy.webp"]}, picture(rows)
+    return {"min": low, "max": high, "files": [RELEVANCIES]}, picture(rows)

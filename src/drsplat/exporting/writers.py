@@ -13,10 +13,12 @@ from ..formats.replacing import replacing
 from ..formats.rerun_writing import write_rrd
 from ..formats.scenes import write_gaussians
 from ..formats.spz_writing import spz4_bytes, spz_bytes
+from ..formats.streamed_sog import LOD_META
 from ..formats.usd_library import write_usdc, write_usdz
 from ..formats.usd_writing import write_usda
 from ..scene.labelled import LabelledScene
 from .sog_writing import sog_bytes
+from .streamed_sog_writing import write_streamed_sog
 
 TILES3D, SPZ_4 = "3D Tiles", ".spz, version 4"  # formats that no suffix says
 BLOCK = 1 << 14  # rows that are looked at together
@@ -54,19 +56,23 @@ def write_scene(
 
 def writer_of(path: Path) -> Writer:
     """Return the writer of a file of this name. Raises: InputError: there is none."""
-    writer = WRITERS.get(path.suffix.lower())
+    writer = WRITERS.get(_kind(path))
     if writer is None:
         near = did_you_mean(path.suffix.lower(), WRITERS)
         raise InputError(f"{path.name}: expected a name that ends in {', '.join(WRITERS)}.{near}")
     return writer
 
 
+def _kind(path: Path) -> str:
+    return LOD_META if path.name == LOD_META else path.suffix.lower()
+
+
 def format_of(path: Path, spz_version: int = 3) -> str:
     """Return which of `HELD` a file is. Raises: InputError: another version of SPZ than 3 and 4."""
     if spz_version not in (3, 4):
         raise InputError(f"spz_version: expected 3 or 4, got {spz_version}")
-    suffix = path.suffix.lower()
-    return SPZ_4 if suffix == ".spz" and spz_version == 4 else suffix
+    kind = _kind(path)
+    return SPZ_4 if kind == ".spz" and spz_version == 4 else kind
 
 
 def require_writable(scene: LabelledScene) -> None:
@@ -106,14 +112,8 @@ def lacks(kind: str, scene: LabelledScene) -> tuple[str, ...]:
     return tuple(f"{kind} keeps no {ASPECTS[name]}" for name, has in there.items() if has and name not in held)
 
 
-def columns_of(scene: LabelledScene) -> dict[str, np.ndarray]:
-    """Return the columns of a PLY that say each Gaussian's object and relevancy."""
-    columns = {"object_id": scene.object_numbers, "relevancy": scene.relevancy}
-    return {name: column for name, column in columns.items() if column is not None}
-
-
 def _write_ply(path: Path, scene: LabelledScene, overwrite: bool) -> None:
-    write_gaussians(path, scene.gaussians, columns_of(scene), overwrite, is_edited=scene.num_edits > 0)
+    write_gaussians(path, scene.gaussians, scene.columns, overwrite, is_edited=scene.num_edits > 0)
 
 
 def _encoded_by(encode: Callable[[LabelledScene], bytes]) -> Writer:
@@ -137,6 +137,7 @@ WRITERS: Mapping[str, Writer] = MappingProxyType(
         ".usda": write_usda,
         ".usdc": write_usdc,
         ".usdz": write_usdz,
+        LOD_META: write_streamed_sog,
     }
 )
 _USD_HELD = frozenset(ASPECTS) - {"columns"}
@@ -151,6 +152,7 @@ HELD: Mapping[str, frozenset[str]] = MappingProxyType(
         ".usda": _USD_HELD,
         ".usdc": _USD_HELD,
         ".usdz": _USD_HELD,
+        LOD_META: frozenset({"numbers", "names", "relevancy"}),
         TILES3D: frozenset({"numbers", "names"}),
     }
 )

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from ..editing.kept import KeptEdits
 from ..errors import InputError
 from ..formats.georeference import Georeference
+from ..formats.streamed_sog import LOD_META
 from ..formats.tiles import Tiles
 from ..formats.tiles3d_writing import write_tiles3d
 from ..query import Query, Scene
@@ -16,6 +17,7 @@ from ..scene.gaussians import Gaussians
 from ..scene.labelled import LabelledScene
 from ..scene.moving import Moving
 from .labelling import Only, labelled, labelled_alone
+from .streamed_sog_writing import write_streamed_sog
 from .writers import TILES3D, format_of, lacks, write_scene
 
 
@@ -49,7 +51,7 @@ def export(
     """Write a scene as the suffix of `path` says, with its objects and the answer to a query.
 
     Args:
-        path: NAME.glb, .ply, .spz or another that `exporting.writers.WRITERS` has.
+        path: NAME.glb, .ply, .spz, DIR/lod-meta.json or another that `exporting.writers.WRITERS` has.
         scene: an opened scene; Gaussians alone; or what `labelled` made, as it is.
         query, only, time, edits, embeddings: as of `labelled`.
         fit_8bit: fits colours to viewers that keep them in bytes (`scene.eight_bits.fitted_to_8_bits`).
@@ -86,7 +88,17 @@ def written_tiles3d(
     write_tiles3d(path, source, georeference=georeference, overwrite=overwrite)
     if isinstance(source, LabelledScene):
         return described(path, source, TILES3D)
-    return Exported(path, TILES3D, _size(path), len(source), 0, 0, 0, 0, ())
+    return _of_tiles(path, source, TILES3D)
+
+
+def written_streamed_sog(path: Path, source: Tiles, overwrite: bool = False) -> Exported:
+    """Write a folder of tiles as a streamed SOG, a tile at a time. Raises: as `write_streamed_sog`."""
+    write_streamed_sog(path, source, overwrite)
+    return _of_tiles(path, source, LOD_META)
+
+
+def _of_tiles(path: Path, source: Tiles, kind: str) -> Exported:
+    return Exported(path, kind, _size(path), len(source), 0, 0, 0, 0, ())
 
 
 def described(path: Path, scene: LabelledScene, kind: str) -> Exported:
@@ -96,5 +108,6 @@ def described(path: Path, scene: LabelledScene, kind: str) -> Exported:
 
 
 def _size(path: Path) -> int:
+    path = path.parent if path.name == LOD_META else path
     files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
     return sum(file.stat().st_size for file in files)

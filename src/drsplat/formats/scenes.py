@@ -12,7 +12,7 @@ import numpy as np
 from ..arrays import Shaped
 from ..contents import file_bytes
 from ..errors import DrSplatWarning, FormatError, InputError
-from ..scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenated, filled
+from ..scene.gaussians import SH_COEFFICIENTS, Gaussians, filled
 from ..scene.units import lost_precision
 from .compressed_ply import is_compressed, parse_compressed_ply
 from .gaussian_ply import ANTIALIASED, NORMALS, parse_gaussian_ply, vertex_columns
@@ -28,7 +28,7 @@ from .sog_files import META, ZIP_MAGIC
 from .splat import parse_splat
 from .spz import MAGIC as SPZ_MAGIC
 from .spz import parse_spz
-from .streamed_sog import LOD_META, finest_chunks
+from .streamed_sog import LOD_META, read_streamed_sog
 from .tiles import TILES, read_tiles
 from .usd import SUFFIXES as USD_SUFFIXES
 from .usd import TEXT as USD_TEXT
@@ -58,8 +58,7 @@ def read_gaussians(path: str | PathLike[str]) -> Gaussians:
         if path.name == META:
             return local(read_unpacked_sog(path), str(path))
         if path.name == LOD_META:
-            chunks = [read_unpacked_sog(chunk) for chunk in finest_chunks(path)]
-            return local(concatenated(chunks), str(path))
+            return local(read_streamed_sog(path), str(path))
         if path.name == TILES:
             return read_tiles(path.parent).gaussians()
         if path.suffix.lower() == GLTF:

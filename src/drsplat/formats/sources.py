@@ -19,7 +19,7 @@ from .json_files import as_matrix, as_vector, is_text, read_json, shown
 from .ply import Records
 from .ply_header import read_header
 from .scenes import read_gaussians, scene_file
-from .streamed_sog import LOD_META, finest_chunks
+from .streamed_sog import LOD_META, chunks_of
 
 BLOCK = 1 << 18  # rows whose doubles are held beside
 
@@ -112,7 +112,7 @@ def sources_of(path: Path) -> list[Source]:
     """
     lod_meta = path if path.name == LOD_META else path / LOD_META
     if lod_meta.is_file():
-        return [_Whole(chunk, f"{chunk.parent.name}/{chunk.name}") for chunk in finest_chunks(lod_meta)]
+        return [_Whole(chunk, f"{chunk.parent.name}/{chunk.name}") for chunk in chunks_of(lod_meta)]
     path = scene_file(path)
     if path.suffix.lower() != ".ply":
         return [_Whole(path)]

@@ -8,7 +8,7 @@ Source: OGC 22-025r4, "3D Tiles Specification 1.1".
 """
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,14 +20,14 @@ from ..scene.gaussians import Gaussians, concatenated
 from ..scene.geodesy import enu_axes, geocentric
 from ..scene.labelled import PLY_UP, LabelledScene, Thing
 from ..scene.merging import coarser
-from ..scene.morton import morton_order
 from .field_folder import replacing_folder
 from .georeference import Georeference
 from .glb_layout import SPLATTING, SPZ
+from .leaves import Leaf, leaves_of
 from .replacing import replacing
 from .tiles import Tiles
 from .tiles3d_content import content_glb
-from .usd_writing import extent_of, refuse_unwritable, upright
+from .usd_writing import extent_of, upright
 
 TILESET = "tileset.json"
 ROWS = 1 << 16  # of a leaf
@@ -35,10 +35,6 @@ BRANCH = 4  # children of a tile
 ERROR_SHARE = 0.95  # of the merged Gaussians, which are no farther from where they were than the error
 OBJECT = "object_of"  # the column with which numbers of objects go through merging
 _UP_TO_Z = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from the axes of a PLY to those of a tileset
-
-
-class _Leaf(NamedTuple):
-    read: Callable[[], Gaussians]
 
 
 class _Node(NamedTuple):
@@ -49,14 +45,6 @@ class _Node(NamedTuple):
     error: float
     low: Float64[np.ndarray, " 3"]
     high: Float64[np.ndarray, " 3"]
-
-
-class _Source(NamedTuple):
-    """Source of a tileset: readers of its leaves, the middle of the scene in the world, its objects."""
-
-    leaves: list[_Leaf]
-    middle: Float64[np.ndarray, " 3"]
-    things: tuple[Thing, ...]
 
 
 def write_tiles3d(
@@ -79,9 +67,9 @@ def write_tiles3d(
     Raises: InputError: no Gaussians, or some that no file could give back; `path` exists and not `overwrite`.
     FormatError: damaged tiles.
     """
-    leaves, middle, things = _source(source, rows)
+    leaves, middle = leaves_of(source if isinstance(source, Tiles) else _with_objects(source), rows)
     scale = 1.0 if georeference is None else georeference.scale
-    up = source.up if isinstance(source, LabelledScene) else PLY_UP
+    up, things = (PLY_UP, ()) if isinstance(source, Tiles) else (source.up, source.things)
     with replacing_folder(path, overwrite, TILESET) as folder:
         writer = _Writer(folder, middle, scale, things)
         root = writer.tree(leaves)
@@ -90,24 +78,9 @@ def write_tiles3d(
             file.write(json.dumps(document, separators=(",", ":")).encode())
 
 
-def _source(source: LabelledScene | Tiles, rows: int) -> _Source:
-    """Split a scene into leaves. Raises: InputError: no Gaussians, or some that no file could give back."""
-    if isinstance(source, Tiles):
-        low, high = np.min([t.low for t in source.tiles], axis=0), np.max([t.high for t in source.tiles], axis=0)
-        leaves = [_Leaf(_reader(source.tile, tile)) for tile in source.tiles]
-        return _Source(leaves, source.origin + (low + high) / 2, ())
-    gaussians = source.gaussians
-    refuse_unwritable(gaussians)
-    column = {} if source.object_of is None else {OBJECT: source.object_of}
-    bare = replace(gaussians, extra=column)
-    order = morton_order(gaussians.means.astype(np.float64))
-    runs = [order[begin : begin + rows] for begin in range(0, len(order), rows)]
-    middle = gaussians.origin + (gaussians.means.min(0).astype(np.float64) + gaussians.means.max(0)) / 2
-    return _Source([_Leaf(_reader(bare.subset, run)) for run in runs], middle, source.things)
-
-
-def _reader(read: Callable[[Any], Gaussians], part: Any) -> Callable[[], Gaussians]:
-    return lambda: read(part)
+def _with_objects(scene: LabelledScene) -> Gaussians:
+    """Return the Gaussians with the place of each one's object as their only column."""
+    return replace(scene.gaussians, extra={} if scene.object_of is None else {OBJECT: scene.object_of})
 
 
 @dataclass
@@ -120,10 +93,10 @@ class _Writer:
     things: tuple[Thing, ...]
     count: int = 0
 
-    def tree(self, leaves: Sequence[_Leaf]) -> _Node:
+    def tree(self, leaves: Sequence[Leaf]) -> _Node:
         """Write a subtree, its children first."""
         if len(leaves) == 1:
-            gaussians = self._local(leaves[0].read())
+            gaussians = self._local(leaves[0]())
             return self._written(gaussians, 0.0, [])
         size = BRANCH
         while size * BRANCH < len(leaves):

@@ -83,6 +83,12 @@ class LabelledScene:
         numbers = [place if thing.number < 0 else thing.number for place, thing in enumerate(self.things)]
         return np.asarray(np.array([*numbers, -1], np.int32)[self.object_of])
 
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """The number of each Gaussian's object and its relevancy, as far as they are known, as columns of a file."""
+        columns = {"object_id": self.object_numbers, "relevancy": self.relevancy}
+        return {name: column for name, column in columns.items() if column is not None}
+
 
 def places_of(numbers: np.ndarray, things: Sequence[Thing]) -> Int32[np.ndarray, " n"] | None:
     """Return the place in `things` of the object of each Gaussian, -1 for none, by the objects' numbers.
