@@ -46,6 +46,7 @@ def seeds(family: str) -> list[tuple[bytes, str]]:
             files = [scene_files.ply_bytes(c, order) for c in columns[::3] for order in "<>"]
             files += [scene_files.ply_bytes(columns[1], "a")]
             files += [scene_files.ply_bytes(columns[1], "<", before, lists)]
+            files += [scene_files.ply_bytes({name: own for name, own in columns[2].items() if name != "scale_2"})]
         case "compressed":
             files = [scene_files.compressed_ply_bytes(g) for g in scenes]
             files += [scene_files.compressed_ply_bytes(random_gaussians(np.random.default_rng(9), 257, 1))]

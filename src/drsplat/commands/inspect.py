@@ -78,6 +78,7 @@ def _scene(arguments: argparse.Namespace) -> dict[str, Any]:
         "num_gaussians": len(scene),
         "sh_degree": scene.sh_degree,
         "antialiased": scene.antialiased,
+        "surfels": scene.surfels,
         "clamped_colors": float(clamped_in_bytes(scene).mean()) if len(scene) else 0.0,
         "lowest": scene.positions.min(0) if len(scene) else None,
         "highest": scene.positions.max(0) if len(scene) else None,

@@ -24,7 +24,7 @@ from ..codes.kmeans import train_centroids
 from ..errors import InputError
 from ..formats.gaussian_ply import refuse_unwritable
 from ..formats.labels import has_labels, labels_bytes
-from ..formats.sog import ANTIALIASED, LARGEST_PALETTE, OWN, PALETTE_ROW
+from ..formats.sog import ANTIALIASED, LARGEST_PALETTE, OWN, PALETTE_ROW, SURFELS
 from ..formats.sog_files import META
 from ..kernels import pq_encode
 from ..scene.gaussians import Gaussians
@@ -90,7 +90,7 @@ def ordered_files(gaussians: Gaussians, labels: bytes = b"") -> dict[str, bytes]
         "version": VERSION,
         "asset": {"generator": GENERATOR},
         "count": len(gaussians),
-        **({"model": ANTIALIASED} if gaussians.antialiased else {}),
+        **_model(gaussians),
         "means": means,
         "scales": {"codebook": scales, "files": ["scales.webp"]},
         "quats": {"files": ["quats.webp"]},
@@ -107,6 +107,13 @@ def ordered_files(gaussians: Gaussians, labels: bytes = b"") -> dict[str, bytes]
         **further_files,
         **own_files,
     }
+
+
+def _model(gaussians: Gaussians) -> dict[str, object]:
+    """Return the mark of surfels, or of antialiased Gaussians; none of others."""
+    if gaussians.surfels:
+        return {"model": SURFELS}
+    return {"model": ANTIALIASED} if gaussians.antialiased else {}
 
 
 def picture(rows: UInt8[np.ndarray, "n c"], width: int = 0) -> bytes:

@@ -31,6 +31,7 @@ ASPECTS: Mapping[str, str] = MappingProxyType(
         "annotations": "annotations",
         "embeddings": "embeddings of objects",
         "columns": "further columns of the scene",
+        "surfels": "mark that its Gaussians are surfels (2DGS)",
     }
 )
 Writer = Callable[[Path, LabelledScene, bool], None]
@@ -107,6 +108,7 @@ def lacks(kind: str, scene: LabelledScene) -> tuple[str, ...]:
         "annotations": bool(scene.annotations),
         "embeddings": any(thing.embedding is not None for thing in scene.things),
         "columns": bool(scene.gaussians.extra),
+        "surfels": scene.gaussians.surfels,
     }
     held = HELD[kind]
     return tuple(f"{kind} keeps no {ASPECTS[name]}" for name, has in there.items() if has and name not in held)
@@ -144,15 +146,15 @@ _USD_HELD = frozenset(ASPECTS) - {"columns"}
 HELD: Mapping[str, frozenset[str]] = MappingProxyType(
     {
         ".glb": frozenset(ASPECTS) - {"columns"},
-        ".ply": frozenset({"numbers", "relevancy", "columns"}),
+        ".ply": frozenset({"numbers", "relevancy", "columns", "surfels"}),
         ".rrd": frozenset({"names", "matches", "annotations"}),
-        ".sog": frozenset({"numbers", "names", "relevancy"}),
+        ".sog": frozenset({"numbers", "names", "relevancy", "surfels"}),
         ".spz": frozenset(),
         SPZ_4: frozenset({"numbers", "names", "relevancy"}),
         ".usda": _USD_HELD,
         ".usdc": _USD_HELD,
         ".usdz": _USD_HELD,
-        LOD_META: frozenset({"numbers", "names", "relevancy"}),
+        LOD_META: frozenset({"numbers", "names", "relevancy", "surfels"}),
         TILES3D: frozenset({"numbers", "names"}),
     }
 )

@@ -36,7 +36,7 @@ def logit(opacities: Float32[np.ndarray, " n"]) -> Float32[np.ndarray, " n"]:
     return finite.astype(np.float32)
 
 
-def exp(log_scales: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
+def exp(log_scales: Float32[np.ndarray, "n k"]) -> Float32[np.ndarray, "n k"]:
     """Natural exponential in place; what overflows is left infinite for `checked` to report."""
     np.exp(log_scales, out=log_scales)
     return log_scales

@@ -15,7 +15,7 @@ from ..arrays import Float32, UInt32
 from ..errors import FormatError
 from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians
 from .activation import checked, exp, from_smallest_three
-from .gaussian_ply import drawn_antialiased, extra_columns
+from .gaussian_ply import drawn_as_marked, extra_columns
 from .ply import Records, gather, read_elements
 from .ply_header import Header
 
@@ -56,8 +56,8 @@ def parse_compressed_ply(buffer: memoryview, header: Header) -> Gaussians:
     if rest:
         _decode_rest(tables["sh"], rest, sh[:, 1:])
     extra = extra_columns(vertex, set(PACKED))
-    antialiased = drawn_antialiased(header)
-    return checked(means, _rotations(vertex), exp(log_scales), colour[:, 3].copy(), sh, extra, antialiased)
+    scales = exp(log_scales)
+    return drawn_as_marked(checked(means, _rotations(vertex), scales, colour[:, 3].copy(), sh, extra), header)
 
 
 def _require(header: Header, element: str, names: tuple[str, ...], code: str) -> None:

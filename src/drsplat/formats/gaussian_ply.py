@@ -5,9 +5,11 @@ not normalised, `f_dc_0..2` the constant SH coefficient and `f_rest_*` the other
 green, then blue). Axes are the training frame's. Properties are found by name, in any order and of any scalar type.
 
 A comment of the header says whether opacities are of Gaussians that are drawn antialiased, in one of two spellings
-(`drawn_antialiased`); without one they are not.
+(`drawn_as_marked`); without one they are not. A file without `scale_2`, or with the comment "SplatRenderMode: 2dgs",
+is of surfels, which are read as Gaussians next to no thickness.
 
-Source: Kerbl et al., "3D Gaussian Splatting" (2023); the PLY properties of its published models.
+Source: Kerbl et al., "3D Gaussian Splatting" (2023); the PLY properties of its published models, and of those of Huang
+et al., "2D Gaussian Splatting" (2024).
 """
 
 from dataclasses import replace
@@ -16,7 +18,7 @@ import numpy as np
 
 from ..arrays import Float32, Float64
 from ..errors import FormatError, InputError
-from ..scene.gaussians import SH_COEFFICIENTS, Gaussians
+from ..scene.gaussians import SH_COEFFICIENTS, Gaussians, flat
 from ..scene.placing import local_origin
 from .activation import checked, exp, logit, sigmoid
 from .ply import Records, gather, read_elements
@@ -26,8 +28,9 @@ MEANS = ("x", "y", "z")
 NORMALS = ("nx", "ny", "nz")
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 SCALES = ("scale_0", "scale_1", "scale_2")
+THICKNESS = SCALES[2]  # which surfels have none of
 QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
-ANTIALIASED = "SplatRenderMode: mip"  # as Brush writes it
+ANTIALIASED, SURFELS = "SplatRenderMode: mip", "SplatRenderMode: 2dgs"  # as Brush writes it
 DRAWN_ANTIALIASED = ("splatrendermode: mip", "antialiased 1")
 MARKED = ("splatrendermode: ", "antialiased ")
 REQUIRED = (*MEANS, *DC, "opacity", *SCALES, *QUATS)
@@ -41,17 +44,22 @@ def parse_gaussian_ply(buffer: memoryview, header: Header) -> Gaussians:
 
     Raises: FormatError: no 3DGS PLY, truncated, or rows that are no Gaussians.
     """
-    return replace(gaussians_of(gaussian_rows(buffer, header)), antialiased=drawn_antialiased(header))
+    return drawn_as_marked(gaussians_of(gaussian_rows(buffer, header)), header)
 
 
-def drawn_antialiased(header: Header) -> bool:
-    """Return True if the last comment that says how the Gaussians are drawn says antialiased.
+def drawn_as_marked(gaussians: Gaussians, header: Header) -> Gaussians:
+    """Return Gaussians that are antialiased, or surfels, as the last comment says that speaks of it.
 
     Brush writes `SplatRenderMode: default`, `mip` or `2dgs`, Postshot `antialiased 0` or `1`; case does not count.
+    Those of a file without `scale_2` are surfels already, whatever a comment says.
     """
-    said = [" ".join(comment.lower().split()) for comment in header.comments]
-    marks = [comment for comment in said if comment.startswith(MARKED)]
-    return bool(marks) and marks[-1] in DRAWN_ANTIALIASED
+    comments = [" ".join(comment.lower().split()) for comment in header.comments]
+    mark = next((comment for comment in reversed(comments) if comment.startswith(MARKED)), "")
+    if gaussians.surfels:
+        return gaussians
+    return (
+        gaussians.flattened() if mark == SURFELS.lower() else replace(gaussians, antialiased=mark in DRAWN_ANTIALIASED)
+    )
 
 
 def gaussian_rows(buffer: memoryview, header: Header) -> Records:
@@ -61,7 +69,7 @@ def gaussian_rows(buffer: memoryview, header: Header) -> Records:
     """
     names = header.elements["vertex"].names() if "vertex" in header.elements else []
     missing = [name for name in REQUIRED if name not in names]
-    if missing:
+    if missing and missing != [THICKNESS]:
         raise FormatError(
             f"no 3DGS PLY: vertex has no {', '.join(missing)}; it has {', '.join(names[:12]) or 'nothing'}. Point "
             "clouds and meshes have to be trained into Gaussians first"
@@ -77,12 +85,18 @@ def gaussians_of(rows: Records) -> Gaussians:
     gaussians = checked(
         means,
         gather(rows, QUATS),
-        exp(gather(rows, SCALES)),
+        _scales(rows),
         sigmoid(gather(rows, ["opacity"])[:, 0]),
         gather(rows, sh_names).reshape(len(rows), len(sh_names) // 3, 3),
         extra_columns(rows, {*REQUIRED, *sh_names}),
     )
     return replace(gaussians, origin=origin)
+
+
+def _scales(rows: Records) -> Float32[np.ndarray, "n 3"]:
+    if THICKNESS in (rows.dtype.names or ()):
+        return exp(gather(rows, SCALES))
+    return flat(exp(gather(rows, SCALES[:2])))
 
 
 def _means(rows: Records) -> tuple[Float32[np.ndarray, "n 3"], Float64[np.ndarray, " 3"]]:
@@ -120,11 +134,13 @@ def vertex_columns(gaussians: Gaussians) -> dict[str, np.ndarray]:
 
     Normals are those of `extra`, or zero, as trainers write them: viewers of 3DGS read rows of a fixed length.
 
-    Positions are those of the world: float64 where float32 would lose some of them, else float32.
+    Positions are those of the world: float64 where float32 would lose some of them, else float32. Surfels have no third
+    scale, as 2DGS writes them.
 
     Raises: InputError: values that could not be read back.
     """
     refuse_unwritable(gaussians)
+    widths = SCALES[:2] if gaussians.surfels else SCALES
     rest = [gaussians.sh[:, c, channel] for channel in range(3) for c in range(1, gaussians.sh.shape[1])]
     log_scales = np.log(gaussians.scales)
     return {
@@ -133,7 +149,7 @@ def vertex_columns(gaussians: Gaussians) -> dict[str, np.ndarray]:
         **dict(zip(DC, gaussians.sh[:, 0].T, strict=True)),
         **{f"f_rest_{i}": column for i, column in enumerate(rest)},
         "opacity": logit(gaussians.opacities),
-        **dict(zip(SCALES, log_scales.T, strict=True)),
+        **dict(zip(widths, log_scales.T, strict=False)),
         **dict(zip(QUATS, gaussians.quats.T, strict=True)),
     }
 

@@ -15,7 +15,7 @@ from ..errors import DrSplatWarning, FormatError, InputError
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians, filled
 from ..scene.units import lost_precision
 from .compressed_ply import is_compressed, parse_compressed_ply
-from .gaussian_ply import ANTIALIASED, NORMALS, parse_gaussian_ply, vertex_columns
+from .gaussian_ply import ANTIALIASED, NORMALS, SURFELS, parse_gaussian_ply, vertex_columns
 from .glb import parse_glb, read_glb
 from .glb_layout import MAGIC as GLB_MAGIC
 from .ksplat import MAGIC as KSPLAT_MAGIC
@@ -158,7 +158,7 @@ def write_gaussians(
     SuperSplat shows and splat-transform filters any such property (`-V relevancy,gt,0.5`). A column
     takes the place of an extra of the same name. Positions are stored exactly, so the fingerprint
     stays: as float32, or as double where they are counted from an origin. The rest passes through a logarithm and back.
-    is_edited: says so in the header, see `was_edited`. Antialiased Gaussians have the comment that Brush writes.
+    is_edited: says so in the header, see `was_edited`. Antialiased Gaussians and surfels have the comment of Brush.
 
     Raises: InputError: `path` exists and not `overwrite`, a suffix other than .ply, a column of
     another length, type or name than a PLY can hold, or of a property that the format itself uses; a
@@ -174,7 +174,8 @@ def write_gaussians(
             raise InputError(f"column '{name}' would replace a property of the Gaussians: call it something else")
         if column.shape != (len(gaussians),):
             raise InputError(f"column '{name}': expected shape ({len(gaussians)},), got {column.shape}")
-    comments = [*([EDITED] if is_edited else []), *([ANTIALIASED] if gaussians.antialiased else [])]
+    mark = SURFELS if gaussians.surfels else ANTIALIASED if gaussians.antialiased else ""
+    comments = [comment for comment in (EDITED if is_edited else "", mark) if comment]
     write_vertices(path, {**properties, **further}, overwrite, comments)
 
 

@@ -6,7 +6,8 @@ and maxs of sign(x) ln(1 + |x|). quats holds three components of [-1, 1] / sqrt 
 codebooks of 256; its alpha is the opacity. Version 1, which states no version, has steps of 255 between
 mins and maxs instead, and the logit of the opacity. Harmonics beyond the first are those of a palette: 64
 entries a row, a pixel for each coefficient (of the three channels); labels are 16 bits in red and green. A `model`
-"antialiased" says how opacities are drawn. What drsplat writes beside, objects and relevancy, comes back in `extra`.
+"antialiased" says how opacities are drawn, "2dgs" that Gaussians are surfels. What drsplat writes beside, objects and
+relevancy, comes back in `extra`.
 
 Axes are those of the PLY that it was made from, as splat-transform reads and writes it.
 
@@ -24,7 +25,7 @@ import numpy as np
 from ..arrays import Float32, UInt8
 from ..contents import file_bytes
 from ..errors import FormatError
-from ..scene.gaussians import Gaussians
+from ..scene.gaussians import Gaussians, flat
 from .activation import checked, exp, from_smallest_three, sigmoid
 from .json_files import as_count, as_number, as_vector, shown
 from .labels import Labels, parse_labels
@@ -36,7 +37,7 @@ PALETTE_ROW = 64
 LARGEST_PALETTE = 1 << 16
 SPARE_ROWS = 8  # writers round both sides of a picture up to fours
 _FIRST_TAG = 252
-ANTIALIASED = "antialiased"  # the `model` of meta.json
+ANTIALIASED, SURFELS = "antialiased", "2dgs"  # the `model` of meta.json
 OWN = "drsplat"  # key of meta.json: what drsplat writes beside, see `sog_writing`
 Bytes = UInt8[np.ndarray, "n 4"]
 
@@ -84,9 +85,10 @@ class _Sog:
     def gaussians(self) -> Gaussians:
         means, quats, scales = self._means(), self._quats(), self._scales()
         colours = self._plane("sh0")
-        opacities, antialiased = self._opacities(colours), self.meta.get("model") == ANTIALIASED
+        opacities, model = self._opacities(colours), self.meta.get("model")
+        scales = flat(scales[:, :2]) if model == SURFELS else scales
         sh = self._harmonics(colours)
-        gaussians = checked(means, quats, scales, opacities, sh, self._own_columns(), antialiased)
+        gaussians = checked(means, quats, scales, opacities, sh, self._own_columns(), model == ANTIALIASED)
         origin = _part(self.meta, OWN).get("origin") if OWN in self.meta else None
         return gaussians if origin is None else replace(gaussians, origin=as_vector(origin, 3, f"{META}: origin"))
 

@@ -1,7 +1,6 @@
 """Scene files as rows that are read when they are asked for: what is cut into tiles may be larger than memory."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple, Protocol, runtime_checkable
@@ -14,10 +13,10 @@ from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians
 from ..scene.similarity import IDENTITY, Similarity, similarity_of
 from .compressed_ply import is_compressed
-from .gaussian_ply import MEANS, SCALES, drawn_antialiased, gaussian_rows, gaussians_of
+from .gaussian_ply import MEANS, SCALES, drawn_as_marked, gaussian_rows, gaussians_of
 from .json_files import as_matrix, as_vector, is_text, read_json, shown
 from .ply import Records
-from .ply_header import read_header
+from .ply_header import Header, read_header
 from .scenes import read_gaussians, scene_file
 from .streamed_sog import LOD_META, chunks_of
 
@@ -58,8 +57,8 @@ class Block(NamedTuple):
 class _MappedPly:
     """Rows of a binary PLY, read from the file when they are asked for."""
 
-    def __init__(self, path: Path, rows: Records, antialiased: bool) -> None:
-        self.name, self._path, self._rows, self._antialiased = path.name, path, rows, antialiased
+    def __init__(self, path: Path, rows: Records, header: Header) -> None:
+        self.name, self._path, self._rows, self._header = path.name, path, rows, header
 
     def positions(self) -> Float64[np.ndarray, "n 3"]:
         result = np.empty((len(self._rows), 3))
@@ -73,14 +72,14 @@ class _MappedPly:
         largest = np.full(len(self._rows), -np.inf, np.float32)
         for begin in range(0, len(largest), BLOCK):
             block = self._rows[begin : begin + BLOCK]
-            for name in SCALES:
+            for name in [name for name in SCALES if name in (block.dtype.names or ())]:
                 np.maximum(largest[begin : begin + BLOCK], block[name], out=largest[begin : begin + BLOCK])
         with np.errstate(over="ignore"):  # rows that are no Gaussians are told when they are read
             return np.exp(largest)
 
     def gaussians(self, rows: Integer[np.ndarray, " m"]) -> Gaussians:
         try:
-            return replace(gaussians_of(self._rows[rows]), antialiased=self._antialiased)
+            return drawn_as_marked(gaussians_of(self._rows[rows]), self._header)
         except FormatError as error:
             raise FormatError(f"{self._path}: {error}") from None
 
@@ -121,7 +120,7 @@ def sources_of(path: Path) -> list[Source]:
         header = read_header(content.data)
         if header.order == "=" or is_compressed(header):
             return [_Whole(path)]
-        return [_MappedPly(path, gaussian_rows(content.data, header), drawn_antialiased(header))]
+        return [_MappedPly(path, gaussian_rows(content.data, header), header)]
     except FormatError as error:
         raise FormatError(f"{path}: {error}") from None
 

@@ -17,7 +17,7 @@ from ..contents import file_bytes
 from ..errors import FormatError, InputError
 from ..scene.moving import Moving
 from ..scene.spacetime import Spacetime
-from .gaussian_ply import QUATS, drawn_antialiased, gaussian_rows, gaussians_of
+from .gaussian_ply import QUATS, drawn_as_marked, gaussian_rows, gaussians_of
 from .ply import gather
 from .ply_header import Header, read_header
 
@@ -51,7 +51,7 @@ def read_spacetime(path: Path) -> Moving:
         lengths = np.linalg.norm(gather(rows, QUATS).astype(np.float64), axis=1, keepdims=True)
         own = {name: column for name, column in gaussians.extra.items() if name not in COLUMNS}
         motion = Spacetime(
-            replace(gaussians, extra=own, antialiased=drawn_antialiased(header)).localized(),
+            replace(drawn_as_marked(gaussians, header), extra=own).localized(),
             gather(rows, [CENTER])[:, 0],
             np.exp(gather(rows, [WIDTH])[:, 0].astype(np.float64)),
             gather(rows, MOTION).reshape(-1, 3, 3),

@@ -13,6 +13,7 @@ from .placing import FEWEST, local_origin, near_plane
 from .rotations import rotation_matrices, rotation_rows
 
 SH_COEFFICIENTS = (1, 4, 9, 16)
+SURFEL_THICKNESS = np.float32(1e-6)  # standard deviation of a surfel along its normal, scene units
 SH_C0 = 0.28209479177387814  # 1 / (2 sqrt(pi)), the constant harmonic: colour = 0.5 + SH_C0 * sh[:, 0]
 
 
@@ -64,6 +65,15 @@ class Gaussians:
     @property
     def sh_degree(self) -> int:
         return SH_COEFFICIENTS.index(self.sh.shape[1])
+
+    @cached_property
+    def surfels(self) -> bool:
+        """Whether the Gaussians are flat discs, as 2DGS trains them: each as thick as what is read for no thickness."""
+        return bool(len(self)) and bool((self.scales[:, 2] == SURFEL_THICKNESS).all())
+
+    def flattened(self) -> "Gaussians":
+        """Return the Gaussians as surfels: the normal is the third axis."""
+        return replace(self, scales=flat(self.scales[:, :2]))
 
     @cached_property
     def fingerprint(self) -> str:
@@ -137,6 +147,11 @@ def covariances_of(quats: Float32[np.ndarray, "n 4"], scales: Float32[np.ndarray
     for at, (i, j) in enumerate(zip(*np.triu_indices(3), strict=True)):
         covariances[at] = axes[i][0] * axes[j][0] + axes[i][1] * axes[j][1] + axes[i][2] * axes[j][2]
     return covariances
+
+
+def flat(widths: Float32[np.ndarray, "n 2"]) -> Float32[np.ndarray, "n 3"]:
+    """Return the standard deviations of surfels from those along their two axes."""
+    return np.column_stack([widths, np.full(len(widths), SURFEL_THICKNESS)])
 
 
 class ShapesDigest:
