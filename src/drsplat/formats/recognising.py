@@ -16,7 +16,9 @@ from .field_folder import MANIFEST
 from .photo_files import PHOTO_SUFFIXES
 
 TRANSFORMS, TRAIN_TRANSFORMS, CAMERAS = "transforms.json", "transforms_train.json", "cameras.json"
-SCENE_SUFFIXES = (".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb", ".gltf", ".usda", ".usdc", ".usdz", ".usd")
+SCENE_SUFFIXES = (
+    ".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb", ".gltf", ".usda", ".usdc", ".usdz", ".usd", ".lcc2"
+)  # fmt: skip
 FIELD_SUFFIX = ".field"
 _HEAD_BYTES = 4096  # the properties of a PLY are named in them
 _SPLATS, _MOST_NAMES_BYTES = b"KHR_gaussian_splatting", 1 << 20  # of a glTF, whose names may stand anywhere in it

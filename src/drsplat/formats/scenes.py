@@ -20,6 +20,8 @@ from .glb import parse_glb, read_glb
 from .glb_layout import MAGIC as GLB_MAGIC
 from .ksplat import MAGIC as KSPLAT_MAGIC
 from .ksplat import parse_ksplat
+from .lcc2 import SUFFIX as LCC2
+from .lcc2 import read_lcc2
 from .ply import write_vertices
 from .ply_header import read_header
 from .recognising import Kind, mistaken, recognised
@@ -41,9 +43,9 @@ EDITED, HEADER_BEGIN_BYTES = "edited by drsplat", 256
 
 
 def read_gaussians(path: str | PathLike[str]) -> Gaussians:
-    """Read a scene: PLY of 3DGS, compressed PLY, SPZ 2-4, SOG, KSPLAT, `.splat`, GLB, USD, tiles, a model's folder.
+    """Read a scene: PLY of 3DGS, compressed PLY, SPZ 2-4, SOG, KSPLAT, `.splat`, GLB, USD, LCC2, tiles, or a model.
 
-    The format is told by the file's first bytes; only `.splat`, which has no mark, by its suffix.
+    The format is told by the file's first bytes; `.splat`, `.gltf` and `.lcc2`, which have no mark, by their suffix.
     In a folder, its tiles, its SOG (meta.json; lod-meta.json of a streamed one, the finest level; they may be named
     themselves) or the PLY of the highest `point_cloud/iteration_*` is read. Row order is the file's.
     The result is in the axes of the trained scene (RDF for SPZ, see formats.spz) and owns its
@@ -59,6 +61,8 @@ def read_gaussians(path: str | PathLike[str]) -> Gaussians:
             return local(read_unpacked_sog(path), str(path))
         if path.name == LOD_META:
             return local(read_streamed_sog(path), str(path))
+        if path.suffix.lower() == LCC2:
+            return local(read_lcc2(path), str(path))
         if path.name == TILES:
             return read_tiles(path.parent).gaussians()
         if path.suffix.lower() == GLTF:

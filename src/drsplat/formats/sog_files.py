@@ -10,7 +10,7 @@ Source: PKWARE APPNOTE.TXT 6.3 (ZIP); RFC 9649 (WebP).
 import io
 import struct
 from collections.abc import Callable
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 
@@ -45,6 +45,19 @@ def folder_member(folder: Path) -> Member:
         return content
 
     return read
+
+
+def beside(document: Path, name: object) -> Path:
+    """Return the path of a file that a document names relative to its own folder.
+
+    Raises: FormatError: the name leads out of the folder, or is none.
+    """
+    path = (
+        PurePosixPath(name) if isinstance(name, str) and "\\" not in name and "\0" not in name else PurePosixPath("/")
+    )
+    if path.is_absolute() or ".." in path.parts or not path.name:
+        raise FormatError(f"{document}: expected the path of a file in this folder, got {shown(name)}")
+    return document.parent / path
 
 
 def zip_member(buffer: memoryview) -> Member:

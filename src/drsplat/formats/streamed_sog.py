@@ -10,7 +10,7 @@ Source: developer.playcanvas.com, "The Streamed SOG Format", version 1.
 
 from collections import Counter
 from collections.abc import Iterator
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 from ..errors import FormatError
@@ -18,7 +18,7 @@ from ..scene.gaussians import Gaussians, concatenated
 from .json_files import as_count, is_text, read_json, shown
 from .labels import Labels, parse_labels
 from .sog import OWN, read_unpacked_sog
-from .sog_files import META, folder_member
+from .sog_files import META, beside, folder_member
 
 LOD_META = "lod-meta.json"
 DEEPEST = 64  # of the tree; a million chunks of two branches a node need 20
@@ -114,7 +114,7 @@ def _level(name: str, lod_meta: Path) -> int:
 
 
 def _inside(lod_meta: Path, name: object) -> Path:
-    path = PurePosixPath(name) if isinstance(name, str) else PurePosixPath("/")
-    if path.is_absolute() or ".." in path.parts or path.name != META:
+    path = beside(lod_meta, name)
+    if path.name != META:
         raise FormatError(f"{lod_meta}: expected the path of a chunk's {META} in this folder, got {shown(name)}")
-    return lod_meta.parent / path
+    return path
