@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .edit_options import add_kept_edits, note_applied, note_left_out, only_one
-from .options import add_capture_options, add_overwrite, add_query_encoders, finite, new_output, whole, words
-from .query_options import add_measure_options, add_query_kinds, open_scene, query_of, query_text
+from .options import add_capture_options, add_overwrite, add_query_encoders, finite, new_output, views_of, whole, words
+from .query_options import add_measure_options, add_query_kinds, open_scene, query_of, query_said
 
 if TYPE_CHECKING:
     from ..exporting.labelling import Only
@@ -58,6 +59,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--embeddings", action="store_true", help="keep the embedding of each object, where the format can hold it"
     )
     what.add_argument(
+        "--photos", action="store_true", help="keep the photos and their cameras, where the format can hold them: .rrd"
+    )
+    what.add_argument(
         "--fit-8bit", action="store_true", help="fit colours to viewers of the web, which keep and clamp them in bytes"
     )
     what.add_argument(
@@ -84,7 +88,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     output = _output(arguments)
     if (arguments.tiles3d or output.name == LOD_META) and _is_tiles(arguments):
         return _levels_of_tiles(arguments, output)
-    scene = _labelled(arguments)
+    scene = _labelled(arguments, output)
     if arguments.fit_8bit:
         scene = for_8_bits(scene)
     note_applied(scene.num_edits)
@@ -187,23 +191,27 @@ def _levels_of_tiles(arguments: argparse.Namespace, output: Path) -> dict[str, A
     return _report(arguments, None, written_streamed_sog(output, tiles, arguments.overwrite))
 
 
-def _labelled(arguments: argparse.Namespace) -> LabelledScene:
+def _labelled(arguments: argparse.Namespace, output: Path) -> LabelledScene:
     from ..exporting.labelling import labelled
+    from ..exporting.writing import whole_motion
 
     scene = _opened(arguments)
     if scene is None:
-        return _alone(arguments)
+        return _alone(arguments, output)
     query = _query(arguments)
     _note_none(arguments, scene.path, scene.gaussians)
-    return labelled(
+    motion = whole_motion(output, scene.motion, arguments.time)
+    carried = labelled(
         scene,
         query,
         only=_only(arguments, scene),
-        time=arguments.time,
+        time=arguments.time if motion is None else motion.span[0],
         edits=arguments.edits or "kept",
         embeddings=arguments.embeddings,
-        said="" if query is None else query_text(arguments),
+        photos=arguments.photos,
+        said="" if query is None else query_said(arguments),
     )
+    return replace(carried, motion=motion)
 
 
 def _opened(arguments: argparse.Namespace) -> Scene | None:
@@ -229,15 +237,23 @@ def _opened(arguments: argparse.Namespace) -> Scene | None:
     return None
 
 
-def _alone(arguments: argparse.Namespace) -> LabelledScene:
+def _alone(arguments: argparse.Namespace, output: Path) -> LabelledScene:
+    from ..errors import InputError
     from ..exporting.labelling import labelled_alone
+    from ..exporting.writing import whole_motion
     from ..formats.moving_scenes import read_scene
     from ..scene.moving import canonical_of
 
     source = Path(arguments.source)
     gaussians = read_scene(source)
     _note_none(arguments, source, canonical_of(gaussians))
-    return labelled_alone(gaussians, source, time=arguments.time, edits=arguments.edits or "kept")
+    if arguments.photos and arguments.views is None:
+        raise InputError("photos: a scene without a field has none of its own: pass views=CAPTURE as well")
+    views = tuple(views_of(arguments, arguments.views)) if arguments.photos else ()
+    motion = whole_motion(output, gaussians, arguments.time)
+    time = arguments.time if motion is None else motion.span[0]
+    carried = labelled_alone(gaussians, source, time=time, edits=arguments.edits or "kept")
+    return replace(carried, views=views, motion=motion)
 
 
 def _query(arguments: argparse.Namespace) -> Query | None:

@@ -20,6 +20,7 @@ from ..scene.annotations import Annotation
 from ..scene.gaussians import Gaussians
 from ..scene.labelled import PLY_UP, LabelledScene
 from ..scene.moving import Moving, canonical_of
+from ..scene.views import View
 from .after import After, after_edits
 from .choosing import only_used, rows_of
 from .placing import Placing
@@ -51,6 +52,7 @@ def labelled(
     time: float | None = None,
     edits: KeptEdits = "kept",
     embeddings: bool = False,
+    photos: bool = False,
     said: str = "",
 ) -> LabelledScene:
     """Bring together what is known of a scene, as it is after the edits that are kept beside it.
@@ -63,6 +65,7 @@ def labelled(
         time: of a scene that moves, which is written as it is then.
         edits: "none" leaves out the edits that are kept beside the scene.
         embeddings: whether objects take their descriptors along.
+        photos: whether the photos and their cameras go along.
         said: the query in words, where it has none.
 
     Raises: InputError: nothing is left, a scene that moves without a time, no Gaussians; as `Scene.ask`.
@@ -90,8 +93,15 @@ def labelled(
         PLY_UP if scene.up is None else (float(scene.up[0]), float(scene.up[1]), float(scene.up[2])),
         scene.field.encoder.name if embeddings else "",
         listed.done,
+        _views(scene) if photos else (),
     )
     return whole_scene if only is None else only_used(whole_scene)
+
+
+def _views(scene: Scene) -> tuple[View, ...]:
+    if not scene.views:
+        raise InputError("photos: this scene has none: pass views=CAPTURE, the photos and their poses")
+    return scene.views
 
 
 def labelled_alone(

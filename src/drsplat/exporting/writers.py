@@ -32,6 +32,7 @@ ASPECTS: Mapping[str, str] = MappingProxyType(
         "embeddings": "embeddings of objects",
         "columns": "further columns of the scene",
         "surfels": "mark that its Gaussians are surfels (2DGS)",
+        "photos": "photos",
     }
 )
 Writer = Callable[[Path, LabelledScene, bool], None]
@@ -109,6 +110,7 @@ def lacks(kind: str, scene: LabelledScene) -> tuple[str, ...]:
         "embeddings": any(thing.embedding is not None for thing in scene.things),
         "columns": bool(scene.gaussians.extra),
         "surfels": scene.gaussians.surfels,
+        "photos": bool(scene.views),
     }
     held = HELD[kind]
     return tuple(f"{kind} keeps no {ASPECTS[name]}" for name, has in there.items() if has and name not in held)
@@ -142,18 +144,18 @@ WRITERS: Mapping[str, Writer] = MappingProxyType(
         LOD_META: write_streamed_sog,
     }
 )
-_USD_HELD = frozenset(ASPECTS) - {"columns"}
+_GLB_HELD = frozenset(ASPECTS) - {"columns", "photos"}
 HELD: Mapping[str, frozenset[str]] = MappingProxyType(
     {
-        ".glb": frozenset(ASPECTS) - {"columns"},
+        ".glb": _GLB_HELD,
         ".ply": frozenset({"numbers", "relevancy", "columns", "surfels"}),
-        ".rrd": frozenset({"names", "matches", "annotations"}),
+        ".rrd": frozenset({"names", "matches", "annotations", "photos"}),
         ".sog": frozenset({"numbers", "names", "relevancy", "surfels"}),
         ".spz": frozenset(),
         SPZ_4: frozenset({"numbers", "names", "relevancy"}),
-        ".usda": _USD_HELD,
-        ".usdc": _USD_HELD,
-        ".usdz": _USD_HELD,
+        ".usda": _GLB_HELD,
+        ".usdc": _GLB_HELD,
+        ".usdz": _GLB_HELD,
         LOD_META: frozenset({"numbers", "names", "relevancy", "surfels"}),
         TILES3D: frozenset({"numbers", "names"}),
     }

@@ -44,6 +44,7 @@ def export(
     time: float | None = None,
     edits: KeptEdits = "kept",
     embeddings: bool = False,
+    photos: bool = False,
     fit_8bit: bool = False,
     spz_version: int = 3,
     overwrite: bool = False,
@@ -53,7 +54,8 @@ def export(
     Args:
         path: NAME.glb, .ply, .spz, DIR/lod-meta.json or another that `exporting.writers.WRITERS` has.
         scene: an opened scene; Gaussians alone; or what `labelled` made, as it is.
-        query, only, time, edits, embeddings: as of `labelled`.
+        query, only, time, edits, embeddings, photos: as of `labelled`; without a time, a `.rrd` of a scene that moves
+            has all of its motion.
         fit_8bit: fits colours to viewers that keep them in bytes (`scene.eight_bits.fitted_to_8_bits`).
         spz_version: as of `write_scene`.
         overwrite: replaces what is at `path`.
@@ -61,13 +63,22 @@ def export(
     Raises: InputError: a suffix that nothing is written as, more than the format can hold, `path` exists and not
     `overwrite`; as `labelled`.
     """
+    motion = whole_motion(Path(path), scene.motion if isinstance(scene, Scene) else scene, time)
+    time = time if motion is None else motion.span[0]
     if isinstance(scene, Scene):
-        carried = labelled(scene, query, only=only, time=time, edits=edits, embeddings=embeddings)
+        carried = labelled(scene, query, only=only, time=time, edits=edits, embeddings=embeddings, photos=photos)
     elif query is not None or only is not None:
         raise InputError("a query is answered by a field: open the scene together with its field")
     else:
         carried = scene if isinstance(scene, LabelledScene) else labelled_alone(scene, time=time)
+    carried = carried if motion is None else replace(carried, motion=motion)
     return written(Path(path), for_8_bits(carried) if fit_8bit else carried, overwrite, spz_version)
+
+
+def whole_motion(path: Path, scene: object, time: float | None) -> Moving | None:
+    """Return the scene where all of its motion is written, which a recording of rerun holds; None elsewhere."""
+    is_whole = time is None and isinstance(scene, Moving) and format_of(path) == ".rrd"
+    return scene if is_whole and isinstance(scene, Moving) else None
 
 
 def for_8_bits(scene: LabelledScene) -> LabelledScene:

@@ -1,33 +1,38 @@
 """Writing a recording of rerun (`.rrd`) with its own SDK: splats, boxes with names, and photos where they were taken.
 
+A scene that moves has all of its times on the timeline "time", with the tracks of its objects.
 Rerun's splats are marked unstable in its SDK (0.41). Axes are those of the scene.
 """
 
 import shutil
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ..arrays import Float64
 from ..errors import MissingExtraError
 from ..scene.gaussians import SH_C0, Gaussians
 from ..scene.labelled import LabelledScene, Thing
+from ..scene.moving import Moving
 from ..scene.similarity import quaternion_of
 from ..scene.views import View
 from .replacing import replacing
 from .usd_writing import refuse_unwritable
 
 INSTALL = 'pip install "drsplat[rerun]"'
+TIMELINE = "time"
 MAX_HARMONICS = 15  # of a Gaussian, without the constant one
 
 
-def write_rrd(path: Path, scene: LabelledScene, overwrite: bool = False, views: Sequence[View] = ()) -> None:
-    """Write a scene, its objects, matches and annotations, and photos with their cameras.
+def write_rrd(path: Path, scene: LabelledScene, overwrite: bool = False) -> None:
+    """Write a scene, its objects, matches and annotations, its photos with their cameras, and its motion.
 
     Raises: InputError: no Gaussians, or some that no file could give back; `path` exists and not `overwrite`.
-    MissingExtraError: the SDK is not installed.
+    MissingExtraError: the SDK is not installed. FormatError: a damaged frame of a scene that moves.
     """
     rerun = _sdk()
     refuse_unwritable(scene.gaussians)
@@ -35,7 +40,8 @@ def write_rrd(path: Path, scene: LabelledScene, overwrite: bool = False, views: 
         made = Path(folder) / "scene.rrd"
         stream = rerun.RecordingStream("drsplat")
         stream.save(str(made))
-        _log(rerun, stream, scene, views)
+        stream.set_log_time_enabled(False)
+        _log(rerun, stream, scene)
         stream.flush()
         stream.disconnect()
         with replacing(path, overwrite) as file, made.open("rb") as source:
@@ -50,19 +56,52 @@ def _sdk() -> Any:
     return rerun
 
 
-def _log(rerun: Any, stream: Any, scene: LabelledScene, views: Sequence[View]) -> None:
+def _log(rerun: Any, stream: Any, scene: LabelledScene) -> None:
     stream.log("world", rerun.ViewCoordinates.RDF, static=True)
-    stream.log("world/splats", _splats(rerun, scene.gaussians), static=True)
-    for name in ("things", "groups", "matches"):
+    for name in ("groups", "matches"):
         things = getattr(scene, name)
         if things:
             stream.log(f"world/{name}", _boxes(rerun, things), static=True)
+    if scene.motion is None:
+        stream.log("world/splats", _splats(rerun, scene.gaussians), static=True)
+        if scene.things:
+            stream.log("world/things", _boxes(rerun, scene.things), static=True)
+    else:
+        _log_motion(rerun, stream, scene, scene.motion)
     notes = scene.annotations
     if notes:
         places = rerun.Points3D([note.center for note in notes], labels=[note.text for note in notes])
         stream.log("world/annotations", places, static=True)
-    for number, view in enumerate(views):
+    for number, view in enumerate(scene.views):
         _log_view(rerun, stream, f"world/photos/{number}", view)
+
+
+def _log_motion(rerun: Any, stream: Any, scene: LabelledScene, motion: Moving) -> None:
+    """Log each time of a scene that moves: all of its splats, and boxes of objects that go along with their middles."""
+    tracks: list[Float64[np.ndarray, "t 3"]] = []
+    for time in motion.times.tolist():
+        stream.set_time(TIMELINE, duration=time)
+        gaussians = motion.at(time)
+        stream.log("world/splats", _splats(rerun, gaussians))
+        if scene.things:
+            tracks.append(_middles(scene, gaussians))
+            moved = zip(scene.things, tracks[-1] - tracks[0], strict=True)
+            boxes = [replace(thing, center=thing.center + by) for thing, by in moved]
+            stream.log("world/things", _boxes(rerun, boxes))
+    stream.reset_time()
+    if tracks:
+        strips = np.array([thing.center for thing in scene.things]) + np.stack(tracks) - tracks[0]
+        names = [thing.name for thing in scene.things]
+        stream.log("world/tracks", rerun.LineStrips3D(strips.swapaxes(0, 1), labels=names), static=True)
+
+
+def _middles(scene: LabelledScene, gaussians: Gaussians) -> Float64[np.ndarray, "k 3"]:
+    """Return the mean position of the Gaussians of each object; zero for those without."""
+    owners = np.full(len(gaussians), -1) if scene.object_of is None else scene.object_of
+    own, count = owners >= 0, len(scene.things)
+    sizes = np.maximum(np.bincount(owners[own], minlength=count), 1)
+    sums = [np.bincount(owners[own], column, count) for column in gaussians.positions[own].T]
+    return np.asarray(np.stack(sums, axis=1) / sizes[:, None])
 
 
 def _splats(rerun: Any, gaussians: Gaussians) -> Any:

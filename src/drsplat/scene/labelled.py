@@ -9,6 +9,8 @@ from ..arrays import Float32, Float64, Int32
 from ..errors import InputError
 from .annotations import Annotation
 from .gaussians import Gaussians
+from .moving import Moving
+from .views import View
 
 PLY_UP = (0.0, -1.0, 0.0)  # a scene of COLMAP's poses, whose y points down where nothing else is known
 
@@ -50,7 +52,8 @@ class LabelledScene:
 
     object_of: number of each Gaussian's object in `things`, -1 for none; None where no objects are known. relevancy: of
     each Gaussian to `query`; None without a query. up: unit direction that is up, in the world. encoder: name of the
-    encoder of the embeddings. num_edits: edits of the scene's own file that are done in it.
+    encoder of the embeddings. num_edits: edits of the scene's own file that are done in it. views: photos that go
+    along. motion: of the same rows, of which `gaussians` are those of the first time; None where one time is written.
 
     Raises: InputError: lengths that disagree, or an object of a number that there is not.
     """
@@ -67,11 +70,18 @@ class LabelledScene:
     up: tuple[float, float, float] = PLY_UP
     encoder: str = ""
     num_edits: int = 0
+    views: tuple[View, ...] = ()
+    motion: Moving | None = None
 
     def __post_init__(self) -> None:
         for name, column in (("object_of", self.object_of), ("relevancy", self.relevancy)):
             if column is not None and column.shape != (len(self.gaussians),):
                 raise InputError(f"{name}: expected {len(self.gaussians):,} numbers, got an array {column.shape}")
+        if self.motion is not None and len(self.motion) != len(self.gaussians):
+            raise InputError(
+                f"motion: {len(self.motion):,} Gaussians move and {len(self.gaussians):,} are written: of a part, or "
+                "after edits, a file holds one time: pass time=T"
+            )
         if self.object_of is not None and not ((self.object_of >= -1) & (self.object_of < len(self.things))).all():
             raise InputError(f"object_of: expected numbers from -1 to {len(self.things) - 1}, which things there are")
 
