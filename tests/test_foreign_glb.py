@@ -18,7 +18,7 @@ import scene_files
 from browsing import a_browser, a_page, needs_chromium
 from drsplat.exporting import export
 from drsplat.exporting.writers import write_scene
-from drsplat.formats.glb_layout import standing_up
+from drsplat.formats.axes import standing_up
 from drsplat.scene.annotations import Annotation
 from drsplat.scene.labelled import LabelledScene, Thing
 from drsplat.scene.similarity import Similarity

@@ -1,10 +1,10 @@
 """3D Tiles: levels of detail of a scene on the Earth, checked against its own numbers."""
 
+import ast
 import json
 import struct
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,17 @@ import pytest
 
 from drsplat.errors import InputError
 from drsplat.formats.georeference import Georeference
+from drsplat.formats.glb_writing import write_glb
 from drsplat.formats.scenes import parse_gaussians
 from drsplat.formats.sources import Block, sources_of
 from drsplat.formats.tiles3d_writing import write_tiles3d
+from drsplat.formats.usd_writing import write_usda
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.geodesy import geocentric
 from drsplat.scene.labelled import LabelledScene, Thing
+from drsplat.scene.rotations import rotation_matrices
 from drsplat.tiles.cutting import cut
+from glb_files import Read
 from scene_files import random_gaussians
 
 COUNT, ROWS = 300, 40
@@ -110,24 +114,35 @@ def test_the_root_lies_on_the_earth(tmp_path: Path) -> None:
 
 
 def test_each_tile_has_the_objects_that_are_in_it(tmp_path: Path) -> None:
+    """Also where its Gaussians are merged of others, as those of different objects never are."""
     scene = labelled()
     write_tiles3d(tmp_path / "out", scene, rows=ROWS)
+    middle = (scene.gaussians.means[:, 0].min() + scene.gaussians.means[:, 0].max()) / 2
     for tile in tiles_of(document_of(tmp_path / "out")["root"]):
-        document, binary = content_of(tmp_path / "out" / tile["content"]["uri"])
-        primitive = document["meshes"][0]["primitives"][0]
-        if "_FEATURE_ID_0" not in primitive["attributes"]:
-            assert gaussians_of(tmp_path / "out" / tile["content"]["uri"]).means[:, 0].max() < 0.1
-            continue
-        accessor = document["accessors"][primitive["attributes"]["_FEATURE_ID_0"]]
-        view = document["bufferViews"][accessor["bufferView"]]
-        numbers = np.frombuffer(binary, "<f4", accessor["count"], view["byteOffset"])
-        table = document["extensions"]["EXT_structural_metadata"]["propertyTables"][0]
-        views = [document["bufferViews"][table["properties"]["name"][key]] for key in ("values", "stringOffsets")]
-        texts, offsets = (binary[v["byteOffset"] : v["byteOffset"] + v["byteLength"]] for v in views)
-        ends = np.frombuffer(offsets, "<u4")
-        names = [texts[a:b].decode() for a, b in pairwise(ends.tolist())]
-        assert set(names) <= {thing.name for thing in scene.things}
-        assert set(np.unique(numbers)) <= {*range(table["count"]), 2**24 - 1}
+        path = tmp_path / "out" / tile["content"]["uri"]
+        x, read = gaussians_of(path).means[:, 0] + middle, Read.of(path.read_bytes())
+        has_objects = "_FEATURE_ID_0" in read.primitive["attributes"]
+        names = read.object_names() if has_objects else [None] * len(x)
+        for name, where in zip(names, x, strict=True):
+            assert abs(where) < 1e-2 or name == (scene.things[1].name if where > 0 else None)
+
+
+def test_everything_stands_alike(tmp_path: Path) -> None:
+    """A GLB, OpenUSD and a tileset of one scene have the same heading, whatever is up in it."""
+    scene = replace(labelled(), up=(0.8, 0.0, 0.6))
+    write_glb(tmp_path / "a.glb", scene)
+    write_usda(tmp_path / "a.usda", scene)
+    write_tiles3d(tmp_path / "out", scene, rows=ROWS)
+    x, y, z, w = Read.of((tmp_path / "a.glb").read_bytes()).document["nodes"][0]["rotation"]
+    glb = rotation_matrices(np.array([[w, x, y, z]]))[0]
+    text = (tmp_path / "a.usda").read_text()
+    matrix = text[text.index("matrix4d xformOp:transform = ") :].split("\n")[0].split("= ")[1]
+    rows = np.array(ast.literal_eval(matrix))  # which rows of points are multiplied by
+    tileset = np.array(document_of(tmp_path / "out")["root"]["transform"]).reshape(4, 4).T[:3, :3]
+    z_up_from_y_up = NORTH_UP @ np.diag([1, -1, -1])
+    np.testing.assert_allclose(rows[:3, :3].T, glb, atol=1e-9)
+    np.testing.assert_allclose(tileset, z_up_from_y_up @ glb @ NORTH_UP.T, atol=1e-9)
+    np.testing.assert_allclose(glb @ scene.up, [0, 1, 0], atol=1e-12)
 
 
 def test_a_folder_of_tiles_is_written_tile_by_tile(tmp_path: Path) -> None:
@@ -150,7 +165,7 @@ def test_small_scenes_have_a_tree(count: int, tmp_path: Path) -> None:
 
 def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
     scene = labelled(3)
-    with pytest.raises(InputError, match="without Gaussians"):
+    with pytest.raises(InputError, match="no Gaussians to write"):
         write_tiles3d(tmp_path / "out", LabelledScene(scene.gaussians.subset(np.zeros(0, int))))
     write_tiles3d(tmp_path / "out", scene)
     with pytest.raises(InputError, match="exists already"):

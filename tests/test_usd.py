@@ -476,9 +476,9 @@ def test_what_no_file_could_give_back_is_refused(suffix: str, tmp_path: Path) ->
     needs_library(path)
     gaussians = random_gaussians(np.random.default_rng(0), 3)
     gaussians.sh[1, 0, 0] = np.nan
-    with pytest.raises(InputError, match=r"the first is row 1|row 1 has"):
+    with pytest.raises(InputError, match=r"the first is row 1"):
         write_scene(path, LabelledScene(gaussians))
-    with pytest.raises(InputError, match=r"(no|without) Gaussians"):
+    with pytest.raises(InputError, match=r"no Gaussians to write"):
         write_scene(path, LabelledScene(gaussians.subset(np.zeros(0, int))))
     with pytest.raises(InputError, match="name that can be written"):
         write_scene(path, LabelledScene(gaussians.subset(np.array([0])), title="\ud800"))

@@ -22,10 +22,10 @@ import numpy as np
 from ..arrays import Float32, Float64, Integer, UInt8, UInt16
 from ..codes.kmeans import train_centroids
 from ..errors import InputError
-from ..formats.gaussian_ply import refuse_unwritable
 from ..formats.labels import has_labels, labels_bytes
 from ..formats.sog import ANTIALIASED, LARGEST_PALETTE, OWN, PALETTE_ROW, SURFELS
 from ..formats.sog_files import META
+from ..formats.writable import refuse_unwritable
 from ..kernels import pq_encode
 from ..scene.gaussians import Gaussians
 from ..scene.labelled import LabelledScene

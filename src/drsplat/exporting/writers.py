@@ -16,12 +16,12 @@ from ..formats.spz_writing import spz4_bytes, spz_bytes
 from ..formats.streamed_sog import LOD_META
 from ..formats.usd_library import write_usdc, write_usdz
 from ..formats.usd_writing import write_usda
+from ..formats.writable import refuse_unwritable
 from ..scene.labelled import LabelledScene
 from .sog_writing import sog_bytes
 from .streamed_sog_writing import write_streamed_sog
 
 TILES3D, SPZ_4 = "3D Tiles", ".spz, version 4"  # formats that no suffix says
-BLOCK = 1 << 14  # rows that are looked at together
 ASPECTS: Mapping[str, str] = MappingProxyType(
     {
         "numbers": "object of each Gaussian",
@@ -52,7 +52,7 @@ def write_scene(
     writer = writer_of(path)
     if format_of(path, spz_version) == SPZ_4:
         writer = _encoded_by(spz4_bytes)
-    require_writable(scene)
+    _refuse_unwritable(scene)
     writer(path, scene, overwrite)
 
 
@@ -77,26 +77,12 @@ def format_of(path: Path, spz_version: int = 3) -> str:
     return SPZ_4 if kind == ".spz" and spz_version == 4 else kind
 
 
-def require_writable(scene: LabelledScene) -> None:
-    """Refuse what no program can draw. Raises: InputError: no Gaussians, or rows that are not finite."""
-    g = scene.gaussians
-    if not len(g):
-        raise InputError("there are no Gaussians to write: choose something that is there")
-    columns = {
-        "positions": g.means,
-        "rotations": g.quats,
-        "scales": g.scales,
-        "opacities": g.opacities,
-        "colours": g.sh,
-    }
-    if scene.relevancy is not None:
-        columns["relevancies"] = scene.relevancy
-    for name, column in columns.items():
-        for begin in range(0, len(column), BLOCK):
-            finite = np.isfinite(column[begin : begin + BLOCK]).reshape(-1, column[0].size).all(axis=1)
-            if not finite.all():
-                row = begin + int(np.flatnonzero(~finite)[0])
-                raise InputError(f"{name}: row {row} has numbers that are not finite: leave it out, see `subset`")
+def _refuse_unwritable(scene: LabelledScene) -> None:
+    """Raises: InputError: what `formats.writable` refuses, or relevancies that are not finite."""
+    refuse_unwritable(scene.gaussians)
+    if scene.relevancy is not None and not np.isfinite(scene.relevancy).all():
+        row = int(np.flatnonzero(~np.isfinite(scene.relevancy))[0])
+        raise InputError(f"relevancies: expected finite numbers, got {scene.relevancy[row]} in row {row}: ask anew")
 
 
 def lacks(kind: str, scene: LabelledScene) -> tuple[str, ...]:

@@ -17,12 +17,13 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import Float32, Float64
-from ..errors import FormatError, InputError
+from ..errors import FormatError
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians, flat
 from ..scene.placing import local_origin
 from .activation import checked, exp, logit, sigmoid
 from .ply import Records, gather, read_elements
 from .ply_header import Header
+from .writable import refuse_unreadable
 
 MEANS = ("x", "y", "z")
 NORMALS = ("nx", "ny", "nz")
@@ -139,7 +140,7 @@ def vertex_columns(gaussians: Gaussians) -> dict[str, np.ndarray]:
 
     Raises: InputError: values that could not be read back.
     """
-    refuse_unwritable(gaussians)
+    refuse_unreadable(gaussians)
     widths = SCALES[:2] if gaussians.surfels else SCALES
     rest = [gaussians.sh[:, c, channel] for channel in range(3) for c in range(1, gaussians.sh.shape[1])]
     log_scales = np.log(gaussians.scales)
@@ -152,11 +153,3 @@ def vertex_columns(gaussians: Gaussians) -> dict[str, np.ndarray]:
         **dict(zip(widths, log_scales.T, strict=False)),
         **dict(zip(QUATS, gaussians.quats.T, strict=True)),
     }
-
-
-def refuse_unwritable(g: Gaussians) -> None:
-    """Check Gaussians. Raises: InputError: no reader would take some, such as NaN; it says which and how many."""
-    try:
-        checked(g.means, g.quats.copy(), g.scales, g.opacities, g.sh)
-    except FormatError as error:
-        raise InputError(f"these Gaussians could not be read back: {error}") from None

@@ -19,13 +19,13 @@ from ..scene.gaussians import Gaussians, concatenated
 from ..scene.placing import FEWEST, local_origin
 from ..scene.similarity import similarity_of
 from .activation import checked
+from .axes import HALF_TURN
 from .glb_layout import (
     BYTE,
     COLOR_SPACE,
     FEATURE_ID,
     FEATURES,
     FLOAT,
-    HALF_TURN,
     HARMONICS,
     KERNEL,
     LINEAR_COLOR_SPACE,

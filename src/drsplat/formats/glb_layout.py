@@ -30,28 +30,6 @@ COMPONENTS = {BYTE: "<i1", UNSIGNED_BYTE: "<u1", SHORT: "<i2", UNSIGNED_SHORT: "
 WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT3": 9, "MAT4": 16}
 
 OURS = "drsplat"  # the name under which `extras` of the root node say what glTF has no place for
-HALF_TURN = np.diag([1.0, -1.0, -1.0])  # about x: between the axes of a PLY, y down, and those of glTF, y up
-
-
-def standing_up(up: Float64[np.ndarray, " 3"]) -> Float64[np.ndarray, "3 3"]:
-    """Return the rotation from a world in which `up` is up to glTF's, in which y is.
-
-    It turns `up` to the up of a PLY, -y, by the smallest angle, and then by a half turn about x; so a scene of COLMAP's
-    poses is turned by that alone.
-    """
-    return np.asarray(HALF_TURN @ _smallest_turn(up / np.linalg.norm(up), np.array([0.0, -1.0, 0.0])))
-
-
-def _smallest_turn(source: Float64[np.ndarray, " 3"], target: Float64[np.ndarray, " 3"]) -> Float64[np.ndarray, "3 3"]:
-    """Return the rotation by the smallest angle from one unit direction to another; a half turn is about x."""
-    cosine = float(source @ target)
-    if cosine > 1 - 1e-12:
-        return np.eye(3)
-    if cosine < -1 + 1e-12:
-        return HALF_TURN.copy()
-    x, y, z = np.cross(source, target)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(np.eye(3) + cross + cross @ cross / (1 + cosine))
 
 
 def rotation_xyzw(rotation: Float64[np.ndarray, "3 3"]) -> list[float]:

@@ -7,7 +7,8 @@ import numpy as np
 from ..arrays import Float64
 from ..errors import FormatError
 from ..scene.rotations import rotation_matrices
-from .glb_layout import HALF_TURN, OURS, standing_up
+from .axes import HALF_TURN, standing_up
+from .glb_layout import OURS
 from .gltf import Entry, Gltf, inner, listed, whole
 from .json_files import as_vector
 

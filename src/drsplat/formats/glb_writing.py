@@ -9,17 +9,18 @@ Source: as of `glb_layout`; README of each extension for the layout of tables an
 """
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..arrays import Float32, UInt8
+from ..arrays import Float32, Int32, UInt8
 from ..errors import InputError
 from ..scene.gaussians import SH_C0, Gaussians
 from ..scene.labelled import LabelledScene
+from .axes import standing_up
 from .glb_boxes import named_nodes
 from .glb_layout import (
     BINARY_CHUNK,
@@ -50,7 +51,6 @@ from .glb_layout import (
     VERSION,
     WIDTHS,
     rotation_xyzw,
-    standing_up,
 )
 from .glb_tables import Table, tables_of
 from .replacing import replacing
@@ -115,6 +115,12 @@ class Binary:
         raw = np.frombuffer(values.tobytes() or b"\0", np.uint8)  # a view has a byte at least
         return self.view(Part(len(raw), 1, lambda rows: raw[rows]))
 
+    def blocks(self) -> Iterator[bytes]:
+        """Yield the chunk, a block of rows at a time."""
+        for part in self.parts:
+            yield from part.blocks()
+            yield bytes(-part.size % ALIGNMENT)
+
 
 def write_glb(path: Path, scene: LabelledScene, overwrite: bool = False) -> None:
     """Write a scene with its objects as GLB; it appears whole or not at all.
@@ -132,10 +138,8 @@ def write_glb(path: Path, scene: LabelledScene, overwrite: bool = False) -> None
         )
     with replacing(path, overwrite) as file:
         file.write(head)
-        for part in binary.parts:
-            for block in part.blocks():
-                file.write(block)
-            file.write(bytes(-part.size % ALIGNMENT))
+        for block in binary.blocks():
+            file.write(block)
 
 
 def head_of(document: dict[str, Any], binary_size: int) -> bytes:
@@ -179,7 +183,7 @@ def _primitive(scene: LabelledScene, binary: Binary) -> dict[str, Any]:
     }
     attributes = _splat_attributes(scene.gaussians, binary)
     if scene.things and scene.object_of is not None:
-        attributes[FEATURE_ID], extensions[FEATURES] = _features(scene, binary)
+        attributes[FEATURE_ID], extensions[FEATURES] = features_of(scene.object_of, len(scene.things), binary)
     if scene.relevancy is not None:
         relevancy, count = scene.relevancy, len(scene.gaussians)
         attributes[RELEVANCY] = binary.attribute(count, "SCALAR", FLOAT, lambda rows: relevancy[rows])
@@ -214,10 +218,11 @@ def _point_colors(gaussians: Gaussians, rows: slice) -> UInt8[np.ndarray, "b 4"]
     return np.asarray(np.rint(255 * np.column_stack([linear, gaussians.opacities[rows]])), np.uint8)
 
 
-def _features(scene: LabelledScene, binary: Binary) -> tuple[int, dict[str, Any]]:
-    """Lay out the number of each Gaussian's object; returns its accessor, and what EXT_mesh_features says of it."""
-    objects, count = scene.object_of, len(scene.things)
-    assert objects is not None
+def features_of(objects: Int32[np.ndarray, " n"], count: int, binary: Binary) -> tuple[int, dict[str, Any]]:
+    """Lay out the number of each Gaussian's object; returns its accessor, and what EXT_mesh_features says of it.
+
+    objects: rows of the table of objects, -1 for none. count: rows of that table.
+    """
     is_short = count <= NO_OBJECT_SHORT
     none = NO_OBJECT_SHORT if is_short else NO_OBJECT_FLOAT
     if count > none:
@@ -231,19 +236,25 @@ def _features(scene: LabelledScene, binary: Binary) -> tuple[int, dict[str, Any]
     return accessor, {"featureIds": [described]}
 
 
+def tables_document(tables: Sequence[Table], binary: Binary) -> dict[str, Any]:
+    """Lay out tables; returns the document's object of EXT_structural_metadata, {} without tables."""
+    if not tables:
+        return {}
+    classes = {table.kind: {"properties": table.properties} for table in tables}
+    rows = [_table(table, binary) for table in tables]
+    return {"schema": {"id": "drsplat", "classes": classes}, "propertyTables": rows}
+
+
 def _metadata(scene: LabelledScene, binary: Binary) -> dict[str, Any]:
     """Return the extension's object of the document, {} where there is nothing to say."""
-    tables = tables_of(scene)
-    classes = {table.kind: {"properties": table.properties} for table in tables}
-    metadata: dict[str, Any] = {}
-    if tables:
-        metadata["propertyTables"] = [_table(table, binary) for table in tables]
+    metadata = tables_document(tables_of(scene), binary)
     if scene.relevancy is not None:
         query = f" to “{scene.query}”" if scene.query else ""
         relevancy = {"type": "SCALAR", "componentType": "FLOAT32", "required": True}
-        classes["splat"] = {"properties": {"relevancy": relevancy | {"description": f"relevancy{query}"}}}
+        schema = metadata.setdefault("schema", {"id": "drsplat", "classes": {}})
+        schema["classes"]["splat"] = {"properties": {"relevancy": relevancy | {"description": f"relevancy{query}"}}}
         metadata["propertyAttributes"] = [{"class": "splat", "properties": {"relevancy": {"attribute": RELEVANCY}}}]
-    return {"schema": {"id": "drsplat", "classes": classes}, **metadata} if metadata else {}
+    return metadata
 
 
 def _table(table: Table, binary: Binary) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from ..scene.moving import Moving
 from ..scene.similarity import quaternion_of
 from ..scene.views import View
 from .replacing import replacing
-from .usd_writing import refuse_unwritable
+from .writable import refuse_unwritable
 
 INSTALL = 'pip install "drsplat[rerun]"'
 TIMELINE = "time"

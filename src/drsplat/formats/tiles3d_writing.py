@@ -20,6 +20,7 @@ from ..scene.gaussians import Gaussians, concatenated
 from ..scene.geodesy import enu_axes, geocentric
 from ..scene.labelled import PLY_UP, LabelledScene, Thing
 from ..scene.merging import coarser
+from .axes import Z_UP_FROM_PLY, standing_as_ply
 from .field_folder import replacing_folder
 from .georeference import Georeference
 from .glb_layout import SPLATTING, SPZ
@@ -27,14 +28,14 @@ from .leaves import Leaf, leaves_of
 from .replacing import replacing
 from .tiles import Tiles
 from .tiles3d_content import content_glb
-from .usd_writing import extent_of, upright
+from .usd_writing import extent_of
+from .writable import refuse_unwritable
 
 TILESET = "tileset.json"
 ROWS = 1 << 16  # of a leaf
 BRANCH = 4  # children of a tile
 ERROR_SHARE = 0.95  # of the merged Gaussians, which are no farther from where they were than the error
 OBJECT = "object_of"  # the column with which numbers of objects go through merging
-_UP_TO_Z = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # from the axes of a PLY to those of a tileset
 
 
 class _Node(NamedTuple):
@@ -141,8 +142,8 @@ class _Writer:
 
 def _box(low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray, " 3"]) -> list[float]:
     """Return the middle of a box and its three half axes, in the axes of a tileset."""
-    half = np.diag((high - low) / 2) @ _UP_TO_Z.T
-    return [*(_UP_TO_Z @ (low + high) / 2).tolist(), *half.ravel().tolist()]
+    half = np.diag((high - low) / 2) @ Z_UP_FROM_PLY.T
+    return [*(Z_UP_FROM_PLY @ (low + high) / 2).tolist(), *half.ravel().tolist()]
 
 
 def _tileset(root: _Node, transform: Float64[np.ndarray, "4 4"]) -> dict[str, Any]:
@@ -165,11 +166,10 @@ def _transform(
     """Return the matrix from the tileset to the Earth, or to axes whose z is up. Metres on both sides."""
     matrix = np.eye(4)
     if georeference is None:
-        y_up = upright(np.array(up, np.float64))
-        matrix[:3, :3] = _UP_TO_Z @ np.diag([1.0, -1.0, -1.0]) @ y_up @ _UP_TO_Z.T
+        matrix[:3, :3] = Z_UP_FROM_PLY @ standing_as_ply(np.array(up, np.float64)) @ Z_UP_FROM_PLY.T
         return matrix
     place = (georeference.longitude, georeference.latitude, georeference.height)
     earth_from_world = enu_axes(place).T @ georeference.enu_from_world
-    matrix[:3, :3] = earth_from_world @ _UP_TO_Z.T
+    matrix[:3, :3] = earth_from_world @ Z_UP_FROM_PLY.T
     matrix[:3, 3] = geocentric(np.array([place]))[0] + earth_from_world @ (georeference.scale * middle)
     return matrix

@@ -14,14 +14,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..arrays import Float32, Float64
+from ..arrays import Float32
 from ..errors import InputError
 from ..scene.annotations import Annotation
 from ..scene.gaussians import Gaussians, covariances_of
 from ..scene.labelled import LabelledScene, Thing
-from . import gaussian_ply
+from .axes import standing_up
 from .json_files import is_text
 from .replacing import replacing
+from .writable import refuse_unwritable
 
 BLOCK_ROWS = 1 << 12  # of an array that are text at once
 SUPPORT = 3.0  # standard deviations up to which the schema's kernel is drawn
@@ -72,13 +73,6 @@ def columns_of(scene: LabelledScene) -> list[Column]:
     return columns
 
 
-def refuse_unwritable(gaussians: Gaussians) -> None:
-    """Check Gaussians. Raises: InputError: there are none, or rows that are no Gaussians."""
-    if not len(gaussians):
-        raise InputError("a scene without Gaussians cannot be written: there is nothing in it to show")
-    gaussian_ply.refuse_unwritable(gaussians)
-
-
 def extent_of(gaussians: Gaussians) -> Float32[np.ndarray, "2 3"]:
     """Return the lowest and highest corner of a box that holds all Gaussians up to three standard deviations."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -101,7 +95,7 @@ def layer_text(scene: LabelledScene, columns: Iterable[str]) -> Iterator[str]:
         f"{{\n    custom double3 drsplat:up = {_tuple(scene.up)}\n"
         f"    custom string drsplat:query = {quoted(scene.query)}\n"
         f"    custom string drsplat:encoder = {quoted(scene.encoder)}\n"
-        f"    matrix4d xformOp:transform = {_matrix(upright(np.array(scene.up, np.float64)))}\n"
+        f"    matrix4d xformOp:transform = {_matrix(standing_up(np.array(scene.up, np.float64)))}\n"
         '    uniform token[] xformOpOrder = ["xformOp:transform"]\n\n'
         f'    def ParticleField3DGaussianSplat "{SPLAT}"\n    {{\n'
         f"        custom double3 drsplat:origin = {_tuple(gaussians.origin)}\n"
@@ -118,17 +112,6 @@ def layer_text(scene: LabelledScene, columns: Iterable[str]) -> Iterator[str]:
     yield from _scope("matches", "match", scene.matches)
     yield from _notes(scene.annotations)
     yield "}\n"
-
-
-def upright(up: Float64[np.ndarray, " 3"]) -> Float64[np.ndarray, "3 3"]:
-    """Return the rotation that takes up to +Y on the shortest way, about x where it is half a turn; its rows."""
-    up = up / np.linalg.norm(up)
-    axis, cosine = np.cross(up, [0.0, 1.0, 0.0]), float(up[1])
-    if cosine < -1 + 1e-12:
-        return np.diag([1.0, -1.0, -1.0])
-    x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(np.eye(3) + cross + cross @ cross / (1 + cosine))
 
 
 def _column_text(column: Column) -> Iterator[str]:

@@ -90,8 +90,12 @@ class LabelledScene:
         """The number of each Gaussian's object as `drsplat objects` counts, -1 for none; None without objects."""
         if self.object_of is None:
             return None
-        numbers = [place if thing.number < 0 else thing.number for place, thing in enumerate(self.things)]
-        return np.asarray(np.array([*numbers, -1], np.int32)[self.object_of])
+        return np.asarray(np.array([*numbers_of(self.things), -1], np.int32)[self.object_of])
+
+
+def numbers_of(things: Sequence[Thing]) -> list[int]:
+    """Return the number of each thing, its place where it has none."""
+    return [place if thing.number < 0 else thing.number for place, thing in enumerate(things)]
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
@@ -105,7 +109,7 @@ def places_of(numbers: np.ndarray, things: Sequence[Thing]) -> Int32[np.ndarray,
 
     None: there is a number that no object has.
     """
-    place_of = {place if thing.number < 0 else thing.number: place for place, thing in enumerate(things)} | {-1: -1}
+    place_of = {number: place for place, number in enumerate(numbers_of(things))} | {-1: -1}
     known, which = np.unique(numbers, return_inverse=True)
     if not {*known.tolist()} <= place_of.keys():
         return None
