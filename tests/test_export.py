@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from drsplat.exporting.choosing import only_used
 from drsplat.formats.annotations import AnnotationFile
 from drsplat.formats.georeference import Georeference, write_georeference
 from drsplat.formats.moving_scenes import write_moving
+from drsplat.formats.tiles import Tiles
 from drsplat.scene.annotations import Annotation
 from drsplat.scene.eight_bits import clamped_in_bytes
 from drsplat.scene.labelled import LabelledScene, Thing
@@ -339,6 +341,28 @@ def test_tiles_become_3d_tiles_without_a_field(room: Path, capsys: Capture) -> N
     answer = answer_of(capsys, "export", room / "tiles", "--tiles3d", "-o", room / "tileset")
     assert (answer["num_gaussians"], answer["num_objects"]) == (2 * PER_THING, None)
     assert "fit_8bit" in error_of(capsys, "export", room / "tiles", "--tiles3d", "--fit-8bit", "-o", room / "again")
+
+
+def test_tiles_become_3d_tiles_with_the_objects_of_their_field(room: Path, capsys: Capture) -> None:
+    """None of them is loaded with all others: the scene's own Gaussians are never asked for."""
+    answer_of(capsys, "tile", room / "scene.ply", "--output", room / "tiles")
+    answer_of(capsys, "field", "carry", room / "room.field", room / "tiles", "--scene", room / "scene.ply",
+              "--output", room / "tiles.field")  # fmt: skip
+    with patch.object(Tiles, "gaussians", side_effect=AssertionError):
+        answer = answer_of(
+            capsys, "export", room / "tiles", "--field", room / "tiles.field", "--tiles3d", "-o", room / "tileset"
+        )
+        same = answer_of(
+            capsys, "export", room / "tiles.field", "--scene", room / "tiles", "--tiles3d", "-o", room / "same"
+        )
+    scene = open_scene(room / "tiles.field")
+    assert answer["num_objects"] == same["num_objects"] == len(scene.objects) > 1
+    assert answer["num_in_objects"] == (scene.object_ids() >= 0).sum()
+    names = {name for path in (room / "tileset").glob("*.glb") for name in read(path).table(0)["name"]}
+    assert len(names) == answer["num_objects"]
+    assert "belongs to" in error_of(
+        capsys, "export", room / "tiles", "--field", room / "room.field", "--tiles3d", "-o", room / "other"
+    )
 
 
 def test_a_file_beside_its_scene_does_not_take_its_place(room: Path, capsys: Capture) -> None:

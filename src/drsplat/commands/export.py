@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 from .edit_options import add_kept_edits, note_applied, note_left_out, only_one
 from .options import add_capture_options, add_overwrite, add_query_encoders, finite, new_output, views_of, whole, words
-from .query_options import add_measure_options, add_query_kinds, open_scene, query_of, query_said
+from .query_options import add_measure_options, add_query_kinds, open_scene, query_of, query_text
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from ..exporting.labelling import Only
     from ..exporting.writing import Exported
-    from ..formats.tiles import Tiles
+    from ..formats.tiles3d_writing import TiledScene
     from ..query import Query, Scene
     from ..scene.gaussians import Gaussians
     from ..scene.labelled import LabelledScene
@@ -86,14 +88,14 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..formats.streamed_sog import LOD_META
 
     output = _output(arguments)
-    if (arguments.tiles3d or output.name == LOD_META) and _is_tiles(arguments):
-        return _levels_of_tiles(arguments, output)
+    if (arguments.tiles3d or output.name == LOD_META) and (tiles := _whole_tiles(arguments)) is not None:
+        return _levels_of_tiles(arguments, output, tiles)
     scene = _labelled(arguments, output)
     if arguments.fit_8bit:
         scene = for_8_bits(scene)
     note_applied(scene.num_edits)
     done = _tiles3d(arguments, output, scene) if arguments.tiles3d else _written(arguments, output, scene)
-    return _report(arguments, scene, done)
+    return _report(arguments, scene.query or None, scene.object_of, done)
 
 
 def _written(arguments: argparse.Namespace, output: Path, scene: LabelledScene) -> Exported:
@@ -102,9 +104,10 @@ def _written(arguments: argparse.Namespace, output: Path, scene: LabelledScene) 
     return written(output, scene, arguments.overwrite, arguments.spz_version)
 
 
-def _report(arguments: argparse.Namespace, scene: LabelledScene | None, done: Exported) -> dict[str, Any]:
-    """Return what was written. scene: None for a folder of tiles, which has no objects."""
-    query, owners = (None, None) if scene is None else (scene.query or None, scene.object_of)
+def _report(
+    arguments: argparse.Namespace, query: str | None, owners: np.ndarray | None, done: Exported
+) -> dict[str, Any]:
+    """Return what was written. owners: per Gaussian its object, -1 for none; None where there are no objects."""
     return {
         "scene": arguments.source,
         "saved": arguments.output,
@@ -158,7 +161,7 @@ def _output(arguments: argparse.Namespace) -> Path:
     return output
 
 
-def _tiles3d(arguments: argparse.Namespace, output: Path, source: LabelledScene | Tiles) -> Exported:
+def _tiles3d(arguments: argparse.Namespace, output: Path, source: LabelledScene | TiledScene) -> Exported:
     """Write 3D Tiles, where the scene lies on the Earth if a georeference.json beside it says so."""
     from ..exporting.writing import written_tiles3d
     from ..formats.georeference import read_georeference
@@ -168,27 +171,38 @@ def _tiles3d(arguments: argparse.Namespace, output: Path, source: LabelledScene 
     return written_tiles3d(output, source, read_georeference(*folders), arguments.overwrite)
 
 
-def _is_tiles(arguments: argparse.Namespace) -> bool:
-    """Return whether the source is a folder of tiles without kept edits, which are of the whole scene in memory."""
-    from ..formats.scenes import companion
+def _whole_tiles(arguments: argparse.Namespace) -> Path | None:
+    """Return the folder of tiles that is written as it is; None for another scene, a part of one, or an edited one."""
+    from ..editing import EditFile
     from ..formats.tiles import TILES
 
-    source = Path(arguments.source)
-    return arguments.field is None and (source / TILES).is_file() and not companion(source, "edits").exists()
+    named = [Path(path) for path in (arguments.source, arguments.scene) if path is not None]
+    tiles = next((path for path in named if (path / TILES).is_file()), None)
+    chosen = only_one(arguments, QUERIES) or only_one(arguments, ("only", "object", "label"))
+    if tiles is None or chosen is not None or arguments.embeddings or arguments.time is not None:
+        return None
+    return tiles if arguments.edits == "none" or not EditFile.beside(tiles).num_done() else None
 
 
-def _levels_of_tiles(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
-    """Write levels of detail of a folder of tiles, a few of which are in memory at a time."""
-    from ..errors import InputError
+def _levels_of_tiles(arguments: argparse.Namespace, output: Path, path: Path) -> dict[str, Any]:
+    """Write levels of detail of a folder of tiles, a few of which are in memory at a time; 3D Tiles with objects."""
+    from ..exporting.labelling import tiled
     from ..exporting.writing import written_streamed_sog
     from ..formats.tiles import read_tiles
 
     if arguments.fit_8bit:
+        from ..errors import InputError
+
         raise InputError("fit_8bit: the scene is cut into tiles, whose colours are written as they are")
-    tiles = read_tiles(Path(arguments.source))
-    if arguments.tiles3d:
-        return _report(arguments, None, _tiles3d(arguments, output, tiles))
-    return _report(arguments, None, written_streamed_sog(output, tiles, arguments.overwrite))
+    if not arguments.tiles3d:
+        return _report(arguments, None, None, written_streamed_sog(output, read_tiles(path), arguments.overwrite))
+    field = arguments.field or (arguments.source if arguments.scene is not None else None)
+    scene = None
+    if field is not None:
+        arguments.scene = None  # its Gaussians stay on the disk
+        scene = open_scene(arguments, field)
+    source = tiled(read_tiles(path), scene)
+    return _report(arguments, None, source.object_of, _tiles3d(arguments, output, source))
 
 
 def _labelled(arguments: argparse.Namespace, output: Path) -> LabelledScene:
@@ -209,7 +223,7 @@ def _labelled(arguments: argparse.Namespace, output: Path) -> LabelledScene:
         edits=arguments.edits or "kept",
         embeddings=arguments.embeddings,
         photos=arguments.photos,
-        said="" if query is None else query_said(arguments),
+        said="" if query is None else query_text(arguments),
     )
     return replace(carried, motion=motion)
 

@@ -15,6 +15,8 @@ from ..editing.resolving import whole
 from ..errors import InputError
 from ..formats.annotations import AnnotationFile
 from ..formats.runs import ids_of
+from ..formats.tiles import Tiles
+from ..formats.tiles3d_writing import TiledScene
 from ..query import Answer, Match, Query, Scene
 from ..scene.annotations import Annotation
 from ..scene.gaussians import Gaussians
@@ -90,7 +92,7 @@ def labelled(
         None if found is None else after.everything.extra[RELEVANCY][kept],
         () if found is None else placing.matches(found.matches, [match_thing(scene, *one) for one in found.numbered]),
         annotations_of(scene.path),
-        PLY_UP if scene.up is None else (float(scene.up[0]), float(scene.up[1]), float(scene.up[2])),
+        _up_of(scene),
         scene.field.encoder.name if embeddings else "",
         listed.done,
         _views(scene) if photos else (),
@@ -102,6 +104,22 @@ def _views(scene: Scene) -> tuple[View, ...]:
     if not scene.views:
         raise InputError("photos: this scene has none: pass views=CAPTURE, the photos and their poses")
     return scene.views
+
+
+def tiled(tiles: Tiles, scene: Scene | None = None) -> TiledScene:
+    """Bring together tiles on disk and the objects of their field, without loading the tiles.
+
+    scene: their field, opened without Gaussians; None where they have none.
+
+    Raises: MismatchError: the field is of another scene.
+    """
+    if scene is None:
+        return TiledScene(tiles)
+    scene.field.check_scene(tiles)
+    if scene.field.objects is None:
+        return TiledScene(tiles, up=_up_of(scene))
+    things = tuple(things_of(scene))
+    return TiledScene(tiles, things, rows_of(things, scene.object_ids()), _up_of(scene))
 
 
 def labelled_alone(
@@ -126,6 +144,10 @@ def kept_edits(path: Path | None, gaussians: Gaussians, edits: KeptEdits) -> Edi
     if path is None or edits == "none":
         return EditList(gaussians.fingerprint)
     return EditFile.beside(path).read(gaussians)
+
+
+def _up_of(scene: Scene) -> tuple[float, float, float]:
+    return PLY_UP if scene.up is None else (float(scene.up[0]), float(scene.up[1]), float(scene.up[2]))
 
 
 def annotations_of(path: Path | None) -> tuple[Annotation, ...]:

@@ -10,7 +10,7 @@ from ..errors import InputError
 from ..formats.georeference import Georeference
 from ..formats.streamed_sog import LOD_META
 from ..formats.tiles import Tiles
-from ..formats.tiles3d_writing import write_tiles3d
+from ..formats.tiles3d_writing import TiledScene, write_tiles3d
 from ..query import Query, Scene
 from ..scene.eight_bits import fitted_to_8_bits
 from ..scene.gaussians import Gaussians
@@ -93,13 +93,13 @@ def written(path: Path, scene: LabelledScene, overwrite: bool = False, spz_versi
 
 
 def written_tiles3d(
-    path: Path, source: LabelledScene | Tiles, georeference: Georeference | None = None, overwrite: bool = False
+    path: Path, source: LabelledScene | TiledScene, georeference: Georeference | None = None, overwrite: bool = False
 ) -> Exported:
-    """Write a scene, or a folder of tiles without loading it whole, as 3D Tiles. Raises: as `write_tiles3d`."""
+    """Write a scene, or tiles without loading them all, as 3D Tiles. Raises: as `write_tiles3d`."""
     write_tiles3d(path, source, georeference=georeference, overwrite=overwrite)
     if isinstance(source, LabelledScene):
         return described(path, source, TILES3D)
-    return _of_tiles(path, source, TILES3D)
+    return _of_tiles(path, source.tiles, TILES3D, len(source.things))
 
 
 def written_streamed_sog(path: Path, source: Tiles, overwrite: bool = False) -> Exported:
@@ -108,8 +108,8 @@ def written_streamed_sog(path: Path, source: Tiles, overwrite: bool = False) -> 
     return _of_tiles(path, source, LOD_META)
 
 
-def _of_tiles(path: Path, source: Tiles, kind: str) -> Exported:
-    return Exported(path, kind, _size(path), len(source), 0, 0, 0, 0, ())
+def _of_tiles(path: Path, source: Tiles, kind: str, num_things: int = 0) -> Exported:
+    return Exported(path, kind, _size(path), len(source), num_things, 0, 0, 0, ())
 
 
 def described(path: Path, scene: LabelledScene, kind: str) -> Exported:

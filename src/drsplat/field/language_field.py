@@ -15,6 +15,7 @@ from ..errors import InputError, MismatchError
 from ..evidence.aggregation import MEAN_RECORD, AggregatorRecord, record_json
 from ..evidence.evidence import Evidence, Explanation
 from ..formats.field_folder import TensorFile, write_folder
+from ..formats.tiles import Tiles
 from ..scene.gaussians import Gaussians
 from ..scene.views import pictures_kind, scenes_rendered
 from ..terminal import counted, facts_html
@@ -306,8 +307,8 @@ class LanguageField:
         row = int(self.rows_of(np.array([gaussian_id]))[0])
         return [] if row < 0 else self.evidence.explain(row, _unit(query), top)
 
-    def check_scene(self, gaussians: Gaussians) -> None:
-        """Refuse another scene than the one registered. Raises: MismatchError."""
+    def check_scene(self, gaussians: Gaussians | Tiles) -> None:
+        """Refuse another scene than the one registered, whole or in tiles. Raises: MismatchError."""
         if len(gaussians) != self.num_gaussians:
             raise MismatchError(
                 f"this field belongs to a scene of {self.num_gaussians} Gaussians, the given one "

@@ -10,7 +10,7 @@ from ..arrays import Float64
 from ..scene.gaussians import Gaussians
 from ..scene.morton import morton_order
 from .tiles import Tiles
-from .usd_writing import refuse_unwritable
+from .writable import refuse_unwritable
 
 Leaf = Callable[[], Gaussians]
 """Reads the Gaussians of a leaf."""

@@ -10,12 +10,13 @@ Source: OGC 22-025r4, "3D Tiles Specification 1.1".
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..arrays import Float64
+from ..arrays import Float64, Int32
 from ..scene.gaussians import Gaussians, concatenated
 from ..scene.geodesy import enu_axes, geocentric
 from ..scene.labelled import PLY_UP, LabelledScene, Thing
@@ -24,18 +25,26 @@ from .axes import Z_UP_FROM_PLY, standing_as_ply
 from .field_folder import replacing_folder
 from .georeference import Georeference
 from .glb_layout import SPLATTING, SPZ
-from .leaves import Leaf, leaves_of
+from .leaves import Leaf, Leaves, leaves_of
 from .replacing import replacing
-from .tiles import Tiles
+from .tiles import Tile, Tiles
 from .tiles3d_content import content_glb
 from .usd_writing import extent_of
-from .writable import refuse_unwritable
 
 TILESET = "tileset.json"
 ROWS = 1 << 16  # of a leaf
 BRANCH = 4  # children of a tile
 ERROR_SHARE = 0.95  # of the merged Gaussians, which are no farther from where they were than the error
 OBJECT = "object_of"  # the column with which numbers of objects go through merging
+
+
+class TiledScene(NamedTuple):
+    """A scene in tiles on disk, with its objects. object_of: per Gaussian of all tiles as in `LabelledScene`."""
+
+    tiles: Tiles
+    things: tuple[Thing, ...] = ()
+    object_of: Int32[np.ndarray, " n"] | None = None
+    up: tuple[float, float, float] = PLY_UP
 
 
 class _Node(NamedTuple):
@@ -50,7 +59,7 @@ class _Node(NamedTuple):
 
 def write_tiles3d(
     path: Path,
-    source: LabelledScene | Tiles,
+    source: LabelledScene | TiledScene | Tiles,
     *,
     georeference: Georeference | None = None,
     overwrite: bool = False,
@@ -60,7 +69,7 @@ def write_tiles3d(
 
     Args:
         path: the folder.
-        source: a scene with its objects, or a folder of tiles, of which a few are in memory at a time.
+        source: a scene with its objects, or tiles with or without some, of which a few are in memory at a time.
         georeference: where on the Earth it lies; without one the tileset stands upright about its own middle.
         overwrite: replaces a tileset that is there.
         rows: Gaussians of a leaf, of a scene that is not cut into tiles already.
@@ -68,20 +77,35 @@ def write_tiles3d(
     Raises: InputError: no Gaussians, or some that no file could give back; `path` exists and not `overwrite`.
     FormatError: damaged tiles.
     """
-    leaves, middle = leaves_of(source if isinstance(source, Tiles) else _with_objects(source), rows)
+    source = TiledScene(source) if isinstance(source, Tiles) else source
+    leaves, middle = _leaves_of_tiles(source) if isinstance(source, TiledScene) else leaves_of(_bare(source), rows)
+    things = source.things
     scale = 1.0 if georeference is None else georeference.scale
-    up, things = (PLY_UP, ()) if isinstance(source, Tiles) else (source.up, source.things)
     with replacing_folder(path, overwrite, TILESET) as folder:
         writer = _Writer(folder, middle, scale, things)
         root = writer.tree(leaves)
-        document = _tileset(root, _transform(georeference, middle, up))
+        document = _tileset(root, _transform(georeference, middle, source.up))
         with replacing(folder / TILESET) as file:
             file.write(json.dumps(document, separators=(",", ":")).encode())
 
 
-def _with_objects(scene: LabelledScene) -> Gaussians:
+def _bare(scene: LabelledScene) -> Gaussians:
     """Return the Gaussians with the place of each one's object as their only column."""
     return replace(scene.gaussians, extra={} if scene.object_of is None else {OBJECT: scene.object_of})
+
+
+def _leaves_of_tiles(source: TiledScene) -> Leaves:
+    """Take each tile for a leaf, with the objects of its rows."""
+    leaves: list[Leaf] = [partial(_tile_of, source, tile) for tile in source.tiles.tiles]
+    return Leaves(leaves, leaves_of(source.tiles, ROWS).middle)
+
+
+def _tile_of(source: TiledScene, tile: Tile) -> Gaussians:
+    """Return a tile with the objects of its rows."""
+    gaussians = source.tiles.tile(tile)
+    if source.object_of is None:
+        return gaussians
+    return replace(gaussians, extra={OBJECT: source.object_of[tile.first : tile.first + tile.num_rows]})
 
 
 @dataclass

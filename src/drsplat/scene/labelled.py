@@ -92,16 +92,16 @@ class LabelledScene:
             return None
         return np.asarray(np.array([*numbers_of(self.things), -1], np.int32)[self.object_of])
 
-
-def numbers_of(things: Sequence[Thing]) -> list[int]:
-    """Return the number of each thing, its place where it has none."""
-    return [place if thing.number < 0 else thing.number for place, thing in enumerate(things)]
-
     @property
     def columns(self) -> dict[str, np.ndarray]:
         """The number of each Gaussian's object and its relevancy, as far as they are known, as columns of a file."""
         columns = {"object_id": self.object_numbers, "relevancy": self.relevancy}
         return {name: column for name, column in columns.items() if column is not None}
+
+
+def numbers_of(things: Sequence[Thing]) -> list[int]:
+    """Return the number of each thing, its place where it has none."""
+    return [place if thing.number < 0 else thing.number for place, thing in enumerate(things)]
 
 
 def places_of(numbers: np.ndarray, things: Sequence[Thing]) -> Int32[np.ndarray, " n"] | None:

@@ -153,7 +153,8 @@ def _paired(gaussians: Gaussians, most: int, kinds: Int[np.ndarray, " n"]) -> In
     chosen = _matched(len(gaussians), first[order], second[order])[:most]
     leader = np.arange(len(gaussians))
     leader[second[order][chosen]] = first[order][chosen]
-    return np.asarray(np.unique(leader, return_inverse=True)[1]).reshape(-1)
+    numbers = np.cumsum(leader == np.arange(len(leader))) - 1
+    return np.asarray(numbers[leader])
 
 
 def _edges(means: Float32[np.ndarray, "n 3"]) -> tuple[Int64[np.ndarray, " e"], Int64[np.ndarray, " e"]]:
@@ -163,7 +164,8 @@ def _edges(means: Float32[np.ndarray, "n 3"]) -> tuple[Int64[np.ndarray, " e"], 
     near = cKDTree(means).query(means, k=min(NEIGHBOURS + 1, len(means)))[1]
     rows = np.repeat(np.arange(len(means)), near.shape[1])
     low, high = np.minimum(rows, near.ravel()), np.maximum(rows, near.ravel())
-    keys = np.unique(low[low < high] * np.int64(len(means)) + high[low < high])
+    keys = np.sort(low[low < high] * np.int64(len(means)) + high[low < high])
+    keys = keys[np.diff(keys, prepend=-1) > 0]  # np.unique hashes, which takes as long as finding the neighbours
     return keys // len(means), keys % len(means)
 
 
