@@ -21,19 +21,19 @@ from drsplat.scene.gaussians import SH_C0
 from foreign_programs import NPM_FOLDER
 
 WIDTH, HEIGHT, ZOOM = 480, 360, 1.8
-WORLD = np.eye(3)
+WORLD = np.eye(4)
+SECONDS = 300  # until a picture stands still, where a processor draws it
+STILL = 1e-5  # mean difference of two shots, of 0 to 1: on a globe some pixel always changes
 
 
 @contextmanager
 def serving(scene: Path) -> Iterator[str]:
-    """Serve `tests/foreign`, and the scene as /scene with its suffix, or what is in its folder as /scene/."""
-    prefix = "/scene/" if scene.is_dir() else f"/scene{scene.suffix}"
+    """Serve `tests/foreign`, and the scene as /scene with its suffix; a folder with what is in it."""
 
     class Handler(SimpleHTTPRequestHandler):
         def translate_path(self, path: str) -> str:
-            path = path.split("?")[0]
-            rest = path.removeprefix(prefix)
-            return str(scene / rest if rest else scene) if path.startswith(prefix) else super().translate_path(path)
+            begin, _, inner = path.split("?")[0].removeprefix("/").partition("/")
+            return str(scene / inner) if begin == f"scene{scene.suffix}" else super().translate_path(path)
 
         def log_message(self, *_: object) -> None:
             pass
@@ -73,18 +73,18 @@ def pictured(
     viewer: str,
     scene: Path,
     view: ds.View,
-    turn: Float64[np.ndarray, "3 3"] = WORLD,
+    viewer_from_world: Float64[np.ndarray, "4 4"] = WORLD,
     antialiased: bool = False,
+    globe: bool = False,
     level: int | None = None,
 ) -> np.ndarray:
     """Return what the viewer shows from the place of a view, once it has stopped changing.
 
-    turn: from the world of the view to that of the viewer. antialiased: how it draws, where its page knows of both.
-    level: of a streamed SOG, whose folder `scene` is.
+    viewer_from_world: where the viewer has the world of the view. antialiased: how it draws, where its page knows both.
+    globe: whether the Earth is shown, where the scene is on it. level: of a streamed SOG, whose folder `scene` is.
     """
-    viewer_from_world = np.eye(4)
-    viewer_from_world[:3, :3] = turn
     look = {
+        "scene": f"/scene{scene.suffix}",
         "width": view.width,
         "height": view.height,
         "fov": float(np.degrees(2 * np.arctan(view.height / 2 / view.K[1, 1]))),
@@ -93,18 +93,26 @@ def pictured(
         .tolist(),
         "antialiased": antialiased,
         "level": level,
+        "globe": globe,
     }
     shots = [np.zeros((view.height, view.width, 3))]
 
     def settled() -> bool:
         shots.append(pixels_of(page, view.width))
-        return bool(shots[-1].any()) and np.array_equal(shots[-1], shots[-2])
+        return bool(shots[-1].any()) and float(np.abs(shots[-1] - shots[-2]).mean()) < STILL
 
     with serving(scene) as address, a_page(browser, view.width, view.height) as page:
         page.goto(f"{address}/{viewer}.html?look={quote(json.dumps(look))}")
         page.wait_for_function("window.loaded")
-        eventually(settled)
+        eventually(settled, SECONDS)
     return shots[-1]
+
+
+def turned(rotation: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "4 4"]:
+    """Return the matrix of a rotation about zero."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation
+    return matrix
 
 
 def with_colors_in_bytes(scene: ds.Gaussians, view: ds.View) -> ds.Gaussians:

@@ -1,10 +1,6 @@
 """A tileset of ours in CesiumJS, in a real browser: where it lies, which level is loaded, and what is shown."""
 
-import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +12,8 @@ from drsplat.formats.georeference import Georeference
 from drsplat.formats.tiles3d_writing import write_tiles3d
 from drsplat.scene.gaussians import SH_C0, Gaussians
 from drsplat.scene.labelled import LabelledScene
-from foreign_programs import NPM_FOLDER, needs_packages
+from foreign_programs import needs_packages
+from foreign_viewing import serving
 
 pytestmark = [needs_chromium, needs_packages("cesium"), pytest.mark.oracle, pytest.mark.slow]
 NORTH_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])  # of a PLY, whose y is down
@@ -41,32 +38,13 @@ def wall() -> Gaussians:
     return Gaussians(means, quats, scales, np.full(COUNT, 0.9, np.float32), sh)
 
 
-@contextmanager
-def serving(tileset: Path) -> Iterator[str]:
-    class Handler(SimpleHTTPRequestHandler):
-        def translate_path(self, path: str) -> str:
-            path = path.split("?")[0]
-            return str(tileset / path[7:]) if path.startswith("/tiles/") else super().translate_path(path)
-
-        def log_message(self, *_: object) -> None:
-            pass
-
-    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(Handler, directory=str(NPM_FOLDER)))
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    yield f"http://127.0.0.1:{server.server_address[1]}"
-    server.shutdown()
-    thread.join()
-    server.server_close()
-
-
 @pytest.mark.parametrize(("error", "splats"), [(0.01, COUNT), (100.0, ROWS)])
 def test_cesium_draws_our_tilesets(error: float, splats: int, chromium: Any, tmp_path: Path) -> None:
     """From the south: what is above is above, west is left. A large error allows for the coarsest level."""
     place = Georeference(8.5, 47.4, 400.0, NORTH_UP, 2.0)
     write_tiles3d(tmp_path / "out", LabelledScene(wall()), georeference=place, rows=ROWS)
     with serving(tmp_path / "out") as address, a_page(chromium, 320, 240) as page:
-        page.goto(f"{address}/tiles3d.html?error={error}")
+        page.goto(f"{address}/tiles3d.html?error={error}&scene=/scene")
         page.wait_for_function("window.loaded || window.failed")
         eventually(lambda: page.evaluate("window.numSplats()") == splats)
         page.wait_for_timeout(3000)

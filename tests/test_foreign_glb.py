@@ -23,7 +23,7 @@ from drsplat.scene.annotations import Annotation
 from drsplat.scene.labelled import LabelledScene, Thing
 from drsplat.scene.similarity import Similarity
 from foreign_programs import NODE, NPM_FOLDER, needs_node, needs_packages, splat_transform
-from foreign_viewing import colourful, pictured, psnr, serving, zoomed
+from foreign_viewing import colourful, pictured, psnr, serving, turned, zoomed
 
 pytestmark = [pytest.mark.oracle, pytest.mark.slow]
 LEAST_PSNR = 32.3  # dB; measured 33.4, shifted by a pixel 31.2, harmonics not turned 23
@@ -60,7 +60,7 @@ def test_playcanvas_draws_it(up: tuple[float, float, float], edited_room: Path, 
     scene = colourful(ds.read_gaussians(edited_room / "scene.ply"))
     write_scene(tmp_path / "scene.glb", LabelledScene(scene, up=up))
     view = zoomed(ds.read_views(edited_room / "capture")[0])
-    shown = pictured(chromium, "playcanvas", tmp_path / "scene.glb", view, turn)
+    shown = pictured(chromium, "playcanvas", tmp_path / "scene.glb", view, turned(turn))
     drawn = ds.render(scene, view)
     unturned = replace(scene, sh=Similarity(1.0, turn, np.zeros(3)).moved(scene).sh)
     pictures = drawn.rgb, np.roll(drawn.rgb, 1, axis=1), ds.render(unturned, view).rgb

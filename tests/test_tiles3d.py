@@ -175,3 +175,25 @@ def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="row 1"):
         write_tiles3d(tmp_path / "nan", scene)
     assert not (tmp_path / "nan").exists()
+
+
+@pytest.mark.oracle
+def test_py3dtiles_reads_the_tileset(tmp_path: Path) -> None:
+    """It knows 1.0 and 1.1: as many tiles, the same root, and each box within that of the tile above."""
+    tilesets = pytest.importorskip("py3dtiles.tileset")
+    write_tiles3d(tmp_path / "out", labelled(), rows=ROWS)
+    own = document_of(tmp_path / "out")
+    tileset = tilesets.TileSet.from_file(tmp_path / "out" / "tileset.json")
+    box = tileset.to_dict()["root"]["boundingVolume"]["box"]
+    np.testing.assert_allclose(box, own["root"]["boundingVolume"]["box"], atol=1e-9)
+    waiting, count = [tileset.root_tile], 0
+    while waiting:
+        tile = waiting.pop()
+        corners = tile.bounding_volume.get_corners()
+        count += 1
+        for child in tile.children:
+            inner = child.bounding_volume.get_corners()
+            assert (np.min(inner, axis=0) >= np.min(corners, axis=0) - 1e-6).all()
+            assert (np.max(inner, axis=0) <= np.max(corners, axis=0) + 1e-6).all()
+        waiting += tile.children
+    assert count == len(list(tiles_of(own["root"])))

@@ -1,4 +1,4 @@
-// A renderer and a camera of three.js as the address asks: ?look={width, height, fov, world_from_cam (rows, OpenGL)}.
+// A renderer and a camera of three.js as the address asks: ?look={scene, width, height, fov, world_from_cam (rows, OpenGL)}.
 
 export const look = JSON.parse(new URLSearchParams(location.search).get("look"));
 
