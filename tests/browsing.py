@@ -48,7 +48,7 @@ def opened(page: Any, address: str) -> None:
 
 def settled(page: Any) -> None:
     """Wait until what is drawn is what should be shown, all of it."""
-    page.evaluate("() => drsplat.acting")
+    page.evaluate("() => Promise.all([drsplat.acting, drsplat.changing])")
     page.wait_for_function(
         "() => !drsplat.camera.isFlying && !drsplat.stage.moving && drsplat.stage.busy === 'no' && !drsplat.stage.stale"
     )

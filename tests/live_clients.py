@@ -22,7 +22,7 @@ from drsplat.viewing.live.app import create_app
 from drsplat.viewing.live.gate import Gate
 from drsplat.viewing.live.shared import Shared
 from drsplat.viewing.live.shelf import Shelf
-from drsplat.viewing.live.turns import Turns
+from drsplat.viewing.live.turns import Lanes
 from drsplat.viewing.live.uploads import UploadLimits, Uploads
 from drsplat.viewing.saving import Saves
 from drsplat.viewing.session import Session
@@ -49,8 +49,8 @@ class Viewer:
         if session is not None:
             self.shared.show(session)
             self.shared.note()
-        self.turns = Turns()
-        self.app = create_app(self.shared, self.turns)
+        self.lanes = Lanes()
+        self.app = create_app(self.shared, self.lanes)
         self.gate = Gate(self.app, host, 8080, token)
         self.gate._is_paced = lambda scope: True  # type: ignore[method-assign]  # but in the tests of pace
 
@@ -59,7 +59,7 @@ class Viewer:
         return self.shared.session
 
     def close(self) -> None:
-        self.turns.stop()
+        self.lanes.stop()
         self.shared.uploads.close()
 
     def send(self, method: str, path: str, headers: dict[str, str] | None = None, **given: Any) -> httpx.Response:

@@ -191,7 +191,7 @@ def test_a_header_says_where_to_begin_and_what_can_be_done(viewer: Viewer) -> No
 def test_words_are_suggested_once_the_encoder_is_there(viewer: Viewer) -> None:
     first = viewer.get("/view/header").json()
     assert first["words"] == []
-    viewer.turns.submit(viewer.shared.prepare).result(60)
+    viewer.lanes.change(viewer.shared.prepare).result(60)
     header, state = viewer.get("/view/header").json(), viewer.state()
     assert set(header["words"]) <= set(THINGS)
     assert header["words"]

@@ -84,6 +84,8 @@ export class LiveBackend implements Backend, Live {
     return { blob: await reply.blob(), name, saved: reply.headers.get("x-drsplat-saved") ?? "" };
   }
 
+  filmProgress(job: string): Promise<{ done: number; count: number }> { return this.json(`/view/film-progress?job=${job}`); }
+
   flight(keys: KeyFrame[], seconds: number | null): Promise<Film> { return this.json("/view/flight", { keys, ...(seconds === null ? {} : { seconds }) }); }
 
   async loadPath(file: File): Promise<{ keys: KeyFrame[]; seconds: number | null }> {

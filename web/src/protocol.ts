@@ -100,6 +100,8 @@ export interface Live {
   file(path: string, body: unknown): Promise<{ blob: Blob; name: string; saved: string }>;
   /** Return the places between key frames, as the film that would be saved has them. */
   flight(keys: KeyFrame[], seconds: number | null): Promise<Film>;
+  /** Return how many pictures of a film are drawn, of how many; 0 of 0 while it waits. */
+  filmProgress(job: string): Promise<{ done: number; count: number }>;
   loadPath(file: File): Promise<{ keys: KeyFrame[]; seconds: number | null }>;
   catalogue(text: string): Promise<{ said: string; entries: { number: number; title: string; scene: string; score: number }[] }>;
   cataloguePicture(number: number): string;

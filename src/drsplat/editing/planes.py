@@ -69,11 +69,11 @@ def _largest(points: Points, thing: Thing, tolerance: float, rng: np.random.Gene
     """The plane through three of the points that most of them lie in, fitted to these."""
     some = points[:: -(-len(points) // LOOKED_AT)]
     best, most = None, 0
-    for a, b, c in some[rng.integers(len(some), size=(TRIES, 3))]:
-        normal = np.cross(b - a, c - a)
+    a, b, c = some[rng.integers(len(some), size=(TRIES, 3))].transpose(1, 0, 2)
+    for start, normal in zip(a, np.cross(b - a, c - a), strict=True):
         length = float(np.linalg.norm(normal))
         if length > 0:
-            inside = np.abs(np.einsum("ni,i->n", some - a, normal / length)) <= tolerance
+            inside = np.abs(np.einsum("ni,i->n", some - start, normal / length)) <= tolerance
             count = int(np.count_nonzero(inside))
             best, most = (inside, count) if count > most else (best, most)
     return None if best is None else _fitted(some[best], thing, tolerance)

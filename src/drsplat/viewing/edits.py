@@ -92,6 +92,10 @@ class Edits:
             self._standing = gaussians
             self._state = self._made(self.listed)
 
+    def take(self, other: "Edits") -> None:
+        """Take the list of a copy, and what it makes; annotations stay."""
+        self._standing, self._state, self._drawn, self._rows = other._standing, other._state, other._drawn, other._rows
+
     def _made(self, listed: EditList) -> _State:
         return _State.of(replace(self._standing, extra=self.gaussians.extra), listed, self.file)
 

@@ -56,16 +56,35 @@ def export_page(
     session = Session(
         scene, min(max_gaussians or MOST, MOST), words, edits_kept=not without_kept(edits, changes=False, saves=False)
     )
+    up = up_direction(scene) if up is None else up
+    page = _filmed_page(session, queries, up, title, path_name)
+    page = replace(page, plays=plays)
+    write_page(path, page, overwrite=overwrite)
+    return page
+
+
+def export_session(
+    path: str | PathLike[str], session: Session, queries: Sequence[str], *, up: Float64[np.ndarray, " 3"]
+) -> Page:
+    """Write a page of a session's scene as edited there, with the answers to queries; the session stays as it is.
+
+    Raises: as `export_page`.
+    """
+    page = _filmed_page(session.unasked(MOST), queries, up, "", ORBIT)
+    write_page(path, page)
+    return page
+
+
+def _filmed_page(
+    session: Session, queries: Sequence[str], up: Float64[np.ndarray, " 3"], title: str, path_name: str
+) -> Page:
+    """Return a page of a session that was not asked anything, with a film."""
     if bool(queries) != session.is_askable:
         raise InputError(
             NO_FIELD if queries else 'a page holds answers: give it queries, as in drsplat view --ask "red mug; lamp"'
         )
-    up = up_direction(scene) if up is None else up
-    film = path_named(path_name, scene.gaussians, scene.views, up=up)
-    page = page_of(session, queries, None, up, title, film)
-    page = replace(page, plays=plays)
-    write_page(path, page, overwrite=overwrite)
-    return page
+    film = path_named(path_name, session.scene.gaussians, session.scene.views, up=up)
+    return page_of(session, queries, None, up, title, film)
 
 
 def page_of(

@@ -1,5 +1,6 @@
 """The state of a viewer and what people do to it; no browser, no network."""
 
+import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
@@ -81,6 +82,22 @@ class Session:
         """Those of the scene, done to it as it is at the time that is shown."""
         self._edits.stand(self.here.gaussians)
         return self._edits
+
+    def copied(self) -> "Session":
+        """Return a session that stays as this one is now, whatever is done to this one; edits of it are kept."""
+        edits, other = copy.copy(self.edits), copy.copy(self)
+        other._edits = edits
+        return other
+
+    def unasked(self, budget: int) -> "Session":
+        """Return a session of the same scene with a copy of its edits, in which nothing was asked."""
+        other = Session(self.scene, min(budget, self.budget), self.words, edits_kept=False)
+        other._edits = copy.copy(self.edits)
+        return other
+
+    def take_edits(self, other: "Session") -> None:
+        """Take the edits of a copy, as they are now."""
+        self._edits.take(other._edits)
 
     @cached_property
     def shown(self) -> Shown:

@@ -16,6 +16,8 @@ import type { Lasso } from "./lasso";
 import { ObjectsTab } from "./objects";
 import { Prompt } from "./prompt";
 
+const EDITS = new Set(["edit", "undo", "redo", "restore"]);
+
 export interface Tab { readonly name: string; readonly label: string; show(): Node[] }
 
 export class App {
@@ -35,6 +37,8 @@ export class App {
   lasso: Lasso | null = null;
   private colors: Uint8Array | null = null;
   private acting: Promise<void> = Promise.resolve();
+  private changing: Promise<void> = Promise.resolve();
+  private working = 0; // acts and files that are waited for
   private showing: Promise<void> = Promise.resolve();
   private loading = 0; // which of the scenes that were begun is wanted
 
@@ -63,25 +67,43 @@ export class App {
     this.backend.listen((state) => void this.take(state));
   }
 
-  /** Do one act after the other, and show what came of each. A refusal is said; it leaves all as it was. */
-  act(act: Act): Promise<boolean> { return this.run(() => this.backend.act(act)); }
+  /** Do one act after the other, and show what came of each. A refusal is said; it leaves all as it was. Edits wait for
+   * each other alone: the service computes them beside what it shows. */
+  act(act: Act): Promise<boolean> {
+    const ask = () => this.backend.act(act);
+    if (!EDITS.has(act.act)) return this.run(ask);
+    const done = this.doneAfter(this.changing, ask);
+    this.changing = done.then(() => undefined);
+    return done;
+  }
 
   run(ask: () => Promise<State>): Promise<boolean> {
-    const done = this.acting.then(async () => {
-      document.body.classList.add("busy");
+    const done = this.doneAfter(this.acting, ask);
+    this.acting = done.then(() => undefined);
+    return done;
+  }
+
+  /** Show for as long as something lasts that it is being worked on. */
+  busy(by: 1 | -1): void {
+    this.working += by;
+    document.body.classList.toggle("busy", this.working > 0);
+  }
+
+  private doneAfter(before: Promise<unknown>, ask: () => Promise<State>): Promise<boolean> {
+    return before.then(async () => {
+      this.busy(1);
       try {
-        await this.take(await ask());
+        const state = await ask();
+        if (state.revision >= this.state.revision) await this.take(state); // else what came later is shown already
         this.say("");
         return true;
       } catch (error) {
         this.say(error instanceof Error ? error.message : String(error), true);
         return false;
       } finally {
-        document.body.classList.remove("busy");
+        this.busy(-1);
       }
     });
-    this.acting = done.then(() => undefined);
-    return done;
   }
 
   /** Show one thing after the other: each leaves rows and colours that belong together. */

@@ -98,8 +98,8 @@ export class EditTab implements Tab {
   async file(path: string, body: unknown): Promise<{ blob: Blob; name: string; saved: string } | null> {
     const live = this.app.backend.live;
     if (!live) return null;
-    document.body.classList.add("busy");
-    try { return await live.file(path, body); } catch (error) { this.app.say(error instanceof Error ? error.message : String(error), true); return null; } finally { document.body.classList.remove("busy"); }
+    this.app.busy(1);
+    try { return await live.file(path, body); } catch (error) { this.app.say(error instanceof Error ? error.message : String(error), true); return null; } finally { this.app.busy(-1); }
   }
 
   async save(path: string, body: unknown): Promise<void> {

@@ -5,6 +5,8 @@ import { clamp, mix } from "../vectors";
 import type { App, Tab } from "./app";
 import { button, byId, counted, drawer, h } from "./dom";
 
+const FOLLOW_MS = 700; // between two looks at how far a film is
+
 export class FilmTab implements Tab {
   readonly name = "film";
   readonly label = "Film";
@@ -106,9 +108,23 @@ export class FilmTab implements Tab {
     const choice = h("select", { "aria-label": "Format of the film", onchange: () => { this.format = choice.value; } }, ...film_formats.map((one) => h("option", { value: one, selected: one === this.format }, one.toUpperCase())));
     const path = () => ({ keys: this.keys, ...(this.seconds === null ? {} : { seconds: this.seconds }) });
     return [
-      h("div", { class: "line" }, choice, button("Save the film", () => void app.edit.save("/view/film", { ...path(), format: this.format }), { disabled: few })),
+      h("div", { class: "line" }, choice, button("Save the film", () => void this.save({ ...path(), format: this.format }), { disabled: few })),
       h("div", { class: "line" }, button("Save the path", () => void app.edit.save("/view/path", path()), { disabled: few }), button("Load a path", () => byId<HTMLInputElement>("path-file").click())),
     ];
+  }
+
+  /** Save the film, and say meanwhile how far it is. */
+  private async save(film: object): Promise<void> {
+    const { app } = this, job = Array.from(crypto.getRandomValues(new Uint32Array(3)), (x) => x.toString(36)).join("");
+    let asking = 0;
+    const follow = async () => {
+      const { done, count } = await app.backend.live!.filmProgress(job).catch(() => ({ done: 0, count: 0 }));
+      if (!asking) return;
+      if (count) app.say(`Drawing the film: ${done} of ${counted(count, "picture")}.`);
+      asking = window.setTimeout(() => void follow(), FOLLOW_MS);
+    };
+    asking = window.setTimeout(() => void follow(), FOLLOW_MS);
+    try { await app.edit.save("/view/film", { ...film, job }); } finally { clearTimeout(asking); asking = 0; }
   }
 
   async load(file: File): Promise<void> {

@@ -3,7 +3,7 @@
 Source of the names and shapes: docs/viewer.md, "For other clients".
 """
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from typing import Annotated, Literal
 
 import numpy as np
@@ -18,6 +18,7 @@ from .cameras import Body, Camera, Finite, Number, Point, Span, Text, view_of
 from .changes import ChangeRequest
 from .opening import open_batch, open_entry
 from .shared import Shared
+from .stage import Stage
 
 LASSO_SIDE = 640  # pixels of the picture in which an outline selects
 Corner = tuple[Finite, Finite]
@@ -32,6 +33,47 @@ class Act(Body):
 
     def do(self, shared: Shared) -> str | None:
         """Do it; returns what is to be said, None for what the session says of its answers."""
+        raise NotImplementedError
+
+
+Finish = Callable[[], str | None]
+"""The last step of a slow act: shows what was computed and returns what is to be said, as `Act.do`."""
+
+
+class SlowAct(Act):
+    """An act whose work is done beside the session, which answers meanwhile as it was before."""
+
+    def begin(self, shared: Shared) -> Callable[[], Finish]:
+        """Return the work, which touches nothing that is shown; what it returns in turn shows the result."""
+        raise NotImplementedError
+
+    def do(self, shared: Shared) -> str | None:
+        return self.begin(shared)()()
+
+
+class EditAct(SlowAct):
+    """A change of the list of edits."""
+
+    def begin(self, shared: Shared) -> Callable[[], Finish]:
+        stage, session = shared.stage.copied(), shared.session
+
+        def work() -> Finish:
+            ahead = stage.session
+            ahead.take_edits(session)  # as edits before this one have left them
+            self.apply(stage)
+            _ = ahead.drawn  # what browsers ask for next
+
+            def finish() -> None:
+                session.take_edits(ahead)
+                if session.results is ahead.results:
+                    session.mode = ahead.mode
+
+            return finish
+
+        return work
+
+    def apply(self, stage: Stage) -> None:
+        """Change the edits of a copy of the session. Raises: InputError: it cannot be done."""
         raise NotImplementedError
 
 
@@ -166,36 +208,32 @@ class Lasso(Act):
         return shared.session.lasso(view, np.array(self.polygon, np.float64) * scale)
 
 
-class EditSelection(Act, ChangeRequest):
+class EditSelection(EditAct, ChangeRequest):
     act: Literal["edit"]
 
-    def do(self, shared: Shared) -> str | None:
-        shared.session.edit(self.made(shared.stage))
-        return None
+    def apply(self, stage: Stage) -> None:
+        stage.session.edit(self.made(stage))
 
 
-class Undo(Act):
+class Undo(EditAct):
     act: Literal["undo"]
 
-    def do(self, shared: Shared) -> str | None:
-        shared.session.edits.undo()
-        return None
+    def apply(self, stage: Stage) -> None:
+        stage.session.edits.undo()
 
 
-class Redo(Act):
+class Redo(EditAct):
     act: Literal["redo"]
 
-    def do(self, shared: Shared) -> str | None:
-        shared.session.edits.redo()
-        return None
+    def apply(self, stage: Stage) -> None:
+        stage.session.edits.redo()
 
 
-class Restore(Act):
+class Restore(EditAct):
     act: Literal["restore"]
 
-    def do(self, shared: Shared) -> str | None:
-        shared.session.restore()
-        return None
+    def apply(self, stage: Stage) -> None:
+        stage.session.restore()
 
 
 class Annotate(Act):
@@ -242,19 +280,19 @@ class During(Act):
         return None
 
 
-class Open(Act):
+class Open(SlowAct):
     act: Literal["open"]
     batch: Text
 
-    def do(self, shared: Shared) -> str | None:
+    def begin(self, shared: Shared) -> Callable[[], Finish]:
         return open_batch(shared, self.batch)
 
 
-class OpenEntry(Act):
+class OpenEntry(SlowAct):
     act: Literal["open_entry"]
     number: Number
 
-    def do(self, shared: Shared) -> str | None:
+    def begin(self, shared: Shared) -> Callable[[], Finish]:
         return open_entry(shared, self.number)
 
 
@@ -277,6 +315,24 @@ def done(shared: Shared, act: Act) -> dict[str, object]:
     finally:
         shared.note()
     return shared.state()
+
+
+def begun(shared: Shared, act: SlowAct) -> Callable[[], Callable[[], dict[str, object]]]:
+    """Begin a slow act; as `SlowAct.begin`, but the last step returns the state after it."""
+    work = act.begin(shared)
+
+    def shown(finish: Finish) -> dict[str, object]:
+        try:
+            shared.say(finish())
+        finally:
+            shared.note()
+        return shared.state()
+
+    def done_beside() -> Callable[[], dict[str, object]]:
+        finish = work()
+        return lambda: shown(finish)
+
+    return done_beside
 
 
 def _click(session: Session, origin: np.ndarray, direction: np.ndarray) -> str | None:

@@ -1,4 +1,4 @@
-"""The routes of the viewer: each is one call in the thread of its session."""
+"""The routes of the viewer: each is one call in the thread of its session, but what is slow."""
 
 import asyncio
 import secrets
@@ -20,14 +20,16 @@ from ...serving.pictures import decoded
 from ...serving.refusals import faults_of
 from ...serving.replies import BUG, JPEG, PNG, Reply, problem, refusal
 from ..client import client_file, live_html
+from ..saving import Saves
 from ..texts import printable
 from . import files
-from .acts import AnyAct, Open, done, read_act
+from .acts import AnyAct, Open, SlowAct, begun, done, read_act
 from .arrays import HEADER, ROWS, Packed
 from .cameras import MOST_SIDE, Body, Camera, Path, Text, flight_document
 from .events import Events
 from .shared import Shared
-from .turns import Turns
+from .stage import Stage
+from .turns import Lanes
 
 MOST_PIXELS = 40_000_000  # of a picture that is sent
 WORDED = {"extra_forbidden": "there is no such field"}
@@ -45,10 +47,13 @@ class CatalogueText(Body):
 
 
 class Viewer:
-    """The handlers of one service. Whatever touches the session has a turn of its thread."""
+    """The handlers of one service. Whatever touches the session has a turn of its thread; what is slow works on a copy
+    beside it.
+    """
 
-    def __init__(self, shared: Shared, turns: Turns) -> None:
-        self.shared, self.turns, self.pictures = shared, turns, files.ObjectPictures()
+    def __init__(self, shared: Shared, lanes: Lanes) -> None:
+        self.shared, self.lanes, self.turns, self.pictures = shared, lanes, lanes.quick, files.ObjectPictures()
+        self.progress = files.Progress()
         self.events = Events(lambda: vars(shared.counted))
         shared.tell = self.events.tell
 
@@ -59,6 +64,7 @@ class Viewer:
             "/view/splats": self.splats, "/view/paint": self.paint, "/view/colors": self.colors,
             "/view/events": self.listen, "/view/photo": self.photo, "/view/object-picture": self.object_picture,
             "/view/clicked-photo": self.clicked_photo, "/view/catalogue-picture": self.catalogue_picture,
+            "/view/film-progress": self.film_progress,
         }  # fmt: skip
         acts: dict[str, Handler] = {
             "/view/do": self.do, "/view/ask-picture": self.ask_picture, "/view/open": self.open,
@@ -128,12 +134,14 @@ class Viewer:
     async def _done(self, act: AnyAct) -> dict[str, Any]:
         shared = self.shared
         opened = shared.counted.scene
-        if act.key is None:
+        if isinstance(act, SlowAct):
+            state = await self.lanes.take_change(lambda: begun(shared, act))
+        elif act.key is None:
             state = await self.turns.take(lambda: done(shared, act))
         else:
             state = await self.turns.take_latest(act.key, lambda: done(shared, act), shared.state)
         if shared.counted.scene != opened:
-            self.turns.submit(shared.prepare)
+            self.lanes.change(shared.prepare)
         return state
 
     async def ask_picture(self, request: Request) -> Response:
@@ -174,20 +182,23 @@ class Viewer:
 
     async def save(self, request: Request) -> Response:
         asked = await _body(request, files.Save)
-        return self._file(await self.turns.take(lambda: files.saved(self.shared, asked)))
+        return await self._file(lambda saves, stage: files.saved(saves, stage, asked))
 
     async def film(self, request: Request) -> Response:
         asked, is_gone = await _body(request, files.Film), Event()
         watching = asyncio.ensure_future(_watch(request, is_gone))
         try:
-            return self._file(await self.turns.take(lambda: files.film(self.shared, asked, is_gone)))
+            return await self._file(lambda saves, stage: files.film(saves, stage, asked, is_gone, self.progress))
         finally:
             is_gone.set()
             watching.cancel()
 
+    async def film_progress(self, request: Request) -> Response:
+        return JSONResponse(self.progress.document(request.query_params.get("job", "")))
+
     async def path(self, request: Request) -> Response:
         asked = await _body(request, Path)
-        return self._file(await self.turns.take(lambda: files.path_file(self.shared, asked)))
+        return await self._file(lambda saves, stage: files.path_file(saves, stage, asked))
 
     async def flight(self, request: Request) -> Response:
         asked = await _body(request, Path)
@@ -198,9 +209,17 @@ class Viewer:
         return JSONResponse(await self.turns.take(lambda: files.loaded_path(self.shared.stage, body)))
 
     async def export(self, _: Request) -> Response:
-        return self._file(await self.turns.take(lambda: files.page_file(self.shared)))
+        return await self._file(files.page_file)
 
-    def _file(self, saved: files.Saved) -> Response:
+    async def _file(self, write: Callable[[Saves, Stage], files.Saved]) -> Response:
+        """Answer with a file of the session as it is now, whatever is done to it while the file is written."""
+        shared = self.shared
+
+        def begin() -> Callable[[], files.Saved]:
+            stage = shared.stage.copied()
+            return lambda: write(shared.saves, stage)
+
+        saved = await self.lanes.take_file(begin)
         headers = {"content-disposition": f'attachment; filename="{saved.path.name}"'}
         if self.shared.saves.folder is not None:
             headers["x-drsplat-saved"] = quote(str(saved.path), errors="replace")
@@ -218,9 +237,9 @@ class Viewer:
         return Response(drawn, media_type=JPEG)
 
 
-def create_app(shared: Shared, turns: Turns) -> Starlette:
+def create_app(shared: Shared, lanes: Lanes) -> Starlette:
     """The viewer as an ASGI application, without the gate before it."""
-    viewer = Viewer(shared, turns)
+    viewer = Viewer(shared, lanes)
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:

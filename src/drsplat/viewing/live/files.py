@@ -5,9 +5,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path as FilePath
 from threading import Event
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
+from pydantic import StringConstraints
 
 from ...arrays import UInt8
 from ...drawing.pictures import OtherPixels, as_pixels
@@ -21,12 +22,11 @@ from ...formats.json_files import document_in
 from ...query.sheets import AT_ONCE
 from ...serving.pictures import jpeg, png
 from ..carrying import carried
-from ..exporting import export_page
+from ..exporting import export_session
 from ..naming import photo_of
 from ..object_list import pictures_of
-from ..saving import flight_gif, picture_of, save_scene, write_bytes
+from ..saving import Saves, flight_gif, picture_of, save_scene, write_bytes
 from .cameras import FILM_SIZE, FPS, Body, Camera, Path, path_document, path_through, view_of
-from .shared import Shared
 from .stage import Stage
 from .state import film_formats
 
@@ -51,9 +51,10 @@ class Save(Body):
 
 
 class Film(Path):
-    """A film along a path."""
+    """A film along a path. job: a name to ask with how far it is; none where it is empty."""
 
     format: Literal[".mp4", ".webm", ".webp", ".gif"]
+    job: Annotated[str, StringConstraints(max_length=64)] = ""
 
 
 # --- pictures ---
@@ -122,42 +123,63 @@ class ObjectPictures:
 # --- files ---
 
 
-def saved(shared: Shared, asked: Save) -> Saved:
+def saved(saves: Saves, stage: Stage, asked: Save) -> Saved:
     """Write what was asked for. Raises: InputError: nothing is selected; as `Saves.save`."""
-    stage = shared.stage
     if asked.what == "swing":
         data = _swing(stage, asked.camera)
-        return _save(shared, "found", ".gif", lambda path: write_bytes(path, data))
+        return _save(saves, "found", ".gif", lambda path: write_bytes(path, data))
     only, stem = (True, "selection") if asked.what == "selection" else (False, "found")
     if asked.format == ".ply":
-        return _save(shared, stem, ".ply", lambda path: save_scene(path, stage.session, selected_only=only))
+        return _save(saves, stem, ".ply", lambda path: save_scene(path, stage.session, selected_only=only))
     scene = carried(stage.session, selected_only=only)
-    return _save(shared, stem, asked.format, lambda path: write_scene(path, scene))
+    return _save(saves, stem, asked.format, lambda path: write_scene(path, scene))
 
 
-def film(shared: Shared, asked: Film, is_gone: Event) -> Saved:
+def film(saves: Saves, stage: Stage, asked: Film, is_gone: Event, progress: "Progress") -> Saved:
     """Draw a film in the colours of the moment. is_gone: ends it early, as when nobody waits for it any more.
 
     Raises: InputError: a format that cannot be written here; as `Saves.save`.
     """
     if asked.format not in film_formats():
         raise InputError(f"{asked.format} needs the program ffmpeg: expected {' or '.join(film_formats())}")
-    path = path_through(shared.stage, asked)
-    views = path.views(frame_count(asked.seconds, FPS), FILM_SIZE)
-    session = shared.session
+    path, count = path_through(stage, asked), frame_count(asked.seconds, FPS)
+    views = path.views(count, FILM_SIZE)
 
     def pictures() -> Iterator[UInt8[np.ndarray, "h w 3"]]:
-        for view in views:
+        for number, view in enumerate(views):
             if is_gone.is_set():
                 raise InputError("the film was not waited for")
-            yield picture_of(session, view)
+            progress.note(asked.job, number, count)
+            yield picture_of(stage.session, view)
 
-    return _save(shared, "film", asked.format, lambda file: write_film(file, pictures(), FPS))
+    try:
+        return _save(saves, "film", asked.format, lambda file: write_film(file, pictures(), FPS))
+    finally:
+        progress.forget(asked.job)
 
 
-def path_file(shared: Shared, asked: Path) -> Saved:
-    path = path_through(shared.stage, asked)
-    return _save(shared, "path", ".json", lambda file: write_path(file, path))
+class Progress:
+    """How many pictures of films that are being drawn are done, by the names that browsers gave them."""
+
+    def __init__(self) -> None:
+        self._jobs: dict[str, tuple[int, int]] = {}
+
+    def note(self, job: str, done: int, count: int) -> None:
+        if job:
+            self._jobs[job] = done, count
+
+    def forget(self, job: str) -> None:
+        self._jobs.pop(job, None)
+
+    def document(self, job: str) -> dict[str, int]:
+        """Return pictures that are done, and all of them; 0 of 0 where the film waits for its turn or is whole."""
+        done, count = self._jobs.get(job, (0, 0))
+        return {"done": done, "count": count}
+
+
+def path_file(saves: Saves, stage: Stage, asked: Path) -> Saved:
+    path = path_through(stage, asked)
+    return _save(saves, "path", ".json", lambda file: write_path(file, path))
 
 
 def loaded_path(stage: Stage, body: bytes) -> dict[str, Any]:
@@ -165,22 +187,18 @@ def loaded_path(stage: Stage, body: bytes) -> dict[str, Any]:
     return path_document(stage, path_of(document_in(body, "the path"), "the path"))
 
 
-def page_file(shared: Shared) -> Saved:
+def page_file(saves: Saves, stage: Stage) -> Saved:
     """Export the scene with the queries that are answered now, else with the words that are suggested.
 
     Raises: InputError: nothing was asked, and no word has a match.
     """
-    session, stage = shared.session, shared.stage
-    queries = session.asked or stage.words[:MOST_PAGE_QUERIES]
-
-    def write(path: FilePath) -> None:
-        export_page(path, session.scene, queries if session.is_askable else (), words=session.words, up=stage.up)
-
-    return _save(shared, "page", ".html", write)
+    session = stage.session
+    queries = (session.asked or stage.words[:MOST_PAGE_QUERIES]) if session.is_askable else ()
+    return _save(saves, "page", ".html", lambda path: export_session(path, session, queries, up=stage.up))
 
 
-def _save(shared: Shared, stem: str, suffix: str, write: Callable[[FilePath], object]) -> Saved:
-    return Saved(*shared.saves.save(stem, suffix, write))
+def _save(saves: Saves, stem: str, suffix: str, write: Callable[[FilePath], object]) -> Saved:
+    return Saved(*saves.save(stem, suffix, write))
 
 
 def _swing(stage: Stage, camera: Camera | None) -> bytes:

@@ -19,7 +19,7 @@ from .app import create_app
 from .gate import Gate
 from .shared import Shared
 from .stage import Vector
-from .turns import Turns
+from .turns import Lanes
 
 GRACE_S = 5  # for what is being answered when the viewer stops
 WAITS = {**SECONDS, Stage.BODY: 1800.0}  # seconds: a scene of gigabytes may come over a slow network
@@ -46,11 +46,11 @@ class Service:
     """A viewer on a socket. `address` is for a browser, with the token that others need to come in."""
 
     def __init__(self, shared: Shared, listening: socket.socket, host: str) -> None:
-        self.shared, self.turns, self.listening = shared, Turns(), listening
+        self.shared, self.lanes, self.listening = shared, Lanes(), listening
         self.token = None if is_loopback(host) else secrets.token_urlsafe(24)
         query = "" if self.token is None else f"/?token={self.token}"
         self.address = address_of(listening, socket.gethostname() if host in EVERYWHERE else host) + query
-        app = create_app(shared, self.turns)
+        app = create_app(shared, self.lanes)
         gate = Gate(app, host, listening.getsockname()[1], self.token)
         options: dict[str, Any] = {"log_level": "error", "access_log": False, "timeout_graceful_shutdown": GRACE_S}
         self._server = _Server(bounded(gate, WAITS, **options), app)
@@ -61,7 +61,8 @@ class Service:
         self.shared.note()
         if text:
             self.submit(lambda: self._ask(session, text))
-        self.submit(self.shared.prepare)
+        with suppress(BusyError):
+            self.lanes.change(self.shared.prepare)
 
     def search(self, text: str) -> None:
         """Search the catalogue, if there is a text; before anybody has come."""
@@ -77,7 +78,7 @@ class Service:
 
     def submit(self, act: Any) -> None:
         with suppress(BusyError):
-            self.turns.submit(act)
+            self.lanes.quick.submit(act)
 
     def run(self) -> None:
         """Answer until SIGINT or SIGTERM."""
@@ -99,5 +100,5 @@ class Service:
 
     def close(self) -> None:
         """Stop what is being done, and remove files that were sent."""
-        self.turns.stop()
+        self.lanes.stop()
         self.shared.uploads.close()

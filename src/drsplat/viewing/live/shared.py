@@ -114,12 +114,21 @@ class Shared:
         self.note()
         return answer
 
-    def prepare(self) -> None:
-        """Name objects and suggest words, which may load a model; the scene can be seen before."""
-        if self._stage is not None:
-            self._stage.prepare()
+    def prepare(self) -> Callable[[], None]:
+        """Find names of objects and words to suggest, which may load a model, beside the session.
+
+        Returns: what shows them, in the session's thread.
+        """
+        stage = self._stage
+        take = None if stage is None else stage.prepare()
+
+        def show() -> None:
+            if take is not None:
+                take()
             self.renew_header()
             self.note()
+
+        return show
 
     def renew_header(self) -> None:
         """Count that the header is another one, as after an object was named."""

@@ -1,5 +1,7 @@
 """The scene that is open, with what is computed once for all who look at it."""
 
+import copy
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -42,6 +44,12 @@ class Stage:
         stage.rename()
         return stage
 
+    def copied(self) -> "Stage":
+        """Return a stage that stays as this one is now, whatever is done to this one."""
+        other = copy.copy(self)
+        other.session = self.session.copied()
+        return other
+
     def rename(self) -> None:
         """Take the names that people gave to objects; of others those that are known, or their numbers."""
         if self.session.has_objects:
@@ -51,12 +59,17 @@ class Stage:
                 before[number] if label is None else f"{label} · {number}" for number, label in enumerate(labels)
             ]
 
-    def prepare(self) -> None:
-        """Name the objects and find words to suggest; loads the encoder, which may take seconds."""
-        if self.session.has_objects:
-            self.names = names_of(self.session)
-        if self.session.is_askable:
-            self.words = suggestions(self.session.scene, self.session.words, MOST_WORDS)
+    def prepare(self) -> Callable[[], None]:
+        """Find names of the objects and words to suggest, which loads the encoder, and return what takes them."""
+        session = self.session
+        names = names_of(session) if session.has_objects else []
+        words = suggestions(session.scene, session.words, MOST_WORDS) if session.is_askable else []
+
+        def take() -> None:
+            self.names, self.words = names, words
+            self.rename()
+
+        return take
 
     @cached_property
     def first_look(self) -> tuple[Vector, Vector]:

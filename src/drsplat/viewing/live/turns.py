@@ -1,4 +1,4 @@
-"""One thread in which everything happens to a session, one thing after the other."""
+"""The threads of a viewer, in each of which one thing is done after the other."""
 
 import asyncio
 import threading
@@ -17,12 +17,12 @@ T = TypeVar("T")
 class Turns:
     """A thread that does what it is given in that order. Exceptions go to whoever waits for the result."""
 
-    def __init__(self, most_waiting: int = MOST_WAITING) -> None:
+    def __init__(self, most_waiting: int = MOST_WAITING, name: str = "viewer") -> None:
         self.most_waiting, self.waiting = most_waiting, 0
         self._jobs: SimpleQueue[tuple[Future[Any], Callable[[], Any]] | None] = SimpleQueue()
         self._latest: dict[Hashable, object] = {}
         self._lock = threading.Lock()
-        self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
         self._thread.start()
 
     def submit(self, act: Callable[[], T]) -> "Future[T]":
@@ -30,6 +30,11 @@ class Turns:
         with self._lock:
             if self.waiting >= self.most_waiting:
                 raise BusyError(f"{self.waiting} requests wait already: come again")
+        return self.complete(act)
+
+    def complete(self, act: Callable[[], T]) -> "Future[T]":
+        """Do the rest of something that had its turn before; it is never refused."""
+        with self._lock:
             self.waiting += 1
         future: Future[T] = Future()
         self._jobs.put((future, act))
@@ -61,3 +66,34 @@ class Turns:
                 del future, act, job
                 with self._lock:
                     self.waiting -= 1
+
+
+class Lanes:
+    """The three threads of a viewer: `quick` alone touches the session that is open.
+
+    changes: computes another version of the scene beside the one that is shown, one after the other. files: writes
+    films, pages and scenes from copies of the session.
+    """
+
+    def __init__(self) -> None:
+        self.quick, self.changes, self.files = Turns(), Turns(name="viewer-changes"), Turns(name="viewer-files")
+
+    def stop(self) -> None:
+        """End after what is being done, which has some seconds; what waits is dropped."""
+        for turns in (self.changes, self.files, self.quick):
+            turns.stop()
+
+    def change(self, work: Callable[[], Callable[[], T]]) -> "Future[T]":
+        """Do slow work beside the session, and what it returns in the session's thread. Raises: BusyError."""
+        return self.changes.submit(lambda: self.quick.complete(work()).result())
+
+    async def take_change(self, begin: Callable[[], Callable[[], Callable[[], T]]]) -> T:
+        """Wait for a change of three steps: `begin` and the last one in the session's thread, work between them.
+
+        Raises: as `Turns.submit`, and as the steps.
+        """
+        return await asyncio.wrap_future(await self.quick.take(lambda: self.change(begin())))
+
+    async def take_file(self, begin: Callable[[], Callable[[], T]]) -> T:
+        """Wait for a file: `begin` in the session's thread returns what writes it. Raises: as `take_change`."""
+        return await asyncio.wrap_future(await self.quick.take(lambda: self.files.submit(begin())))
