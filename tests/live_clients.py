@@ -18,6 +18,7 @@ import httpx
 
 from drsplat.query import Scene, open_scene
 from drsplat.viewing.bare import is_bare, open_bare
+from drsplat.viewing.listening import listening_socket
 from drsplat.viewing.live.app import create_app
 from drsplat.viewing.live.gate import Gate
 from drsplat.viewing.live.shared import Shared
@@ -165,3 +166,15 @@ class Stream:
         while line.startswith(":"):
             line = await self.line()
         return dict(json.loads(line.removeprefix("data: ")))
+
+
+@contextmanager
+def served(session: Session) -> Iterator[str]:
+    """The address of a viewer of a session, for a browser."""
+    from drsplat.viewing.live.service import Service
+
+    with listening_socket("127.0.0.1", 0) as listening:
+        service = Service(Shared(Saves(None), opened), listening, "127.0.0.1")
+        service.show(session, np.array([0.0, 0, 1]), "")
+        with service.running() as address:
+            yield address

@@ -1,7 +1,5 @@
 """The client before a running viewer, in a real browser: what a person does, seen in the session and in pixels."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,10 +12,9 @@ from drsplat.editing import Duplicate
 from drsplat.query import Scene, open_scene
 from drsplat.scene.annotations import Annotation
 from drsplat.viewing.exporting import export_page
-from drsplat.viewing.listening import listening_socket
 from drsplat.viewing.live.stage import Stage
-from drsplat.viewing.saving import Saves
 from drsplat.viewing.session import Session
+from live_clients import served
 
 pytest.importorskip("uvicorn")
 pytestmark = [needs_chromium, pytest.mark.slow]
@@ -28,20 +25,6 @@ UP = np.array([0.0, 0, 1])
 @pytest.fixture
 def session(room: Path) -> Session:
     return Session(open_scene(room / "room.field", scene=room / "scene.ply", views=room / "capture"))
-
-
-@contextmanager
-def served(session: Session) -> Iterator[str]:
-    """The address of a viewer of a session."""
-    from drsplat.viewing.live.service import Service
-    from drsplat.viewing.live.shared import Shared
-    from live_clients import opened as open_path
-
-    with listening_socket("127.0.0.1", 0) as listening:
-        service = Service(Shared(Saves(None), open_path), listening, "127.0.0.1")
-        service.show(session, UP, "")
-        with service.running() as address:
-            yield address
 
 
 def wait_for(page: Any, condition: str) -> None:
