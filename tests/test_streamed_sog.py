@@ -87,6 +87,7 @@ for _ in range(70):
         (one({"lods": {"0": {"file": 9}}}), "chunk 9, there are 4"),
         (one({"lods": {"0": {"file": -1}}}), "0 or more"),
         (one({"lods": {"0": {"file": 1.5}}}), "whole number"),
+        (one({"lods": {"0": {"file": 1}, "1": {"file": 1}}}), "chunk 1 holds several levels"),
         (one(DEEP), "64 deep"),
         ({"filenames": ["../secret/meta.json"] * 4}, "in this folder"),
         ({"filenames": ["/etc/meta.json"] * 4}, "in this folder"),

@@ -217,7 +217,7 @@ def test_a_level_that_is_not_there_is_refused(tmp_path: Path) -> None:
 
 def test_what_cannot_be_written_is_refused(tmp_path: Path) -> None:
     scene = labelled(5)
-    with pytest.raises(InputError, match="without Gaussians"):
+    with pytest.raises(InputError, match="no Gaussians to write"):
         written(tmp_path, LabelledScene(scene.gaussians.subset(np.zeros(0, int))))
     scene.gaussians.means[3] = np.nan
     with pytest.raises(InputError, match="row 3"):

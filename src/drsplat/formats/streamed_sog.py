@@ -58,16 +58,24 @@ def counts_of_levels(lod_meta: Path) -> list[int]:
 def chunks_of(lod_meta: Path, level: int = 0) -> list[Path]:
     """Return the meta.json of each chunk with Gaussians of a level, in the order of the tree, and the environment's.
 
-    Raises: FormatError: another version, a tree without chunks of the level, or one that leads out of the folder.
+    Raises: FormatError: another version, a tree without chunks of the level, a chunk of several levels, or one that
+    leads out of the folder.
     """
     document = _document(lod_meta)
     names = document.get("filenames")
     if not isinstance(names, list) or not all(map(is_text, names)):
         raise FormatError(f"{lod_meta}: filenames: expected a list of names, got {shown(names)}")
-    runs = [leaf[str(level)] for leaf in _leaves(document.get("tree"), str(lod_meta)) if str(level) in leaf]
-    chunks = dict.fromkeys(_number(run, "file", str(lod_meta)) for run in runs)
+    named = [
+        (name, _number(run, "file", str(lod_meta)))
+        for leaf in _leaves(document.get("tree"), str(lod_meta))
+        for name, run in leaf.items()
+    ]
+    chunks = dict.fromkeys(number for name, number in named if name == str(level))
     if not chunks:
         raise FormatError(f"{lod_meta}: the tree names no chunk of level {level}; 0 is the finest")
+    shared = sorted(chunks.keys() & {number for name, number in named if name != str(level)})
+    if shared:
+        raise FormatError(f"{lod_meta}: chunk {shared[0]} holds several levels; expected one level in each chunk")
     if max(chunks) >= len(names):
         raise FormatError(f"{lod_meta}: the tree names chunk {max(chunks)}, there are {len(names)}")
     paths = [_inside(lod_meta, names[number]) for number in chunks]
