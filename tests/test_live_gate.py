@@ -224,6 +224,7 @@ def asked(one: service.Service, method: str, path: str, body: str = "", **header
 
 def test_a_service_answers_what_it_was_asked_first_and_ends_with_streams_open(listened: service.Service) -> None:
     eventually(lambda: b'"text":"red mug"' in asked(listened, "GET", "/view/state")[1])
+    eventually(lambda: b'"words":["' in asked(listened, "GET", "/view/header")[1])  # nothing more comes by itself
     port = listened.listening.getsockname()[1]
     own = {"Origin": f"http://127.0.0.1:{port}", "Content-Type": "application/json"}
     assert asked(listened, "POST", "/view/do", ASK, **own)[0] == 200
