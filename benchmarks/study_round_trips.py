@@ -7,8 +7,8 @@ DEMO: the output of `drsplat demo`. The scene with its objects is written in eac
 1. Numbers: largest deviations from the scene as others read the file, beside half a step of the format. Positions in
    scene units, scales as logarithms (from exp(-10) on, below which SPZ has none), rotations in degrees, constant
    colours as shown (0 to 1; bytes cut off what is brighter), harmonics. "ids": Gaussians with the number of their
-   object, and "names": those of objects, by readers that are written from the formats' descriptions and use nothing of
-   drsplat.
+   object, and "names": different ones of objects, by readers that are written from the formats' descriptions and use
+   nothing of drsplat.
 2. Pictures of a photo's camera in a browser, where the scene is: PSNR of what a viewer shows against our picture of the
    scene, and against that of the scene with colours in bytes, which most viewers keep; and what the file itself loses:
    our picture of the file against that of the scene. --pictures keeps them as PNG.
