@@ -68,6 +68,20 @@ def test_what_photos_agree_on_stays_a_thing_of_its_own() -> None:
     assert parts[rows["left"]].all()
 
 
+def test_the_rest_of_a_scrap_goes_with_most_of_it() -> None:
+    """Some of a scrap is too large to be a loose part: it goes if the rest is most of the scrap, and stays if not."""
+    scene, owners, rows = a_car_on_a_table()
+    agreed, right = np.array([True, True, True, False]), rows["right"]
+    for share, goes in ((0.3, True), (0.7, False)):
+        large = right[: int(share * len(right))]
+        scales = scene.scales.copy()
+        scales[large] *= 3
+        whole = completed(replace(scene, scales=scales), rows["body"], owners, agreed)
+        assert set(right[len(large) :]) <= set(whole)
+        assert (set(large) <= set(whole)) == goes
+        assert not set(rows["box"]) & set(whole)
+
+
 def test_large_ones_reach_beyond_a_thing_and_stay() -> None:
     scene, owners, rows = a_car_on_a_table()
     scene.scales[rows["left"]] *= 3

@@ -70,7 +70,7 @@ def completed(
     agreed: Bool[np.ndarray, " o"],
 ) -> Ids:  # fmt: skip
     """Rows with what nobody can tell apart from them: the rest of objects that they nearly are, what they enclose,
-    loose Gaussians that hang on to them, and in a scene with objects `loose_parts`.
+    loose Gaussians that hang on to them, and in a scene with objects `loose_parts` and `rests`.
 
     Training leaves Gaussians inside of things, where no photo looks; masks give them to whatever is behind. What is
     inside stays behind only where it is more than half of an object: an apple in a closed box.
@@ -88,7 +88,17 @@ def completed(
         inside |= hanging(gaussians, inside, (owners < 0) & ~inside)
     if len(agreed):
         inside |= loose_parts(gaussians, inside, owners, agreed)
+        inside |= rests(inside, owners, agreed)
     return np.flatnonzero(inside)
+
+
+def rests(
+    inside: Bool[np.ndarray, " n"], owners: Int64[np.ndarray, " n"], agreed: Bool[np.ndarray, " o"]
+) -> Bool[np.ndarray, " n"]:  # fmt: skip
+    """Return the Gaussians of objects that photos do not agree on and of which a thing has more than half."""
+    owned = owners >= 0
+    sizes, own = (np.bincount(owners[some], minlength=len(agreed)) for some in (owned, owned & inside))
+    return np.asarray(owned & ((2 * own > sizes) & ~agreed)[owners])
 
 
 def enclosed(gaussians: Gaussians, inside: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
