@@ -6,6 +6,7 @@ python benchmarks/study_edits.py drsplat-demo OUT.jpg [--side PIXELS]
 import argparse
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,12 +29,14 @@ from drsplat.editing import (
     Turn,
     edited,
 )
+from drsplat.editing.draft import OBJECT_ID
 from drsplat.editing.edits import Change
 from drsplat.editing.making import replaced_by, scaled_on_its_foot
 from drsplat.editing.resolving import query_rows
 from drsplat.scene.views import View
 
-VASE, TABLE, COUCH = "red vase", "wooden table", "couch"
+VASE, TABLE, COUCH, CAR = "red vase", "wooden table", "couch", "green car"
+SHARE = 0.45  # of a picture's height that a thing takes up where one looks at it closely
 SUNSET = np.random.default_rng(0).normal((200, 110, 60), (30, 40, 50), (64, 64, 3)).clip(1, 255).astype(np.uint8)
 
 
@@ -50,7 +53,7 @@ class Study:
         return self.rows[words]
 
     def sides(self, words: str, edits: Sequence[Edit], view: View) -> tuple[OtherPixels, OtherPixels]:
-        scene = self.scene.gaussians
+        scene = replace(self.scene.gaussians, extra={OBJECT_ID: self.scene.object_ids()})
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # of holes that stay open in part: seen in the picture
             after = edited(scene, edits, read=lambda _: scene)
@@ -87,10 +90,24 @@ def cases(study: Study) -> list[tuple[str, list[Edit]]]:
         each(VASE, car),
         each(TABLE, Isolate()),
         each(VASE, Remove(), Fill()),
+        each(CAR, Move((0.05, 0.25, 0.0))),
+        each(CAR, Move((0.05, 0.25, 0.0)), Fill()),
         (COUCH, [Edit(couch, Remove())]),
         (COUCH, [Edit(couch, Remove()), Edit(couch, Fill())]),
         each(TABLE, Palette(((0.10, 0.16, 0.22), (0.55, 0.62, 0.66)))),
     ]
+
+
+def closer(view: View, places: np.ndarray) -> View:
+    """Return the view with a longer lens, turned to what is at some places."""
+    across, down, depth = view.K @ (view.cam_from_world[:3, :3] @ places.mean(axis=0) + view.cam_from_world[:3, 3])
+    middle = np.array([across, down]) / depth
+    size = np.linalg.norm(np.quantile(places, 0.98, axis=0) - np.quantile(places, 0.02, axis=0))
+    lens = max(1.0, SHARE * view.height * depth / (view.K[0, 0] * size))
+    K = np.array(
+        [[lens, 0, view.width / 2 - lens * middle[0]], [0, lens, view.height / 2 - lens * middle[1]], [0, 0, 1]]
+    )
+    return replace(view, K=K @ view.K)
 
 
 def _ids(rows: Rows) -> np.ndarray:
@@ -114,6 +131,8 @@ def main() -> None:
     tiles: list[OtherPixels] = []
     for words, edits in cases(study):
         view = study.scene.best_view(_ids(study.of(words))).limited(given.side)
+        if isinstance(edits[-1].change, Fill) or words == CAR:
+            view = closer(view, study.scene.gaussians.positions[_ids(study.of(words))])
         tiles += study.sides(words, edits, view)
     write_picture(given.output, contact_sheet(tiles, 4, tile_width=given.side, gap=6), overwrite=True)
 
