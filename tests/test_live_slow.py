@@ -10,6 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+pytest.importorskip("fastapi", reason="the extra drsplat[viewer] is not installed")
+pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
+
 from drsplat.viewing.edits import Edits
 from drsplat.viewing.live import files
 from drsplat.viewing.live.turns import Lanes
