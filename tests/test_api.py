@@ -200,3 +200,10 @@ def test_a_rule_is_written_once(written: str) -> None:
     production = [path for path in SOURCE.rglob("*.py") if "reference" not in path.parts]
     found = [path.name for path in production if written in path.read_text(encoding="utf-8")]
     assert len(found) <= 1, found
+
+
+def test_docstrings_begin_with_whole_sentences() -> None:
+    half = re.compile(r'^ *r?"""(Of|As|What|Who|Whoever|Where|Whether|From) .*', re.MULTILINE)
+    source = Path(drsplat.__file__).parent
+    begins = {path.relative_to(source).as_posix(): half.findall(path.read_text()) for path in source.rglob("*.py")}
+    assert {path: words for path, words in begins.items() if words} == {}

@@ -224,7 +224,7 @@ def _run(argv: list[str]) -> int:
 
 
 def _refuse_no_texts(arguments: argparse.Namespace) -> None:
-    """An empty value is a variable that a shell found empty: as a path it would be the current folder."""
+    """Refuse an empty value, a variable that a shell found empty: as a path it would be the current folder."""
     for name, value in vars(arguments).items():
         flag = arguments.flags.get(name)
         shown = flag or ("WORDS" if name == "text" else name.upper())

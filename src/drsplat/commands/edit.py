@@ -126,6 +126,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         note_applied(known.done if arguments.changes else listed.done)
     return {
         "scene": str(work.path),
+        "field": arguments.field,
         "edits_file": str(edits.path),
         "kept": not alone,
         "num_edits": listed.done,
@@ -165,9 +166,9 @@ def show(answer: dict[str, Any]) -> None:
         if output:
             print(f"written to {output}")
     if answer["kept"] and answer["num_edits"] and not answer["saved"]:
-        print(
-            f"The scene's file is unchanged: drsplat edit {shlex.quote(scene)} --save OUT.ply applies the kept edits."
-        )
+        field = f" --field {shlex.quote(answer['field'])}" if answer["field"] else ""  # on which filling depends
+        call = f"drsplat edit {shlex.quote(scene)}{field} --save OUT.ply"
+        print(f"The scene's file is unchanged: {call} applies the kept edits.")
 
 
 def _edits_json(listed: EditList) -> list[dict[str, Any]]:

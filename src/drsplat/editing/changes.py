@@ -1,4 +1,4 @@
-"""What can be done to rows of a scene that is no matter of colour: there or not, and where."""
+"""Changes of rows of a scene in all but colour: whether they are there, and where."""
 
 from dataclasses import dataclass
 
@@ -118,13 +118,13 @@ class Duplicate:
 def around(
     part: Gaussians, scale: Number, rotation: Float64[np.ndarray, "3 3"], about: Vector | None
 ) -> Similarity:  # fmt: skip
-    """Turned and scaled with one point staying where it is."""
+    """Return the similarity that turns and scales with one point staying where it is."""
     fixed = middle_of(part) if about is None else np.array(about, np.float64)
     return Similarity(float(scale), rotation, fixed - scale * rotation @ fixed)
 
 
 def middle_of(part: Gaussians) -> Float64[np.ndarray, " 3"]:
-    """The middle of the box, along the world's axes, of the centres of what can be seen."""
+    """Return the middle of the box, along the world's axes, of the centres of what can be seen."""
     if not len(part):
         return np.zeros(3)
     positions = part.positions[solid(part, np.arange(len(part)))]

@@ -92,7 +92,7 @@ class MatchPhoto:
 
     @classmethod
     def of(cls, photo: np.ndarray) -> "MatchPhoto":
-        """The statistics of a picture, uint8 (H, W, 3); black pixels are the outside of a cut-out."""
+        """Return the change to the statistics of a picture, uint8 (H, W, 3); black pixels lie outside of a cut-out."""
         pixels = photo.reshape(-1, 3)
         pixels = pixels[pixels.any(axis=1)] / 255.0
         if len(pixels) < 2:
@@ -112,7 +112,7 @@ class MatchPhoto:
 
 
 def color_of(text: str) -> Color:
-    """Of "#2060ff", or of a name such as steelblue. Raises: InputError: no colour."""
+    """Return the colour of "#2060ff", or of a name such as steelblue. Raises: InputError: no colour."""
     from PIL import ImageColor
 
     try:
@@ -123,7 +123,7 @@ def color_of(text: str) -> Color:
 
 
 def check_color(color: Color) -> None:
-    """Raises: InputError: not three numbers from 0 to 1."""
+    """Check a colour. Raises: InputError: not three numbers from 0 to 1."""
     if len(color) != 3 or not all(0 <= part <= 1 for part in color):
         raise InputError(f"a colour: expected red, green and blue from 0 to 1, got {color}")
 
@@ -166,6 +166,6 @@ def _statistics(
 
 
 def _power(matrix: Float64[np.ndarray, "3 3"], exponent: float) -> Float64[np.ndarray, "3 3"]:
-    """Of a symmetric matrix without negative eigenvalues."""
+    """Return a power of a symmetric matrix without negative eigenvalues."""
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
     return np.asarray(vectors * np.maximum(values, 1e-12) ** exponent @ vectors.T)

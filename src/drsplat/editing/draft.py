@@ -69,7 +69,7 @@ class Draft:
         return Gaussians(*columns, self.antialiased)
 
     def part(self, ids: Ids) -> Gaussians:
-        """Some rows, removed ones as well."""
+        """Return some rows, removed ones as well."""
         extra = {name: column[ids] for name, column in self.extra.items()}
         columns = (self.means[ids], self.quats[ids], self.scales[ids], self.opacities[ids], self.sh[ids])
         return Gaussians(*columns, extra, self.origin, self.antialiased)
@@ -110,12 +110,12 @@ class Draft:
         return np.arange(first, first + count, dtype=np.int64)
 
     def next_object(self) -> int:
-        """A number that no object has."""
+        """Return a number that no object has."""
         ids = self.extra.get(OBJECT_ID)
         return 0 if ids is None else int(ids.max(initial=-1)) + 1
 
     def _means(self, part: Gaussians) -> Float32[np.ndarray, "m 3"]:
-        """Counted from this draft's origin; as they are where that is theirs too."""
+        """Return the centres of a part, counted from this draft's origin."""
         if (part.origin == self.origin).all():
             return part.means
         return np.asarray((part.positions - self.origin).astype(np.float32))

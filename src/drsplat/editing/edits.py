@@ -27,7 +27,7 @@ class Edit:
     change: Change
 
     def apply(self, draft: Draft) -> None:
-        """Raises: InputError: rows that are not there, or what the change says."""
+        """Apply this edit to a draft. Raises: InputError: rows that are not there, or the change's own reasons."""
         before = len(draft)
         self.change.apply(draft, self.target.ids(draft))
         draft.added.append((before, len(draft)) if len(draft) > before else (0, 0))
@@ -58,13 +58,13 @@ class EditList:
         return EditList(self.scene, (*self.active, edit), self.done + 1)
 
     def undone(self) -> "EditList":
-        """Raises: InputError: nothing is done."""
+        """Return the list with its last edit undone. Raises: InputError: there is none."""
         if not self.done:
             raise InputError("there is no edit to undo")
         return replace(self, done=self.done - 1)
 
     def redone(self) -> "EditList":
-        """Raises: InputError: nothing was undone."""
+        """Return the list with the next edit done again. Raises: InputError: nothing was undone."""
         if self.done == len(self.edits):
             raise InputError("there is no edit to redo")
         return replace(self, done=self.done + 1)
@@ -73,7 +73,9 @@ class EditList:
 def edited(
     gaussians: Gaussians, edits: Sequence[Edit], *, read: Callable[[str], Gaussians] = read_gaussians
 ) -> Gaussians:
-    """The scene after some edits; itself after none. The same bits for the same input, whatever was undone meanwhile.
+    """Return the scene after some edits, the scene itself after none.
+
+    The bits are the same for the same input, whatever was undone meanwhile.
 
     Rows that are left stand in their order, with what edits added behind them; those that no edit was done to have
     their own bits. A column `object_id` of `gaussians.extra` goes along: copies are objects of their own. read: gives
@@ -88,7 +90,7 @@ def edited(
 def drafted(
     gaussians: Gaussians, edits: Sequence[Edit], read: Callable[[str], Gaussians] = read_gaussians
 ) -> Draft:  # fmt: skip
-    """As `edited`, with removed rows still in it and the numbers of what was added. Raises: as `edited`."""
+    """Apply edits, and keep removed rows and the numbers of added ones; see `edited`. Raises: as `edited`."""
     draft = Draft.of(gaussians)
     draft.read = read
     for number, edit in enumerate(edits, start=1):

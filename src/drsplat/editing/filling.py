@@ -56,7 +56,9 @@ class Fill:
             raise InputError(f"fill: expected version 1, 2 or 3, got {self.version}: a newer drsplat may know it")
 
     def apply(self, draft: Draft, ids: Ids) -> None:
-        """Raises: InputError: too few rows to leave a hole, or no plane was found. Warns: DrSplatWarning: a hole that
+        """Close the hole that the target leaves.
+
+        Raises: InputError: too few rows to leave a hole, or no plane was found. Warns: DrSplatWarning: a hole that
         could be closed in part only.
         """
         seen = ids[draft.opacities[ids] >= HAZE]

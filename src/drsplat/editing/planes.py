@@ -66,7 +66,7 @@ def largest_plane(points: Points, thing: Thing) -> Plane | None:
 
 
 def _largest(points: Points, thing: Thing, tolerance: float, rng: np.random.Generator) -> Plane | None:
-    """The plane through three of the points that most of them lie in, fitted to these."""
+    """Return the plane through three of the points that most of them lie in, fitted to these."""
     some = points[:: -(-len(points) // LOOKED_AT)]
     best, most = None, 0
     a, b, c = some[rng.integers(len(some), size=(TRIES, 3))].transpose(1, 0, 2)
@@ -91,12 +91,12 @@ def _fitted(points: Points, thing: Thing, tolerance: float) -> Plane:
 
 
 def _are_one(plane: Plane, other: Plane) -> bool:
-    """A thing stands on one ground, and before one wall of each direction."""
+    """Return True for planes of one direction: a thing stands on one ground, and before one wall of each."""
     return abs(float(plane.normal @ other.normal)) >= ALIKE
 
 
 def _stands_on(plane: Plane, thing: Thing, ground: Points) -> bool:
-    """Whether a thing is before a plane, touches it, and has it on several sides."""
+    """Return True if a thing is before a plane, touches it, and has it on several sides."""
     heights, tolerance = plane.heights(thing), TOLERANCE * float(np.linalg.norm(np.ptp(thing, axis=0)))
     before = float((heights < -tolerance).mean()) <= LARGEST_SHARE_BEHIND
     touches = float(np.quantile(heights, 0.02)) <= TOUCHES * tolerance

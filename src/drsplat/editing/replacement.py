@@ -23,7 +23,7 @@ LEAST = 1e-9  # length of a box that something can be fitted to
 
 @dataclass(frozen=True, eq=False)
 class Replace:
-    """What was there is removed, and rows of another scene stand in its place.
+    """Replacement: the target is removed, and rows of another scene stand in its place.
 
     scene: its file. fingerprint: of its Gaussians. spans: its rows, None for all. matrix: 4x4, from its world to that
     of the scene that is edited; `fitted` makes one. What comes belongs to the object that goes.
@@ -67,7 +67,7 @@ class Replace:
 
 
 def fitted(goes: Box, comes: Box) -> Float64[np.ndarray, "4 4"]:
-    """The matrix that puts one upright box into another: the same floor, the same middle, the largest size that fits.
+    """Return the matrix that puts one upright box into another: same floor, same middle, the largest size that fits.
 
     Upright: the third axis is up. Long sides lie along long sides. Raises: InputError: a box without a length.
     """
@@ -84,7 +84,7 @@ def fitted(goes: Box, comes: Box) -> Float64[np.ndarray, "4 4"]:
 def placed_in(
     scene: Gaussians, ids: Ids, up: Vector, other: Gaussians, others: Ids, up_there: Vector
 ) -> Float64[np.ndarray, "4 4"]:  # fmt: skip
-    """As `fitted`, of rows of this scene and of another. up: unit directions, in each of them."""
+    """Return `fitted` for the boxes of rows of this scene and of another. up: unit directions in each of them."""
     goes, comes = box_of(scene, solid(scene, ids), up), box_of(other, solid(other, others), up_there)
     return fitted(goes, comes)
 
@@ -105,7 +105,7 @@ def _foot(box: Box) -> Vector:
 
 
 def _object_of(draft: Draft, ids: Ids) -> int:
-    """The object that most of some rows belong to; a new one where that is none."""
+    """Return the number of the object that most of some rows belong to, or a new number."""
     of = draft.extra.get(OBJECT_ID)
     known = np.empty(0, np.int64) if of is None else of[ids][of[ids] >= 0].astype(np.int64)
     return int(np.bincount(known).argmax()) if len(known) else draft.next_object()

@@ -1,4 +1,4 @@
-"""From what a person says to rows: an object's number, a label, a query, and what hangs on to all of them."""
+"""Rows of what a person names: an object's number, a label, a query; and what hangs on to them."""
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -23,13 +23,13 @@ PASSES = 2
 
 
 def object_rows(scene: Scene, number: int) -> Rows:
-    """Of an object of the field. Raises: InputError: there is none of that number, or the field has none."""
+    """Return the rows of an object of the field. Raises: InputError: no such number, or a field without objects."""
     match = match_of(scene.field, objects_of(scene.field).thing(number))
     return Rows.of(whole(scene, match.gaussian_ids), "object", str(number))
 
 
 def label_rows(scene: Scene, name: str) -> Rows:
-    """Of all that people gave this name. Raises: InputError: nothing has it."""
+    """Return the rows of all that people gave this name. Raises: InputError: nothing has it."""
     nodes = scene.labels.called(name)
     if not nodes:
         known = ", ".join(sorted({label.name for label in scene.labels.by_node.values()})) or "none"
@@ -39,7 +39,7 @@ def label_rows(scene: Scene, name: str) -> Rows:
 
 
 def query_rows(scene: Scene, query: Query | str, said: str = "") -> Rows:
-    """Of all matches of a query together. Raises: InputError: it has none."""
+    """Return the rows of all matches of a query together. Raises: InputError: it has none."""
     said = said or (query if isinstance(query, str) else query.text or "")
     answer = scene.ask(query)
     matches = scene.locate(answer)
@@ -55,8 +55,9 @@ def whole(scene: Scene, ids: Integer[np.ndarray, " k"]) -> Ids:
 
 
 def _objects(scene: Scene, field: LanguageField) -> tuple[Int64[np.ndarray, " n"], Bool[np.ndarray, " o"]]:
-    """Return per Gaussian the number of its object, -1 for none and where `field`, of an answer, has no objects; and
-    whether photos agree on each object.
+    """Return the object's number of each Gaussian, and whether photos agree on each object.
+
+    Numbers are -1 for none, and where `field`, of an answer, has no objects.
     """
     if field.objects is None:
         return np.full(len(scene.gaussians), -1, np.int64), np.zeros(0, bool)
@@ -69,8 +70,10 @@ def completed(
     owners: Int64[np.ndarray, " n"],
     agreed: Bool[np.ndarray, " o"],
 ) -> Ids:  # fmt: skip
-    """Rows with what nobody can tell apart from them: the rest of objects that they nearly are, what they enclose,
-    loose Gaussians that hang on to them, and in a scene with objects `loose_parts` and `rests`.
+    """Return rows with what cannot be told apart from them.
+
+    That is the rest of objects that they nearly are, what they enclose, loose Gaussians that hang on to them, and in a
+    scene with objects `loose_parts` and `rests`.
 
     Training leaves Gaussians inside of things, where no photo looks; masks give them to whatever is behind. What is
     inside stays behind only where it is more than half of an object: an apple in a closed box.

@@ -37,11 +37,11 @@ class EditFile:
 
     @classmethod
     def beside(cls, scene: str | os.PathLike[str]) -> "EditFile":
-        """Of the scene in a file NAME.ply, or in a folder NAME: NAME.edits.json."""
+        """Return the file of a scene's edits: NAME.edits.json beside NAME.ply or the folder NAME."""
         return cls(companion(scene, "edits"))
 
     def read(self, scene: Gaussians) -> EditList:
-        """The edits of a scene; none where there is no file.
+        """Read the edits of a scene; none where there is no file.
 
         Raises: FormatError: the file is damaged, or written by a newer version. MismatchError: it is of another scene.
         """
@@ -83,17 +83,17 @@ class EditFile:
             yield
 
     def write(self, listed: EditList) -> None:
-        """Whoever calls holds it. Raises: InputError: it cannot be written."""
+        """Write the edit list atomically; the caller must hold the file. Raises: InputError: it cannot be written."""
         text = json.dumps(document_of(listed), ensure_ascii=False, separators=(",", ":"))
         with replacing(self.path, overwrite=True) as file:
             file.write(f"{text}\n".encode())
 
     def edited(self, scene: Gaussians, listed: EditList) -> Gaussians:
-        """As `edited`, with other scenes read from where the file is. Raises: as `edited` and `read_gaussians`."""
+        """Return the edited scene; scenes it names are read from where the file is. Raises: as `edited`."""
         return edited(scene, listed.active, read=self.other)
 
     def other(self, path: str) -> Gaussians:
-        """A scene that an edit names, from the folder of this file."""
+        """Read a scene that an edit names, from the folder of this file."""
         return read_gaussians(self.path.parent / path)
 
 

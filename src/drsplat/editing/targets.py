@@ -1,4 +1,4 @@
-"""What an edit is done to: rows that somebody named, what is in a box, what an earlier edit added, or everything.
+"""Targets of edits: rows that somebody named, the inside of a box, what an earlier edit added, or everything.
 
 Words, objects and labels are turned into rows once, when the edit is made: later fields, encoders and thresholds change
 nothing about it.
@@ -61,7 +61,9 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """What is in an oriented box when the edit is done. Row a of axes is the unit direction of full length extent[a].
+    """The inside of an oriented box when the edit is done.
+
+    Row a of axes is the unit direction of full length extent[a].
 
     Raises: InputError: numbers that are not finite, lengths not above 0, or axes at no right angles.
     """
@@ -87,7 +89,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Copies:
-    """What an earlier edit added, by its number, counted from 1."""
+    """Rows that an earlier edit added, by its number, counted from 1."""
 
     edit: int
 
@@ -95,7 +97,7 @@ class Copies:
         return f"what edit {self.edit} added"
 
     def ids(self, draft: Draft) -> Ids:
-        """Raises: InputError: there is no such edit before this one, or it added nothing."""
+        """Return the rows. Raises: InputError: there is no such edit before this one, or it added nothing."""
         first, last = draft.added[self.edit - 1] if 1 <= self.edit <= len(draft.added) else (0, 0)
         if first == last:
             raise InputError(f"edit {self.edit} added nothing: duplicate, replace and fill do")

@@ -1,4 +1,4 @@
-"""From an opened scene to what a file of it carries: Gaussians as edited, objects, matches, annotations."""
+"""Content of a file of an opened scene: Gaussians as edited, objects, matches, annotations."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

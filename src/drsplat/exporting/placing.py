@@ -20,7 +20,7 @@ Ids = Int64[np.ndarray, " m"]
 
 @dataclass(frozen=True, eq=False)
 class Placing:
-    """What tells where the boxes of objects and matches are now.
+    """Places of the boxes of objects and matches after edits.
 
     registered: the rows that boxes of the field are about. after: where they are now. up: boxes stand along it."""
 
@@ -56,7 +56,7 @@ class Placing:
 
     @cached_property
     def _moved(self) -> Bool[np.ndarray, " d"]:
-        """Whether each row is elsewhere, or otherwise, than it was registered."""
+        """True for each row that is elsewhere, or otherwise, than it was registered."""
         now, own = self.after.everything, len(self.registered)
         moved = np.ones(len(now), bool)
         if now.means is self.registered.means:

@@ -66,7 +66,7 @@ def sog_files(scene: LabelledScene) -> dict[str, bytes]:
 
 
 def refuse_other_counts(count: int) -> None:
-    """Raises: InputError: no Gaussians, or more than the format's pictures hold."""
+    """Check a count. Raises: InputError: no Gaussians, or more than the format's pictures hold."""
     if not 0 < count <= MOST_ROWS:
         raise InputError(f"SOG: expected 1 to {MOST_ROWS:,} Gaussians, got {count:,}: cut the scene into tiles")
 

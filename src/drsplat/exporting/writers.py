@@ -78,7 +78,7 @@ def format_of(path: Path, spz_version: int = 3) -> str:
 
 
 def _refuse_unwritable(scene: LabelledScene) -> None:
-    """Raises: InputError: what `formats.writable` refuses, or relevancies that are not finite."""
+    """Check a scene. Raises: InputError: what `formats.writable` refuses, or relevancies that are not finite."""
     refuse_unwritable(scene.gaussians)
     if scene.relevancy is not None and not np.isfinite(scene.relevancy).all():
         row = int(np.flatnonzero(~np.isfinite(scene.relevancy))[0])
@@ -146,4 +146,4 @@ HELD: Mapping[str, frozenset[str]] = MappingProxyType(
         TILES3D: frozenset({"numbers", "names"}),
     }
 )
-"""What each format keeps, of `ASPECTS`."""
+"""Aspects of a scene, of `ASPECTS`, that each format keeps."""

@@ -22,7 +22,7 @@ from .writers import TILES3D, format_of, lacks, write_scene
 
 
 class Exported(NamedTuple):
-    """What was written. format: as the suffix says. lacks: what the format could not hold, in sentences."""
+    """Content of a written file. format: as the suffix says. lacks: what the format could not hold, in sentences."""
 
     path: Path
     format: str
@@ -54,8 +54,12 @@ def export(
     Args:
         path: NAME.glb, .ply, .spz, DIR/lod-meta.json or another that `exporting.writers.WRITERS` has.
         scene: an opened scene; Gaussians alone; or what `labelled` made, as it is.
-        query, only, time, edits, embeddings, photos: as of `labelled`; without a time, a `.rrd` of a scene that moves
-            has all of its motion.
+        query: as in `labelled`.
+        only: as in `labelled`.
+        time: as in `labelled`; without one, a `.rrd` of a scene that moves has all of its motion.
+        edits: as in `labelled`.
+        embeddings: as in `labelled`.
+        photos: as in `labelled`.
         fit_8bit: fits colours to viewers that keep them in bytes (`scene.eight_bits.fitted_to_8_bits`).
         spz_version: as of `write_scene`.
         overwrite: replaces what is at `path`.

@@ -1,4 +1,4 @@
-"""What no file could give back: the same for every format that scenes are written in."""
+"""Checks of scenes that no file could give back, the same for every format."""
 
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians

@@ -102,7 +102,7 @@ def lies_next_to(gaussians: Gaussians, thing: Match, other: Match, up: Up) -> bo
 
 
 def lies_between(gaussians: Gaussians, thing: Match, one: Match, other: Match, up: Up) -> bool:
-    """Whether, seen from above, the line from centre to centre crosses a thing's box, and neither centre is over it.
+    """Return True if the line from centre to centre crosses a thing's box from above, and neither centre is over it.
 
     The thing has to share heights with the two, from the lower side of the lower one to the upper of the higher.
     """

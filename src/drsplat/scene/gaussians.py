@@ -68,7 +68,7 @@ class Gaussians:
 
     @cached_property
     def surfels(self) -> bool:
-        """Whether the Gaussians are flat discs, as 2DGS trains them: each as thick as what is read for no thickness."""
+        """True for flat discs, as 2DGS trains them: each as thick as what is read for no thickness."""
         return bool(len(self)) and bool((self.scales[:, 2] == SURFEL_THICKNESS).all())
 
     def flattened(self) -> "Gaussians":

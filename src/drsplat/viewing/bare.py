@@ -20,7 +20,7 @@ CAMERAS = "cameras.json"  # of a trained model
 
 
 def is_bare(path: Path) -> bool:
-    """Whether a path is a scene's file, or a trained model's folder without a field."""
+    """Return True for a scene's file, or a trained model's folder without a field."""
     if not path.is_dir():
         return path.is_file()
     if any(path.glob("*.field")):
@@ -29,7 +29,7 @@ def is_bare(path: Path) -> bool:
 
 
 def open_bare(path: Path, capture: str | None = None, threads: int = 0) -> Scene:
-    """The scene of a file or a trained model's folder, with a field of nothing.
+    """Open the scene of a file or a trained model's folder, with an empty field.
 
     capture: its photos; None takes the cameras of the model's folder, if they are there.
 

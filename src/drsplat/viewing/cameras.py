@@ -1,4 +1,4 @@
-"""Where a viewer begins."""
+"""Cameras that a viewer begins with."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""What is shown as what a file of other programs carries: as edited, with objects, answers and annotations."""
+"""Content for files of other programs: the shown scene as edited, with objects, answers and annotations."""
 
 from dataclasses import replace
 

@@ -21,8 +21,9 @@ from .shown import Shown, base_colors, moved_shown, shown_of
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """One list of edits and what it makes. everything: all rows, those that edits added last; removed ones are not
-    present, and have opacity 0.
+    """Scene after one list of edits.
+
+    everything: all rows, those that edits added last; removed ones are not present, and have opacity 0.
     """
 
     listed: EditList
@@ -31,7 +32,7 @@ class _State:
 
     @classmethod
     def of(cls, gaussians: Gaussians, listed: EditList, file: EditFile | None) -> "_State":
-        """Raises: as `edited`."""
+        """Apply a list of edits to the scene. Raises: as `edited`."""
         if not listed.active:
             return cls(listed, gaussians, np.ones(len(gaussians), bool))
         draft = drafted(gaussians, listed.active, read_gaussians if file is None else file.other)
@@ -106,15 +107,15 @@ class Edits:
         self._change(lambda listed: listed.with_edit(edit))
 
     def undo(self, count: int = 1) -> None:
-        """Raises: InputError: there is nothing to undo."""
+        """Undo the last edits. Raises: InputError: there is nothing to undo."""
         self._change(lambda listed: _times(EditList.undone, count, listed))
 
     def redo(self) -> None:
-        """Raises: InputError: nothing was undone."""
+        """Do the next edit again. Raises: InputError: nothing was undone."""
         self._change(EditList.redone)
 
     def _change(self, change: Callable[[EditList], EditList]) -> None:
-        """What somebody else did meanwhile, with `drsplat edit`, is kept."""
+        """Change the list of edits, and keep what `drsplat edit` has added to it meanwhile."""
         made: list[_State] = []
 
         def tried(listed: EditList) -> EditList:
@@ -135,7 +136,7 @@ class Edits:
             self.annotations = self.notes.add(annotations)
 
     def drop(self, number: int) -> None:
-        """An annotation, counted from 1. Raises: InputError: there is none."""
+        """Drop an annotation, counted from 1. Raises: InputError: there is none."""
         kept = without(self.annotations, number)
         self.annotations = kept if self.notes is None else self.notes.drop(number)
 
@@ -143,17 +144,17 @@ class Edits:
 
     @property
     def present(self) -> Bool[np.ndarray, " n"]:
-        """Of the scene's own rows."""
+        """True for each of the scene's own rows that edits have not removed."""
         return self._state.present[: len(self.gaussians)]
 
     @property
     def opacities(self) -> Float32[np.ndarray, " d"]:
-        """Of all rows, added ones behind the scene's own; 0 where removed."""
+        """Opacities of all rows, added ones behind the scene's own; 0 where removed."""
         return self._state.everything.opacities
 
     @property
     def colors(self) -> Float32[np.ndarray, "n 3"]:
-        """Of the scene's own rows, without what depends on the direction of view."""
+        """Colours of the scene's own rows, without what depends on the direction of view."""
         return self._state.colors[: len(self.gaussians)]
 
     @property
@@ -172,13 +173,13 @@ class Edits:
         return every.subset(np.arange(len(self.gaussians))) if len(every) > len(self.gaussians) else every
 
     def part(self, ids: Int64[np.ndarray, " m"] | None) -> tuple[Gaussians, Int64[np.ndarray, " m2"]]:
-        """Some rows as they are now, or all that are there, and their numbers."""
+        """Return some rows as they are now, or all that are there, and their numbers."""
         rows = np.flatnonzero(self._state.present) if ids is None else ids
         every = self._state.everything
         return every if len(rows) == len(every) else every.subset(rows), rows
 
     def shown(self, before: Shown, budget: int) -> Shown:
-        """What a browser is given of it, in the frame of what it was given before."""
+        """Return what a browser draws of the edited scene, in the frame of what it drew before."""
         if not self.is_edited and self._standing is self._first:
             return before
         if self._drawn is None or self._drawn[0] is not self._state:
@@ -186,7 +187,7 @@ class Edits:
         return self._drawn[1]
 
     def _chosen(self, before: Shown, budget: int) -> Shown:
-        """The rows that are given, the same ones at all times: a browser then only moves them."""
+        """Return the rows that a browser draws, the same ones at all times, so that it only moves them."""
         if not self.is_edited:
             return before
         if self._rows is None or self._rows[0] is not self.listed:

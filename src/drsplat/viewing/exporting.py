@@ -1,4 +1,4 @@
-"""From a scene and queries to a page."""
+"""Pages made of a scene and queries."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What an outline in a picture selects."""
+"""Selection by an outline in a picture."""
 
 import numpy as np
 from PIL import Image, ImageDraw

@@ -1,4 +1,4 @@
-"""What is at a place: its words, the masks of supporting photos, and what is like it."""
+"""Naming of a place: its words, the masks of supporting photos, and what is like it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ class This:
 
 
 def this_is(scene: Scene, hit: Hit, words: Sequence[str] | None = None) -> This:
-    """What the first Gaussian of a hit is; all of them must have a feature."""
+    """Describe what the first Gaussian of a hit is; all of them must have a feature."""
     first = int(hit.gaussian_ids[0])
     feature = scene.feature_of(first)
     alike = result_of(scene, "", scene.ask(Query(vector=feature)))
@@ -53,7 +53,7 @@ def this_is(scene: Scene, hit: Hit, words: Sequence[str] | None = None) -> This:
 
 
 def named(scene: Scene, gaussian_id: int, words: Sequence[str] | None) -> list[Word]:
-    """The best words; none for a field whose encoder is not at hand."""
+    """Return the best words; none for a field whose encoder is not at hand."""
     try:
         return scene.what_is(gaussian_id, words or words_of(scene))
     except DrSplatError:
@@ -69,12 +69,12 @@ def known_words(scene: Scene, words: Sequence[str] | None) -> tuple[str, ...]:
 
 
 def words_of(scene: Scene) -> tuple[str, ...]:
-    """The encoder's own, or those of a household for one that takes any."""
+    """Return the encoder's own words, or those of a household for one that takes any."""
     return own_vocabulary(scene.encoder, scene.field) or (*NAMES, *STRUCTURES)
 
 
 def photo_of(scene: Scene, this: This) -> UInt8[np.ndarray, "_ _ 3"] | None:
-    """The photo of most support, with the place in colour; None where there is none."""
+    """Return the photo of most support, with the place in colour; None where there is none."""
     best = best_photo(scene, this)
     if best is None or this.match is None:
         return None

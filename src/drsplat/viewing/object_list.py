@@ -30,6 +30,6 @@ def names_of(session: Session) -> list[str]:
 
 
 def in_order(session: Session) -> tuple[list[int], list[int]]:
-    """The numbers of the objects that photos agree on, or that have a label, and those of the others."""
+    """Return the numbers of the objects that photos agree on or that have a label, and those of the others."""
     agreed = session.scene.agreed
     return np.flatnonzero(agreed).tolist(), np.flatnonzero(~agreed).tolist()

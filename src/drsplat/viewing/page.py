@@ -56,7 +56,7 @@ class PageAnswer:
 
 @dataclass(frozen=True, eq=False)
 class Page:
-    """What a page shows.
+    """Content of a page.
 
     gaussians: the shown rows, as the scene's own file would have them. eye, target, up: of the first look, in the
     world. features: their colours, in [0, 1].

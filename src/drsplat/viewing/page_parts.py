@@ -1,4 +1,4 @@
-"""What a page has beside its answers: the scene's objects with their pictures, and its annotations."""
+"""Parts of a page beside its answers: the scene's objects with their pictures, and its annotations."""
 
 import base64
 import io
@@ -26,8 +26,9 @@ PICTURES, PICTURE_SIZE, QUALITY = 24, (112, 84), 70  # some 3 KB each
 def objects_of_page(
     session: Session, up: Float64[np.ndarray, " 3"], times: PageTimes | None = None
 ) -> list[dict[str, Any]]:
-    """Name, box, a place to see it from, whether photos agree less on it and, of the first, a picture; [] of a field
-    without objects.
+    """Return each object's name, box, a place to see it from, whether photos agree less on it; [] without objects.
+
+    The first objects also have a picture.
     """
     if not session.has_objects:
         return []
@@ -81,7 +82,7 @@ def annotations_of_page(session: Session, up: Float64[np.ndarray, " 3"]) -> list
 
 
 def _eye(session: Session, one: Annotation, up: Float64[np.ndarray, " 3"]) -> list[float]:
-    """A place to see it from, as a match of its size is seen."""
+    """Return a place to see an annotation from, as a match of its size is seen."""
     scene, frame = session.scene, session.shown.frame
     axes, extent = (np.eye(3), np.full(3, POINT / frame.scale)) if one.outline is None else one.outline
     place = Match(one.center, axes, extent, 1.0, np.empty(0, np.int64))

@@ -27,7 +27,7 @@ TIMES_A_SECOND, LEAST_SECONDS, MOST_SECONDS = 15, 2.0, 10.0
 
 @dataclass(frozen=True, eq=False)
 class PageTimes:
-    """Where k of m shown Gaussians are at t times; the others stand still.
+    """Places of k of m shown Gaussians at t times; the others stand still.
 
     order: of the shown rows, with those that move first. places: low + step * number, in the browser's frame.
     seconds: that it plays. num_known: times of the scene.
@@ -106,7 +106,7 @@ def _moving(session: Session, times: Float64[np.ndarray, " t"]) -> Bool[np.ndarr
 
 
 def _drawn(session: Session, times: Float64[np.ndarray, " t"]) -> Iterator[Shown]:
-    """What is shown at each time, one after the other; the first one again in the end."""
+    """Yield what is shown at each time, one after the other, and at last set the first time again."""
     for time in times.tolist():
         session.time = time
         yield session.drawn
@@ -118,8 +118,9 @@ def _evenly(times: Float64[np.ndarray, " t"], most: int) -> Float64[np.ndarray, 
 
 
 def boxes_of(session: Session, times: PageTimes | None, matches: Sequence[Match]) -> list[list[list[float] | None]]:
-    """Of each match, at each time, middle, axes and lengths, 15 numbers in the browser's frame; None where it is not
-    there. Of those that stand still, and of scenes that do, nothing: [].
+    """Return the box of each match at each time: middle, axes and lengths, 15 numbers in the browser's frame.
+
+    A box is None where the match is not there. Matches and scenes that stand still have no boxes, [].
     """
     if times is None or not matches:
         return [[] for _ in matches]
@@ -158,7 +159,7 @@ def _numbers(
 
 
 def arrays_of(times: PageTimes) -> dict[str, np.ndarray]:
-    """What a page unpacks: of each time but the first what it differs in, as much stays."""
+    """Return the arrays that a page unpacks: each time but the first as its difference, as much stays the same."""
     turns = times.covariances.view(np.uint16)
     return {"places": _steps(times.places), "turns": _steps(turns), "fades": _steps(times.opacities)}
 

@@ -15,7 +15,7 @@ ACCENTS = (
     (255, 170, 30), (60, 150, 255), (255, 70, 150), (70, 210, 110), (180, 110, 255), (60, 215, 220), (255, 95, 60),
     (200, 215, 60),
 )  # fmt: skip
-"""Of several queries at once, in the order they were given."""
+"""Colours of several queries at once, in the order of the queries."""
 
 LUMA = palette.LUMA.astype(np.float32)
 DIM, DIM_FLOOR = 0.52, 0.08  # what a Gaussian keeps of its light where another is meant: dimmed, never black
@@ -84,7 +84,7 @@ def object_painted(rgb: Colors, labels: Int32[np.ndarray, " n"], count: int) -> 
 
 
 def feature_colors(field: LanguageField, rgb: Colors, registered: Bool[np.ndarray, " n"], seed: int = 0) -> Colors:
-    """The three main directions of the field's features as red, green and blue; dimmed without a feature.
+    """Return the three main directions of the field's features as red, green and blue; dimmed without a feature.
 
     rgb, registered: of every Gaussian of the scene. The directions are those of a sample of
     `FEATURE_SAMPLE` rows, and each colour spans 98 of 100 of these.

@@ -1,4 +1,4 @@
-"""What a ray meets: a click in a picture to a Gaussian."""
+"""Picking: the Gaussian that a click in a picture, a ray, meets."""
 
 from typing import NamedTuple
 
@@ -26,7 +26,7 @@ def hit_by_ray(
     direction: Float64[np.ndarray, " 3"],
     visible: Bool[np.ndarray, " n"] | None = None,
 ) -> Hit | None:
-    """The Gaussians along a ray in the world by blending weight; None where it meets nothing.
+    """Return the Gaussians along a ray in the world by blending weight, None where it meets nothing.
 
     Each is taken where it is densest along the ray, front to back, as one pixel would blend them.
 

@@ -1,4 +1,4 @@
-"""Where matches are at the time that is shown."""
+"""Places of matches at the time that is shown."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from .session import Session
 
 
 def placed_now(session: Session, match: Match) -> Match:
-    """A match with its box where its Gaussians are now, at the session's time and after its edits."""
+    """Return a match with its box where its Gaussians are now, at the session's time and after its edits."""
     now, ids = session.edits.standing, match.gaussian_ids
     if session.time is None and np.array_equal(now.means[ids], session.scene.gaussians.means[ids]):
         return match

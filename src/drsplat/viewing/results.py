@@ -30,7 +30,7 @@ class Result:
 
     @property
     def gaussian_ids(self) -> Int64[np.ndarray, " m"]:
-        """Of all its matches, ascending."""
+        """Sorted ids of the Gaussians of all matches."""
         return joined([match.gaussian_ids for match in self.matches])
 
     @property
@@ -66,7 +66,7 @@ def result_of_ids(scene: Scene, label: str, ids: Int64[np.ndarray, " m"]) -> Res
 
 
 def cut_at(scene: Scene, result: Result, threshold: float) -> Result:
-    """The same query with another threshold."""
+    """Return the result of the same query with another threshold."""
     matches = scene.locate(result.answer.cut_at(threshold))
     return replace(result, threshold=threshold, matches=matches)
 

@@ -44,7 +44,7 @@ def save_scene(path: str | PathLike[str], session: Session, *, selected_only: bo
 
 
 def picture_of(session: Session, view: View) -> UInt8[np.ndarray, "h w 3"]:
-    """What the viewer shows, from a camera in the world, by this package's own renderer."""
+    """Render what the viewer shows from a camera in the world."""
     splats = session.edits.splats if session.edits.is_edited else session.here.splats
     drawn = render_channels(splats, view, session.drawn_colors, BACKGROUND, threads=session.scene.threads)
     return as_pixels(drawn.channels)
@@ -57,7 +57,7 @@ def flight_gif(
     up: Float64[np.ndarray, " 3"],
     frames: int = GIF_FRAMES,
 ) -> bytes:
-    """A swing around a target in the world as an endless GIF."""
+    """Render a swing around a target in the world as an endless GIF."""
     places = swing(eye, target, up, frames)
     pictures = [picture_of(session, looking_at(at, target, up, GIF_SIZE)) for at in places]
     return gif_of(pictures)
@@ -82,7 +82,7 @@ class Saves:
         self.folder, self.files_left, self.bytes_left = folder, most_files, most_bytes
 
     def save(self, stem: str, suffix: str, write: Callable[[Path], object]) -> tuple[Path, bytes]:
-        """Where it is, and what is in it, empty if that is too large for a browser.
+        """Save a file and return its path and content, which is empty if it is too large for a browser.
 
         write: makes a file of a name. Raises: InputError: this session has saved enough; the file is too
         large for a browser and there is no folder.
@@ -108,7 +108,7 @@ class Saves:
 
 
 def new_name(folder: Path, stem: str, suffix: str) -> Path:
-    """A file in the folder that is not there yet: stem, or stem-2 and so on."""
+    """Return the path of a new file in the folder: stem, or stem-2 and so on."""
     path, number = folder / f"{stem}{suffix}", 1
     while os.path.lexists(path):
         number += 1

@@ -36,7 +36,7 @@ MOST_QUERIES = 8  # at once: as many as there are colours
 
 
 class Mode(StrEnum):
-    """What colours say; the values are what people read."""
+    """Mode of colours; the values are what people read."""
 
     ANSWER = "answer"
     HEAT = "heat map"
@@ -112,17 +112,17 @@ class Session:
 
     @property
     def is_askable(self) -> bool:
-        """Whether anything here has a feature."""
+        """True if any Gaussian has a feature."""
         return len(self.scene.field) > 0
 
     @property
     def has_objects(self) -> bool:
-        """Whether it is known what belongs together here."""
+        """True if the field has objects."""
         return bool(self.scene.field.objects)
 
     @property
     def can_name(self) -> bool:
-        """Whether there is a file to keep names in."""
+        """True if there is a file to keep names in."""
         return self.scene.label_file is not None
 
     @property
@@ -211,7 +211,7 @@ class Session:
     # --- pointing ---
 
     def click(self, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]) -> This | None:
-        """What a ray in the browser's frame meets first; None where that is nothing with a feature.
+        """Return what a ray in the browser's frame meets first, None where that has no feature.
 
         In a field with objects it is selected: the object, or where that is none all that is like it.
 
@@ -303,7 +303,7 @@ class Session:
 
     @property
     def hidden(self) -> Bool[np.ndarray, " n"]:
-        """What edits have removed."""
+        """True for each Gaussian that edits have removed."""
         return ~self.edits.present
 
     @property
@@ -328,7 +328,7 @@ class Session:
         return Rows.of(ids, "query", "; ".join(result.label for result in self.results)[:LONGEST])
 
     def hide(self) -> None:
-        """The selection. Raises: InputError: nothing is selected."""
+        """Remove the selection. Raises: InputError: nothing is selected."""
         self.edit(Remove())
 
     def keep(self) -> None:
@@ -336,7 +336,7 @@ class Session:
         self.edit(Isolate())
 
     def repaint(self, rgb: Sequence[int]) -> None:
-        """The selection in one hue, with its own light and shade. Raises: InputError: nothing is selected."""
+        """Give the selection one hue, with its own light and shade. Raises: InputError: nothing is selected."""
         red, green, blue = (part / 255 for part in rgb)
         self.edit(Recolour((red, green, blue)))
 
@@ -353,7 +353,7 @@ class Session:
 
     @property
     def colors(self) -> Float32[np.ndarray, "n 3"]:
-        """Of every Gaussian of the scene, as the mode has it, in [0, 1]."""
+        """Colours of every Gaussian of the scene in the present mode, in [0, 1]."""
         mode, count = self.mode, len(self.scene.gaussians)
         if mode is Mode.FEATURES:
             return self._feature_colors
@@ -373,12 +373,12 @@ class Session:
 
     @property
     def opacities(self) -> Float32[np.ndarray, " n"]:
-        """Of every Gaussian of the scene; 0 where it is hidden."""
+        """Opacities of every Gaussian of the scene; 0 where it is hidden."""
         return self.edits.opacities[: len(self.scene.gaussians)]
 
     @property
     def drawn(self) -> Shown:
-        """What a browser is given: rows of the scene as edited, those that edits added behind its own."""
+        """Rows that a browser draws: those of the scene as edited, those that edits added behind its own."""
         return self.edits.shown(self.shown, self.budget)
 
     @property
@@ -397,7 +397,7 @@ class Session:
         return self.scene.object_ids()
 
     def edited(self, *, selected_only: bool = False) -> tuple[Gaussians, Int64[np.ndarray, " m"]]:
-        """What is there after all edits, and its rows: of the scene, and behind them of what was added.
+        """Return the Gaussians after all edits, and their rows: the scene's own, then added ones.
 
         selected_only: of that, what is selected. Raises: InputError: nothing is left.
         """

@@ -19,7 +19,7 @@ VOLUME_POWER = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """Where the scene lies in the browser: x_shown = scale * (x_world - center); directions stay."""
+    """Frame of the scene in the browser: x_shown = scale * (x_world - center); directions stay."""
 
     center: Float64[np.ndarray, " 3"]
     scale: float
@@ -53,7 +53,7 @@ class Shown:
 
     @property
     def said(self) -> str:
-        """What is left out, for people; empty where nothing is."""
+        """Sentence about what is left out, empty where nothing is."""
         if not self.num_left_out:
             return ""
         total = len(self) + self.num_left_out
@@ -61,7 +61,7 @@ class Shown:
 
 
 def shown_of(gaussians: Gaussians, budget: int, frame: Frame | None = None) -> Shown:
-    """The `budget` most significant Gaussians in a frame that float16 covariances can bear, or in a given one.
+    """Return the `budget` most significant Gaussians, in a frame that float16 covariances can bear or a given one.
 
     Raises: InputError: a budget below 1, or a scene without Gaussians.
     """
@@ -85,7 +85,7 @@ def _shown_centers(gaussians: Gaussians, frame: Frame) -> Float32[np.ndarray, "n
 
 
 def moved_shown(shown: Shown, gaussians: Gaussians) -> Shown:
-    """The same Gaussians, in the same frame, where a state of the scene has them."""
+    """Return the same Gaussians, in the same frame, where a state of the scene has them."""
     part = gaussians if len(shown) == len(gaussians) else gaussians.subset(shown.ids)
     centers = _shown_centers(part, shown.frame)
     covariances = _shown_covariances(part, shown.frame)

@@ -1,4 +1,4 @@
-"""What to ask a scene: words that it answers."""
+"""Suggestions of queries: words that a scene answers."""
 
 from collections.abc import Sequence
 

@@ -12,5 +12,5 @@ def printable(text: str, most: int = MOST_SHOWN) -> str:
 
 
 def escaped(text: str, most: int = MOST_SHOWN) -> str:
-    """As HTML that says just that."""
+    """Return a text as HTML that shows just that text."""
     return html.escape(printable(text, most))

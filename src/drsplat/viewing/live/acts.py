@@ -1,4 +1,4 @@
-"""What people do: each act is one JSON object, and one call or a few of the session.
+"""Acts of people: each is one JSON object, and one call or a few of the session.
 
 Source of the names and shapes: docs/viewer.md, "For other clients".
 """

@@ -47,8 +47,9 @@ class CatalogueText(Body):
 
 
 class Viewer:
-    """The handlers of one service. Whatever touches the session has a turn of its thread; what is slow works on a copy
-    beside it.
+    """The handlers of one service.
+
+    Whatever touches the session has a turn of its thread; what is slow works on a copy beside it.
     """
 
     def __init__(self, shared: Shared, lanes: Lanes) -> None:
@@ -238,7 +239,7 @@ class Viewer:
 
 
 def create_app(shared: Shared, lanes: Lanes) -> Starlette:
-    """The viewer as an ASGI application, without the gate before it."""
+    """Create the viewer as an ASGI application, without the gate before it."""
     viewer = Viewer(shared, lanes)
 
     @asynccontextmanager

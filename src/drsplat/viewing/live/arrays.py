@@ -1,4 +1,4 @@
-"""What a browser draws, as little-endian arrays: splats, and what they answer.
+"""Arrays that a browser draws, little-endian: splats, and their answers.
 
 Rows go by falling significance, so that the first of them are a coarser picture of all, and come piece by piece.
 """

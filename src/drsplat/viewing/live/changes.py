@@ -47,13 +47,13 @@ class ChangeRequest(Body):
         return self.by
 
     def recolour(self) -> Recolour:
-        """Raises: InputError: no colour."""
+        """Return the change of colour. Raises: InputError: no colour was given."""
         if self.color is None:
             raise InputError("recolour: expected a color such as #2060ff")
         return Recolour(color_of(self.color))
 
     def palette(self) -> Palette:
-        """Raises: InputError: no colours."""
+        """Return the change to a palette. Raises: InputError: no colours were given."""
         if self.colors is None:
             raise InputError("palette: expected colors such as #203040")
         return Palette(tuple(color_of(one) for one in self.colors))

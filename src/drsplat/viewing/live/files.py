@@ -96,7 +96,7 @@ class ObjectPictures:
     _kept: OrderedDict[int, bytes] = field(default_factory=OrderedDict)
 
     def picture(self, stage: Stage, number: int) -> bytes:
-        """Raises: InputError: no such object, or no photos of it."""
+        """Return an object's picture. Raises: InputError: no such object, or no photos of it."""
         if stage is not self._stage:
             self._stage, self._kept = stage, OrderedDict()
         if number not in self._kept:

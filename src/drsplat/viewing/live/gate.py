@@ -1,4 +1,4 @@
-"""What stands before the viewer's routes: who comes in, from which pages, how much, and how often."""
+"""Gate before the viewer's routes: who comes in, from which pages, how much, and how often."""
 
 import time
 from collections import OrderedDict

@@ -1,4 +1,4 @@
-"""What all who open the viewer share: the scene that is open, what was found in it, and counters of what changed."""
+"""State shared by all windows of the viewer: the open scene, what was found in it, and counters of changes."""
 
 import re
 from collections.abc import Callable, Sequence

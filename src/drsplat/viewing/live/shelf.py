@@ -31,7 +31,7 @@ class Shelf:
         }
 
     def entry(self, number: int) -> Entry:
-        """Raises: InputError: there is none of that number."""
+        """Return an entry by its number. Raises: InputError: there is none of that number."""
         if not 0 <= number < len(self.entries):
             raise InputError(f"there is no entry {number} of {len(self.entries)}: search the catalogue first")
         return self.entries[number]

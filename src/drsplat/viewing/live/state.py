@@ -1,4 +1,4 @@
-"""What a browser is told of a scene: a header for as long as it is open, and a state after each act, as JSON.
+"""State of a scene for a browser, as JSON: a header for as long as it is open, and a state after each act.
 
 Places are in the browser's frame, texts are safe to show, and sizes in texts are in scene units.
 """

@@ -119,7 +119,7 @@ class Uploads:
             shutil.rmtree(batch.folder, ignore_errors=True)
 
     def batch(self, name: str) -> Batch:
-        """Raises: InputError: nothing was sent under that name."""
+        """Return a batch of files. Raises: InputError: nothing was sent under that name."""
         if name not in self.batches:
             raise InputError("open: expected a batch of files that was sent before")
         return self.batches[name]
