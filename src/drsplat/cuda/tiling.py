@@ -1,0 +1,104 @@
+"""Which splats touch which tile of a view, front to back: what every walk over pixels starts from."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..errors import DrSplatError
+from ..kernels.splatting import camera_numbers
+from ..scene.views import View
+from .engine import Engine, blocks_of
+from .sorting import MOST_KEYS, sorted_pairs
+
+TILE = 16  # pixels a side
+SPLAT_FLOATS, EXTENT_FLOATS = 8, 8  # of the structures in projection.cuh
+DEPTH_BITS = 32
+
+
+class Raster(NamedTuple):
+    """Size of an image, in pixels."""
+
+    width: int
+    height: int
+
+    @property
+    def columns(self) -> int:
+        return -(-self.width // TILE)
+
+    @property
+    def num_tiles(self) -> int:
+        return self.columns * -(-self.height // TILE)
+
+
+class Projected(NamedTuple):
+    """Splats of a view by Gaussian; where `counts` is 0 nothing is seen of it, and its rows hold nothing.
+
+    keys: order as the depths do. counts: tiles that each touches.
+    """
+
+    splats: Any  # float32 (n, 8)
+    extents: Any  # float32 (n, 8)
+    keys: Any  # uint32 (n)
+    counts: Any  # uint32 (n)
+
+
+class Tiles(NamedTuple):
+    """Splats of each tile, front to back; of one depth by their index.
+
+    starts: of each tile's run in `ids`, which names Gaussians. rows: where training keeps what it sums up of each pair:
+    rows of one Gaussian follow each other and end at `row_ends`; None outside of training.
+    """
+
+    starts: Any  # uint32 (tiles + 1)
+    ids: Any  # uint32 (pairs)
+    rows: Any | None = None  # uint32 (pairs)
+    row_ends: Any | None = None  # int64 (n)
+
+
+def room_for_splats(engine: Engine, count: int) -> Projected:
+    """Return arrays for the splats of one view."""
+    xp = engine.xp
+    return Projected(
+        xp.empty((count, SPLAT_FLOATS), xp.float32),
+        xp.empty((count, EXTENT_FLOATS), xp.float32),
+        xp.empty(count, xp.uint32),
+        xp.empty(count, xp.uint32),
+    )
+
+
+def sent_camera(engine: Engine, view: View, near: float) -> Any:
+    """Return a camera as the kernels read it: `camera_numbers`, then its centre. Raises: InputError: as those."""
+    numbers = camera_numbers(view, near)
+    rotation, translation = numbers[:9].reshape(3, 3), numbers[9:12]
+    return engine.xp.asarray(np.concatenate([numbers, -(rotation.T @ translation)]).astype(np.float32))
+
+
+def tiles_of(engine: Engine, projected: Projected, raster: Raster, *, training: bool = False) -> Tiles:
+    """Sort a view's splats into tiles. Waits for the device once, to learn how many pairs there are.
+
+    Raises: DrSplatError: more pairs than can be sorted.
+    """
+    xp, count = engine.xp, len(projected.keys)
+    order = sorted_pairs(engine, projected.keys, None, DEPTH_BITS)[1]
+    ends = xp.cumsum(projected.counts[order], dtype=xp.int64)
+    row_ends = xp.cumsum(projected.counts, dtype=xp.int64) if training else None
+    pairs = int(ends[-1]) if count else 0
+    if pairs > MOST_KEYS:
+        raise DrSplatError(
+            f"a view of {raster.width}x{raster.height} pixels has {pairs:,} pairs of splats and tiles, more than "
+            f"{MOST_KEYS:,}: make the image smaller, or take device 'cpu'"
+        )
+    keys, values = xp.empty(pairs, xp.uint32), xp.empty(pairs, xp.uint32)
+    owners = xp.empty(pairs, xp.uint32) if training else None
+    engine.launch(
+        "list_tiles", blocks_of(count), 256, order, projected.counts, ends, row_ends, projected.splats,
+        projected.extents, count, raster.columns, keys, values, owners,
+    )  # fmt: skip
+    keys, values = sorted_pairs(engine, keys, values, (raster.num_tiles - 1).bit_length())
+    starts = xp.zeros(raster.num_tiles + 1, xp.uint32)
+    ids = xp.empty(pairs, xp.uint32) if training else values
+    engine.launch(
+        "find_tiles", blocks_of(pairs), 256, keys, values, owners, pairs, raster.num_tiles, starts,
+        ids if training else None,
+    )  # fmt: skip
+    return Tiles(starts, ids, values if training else None, row_ends)
