@@ -7,6 +7,11 @@ are of their libraries only where jaxtyping is loaded already, as by the tests.
 import sys
 from typing import TYPE_CHECKING
 
+if TYPE_CHECKING:
+    from numpy import ndarray as Anywhere
+else:
+    from typing import Any as Anywhere  # an array of NumPy, or of a device's library that answers NumPy's functions
+
 if TYPE_CHECKING or "jaxtyping" in sys.modules:
     from jaxtyping import (
         Bool,

@@ -8,6 +8,7 @@ from ..arrays import Float32, Float64, Int32
 from ..kernels.splatting import Contributions, Rendering, SplatArrays, Triples
 from ..scene.views import View
 from .engine import Engine, blocks_of
+from .places import on_host
 from .sorting import sorted_pairs
 from .tiling import Raster, Tiles, room_for_splats, sent_camera, tiles_of
 
@@ -147,7 +148,3 @@ def _added(engine: Engine, entries: tuple[Any, Any, Any], count: int, mask_bits:
     return Triples(*map(on_host, out))
 
 
-def on_host(array: Any) -> np.ndarray:
-    """Return an array as NumPy's, copied from the device where it is there."""
-    copied: np.ndarray = array.get() if hasattr(array, "get") else array
-    return copied

@@ -1,6 +1,8 @@
 """The GPU: CuPy's arrays, and our kernels compiled for it at first use (by NVRTC; CuPy keeps them on the disk)."""
 
 import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
@@ -9,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from ..errors import MissingExtraError
+from ..errors import DrSplatError, MissingExtraError
 
 INSTALL = 'pip install "drsplat[cuda]"'
 COMMON = ("basics", "projection", "walk")
@@ -128,3 +130,17 @@ def cuda_engine() -> Engine:
 def blocks_of(count: int, threads: int = 256) -> int:
     """Return how many blocks have a thread for each of `count`."""
     return -(-count // threads)
+
+
+@contextmanager
+def memory_explained(where: Callable[[], str]) -> Iterator[None]:
+    """Turn an allocation that fails on the device into an error that says where, and what to do.
+
+    Raises: DrSplatError: the device's memory is full.
+    """
+    try:
+        yield
+    except Exception as error:
+        if type(error).__name__ != "OutOfMemoryError":  # CuPy's, which is not loaded where there is no GPU
+            raise
+        raise DrSplatError(f"the GPU's memory is full {where()}. {error}") from error

@@ -390,12 +390,12 @@ KERNEL adam_shapes(u32 n, float *means, float *log_scales, float *quats, float *
 }
 
 // Harmonics, of which `active` are used: dL/d(sh[k, c]) = Y_k * along[c], made here and never stored. Those that are
-// not used have no moments, so that nothing moves them. limit: of the constant coefficients, or 0. Means: of the pass.
+// not used have no moments, so that nothing moves them. means: those of the pass.
 constexpr int ADAM_ROWS = 32;
 
 KERNEL __launch_bounds__(256)
     adam_colors(u32 n, int coefficients, int active, const float *means, const Camera *camera, const float *along,
-                float *sh, float *first, float *second, float constant_rate, float rate, float limit, float beta1,
+                float *sh, float *first, float *second, float constant_rate, float rate, float beta1,
                 float beta2, float root_correction, float epsilon) {
   __shared__ float basis[ADAM_ROWS][17], slopes[ADAM_ROWS][3];
   const AdamStep s = {beta1, beta2, root_correction, epsilon};
@@ -416,6 +416,5 @@ KERNEL __launch_bounds__(256)
     const int row = e / width, column = e % width, k = column / 3;
     const size_t at = (size_t)(begin + row) * coefficients * 3 + column;
     adam(k ? rate : constant_rate, basis[row][k] * slopes[row][column % 3], sh + at, first + at, second + at, s);
-    if (k == 0 && limit > 0.f) sh[at] = clampf(sh[at], -limit, limit);
   }
 }

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..arrays import Bool, Float32, Integer
+from ..arrays import Anywhere, Bool, Float32, Integer
 from ..errors import FormatError
 from ..scene.gaussians import Gaussians
 
@@ -22,9 +22,9 @@ SCALE_RANGE = "that are not finite or, after exp(scale_0..2), not in float32's p
 SMALLEST_THREE = np.array([[3, 0, 1, 2], [0, 3, 1, 2], [0, 1, 3, 2], [0, 1, 2, 3]])
 
 
-def sigmoid(logits: Float32[np.ndarray, " n"]) -> Float32[np.ndarray, " n"]:
+def sigmoid(logits: Float32[Anywhere, " n"]) -> Float32[Anywhere, " n"]:
     """1 / (1 + exp(-x)); plus and minus infinity, which SuperSplat writes, are exactly 1 and 0."""
-    wide: np.ndarray = 1 / (1 + np.exp(-logits.astype(np.float64)))
+    wide: Anywhere = 1 / (1 + np.exp(-logits.astype(np.float64)))
     return wide.astype(np.float32)
 
 

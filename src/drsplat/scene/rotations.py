@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from ..arrays import Float
+from ..arrays import Anywhere, Float
 
 
-def rotation_matrices(quats: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 3 3"]:
+def rotation_matrices(quats: Float[Anywhere, "n 4"]) -> Float[Anywhere, "n 3 3"]:
     """Return the matrices from local axes (their columns) to the world, in the precision of the input."""
-    matrices: np.ndarray = np.stack([np.stack(row, -1) for row in rotation_rows(quats.T)], -2)
+    matrices: Anywhere = np.stack([np.stack(row, -1) for row in rotation_rows(quats.T)], -2)
     return matrices
 
 
-def rotation_rows(quats: Float[np.ndarray, "4 n"]) -> list[list[Float[np.ndarray, " n"]]]:
+def rotation_rows(quats: Float[Anywhere, "4 n"]) -> list[list[Float[Anywhere, " n"]]]:
     """Return the entries of `rotation_matrices` as three rows of three arrays, each over all quaternions."""
     w, x, y, z = quats
     return [

@@ -5,32 +5,35 @@ budget, and that a refinement comes after the optimiser's step and not in its pl
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from ..arrays import Bool, Float32, Integer
+from ..arrays import Anywhere, Bool, Float32, Integer
 from ..formats.activation import sigmoid
 from ..kernels.training import Gradients, SceneParameters
 from .optimizer import Optimizer
+from ..cuda.places import normals, on_host, placed
 from .rotations import rotated
 from .schedules import refines, resets_opacity
 from .settings import TrainingSettings
 
 CHILDREN = 2
+OBSERVED = ("pull", "times_seen", "radii")
 
 
 class AdaptiveDensity:
     """Accumulates the screen-space gradients of all views since the last refinement."""
 
-    def __init__(self, settings: TrainingSettings, extent: float, count: int) -> None:
-        self.settings, self.extent = settings, extent
+    def __init__(
+        self, settings: TrainingSettings, extent: float, count: int, zeros: Callable[..., Anywhere] = np.zeros
+    ) -> None:
+        """zeros: of the library whose arrays the gradients are."""
+        self.settings, self.extent, self._zeros = settings, extent, zeros
         self._forget(count)
 
     def _forget(self, count: int) -> None:
-        self.pull = np.zeros(count, np.float32)
-        self.times_seen = np.zeros(count, np.float32)
-        self.radii = np.zeros(count, np.float32)
+        self.pull, self.times_seen, self.radii = (self._zeros(count, np.float32) for _ in range(3))
 
     def observe(self, gradients: Gradients, iteration: int) -> None:
         """Take note of one view: who was pulled how far, and who was how large."""
@@ -65,13 +68,13 @@ class AdaptiveDensity:
         children = split(optimizer.rows(large), rng, self.settings.split_shrink)
         optimizer.append(clones)
         optimizer.append(children)
-        gone = np.zeros(len(optimizer), bool)
+        gone = self._zeros(len(optimizer), bool)
         gone[np.flatnonzero(large)] = True
         gone |= self._is_useless(optimizer, radii, iteration)
         optimizer.keep(~gone)
         self._forget(len(optimizer))
 
-    def _chosen(self, optimizer: Optimizer) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
+    def _chosen(self, optimizer: Optimizer) -> tuple[Bool[Anywhere, " n"], Bool[Anywhere, " n"]]:
         """Return marks of those to clone and of those to split."""
         mean_pull = self.pull / np.maximum(self.times_seen, 1)
         chosen = mean_pull >= self.settings.gradient_threshold
@@ -82,10 +85,10 @@ class AdaptiveDensity:
         return chosen & ~large, chosen & large
 
     def _is_useless(
-        self, optimizer: Optimizer, radii: Float32[np.ndarray, " m"], iteration: int
-    ) -> Bool[np.ndarray, " m"]:
+        self, optimizer: Optimizer, radii: Float32[Anywhere, " m"], iteration: int
+    ) -> Bool[Anywhere, " m"]:
         s, parameters = self.settings, optimizer.parameters
-        useless: np.ndarray = parameters.logits < _logit(s.min_opacity)
+        useless: Anywhere = parameters.logits < _logit(s.min_opacity)
         if iteration > s.reset_every:
             largest = parameters.log_scales.max(axis=1)
             useless |= largest > math.log(s.max_scale * self.extent)
@@ -96,11 +99,11 @@ class AdaptiveDensity:
         return useless
 
     def state(self) -> dict[str, np.ndarray]:
-        return {"density.pull": self.pull, "density.times_seen": self.times_seen, "density.radii": self.radii}
+        return {f"density.{name}": on_host(getattr(self, name)) for name in OBSERVED}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        for name in ("pull", "times_seen", "radii"):
-            setattr(self, name, np.array(state[f"density.{name}"], np.float32))
+        for name in OBSERVED:
+            setattr(self, name, placed(np.array(state[f"density.{name}"], np.float32), getattr(self, name)))
 
 
 def split(parents: SceneParameters, rng: np.random.Generator, shrink: float = 1.6) -> SceneParameters:
@@ -110,7 +113,7 @@ def split(parents: SceneParameters, rng: np.random.Generator, shrink: float = 1.
     Source: 3DGS Sec. 5.2 (scale divided by phi = 1.6).
     """
     twice = SceneParameters(*(np.concatenate([array] * CHILDREN) for array in parents))
-    local = rng.standard_normal(twice.means.shape, np.float32) * np.exp(twice.log_scales)
+    local = normals(rng, twice.means) * np.exp(twice.log_scales)
     means = twice.means + rotated(twice.quats, local)
     log_scales = twice.log_scales - np.float32(math.log(shrink))
     return twice._replace(means=means, log_scales=log_scales)
@@ -133,9 +136,9 @@ def _logit(opacity: float) -> float:
     return math.log(opacity / (1 - opacity))
 
 
-def _largest(values: Float32[np.ndarray, " n"], count: int) -> Bool[np.ndarray, " n"]:
+def _largest(values: Float32[Anywhere, " n"], count: int) -> Bool[Anywhere, " n"]:
     """Mark the `count` largest values, equal ones by index. Each clone or split adds one Gaussian."""
-    marked = np.zeros(len(values), bool)
-    order: Integer[np.ndarray, " n"] = np.argsort(-values, kind="stable")
+    marked = np.zeros_like(values, bool)
+    order: Integer[Anywhere, " n"] = np.argsort(-values, kind="stable")
     marked[order[: max(count, 0)]] = True
     return marked

@@ -1,14 +1,14 @@
-"""`train` on the device that is asked for: natively on the CPU, or on CUDA through gsplat."""
+"""`train` on the device that is asked for: on the CPU, or on a CUDA GPU."""
 
 from collections.abc import Callable, Collection, Sequence
-from importlib import import_module
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
+from ..cuda.engine import unavailable
 from ..errors import InputError, MissingExtraError
 from ..formats.captures import SparsePoints
 from ..scene.views import View
-from . import loop
+from . import cuda, loop
 from .everyday import everyday
 from .job import CHECKPOINT_EVERY, SAVE_AT, Job, Status
 from .result import Training
@@ -38,7 +38,7 @@ def train(
     points that is in it goes on by itself, on the CPU to the bit as if it had never stopped; so does a finished one of
     the original's settings when more iterations are asked for. None keeps everything in memory.
     points: where to start (`read_sparse_points`); None triangulates some from the photos.
-    device: "auto" is CUDA where gsplat and a GPU are at hand, else the CPU.
+    device: "auto" is CUDA where CuPy and a GPU are at hand, else the CPU.
     save_at: iterations after which the scene is written as well, before an opacity reset that is due
     then. checkpoint_every: iterations, and at
     the latest every two minutes. report: called after every iteration.
@@ -52,14 +52,13 @@ def train(
     Raises: InputError: views without photos, fewer than two to train on, all cameras in one place, points that are not
     finite or too few, a folder that holds something else or that another process trains in, a full disk. MismatchError:
     the folder holds a run of other settings or inputs. FormatError: a damaged photo. MissingExtraError: device "cuda"
-    without gsplat or a GPU. DrSplatError: the optimisation diverged.
+    without CuPy or a GPU. DrSplatError: the optimisation diverged.
     Source: 3DGS; "3D Gaussian Splatting as Markov Chain Monte Carlo".
     """
     job = Job(
         views, settings or everyday(views), output_dir, points, overwrite, save_at, checkpoint_every, threads, report
     )
-    training: Training = (loop if chosen_device(device) == "cpu" else _cuda()).train(job)
-    return training
+    return (loop if chosen_device(device) == "cpu" else cuda).train(job)
 
 
 def chosen_device(device: str) -> Literal["cpu", "cuda"]:
@@ -71,21 +70,9 @@ def chosen_device(device: str) -> Literal["cpu", "cuda"]:
         raise InputError(f"device: expected one of {DEVICES}, got {device!r}")
     if device == "cpu":
         return "cpu"
-    reason = _why_no_cuda()
+    reason = unavailable()
     if reason is None:
         return "cuda"
     if device == "cuda":
         raise MissingExtraError(reason)
     return "cpu"
-
-
-def _why_no_cuda() -> str | None:
-    try:
-        reason: str | None = _cuda().unavailable()
-    except ModuleNotFoundError:
-        return "this build has no CUDA backend: train with device 'cpu'"
-    return reason
-
-
-def _cuda() -> Any:
-    return import_module(".cuda", __package__)

@@ -126,7 +126,7 @@ class Keeper:
     def _tested(self, pictures: Path | None) -> Evaluation | None:
         run = self.run
         return evaluate(
-            run.optimizer.parameters, self.split.test, self.test_photos, run.settings,
+            run.optimizer.on_host(), self.split.test, self.test_photos, run.settings,
             near=run.near, pictures=pictures, threads=self.job.threads,
         )  # fmt: skip
 
@@ -137,7 +137,7 @@ class Keeper:
         some = [views[index] for index in chosen]
         photos = TrainingPhotos(some, 0)
         run = self.run
-        scores = evaluate(run.optimizer.parameters, some, photos, run.settings, near=run.near, threads=self.job.threads)
+        scores = evaluate(run.optimizer.on_host(), some, photos, run.settings, near=run.near, threads=self.job.threads)
         return scores.psnr if scores else float("nan")
 
     def finish(self) -> Training:

@@ -9,11 +9,12 @@ from math import comb, sqrt
 
 import numpy as np
 
-from ..arrays import Float32, Float64, Integer
+from ..arrays import Anywhere, Float32, Float64, Integer
 from ..formats.activation import sigmoid
 from ..kernels.training import Gradients
 from .density import add_opacity_penalty
 from .optimizer import Optimizer
+from ..cuda.places import normals, placed
 from .rotations import spread
 from .schedules import refines
 from .settings import TrainingSettings
@@ -55,7 +56,7 @@ class MonteCarlo:
         distance = s.noise_opacity - sigmoid(p.logits)
         strength = sigmoid(np.float32(s.noise_steepness) * distance.astype(np.float32))
         rows = np.flatnonzero(strength > LEAST_STRENGTH)
-        noise = rng.standard_normal((len(rows), 3), np.float32)
+        noise = normals(rng, p.means[rows])
         noise *= (strength[rows] * np.float32(s.noise_rate * rate))[:, None]
         p.means[rows] += spread(p.quats[rows], np.exp(p.log_scales[rows]), noise)
 
@@ -87,7 +88,7 @@ def grow(optimizer: Optimizer, rng: np.random.Generator, growth: float, limit: i
     optimizer.append(optimizer.rows(chosen))
 
 
-def _share(optimizer: Optimizer, chosen: Integer[np.ndarray, " m"], min_opacity: float) -> None:
+def _share(optimizer: Optimizer, chosen: Integer[Anywhere, " m"], min_opacity: float) -> None:
     """Give the Gaussians at `chosen` what each of several on their place must have."""
     places, guests = np.unique(chosen, return_counts=True)
     parameters = optimizer.parameters
@@ -100,8 +101,8 @@ def _share(optimizer: Optimizer, chosen: Integer[np.ndarray, " m"], min_opacity:
 
 
 def shared_place(
-    opacities: Float64[np.ndarray, " n"], sharing: Integer[np.ndarray, " n"]
-) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+    opacities: Float64[Anywhere, " n"], sharing: Integer[Anywhere, " n"]
+) -> tuple[Float64[Anywhere, " n"], Float64[Anywhere, " n"]]:
     """Opacity of each of N Gaussians on one place, and the factor on their scales (Eq. 9).
 
     N of them in front of each other block as much light at the centre as the one did; the factor
@@ -111,25 +112,25 @@ def shared_place(
     opacities = np.minimum(opacities, OPACITY_BELOW_ONE)
     each = -np.expm1(np.log1p(-opacities) / sharing)
     shrink = np.ones_like(opacities)
-    for n in np.unique(sharing):
+    for n in map(int, np.unique(sharing)):
         rows = sharing == n
-        shrink[rows] = opacities[rows] / _line_integral(each[rows], int(n))
+        shrink[rows] = opacities[rows] / _line_integral(each[rows], n)
     return each, shrink
 
 
-def _line_integral(opacity: Float64[np.ndarray, " n"], sharing: int) -> Float64[np.ndarray, " n"]:
+def _line_integral(opacity: Float64[Anywhere, " n"], sharing: int) -> Float64[Anywhere, " n"]:
     """Return the integral of 1 - (1 - o g(x))^N along a line, in units of that of g, a Gaussian of unit height.
 
     Sum over i = 1..N, k = 0..i-1 of C(i-1, k) (-1)^k o^(k+1) / sqrt(k+1); over i first, that is C(N, k+1).
     """
     terms = [comb(sharing, k) * (-1) ** (k - 1) / sqrt(k) * opacity**k for k in range(1, sharing + 1)]
-    total: np.ndarray = np.sum(terms, axis=0)
+    total: Anywhere = np.sum(terms, axis=0)
     return total
 
 
-def drawn(weights: Float32[np.ndarray, " n"], count: int, rng: np.random.Generator) -> Integer[np.ndarray, " count"]:
+def drawn(weights: Float32[Anywhere, " n"], count: int, rng: np.random.Generator) -> Integer[Anywhere, " count"]:
     """Draw indices with replacement, in proportion to the weights."""
     steps = np.cumsum(weights, dtype=np.float64)
-    at = np.searchsorted(steps, rng.random(count) * steps[-1], side="right")
-    inside: np.ndarray = np.minimum(at, len(weights) - 1)
+    at = np.searchsorted(steps, placed(rng.random(count), steps) * steps[-1], side="right")
+    inside: Anywhere = np.minimum(at, len(weights) - 1)
     return inside

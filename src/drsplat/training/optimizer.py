@@ -5,16 +5,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Bool, Float32, Integer
+from ..arrays import Anywhere, Bool, Float32, Integer
 from ..errors import FormatError
 from ..formats.activation import checked, sigmoid
 from ..kernels.training import Gradients, SceneParameters, adam_step
 from ..scene.eight_bits import MAX_CONSTANT
 from ..scene.gaussians import Gaussians
+from ..cuda.places import on_host
 
 FLOATING = SceneParameters._fields
 LOG_SCALE_LIMIT = 80.0  # exp of it is still a normal float32
-Rows = Integer[np.ndarray, " _"] | Bool[np.ndarray, " _"]
+Rows = Integer[Anywhere, " _"] | Bool[Anywhere, " _"]
 
 
 class Rates(NamedTuple):
@@ -70,19 +71,19 @@ class Optimizer:
         self.first = _joined(self.first, _zeros_like(new))
         self.second = _joined(self.second, _zeros_like(new))
 
-    def overwrite(self, rows: Integer[np.ndarray, " m"], new: SceneParameters) -> None:
+    def overwrite(self, rows: Integer[Anywhere, " m"], new: SceneParameters) -> None:
         """Put other Gaussians in place of some, with zero moments."""
         for name in FLOATING:
             getattr(self.parameters, name)[rows] = getattr(new, name)
         self.forget(rows)
 
-    def forget(self, rows: Integer[np.ndarray, " m"]) -> None:
+    def forget(self, rows: Integer[Anywhere, " m"]) -> None:
         """Zero the moments of some Gaussians."""
         for moment in (self.first, self.second):
             for array in moment:
                 array[rows] = 0
 
-    def replace_logits(self, logits: Float32[np.ndarray, " n"]) -> None:
+    def replace_logits(self, logits: Float32[Anywhere, " n"]) -> None:
         """Set all opacities anew, and forget their moments."""
         self.parameters.logits[:] = logits
         self.first.logits[:] = 0
@@ -93,11 +94,15 @@ class Optimizer:
         return _rows(self.parameters, rows)
 
     def is_finite(self) -> bool:
-        return all(np.isfinite(array).all() for array in self.parameters)
+        return all(bool(np.isfinite(array).all()) for array in self.parameters)
+
+    def on_host(self) -> SceneParameters:
+        """Return the parameters as arrays of NumPy."""
+        return self.parameters
 
     def gaussians(self) -> Gaussians:
         """Return the present scene, after activation. Raises: FormatError: a value that is not finite."""
-        p = self.parameters
+        p = self.on_host()
         limited = np.clip(p.log_scales, -LOG_SCALE_LIMIT, LOG_SCALE_LIMIT)
         try:
             return checked(p.means.copy(), p.quats.copy(), np.exp(limited), sigmoid(p.logits), p.sh.copy())
@@ -107,7 +112,7 @@ class Optimizer:
     def state(self) -> dict[str, np.ndarray]:
         """All arrays by name, for a checkpoint."""
         groups = {"parameters": self.parameters, "first": self.first, "second": self.second}
-        return {f"{group}.{name}": getattr(arrays, name) for group, arrays in groups.items() for name in FLOATING}
+        return {f"{group}.{name}": on_host(getattr(arrays, name)) for group, arrays in groups.items() for name in FLOATING}
 
     @classmethod
     def from_state(cls, state: Mapping[str, np.ndarray]) -> "Optimizer":
@@ -126,7 +131,7 @@ def _zeros_like(parameters: SceneParameters) -> SceneParameters:
 
 
 def _rows(parameters: SceneParameters, rows: Rows) -> SceneParameters:
-    return SceneParameters(*(np.ascontiguousarray(array[rows]) for array in parameters))
+    return SceneParameters(*(array[rows] for array in parameters))
 
 
 def _joined(parameters: SceneParameters, new: SceneParameters) -> SceneParameters:

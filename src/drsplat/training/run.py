@@ -43,13 +43,12 @@ class Run:
     def __init__(self, beginning: Beginning) -> None:
         self.origin, self.rng = beginning.origin, beginning.rng
         self.views, self.settings = beginning.views, beginning.settings
-        self.optimizer = beginning.optimizer
-        self.near = near_plane(self.optimizer.parameters.means)
+        self.optimizer = self._placed(beginning.optimizer)
+        self.near = near_plane(beginning.optimizer.parameters.means)
         self.extent = scene_extent(self.views)
         self.photos = TrainingPhotos(self.views, self.settings.photo_memory_bytes)
         self.order = ViewOrder(len(self.views))
-        kind = MonteCarlo if self.settings.strategy == "mcmc" else AdaptiveDensity
-        self.density: MonteCarlo | AdaptiveDensity = kind(self.settings, self.extent, len(self))
+        self.density = self._density()
         self.iteration = 0
         self.seconds = 0.0
         self.history: list[dict[str, object]] = []
@@ -61,12 +60,25 @@ class Run:
         """Gaussians, now."""
         return len(self.optimizer)
 
+    def _placed(self, optimizer: Optimizer) -> Optimizer:
+        """Return the optimizer where its steps are taken."""
+        return optimizer
+
+    def _density(self) -> MonteCarlo | AdaptiveDensity:
+        kind = MonteCarlo if self.settings.strategy == "mcmc" else AdaptiveDensity
+        return kind(self.settings, self.extent, len(self))
+
     def step(self, threads: int = 0) -> Outcome:
         """Run the next iteration. Raises: DrSplatError: the loss is no longer a number."""
         self._since = time.perf_counter()
         self.iteration += 1
         self.density.before_step(self.optimizer, self.iteration)
-        index = self.order.next(self.rng)
+        outcome, gradients = self._seen_and_compared(self.order.next(self.rng), threads)
+        self._learn(gradients, threads)
+        return outcome
+
+    def _seen_and_compared(self, index: int, threads: int) -> tuple[Outcome, Gradients]:
+        """Draw a photo's view and compare. Raises: DrSplatError: the loss is no longer a number."""
         view, photo = self._seen(index)
         target = photo.colors()
         self._lap("photo")
@@ -76,8 +88,7 @@ class Run:
         if photo.left_out is not None:
             gradients = _of_used_pixels(gradients)
         self._lap("backward")
-        self._learn(gradients, threads)
-        return Outcome(loss.value, partial(_psnr, drawn.image, target, photo))
+        return Outcome(loss.value, partial(_psnr, drawn.image, target, photo)), gradients
 
     def _seen(self, index: int) -> tuple[View, Photo]:
         """Return a view and its photo, on the raster of this iteration."""
@@ -168,7 +179,7 @@ class Run:
 
     def restore(self, arrays: Mapping[str, np.ndarray], texts: Mapping[str, str]) -> None:
         """Become the run that `state` was taken of."""
-        self.optimizer = Optimizer.from_state(arrays)
+        self.optimizer = self._placed(Optimizer.from_state(arrays))
         self.density.restore(arrays)
         self.order.restore(arrays)
         self.rng.bit_generator.state = json.loads(texts["rng"])

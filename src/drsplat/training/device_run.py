@@ -1,0 +1,141 @@
+"""The optimisation of `run` on a GPU: our own kernels draw, compare and step; arrays stay on the device."""
+
+import math
+from functools import partial
+from typing import Any, cast
+
+import numpy as np
+
+from ..cuda.engine import Engine
+from ..cuda.places import on_host
+from ..cuda.training import (
+    AdamRates,
+    DeviceGradients,
+    DevicePhoto,
+    DeviceView,
+    adam_step,
+    forward,
+    loss_window,
+    photometric_loss,
+    sent_view,
+)
+from ..kernels.training import Gradients, SceneParameters
+from ..scene.views import View
+from .density import AdaptiveDensity
+from .job import Beginning
+from .mcmc import MonteCarlo
+from .optimizer import Optimizer, Rates
+from .run import Outcome, Run
+from .schedules import active_sh_degree
+from .training_photos import Photo, TrainingPhotos
+
+PHOTO_SHARE = 4  # photos take a quarter of the memory that is free, at most
+
+
+class DeviceOptimizer(Optimizer):
+    """Parameters and moments on the device."""
+
+    def __init__(self, parameters: SceneParameters, engine: Engine) -> None:
+        super().__init__(parameters)
+        self.engine = engine
+
+    @classmethod
+    def sent(cls, optimizer: Optimizer, engine: Engine) -> "DeviceOptimizer":
+        """Copy an optimizer to the device."""
+
+        def send(arrays: SceneParameters) -> SceneParameters:
+            return SceneParameters(*map(engine.xp.asarray, arrays))
+
+        device = cls(send(optimizer.parameters), engine)
+        device.first, device.second = send(optimizer.first), send(optimizer.second)
+        return device
+
+    def step(self, gradients: Gradients, rates: Rates, step: int, threads: int = 0) -> None:
+        """One step of Adam, in place."""
+        slopes = cast(DeviceGradients, gradients)
+        adam_step(self.engine, self.parameters, self.first, self.second, slopes, AdamRates(*rates), step)
+
+    def on_host(self) -> SceneParameters:
+        return SceneParameters(*map(on_host, self.parameters))
+
+
+class DevicePhotos:
+    """Photos by index and raster, sent once as bytes while they take no more than their share of the memory."""
+
+    def __init__(self, photos: TrainingPhotos, engine: Engine) -> None:
+        self._photos, self._xp, self._room = photos, engine.xp, engine.free_bytes() // PHOTO_SHARE
+        self._kept: dict[tuple[int, int, int], DevicePhoto] = {}
+
+    def seen(self, index: int, view: View, coarse: bool) -> DevicePhoto:
+        """Return a photo on the raster of a view, which is coarser than its own where `coarse`."""
+        key = (index, view.width, view.height)
+        if key not in self._kept:
+            photo = self._photos[index]
+            sent = self._sent(photo.smaller(view.width, view.height) if coarse else photo)
+            size = sum(array.nbytes for array in sent if array is not None)
+            if size > self._room:
+                return sent
+            self._kept[key] = sent
+            self._room -= size
+        return self._kept[key]
+
+    def _sent(self, photo: Photo) -> DevicePhoto:
+        pixels = self._xp.asarray(np.ascontiguousarray(photo.pixels))
+        if not len(photo.unused):
+            return DevicePhoto(pixels, None)
+        marks = np.zeros(photo.pixels.shape[:2], np.uint8)
+        marks.reshape(-1)[photo.unused] = 1
+        return DevicePhoto(pixels, self._xp.asarray(marks))
+
+
+class DeviceRun(Run):
+    """A run whose arrays live on a GPU. Schedules, order of views, density control and checkpoints are the CPU's."""
+
+    def __init__(self, beginning: Beginning, engine: Engine) -> None:
+        self.engine = engine
+        super().__init__(beginning)
+        self.targets = DevicePhotos(self.photos, engine)
+        self.window = loss_window(engine)
+        self._cameras: dict[tuple[int, int, int], DeviceView] = {}
+
+    def _placed(self, optimizer: Optimizer) -> Optimizer:
+        return DeviceOptimizer.sent(optimizer, self.engine)
+
+    def _density(self) -> MonteCarlo | AdaptiveDensity:
+        if self.settings.strategy == "mcmc":
+            return MonteCarlo(self.settings, self.extent, len(self))
+        return AdaptiveDensity(self.settings, self.extent, len(self), self.engine.xp.zeros)
+
+    def _seen_and_compared(self, index: int, threads: int) -> tuple[Outcome, Gradients]:
+        view = self._view(index)
+        target = self.targets.seen(index, view, view is not self.views[index])
+        self._lap("photo")
+        drawn = forward(
+            self.engine, self.optimizer.parameters, self._camera(index, view),
+            active_sh_degree(self.settings, self.iteration), self._background(), self.settings.antialiased,
+        )  # fmt: skip
+        self._lap("forward")
+        loss = photometric_loss(self.engine, drawn.image, target, self.settings.dssim_weight, self.window)
+        self._lap("loss")
+        gradients = drawn.backward(loss.gradient)
+        if self.views[index].mask_path is not None:
+            gradients = gradients._replace(radii=gradients.radii * (gradients.screen > 0))
+        value = loss.value()  # waits for the device, which has all of this to do by now
+        if not math.isfinite(value):
+            raise self._diverged()
+        self._lap("backward")
+        outcome = Outcome(value, partial(_psnr, self.engine.xp, drawn.image, target))
+        return outcome, cast(Gradients, gradients)
+
+    def _camera(self, index: int, view: View) -> DeviceView:
+        key = (index, view.width, view.height)
+        if key not in self._cameras:
+            self._cameras[key] = sent_view(self.engine, view, self.near)
+        return self._cameras[key]
+
+
+def _psnr(xp: Any, image: Any, photo: DevicePhoto) -> float:
+    error = (xp.clip(image, 0, 1) - photo.pixels * np.float32(1 / 255)) ** 2
+    if photo.unused is not None:
+        error = error[photo.unused == 0]
+    return min(-10 * math.log10(max(float(error.mean()), 1e-30)), 99.0)
