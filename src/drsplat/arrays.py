@@ -5,12 +5,14 @@ are of their libraries only where jaxtyping is loaded already, as by the tests.
 """
 
 import sys
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
-    from numpy import ndarray as Anywhere
+    import numpy as np
+
+    Anywhere: TypeAlias = np.ndarray
 else:
-    from typing import Any as Anywhere  # an array of NumPy, or of a device's library that answers NumPy's functions
+    Anywhere = Any  # an array of NumPy, or of a device's library that answers NumPy's functions
 
 if TYPE_CHECKING or "jaxtyping" in sys.modules:
     from jaxtyping import (
@@ -35,7 +37,7 @@ if TYPE_CHECKING or "jaxtyping" in sys.modules:
     from PIL.Image import Image as PilImage
     from scipy.sparse import csr_array as Sparse
 else:
-    from typing import Annotated, Any
+    from typing import Annotated
 
     PilImage = Sparse = Any
 
@@ -43,6 +45,6 @@ else:
     UInt8 = UInt16 = UInt32 = UInt64 = Annotated
 
 __all__ = [
-    "Bool", "Float", "Float16", "Float32", "Float64", "Int", "Int8", "Int32", "Int64", "Integer", "Num", "PilImage",
-    "Real", "Shaped", "Sparse", "UInt8", "UInt16", "UInt32", "UInt64",
+    "Anywhere", "Bool", "Float", "Float16", "Float32", "Float64", "Int", "Int8", "Int32", "Int64", "Integer", "Num",
+    "PilImage", "Real", "Shaped", "Sparse", "UInt8", "UInt16", "UInt32", "UInt64",
 ]  # fmt: skip

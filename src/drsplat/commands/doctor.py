@@ -128,7 +128,7 @@ def _ability(reason: str | None, cure: str | None) -> dict[str, Any]:
 
 def _no_cuda_training(facts: dict[str, Any]) -> str | None:
     """Why not, with what to do; without torch there is nothing to import, so it is asked here."""
-    from ..training.cuda import unavailable
+    from ..cuda.engine import unavailable
 
     return facts["no_cuda_training"] if facts else unavailable()
 
@@ -158,7 +158,7 @@ def probe() -> dict[str, Any]:
     facts = torch_facts()
     if facts["torch_fault"]:
         return {**facts, "no_cuda_training": f"torch cannot be imported: {facts['torch_fault']}"}
-    from ..training.cuda import unavailable
+    from ..cuda.engine import unavailable
 
     return {**facts, "no_cuda_training": unavailable()}
 

@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..arrays import Float32, Float64, Int32
+from ..arrays import Float32, Int32
 from ..kernels.splatting import Contributions, Rendering, SplatArrays, Triples
 from ..scene.views import View
 from .engine import Engine, blocks_of
@@ -13,20 +13,6 @@ from .sorting import sorted_pairs
 from .tiling import Raster, Tiles, room_for_splats, sent_camera, tiles_of
 
 WARPS, PIXELS_IN_A_TILE = 8, 256
-
-
-class DeviceSplats(NamedTuple):
-    """A scene on the device, as `kernels.splatting.SplatArrays`; all that is drawn of it stays there until it is asked
-    for.
-    """
-
-    engine: Engine
-    means: Any  # float32 (3, n)
-    covariances: Any  # float32 (6, n)
-    opacities: Any  # float32 (n)
-    near: float
-    origin: Float64[np.ndarray, "3"]
-    antialiased: bool
 
 
 class TiledView(NamedTuple):
@@ -42,13 +28,13 @@ class TiledView(NamedTuple):
         return (self.tiles.starts, self.tiles.ids, self.splats, raster.width, raster.height, raster.columns)
 
 
-def sent_splats(engine: Engine, splats: SplatArrays) -> DeviceSplats:
+def sent_splats(engine: Engine, splats: SplatArrays) -> SplatArrays:
     """Return a scene on the device: 40 bytes for each Gaussian."""
-    arrays = (engine.xp.asarray(np.ascontiguousarray(part)) for part in splats[:3])
-    return DeviceSplats(engine, *arrays, splats.near, splats.origin, splats.antialiased)
+    means, covariances, opacities = (engine.xp.asarray(np.ascontiguousarray(part)) for part in splats[:3])
+    return splats._replace(means=means, covariances=covariances, opacities=opacities, engine=engine)
 
 
-def tiled_view(splats: DeviceSplats, view: View) -> TiledView:
+def tiled_view(splats: SplatArrays, view: View) -> TiledView:
     """Project a scene and sort it into the tiles of a view. Raises: InputError: see `camera_numbers`."""
     engine, count = splats.engine, len(splats.opacities)
     raster = Raster(view.width, view.height)
@@ -62,16 +48,17 @@ def tiled_view(splats: DeviceSplats, view: View) -> TiledView:
 
 
 def render_channels(
-    splats: DeviceSplats,
-    view: View,
-    values: Float32[np.ndarray, "n c"],
-    background: Float32[np.ndarray, " c"],
+    splats: SplatArrays, view: View, values: Float32[np.ndarray, "n c"], background: Float32[np.ndarray, " c"]
 ) -> Rendering:
     """Composite per-Gaussian values as `kernels.splatting.render_channels`."""
     engine, xp, channels = splats.engine, splats.engine.xp, values.shape[1]
     tiled = tiled_view(splats, view)
     size = (view.height, view.width)
-    image, alpha, depth = xp.empty((*size, channels), xp.float32), xp.empty(size, xp.float32), xp.empty(size, xp.float32)
+    image, alpha, depth = (
+        xp.empty((*size, channels), xp.float32),
+        xp.empty(size, xp.float32),
+        xp.empty(size, xp.float32),
+    )
     engine.launch(
         "draw", tiled.raster.num_tiles, PIXELS_IN_A_TILE, *tiled.arguments(), xp.asarray(values), channels,
         xp.asarray(background), image, alpha, depth,
@@ -80,7 +67,7 @@ def render_channels(
 
 
 def view_weights(
-    splats: DeviceSplats, view: View, mask_ids: Int32[np.ndarray, "h w"], topk: int, first_hits: int
+    splats: SplatArrays, view: View, mask_ids: Int32[np.ndarray, "h w"], topk: int, first_hits: int
 ) -> Triples:
     """Return one view's entries of W as `kernels.splatting.view_weights`; 0 for `topk` or `first_hits`: all."""
     engine, xp, count = splats.engine, splats.engine.xp, len(splats.opacities)
@@ -91,14 +78,14 @@ def view_weights(
     room = int(ends[-1])
     gaussians, masks_seen, weights = (xp.empty(room, kind) for kind in (xp.uint32, xp.uint32, xp.float32))
     engine.launch(
-        "put_weights", tiled.raster.num_tiles, PIXELS_IN_A_TILE, *tiled.arguments(), masks, first_hits, chosen, bounds,
-        ends, count, gaussians, masks_seen, weights,
+        "put_weights", tiled.raster.num_tiles, PIXELS_IN_A_TILE, *tiled.arguments(), masks, first_hits, chosen,
+        bounds, ends, count, gaussians, masks_seen, weights,
     )  # fmt: skip
     most = int(mask_ids.max(initial=0))
     return _added(engine, (gaussians, masks_seen, weights), count, most.bit_length())
 
 
-def topk_contributions(splats: DeviceSplats, view: View, topk: int, first_hits: int) -> Contributions:
+def topk_contributions(splats: SplatArrays, view: View, topk: int, first_hits: int) -> Contributions:
     """Return the largest weights of each pixel as `kernels.splatting.topk_contributions`."""
     engine, xp = splats.engine, splats.engine.xp
     tiled = tiled_view(splats, view)
@@ -112,9 +99,7 @@ def topk_contributions(splats: DeviceSplats, view: View, topk: int, first_hits: 
     return Contributions(on_host(ids), on_host(weights))
 
 
-def _chosen(
-    engine: Engine, tiled: TiledView, masks: Any | None, topk: int, first_hits: int, bounds: Any | None
-) -> Any:
+def _chosen(engine: Engine, tiled: TiledView, masks: Any | None, topk: int, first_hits: int, bounds: Any | None) -> Any:
     """Return what each pixel takes of its weights: a threshold, and how many that equal it."""
     xp, raster = engine.xp, tiled.raster
     chosen = xp.empty((raster.height, raster.width, 2), xp.uint32)
@@ -146,5 +131,3 @@ def _added(engine: Engine, entries: tuple[Any, Any, Any], count: int, mask_bits:
         "add_pairs", blocks_of(size), 256, places, gaussians, masks, weights, size, count, begins, numbers, *out
     )
     return Triples(*map(on_host, out))
-
-

@@ -1,5 +1,6 @@
 """Arrays of NumPy or of a device's library: made alike, copied from one to the other."""
 
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,9 @@ def normals(rng: np.random.Generator, like: Float32[Anywhere, "n 3"]) -> Float32
     """Draw normal numbers of an array's shape where it is; `rng` decides which, there as well."""
     if isinstance(like, np.ndarray):
         return rng.standard_normal(like.shape, np.float32)
-    from cupy.random import Generator, Philox4x3210  # wherever there are such arrays
+    random = import_module("cupy.random")  # where there are such arrays
 
-    drawn: Anywhere = Generator(Philox4x3210(int(rng.integers(2**31)))).standard_normal(like.shape, np.float32)
+    drawn: Anywhere = random.Generator(random.Philox4x3210(int(rng.integers(2**31)))).standard_normal(
+        like.shape, np.float32
+    )
     return drawn

@@ -55,12 +55,12 @@ class DeviceLoss(NamedTuple):
 
     sums: Any  # float64 (2)
     gradient: Any  # float32 (h, w, 3)
-    count: int  # numbers of the image
+    size: int  # numbers of the image
     ssim_weight: float
 
     def value(self) -> float:
         """Return (1 - w) L1 + w (1 - SSIM); waits for the device."""
-        ssim, l1 = (float(total) / self.count for total in self.sums.tolist())
+        ssim, l1 = (float(total) / self.size for total in self.sums.tolist())
         return (1 - self.ssim_weight) * l1 + self.ssim_weight * (1 - ssim)
 
 
@@ -93,7 +93,8 @@ class DevicePass(NamedTuple):
             "parameter_gradients", blocks_of(count), 256, *self._scene(), self.projected.extents, self.colors,
             self.projected.counts, tiles.row_ends, sums, *gradients,
         )  # fmt: skip
-        return DeviceGradients(*gradients, self.view, self.active)
+        means, log_scales, quats, logits, along, screen, radii = gradients
+        return DeviceGradients(means, log_scales, quats, logits, along, screen, radii, self.view, self.active)
 
     def _scene(self) -> tuple[object, ...]:
         return _scene(self.parameters, self.view, self.active, self.antialiased)

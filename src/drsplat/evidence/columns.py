@@ -11,6 +11,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from ..arrays import Float32, Int32, Int64, UInt32
+from ..cuda.devices import device_in_use
 from ..errors import FormatError, InputError, MismatchError
 from ..formats.tensors import map_tensors, read_tensors, write_tensors
 from ..kernels import SplatArrays, Triples, default_isa, splat_arrays
@@ -196,7 +197,7 @@ def _digest(*arrays: np.ndarray, salt: str = "") -> bytes:
 
 def _marks(key: bytes) -> dict[str, str]:
     """Return the marks of a finished part: another instruction set changes the last bits."""
-    return {"key": key.hex(), "isa": default_isa()}
+    return {"key": key.hex(), "isa": default_isa() if device_in_use() == "cpu" else device_in_use()}
 
 
 def is_finished(path: Path, marks: Mapping[str, str]) -> bool:

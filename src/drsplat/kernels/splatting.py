@@ -6,12 +6,14 @@ set of `available_isas()`, "" the best (or what the variable DRSPLAT_ISA names).
 """
 
 import os
-from typing import NamedTuple
+from importlib import import_module
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from .. import _native
-from ..arrays import Bool, Float32, Float64, Int32, Integer, UInt32
+from ..arrays import Anywhere, Bool, Float32, Float64, Int32, Integer, UInt32
+from ..cuda.devices import engine_in_use
 from ..errors import InputError
 from ..scene.gaussians import Gaussians, covariances_of
 from ..scene.placing import PUBLISHED_NEAR
@@ -25,23 +27,26 @@ MOST_COUNTED = 2**31 - 1  # the largest count that the kernels take; no ray meet
 class SplatArrays(NamedTuple):
     """Structure of arrays that the kernels draw a scene from; make it once, use it for all views.
 
-    means: relative to origin. near: camera z up to which nothing is drawn. antialiased: see `Gaussians`.
+    means: relative to origin. near: camera z up to which nothing is drawn. antialiased: see `Gaussians`. engine: the
+    GPU whose arrays they are (`cuda.engine.Engine`), None on the CPU.
     """
 
-    means: Float32[np.ndarray, "3 n"]
-    covariances: Float32[np.ndarray, "6 n"]  # xx, xy, xz, yy, yz, zz
-    opacities: Float32[np.ndarray, " n"]
+    means: Float32[Anywhere, "3 n"]
+    covariances: Float32[Anywhere, "6 n"]  # xx, xy, xz, yy, yz, zz
+    opacities: Float32[Anywhere, " n"]
     near: float = PUBLISHED_NEAR
     origin: Float64[np.ndarray, " 3"] = np.zeros(3)
     antialiased: bool = False
+    engine: Any = None
 
     def subset(self, index: Integer[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> "SplatArrays":
         """Return the arrays of the Gaussians at `index`; the near plane stays that of the whole scene."""
-        return self._replace(
-            means=np.ascontiguousarray(self.means[:, index]),
-            covariances=np.ascontiguousarray(self.covariances[:, index]),
-            opacities=np.ascontiguousarray(self.opacities[index]),
+        xp = np if self.engine is None else self.engine.xp
+        rows = xp.asarray(index)
+        means, covariances, opacities = (
+            xp.ascontiguousarray(array[..., rows]) for array in (self.means, self.covariances, self.opacities)
         )
+        return self._replace(means=means, covariances=covariances, opacities=opacities)
 
 
 class Triples(NamedTuple):
@@ -93,13 +98,21 @@ def default_isa() -> str:
 
 
 def splat_arrays(gaussians: Gaussians, near: float | None = None) -> SplatArrays:
-    """Lay the scene out for the kernels: 40 bytes per Gaussian.
+    """Lay the scene out for the kernels, on the device in use (`using_device`): 40 bytes per Gaussian.
 
     near: camera z up to which nothing is drawn, scene units; None: `gaussians.near`.
 
     Raises: InputError: a near plane that is not in front of the camera.
     """
-    return splat_arrays_at_origin(gaussians.localized(), gaussians.near if near is None else near)
+    arrays = splat_arrays_at_origin(gaussians.localized(), gaussians.near if near is None else near)
+    engine = engine_in_use()
+    sent: SplatArrays = arrays if engine is None else _on_device().sent_splats(engine, arrays)
+    return sent
+
+
+def _on_device() -> Any:
+    """Return the module that draws on a GPU; it needs this one."""
+    return import_module("..cuda.drawing", __package__)
 
 
 def splat_arrays_at_origin(gaussians: Gaussians, near: float) -> SplatArrays:
@@ -182,6 +195,9 @@ def view_weights(
         )
     pixels = np.ascontiguousarray(mask_ids, np.int32)
     limits = _positive("topk", topk), _positive("first_hits", first_hits)
+    if splats.engine is not None:
+        there: Triples = _on_device().view_weights(splats, view, pixels, *limits)
+        return there
     triples = _native.view_weights(*_scene_and_camera(splats, view), pixels, *limits, threads, checked_isa(isa))
     return Triples(*triples[:3])
 
@@ -197,6 +213,9 @@ def topk_contributions(
     Source: Dr. Splat Sec. A; 3DGS Eq. 3.
     """
     size, limits = (view.width, view.height), (_positive("k", k), _positive("first_hits", first_hits))
+    if splats.engine is not None:
+        there: Contributions = _on_device().topk_contributions(splats, view, *limits)
+        return there
     arrays = _scene_and_camera(splats, view)
     return Contributions(*_native.topk_contributions(*arrays, *size, *limits, threads, checked_isa(isa)))
 
@@ -235,6 +254,11 @@ def render_channels(
     behind = np.zeros(channels, np.float32) if background is None else background
     if len(values) != n or behind.shape != (channels,):
         raise InputError(f"expected values ({n}, C) and background (C); got {values.shape} and {behind.shape}")
+    if splats.engine is not None:
+        there: Rendering = _on_device().render_channels(
+            splats, view, np.ascontiguousarray(values), np.ascontiguousarray(behind)
+        )
+        return there
     canvas = view.width, view.height, np.ascontiguousarray(values), np.ascontiguousarray(behind)
     return Rendering(*_native.render(*_scene_and_camera(splats, view), *canvas, threads, checked_isa(isa)))
 

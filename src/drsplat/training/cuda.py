@@ -29,8 +29,11 @@ def _optimise(run: DeviceRun, keeper: Keeper, job: Job) -> None:
 
 @contextmanager
 def _memory_explained(run: DeviceRun) -> Iterator[None]:
-    with memory_explained(
-        lambda: f"at {len(run):,} Gaussians, in iteration {run.iteration}: limit them with max_gaussians=N, or train on "
-        "smaller photos"
-    ):
+    def where() -> str:
+        return (
+            f"at {len(run):,} Gaussians, in iteration {run.iteration}: limit them with max_gaussians=N, or train on "
+            "smaller photos"
+        )
+
+    with memory_explained(where):
         yield

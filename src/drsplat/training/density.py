@@ -10,10 +10,10 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from ..arrays import Anywhere, Bool, Float32, Integer
+from ..cuda.places import normals, on_host, placed
 from ..formats.activation import sigmoid
 from ..kernels.training import Gradients, SceneParameters
 from .optimizer import Optimizer
-from ..cuda.places import normals, on_host, placed
 from .rotations import rotated
 from .schedules import refines, resets_opacity
 from .settings import TrainingSettings
@@ -84,9 +84,7 @@ class AdaptiveDensity:
         large = largest > math.log(self.settings.dense_scale * self.extent)
         return chosen & ~large, chosen & large
 
-    def _is_useless(
-        self, optimizer: Optimizer, radii: Float32[Anywhere, " m"], iteration: int
-    ) -> Bool[Anywhere, " m"]:
+    def _is_useless(self, optimizer: Optimizer, radii: Float32[Anywhere, " m"], iteration: int) -> Bool[Anywhere, " m"]:
         s, parameters = self.settings, optimizer.parameters
         useless: Anywhere = parameters.logits < _logit(s.min_opacity)
         if iteration > s.reset_every:

@@ -2,10 +2,8 @@
 
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from typing import Literal
 
-from ..cuda.engine import unavailable
-from ..errors import InputError, MissingExtraError
+from ..cuda.devices import chosen_device
 from ..formats.captures import SparsePoints
 from ..scene.views import View
 from . import cuda, loop
@@ -13,8 +11,6 @@ from .everyday import everyday
 from .job import CHECKPOINT_EVERY, SAVE_AT, Job, Status
 from .result import Training
 from .settings import TrainingSettings
-
-DEVICES = ("auto", "cpu", "cuda")
 
 
 def train(
@@ -59,20 +55,3 @@ def train(
         views, settings or everyday(views), output_dir, points, overwrite, save_at, checkpoint_every, threads, report
     )
     return (loop if chosen_device(device) == "cpu" else cuda).train(job)
-
-
-def chosen_device(device: str) -> Literal["cpu", "cuda"]:
-    """Return what "auto" stands for here.
-
-    Raises: InputError: no such device. MissingExtraError: "cuda" cannot be used; says why.
-    """
-    if device not in DEVICES:
-        raise InputError(f"device: expected one of {DEVICES}, got {device!r}")
-    if device == "cpu":
-        return "cpu"
-    reason = unavailable()
-    if reason is None:
-        return "cuda"
-    if device == "cuda":
-        raise MissingExtraError(reason)
-    return "cpu"

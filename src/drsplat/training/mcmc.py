@@ -10,11 +10,11 @@ from math import comb, sqrt
 import numpy as np
 
 from ..arrays import Anywhere, Float32, Float64, Integer
+from ..cuda.places import normals, placed
 from ..formats.activation import sigmoid
 from ..kernels.training import Gradients
 from .density import add_opacity_penalty
 from .optimizer import Optimizer
-from ..cuda.places import normals, placed
 from .rotations import spread
 from .schedules import refines
 from .settings import TrainingSettings

@@ -6,12 +6,12 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Anywhere, Bool, Float32, Integer
+from ..cuda.places import on_host
 from ..errors import FormatError
 from ..formats.activation import checked, sigmoid
 from ..kernels.training import Gradients, SceneParameters, adam_step
 from ..scene.eight_bits import MAX_CONSTANT
 from ..scene.gaussians import Gaussians
-from ..cuda.places import on_host
 
 FLOATING = SceneParameters._fields
 LOG_SCALE_LIMIT = 80.0  # exp of it is still a normal float32
@@ -112,7 +112,9 @@ class Optimizer:
     def state(self) -> dict[str, np.ndarray]:
         """All arrays by name, for a checkpoint."""
         groups = {"parameters": self.parameters, "first": self.first, "second": self.second}
-        return {f"{group}.{name}": on_host(getattr(arrays, name)) for group, arrays in groups.items() for name in FLOATING}
+        return {
+            f"{group}.{name}": on_host(getattr(arrays, name)) for group, arrays in groups.items() for name in FLOATING
+        }
 
     @classmethod
     def from_state(cls, state: Mapping[str, np.ndarray]) -> "Optimizer":
