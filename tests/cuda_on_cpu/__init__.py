@@ -30,6 +30,9 @@ class CpuEngine:
         if blocks and run(pointers, blocks, threads):
             raise RuntimeError(f"{kernel}: threads wait for each other for ever")
 
+    def release(self) -> None:
+        pass
+
     def free_bytes(self) -> int:
         return 1 << 30
 

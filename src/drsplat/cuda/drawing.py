@@ -9,7 +9,7 @@ from ..kernels.splatting import Contributions, Rendering, SplatArrays, Triples
 from ..scene.views import View
 from .engine import Engine, blocks_of
 from .places import on_host
-from .sorting import sorted_pairs
+from .sorting import empty, running_sums, sorted_pairs
 from .tiling import Raster, Tiles, room_for_splats, sent_camera, tiles_of
 
 WARPS, PIXELS_IN_A_TILE = 8, 256
@@ -74,9 +74,9 @@ def view_weights(
     tiled, masks = tiled_view(splats, view), xp.asarray(mask_ids)
     bounds = xp.empty(tiled.raster.num_tiles * WARPS, xp.uint32)
     chosen = _chosen(engine, tiled, masks, topk, first_hits, bounds)
-    ends = xp.cumsum(bounds, dtype=xp.int64)
-    room = int(ends[-1])
-    gaussians, masks_seen, weights = (xp.empty(room, kind) for kind in (xp.uint32, xp.uint32, xp.float32))
+    ends = running_sums(engine, bounds)
+    room = int(ends[-1]) if len(ends) else 0
+    gaussians, masks_seen, weights = (empty(engine, room, kind) for kind in (xp.uint32, xp.uint32, xp.float32))
     engine.launch(
         "put_weights", tiled.raster.num_tiles, PIXELS_IN_A_TILE, *tiled.arguments(), masks, first_hits, chosen,
         bounds, ends, count, gaussians, masks_seen, weights,
@@ -120,11 +120,11 @@ def _added(engine: Engine, entries: tuple[Any, Any, Any], count: int, mask_bits:
     size = len(gaussians)
     if size == 0:
         return Triples(np.zeros(0, np.uint32), np.zeros(0, np.int32), np.zeros(0, np.float32))
-    places = sorted_pairs(engine, masks.copy(), None, mask_bits)[1]
-    places = sorted_pairs(engine, gaussians[places], places, count.bit_length())[1]
-    begins = xp.empty(size, xp.uint32)
+    places = sorted_pairs(engine, masks.copy(), None, mask_bits).values
+    places = sorted_pairs(engine, gaussians[places], places, count.bit_length()).values
+    begins = empty(engine, size, xp.uint32)
     engine.launch("mark_pairs", blocks_of(size), 256, places, gaussians, masks, size, count, begins)
-    numbers = xp.cumsum(begins, dtype=xp.int64)
+    numbers = running_sums(engine, begins)
     found = int(numbers[-1])
     out = xp.empty(found, xp.uint32), xp.empty(found, xp.int32), xp.empty(found, xp.float32)
     engine.launch(

@@ -23,7 +23,6 @@ MODULES = {  # files that are compiled together, of which the last ones hold ker
     "scan": ("basics", "scan"),
 }
 KERNEL = re.compile(r"^KERNEL(?:\s+__launch_bounds__\([^)]*\))?\s+(\w+)\(([^)]*)\)", re.MULTILINE)
-STATIC_SHARED_BYTES = 48 << 10  # shared memory of a block that needs no leave
 
 
 class Engine(Protocol):
@@ -40,6 +39,9 @@ class Engine(Protocol):
 
     def free_bytes(self) -> int:
         """Memory of the device that is left."""
+
+    def release(self) -> None:
+        """Give back what is held for arrays to come: their sizes have changed."""
 
 
 def source_of(module: str) -> str:
@@ -85,9 +87,13 @@ class CudaEngine:
                 self._modules[module] = self.xp.RawModule(code=source_of(module), options=("--std=c++17",))
             self._kernels[name] = self._modules[module].get_function(name)
         kernel = self._kernels[name]
-        if shared_bytes > max(STATIC_SHARED_BYTES, kernel.max_dynamic_shared_size_bytes):
+        if shared_bytes > kernel.max_dynamic_shared_size_bytes:
             kernel.max_dynamic_shared_size_bytes = shared_bytes
         return kernel
+
+    def release(self) -> None:
+        """Give back what CuPy holds for arrays to come."""
+        self.xp.get_default_memory_pool().free_all_blocks()
 
     def free_bytes(self) -> int:
         """Memory of the device that is left, with what CuPy holds for later."""

@@ -98,3 +98,59 @@ KERNEL __launch_bounds__(SORT_THREADS)
     keys_out[to] = key[i], values_out[to] = values ? values[at] : at;
   }
 }
+
+// --- running sums --------------------------------------------------------------------------------
+
+constexpr int SCAN_ITEMS = 8, SCAN_BLOCK = SORT_THREADS * SCAN_ITEMS;
+constexpr u64 TOLD_OWN_SUM = 1ull << 62, TOLD_ALL_SUM = 2ull << 62, SUM_BITS = TOLD_OWN_SUM - 1;
+
+// ends[i]: the sum of counts[order[k]], k <= i; order null: of counts[k]. status (blocks) and ticket: zero before.
+KERNEL __launch_bounds__(SORT_THREADS)
+    sum_counts(const u32 *counts, const u32 *order, u32 n, i64 *ends, u64 *status, u32 *ticket) {
+  __shared__ u64 of_warps[SORT_THREADS / 32], shared_before;
+  __shared__ u32 number;
+  const int lane = lane_of_warp(), warp = warp_of_block();
+  if (threadIdx.x == 0) number = atomicAdd(ticket, 1u);
+  __syncthreads();
+  const u32 block = number, first = block * SCAN_BLOCK + threadIdx.x * SCAN_ITEMS;
+  u32 item[SCAN_ITEMS];
+  u64 own = 0;
+#pragma unroll
+  for (int i = 0; i < SCAN_ITEMS; i++) {
+    const u32 at = first + i;
+    item[i] = at < n ? counts[order ? order[at] : at] : 0, own += item[i];
+  }
+  u64 sum = own;
+  for (int step = 1; step < 32; step <<= 1) {
+    const u64 other = __shfl_up_sync(FULL, sum, step);
+    if (lane >= step) sum += other;
+  }
+  if (lane == 31) of_warps[warp] = sum;
+  __syncthreads();
+  u64 total = 0, of_others = 0;
+  for (int w = 0; w < SORT_THREADS / 32; w++) {
+    if (w < warp) of_others += of_warps[w];
+    total += of_warps[w];
+  }
+  if (threadIdx.x == 0) {
+    volatile u64 *told = status;
+    u64 before = 0;
+    told[block] = total | (block ? TOLD_OWN_SUM : TOLD_ALL_SUM);
+    for (u32 b = block; b-- > 0;) {
+      u64 word;
+      do word = told[b];
+      while (!(word & ~SUM_BITS));
+      before += word & SUM_BITS;
+      if (word & TOLD_ALL_SUM) break;
+    }
+    if (block) told[block] = (before + total) | TOLD_ALL_SUM;
+    shared_before = before;
+  }
+  __syncthreads();
+  u64 running = shared_before + of_others + sum - own;
+#pragma unroll
+  for (int i = 0; i < SCAN_ITEMS; i++) {
+    running += item[i];
+    if (first + i < n) ends[first + i] = (i64)running;
+  }
+}

@@ -8,7 +8,7 @@ from ..errors import DrSplatError
 from ..kernels.splatting import camera_numbers
 from ..scene.views import View
 from .engine import Engine, blocks_of
-from .sorting import MOST_KEYS, sorted_pairs
+from .sorting import MOST_KEYS, empty, running_sums, sorted_pairs
 
 TILE = 16  # pixels a side
 SPLAT_FLOATS, EXTENT_FLOATS = 8, 8  # of the structures in projection.cuh
@@ -79,24 +79,24 @@ def tiles_of(engine: Engine, projected: Projected, raster: Raster, *, training: 
     Raises: DrSplatError: more pairs than can be sorted.
     """
     xp, count = engine.xp, len(projected.keys)
-    order = sorted_pairs(engine, projected.keys, None, DEPTH_BITS)[1]
-    ends = xp.cumsum(projected.counts[order], dtype=xp.int64)
-    row_ends = xp.cumsum(projected.counts, dtype=xp.int64) if training else None
+    order = sorted_pairs(engine, projected.keys, None, DEPTH_BITS).values
+    ends = running_sums(engine, projected.counts, order)
+    row_ends = running_sums(engine, projected.counts) if training else None
     pairs = int(ends[-1]) if count else 0
     if pairs > MOST_KEYS:
         raise DrSplatError(
             f"a view of {raster.width}x{raster.height} pixels has {pairs:,} pairs of splats and tiles, more than "
             f"{MOST_KEYS:,}: make the image smaller, or take device 'cpu'"
         )
-    keys, values = xp.empty(pairs, xp.uint32), xp.empty(pairs, xp.uint32)
-    owners = xp.empty(pairs, xp.uint32) if training else None
+    keys, values = empty(engine, pairs, xp.uint32), empty(engine, pairs, xp.uint32)
+    owners = empty(engine, pairs, xp.uint32) if training else None
     engine.launch(
         "list_tiles", blocks_of(count), 256, order, projected.counts, ends, row_ends, projected.splats,
         projected.extents, count, raster.columns, keys, values, owners,
     )  # fmt: skip
     keys, values = sorted_pairs(engine, keys, values, (raster.num_tiles - 1).bit_length())
     starts = xp.zeros(raster.num_tiles + 1, xp.uint32)
-    ids = xp.empty(pairs, xp.uint32) if training else values
+    ids = empty(engine, pairs, xp.uint32) if training else values
     engine.launch(
         "find_tiles", blocks_of(pairs), 256, keys, values, owners, pairs, raster.num_tiles, starts,
         ids if training else None,

@@ -11,6 +11,7 @@ import numpy as np
 from ..kernels.training import SceneParameters
 from ..scene.views import View
 from .engine import Engine, blocks_of
+from .sorting import empty
 from .tiling import Projected, Raster, Tiles, room_for_splats, sent_camera, tiles_of
 
 PIXELS_IN_A_TILE = 256
@@ -80,7 +81,7 @@ class DevicePass(NamedTuple):
     def backward(self, image_gradient: Any) -> DeviceGradients:
         """Return the parameters' gradients, given the loss's gradient by the image."""
         engine, xp, raster, tiles = self.engine, self.engine.xp, self.view.raster, self.tiles
-        sums = xp.empty((len(tiles.ids), SUMS), xp.float32)
+        sums = empty(engine, SUMS * len(tiles.ids), xp.float32)
         engine.launch(
             "draw_colors_backward", raster.num_tiles, PIXELS_IN_A_TILE, tiles.starts, tiles.ids, tiles.rows,
             self.projected.splats, self.colors, raster.width, raster.height, raster.columns, self.image,

@@ -1,6 +1,7 @@
 """The optimisation of `run` on a GPU: our own kernels draw, compare and step; arrays stay on the device."""
 
 import math
+import os
 from functools import partial
 from typing import Any, cast
 
@@ -94,9 +95,16 @@ class DeviceRun(Run):
     def __init__(self, beginning: Beginning, engine: Engine) -> None:
         self.engine = engine
         super().__init__(beginning)
+        self.photos.read_all(os.cpu_count() or 1)  # else the GPU waits for each of them
         self.targets = DevicePhotos(self.photos, engine)
         self.window = loss_window(engine)
         self._cameras: dict[tuple[int, int, int], DeviceView] = {}
+
+    def _learn(self, gradients: Gradients, threads: int) -> None:
+        before = len(self)
+        super()._learn(gradients, threads)
+        if len(self) != before:
+            self.engine.release()
 
     def _placed(self, optimizer: Optimizer) -> Optimizer:
         return DeviceOptimizer.sent(optimizer, self.engine)

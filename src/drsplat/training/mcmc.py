@@ -124,7 +124,7 @@ def _line_integral(opacity: Float64[Anywhere, " n"], sharing: int) -> Float64[An
     Sum over i = 1..N, k = 0..i-1 of C(i-1, k) (-1)^k o^(k+1) / sqrt(k+1); over i first, that is C(N, k+1).
     """
     terms = [comb(sharing, k) * (-1) ** (k - 1) / sqrt(k) * opacity**k for k in range(1, sharing + 1)]
-    total: Anywhere = np.sum(terms, axis=0)
+    total: Anywhere = sum(terms[1:], terms[0])
     return total
 
 

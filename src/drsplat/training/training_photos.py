@@ -1,6 +1,8 @@
 """The photos of a run: decoded, undistorted and resized once, kept as bytes; and their order."""
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from threading import Lock
 from typing import NamedTuple
 
 import numpy as np
@@ -65,9 +67,18 @@ class TrainingPhotos:
         self._views, self._room = views, memory_bytes
         self._kept: dict[int, Photo] = {}
         self._outside: dict[tuple[object, ...], np.ndarray] = {}
+        self._counting = Lock()
 
     def __len__(self) -> int:
         return len(self._views)
+
+    def read_all(self, threads: int) -> None:
+        """Read photos by several threads, as many as are kept: else each is read when it is first asked for."""
+        with ThreadPoolExecutor(threads) as pool:
+            for begin in range(0, len(self), threads):
+                few = list(pool.map(self.__getitem__, range(begin, min(begin + threads, len(self)))))
+                if few[-1].num_bytes > self._room:
+                    return
 
     def __getitem__(self, index: int) -> Photo:
         if index in self._kept:
@@ -75,22 +86,24 @@ class TrainingPhotos:
         view = self._views[index]
         kept = load_mask(view)
         photo = Photo(load_image(view), self._outside_of(view), None if kept is None else ~kept)
-        if photo.num_bytes <= self._room:
-            self._kept[index] = photo
-            self._room -= photo.num_bytes
+        with self._counting:
+            if photo.num_bytes <= self._room:
+                self._kept[index] = photo
+                self._room -= photo.num_bytes
         return photo
 
     def _outside_of(self, view: View) -> Integer[np.ndarray, " m"]:
         """Shared by the views of one camera."""
         camera = (view.width, view.height, view.distortion, view.K.tobytes())
-        if camera not in self._outside:
-            covered = photo_coverage(view)
-            outside = np.flatnonzero(~covered).astype(np.int32)
-            if outside.nbytes > self._room:
-                return outside
-            self._outside[camera] = outside
-            self._room -= outside.nbytes
-        return self._outside[camera]
+        with self._counting:
+            if camera not in self._outside:
+                covered = photo_coverage(view)
+                outside = np.flatnonzero(~covered).astype(np.int32)
+                if outside.nbytes > self._room:
+                    return outside
+                self._outside[camera] = outside
+                self._room -= outside.nbytes
+            return self._outside[camera]
 
 
 class ViewOrder:
