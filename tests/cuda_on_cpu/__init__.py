@@ -58,7 +58,7 @@ def kernels(folder: Path) -> dict[str, tuple[object, list[str]]]:
         path = folder / f"{module}.cpp"
         path.write_text('#include "cuda.h"\n' + source + "".join(_entry(*item) for item in names.items()))
         library = path.with_suffix(".so")
-        command = [COMPILER, "-std=c++17", "-O1", "-ffp-contract=off", "-w", "-shared", "-fPIC"]
+        command = [COMPILER, "-std=c++17", "-O2", "-U_FORTIFY_SOURCE", "-ffp-contract=off", "-w", "-shared", "-fPIC"]
         subprocess.run([*command, f"-I{Path(__file__).parent}", str(path), "-o", str(library)], check=True)
         loaded = ctypes.CDLL(str(library))
         for name, parameters in names.items():

@@ -1,6 +1,7 @@
 // CUDA's words for a C++ compiler: the threads of a block are fibers that take turns, a barrier is where they meet.
 #pragma once
 #include <math.h>
+#include <setjmp.h>
 #include <stdint.h>
 #include <string.h>
 #include <ucontext.h>
@@ -18,7 +19,9 @@ static inline float4 make_float4(float x, float y, float z, float w) { return {x
 namespace emulated {
 enum { kMostThreads = 1024, kStack = 1 << 16 };
 struct Meeting { unsigned arrived = 0, round = 0; };  // of those who wait for each other
-static ucontext_t scheduler, fibers[kMostThreads];
+static ucontext_t fibers[kMostThreads];
+static jmp_buf scheduler_at, fibers_at[kMostThreads];  // of those that have begun: jumps make no system calls
+static bool begun[kMostThreads];
 static bool ended[kMostThreads];
 static unsigned current, threads;
 static Meeting block_meeting, warp_meetings[kMostThreads / 32];
@@ -28,7 +31,15 @@ static unsigned char shared[1 << 18];
 static std::vector<unsigned char> stacks;
 static void (*body)(void **);
 static void **arguments;
-static inline void turn() { swapcontext(&fibers[current], &scheduler); }
+static inline void turn() {
+  if (!_setjmp(fibers_at[current])) _longjmp(scheduler_at, 1);
+}
+static __attribute__((noinline)) void resume(unsigned index) {
+  if (_setjmp(scheduler_at)) return;
+  if (begun[index]) _longjmp(fibers_at[index], 1);
+  begun[index] = true;
+  setcontext(&fibers[index]);
+}
 static inline void meet(Meeting &m, unsigned expected) {
   const unsigned round = m.round;
   if (++m.arrived == expected) m.arrived = 0, m.round++;
@@ -41,39 +52,40 @@ static uint3 threadIdx, blockIdx, blockDim, gridDim;
 
 namespace emulated {
 static void run_fiber(unsigned index) {
-  threadIdx = {index, 0, 0};
   body(arguments);
   ended[index] = true;
   for (;;) turn();
 }
+static unsigned meetings() {
+  unsigned sum = block_meeting.round + block_meeting.arrived;
+  for (auto &m : warp_meetings) sum += m.round + m.arrived;
+  return sum;
+}
 static int run_block() {
+  bool stuck = false;
   threads = blockDim.x;
   block_meeting = {};
   for (auto &m : warp_meetings) m = {};
   for (unsigned i = 0; i < threads; i++) {
-    ended[i] = false;
+    ended[i] = begun[i] = false;
     getcontext(&fibers[i]);
     fibers[i].uc_stack.ss_sp = stacks.data() + (size_t)i * kStack;
     fibers[i].uc_stack.ss_size = kStack;
     fibers[i].uc_link = nullptr;
     makecontext(&fibers[i], (void (*)())run_fiber, 1, i);
   }
-  for (unsigned left = threads, idle = 0; left;) {
-    const unsigned before = left;
-    unsigned met = block_meeting.round + block_meeting.arrived;
-    for (auto &m : warp_meetings) met += m.round + m.arrived;
+  for (unsigned left = threads, idle = 0; left && idle < 4;) {  // 4: they wait for others that never come
+    const unsigned before = left, met = meetings();
     for (unsigned i = 0; i < threads; i++) {
       if (ended[i]) continue;
       current = i, threadIdx = {i, 0, 0};
-      swapcontext(&scheduler, &fibers[i]);
+      resume(i);
       left -= ended[i];
     }
-    unsigned after = block_meeting.round + block_meeting.arrived;
-    for (auto &m : warp_meetings) after += m.round + m.arrived;
-    idle = left == before && met == after ? idle + 1 : 0;
-    if (idle > 3) return 1;  // some wait for others that never come
+    idle = left == before && met == meetings() ? idle + 1 : 0;
+    stuck = left > 0;
   }
-  return 0;
+  return stuck;
 }
 }  // namespace emulated
 
