@@ -1,18 +1,35 @@
 """The CUDA kernels compiled for the CPU: threads of a block take turns. Slow, and the same source as on a GPU."""
 
+import atexit
 import ctypes
 import re
 import shutil
 import subprocess
+import tempfile
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from drsplat.cuda.engine import KERNEL, MODULES, source_of
 
 COMPILER = shutil.which("g++") or shutil.which("clang++")
 NUMBERS = {"int": ctypes.c_int, "u32": ctypes.c_uint, "float": ctypes.c_float, "i64": ctypes.c_longlong}
+
+
+def compiled() -> Path:
+    """Return a folder for what is compiled, one for this process; skips the test where there is no compiler."""
+    if COMPILER is None:
+        pytest.skip("needs a C++ compiler, to run CUDA kernels on the CPU")
+    return _folder()
+
+
+@cache
+def _folder() -> Path:
+    folder = Path(tempfile.mkdtemp(prefix="cuda_on_cpu"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
 
 
 class CpuEngine:

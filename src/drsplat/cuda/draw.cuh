@@ -4,10 +4,10 @@ constexpr int CHANNELS_AT_ONCE = 8;
 // values (n, channels). image (height, width, channels), alpha and depth (height, width); depth: weighted mean of
 // camera z, 0 where nothing is.
 KERNEL __launch_bounds__(256)
-    draw(const u32 *starts, const u32 *ids, const Splat *splats, int width, int height, int columns,
+    draw(const u32 *starts, const u32 *ids, const Splat *splats, int first_tile, int width, int height, int columns,
          const float *values, int channels, const float *background, float *image, float *alpha, float *depth) {
   __shared__ Batch<256> batch;
-  const int tile = blockIdx.x;
+  const int tile = first_tile + blockIdx.x;
   const Place place = place_of_thread(tile, columns, width, height);
   const List list = {ids, starts[tile], starts[tile + 1], splats, nullptr, tile, columns};
   const size_t pixel = (size_t)place.y * width + place.x;

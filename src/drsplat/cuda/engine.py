@@ -7,7 +7,7 @@ from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -20,11 +20,11 @@ MODULES = {  # files that are compiled together, of which the last ones hold ker
     "drawing": (*COMMON, "draw", "weights"),
     "training": (*COMMON, "training"),
     "loss": ("basics", "loss"),
-    "scan": ("basics", "scan"),
 }
 KERNEL = re.compile(r"^KERNEL(?:\s+__launch_bounds__\([^)]*\))?\s+(\w+)\(([^)]*)\)", re.MULTILINE)
 
 
+@runtime_checkable
 class Engine(Protocol):
     """Arrays that kernels read and write, and the kernels. xp: the module of the arrays: cupy, or numpy in tests."""
 
@@ -138,6 +138,11 @@ def blocks_of(count: int, threads: int = 256) -> int:
     return -(-count // threads)
 
 
+def is_memory_full(error: Exception) -> bool:
+    """Return whether an error says that the device's memory is full: CuPy's, which is not loaded without a GPU."""
+    return type(error).__name__ == "OutOfMemoryError"
+
+
 @contextmanager
 def memory_explained(where: Callable[[], str]) -> Iterator[None]:
     """Turn an allocation that fails on the device into an error that says where, and what to do.
@@ -147,6 +152,6 @@ def memory_explained(where: Callable[[], str]) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        if type(error).__name__ != "OutOfMemoryError":  # CuPy's, which is not loaded where there is no GPU
+        if not is_memory_full(error):
             raise
         raise DrSplatError(f"the GPU's memory is full {where()}. {error}") from error

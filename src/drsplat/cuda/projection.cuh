@@ -103,26 +103,31 @@ DEVICE u32 tiles_of(const Splat &s, const Extent &e) {
   return count;
 }
 
+struct Rows { int first, last; };  // of tiles: those from `last` on, and those before `first`, are not looked at
+
 // keys: order as the depths do, and those that are not seen come last. counts: tiles of each.
-DEVICE bool keep_splat(u32 i, const Shape &g, const Camera &c, int width, int height, int antialiased, Splat *splats,
-                       Extent *extents, u32 *keys, u32 *counts) {
+DEVICE bool keep_splat(u32 i, const Shape &g, const Camera &c, int width, int height, int antialiased, Rows rows,
+                       Splat *splats, Extent *extents, u32 *keys, u32 *counts) {
   Splat s;
   Extent e;
   const bool seen = project(g, c, width, height, antialiased, s, e);
+  if (seen) e.y0 = (short)max(e.y0, rows.first), e.y1 = (short)min(e.y1, rows.last);
   const u32 count = seen ? tiles_of(s, e) : 0;
   keys[i] = count ? __float_as_uint(s.depth) : 0xffffffffu, counts[i] = count;
   if (count) splats[i] = s, extents[i] = e;
   return count > 0;
 }
 
-// means (3, n), covariances (6, n), opacities (n): of `kernels.splatting.SplatArrays`.
+// means (3, n), covariances (6, n), opacities (n): of `kernels.splatting.SplatArrays`. Rows [first_row, last_row) of
+// tiles are looked at.
 KERNEL project_scene(const float *means, const float *covariances, const float *opacities, u32 n, const Camera *camera,
-                     int width, int height, int antialiased, Splat *splats, Extent *extents, u32 *keys, u32 *counts) {
+                     int width, int height, int antialiased, int first_row, int last_row, Splat *splats,
+                     Extent *extents, u32 *keys, u32 *counts) {
   const u32 i = blockIdx.x * blockDim.x + threadIdx.x;
   if (i >= n) return;
   Shape g;
   for (size_t a = 0; a < 3; a++) g.mean[a] = means[a * n + i];
   for (size_t a = 0; a < 6; a++) g.covariance[a] = covariances[a * n + i];
   g.opacity = opacities[i];
-  keep_splat(i, g, *camera, width, height, antialiased, splats, extents, keys, counts);
+  keep_splat(i, g, *camera, width, height, antialiased, {first_row, last_row}, splats, extents, keys, counts);
 }

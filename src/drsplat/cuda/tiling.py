@@ -15,6 +15,10 @@ SPLAT_FLOATS, EXTENT_FLOATS = 8, 8  # of the structures in projection.cuh
 DEPTH_BITS = 32
 
 
+class OutOfMemoryError(DrSplatError):
+    """There is more than fits, whatever memory the device has; answered as CuPy's error of this name."""
+
+
 class Raster(NamedTuple):
     """Size of an image, in pixels."""
 
@@ -76,7 +80,7 @@ def sent_camera(engine: Engine, view: View, near: float) -> Any:
 def tiles_of(engine: Engine, projected: Projected, raster: Raster, *, training: bool = False) -> Tiles:
     """Sort a view's splats into tiles. Waits for the device once, to learn how many pairs there are.
 
-    Raises: DrSplatError: more pairs than can be sorted.
+    Raises: OutOfMemoryError: more pairs than can be sorted at once, as if there were no memory for them.
     """
     xp, count = engine.xp, len(projected.keys)
     order = sorted_pairs(engine, projected.keys, None, DEPTH_BITS).values
@@ -84,9 +88,9 @@ def tiles_of(engine: Engine, projected: Projected, raster: Raster, *, training: 
     row_ends = running_sums(engine, projected.counts) if training else None
     pairs = int(ends[-1]) if count else 0
     if pairs > MOST_KEYS:
-        raise DrSplatError(
-            f"a view of {raster.width}x{raster.height} pixels has {pairs:,} pairs of splats and tiles, more than "
-            f"{MOST_KEYS:,}: make the image smaller, or take device 'cpu'"
+        raise OutOfMemoryError(
+            f"a view of {raster.width}x{raster.height} pixels has {pairs:,} pairs of splats and tiles, more than can "
+            f"be sorted at once, {MOST_KEYS:,}"
         )
     keys, values = empty(engine, pairs, xp.uint32), empty(engine, pairs, xp.uint32)
     owners = empty(engine, pairs, xp.uint32) if training else None

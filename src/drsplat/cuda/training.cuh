@@ -115,7 +115,7 @@ KERNEL project_parameters(const float *means, const float *log_scales, const flo
   for (int a = 0; a < 3; a++) g.mean[a] = means[3 * (size_t)i + a];
   g.covariance[0] = V[0], g.covariance[1] = V[1], g.covariance[2] = V[2], g.covariance[3] = V[4];
   g.covariance[4] = V[5], g.covariance[5] = V[8], g.opacity = sigmoid(logits[i]);
-  if (keep_splat(i, g, *camera, width, height, antialiased, splats, extents, keys, counts))
+  if (keep_splat(i, g, *camera, width, height, antialiased, {0, 1 << 15}, splats, extents, keys, counts))
     colors[i] = color_of(p, i, g.mean, camera->center);
 }
 

@@ -40,16 +40,16 @@ struct Largest {  // the k largest weights of a pixel, in a column of its own
 // (tiles, topk, 256): room for the largest, null: shared memory. chosen (height, width). bounds (tiles, 8): of what
 // put_weights writes, or null.
 KERNEL __launch_bounds__(256)
-    choose_weights(const u32 *starts, const u32 *ids, const Splat *splats, int width, int height, int columns,
+    choose_weights(const u32 *starts, const u32 *ids, const Splat *splats, int first_tile, int width, int height, int columns,
                    const int *masks, int topk, int first_hits, float *columns_of_tiles, Chosen *chosen, u32 *bounds) {
   __shared__ Batch<256> batch;
   DYNAMIC_SHARED(float, shared_columns);
-  const int tile = blockIdx.x;
+  const int tile = first_tile + blockIdx.x;
   const Place place = place_of_thread(tile, columns, width, height);
   const List list = {ids, starts[tile], starts[tile + 1], splats, nullptr, tile, columns};
   const size_t pixel = (size_t)place.y * width + place.x;
   const int mask = !place.inside ? -1 : masks ? masks[pixel] : 0;
-  float *column = columns_of_tiles ? columns_of_tiles + (size_t)tile * topk * 256 : shared_columns;
+  float *column = columns_of_tiles ? columns_of_tiles + (size_t)blockIdx.x * topk * 256 : shared_columns;
   Largest largest = {column + threadIdx.x, topk, 0, 0, 0.f};
   u32 seen = 0;
   walk(
@@ -64,16 +64,16 @@ KERNEL __launch_bounds__(256)
   u32 kinds = 0;  // of masks in this warp
   for (u32 left = __ballot_sync(FULL, mask >= 0); left; kinds++)
     left &= ~__ballot_sync(FULL, mask == __shfl_sync(FULL, mask, __ffs(left) - 1));
-  if (lane_of_warp() == 0) bounds[tile * WARPS + warp_of_block()] = seen * kinds;
+  if (lane_of_warp() == 0) bounds[blockIdx.x * WARPS + warp_of_block()] = seen * kinds;
 }
 
 // ends (tiles, 8): of each warp's room, by the bounds. Room that is left has Gaussian n.
 KERNEL __launch_bounds__(256)
-    put_weights(const u32 *starts, const u32 *ids, const Splat *splats, int width, int height, int columns,
+    put_weights(const u32 *starts, const u32 *ids, const Splat *splats, int first_tile, int width, int height, int columns,
                 const int *masks, int first_hits, const Chosen *chosen, const u32 *bounds, const i64 *ends, u32 n,
                 u32 *gaussians, u32 *mask_ids, float *weights) {
   __shared__ Batch<256> batch;
-  const int tile = blockIdx.x, warp = tile * WARPS + warp_of_block(), lane = lane_of_warp();
+  const int tile = first_tile + blockIdx.x, warp = blockIdx.x * WARPS + warp_of_block(), lane = lane_of_warp();
   const Place place = place_of_thread(tile, columns, width, height);
   const List list = {ids, starts[tile], starts[tile + 1], splats, nullptr, tile, columns};
   const size_t pixel = (size_t)place.y * width + place.x;
@@ -103,10 +103,10 @@ KERNEL __launch_bounds__(256)
 
 // ids and values (height, width, topk), which hold -1 and 0: descending, equal ones front to back.
 KERNEL __launch_bounds__(256)
-    put_contributions(const u32 *starts, const u32 *ids, const Splat *splats, int width, int height, int columns,
+    put_contributions(const u32 *starts, const u32 *ids, const Splat *splats, int first_tile, int width, int height, int columns,
                       int topk, int first_hits, const Chosen *chosen, int *found, float *values) {
   __shared__ Batch<256> batch;
-  const int tile = blockIdx.x;
+  const int tile = first_tile + blockIdx.x;
   const Place place = place_of_thread(tile, columns, width, height);
   const List list = {ids, starts[tile], starts[tile + 1], splats, nullptr, tile, columns};
   const size_t pixel = (size_t)place.y * width + place.x;
@@ -137,7 +137,7 @@ KERNEL mark_pairs(const u32 *places, const u32 *gaussians, const u32 *mask_ids, 
 
 // The sum of each pair's weights. numbers: inclusive sums of `begins`.
 KERNEL add_pairs(const u32 *places, const u32 *gaussians, const u32 *mask_ids, const float *weights, u32 count, u32 n,
-                 const u32 *begins, const i64 *numbers, u32 *out_gaussians, int *out_masks, float *out_weights) {
+                 const u32 *begins, const i64 *numbers, u32 *out_gaussians, u32 *out_masks, float *out_weights) {
   const u32 i = blockIdx.x * blockDim.x + threadIdx.x;
   if (i >= count || !begins[i]) return;
   const i64 to = numbers[i] - 1;
@@ -146,5 +146,5 @@ KERNEL add_pairs(const u32 *places, const u32 *gaussians, const u32 *mask_ids, c
     if (gaussians[places[k]] == n) break;
     sum += weights[places[k]];
   }
-  out_gaussians[to] = gaussians[places[i]], out_masks[to] = (int)mask_ids[places[i]], out_weights[to] = sum;
+  out_gaussians[to] = gaussians[places[i]], out_masks[to] = mask_ids[places[i]], out_weights[to] = sum;
 }
