@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     __version__: str
     from .codes import PQ, Codebook, Mixture, load_codebook, train_codebook
+    from .cuda.devices import using_device
     from .drawing.rendering import render
     from .embedding.embed import embed
     from .encoders import Encoder, EncoderIdentity
@@ -44,7 +45,7 @@ _HOMES = {
     "scene.photos": ("load_image",), "query": ("Answer", "Cut", "Match", "Query", "Scene", "open_scene"),
     "registration": ("Registration", "register"), "drawing.rendering": ("render",),
     "viewing.exporting": ("export_page",), "training": ("TrainingSettings", "train"), "scene.views": ("View",),
-    "models.words": ("WordEncoder",),
+    "models.words": ("WordEncoder",), "cuda.devices": ("using_device",),
 }  # fmt: skip
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
@@ -54,7 +55,7 @@ __all__ = [
     "TrainingSettings", "View", "ViewFeatures", "WordEncoder", "__version__", "embed", "evaluate", "export_page",
     "load_codebook", "load_encoder", "load_field", "load_image", "load_segmenter", "open_scene", "read_features",
     "read_gaussians", "read_sparse_points", "read_views", "read_vocabulary", "register", "render", "train",
-    "train_codebook", "write_gaussians",
+    "train_codebook", "using_device", "write_gaussians",
 ]  # fmt: skip
 
 

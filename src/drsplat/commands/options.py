@@ -155,6 +155,19 @@ def add_query_encoders(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def add_kernel_device(parser: argparse._ActionsContainer) -> None:
+    """Add --device of a verb that computes with kernels of our own and no models."""
+    parser.add_argument(
+        "--device", choices=("auto", "cpu", "cuda"), default="auto",
+        help="device to compute on; auto is CUDA where CuPy and a GPU are at hand (default: auto)",
+    )  # fmt: skip
+
+
+def device_for_kernels(arguments: argparse.Namespace) -> str:
+    """Return the device to draw on where --device names that of the models as well: a GPU if CuPy finds it too."""
+    return "auto" if arguments.device in ("auto", "cuda") else "cpu"
+
+
 def tracker(arguments: argparse.Namespace) -> Track:
     from ..progress import track
 

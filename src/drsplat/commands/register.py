@@ -14,6 +14,7 @@ from .options import (
     add_capture_options,
     add_features,
     add_invert_masks,
+    add_kernel_device,
     add_near,
     add_overwrite,
     count,
@@ -85,6 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="folder for the finished views of an unfinished run, of tiles also an address such as s3://bucket/run; "
         "kept (default: FIELD.parts, removed at the end)",
     )  # fmt: skip
+    add_kernel_device(parser)
     add_workers(parser.add_argument_group("tiles"))
     add_capture_options(parser)
     add_invert_masks(parser)
@@ -146,10 +148,12 @@ def _add_code(method: argparse._ArgumentGroup) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ..cuda.devices import using_device
     from ..formats.field_folder import claimed_field
 
-    with claimed_field(new_or_complete(arguments.output, arguments.overwrite)) as output:
-        return _registered(arguments, output)
+    output = new_or_complete(arguments.output, arguments.overwrite)
+    with claimed_field(output) as claimed, using_device(arguments.device) as device:
+        return _registered(arguments, claimed) | {"device": device}
 
 
 def interrupted(arguments: argparse.Namespace) -> str:

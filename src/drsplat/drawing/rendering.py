@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Bool, Float32, Integer
+from ..cuda.places import on_host
 from ..errors import InputError
 from ..kernels import SplatArrays, render_channels, sh_colors, splat_arrays
 from ..scene.gaussians import Gaussians
@@ -59,7 +60,7 @@ def render(
         gaussians, extra = gaussians.subset(select), extra[select]
         arrays = arrays.subset(select)
     eye = view.relative_to(arrays.origin).center
-    colors = sh_colors(gaussians.sh, arrays.means.T, eye, threads=threads)
+    colors = sh_colors(gaussians.sh, on_host(arrays.means).T, eye, threads=threads)
     behind = np.concatenate([np.asarray(background, np.float32), np.zeros(extra.shape[1], np.float32)])
     image, alpha, depth = render_channels(arrays, view, np.hstack([colors, extra]), behind, threads=threads)
     return Picture(image[..., :3], alpha, depth, image[..., 3:])

@@ -105,8 +105,15 @@ def splat_arrays(gaussians: Gaussians, near: float | None = None) -> SplatArrays
     Raises: InputError: a near plane that is not in front of the camera.
     """
     arrays = splat_arrays_at_origin(gaussians.localized(), gaussians.near if near is None else near)
+    return on_device_in_use(arrays)
+
+
+def on_device_in_use(splats: SplatArrays) -> SplatArrays:
+    """Return a scene's arrays on the device in use, copied there if they are the host's."""
     engine = engine_in_use()
-    sent: SplatArrays = arrays if engine is None else _on_device().sent_splats(engine, arrays)
+    if engine is None or splats.engine is not None:
+        return splats
+    sent: SplatArrays = _on_device().sent_splats(engine, splats)
     return sent
 
 
