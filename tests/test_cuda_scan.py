@@ -1,14 +1,12 @@
 """Search on a GPU: its kernels, run on the CPU, beside the native ones and the float64 twin."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from cuda_on_cpu import COMPILER, CpuEngine
+from cuda_on_cpu import CpuEngine, compiled
 from drsplat.cuda import scanning
 from drsplat.errors import InputError
 from drsplat.kernels import scan
@@ -16,18 +14,12 @@ from drsplat.kernels.scan import ERROR, GroupedRows, QueryTables
 from test_scan import drawn
 from twins import scan as reference_scan
 
-pytestmark = pytest.mark.skipif(COMPILER is None, reason="needs a C++ compiler, to run CUDA kernels on the CPU")
 HOPPER, ADA = 227 << 10, 99 << 10  # shared memory of a block
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("cuda_on_cpu")
-
-
 @pytest.fixture(scope="module", params=[HOPPER, ADA], ids=["all sub-vectors at once", "64 at once"])
-def engine(request: pytest.FixtureRequest, folder: Path) -> CpuEngine:
-    return CpuEngine(folder, request.param)
+def engine(request: pytest.FixtureRequest) -> CpuEngine:
+    return CpuEngine(compiled(), request.param)
 
 
 def first_query(tables: QueryTables) -> QueryTables:

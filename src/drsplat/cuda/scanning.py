@@ -21,8 +21,8 @@ from ..kernels.scan import (
     refuse_several_queries,
     shapes_of,
 )
-from .drawing import on_host
 from .engine import Engine, blocks_of
+from .places import on_host
 from .sorting import MOST_KEYS, sorted_pairs
 
 THREADS = 512  # of a block, as in scan.cuh
@@ -55,7 +55,9 @@ def sent_rows(engine: Engine, rows: GroupedRows) -> DeviceRows:
     """
     shapes = shapes_of(rows)
     if shapes.count > MOST_KEYS:
-        raise InputError(f"expected up to {MOST_KEYS:,} rows to search on a GPU, got {shapes.count:,}: take device 'cpu'")
+        raise InputError(
+            f"expected up to {MOST_KEYS:,} rows to search on a GPU, got {shapes.count:,}: take device 'cpu'"
+        )
     _refuse_full_device(engine, rows)
     xp, ids = engine.xp, rows.coarse_ids
     return DeviceRows(
@@ -102,7 +104,7 @@ def scan_top(
     """
     scores = _scores_of_one(rows, tables)
     check_count(count)
-    places = sorted_pairs(rows.engine, _falling_keys(rows.engine.xp, scores), None, 32)[1][:count]
+    places = sorted_pairs(rows.engine, _falling_keys(rows.engine.xp, scores), None, 32).values[:count]
     return on_host(places).astype(np.int64), on_host(scores[places])
 
 
@@ -130,16 +132,10 @@ def device_scores(rows: DeviceRows, tables: QueryTables) -> Iterator[Any]:
     luts = xp.asarray(np.ascontiguousarray(tables.luts))
     coarse = None if tables.coarse is None else xp.asarray(np.ascontiguousarray(tables.coarse))
     scores = xp.empty(rows.count, xp.float32)
-    return (_scanned(rows, luts[q], None if coarse is None else coarse[q], scores) for q in range(len(luts)))
+    return (scanned(rows, luts[q], None if coarse is None else coarse[q], scores) for q in range(len(luts)))
 
 
-def _scores_of_one(rows: DeviceRows, tables: QueryTables) -> Any:
-    scores = device_scores(rows, tables)
-    refuse_several_queries(tables)
-    return next(scores)
-
-
-def _scanned(rows: DeviceRows, luts: Any, coarse: Any | None, scores: Any) -> Any:
+def scanned(rows: DeviceRows, luts: Any, coarse: Any | None, scores: Any) -> Any:
     """Fill the scores of one query, with as many sub-vectors at once as shared memory has room for."""
     engine, subvectors = rows.engine, rows.codes.shape[1]
     slots, at_once = blocks_of(subvectors, SLOT), 2 * (engine.shared_bytes // SLICE_BYTES)
@@ -152,6 +148,12 @@ def _scanned(rows: DeviceRows, luts: Any, coarse: Any | None, scores: Any) -> An
             scores if begin else None, *ending, scores, shared_bytes=blocks_of(number, 2) * SLICE_BYTES,
         )  # fmt: skip
     return scores
+
+
+def _scores_of_one(rows: DeviceRows, tables: QueryTables) -> Any:
+    scores = device_scores(rows, tables)
+    refuse_several_queries(tables)
+    return next(scores)
 
 
 def _multiprocessors(engine: Engine) -> int:
