@@ -96,18 +96,16 @@ def copied_bytes_per_second(engine: Engine, num_bytes: int, rounds: int) -> floa
     def copy() -> None:
         engine.xp.copyto(target, source)
 
-    ms = median_ms(engine, copy, rounds, device_ms)
-    del source, target
-    engine.release()
-    return 2e3 * num_bytes / ms
+    return 2e3 * num_bytes / median_ms(engine, copy, rounds, device_ms)
 
 
 def on_device(engine: Engine, rows: scanning.DeviceRows, rounds: int) -> None:
     """Time the scan, and each kind of answer."""
-    subvectors, points = rows.codes.shape[1], rows.count
+    subvectors, points = rows.codes.shape[1], rows.num_rows
     many = drawn_tables(subvectors, QUERIES)
     tables = QueryTables(many.luts[:1])
     bandwidth = copied_bytes_per_second(engine, min(COPY_BYTES, rows.codes.nbytes), rounds)
+    engine.release()
     luts, scores = engine.xp.asarray(tables.luts[0]), engine.xp.empty(points, engine.xp.float32)
     ms = median_ms(engine, partial(scanning.scanned, rows, luts, None, scores), rounds, device_ms)
     moved = rows.codes.nbytes + 8 * points
@@ -133,13 +131,13 @@ def on_device(engine: Engine, rows: scanning.DeviceRows, rounds: int) -> None:
 
 def beside_the_cpu(engine: Engine, rows: scanning.DeviceRows, cpu_points: int) -> None:
     """Time the native kernels on the first rows, scaled to all, and compare the scores."""
-    points = min(cpu_points, rows.count)
+    points = min(cpu_points, rows.num_rows)
     tables = drawn_tables(rows.codes.shape[1], 1)
     host = GroupedRows(
         scanning.on_host(rows.codes[: -(-points // GROUP)]), scanning.on_host(rows.inverse_norms[:points])
     )
     ms = median_ms(engine, partial(scan.scan_scores, host, tables), 5, wall_ms)
-    scale = rows.count / points
+    scale = rows.num_rows / points
     shown("CPU, scan_scores (wall time), all cores", ms * scale, f"measured on {points:,} points, times {scale:g}")
     ours, native = scanning.scan_scores(rows, tables)[0, :points], scan.scan_scores(host, tables)[0]
     print(f"  largest difference between GPU and CPU: {float(abs(ours - native).max()):.1e}")

@@ -43,9 +43,9 @@ class DeviceRows(NamedTuple):
     shapes: RowShapes
 
     @property
-    def count(self) -> int:
+    def num_rows(self) -> int:
         """Number of rows."""
-        return self.shapes.count
+        return self.shapes.num_rows
 
 
 def sent_rows(engine: Engine, rows: GroupedRows) -> DeviceRows:
@@ -54,9 +54,9 @@ def sent_rows(engine: Engine, rows: GroupedRows) -> DeviceRows:
     Raises: InputError: more rows than a scan can have, or than the device has memory for.
     """
     shapes = shapes_of(rows)
-    if shapes.count > MOST_KEYS:
+    if shapes.num_rows > MOST_KEYS:
         raise InputError(
-            f"expected up to {MOST_KEYS:,} rows to search on a GPU, got {shapes.count:,}: take device 'cpu'"
+            f"expected up to {MOST_KEYS:,} rows to search on a GPU, got {shapes.num_rows:,}: take device 'cpu'"
         )
     _refuse_full_device(engine, rows)
     xp, ids = engine.xp, rows.coarse_ids
@@ -74,7 +74,7 @@ def scan_scores(rows: DeviceRows, tables: QueryTables) -> Float32[np.ndarray, "q
 
     Raises: InputError: arrays that do not fit each other.
     """
-    scores = np.empty((len(tables.luts), rows.count), np.float32)
+    scores = np.empty((len(tables.luts), rows.num_rows), np.float32)
     for query, on_device in enumerate(device_scores(rows, tables)):
         scores[query] = on_host(on_device)
     return scores
@@ -88,7 +88,7 @@ def scan_above(
     Raises: InputError: more than one query, or arrays that do not fit each other.
     """
     scores = _scores_of_one(rows, tables)
-    check_floor(floor, rows.count)
+    check_floor(floor, rows.num_rows)
     xp = rows.engine.xp
     margins = scores if floor is None else scores - xp.asarray(np.ascontiguousarray(floor))
     matches = xp.flatnonzero(margins > np.float32(threshold))
@@ -115,7 +115,7 @@ def scan_best(
 
     Raises: InputError: arrays that do not fit each other.
     """
-    xp, count = rows.engine.xp, rows.count
+    xp, count = rows.engine.xp, rows.num_rows
     index, best, runner_up = (xp.empty(count, kind) for kind in (xp.int32, xp.float32, xp.float32))
     for query, scores in enumerate(device_scores(rows, tables)):
         rows.engine.launch("keep_best", blocks_of(count), 256, scores, count, query, index, best, runner_up)
@@ -131,7 +131,7 @@ def device_scores(rows: DeviceRows, tables: QueryTables) -> Iterator[Any]:
     xp = rows.engine.xp
     luts = xp.asarray(np.ascontiguousarray(tables.luts))
     coarse = None if tables.coarse is None else xp.asarray(np.ascontiguousarray(tables.coarse))
-    scores = xp.empty(rows.count, xp.float32)
+    scores = xp.empty(rows.num_rows, xp.float32)
     return (scanned(rows, luts[q], None if coarse is None else coarse[q], scores) for q in range(len(luts)))
 
 
@@ -139,12 +139,12 @@ def scanned(rows: DeviceRows, luts: Any, coarse: Any | None, scores: Any) -> Any
     """Fill the scores of one query, with as many sub-vectors at once as shared memory has room for."""
     engine, subvectors = rows.engine, rows.codes.shape[1]
     slots, at_once = blocks_of(subvectors, SLOT), 2 * (engine.shared_bytes // SLICE_BYTES)
-    blocks = min(_multiprocessors(engine), blocks_of(rows.count, ROWS_IN_A_BLOCK))
+    blocks = min(_multiprocessors(engine), blocks_of(rows.num_rows, ROWS_IN_A_BLOCK))
     for begin in range(0, slots, at_once):
         number = min(at_once, slots - begin)
         ending = (coarse, rows.coarse_ids, rows.inverse_norms) if begin + number == slots else (None, None, None)
         engine.launch(
-            "scan", blocks, THREADS, rows.codes, rows.count, subvectors, begin * SLOT, number, luts,
+            "scan", blocks, THREADS, rows.codes, rows.num_rows, subvectors, begin * SLOT, number, luts,
             scores if begin else None, *ending, scores, shared_bytes=blocks_of(number, 2) * SLICE_BYTES,
         )  # fmt: skip
     return scores

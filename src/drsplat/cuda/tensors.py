@@ -1,8 +1,8 @@
 """Scenes that are on the GPU already, as tensors of any library that speaks DLPack: torch's are taken without a copy.
 
-    splats = splats_of_tensors(means, quats, scales, opacities, near=0.2)
-    image, alpha, depth = drawn_channels(splats, view, as_array(colors), as_array(background))
-    image = torch.from_dlpack(image)
+splats = splats_of_tensors(means, quats, scales, opacities, near=0.2)
+image, alpha, depth = drawn_channels(splats, view, as_array(colors), as_array(background))
+image = torch.from_dlpack(image)
 """
 
 from typing import Any

@@ -35,7 +35,7 @@ class RowShapes(NamedTuple):
     """Shapes of coded features, wherever they are, and their largest coarse id (0 without)."""
 
     codes: tuple[int, ...]
-    count: int
+    num_rows: int
     coarse_ids: tuple[int, ...] | None
     largest_id: int
 
@@ -181,7 +181,7 @@ def shapes_of(rows: GroupedRows) -> RowShapes:
 
 def check_fit(rows: RowShapes, tables: QueryTables) -> None:
     """Refuse rows and tables that do not fit each other, wherever the rows are. Raises: InputError."""
-    count, queries = rows.count, len(tables.luts)
+    count, queries = rows.num_rows, len(tables.luts)
     groups, subvectors = -(-count // GROUP), rows.codes[1]
     if rows.codes != (groups, subvectors, GROUP) or not 0 < subvectors < 1 << 16:
         raise InputError(f"expected codes ({groups}, L, {GROUP}) for {count} rows, got {rows.codes}")
