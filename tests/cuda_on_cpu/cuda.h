@@ -180,5 +180,13 @@ static inline float __fsub_rn(float a, float b) { return a - b; }
 static inline float __fmaf_rn(float a, float b, float c) { return fmaf(a, b, c); }
 template <class T>
 static inline T __ldg(const T *p) { return *p; }
+template <class T>
+static inline T __ldcs(const T *p) { return *p; }
+static inline unsigned __byte_perm(unsigned low, unsigned high, unsigned chosen) {
+  const uint64_t both = (uint64_t)high << 32 | low;
+  unsigned bytes = 0;
+  for (int i = 0; i < 4; i++) bytes |= (unsigned)(both >> 8 * (chosen >> 4 * i & 7) & 255) << 8 * i;
+  return bytes;
+}
 static inline int min(int a, int b) { return a < b ? a : b; }
 static inline int max(int a, int b) { return a > b ? a : b; }

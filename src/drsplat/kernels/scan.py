@@ -31,6 +31,15 @@ class GroupedRows(NamedTuple):
     coarse_ids: UInt16[np.ndarray, " n"] | None = None
 
 
+class RowShapes(NamedTuple):
+    """Shapes of coded features, wherever they are, and their largest coarse id (0 without)."""
+
+    codes: tuple[int, ...]
+    num_rows: int
+    coarse_ids: tuple[int, ...] | None
+    largest_id: int
+
+
 class QueryTables(NamedTuple):
     """Inner products of queries with each code's centroid, and with each coarse centroid or None."""
 
@@ -112,11 +121,9 @@ def scan_above(
     Raises: InputError: more than one query, or arrays that do not fit each other.
     """
     arguments = _checked(rows, tables, how)
-    _refuse_several_queries(tables)
-    if floor is not None:
-        if floor.shape != rows.inverse_norms.shape:
-            raise InputError(f"expected a floor per row, got {floor.shape}")
-        floor = np.ascontiguousarray(floor)
+    refuse_several_queries(tables)
+    check_floor(floor, len(rows.inverse_norms))
+    floor = None if floor is None else np.ascontiguousarray(floor)
     matches, scores = _native.scan_above(*arguments, float(threshold), floor)
     return np.asarray(matches).view(np.int64), np.asarray(scores)  # else "long long"
 
@@ -129,9 +136,8 @@ def scan_top(
     Raises: InputError: more than one query, a count below 1, or arrays that do not fit each other.
     """
     arguments = _checked(rows, tables, how)
-    _refuse_several_queries(tables)
-    if count < 1:
-        raise InputError(f"expected a count of 1 or more, got {count}")
+    refuse_several_queries(tables)
+    check_count(count)
     best, scores = _native.scan_top(*arguments, min(count, len(rows.inverse_norms) + 1))
     return np.asarray(best).view(np.int64), np.asarray(scores)  # else "long long"
 
@@ -153,33 +159,62 @@ _ScanArguments = tuple[tuple[object, ...], tuple[object, ...], tuple[object, ...
 
 
 def _checked(rows: GroupedRows, tables: QueryTables, how: Scanning) -> _ScanArguments:
-    codes, norms, ids = rows
-    count, subvectors = len(norms), codes.shape[1]
-    if codes.shape != (-(-count // GROUP), subvectors, GROUP) or not 0 < subvectors < 1 << 16:
-        raise InputError(f"expected codes ({-(-count // GROUP)}, L, {GROUP}) for {count} rows, got {codes.shape}")
-    queries = len(tables.luts)
+    check_fit(shapes_of(rows), tables)
+    if not how.error > 0 or how.wide < 0:
+        raise InputError(f"expected an error above 0 and wide of 0 or more, got {how}")
+    whole = tuple(
+        tuple(None if part is None else np.ascontiguousarray(part) for part in parts) for parts in (rows, tables)
+    )
+    return whole[0], whole[1], (how.error, how.wide, how.threads, checked_isa(how.isa))
+
+
+def shapes_of(rows: GroupedRows) -> RowShapes:
+    """Return what `check_fit` needs of rows."""
+    ids = rows.coarse_ids
+    return RowShapes(
+        rows.codes.shape,
+        len(rows.inverse_norms),
+        None if ids is None else ids.shape,
+        0 if ids is None else int(ids.max(initial=0)),
+    )
+
+
+def check_fit(rows: RowShapes, tables: QueryTables) -> None:
+    """Refuse rows and tables that do not fit each other, wherever the rows are. Raises: InputError."""
+    count, queries = rows.num_rows, len(tables.luts)
+    groups, subvectors = -(-count // GROUP), rows.codes[1]
+    if rows.codes != (groups, subvectors, GROUP) or not 0 < subvectors < 1 << 16:
+        raise InputError(f"expected codes ({groups}, L, {GROUP}) for {count} rows, got {rows.codes}")
     if tables.luts.shape[1:] != (subvectors, CENTROIDS) or not 0 < queries <= 1 << 16:
         raise InputError(
             f"expected tables (Q, {subvectors}, {CENTROIDS}) of 1 to 65536 queries for these codes, "
             f"got {tables.luts.shape}"
         )
-    if (ids is None) != (tables.coarse is None):
+    if (rows.coarse_ids is None) != (tables.coarse is None):
         raise InputError("coarse ids belong with coarse tables, and only with them")
-    if ids is not None and tables.coarse is not None:
-        if ids.shape != (count,) or len(tables.coarse) != queries or tables.coarse.shape[1] > 65535:
+    if rows.coarse_ids is not None and tables.coarse is not None:
+        if rows.coarse_ids != (count,) or len(tables.coarse) != queries or tables.coarse.shape[1] > 65535:
             raise InputError(
                 f"expected {count} coarse ids and tables ({queries}, up to 65535), "
-                f"got {ids.shape} and {tables.coarse.shape}"
+                f"got {rows.coarse_ids} and {tables.coarse.shape}"
             )
-        if int(ids.max(initial=0)) >= max(tables.coarse.shape[1], 1):
-            raise InputError(f"coarse id {ids.max()} of {tables.coarse.shape[1]} coarse centroids")
-    if not how.error > 0 or how.wide < 0:
-        raise InputError(f"expected an error above 0 and wide of 0 or more, got {how}")
-    arrays = (codes, norms, ids), tables
-    whole = tuple(tuple(None if part is None else np.ascontiguousarray(part) for part in parts) for parts in arrays)
-    return whole[0], whole[1], (how.error, how.wide, how.threads, checked_isa(how.isa))
+        if rows.largest_id >= max(tables.coarse.shape[1], 1):
+            raise InputError(f"coarse id {rows.largest_id} of {tables.coarse.shape[1]} coarse centroids")
 
 
-def _refuse_several_queries(tables: QueryTables) -> None:
+def check_floor(floor: Float32[np.ndarray, " n"] | None, count: int) -> None:
+    """Refuse a floor of another length than the rows. Raises: InputError."""
+    if floor is not None and floor.shape != (count,):
+        raise InputError(f"expected a floor per row, got {floor.shape}")
+
+
+def check_count(count: int) -> None:
+    """Refuse to look for less than one row. Raises: InputError."""
+    if count < 1:
+        raise InputError(f"expected a count of 1 or more, got {count}")
+
+
+def refuse_several_queries(tables: QueryTables) -> None:
+    """Refuse the tables of more than one query. Raises: InputError."""
     if len(tables.luts) != 1:
         raise InputError(f"expected the tables of one query, got {len(tables.luts)}")

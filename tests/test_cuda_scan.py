@@ -1,0 +1,153 @@
+"""Search on a GPU: its kernels, run on the CPU, beside the native ones and the float64 twin."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from cuda_on_cpu import CpuEngine, compiled
+from drsplat.cuda import scanning
+from drsplat.errors import InputError
+from drsplat.kernels import scan
+from drsplat.kernels.scan import ERROR, GroupedRows, QueryTables
+from test_scan import drawn
+from twins import scan as reference_scan
+
+HOPPER, ADA = 227 << 10, 99 << 10  # shared memory of a block
+
+
+@pytest.fixture(scope="module", params=[HOPPER, ADA], ids=["all sub-vectors at once", "64 at once"])
+def engine(request: pytest.FixtureRequest) -> CpuEngine:
+    return CpuEngine(compiled(), request.param)
+
+
+def first_query(tables: QueryTables) -> QueryTables:
+    return QueryTables(*(None if part is None else part[:1] for part in tables))
+
+
+def check_everything(engine: CpuEngine, rows: GroupedRows, tables: QueryTables) -> None:
+    """Scores near the twin's, and every other answer what these scores say."""
+    device, exact = scanning.sent_rows(engine, rows), reference_scan.scan_scores(rows, tables)
+    scores = scanning.scan_scores(device, tables)
+    assert scores.dtype == np.float32
+    assert_allclose(scores, exact, rtol=0, atol=ERROR / 10)
+    assert_allclose(scores, scan.scan_scores(rows, tables), rtol=0, atol=1.1 * ERROR)
+    best = scanning.scan_best(device, tables)
+    for mine, native, twin in zip(best, scan.scan_best(rows, tables), reference_scan.best(scores), strict=True):
+        assert mine.dtype == native.dtype
+        assert_array_equal(mine, twin)
+    one, (first,) = first_query(tables), scores[:1]
+    threshold, floor = float(np.median(first)), scores[-1]
+    for lowest in (None, floor):
+        matches, theirs = scanning.scan_above(device, one, threshold, lowest)
+        assert (matches.dtype, theirs.dtype) == (np.int64, np.float32)
+        assert_array_equal(matches, reference_scan.above(first, threshold, 0.0 if lowest is None else lowest))
+        assert_array_equal(theirs, first[matches])
+    for count in (1, 9, len(first) + 5):
+        matches, theirs = scanning.scan_top(device, one, count)
+        assert (matches.dtype, theirs.dtype) == (np.int64, np.float32)
+        assert_array_equal(matches, reference_scan.top(first, count))
+        assert_array_equal(theirs, first[matches])
+
+
+@pytest.mark.parametrize("subvectors", [1, 7, 32, 33, 64, 65, 128, 200])
+@pytest.mark.parametrize(("count", "queries"), [(1, 1), (31, 3), (257, 2)])
+def test_answers_are_those_of_the_scores_and_scores_those_of_the_twin(
+    engine: CpuEngine, subvectors: int, count: int, queries: int
+) -> None:
+    check_everything(engine, *drawn(subvectors, count, subvectors, queries, coarse=subvectors % 2 * 5))
+
+
+def test_more_rows_than_blocks_score_at_once(engine: CpuEngine) -> None:
+    check_everything(engine, *drawn(1, 5000, 128, 1, coarse=3))
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 150), st.integers(1, 700), st.integers(1, 3))
+@settings(deadline=None, max_examples=15)
+def test_laws(engine: CpuEngine, seed: int, subvectors: int, count: int, queries: int) -> None:
+    check_everything(engine, *drawn(seed, count, subvectors, queries, coarse=seed % 2 * 3))
+
+
+def test_a_closed_form(engine: CpuEngine) -> None:
+    """lut[m, c] = c + 1000 m: sums are whole numbers, which float32 has exactly."""
+    rng = np.random.default_rng(0)
+    codes = rng.integers(0, 256, (777, 70), np.uint8)
+    lut = (np.arange(256) + 1000.0 * np.arange(70)[:, None]).astype(np.float32)
+    rows = scanning.sent_rows(engine, GroupedRows(scan.group_codes(codes), np.full(777, 0.5, np.float32)))
+    sums = codes.sum(axis=1, dtype=np.int64) + 1000 * 69 * 70 // 2
+    assert_array_equal(scanning.scan_scores(rows, QueryTables(lut[None]))[0], sums / 2)
+
+
+def test_each_run_gives_the_same_bits_on_any_number_of_blocks(
+    engine: CpuEngine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows, tables = drawn(2, 3000, 35, coarse=4)
+    device = scanning.sent_rows(engine, rows)
+    first = scanning.scan_scores(device, tables)
+    for blocks in (1, 3):
+        monkeypatch.setattr(scanning, "EMULATED_BLOCKS", blocks)
+        assert_array_equal(scanning.scan_scores(device, tables), first)
+
+
+def test_ties_go_to_the_first(engine: CpuEngine) -> None:
+    rows, tables = drawn(8, 2000, 3)
+    few = rows._replace(codes=rows.codes % 2, inverse_norms=np.ones(2000, np.float32))
+    device = scanning.sent_rows(engine, few)
+    scores = scanning.scan_scores(device, tables)[0]
+    assert len(set(scores.tolist())) <= 8
+    assert_array_equal(scanning.scan_top(device, tables, 700)[0], reference_scan.top(scores, 700))
+    index, best, runner_up = scanning.scan_best(device, QueryTables(np.repeat(tables.luts, 3, axis=0)))
+    assert not index.any()
+    assert_array_equal(best, runner_up)
+
+
+def test_zeros_of_either_sign_are_equal(engine: CpuEngine) -> None:
+    rows, tables = drawn(5, 400, 8)
+    device = scanning.sent_rows(engine, rows._replace(inverse_norms=np.zeros(400, np.float32)))
+    assert np.signbit(scanning.scan_scores(device, tables)).any()
+    assert_array_equal(scanning.scan_top(device, tables, 400)[0], np.arange(400))
+
+
+def test_bytes_after_the_last_row_are_never_reported(engine: CpuEngine) -> None:
+    rows, tables = drawn(2, 300, 4)
+    rows.codes[1, :, 44:] = np.arange(256, dtype=np.uint8)[44:]
+    tables.luts[0, :, 44:] += 10
+    device = scanning.sent_rows(engine, rows)
+    assert scanning.scan_top(device, tables, 1000)[0].max() == 299
+    assert_array_equal(scanning.scan_above(device, tables, -np.inf)[0], np.arange(300))
+
+
+def test_of_no_rows_there_is_nothing(engine: CpuEngine) -> None:
+    rows, tables = drawn(3, 0, 5)
+    device = scanning.sent_rows(engine, rows)
+    assert scanning.scan_scores(device, tables).shape == (1, 0)
+    for arrays in (scanning.scan_above(device, tables, 0.0), scanning.scan_top(device, tables, 3)):
+        assert [len(array) for array in arrays] == [0, 0]
+    assert [len(array) for array in scanning.scan_best(device, tables)] == [0, 0, 0]
+
+
+def test_what_does_not_fit_is_refused(engine: CpuEngine) -> None:
+    rows, tables = drawn(10, 300, 4, 2, coarse=3)
+    device, one = scanning.sent_rows(engine, rows), first_query(tables)
+    with pytest.raises(InputError, match="expected tables"):
+        scanning.scan_scores(device, tables._replace(luts=tables.luts[:, :3]))
+    with pytest.raises(InputError, match="coarse ids belong"):
+        scanning.scan_best(device, tables._replace(coarse=None))
+    with pytest.raises(InputError, match="coarse id 2 of 1"):
+        scanning.scan_best(device, tables._replace(coarse=tables.coarse[:, :1]))
+    with pytest.raises(InputError, match="one query"):
+        scanning.scan_top(device, tables, 1)
+    with pytest.raises(InputError, match="one query"):
+        scanning.scan_above(device, tables, 0.0)
+    with pytest.raises(InputError, match="count of 1 or more"):
+        scanning.scan_top(device, one, 0)
+    with pytest.raises(InputError, match="a floor per row"):
+        scanning.scan_above(device, one, 0.0, np.zeros(3, np.float32))
+
+
+def test_a_full_device_is_refused_with_what_is_needed(engine: CpuEngine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(CpuEngine, "free_bytes", lambda self: 1_000_000)
+    rows, _ = drawn(11, 100_000, 7)
+    with pytest.raises(InputError, match=r"needs 0\.00 GB.* 100,000 rows, of which 0\.00 GB are free.*device 'cpu'"):
+        scanning.sent_rows(engine, rows)
