@@ -34,7 +34,7 @@ TRAINED, REGISTERED, TOPK = (1600, 1064), (1000, 730), 40
 MASKS, MASK_SIDE, WORDS = 60, 100, 512
 GROWING = ds.TrainingSettings(
     iterations=10**6, strategy="mcmc", refine_from=100, refine_every=25, growth=0.1, sh_degree_every=100,
-    max_gaussians=1,
+    max_gaussians=4,
 )  # fmt: skip
 
 
@@ -171,6 +171,7 @@ def registered(grown: Grown, num_views: int) -> None:
         for view in views[:20]:
             view_weights(there, view, masks, TOPK)
     embeddings = rng.standard_normal((MASKS, WORDS)).astype(np.float32)
+    embeddings /= np.linalg.norm(embeddings, axis=1, keepdims=True)
     features = {view.name: ds.ViewFeatures(masks, embeddings) for view in views}
     peak_mib()
     for device in ("cuda", "cpu"):

@@ -20,6 +20,7 @@ MODULES = {  # files that are compiled together, of which the last ones hold ker
     "drawing": (*COMMON, "draw", "weights"),
     "training": (*COMMON, "training"),
     "loss": ("basics", "loss"),
+    "noise": ("basics", "noise"),
     "scan": ("basics", "scan"),
 }
 KERNEL = re.compile(r"^KERNEL(?:\s+__launch_bounds__\([^)]*\))?\s+(\w+)\(([^)]*)\)", re.MULTILINE)

@@ -4,7 +4,7 @@
 // Nothing is added up by atomic additions: each (splat, tile) has a row of sums, and those of a Gaussian follow each
 // other. So the same input gives the same bits.
 constexpr int SUMS = 9;       // dL/d(colour), then with G = dL/d(ln alpha): G, G dx, G dy, G dx^2, G dx dy, G dy^2
-constexpr int BATCH_BACK = 64;
+constexpr int BATCH_BACK = 128;
 constexpr u32 FEW_ROWS = 32;  // of a Gaussian: more are added up by the whole warp
 
 struct Parameters {
@@ -164,7 +164,7 @@ KERNEL __launch_bounds__(256)
                          int width, int height, int columns, const float *image, const float *gradient, float *sums) {
   __shared__ Batch<BATCH_BACK> batch;
   __shared__ float partial[WARPS][BATCH_BACK][SUMS];
-  __shared__ u64 done[WARPS];
+  __shared__ u64 done[WARPS][2];
   const int tile = blockIdx.x, lane = lane_of_warp(), warp = warp_of_block();
   const Place place = place_of_thread(tile, columns, width, height);
   const List list = {ids, starts[tile], starts[tile + 1], splats, colors, tile, columns};
@@ -172,7 +172,7 @@ KERNEL __launch_bounds__(256)
   float slope[3] = {}, behind = 0.f;
   if (place.inside)
     for (int c = 0; c < 3; c++) slope[c] = gradient[pixel + c], behind += image[pixel + c] * slope[c];
-  u64 here = 0;  // entries of the batch that this warp has sums of
+  u64 low = 0, high = 0;  // entries of the batch that this warp has sums of
   const Walked walked = walk(
       batch, list, place, place.inside, 0,
       [&](int j, const Hit &hit) {
@@ -188,17 +188,18 @@ KERNEL __launch_bounds__(256)
         const float eight = eight_sums(v), last = warp_sum(gy * hit.dy);
         if ((lane & 3) == 0) partial[warp][j][(lane >> 4 & 1) * 4 + (lane >> 3 & 1) * 2 + (lane >> 2 & 1)] = eight;
         if (lane == 0) partial[warp][j][8] = last;
-        here |= 1ull << j;
+        if (j < 64) low |= 1ull << j;
+        else high |= 1ull << (j - 64);
       },
       [&](u32 begin, u32 end) {
-        if (lane == 0) done[warp] = here;
-        here = 0;
+        if (lane == 0) done[warp][0] = low, done[warp][1] = high;
+        low = high = 0;
         __syncthreads();
         for (int k = threadIdx.x; k < (int)(end - begin) * SUMS; k += 256) {
           const int entry = k / SUMS, column = k % SUMS;
           float sum = 0.f;
           for (int w = 0; w < WARPS; w++)
-            if (done[w] >> entry & 1) sum += partial[w][entry][column];
+            if (done[w][entry / 64] >> entry % 64 & 1) sum += partial[w][entry][column];
           sums[(size_t)rows[begin + entry] * SUMS + column] = sum;
         }
       });

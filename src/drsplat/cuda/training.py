@@ -197,3 +197,11 @@ def adam_step(
         "adam_shapes", min(blocks_of(11 * count), MOST_BLOCKS), 256, count, *parameters[:4], *gradients[:4],
         *first[:4], *second[:4], *(rate / bias for rate in rates[:4]), *numbers,
     )  # fmt: skip
+
+
+def normals(engine: Engine, rng: np.random.Generator, count: int) -> Any:
+    """Draw normal numbers on the device, float32 (count, 3); `rng` decides which."""
+    drawn = engine.xp.empty((count, 3), engine.xp.float32)
+    low, high = (int(word) for word in rng.integers(1 << 32, size=2))
+    engine.launch("draw_normals", blocks_of(3 * count, 4 * 256), 256, drawn, 3 * count, low, high)
+    return drawn

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from ..arrays import Anywhere, Bool, Float32, Integer
-from ..cuda.places import normals, on_host, placed
+from ..cuda.places import on_host, placed
 from ..formats.activation import sigmoid
 from ..kernels.training import Gradients, SceneParameters
 from .optimizer import Optimizer
@@ -111,7 +111,8 @@ def split(parents: SceneParameters, rng: np.random.Generator, shrink: float = 1.
     Source: 3DGS Sec. 5.2 (scale divided by phi = 1.6).
     """
     twice = SceneParameters(*(np.concatenate([array] * CHILDREN) for array in parents))
-    local = normals(rng, twice.means) * np.exp(twice.log_scales)
+    drawn = rng.standard_normal(twice.means.shape, np.float32)  # few: the host draws them for every device
+    local = placed(drawn, twice.means) * np.exp(twice.log_scales)
     means = twice.means + rotated(twice.quats, local)
     log_scales = twice.log_scales - np.float32(math.log(shrink))
     return twice._replace(means=means, log_scales=log_scales)

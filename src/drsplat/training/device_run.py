@@ -17,6 +17,7 @@ from ..cuda.training import (
     adam_step,
     forward,
     loss_window,
+    normals,
     photometric_loss,
     sent_view,
 )
@@ -55,6 +56,9 @@ class DeviceOptimizer(Optimizer):
         """One step of Adam, in place."""
         slopes = cast(DeviceGradients, gradients)
         adam_step(self.engine, self.parameters, self.first, self.second, slopes, AdamRates(*rates), step)
+
+    def noise(self, rng: np.random.Generator, count: int) -> Any:
+        return normals(self.engine, rng, count)
 
     def on_host(self) -> SceneParameters:
         return SceneParameters(*map(on_host, self.parameters))

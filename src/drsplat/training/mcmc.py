@@ -10,7 +10,7 @@ from math import comb, sqrt
 import numpy as np
 
 from ..arrays import Anywhere, Float32, Float64, Integer
-from ..cuda.places import normals, placed
+from ..cuda.places import placed
 from ..formats.activation import sigmoid
 from ..kernels.training import Gradients
 from .density import add_opacity_penalty
@@ -56,7 +56,7 @@ class MonteCarlo:
         distance = s.noise_opacity - sigmoid(p.logits)
         strength = sigmoid(np.float32(s.noise_steepness) * distance.astype(np.float32))
         rows = np.flatnonzero(strength > LEAST_STRENGTH)
-        noise = normals(rng, p.means[rows])
+        noise = optimizer.noise(rng, len(rows))
         noise *= (strength[rows] * np.float32(s.noise_rate * rate))[:, None]
         p.means[rows] += spread(p.quats[rows], np.exp(p.log_scales[rows]), noise)
 

@@ -60,6 +60,10 @@ class Optimizer:
         constants = self.parameters.sh[:, 0]
         np.clip(constants, -MAX_CONSTANT, MAX_CONSTANT, out=constants)
 
+    def noise(self, rng: np.random.Generator, count: int) -> Float32[Anywhere, "count 3"]:
+        """Draw normal numbers where the parameters are."""
+        return rng.standard_normal((count, 3), np.float32)
+
     def keep(self, rows: Rows) -> None:
         """Only these Gaussians remain, in this order."""
         self.parameters = _rows(self.parameters, rows)
