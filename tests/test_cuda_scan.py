@@ -1,5 +1,7 @@
 """Search on a GPU: its kernels, run on the CPU, beside the native ones and the float64 twin."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -7,10 +9,14 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from cuda_on_cpu import CpuEngine, compiled
-from drsplat.cuda import scanning
-from drsplat.errors import InputError
+from drsplat import EncoderIdentity, LanguageField, load_field, open_scene
+from drsplat.codes import Codebook, Codes, PQCode, pq_code
+from drsplat.cuda import devices, scanning, searching
+from drsplat.errors import InputError, MissingExtraError
 from drsplat.kernels import scan
 from drsplat.kernels.scan import ERROR, GroupedRows, QueryTables
+from drsplat.serving.scene_folder import SceneFolder, Sources
+from test_mixture import code as mixture_code
 from test_scan import drawn
 from twins import scan as reference_scan
 
@@ -149,5 +155,83 @@ def test_what_does_not_fit_is_refused(engine: CpuEngine) -> None:
 def test_a_full_device_is_refused_with_what_is_needed(engine: CpuEngine, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(CpuEngine, "free_bytes", lambda self: 1_000_000)
     rows, _ = drawn(11, 100_000, 7)
-    with pytest.raises(InputError, match=r"needs 0\.00 GB.* 100,000 rows, of which 0\.00 GB are free.*device 'cpu'"):
+    with pytest.raises(InputError, match=r"needs 4 MB.* 100,000 rows, of which 1 MB are free.*device 'cpu'"):
         scanning.sent_rows(engine, rows)
+
+
+@pytest.fixture
+def toy_code() -> PQCode:
+    rng = np.random.default_rng(12)
+    codebook = Codebook(rng.normal(size=(4, 256, 3)).astype(np.float32), None, EncoderIdentity("toy", 12))
+    return pq_code(codebook, Codes(rng.integers(0, 256, (700, 4), np.uint8), None))
+
+
+def unit_vectors(count: int, dim: int) -> np.ndarray:
+    vectors = np.random.default_rng(13).normal(size=(count, dim)).astype(np.float32)
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
+
+def test_a_code_on_a_gpu_answers_as_on_the_cpu(engine: CpuEngine, toy_code: PQCode) -> None:
+    on_gpu, queries = searching.on_engine(toy_code, engine), unit_vectors(20, 12)
+    assert_allclose(on_gpu.scores(queries), toy_code.scores(queries), rtol=0, atol=1.1 * ERROR)
+    exact = toy_code.decode(np.arange(700)).astype(np.float64) @ queries.T.astype(np.float64)
+    assert_allclose(on_gpu.best(queries).scores, exact.max(axis=1), rtol=0, atol=1e-5)
+    assert_array_equal(on_gpu.top(queries[0], 9).rows, reference_scan.top(on_gpu.scores(queries[:1])[0], 9))
+    floor = on_gpu.scores(queries[1:2])[0]
+    hits = on_gpu.select(queries[0], 0.1, floor)
+    assert_array_equal(hits.rows, reference_scan.above(on_gpu.scores(queries[:1])[0], 0.1, floor))
+    assert len(hits.rows)
+
+
+def test_rows_are_sent_once_and_at_the_first_search(
+    engine: CpuEngine, toy_code: PQCode, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent: list[GroupedRows] = []
+    send = scanning.sent_rows
+    monkeypatch.setattr(scanning, "sent_rows", lambda engine, rows: sent.append(rows) or send(engine, rows))
+    on_gpu = searching.on_engine(toy_code, engine)
+    assert not sent
+    on_gpu.top(unit_vectors(1, 12)[0], 3)
+    on_gpu.best(unit_vectors(3, 12))
+    assert len(sent) == 1
+
+
+def test_a_field_is_searched_where_it_is_opened_to_be(
+    engine: CpuEngine, toy_code: PQCode, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ids = np.arange(700, dtype=np.uint32)
+    LanguageField(ids, toy_code, toy_code.codebook.encoder, "toy", 700).save(tmp_path / "toy.field")
+    monkeypatch.setattr(devices, "unavailable", lambda: None)
+    monkeypatch.setattr(searching, "cuda_engine", lambda: engine)
+    query = unit_vectors(1, 12)[0]
+    on_cpu = load_field(tmp_path / "toy.field")
+    assert type(on_cpu.code) is PQCode
+    for device in ("cuda", "auto"):
+        on_gpu = open_scene(tmp_path / "toy.field", search_device=device).field
+        assert isinstance(on_gpu.code, searching.DevicePQCode)
+        assert_allclose(on_gpu.scores(query), on_cpu.scores(query), rtol=0, atol=1.1 * ERROR)
+        assert on_gpu.equals(on_cpu)
+    on_gpu.save(tmp_path / "again.field")
+    assert type(load_field(tmp_path / "again.field").code) is PQCode
+
+
+def test_without_a_gpu_cuda_is_refused_with_its_reason_and_auto_is_the_cpu(
+    toy_code: PQCode, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(devices, "unavailable", lambda: "device 'cuda' needs CuPy")
+    with pytest.raises(MissingExtraError, match="needs CuPy"):
+        searching.searched_on(toy_code, "cuda")
+    with pytest.raises(InputError, match="expected one of"):
+        searching.searched_on(toy_code, "mps")
+    assert searching.searched_on(toy_code, "auto") is toy_code
+    with pytest.raises(MissingExtraError, match="needs CuPy"):
+        SceneFolder(tmp_path, Sources(search_device="cuda")).check_sources()
+
+
+def test_codes_of_another_kind_stay_on_the_cpu(engine: CpuEngine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(devices, "unavailable", lambda: None)
+    monkeypatch.setattr(searching, "cuda_engine", lambda: engine)
+    code = mixture_code()
+    with pytest.raises(InputError, match="kept as 'pq', got 'mixture'"):
+        searching.searched_on(code, "cuda")
+    assert searching.searched_on(code, "auto") is code

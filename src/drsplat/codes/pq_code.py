@@ -74,7 +74,7 @@ class PQCode:
 
     def scores(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Float32[np.ndarray, "q n"]:
         """See Code. The error is at most 1e-4."""
-        batches = [scan_scores(self._rows, tables, self._exact(threads)) for tables in self._tables(queries, threads)]
+        batches = [self._scan_scores(tables, self._exact(threads)) for tables in self._tables(queries, threads)]
         if len(batches) == 1:
             return batches[0]
         return np.concatenate([np.empty((0, len(self)), np.float32), *batches])
@@ -89,12 +89,12 @@ class PQCode:
     ) -> Hits:
         """See Code."""
         tables = self.codebook.tables(query[None], threads=threads)
-        return Hits(*scan_above(self._rows, tables, threshold, floor, self._exact(threads)))
+        return self._scan_above(tables, threshold, floor, self._exact(threads))
 
     def top(self, query: Float32[np.ndarray, " D"], count: int, *, threads: int = 0) -> Hits:
         """See Code. Raises: InputError: a count below 1."""
         tables = self.codebook.tables(query[None], threads=threads)
-        return Hits(*scan_top(self._rows, tables, count, self._exact(threads)))
+        return self._scan_top(tables, count, self._exact(threads))
 
     def best(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Best:
         """See Code. More than 16 queries: scores are off by up to 2e-3 (six standard deviations).
@@ -106,7 +106,7 @@ class PQCode:
         how = self._exact(threads) if len(queries) <= FEW else self._hybrid(threads)
         best: Best | None = None
         for number, tables in enumerate(self._tables(queries, threads)):
-            batch = Best(*scan_best(self._rows, tables, how))
+            batch = self._scan_best(tables, how)
             best = batch if best is None else _better(best, batch, number * BATCH)
         assert best is not None
         return best
@@ -136,6 +136,20 @@ class PQCode:
     @property
     def _rows(self) -> GroupedRows:
         return GroupedRows(self.grouped, self.inverse_norms, self.coarse_ids)
+
+    def _scan_scores(self, tables: QueryTables, how: Scanning) -> Float32[np.ndarray, "q n"]:
+        return scan_scores(self._rows, tables, how)
+
+    def _scan_above(
+        self, tables: QueryTables, threshold: float, floor: Float32[np.ndarray, " n"] | None, how: Scanning
+    ) -> Hits:
+        return Hits(*scan_above(self._rows, tables, threshold, floor, how))
+
+    def _scan_top(self, tables: QueryTables, count: int, how: Scanning) -> Hits:
+        return Hits(*scan_top(self._rows, tables, count, how))
+
+    def _scan_best(self, tables: QueryTables, how: Scanning) -> Best:
+        return Best(*scan_best(self._rows, tables, how))
 
     def _tables(self, queries: Float32[np.ndarray, "q D"], threads: int) -> Iterator[QueryTables]:
         for begin in range(0, len(queries), BATCH):

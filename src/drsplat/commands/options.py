@@ -168,6 +168,14 @@ def device_for_kernels(arguments: argparse.Namespace) -> str:
     return "auto" if arguments.device in ("auto", "cuda") else "cpu"
 
 
+def add_search_device(parser: argparse.ArgumentParser) -> None:
+    """Add --search-device."""
+    parser.add_argument(
+        "--search-device", choices=("auto", "cpu", "cuda"), default="cpu",
+        help="device that features are searched on (default: cpu)",
+    )  # fmt: skip
+
+
 def tracker(arguments: argparse.Namespace) -> Track:
     from ..progress import track
 

@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Any
 from ..query.defaults import AUTO, NEVER
 from ..terminal import quoted
 from .edit_options import note_own_scene
-from .options import CAPTURE_OPTIONS, add_capture_options, add_overwrite, add_query_encoders, finite, new_output, words
+from .options import (
+    CAPTURE_OPTIONS,
+    add_capture_options,
+    add_overwrite,
+    add_query_encoders,
+    add_search_device,
+    finite,
+    new_output,
+    words,
+)
 from .query_inputs import negatives, pixel, point, read_picture, read_vector
 
 if TYPE_CHECKING:
@@ -57,6 +66,7 @@ def add_query_options(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add_query_kinds(parser)
     add_query_encoders(parser)
+    add_search_device(parser)
     add_measure_options(parser)
 
 
@@ -168,7 +178,7 @@ def ask(arguments: argparse.Namespace, suffixes: tuple[str, ...] = (".ply",)) ->
     return scene, scene.ask(query_of(arguments))
 
 
-SCENE_OPTIONS = ("scene", "views", "encoder", "vocabulary", "device", "threads")
+SCENE_OPTIONS = ("scene", "views", "encoder", "vocabulary", "device", "search_device", "threads")
 
 
 def open_scene(arguments: argparse.Namespace, field: str | None = None) -> Scene:

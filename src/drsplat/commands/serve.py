@@ -8,7 +8,7 @@ from typing import Any
 
 from .edit_options import note_own_scenes
 from .listening import add_computing, add_listening, checked_key, own_names
-from .options import add_query_encoders
+from .options import add_query_encoders, add_search_device
 
 EXAMPLES = """\
   drsplat serve scenes
@@ -32,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--catalogue", metavar="CATALOGUE", help="catalogue to answer from as well, at /catalogue")
     add_query_encoders(parser)
+    add_search_device(parser)
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -54,7 +55,9 @@ def _started(arguments: argparse.Namespace, key: str | None) -> None:
     from ..serving.scene_folder import SceneFolder, Sources
     from ..terminal import counted
 
-    sources = Sources(arguments.encoder, arguments.vocabulary, arguments.device, arguments.threads)
+    sources = Sources(
+        arguments.encoder, arguments.vocabulary, arguments.device, arguments.threads, arguments.search_device
+    )
     limits = Limits(seconds=arguments.timeout, workers=arguments.workers)
     names, origins = own_names(arguments), tuple(arguments.allow_origin)
     settings = Settings(arguments.folder, sources, limits, key, names, origins, arguments.catalogue)

@@ -173,6 +173,6 @@ def _refuse_full_device(engine: Engine, rows: GroupedRows) -> None:
     free = engine.free_bytes()
     if needed > free:
         raise InputError(
-            f"search on the GPU needs {needed / 1e9:.2f} GB of its memory for {len(rows.inverse_norms):,} rows, of "
-            f"which {free / 1e9:.2f} GB are free: end other programs that use it, or take device 'cpu'"
+            f"search on the GPU needs {needed / 1e6:,.0f} MB of its memory for {len(rows.inverse_norms):,} rows, of "
+            f"which {free / 1e6:,.0f} MB are free: end other programs that use it, or take device 'cpu'"
         )

@@ -48,13 +48,15 @@ _ARRAYS = {"gaussian_ids": ("uint32", "r"), "coarse_ids": ("uint16", "r"), "inve
 _OLD_CODES, _GROUPED_CODES = {"codes": ("uint8", "r L")}, {"grouped_codes": ("uint8", "g L k")}
 
 
-def load_field(path: str | os.PathLike[str]) -> LanguageField:
+def load_field(path: str | os.PathLike[str], *, search_device: str = "cpu") -> LanguageField:
     """Read what `LanguageField.save` wrote. Arrays are read-only; those of large files are memory maps.
 
-    What a file holds is compared with its checksums when it is first used, or by `verify`.
+    What a file holds is compared with its checksums when it is first used, or by `verify`. search_device: "cpu";
+    "cuda", a GPU, where the codes lie from the first search on; or "auto", a GPU where there is one.
 
-    Raises: InputError: there is no such field. FormatError: damaged, or written by a newer version.
-    MismatchError: files of different fields are mixed.
+    Raises: InputError: there is no such field, no such device, or no GPU searches such codes. FormatError: damaged, or
+    written by a newer version. MismatchError: files of different fields are mixed. MissingExtraError: "cuda" without
+    CuPy or a GPU.
     """
     path = Path(path)
     manifest = _checked_manifest(path)
@@ -63,7 +65,7 @@ def load_field(path: str | os.PathLike[str]) -> LanguageField:
     if not isinstance(scene, str) or type(count) is not int or not 0 < count <= MAX_GAUSSIANS:
         raise FormatError(f"{path}: expected the scene's fingerprint and its number of Gaussians")
     tensors = files[CODES].tensors
-    code = _code(tensors, manifest, path)
+    code = _searched_on(_code(tensors, manifest, path), search_device)
     evidence = _evidence(files.get(EVIDENCE))
     try:
         field = StoredField(
@@ -188,6 +190,14 @@ def _code(tensors: _Tensors, manifest: dict[str, object], path: Path) -> Code:
         return PQCode(codebook, grouped, tensors.get("coarse_ids"), tensors["inverse_norms"])
     except InputError as error:
         raise FormatError(f"{where}: {error}") from error
+
+
+def _searched_on(code: Code, device: str) -> Code:
+    if device == "cpu":
+        return code
+    from ..cuda.searching import searched_on
+
+    return searched_on(code, device)
 
 
 def _names(manifest: dict[str, object]) -> list[str]:

@@ -115,6 +115,7 @@ def open_scene(
     encoder: str | None = None,
     vocabulary: str | None = None,
     device: str = "auto",
+    search_device: str = "cpu",
     threads: int = 0,
     images: str | PathLike[str] | None = None,
     dataparser_transforms: str | PathLike[str] | None = None,
@@ -125,18 +126,18 @@ def open_scene(
     """Open a folder with a field, its scene and photos, or a field (NAME.field) alone.
 
     scene, views: the Gaussians that were registered and the capture, where they lie elsewhere. A field without
-    Gaussians
-    selects, but cannot tell places. encoder, vocabulary, device: who embeds words; fields of the built-in
-    encoders need none. images, dataparser_transforms, max_side, times: as for `read_views`. load: see `encoder_for`.
+    Gaussians selects, but cannot tell places. encoder, vocabulary, device: who embeds words; fields of the built-in
+    encoders need none. search_device: where the field is searched, see `load_field`. images, dataparser_transforms,
+    max_side, times: as for `read_views`. load: see `encoder_for`.
     The encoder and the photos are looked at when they are first needed.
 
     Raises: InputError: files are missing. FormatError: damaged files. MismatchError: the field is of
-    none of the scenes.
+    none of the scenes. MissingExtraError: search device "cuda" without CuPy or a GPU.
     """
     files = path if isinstance(path, SceneFiles) else scene_files(path, scene, views)
     if encoder is None and vocabulary is None:
         encoder = files.encoder
-    field = load_field(files.field)
+    field = load_field(files.field, search_device=search_device)
     file, gaussians = registered_scene(files, field) if files.scenes else (None, None)
 
     def photos() -> Sequence[View]:

@@ -34,12 +34,13 @@ class UnknownSceneError(InputError):
 
 @dataclass(frozen=True)
 class Sources:
-    """Encoder of words for all scenes, and the threads of one question."""
+    """Encoder of words for all scenes, the threads of one question, and the device that codes are searched on."""
 
     encoder: str | None = None
     vocabulary: str | None = None
     device: str = "auto"
     threads: int = 0
+    search_device: str = "cpu"
 
 
 @dataclass(frozen=True)
@@ -107,8 +108,13 @@ class SceneFolder:
     def check_sources(self) -> None:
         """For whoever starts a service: clients could not tell what is wrong with its files.
 
-        Raises: InputError: no such vocabulary, or an encoder beside it. FormatError: a damaged one.
+        Raises: InputError: no such vocabulary, or an encoder beside it. FormatError: a damaged one. MissingExtraError:
+        search device "cuda" without CuPy or a GPU.
         """
+        if self.sources.search_device != "cpu":
+            from ..cuda.devices import chosen_device
+
+            chosen_device(self.sources.search_device)
         if self.sources.vocabulary is None:
             return
         if self.sources.encoder is not None:
@@ -175,6 +181,7 @@ class SceneFolder:
             encoder=given.encoder,
             vocabulary=given.vocabulary,
             device=given.device,
+            search_device=given.search_device,
             threads=given.threads,
             load=self._load,
         )
