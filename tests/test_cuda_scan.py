@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from cuda_on_cpu import CpuEngine, compiled
 from drsplat import EncoderIdentity, LanguageField, load_field, open_scene
-from drsplat.codes import Codebook, Codes, PQCode, pq_code
-from drsplat.cuda import devices, scanning, searching
+from drsplat.codes import Codebook, Codes, PQCode, device_code, pq_code
+from drsplat.cuda import devices, scanning
 from drsplat.errors import InputError, MissingExtraError
 from drsplat.kernels import scan
 from drsplat.kernels.scan import ERROR, GroupedRows, QueryTables
@@ -172,7 +172,7 @@ def unit_vectors(count: int, dim: int) -> np.ndarray:
 
 
 def test_a_code_on_a_gpu_answers_as_on_the_cpu(engine: CpuEngine, toy_code: PQCode) -> None:
-    on_gpu, queries = searching.on_engine(toy_code, engine), unit_vectors(20, 12)
+    on_gpu, queries = device_code.on_engine(toy_code, engine), unit_vectors(20, 12)
     assert_allclose(on_gpu.scores(queries), toy_code.scores(queries), rtol=0, atol=1.1 * ERROR)
     exact = toy_code.decode(np.arange(700)).astype(np.float64) @ queries.T.astype(np.float64)
     assert_allclose(on_gpu.best(queries).scores, exact.max(axis=1), rtol=0, atol=1e-5)
@@ -189,7 +189,7 @@ def test_rows_are_sent_once_and_at_the_first_search(
     sent: list[GroupedRows] = []
     send = scanning.sent_rows
     monkeypatch.setattr(scanning, "sent_rows", lambda engine, rows: sent.append(rows) or send(engine, rows))
-    on_gpu = searching.on_engine(toy_code, engine)
+    on_gpu = device_code.on_engine(toy_code, engine)
     assert not sent
     on_gpu.top(unit_vectors(1, 12)[0], 3)
     on_gpu.best(unit_vectors(3, 12))
@@ -202,13 +202,13 @@ def test_a_field_is_searched_where_it_is_opened_to_be(
     ids = np.arange(700, dtype=np.uint32)
     LanguageField(ids, toy_code, toy_code.codebook.encoder, "toy", 700).save(tmp_path / "toy.field")
     monkeypatch.setattr(devices, "unavailable", lambda: None)
-    monkeypatch.setattr(searching, "cuda_engine", lambda: engine)
+    monkeypatch.setattr(device_code, "cuda_engine", lambda: engine)
     query = unit_vectors(1, 12)[0]
     on_cpu = load_field(tmp_path / "toy.field")
     assert type(on_cpu.code) is PQCode
     for device in ("cuda", "auto"):
         on_gpu = open_scene(tmp_path / "toy.field", search_device=device).field
-        assert isinstance(on_gpu.code, searching.DevicePQCode)
+        assert isinstance(on_gpu.code, device_code.DevicePQCode)
         assert_allclose(on_gpu.scores(query), on_cpu.scores(query), rtol=0, atol=1.1 * ERROR)
         assert on_gpu.equals(on_cpu)
     on_gpu.save(tmp_path / "again.field")
@@ -220,18 +220,18 @@ def test_without_a_gpu_cuda_is_refused_with_its_reason_and_auto_is_the_cpu(
 ) -> None:
     monkeypatch.setattr(devices, "unavailable", lambda: "device 'cuda' needs CuPy")
     with pytest.raises(MissingExtraError, match="needs CuPy"):
-        searching.searched_on(toy_code, "cuda")
+        device_code.searched_on(toy_code, "cuda")
     with pytest.raises(InputError, match="expected one of"):
-        searching.searched_on(toy_code, "mps")
-    assert searching.searched_on(toy_code, "auto") is toy_code
+        device_code.searched_on(toy_code, "mps")
+    assert device_code.searched_on(toy_code, "auto") is toy_code
     with pytest.raises(MissingExtraError, match="needs CuPy"):
         SceneFolder(tmp_path, Sources(search_device="cuda")).check_sources()
 
 
 def test_codes_of_another_kind_stay_on_the_cpu(engine: CpuEngine, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(devices, "unavailable", lambda: None)
-    monkeypatch.setattr(searching, "cuda_engine", lambda: engine)
+    monkeypatch.setattr(device_code, "cuda_engine", lambda: engine)
     code = mixture_code()
     with pytest.raises(InputError, match="kept as 'pq', got 'mixture'"):
-        searching.searched_on(code, "cuda")
-    assert searching.searched_on(code, "auto") is code
+        device_code.searched_on(code, "cuda")
+    assert device_code.searched_on(code, "auto") is code

@@ -195,7 +195,7 @@ def _code(tensors: _Tensors, manifest: dict[str, object], path: Path) -> Code:
 def _searched_on(code: Code, device: str) -> Code:
     if device == "cpu":
         return code
-    from ..cuda.searching import searched_on
+    from ..codes.device_code import searched_on
 
     return searched_on(code, device)
 

@@ -6,12 +6,13 @@ from functools import cached_property
 import numpy as np
 
 from ..arrays import Float32
-from ..codes import Best, Code, Hits, PQCode
+from ..cuda import scanning
+from ..cuda.devices import chosen_device
+from ..cuda.engine import Engine, cuda_engine
 from ..errors import InputError
 from ..kernels import QueryTables, Scanning
-from . import scanning
-from .devices import chosen_device
-from .engine import Engine, cuda_engine
+from .code import Best, Code, Hits
+from .pq_code import PQCode
 
 
 @dataclass(frozen=True, eq=False)
