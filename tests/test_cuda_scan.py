@@ -12,6 +12,7 @@ from cuda_on_cpu import CpuEngine, compiled
 from drsplat import EncoderIdentity, LanguageField, load_field, open_scene
 from drsplat.codes import Codebook, Codes, PQCode, device_code, pq_code
 from drsplat.cuda import devices, scanning
+from drsplat.cuda.engine import Engine, cuda_engine, unavailable
 from drsplat.errors import InputError, MissingExtraError
 from drsplat.kernels import scan
 from drsplat.kernels.scan import ERROR, GroupedRows, QueryTables
@@ -23,16 +24,25 @@ from twins import scan as reference_scan
 HOPPER, ADA = 227 << 10, 99 << 10  # shared memory of a block
 
 
-@pytest.fixture(scope="module", params=[HOPPER, ADA], ids=["all sub-vectors at once", "64 at once"])
-def engine(request: pytest.FixtureRequest) -> CpuEngine:
-    return CpuEngine(compiled(), request.param)
+@pytest.fixture(
+    scope="module",
+    params=[HOPPER, ADA, pytest.param(None, marks=pytest.mark.gpu)],
+    ids=["all sub-vectors at once", "64 at once", "a GPU"],
+)
+def engine(request: pytest.FixtureRequest) -> Engine:
+    if request.param is not None:
+        return CpuEngine(compiled(), request.param)
+    reason = unavailable()
+    if reason is not None:
+        pytest.skip(reason)
+    return cuda_engine()
 
 
 def first_query(tables: QueryTables) -> QueryTables:
     return QueryTables(*(None if part is None else part[:1] for part in tables))
 
 
-def check_everything(engine: CpuEngine, rows: GroupedRows, tables: QueryTables) -> None:
+def check_everything(engine: Engine, rows: GroupedRows, tables: QueryTables) -> None:
     """Scores near the twin's, and every other answer what these scores say."""
     device, exact = scanning.sent_rows(engine, rows), reference_scan.scan_scores(rows, tables)
     scores = scanning.scan_scores(device, tables)
@@ -60,22 +70,22 @@ def check_everything(engine: CpuEngine, rows: GroupedRows, tables: QueryTables) 
 @pytest.mark.parametrize("subvectors", [1, 7, 32, 33, 64, 65, 128, 200])
 @pytest.mark.parametrize(("count", "queries"), [(1, 1), (31, 3), (257, 2)])
 def test_answers_are_those_of_the_scores_and_scores_those_of_the_twin(
-    engine: CpuEngine, subvectors: int, count: int, queries: int
+    engine: Engine, subvectors: int, count: int, queries: int
 ) -> None:
     check_everything(engine, *drawn(subvectors, count, subvectors, queries, coarse=subvectors % 2 * 5))
 
 
-def test_more_rows_than_blocks_score_at_once(engine: CpuEngine) -> None:
+def test_more_rows_than_blocks_score_at_once(engine: Engine) -> None:
     check_everything(engine, *drawn(1, 5000, 128, 1, coarse=3))
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 150), st.integers(1, 700), st.integers(1, 3))
 @settings(deadline=None, max_examples=15)
-def test_laws(engine: CpuEngine, seed: int, subvectors: int, count: int, queries: int) -> None:
+def test_laws(engine: Engine, seed: int, subvectors: int, count: int, queries: int) -> None:
     check_everything(engine, *drawn(seed, count, subvectors, queries, coarse=seed % 2 * 3))
 
 
-def test_a_closed_form(engine: CpuEngine) -> None:
+def test_a_closed_form(engine: Engine) -> None:
     """lut[m, c] = c + 1000 m: sums are whole numbers, which float32 has exactly."""
     rng = np.random.default_rng(0)
     codes = rng.integers(0, 256, (777, 70), np.uint8)
@@ -85,9 +95,7 @@ def test_a_closed_form(engine: CpuEngine) -> None:
     assert_array_equal(scanning.scan_scores(rows, QueryTables(lut[None]))[0], sums / 2)
 
 
-def test_each_run_gives_the_same_bits_on_any_number_of_blocks(
-    engine: CpuEngine, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_each_run_gives_the_same_bits_on_any_number_of_blocks(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
     rows, tables = drawn(2, 3000, 35, coarse=4)
     device = scanning.sent_rows(engine, rows)
     first = scanning.scan_scores(device, tables)
@@ -96,7 +104,7 @@ def test_each_run_gives_the_same_bits_on_any_number_of_blocks(
         assert_array_equal(scanning.scan_scores(device, tables), first)
 
 
-def test_ties_go_to_the_first(engine: CpuEngine) -> None:
+def test_ties_go_to_the_first(engine: Engine) -> None:
     rows, tables = drawn(8, 2000, 3)
     few = rows._replace(codes=rows.codes % 2, inverse_norms=np.ones(2000, np.float32))
     device = scanning.sent_rows(engine, few)
@@ -108,14 +116,14 @@ def test_ties_go_to_the_first(engine: CpuEngine) -> None:
     assert_array_equal(best, runner_up)
 
 
-def test_zeros_of_either_sign_are_equal(engine: CpuEngine) -> None:
+def test_zeros_of_either_sign_are_equal(engine: Engine) -> None:
     rows, tables = drawn(5, 400, 8)
     device = scanning.sent_rows(engine, rows._replace(inverse_norms=np.zeros(400, np.float32)))
     assert np.signbit(scanning.scan_scores(device, tables)).any()
     assert_array_equal(scanning.scan_top(device, tables, 400)[0], np.arange(400))
 
 
-def test_bytes_after_the_last_row_are_never_reported(engine: CpuEngine) -> None:
+def test_bytes_after_the_last_row_are_never_reported(engine: Engine) -> None:
     rows, tables = drawn(2, 300, 4)
     rows.codes[1, :, 44:] = np.arange(256, dtype=np.uint8)[44:]
     tables.luts[0, :, 44:] += 10
@@ -124,7 +132,7 @@ def test_bytes_after_the_last_row_are_never_reported(engine: CpuEngine) -> None:
     assert_array_equal(scanning.scan_above(device, tables, -np.inf)[0], np.arange(300))
 
 
-def test_of_no_rows_there_is_nothing(engine: CpuEngine) -> None:
+def test_of_no_rows_there_is_nothing(engine: Engine) -> None:
     rows, tables = drawn(3, 0, 5)
     device = scanning.sent_rows(engine, rows)
     assert scanning.scan_scores(device, tables).shape == (1, 0)
@@ -133,7 +141,7 @@ def test_of_no_rows_there_is_nothing(engine: CpuEngine) -> None:
     assert [len(array) for array in scanning.scan_best(device, tables)] == [0, 0, 0]
 
 
-def test_what_does_not_fit_is_refused(engine: CpuEngine) -> None:
+def test_what_does_not_fit_is_refused(engine: Engine) -> None:
     rows, tables = drawn(10, 300, 4, 2, coarse=3)
     device, one = scanning.sent_rows(engine, rows), first_query(tables)
     with pytest.raises(InputError, match="expected tables"):
@@ -152,8 +160,8 @@ def test_what_does_not_fit_is_refused(engine: CpuEngine) -> None:
         scanning.scan_above(device, one, 0.0, np.zeros(3, np.float32))
 
 
-def test_a_full_device_is_refused_with_what_is_needed(engine: CpuEngine, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(CpuEngine, "free_bytes", lambda self: 1_000_000)
+def test_a_full_device_is_refused_with_what_is_needed(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(type(engine), "free_bytes", lambda self: 1_000_000)
     rows, _ = drawn(11, 100_000, 7)
     with pytest.raises(InputError, match=r"needs 4 MB.* 100,000 rows, of which 1 MB are free.*device 'cpu'"):
         scanning.sent_rows(engine, rows)
@@ -171,7 +179,7 @@ def unit_vectors(count: int, dim: int) -> np.ndarray:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
-def test_a_code_on_a_gpu_answers_as_on_the_cpu(engine: CpuEngine, toy_code: PQCode) -> None:
+def test_a_code_on_a_gpu_answers_as_on_the_cpu(engine: Engine, toy_code: PQCode) -> None:
     on_gpu, queries = device_code.on_engine(toy_code, engine), unit_vectors(20, 12)
     assert_allclose(on_gpu.scores(queries), toy_code.scores(queries), rtol=0, atol=1.1 * ERROR)
     exact = toy_code.decode(np.arange(700)).astype(np.float64) @ queries.T.astype(np.float64)
@@ -184,7 +192,7 @@ def test_a_code_on_a_gpu_answers_as_on_the_cpu(engine: CpuEngine, toy_code: PQCo
 
 
 def test_rows_are_sent_once_and_at_the_first_search(
-    engine: CpuEngine, toy_code: PQCode, monkeypatch: pytest.MonkeyPatch
+    engine: Engine, toy_code: PQCode, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sent: list[GroupedRows] = []
     send = scanning.sent_rows
@@ -197,7 +205,7 @@ def test_rows_are_sent_once_and_at_the_first_search(
 
 
 def test_a_field_is_searched_where_it_is_opened_to_be(
-    engine: CpuEngine, toy_code: PQCode, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    engine: Engine, toy_code: PQCode, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ids = np.arange(700, dtype=np.uint32)
     LanguageField(ids, toy_code, toy_code.codebook.encoder, "toy", 700).save(tmp_path / "toy.field")
@@ -228,7 +236,7 @@ def test_without_a_gpu_cuda_is_refused_with_its_reason_and_auto_is_the_cpu(
         SceneFolder(tmp_path, Sources(search_device="cuda")).check_sources()
 
 
-def test_codes_of_another_kind_stay_on_the_cpu(engine: CpuEngine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_codes_of_another_kind_stay_on_the_cpu(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(devices, "unavailable", lambda: None)
     monkeypatch.setattr(device_code, "cuda_engine", lambda: engine)
     code = mixture_code()
