@@ -46,7 +46,7 @@ from test_gradients import (
 from twins import loss as reference_loss
 from twins.registering import sh_basis
 
-pytestmark = pytest.mark.filterwarnings("ignore:photos of 48x36 pixels")  # small, so that a run takes no time
+pytestmark = pytest.mark.filterwarnings("ignore:photos of 32x24 pixels")  # small, so that a run takes no time
 NEAR = 0.2
 RATES = Rates(1e-2, 5e-3, 1e-3, 5e-2, 2e-3, 1e-4)
 BUSY = ds.TrainingSettings(
@@ -82,7 +82,7 @@ def test_the_image_is_that_of_the_twin(cuda_engine_on_cpu, case):
     assert_allclose(image[sure], twin_image(case, background_of(case))[sure], rtol=0, atol=1e-5)
 
 
-@every_case
+@pytest.mark.parametrize("case", ["off-centre", "antialiased"])
 def test_gradients_are_those_of_finite_differences(cuda_engine_on_cpu, case):
     found = device_pass(cuda_engine_on_cpu, case).backward(image_gradient_of(case))
     assert_gradients_agree(with_harmonics(found, scene_of(case), view_of(case)), slopes_of(case))
@@ -229,7 +229,7 @@ def scene() -> ds.Gaussians:
 
 @pytest.fixture(scope="module")
 def views(scene, tmp_path_factory) -> list[ds.View]:
-    small = [view.resized(48, 36) for view in ring(8)]
+    small = [view.resized(32, 24) for view in ring(8)]
     return photographed(tmp_path_factory.mktemp("photos"), scene, small)
 
 
@@ -248,8 +248,8 @@ def both_runs(engine, views, points, s: ds.TrainingSettings) -> tuple[DeviceRun,
 
 
 def masked_views(views: list[ds.View], folder: Path, kept: int) -> list[ds.View]:
-    """Return views of which the first `kept` columns of 48 are used."""
-    Image.fromarray(np.repeat(np.uint8([[255] * kept + [0] * (48 - kept)]), 36, axis=0)).save(folder / "mask.png")
+    """Return views of which the first `kept` columns of 32 are used."""
+    Image.fromarray(np.repeat(np.uint8([[255] * kept + [0] * (32 - kept)]), 24, axis=0)).save(folder / "mask.png")
     return [replace(view, mask_path=folder / "mask.png") for view in views]
 
 
@@ -266,13 +266,13 @@ def assert_same_losses(device: DeviceRun, here: Run, steps: int, tolerance: floa
 def test_a_run_is_that_of_the_cpu(cuda_engine_on_cpu, views, points, distortion, masked, tmp_path, monkeypatch):
     """Same photos, coarse ones too, backgrounds, rates, edges and masks: the same losses, step for step."""
     s = replace(BUSY, refine_until=0, full_size_from=8, opacity_penalty=0.01)
-    monkeypatch.setattr("drsplat.training.run.LEAST_SIDE", 12)  # the photos are small
+    monkeypatch.setattr("drsplat.training.run.LEAST_SIDE", 6)  # the photos are small
     views = [replace(view, distortion=distortion) for view in views]
     if masked:
-        views = masked_views(views, tmp_path, 30)
+        views = masked_views(views, tmp_path, 20)
     device, here = both_runs(cuda_engine_on_cpu, views, points, s)
     if distortion is not None:
-        assert len(here.photos[0].outside) > 10
+        assert len(here.photos[0].outside) > 5
     assert_same_losses(device, here, 10)
     for name, ours in here.optimizer.parameters._asdict().items():
         if name != "quats":  # of round Gaussians: the slope is rounding alone, and Adam's step its sign
@@ -281,33 +281,33 @@ def test_a_run_is_that_of_the_cpu(cuda_engine_on_cpu, views, points, distortion,
 
 @pytest.mark.parametrize("antialiased", [False, True])
 def test_density_control_is_that_of_the_cpu(cuda_engine_on_cpu, views, points, antialiased):
-    """Clones, splits and prunes at 5, 10 and 15, a reset at 9; random places are the CPU's as well."""
+    """Clones, splits and prunes at 5 and 10, a reset at 9; random places are the CPU's as well."""
     s = replace(BUSY, antialiased=antialiased)
     device, here = both_runs(cuda_engine_on_cpu, views, points, s)
     counts = []
-    for _ in range(16):
+    for _ in range(11):
         assert device.step().loss == pytest.approx(here.step().loss, rel=5e-3)
         counts.append(len(device))
         assert counts[-1] == pytest.approx(len(here), abs=2)
     assert counts[3] == 60
-    assert counts[15] > counts[8] > 60
+    assert counts[10] > counts[8] > 60
 
 
 def test_the_chain_is_that_of_the_cpu(cuda_engine_on_cpu, views, points):
     device, here = both_runs(cuda_engine_on_cpu, views, points, CHAIN)
-    assert_same_losses(device, here, 16, tolerance=5e-3)
+    assert_same_losses(device, here, 11, tolerance=5e-3)
     assert 60 < len(device) <= 80
 
 
 def test_the_budget_is_never_exceeded(cuda_engine_on_cpu, views, points):
     run = fresh_run(DeviceRun, views, points, replace(BUSY, max_gaussians=71), engine=cuda_engine_on_cpu)
-    assert max(run.step() and len(run) for _ in range(16)) == 71
+    assert max(run.step() and len(run) for _ in range(11)) == 71
 
 
 def test_gaussians_that_only_left_out_pixels_show_are_not_seen(cuda_engine_on_cpu, views, points, tmp_path):
     """The counts of density control are those of the CPU."""
     counts = []
-    for some in (views, masked_views(views, tmp_path, 10)):
+    for some in (views, masked_views(views, tmp_path, 7)):
         device, here = both_runs(cuda_engine_on_cpu, some, points, replace(BUSY, refine_from=100))
         for _ in range(5):
             device.step()
@@ -333,12 +333,12 @@ def test_colors_stay_within_bytes(cuda_engine_on_cpu, views, points):
 @pytest.mark.parametrize("s", [BUSY, CHAIN], ids=["default", "mcmc"])
 def test_a_run_goes_on_from_its_checkpoint_to_the_same_bits(cuda_engine_on_cpu, views, points, tmp_path, s):
     whole = fresh_run(DeviceRun, views, points, s, engine=cuda_engine_on_cpu)
-    for _ in range(7):
+    for _ in range(6):
         whole.step()
     save_checkpoint(tmp_path / "checkpoint.safetensors", whole, "capture")
     later = fresh_run(DeviceRun, views, points, s, engine=cuda_engine_on_cpu)
     load_checkpoint(tmp_path / "checkpoint.safetensors", later, "capture")
-    for _ in range(5):
+    for _ in range(4):
         assert whole.step().loss == later.step().loss
     for name, array in whole.state()[0].items():
         assert_array_equal(later.state()[0][name], array, err_msg=name)
@@ -365,7 +365,7 @@ def test_a_run_may_move_between_devices(cuda_engine_on_cpu, views, points, tmp_p
         )
 
 
-@pytest.mark.parametrize("room", [0, 3 * 48 * 36 * 3, 1 << 20])
+@pytest.mark.parametrize("room", [0, 3 * 32 * 24 * 3, 1 << 20])
 def test_photos_that_do_not_fit_are_sent_each_time(views, points, room):
     """Whatever fits into a quarter of what is free: the losses are the same to the bit."""
 
@@ -377,22 +377,22 @@ def test_photos_that_do_not_fit_are_sent_each_time(views, points, room):
     losses = [run.step().loss for _ in range(3)]
     plenty = fresh_run(DeviceRun, views, points, BUSY, engine=CpuEngine(compiled()))
     assert losses == [plenty.step().loss for _ in range(3)]
-    assert len(run.targets._kept) == min(room // (48 * 36 * 3), 3)
+    assert len(run.targets._kept) == min(room // (32 * 24 * 3), 3)
 
 
 def test_the_whole_of_train(cuda_engine_on_cpu, views, points, tmp_path):
-    s = replace(BUSY, iterations=20, background="black", reset_every=1000, start_opacity=0.5, scales_rate=0.02)
+    s = replace(BUSY, iterations=14, background="black", reset_every=1000, start_opacity=0.5, scales_rate=0.02)
     reports: list[ds.Status] = []
     folder = tmp_path / "model"
     job = Job(views, s, folder, points, save_at=(10,), report=reports.append)
     training = cuda.train(job, cuda_engine_on_cpu)
-    assert [status.iteration for status in reports] == list(range(1, 21))
-    assert np.mean([status.loss for status in reports[-5:]]) < 0.8 * np.mean([status.loss for status in reports[:5]])
+    assert [status.iteration for status in reports] == list(range(1, 15))
+    assert np.mean([status.loss for status in reports[-5:]]) < 0.9 * np.mean([status.loss for status in reports[:5]])
     assert np.isnan(reports[8].psnr)
     results = json.loads((folder / "results.json").read_text())
     assert results["psnr_test"] == training.evaluation.psnr
-    assert (results["iterations"], results["num_gaussians"]) == (20, len(training.gaussians))
-    written = ds.read_gaussians(folder / "point_cloud/iteration_20/point_cloud.ply")
+    assert (results["iterations"], results["num_gaussians"]) == (14, len(training.gaussians))
+    written = ds.read_gaussians(folder / "point_cloud/iteration_14/point_cloud.ply")
     assert_allclose(written.means, training.gaussians.means)
     assert (folder / "point_cloud/iteration_10/point_cloud.ply").is_file()
     assert len(list((folder / "test").iterdir())) == 2
