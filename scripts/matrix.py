@@ -22,6 +22,8 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 TESTERS = ("pytest", "hypothesis", "beartype", "jaxtyping")
 EXTRAS = (
+    "cuda",
+    "cuda13",
     "capture",
     "viewer",
     "serve",

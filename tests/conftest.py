@@ -95,3 +95,11 @@ def chromium() -> Iterator[Any]:
 def room(edited_room: Path, tmp_path: Path) -> Path:
     """A copy of it to edit; where a test file has a room of its own, that."""
     return Path(shutil.copytree(edited_room, tmp_path / "room"))
+
+
+@pytest.fixture(scope="session")
+def cuda_engine_on_cpu() -> Any:
+    """The CUDA kernels, compiled once for the CPU; skips where there is no C++ compiler."""
+    from cuda_on_cpu import CpuEngine, compiled
+
+    return CpuEngine(compiled())

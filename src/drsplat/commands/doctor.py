@@ -8,6 +8,7 @@ import os
 import platform
 import subprocess
 import sys
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from typing import Any
@@ -20,10 +21,10 @@ Downloads nothing and needs no network."""
 
 PACKAGES = {
     "numpy": "core", "scipy": "core", "pillow": "core", "safetensors": "core", "zstandard": "core",
-    "rich": "core", "torch": "models, cuda", "transformers": "models",
+    "rich": "core", "torch": "models", "transformers": "models",
     "huggingface_hub": "models", "sentencepiece": "words for SigLIP 1 and TIPSv2", "torchvision": "open-clip, EdgeTAM",
     "timm": "open-clip, EdgeTAM", "open_clip_torch": "open-clip",
-    "gsplat": "cuda", "fastapi": "viewer, serve", "uvicorn": "viewer, serve",
+    "cupy-cuda12x": "cuda", "cupy-cuda13x": "cuda13", "fastapi": "viewer, serve", "uvicorn": "viewer, serve",
     "prometheus-client": "viewer, serve, mcp", "mcp": "mcp", "faiss-cpu": "not needed",
     "lancedb": "catalogue", "pyarrow": "catalogue", "pycolmap": "capture", "pi-heif": "capture", "av": "capture",
 }  # fmt: skip
@@ -71,7 +72,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     }
     facts = _probed(asked)
     devices = {"cpu_cores": os.cpu_count(), "cpu_bfloat16": has_fast_bfloat16()}
-    devices |= {"cuda": facts.get("cuda", []), "mps": facts.get("mps", False)}
+    devices |= {"cuda": _gpus(facts), "mps": facts.get("mps", False)}
     return {**answer, "devices": devices, "can": abilities(facts)}
 
 
@@ -85,7 +86,7 @@ def show(answer: dict[str, Any]) -> None:
             "Python": f"{answer['python']} on {answer['system']}",
             "instruction set": f"{native['chosen']} of {', '.join(native['instruction_sets'])}",
             "CPU": f"{devices['cpu_cores']} cores, bfloat16 {'fast' if devices['cpu_bfloat16'] else 'not in hardware'}",
-            "GPU": ", ".join(devices["cuda"]) or ("Apple's" if devices["mps"] else "none that torch finds"),
+            "GPU": ", ".join(devices["cuda"]) or ("Apple's" if devices["mps"] else "none found"),
         },
     )
     packages = answer["packages"].items()
@@ -109,7 +110,7 @@ def abilities(facts: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """
     return {
         "register, locate, render, train on the CPU": _ability(None, None),
-        "train on a CUDA GPU": _ability(_no_cuda_training(facts), None),
+        "train, register, render on a CUDA GPU": _ability(_no_cuda(), None),
         "masks and embeddings of real models (SAM, CLIP)": _ability(*_no_models(facts)),
         **{name: _ability(*_no_extra(*needed)) for name, needed in SERVERS.items()},
     }
@@ -126,11 +127,19 @@ def _ability(reason: str | None, cure: str | None) -> dict[str, Any]:
     return {"ready": reason is None, "reason": reason, "cure": cure}
 
 
-def _no_cuda_training(facts: dict[str, Any]) -> str | None:
-    """Why not, with what to do; without torch there is nothing to import, so it is asked here."""
+def _no_cuda() -> str | None:
+    """Return why our kernels run on no GPU here, and what to do; None where they do."""
     from ..cuda.engine import unavailable
 
-    return facts["no_cuda_training"] if facts else unavailable()
+    return unavailable()
+
+
+def _gpus(facts: dict[str, Any]) -> list[str]:
+    """Return the CUDA GPUs that torch finds, or else CuPy."""
+    if facts.get("cuda") or _no_cuda() is not None:
+        return list(facts.get("cuda", []))
+    runtime = import_module("cupy").cuda.runtime
+    return [runtime.getDeviceProperties(index)["name"].decode() for index in range(runtime.getDeviceCount())]
 
 
 def _no_models(facts: dict[str, Any]) -> tuple[str | None, str | None]:
@@ -155,12 +164,7 @@ def probe() -> dict[str, Any]:
     """Return what only importing torch can tell."""
     from ..models.probing import torch_facts
 
-    facts = torch_facts()
-    if facts["torch_fault"]:
-        return {**facts, "no_cuda_training": f"torch cannot be imported: {facts['torch_fault']}"}
-    from ..cuda.engine import unavailable
-
-    return {**facts, "no_cuda_training": unavailable()}
+    return torch_facts()
 
 
 def _start_probe() -> subprocess.Popen[str] | None:
@@ -183,7 +187,7 @@ def _probed(asked: subprocess.Popen[str] | None) -> dict[str, Any]:
         facts = json.loads((out.splitlines() or [""])[-1])
     except ValueError:
         fault = (errors.strip().splitlines() or [f"exit code {asked.returncode}"])[-1]
-        return {"torch_fault": fault, "no_cuda_training": f"torch cannot be imported: {fault}"}
+        return {"torch_fault": fault}
     return facts if isinstance(facts, dict) else {}
 
 

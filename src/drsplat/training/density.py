@@ -12,8 +12,8 @@ import numpy as np
 from ..arrays import Anywhere, Bool, Float32, Integer
 from ..cuda.places import on_host, placed
 from ..formats.activation import sigmoid
-from ..kernels.training import Gradients, SceneParameters
-from .optimizer import Optimizer
+from ..kernels.training import SceneParameters
+from .optimizer import Optimizer, Slopes
 from .rotations import rotated
 from .schedules import refines, resets_opacity
 from .settings import TrainingSettings
@@ -35,7 +35,7 @@ class AdaptiveDensity:
     def _forget(self, count: int) -> None:
         self.pull, self.times_seen, self.radii = (self._zeros(count, np.float32) for _ in range(3))
 
-    def observe(self, gradients: Gradients, iteration: int) -> None:
+    def observe(self, gradients: Slopes, iteration: int) -> None:
         """Take note of one view: who was pulled how far, and who was how large."""
         if iteration >= self.settings.last_refinement:
             return
@@ -43,7 +43,7 @@ class AdaptiveDensity:
         self.times_seen += gradients.radii > 0
         np.maximum(self.radii, gradients.radii, out=self.radii)
 
-    def penalize(self, optimizer: Optimizer, gradients: Gradients) -> None:
+    def penalize(self, optimizer: Optimizer, gradients: Slopes) -> None:
         """Add what the settings say of opacities; the original method penalises nothing but the picture."""
         add_opacity_penalty(optimizer, gradients, self.settings.penalty_of_opacity)
 
@@ -118,7 +118,7 @@ def split(parents: SceneParameters, rng: np.random.Generator, shrink: float = 1.
     return twice._replace(means=means, log_scales=log_scales)
 
 
-def add_opacity_penalty(optimizer: Optimizer, gradients: Gradients, weight: float) -> None:
+def add_opacity_penalty(optimizer: Optimizer, gradients: Slopes, weight: float) -> None:
     """Add to the gradients those of weight x mean(opacity). Source: 3DGS as MCMC, Sec. 3.4."""
     if weight:
         opacities = sigmoid(optimizer.parameters.logits)

@@ -21,12 +21,12 @@ from ..cuda.training import (
     photometric_loss,
     sent_view,
 )
-from ..kernels.training import Gradients, SceneParameters
+from ..kernels.training import SceneParameters
 from ..scene.views import View
 from .density import AdaptiveDensity
 from .job import Beginning
 from .mcmc import MonteCarlo
-from .optimizer import Optimizer, Rates
+from .optimizer import Optimizer, Rates, Slopes
 from .run import Outcome, Run
 from .schedules import active_sh_degree
 from .training_photos import Photo, TrainingPhotos
@@ -52,7 +52,7 @@ class DeviceOptimizer(Optimizer):
         device.first, device.second = send(optimizer.first), send(optimizer.second)
         return device
 
-    def step(self, gradients: Gradients, rates: Rates, step: int, threads: int = 0) -> None:
+    def step(self, gradients: Slopes, rates: Rates, step: int, threads: int = 0) -> None:
         """One step of Adam, in place."""
         slopes = cast(DeviceGradients, gradients)
         adam_step(self.engine, self.parameters, self.first, self.second, slopes, AdamRates(*rates), step)
@@ -104,7 +104,7 @@ class DeviceRun(Run):
         self.window = loss_window(engine)
         self._cameras: dict[tuple[int, int, int], DeviceView] = {}
 
-    def _learn(self, gradients: Gradients, threads: int) -> None:
+    def _learn(self, gradients: Slopes, threads: int) -> None:
         before = len(self)
         super()._learn(gradients, threads)
         if len(self) != before:
@@ -118,7 +118,7 @@ class DeviceRun(Run):
             return MonteCarlo(self.settings, self.extent, len(self))
         return AdaptiveDensity(self.settings, self.extent, len(self), self.engine.xp.zeros)
 
-    def _seen_and_compared(self, index: int, threads: int) -> tuple[Outcome, Gradients]:
+    def _seen_and_compared(self, index: int, threads: int) -> tuple[Outcome, Slopes]:
         view = self._view(index)
         target = self.targets.seen(index, view, view is not self.views[index])
         self._lap("photo")
@@ -137,7 +137,7 @@ class DeviceRun(Run):
             raise self._diverged()
         self._lap("backward")
         outcome = Outcome(value, partial(_psnr, self.engine.xp, drawn.image, target))
-        return outcome, cast(Gradients, gradients)
+        return outcome, gradients
 
     def _camera(self, index: int, view: View) -> DeviceView:
         key = (index, view.width, view.height)

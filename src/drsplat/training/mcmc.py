@@ -12,9 +12,8 @@ import numpy as np
 from ..arrays import Anywhere, Float32, Float64, Integer
 from ..cuda.places import placed
 from ..formats.activation import sigmoid
-from ..kernels.training import Gradients
 from .density import add_opacity_penalty
-from .optimizer import Optimizer
+from .optimizer import Optimizer, Slopes
 from .rotations import spread
 from .schedules import refines
 from .settings import TrainingSettings
@@ -30,10 +29,10 @@ class MonteCarlo:
     def __init__(self, settings: TrainingSettings, extent: float, count: int) -> None:
         self.settings, self.extent = settings, extent
 
-    def observe(self, gradients: Gradients, iteration: int) -> None:
+    def observe(self, gradients: Slopes, iteration: int) -> None:
         """Chance decides here, not the gradients."""
 
-    def penalize(self, optimizer: Optimizer, gradients: Gradients) -> None:
+    def penalize(self, optimizer: Optimizer, gradients: Slopes) -> None:
         """Add to the gradients those of lambda_o mean(o) + lambda_Sigma mean(scales)."""
         add_opacity_penalty(optimizer, gradients, self.settings.penalty_of_opacity)
         weight = np.float32(self.settings.scale_penalty / (3 * len(optimizer)))

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..arrays import Anywhere, Bool, Float32, Integer
 from ..cuda.places import on_host
+from ..cuda.training import DeviceGradients
 from ..errors import FormatError
 from ..formats.activation import checked, sigmoid
 from ..kernels.training import Gradients, SceneParameters, adam_step
@@ -14,6 +15,7 @@ from ..scene.eight_bits import MAX_CONSTANT
 from ..scene.gaussians import Gaussians
 
 FLOATING = SceneParameters._fields
+Slopes = Gradients | DeviceGradients  # of the CPU, of a device
 LOG_SCALE_LIMIT = 80.0  # exp of it is still a normal float32
 Rows = Integer[Anywhere, " _"] | Bool[Anywhere, " _"]
 
@@ -44,7 +46,7 @@ class Optimizer:
     def __len__(self) -> int:
         return len(self.parameters.means)
 
-    def step(self, gradients: Gradients, rates: Rates, step: int, threads: int = 0) -> None:
+    def step(self, gradients: Slopes, rates: Rates, step: int, threads: int = 0) -> None:
         """One step of Adam, in place."""
         for name in FLOATING:
             parameter, gradient, first, second = (

@@ -20,7 +20,7 @@ from .density import AdaptiveDensity
 from .job import Beginning
 from .mcmc import MonteCarlo
 from .metrics import psnr
-from .optimizer import Optimizer, Rates
+from .optimizer import Optimizer, Rates, Slopes
 from .schedules import active_sh_degree, divisor, means_rate
 from .start import scene_extent
 from .training_photos import Photo, TrainingPhotos, ViewOrder
@@ -77,7 +77,7 @@ class Run:
         self._learn(gradients, threads)
         return outcome
 
-    def _seen_and_compared(self, index: int, threads: int) -> tuple[Outcome, Gradients]:
+    def _seen_and_compared(self, index: int, threads: int) -> tuple[Outcome, Slopes]:
         """Draw a photo's view and compare. Raises: DrSplatError: the loss is no longer a number."""
         view, photo = self._seen(index)
         target = photo.colors()
@@ -129,7 +129,7 @@ class Run:
         self._lap("loss")
         return loss
 
-    def _learn(self, gradients: Gradients, threads: int) -> None:
+    def _learn(self, gradients: Slopes, threads: int) -> None:
         rates = self._rates()
         self.density.observe(gradients, self.iteration)
         self.density.penalize(self.optimizer, gradients)
