@@ -22,9 +22,9 @@ import numpy as np
 from machine import arguments
 
 import drsplat as ds
-from drsplat.cuda.engine import cuda_engine
-from drsplat.cuda.places import on_host
 from drsplat.kernels import render_channels, splat_arrays, view_weights
+from drsplat.kernels.cuda.engine import cuda_engine
+from drsplat.kernels.cuda.places import on_host
 from drsplat.training.device_run import DeviceRun
 from drsplat.training.job import Beginning
 from drsplat.training.optimizer import Optimizer

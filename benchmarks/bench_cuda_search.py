@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 from machine import arguments
 
-from drsplat.cuda import scanning
-from drsplat.cuda.engine import Engine, cuda_engine
 from drsplat.kernels import scan
+from drsplat.kernels.cuda import scanning
+from drsplat.kernels.cuda.engine import Engine, cuda_engine
 from drsplat.kernels.scan import GROUP, GroupedRows, QueryTables, RowShapes
 
 QUERIES = 20  # among which the best is chosen

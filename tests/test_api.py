@@ -52,6 +52,7 @@ PUBLIC = {
     "render",
     "train",
     "train_codebook",
+    "using_device",
     "write_gaussians",
 }
 HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")

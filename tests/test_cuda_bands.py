@@ -6,11 +6,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from captures_to_train import known_scene, ring
 from cuda_on_cpu import CpuEngine, compiled
-from drsplat.cuda.drawing import sent_splats
-from drsplat.cuda.tensors import as_array, drawn_channels, splats_of_tensors
-from drsplat.cuda.tiling import OutOfMemoryError
 from drsplat.errors import DrSplatError, InputError
 from drsplat.kernels import render_channels, splat_arrays, topk_contributions, view_weights
+from drsplat.kernels.cuda.drawing import sent_splats
+from drsplat.kernels.cuda.tensors import as_array, drawn_channels, splats_of_tensors
+from drsplat.kernels.cuda.tiling import OutOfMemoryError
 
 
 class SmallEngine(CpuEngine):

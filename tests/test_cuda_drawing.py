@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from cuda_on_cpu import CpuEngine, compiled
-from drsplat.cuda.drawing import sent_splats
-from drsplat.cuda.sorting import COUNTS_IN_A_BLOCK, KEYS_IN_A_BLOCK, running_sums, sorted_pairs
-from drsplat.cuda.tiling import Raster, room_for_splats, sent_camera, tiles_of
 from drsplat.kernels import SplatArrays, render_channels, splat_arrays, topk_contributions, view_weights
+from drsplat.kernels.cuda.drawing import sent_splats
+from drsplat.kernels.cuda.sorting import COUNTS_IN_A_BLOCK, KEYS_IN_A_BLOCK, running_sums, sorted_pairs
+from drsplat.kernels.cuda.tiling import Raster, room_for_splats, sent_camera, tiles_of
 from drsplat.scene.views import View
 from scenes import look_at_view, random_gaussians, random_mask_map
 from test_kernels import assert_same_triples, masked

@@ -16,13 +16,13 @@ from PIL import Image
 import drsplat as ds
 from captures_to_train import known_scene, perturbed_points, photographed, ring
 from cuda_on_cpu import CpuEngine, compiled
-from drsplat.cuda import devices
-from drsplat.cuda import engine as engines
-from drsplat.cuda import training as there
 from drsplat.errors import DrSplatError, InputError, MismatchError, MissingExtraError
 from drsplat.formats.captures import SparsePoints
 from drsplat.kernels import splat_arrays
 from drsplat.kernels import training as kernels
+from drsplat.kernels.cuda import devices
+from drsplat.kernels.cuda import engine as engines
+from drsplat.kernels.cuda import training as there
 from drsplat.scene.eight_bits import MAX_CONSTANT
 from drsplat.training import cuda
 from drsplat.training.checkpoint import load_checkpoint, save_checkpoint

@@ -135,12 +135,12 @@ def test_faults_of_libraries(facts: dict[str, Any], reason: str | None, cure: st
 
 def test_a_gpu_is_what_the_kernels_find(installed: set[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """CuPy's word, whatever torch finds."""
-    monkeypatch.setattr("drsplat.cuda.engine.unavailable", lambda: "no GPU: buy one")
+    monkeypatch.setattr("drsplat.kernels.cuda.engine.unavailable", lambda: "no GPU: buy one")
     found = doctor.abilities({**FINE, "cuda": ["NVIDIA X"]})[CUDA]
     assert (found["ready"], found["reason"]) == (False, "no GPU: buy one")
     assert doctor._gpus({**FINE, "cuda": ["NVIDIA X"]}) == ["NVIDIA X"]
     assert doctor._gpus({}) == []
-    monkeypatch.setattr("drsplat.cuda.engine.unavailable", lambda: None)
+    monkeypatch.setattr("drsplat.kernels.cuda.engine.unavailable", lambda: None)
     runtime = SimpleNamespace(getDeviceCount=lambda: 2, getDeviceProperties=lambda index: {"name": b"GPU %d" % index})
     monkeypatch.setitem(sys.modules, "cupy", SimpleNamespace(cuda=SimpleNamespace(runtime=runtime)))
     assert doctor.abilities({})[CUDA]["ready"]

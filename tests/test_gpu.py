@@ -13,11 +13,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import drsplat as ds
 from captures_to_train import known_scene, perturbed_points, photographed, ring
-from drsplat.cuda.devices import using_device
-from drsplat.cuda.engine import CudaEngine, cuda_engine, unavailable
-from drsplat.cuda.sorting import running_sums, sorted_pairs
 from drsplat.formats.captures import SparsePoints
 from drsplat.kernels import SplatArrays, render_channels, splat_arrays, topk_contributions, view_weights
+from drsplat.kernels.cuda.devices import using_device
+from drsplat.kernels.cuda.engine import CudaEngine, cuda_engine, unavailable
+from drsplat.kernels.cuda.sorting import running_sums, sorted_pairs
 from drsplat.training.checkpoint import load_checkpoint, save_checkpoint
 from drsplat.training.device_run import DeviceRun
 from drsplat.training.run import Run

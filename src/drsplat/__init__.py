@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     __version__: str
     from .codes import PQ, Codebook, Mixture, load_codebook, train_codebook
-    from .cuda.devices import using_device
     from .drawing.rendering import render
     from .embedding.embed import embed
     from .encoders import Encoder, EncoderIdentity
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
     from .formats.langsplat import read_features
     from .formats.scenes import read_gaussians, write_gaussians
     from .formats.vocabulary import read_vocabulary
+    from .kernels.cuda.devices import using_device
     from .masks.features import ViewFeatures
     from .models.loading import load_encoder
     from .models.mini import MiniEncoder
@@ -45,7 +45,7 @@ _HOMES = {
     "scene.photos": ("load_image",), "query": ("Answer", "Cut", "Match", "Query", "Scene", "open_scene"),
     "registration": ("Registration", "register"), "drawing.rendering": ("render",),
     "viewing.exporting": ("export_page",), "training": ("TrainingSettings", "train"), "scene.views": ("View",),
-    "models.words": ("WordEncoder",), "cuda.devices": ("using_device",),
+    "models.words": ("WordEncoder",), "kernels.cuda.devices": ("using_device",),
 }  # fmt: skip
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

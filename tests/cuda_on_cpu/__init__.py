@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drsplat.cuda.engine import KERNEL, MODULES, source_of
+from drsplat.kernels.cuda.engine import KERNEL, MODULES, source_of
 
 COMPILER = shutil.which("g++") or shutil.which("clang++")
 NUMBERS = {"int": ctypes.c_int, "u32": ctypes.c_uint, "float": ctypes.c_float, "i64": ctypes.c_longlong}
@@ -33,7 +33,7 @@ def _folder() -> Path:
 
 
 class CpuEngine:
-    """`drsplat.cuda.engine.Engine` on NumPy's arrays."""
+    """`drsplat.kernels.cuda.engine.Engine` on NumPy's arrays."""
 
     def __init__(self, folder: Path, shared_bytes: int = 99 << 10) -> None:
         self.xp, self.folder, self.shared_bytes = np, folder, shared_bytes

@@ -6,11 +6,11 @@ from functools import cached_property
 import numpy as np
 
 from ..arrays import Float32
-from ..cuda import scanning
-from ..cuda.devices import chosen_device
-from ..cuda.engine import Engine, cuda_engine
 from ..errors import InputError
 from ..kernels import QueryTables, Scanning
+from ..kernels.cuda import scanning
+from ..kernels.cuda.devices import chosen_device
+from ..kernels.cuda.engine import Engine, cuda_engine
 from .code import Best, Code, Hits
 from .pq_code import PQCode
 

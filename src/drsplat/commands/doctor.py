@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         "models": _models(),
     }
     facts = _probed(asked)
-    devices = {"cpu_cores": os.cpu_count(), "cpu_bfloat16": has_fast_bfloat16()}
+    devices: dict[str, Any] = {"cpu_cores": os.cpu_count(), "cpu_bfloat16": has_fast_bfloat16()}
     devices |= {"cuda": _gpus(facts), "mps": facts.get("mps", False)}
     return {**answer, "devices": devices, "can": abilities(facts)}
 
@@ -129,7 +129,7 @@ def _ability(reason: str | None, cure: str | None) -> dict[str, Any]:
 
 def _no_cuda() -> str | None:
     """Return why our kernels run on no GPU here, and what to do; None where they do."""
-    from ..cuda.engine import unavailable
+    from ..kernels.cuda.engine import unavailable
 
     return unavailable()
 

@@ -92,7 +92,7 @@ def _add_classes(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from ..cuda.devices import using_device
+    from ..kernels.cuda.devices import using_device
 
     with using_device(device_for_kernels(arguments)):
         return _evaluated(arguments)

@@ -148,8 +148,8 @@ def _add_code(method: argparse._ArgumentGroup) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from ..cuda.devices import using_device
     from ..formats.field_folder import claimed_field
+    from ..kernels.cuda.devices import using_device
 
     output = new_or_complete(arguments.output, arguments.overwrite)
     with claimed_field(output) as claimed, using_device(arguments.device) as device:

@@ -109,7 +109,7 @@ def _add_answer_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from ..cuda.devices import using_device
+    from ..kernels.cuda.devices import using_device
 
     with using_device(device_for_kernels(arguments)):
         return _rendered(arguments)

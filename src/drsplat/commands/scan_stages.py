@@ -138,7 +138,7 @@ def _capturing(source: ScanInput, folder: Path, common: Sequence[str]) -> Stage:
 
 
 def _training(arguments: argparse.Namespace, capture: str, model: str, common: Sequence[str]) -> VerbLine:
-    from ..cuda.devices import chosen_device
+    from ..kernels.cuda.devices import chosen_device
 
     given = [capture, "--output-dir", model]
     given += [] if arguments.iterations is None else ["--iterations", str(arguments.iterations)]

@@ -127,7 +127,7 @@ def _add_course(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from .. import read_sparse_points, train
-    from ..cuda.devices import chosen_device
+    from ..kernels.cuda.devices import chosen_device
     from ..progress import Meter
     from ..system import peak_memory_bytes
     from ..terminal import counted

@@ -6,9 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Bool, Float32, Integer
-from ..cuda.places import on_host
 from ..errors import InputError
 from ..kernels import SplatArrays, render_channels, sh_colors, splat_arrays
+from ..kernels.cuda.places import on_host
 from ..scene.gaussians import Gaussians
 from ..scene.views import View
 

@@ -11,10 +11,10 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from ..arrays import Float32, Int32, Int64, UInt32
-from ..cuda.devices import device_in_use
 from ..errors import FormatError, InputError, MismatchError
 from ..formats.tensors import map_tensors, read_tensors, write_tensors
 from ..kernels import SplatArrays, Triples, default_isa, splat_arrays
+from ..kernels.cuda.devices import device_in_use
 from ..kernels.splatting import on_device_in_use
 from ..masks.features import ViewFeatures
 from ..scene.gaussians import Gaussians, ShapesDigest

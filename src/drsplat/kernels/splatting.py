@@ -13,11 +13,11 @@ import numpy as np
 
 from .. import _native
 from ..arrays import Anywhere, Bool, Float32, Float64, Int32, Integer, UInt32
-from ..cuda.devices import engine_in_use
 from ..errors import InputError
 from ..scene.gaussians import Gaussians, covariances_of
 from ..scene.placing import PUBLISHED_NEAR
 from ..scene.views import View
+from .cuda.devices import engine_in_use
 
 BLOCK = 1 << 13  # Gaussians whose covariances are computed at once
 MAX_SIDE = 65536  # pixels
@@ -119,7 +119,7 @@ def on_device_in_use(splats: SplatArrays) -> SplatArrays:
 
 def _on_device() -> Any:
     """Return the module that draws on a GPU; it needs this one."""
-    return import_module("..cuda.drawing", __package__)
+    return import_module(".cuda.drawing", __package__)
 
 
 def splat_arrays_at_origin(gaussians: Gaussians, near: float) -> SplatArrays:

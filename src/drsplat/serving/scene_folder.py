@@ -112,7 +112,7 @@ class SceneFolder:
         search device "cuda" without CuPy or a GPU.
         """
         if self.sources.search_device != "cpu":
-            from ..cuda.devices import chosen_device
+            from ..kernels.cuda.devices import chosen_device
 
             chosen_device(self.sources.search_device)
         if self.sources.vocabulary is None:

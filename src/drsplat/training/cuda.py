@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 
-from ..cuda.engine import Engine, cuda_engine, memory_explained
+from ..kernels.cuda.engine import Engine, cuda_engine, memory_explained
 from .device_run import DeviceRun
 from .job import Job
 from .keeper import Keeper

@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from ..arrays import Anywhere, Bool, Float32, Integer
-from ..cuda.places import on_host, placed
 from ..formats.activation import sigmoid
+from ..kernels.cuda.places import on_host, placed
 from ..kernels.training import SceneParameters
 from .optimizer import Optimizer, Slopes
 from .rotations import rotated

@@ -7,9 +7,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from ..cuda.engine import Engine
-from ..cuda.places import on_host
-from ..cuda.training import (
+from ..kernels.cuda.engine import Engine
+from ..kernels.cuda.places import on_host
+from ..kernels.cuda.training import (
     AdamRates,
     DeviceGradients,
     DevicePhoto,

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
-from ..cuda.devices import chosen_device
 from ..formats.captures import SparsePoints
+from ..kernels.cuda.devices import chosen_device
 from ..scene.views import View
 from . import cuda, loop
 from .everyday import everyday

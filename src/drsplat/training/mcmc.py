@@ -10,8 +10,8 @@ from math import comb, sqrt
 import numpy as np
 
 from ..arrays import Anywhere, Float32, Float64, Integer
-from ..cuda.places import placed
 from ..formats.activation import sigmoid
+from ..kernels.cuda.places import placed
 from .density import add_opacity_penalty
 from .optimizer import Optimizer, Slopes
 from .rotations import spread

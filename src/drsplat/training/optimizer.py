@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import Anywhere, Bool, Float32, Integer
-from ..cuda.places import on_host
-from ..cuda.training import DeviceGradients
 from ..errors import FormatError
 from ..formats.activation import checked, sigmoid
+from ..kernels.cuda.places import on_host
+from ..kernels.cuda.training import DeviceGradients
 from ..kernels.training import Gradients, SceneParameters, adam_step
 from ..scene.eight_bits import MAX_CONSTANT
 from ..scene.gaussians import Gaussians

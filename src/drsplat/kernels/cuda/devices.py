@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Literal
 
-from ..errors import InputError, MissingExtraError
+from ...errors import InputError, MissingExtraError
 from .engine import Engine, cuda_engine, unavailable
 
 DEVICES = ("auto", "cpu", "cuda")

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..arrays import Float32, Int32, Int64
-from ..errors import InputError
-from ..kernels.scan import (
+from ...arrays import Float32, Int32, Int64
+from ...errors import InputError
+from ..scan import (
     GroupedRows,
     QueryTables,
     RowShapes,

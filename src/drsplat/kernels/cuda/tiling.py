@@ -4,9 +4,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import DrSplatError
-from ..kernels.splatting import camera_numbers
-from ..scene.views import View
+from ...errors import DrSplatError
+from ...scene.views import View
+from ..splatting import camera_numbers
 from .engine import Engine, blocks_of
 from .sorting import MOST_KEYS, empty, running_sums, sorted_pairs
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InputError
-from ..kernels.splatting import SplatArrays
-from ..scene.rotations import rotation_rows
+from ...errors import InputError
+from ...scene.rotations import rotation_rows
+from ..splatting import SplatArrays
 from .drawing import drawn_channels
 from .engine import Engine, cuda_engine
 

@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..kernels.training import SceneParameters
-from ..scene.views import View
+from ...scene.views import View
+from ..training import SceneParameters
 from .engine import Engine, blocks_of
 from .sorting import empty
 from .tiling import Projected, Raster, Tiles, room_for_splats, sent_camera, tiles_of

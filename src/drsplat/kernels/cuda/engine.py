@@ -11,7 +11,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from ..errors import DrSplatError, MissingExtraError
+from ...errors import DrSplatError, MissingExtraError
 
 INSTALL = 'pip install "drsplat[cuda]"'
 COMMON = ("basics", "projection", "walk")
@@ -86,7 +86,7 @@ class CudaEngine:
         if name not in self._kernels:
             module = module_of(name)
             if module not in self._modules:
-                self._modules[module] = self.xp.RawModule(code=source_of(module), options=("--std=c++17",))
+                self._modules[module] = self.xp.RawModule(code=source_of(module), options=("-std=c++17",))
             self._kernels[name] = self._modules[module].get_function(name)
         kernel = self._kernels[name]
         if shared_bytes > kernel.max_dynamic_shared_size_bytes:

@@ -8,10 +8,10 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from ..arrays import Float32, Int32
-from ..errors import DrSplatError
-from ..kernels.splatting import Contributions, Rendering, SplatArrays, Triples
-from ..scene.views import View
+from ...arrays import Float32, Int32
+from ...errors import DrSplatError
+from ...scene.views import View
+from ..splatting import Contributions, Rendering, SplatArrays, Triples
 from .engine import Engine, blocks_of, is_memory_full
 from .places import on_host
 from .sorting import empty, running_sums, sorted_pairs
