@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         "models": _models(),
     }
     facts = _probed(asked)
-    devices = {"cpu_cores": os.cpu_count(), "cpu_bfloat16": has_fast_bfloat16()}
+    devices: dict[str, Any] = {"cpu_cores": os.cpu_count(), "cpu_bfloat16": has_fast_bfloat16()}
     devices |= {"cuda": _gpus(facts), "mps": facts.get("mps", False)}
     return {**answer, "devices": devices, "can": abilities(facts)}
 
