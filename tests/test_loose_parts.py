@@ -11,6 +11,7 @@ from drsplat.editing.draft import OBJECT_ID
 from drsplat.editing.edits import EditList
 from drsplat.editing.loose_parts import loose_parts
 from drsplat.editing.resolving import completed
+from drsplat.editing.shifts import Surface, best_shift
 from drsplat.editing.stored import document_of, edits_of
 from drsplat.errors import FormatError, InputError
 from drsplat.scene.gaussians import SH_C0
@@ -140,6 +141,19 @@ def test_what_stands_in_a_hole_stays() -> None:
         counts[version] = int((after.extra[OBJECT_ID] == 2).sum())
         assert not (after.means[:, None] == grime.means[None]).all(axis=2).any()
     assert counts[2] < counts[3] == len(thing)
+
+
+def test_seams_are_not_compared_where_no_shift_closes_anything(monkeypatch: pytest.MonkeyPatch) -> None:
+    cells = np.zeros((20, 20), bool)
+    missing = cells.copy()
+    missing[8:12, 8:12] = True
+    seams: list[object] = []
+    monkeypatch.setattr(Surface, "seam", lambda *arguments: seams.append(arguments) or 0.0)
+    _, closed = best_shift(missing, cells, Surface(np.zeros((20, 20, 3)), ~missing))
+    assert not closed.any()
+    assert len(seams) == 1
+    best_shift(missing, ~missing, Surface(np.zeros((20, 20, 3)), ~missing))
+    assert len(seams) > 2  # so this can fail
 
 
 def test_an_earlier_list_is_filled_as_it_was() -> None:

@@ -72,7 +72,7 @@ def best_shift(missing: Cells, good: Cells, surface: Surface | None) -> tuple[tu
     order = np.lexsort((lengths.ravel(), -counts.ravel()))
     if surface is not None:
         nearly = order[: np.count_nonzero(counts >= max(1.0, NEARLY_AS_MANY * counts.max()))]
-        order = nearly[:: -(-len(nearly) // MOST_SEAMS)] if len(nearly) else order
+        order = nearly[:: -(-len(nearly) // MOST_SEAMS)] if len(nearly) else order[:1]  # closes nothing
     down, across = np.unravel_index(order, counts.shape)
     shifts = np.stack([rows[down], columns[across]], axis=1)
     best = 0 if surface is None else int(np.argmin([surface.seam(missing, shift) for shift in shifts]))
