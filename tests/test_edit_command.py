@@ -259,8 +259,6 @@ def test_what_is_printed_says_where_edits_are(room: Path, capsys: Capture) -> No
     kept = text_of(capsys, "edit", scene, *ball, "--remove")
     assert f"1 edit kept beside {scene}, 0 undone" in kept
     assert f"drsplat edit {scene} --save OUT.ply applies the kept edits" in kept
-    asked = text_of(capsys, "edit", scene, "--field", room / "room.field", *ball, "--remove")
-    assert f"drsplat edit {scene} --field {room / 'room.field'} --save OUT.ply applies the kept edits" in asked
     saved = text_of(capsys, "edit", scene, *ball, "--remove", "--save", room / "out.ply")
     assert saved.startswith("1 edit of this call\n")
     assert "kept" not in saved

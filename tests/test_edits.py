@@ -34,6 +34,7 @@ from drsplat.editing import (
     edited,
 )
 from drsplat.editing.edits import Change
+from drsplat.editing.fill_record import Clones, FillRecord
 from drsplat.editing.replacement import placed_in
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
 from drsplat.formats.scenes import write_gaussians
@@ -362,7 +363,8 @@ EVERY: tuple[Change, ...] = (
     Remove(), Isolate(), Opacity(0.5), Move((1.0, 2.0, 3.0)), Turn(30.0, (0.0, 0.0, 1.0)), Scale(2.0, (1.0, 0.0, 0.0)),
     Duplicate((0.0, 0.0, 1.0)), Recolour((0.1, 0.2, 0.3), 0.5), Palette(((0.1, 0.2, 0.3), (1.0, 1.0, 1.0))),
     MatchPhoto(np.array([0.1, 0.2, 0.3]), 0.01 * np.eye(3)),
-    Replace("a/b.ply", "3-ff", np.eye(4), np.array([[1, 3], [7, 9]])), Fill(),
+    Replace("a/b.ply", "3-ff", np.eye(4), np.array([[1, 3], [7, 9]])),
+    Fill(record=FillRecord(np.array([[2, 5]]), (Clones(np.array([[0, 2], [7, 9]]), np.array([0.1, 0.0, -2.0])),))),
 )  # fmt: skip
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drsplat.editing import EditFile, EditList
+from drsplat.editing import EditFile, EditList, Replace
 from drsplat.editing.edits import drafted
 from drsplat.errors import DrSplatError
 from drsplat.formats.annotations import AnnotationFile
@@ -23,7 +23,7 @@ SCENE = random_gaussians(60)
 def read_edits(path: Path) -> object:
     """Also applied, as far as no other file is needed."""
     listed = EditFile(path).read(SCENE)
-    drafted(SCENE, [edit for edit in listed.active if type(edit.change).__name__ not in ("Fill", "Replace")])
+    drafted(SCENE, [edit for edit in listed.active if not isinstance(edit.change, Replace)])
     return listed.edits
 
 

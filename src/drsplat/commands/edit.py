@@ -126,7 +126,6 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         note_applied(known.done if arguments.changes else listed.done)
     return {
         "scene": str(work.path),
-        "field": arguments.field,
         "edits_file": str(edits.path),
         "kept": not alone,
         "num_edits": listed.done,
@@ -166,8 +165,7 @@ def show(answer: dict[str, Any]) -> None:
         if output:
             print(f"written to {output}")
     if answer["kept"] and answer["num_edits"] and not answer["saved"]:
-        field = f" --field {shlex.quote(answer['field'])}" if answer["field"] else ""  # on which filling depends
-        call = f"drsplat edit {shlex.quote(scene)}{field} --save OUT.ply"
+        call = f"drsplat edit {shlex.quote(scene)} --save OUT.ply"
         print(f"The scene's file is unchanged: {call} applies the kept edits.")
 
 
@@ -283,7 +281,7 @@ class _Work:
         Raises: InputError: it cannot be.
         """
         from ..editing import Edit
-        from ..editing.edits import drafted
+        from ..editing.edits import drafted, recorded
         from ..errors import InputError
 
         arguments = self.arguments
@@ -305,7 +303,7 @@ class _Work:
             assert target is not None
             draft = drafted(self.gaussians, listed.active, file.other)
             made = self._made(name, value, draft.part(target.ids(draft)), file.path.parent)
-            listed = listed.with_edit(Edit(target, made))
+            listed = recorded(self.gaussians, listed.with_edit(Edit(target, made)), file.other)
         return listed
 
     def _made(self, name: str, value: Any, part: Gaussians, folder: Path) -> Change:

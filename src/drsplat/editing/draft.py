@@ -79,7 +79,8 @@ class Draft:
         self.means[ids] = self._means(part)
         self.quats[ids], self.scales[ids], self.sh[ids] = part.quats, part.scales, part.sh
 
-    def shift(self, ids: Ids, by: Sequence[int | float] | Float64[np.ndarray, " 3"]) -> None:
+    def shift(self, ids: Ids, by: Sequence[int | float] | Float64[np.ndarray, "*rows 3"]) -> None:
+        """Move rows by the same vector, or each by its own."""
         self.means[ids] = (self.means[ids] + np.asarray(by, np.float64)).astype(np.float32)
 
     def add(self, part: Gaussians, object_id: int | None = None) -> Ids:
@@ -90,11 +91,7 @@ class Draft:
         Raises: InputError: more rows than there may be.
         """
         first, count = len(self), len(part)
-        if first + count > self.most:
-            raise InputError(
-                f"adds {count:,} Gaussians to {first:,}, and edits of this scene make up to {self.most:,}, removed "
-                "ones included: undo it, or save the scene as it is now and edit what was saved"
-            )
+        self.check_room(count)
         most = max(self.sh.shape[1], part.sh.shape[1])
         self.sh = np.concatenate([filled(self.sh, most), filled(part.sh, most)])
         self.means = np.concatenate([self.means, self._means(part)])
@@ -108,6 +105,14 @@ class Draft:
             own = np.full(count, object_id, column.dtype) if name == OBJECT_ID and object_id is not None else own
             self.extra[name] = np.concatenate([column, own])
         return np.arange(first, first + count, dtype=np.int64)
+
+    def check_room(self, count: int) -> None:
+        """Check that so many rows may be added. Raises: InputError: more than there may be."""
+        if len(self) + count > self.most:
+            raise InputError(
+                f"adds {count:,} Gaussians to {len(self):,}, and edits of this scene make up to {self.most:,}, removed "
+                "ones included: undo it, or save the scene as it is now and edit what was saved"
+            )
 
     def next_object(self) -> int:
         """Return a number that no object has."""

@@ -1,6 +1,7 @@
 """A list of edits, and the scene that it makes."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -94,11 +95,37 @@ def drafted(
     draft = Draft.of(gaussians)
     draft.read = read
     for number, edit in enumerate(edits, start=1):
-        try:
-            with np.errstate(all="ignore"):  # what becomes no number is refused below
-                edit.apply(draft)
-        except InputError as error:
-            raise InputError(f"edit {number}: {error}") from error
+        with _numbered(number):  # what becomes no number is refused below
+            edit.apply(draft)
     if not draft.is_sound:
         raise InputError("these edits move or stretch something beyond all numbers that a scene can hold: undo some")
     return draft
+
+
+def recorded(
+    gaussians: Gaussians, listed: EditList, read: Callable[[str], Gaussians] = read_gaussians
+) -> EditList:  # fmt: skip
+    """Return a list whose new fills have their records, so that it makes the same scene whatever is at hand later.
+
+    Edits that were undone, and fills of earlier versions, stay as they are. gaussians, read: as of `edited`, with the
+    column `object_id` where objects are known.
+
+    Raises: as `edited`. Warns: as `Fill.recorded`.
+    """
+    edits = list(listed.edits)
+    for place, edit in enumerate(listed.active):
+        if isinstance(edit.change, Fill) and edit.change.lacks_record:
+            draft = drafted(gaussians, edits[:place], read)
+            with _numbered(place + 1):
+                edits[place] = Edit(edit.target, edit.change.recorded(draft, edit.target.ids(draft)))
+    return listed if edits == list(listed.edits) else replace(listed, edits=tuple(edits))
+
+
+@contextmanager
+def _numbered(number: int) -> Iterator[None]:
+    """Name the edit in errors that the block raises, and let its numbers overflow in silence."""
+    try:
+        with np.errstate(all="ignore"):
+            yield
+    except InputError as error:
+        raise InputError(f"edit {number}: {error}") from error

@@ -10,10 +10,12 @@ from scipy.spatial import cKDTree
 from ..arrays import Bool, Float64, Int64
 from ..drawing.rendering import Picture, render
 from ..errors import DrSplatWarning, InputError
+from ..formats.runs import spans_of
 from ..scene.boxes import HAZE
 from ..scene.gaussians import SH_C0, Gaussians
 from ..scene.views import View
 from .draft import OBJECT_ID, Draft
+from .fill_record import Clones, FillRecord
 from .planes import Plane, planes_around
 from .shifts import Surface, best_shift
 
@@ -29,7 +31,8 @@ CLEAR = 0.2  # opacity of what stands on a plane up to which it is taken to be b
 NEEDLE = 6.0  # times longer than wide: no patch of a surface
 FOOT_CELLS = 3  # around what stands on a plane, where its foot may lie in the plane
 LEAST_SHARE = 0.2  # of the Gaussians in a plane, of an object that the plane is part of
-VERSIONS = (1, 2, 3)
+VERSIONS = (1, 2, 3, 4)
+FIRST_RECORDED = 4  # version that is stored with what it did
 FAR = 40.0  # sizes of a plane that it is looked at from
 Ids = Int64[np.ndarray, " m"]
 Cells = Bool[np.ndarray, "h w"]
@@ -43,24 +46,41 @@ class Fill:
     made up: no edge, no pattern with a place of its own; shadows and reflections stay, and what no plane holds is open.
 
     version: 2 clones nothing that lies on the plane or stands out from it, and by the shift with the best seam; 3 also
-    lets other things in the hole be, such as what stands below a table; 1 is what lists of edits without a version
-    mean, and does none of it.
+    lets other things in the hole be, such as what stands below a table; 4 fills as 3 does, and is stored with its
+    record; 1 is what lists of edits without a version mean, and does none of it.
 
-    Raises: InputError: another version.
+    record: what it does, None where that is still to be computed, from the scene and the objects at hand.
+
+    Raises: InputError: another version, or a record of an earlier one.
     """
 
     version: int = VERSIONS[-1]
+    record: FillRecord | None = None
 
     def __post_init__(self) -> None:
         if self.version not in VERSIONS:
-            raise InputError(f"fill: expected version 1, 2 or 3, got {self.version}: a newer drsplat may know it")
+            raise InputError(f"fill: expected version 1 to 4, got {self.version}: a newer drsplat may know it")
+        if self.record is not None and self.version < FIRST_RECORDED:
+            raise InputError(f"fill: version {self.version} has no record: leave it out, or give version 4")
+
+    @property
+    def lacks_record(self) -> bool:
+        """True if this version is stored with a record, and there is none yet."""
+        return self.record is None and self.version >= FIRST_RECORDED
 
     def apply(self, draft: Draft, ids: Ids) -> None:
-        """Close the hole that the target leaves.
+        """Close the hole that the target leaves. Raises: InputError: as `recorded`, or a record that does not fit."""
+        (self.record or self._computed(draft, ids)).apply(draft)
+
+    def recorded(self, draft: Draft, ids: Ids) -> "Fill":
+        """Return this change with the record of what it does to a draft, which stays as it is.
 
         Raises: InputError: too few rows to leave a hole, or no plane was found. Warns: DrSplatWarning: a hole that
         could be closed in part only.
         """
+        return replace(self, record=self._computed(draft, ids))
+
+    def _computed(self, draft: Draft, ids: Ids) -> FillRecord:
         seen = ids[draft.opacities[ids] >= HAZE]
         if len(seen) < FEWEST:
             raise InputError(f"fill: {len(seen)} Gaussians that can be seen leave no hole: {FEWEST} are the fewest")
@@ -74,9 +94,13 @@ class Fill:
                 "fill: no ground and no wall was found beside what was there: it stands free, or nothing flat of "
                 "several sides is around it. The hole stays open"
             )
+        removed, clones = np.zeros(len(near), bool), list[Clones]()
         for plane in planes:
             others = [other for other in planes if other is not plane]
-            _fill(draft, near, scene, plane, others, thing, self.version)
+            goes, more = _filled(near, scene, plane, others, thing, self.version)
+            removed[goes] = True
+            clones += more
+        return FillRecord(spans_of(near[removed]), tuple(clones))
 
 
 def _near(draft: Draft, ids: Ids, thing: Float64[np.ndarray, "t 3"]) -> Int64[np.ndarray, " k"]:
@@ -88,10 +112,11 @@ def _near(draft: Draft, ids: Ids, thing: Float64[np.ndarray, "t 3"]) -> Int64[np
     return np.flatnonzero(near)
 
 
-def _fill(
-    draft: Draft, near: Ids, scene: Gaussians, plane: Plane, others: list[Plane], thing: Float64[np.ndarray, "t 3"],
-    version: int,
-) -> None:  # fmt: skip
+def _filled(
+    near: Int64[np.ndarray, " k"], scene: Gaussians, plane: Plane, others: list[Plane],
+    thing: Float64[np.ndarray, "t 3"], version: int,
+) -> tuple[Ids, list[Clones]]:  # fmt: skip
+    """Return which of the Gaussians near a thing go for a plane, and what is cloned. scene: those Gaussians."""
     places = scene.means.astype(np.float64)
     heights = plane.heights(places)
     surface = np.flatnonzero((np.abs(heights) <= plane.tolerance) & _is_flat(scene, plane) & _before(others, places))
@@ -105,7 +130,6 @@ def _fill(
     hole = grid.shadow(plane.flat(thing)) & (coverage < COVERED) | grid.shadow(plane.flat(foot))
     hole &= open_there
     cells = grid.cells(flat)
-    draft.present[near[_guessed(scene, plane, grid, hole, version)]] = False
     missing, good, colors = hole.copy(), (coverage >= COVERED) & ~hole & bare, None
     own = np.ones(len(surface), bool)
     if version > 1:
@@ -113,21 +137,24 @@ def _fill(
         known = (grid.coverage(scene.subset(surface[own]), plane) >= COVERED) & ~hole
         colors = Surface(grid.colors(scene.subset(surface[own]), plane), known)
         good = known & ndimage.binary_erosion(bare, iterations=FOOT_CELLS, border_value=1)
+    clones = []
     for _ in range(ROUNDS if hole.any() else 0):
         shift, closed = best_shift(missing, good, colors)
         if not closed.any():
             break
         source = np.zeros_like(good)
-        rows, columns = np.nonzero(closed)
-        source[rows + shift[0], columns + shift[1]] = True
-        clones = draft.add(draft.part(near[surface[own & source[cells[:, 0], cells[:, 1]]]]))
-        draft.shift(clones, -grid.step * (np.array(shift, np.float64) @ plane.axes))
-        draft.homes[clones] = draft.means[clones]
+        down, across = np.nonzero(closed)
+        source[down + shift[0], across + shift[1]] = True
+        rows = surface[own & source[cells[:, 0], cells[:, 1]]]
+        if len(rows):
+            by = -grid.step * (np.array(shift, np.float64) @ plane.axes)
+            clones.append(Clones(spans_of(near[rows]), by))
         missing &= ~closed
         colors = colors and colors.closed(closed, shift)
     if missing.sum() > (1 - ENOUGH) * hole.sum():
         share = 1 - missing.sum() / hole.sum()
         warnings.warn(f"fill: of one plane {share:.0%} of the hole could be closed", DrSplatWarning, stacklevel=2)
+    return _guessed(scene, plane, grid, hole, version), clones
 
 
 def _before(planes: list[Plane], places: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:

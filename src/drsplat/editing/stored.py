@@ -19,7 +19,8 @@ from ..formats.scenes import companion, read_gaussians
 from ..scene.gaussians import Gaussians
 from .changes import Duplicate, Isolate, Move, Opacity, Remove, Scale, Turn
 from .colouring import MatchPhoto, Palette, Recolour
-from .edits import MOST, Change, Edit, EditList, edited
+from .edits import MOST, Change, Edit, EditList, edited, recorded
+from .fill_record import Clones, FillRecord
 from .filling import Fill
 from .replacement import Replace
 from .targets import NAMED, Box, Copies, Everything, Rows, Target
@@ -67,12 +68,14 @@ class EditFile:
         return 0 if listed is None else listed.done
 
     def change(self, scene: Gaussians, change: Callable[[EditList], EditList]) -> EditList:
-        """Another list in place of that which is there; returns it. What `change` raises leaves the file as it was.
+        """Put another list in place of that which is there, and return it as stored, with the records of its fills.
 
-        Raises: InputError: another process writes the file, or it cannot be written; as `read`.
+        What `change` raises leaves the file as it was. scene: with the column `object_id`, new fills heed the objects.
+
+        Raises: InputError: another process writes the file, or it cannot be written; as `read` and `recorded`.
         """
         with self.held():
-            listed = change(self.read(scene))
+            listed = recorded(scene, change(self.read(scene)), self.other)
             self.write(listed)
         return listed
 
@@ -83,7 +86,10 @@ class EditFile:
             yield
 
     def write(self, listed: EditList) -> None:
-        """Write the edit list atomically; the caller must hold the file. Raises: InputError: it cannot be written."""
+        """Write the edit list atomically; the caller must hold the file.
+
+        Raises: InputError: it cannot be written, or a fill lacks its record, which `recorded` makes.
+        """
         text = json.dumps(document_of(listed), ensure_ascii=False, separators=(",", ":"))
         with replacing(self.path, overwrite=True) as file:
             file.write(f"{text}\n".encode())
@@ -134,7 +140,10 @@ def _edit(entry: object, where: str) -> Edit:
         raise FormatError(f"{where}: {missing[0]} is missing")
     try:
         read = {name: readers[name](value, f"{where}: {name}") for name, value in values.items()}
-        return Edit(_target(entry.get("of"), where), made(**read))
+        change = made(**read)
+        if isinstance(change, Fill) and change.lacks_record:
+            raise FormatError(f"{where}: record is missing: expected what this fill removes and clones")
+        return Edit(_target(entry.get("of"), where), change)
     except InputError as error:
         raise FormatError(f"{where}: {error}") from error
 
@@ -219,6 +228,26 @@ def _text(value: object, where: str) -> str:
     return value
 
 
+def _record(value: object, where: str) -> FillRecord:
+    if not isinstance(value, dict) or not isinstance(value.get("clones"), list):
+        raise FormatError(f"{where}: expected an object with removed and a list of clones, got {shown(value)}")
+    _only(value, ("removed", "clones"), where)
+    clones = (_clones(entry, f"{where}: clones {number}") for number, entry in enumerate(value["clones"], start=1))
+    return FillRecord(spans_of_runs(value.get("removed"), f"{where}: removed"), tuple(clones))
+
+
+def _clones(entry: object, where: str) -> Clones:
+    if not isinstance(entry, dict):
+        raise FormatError(f"{where}: expected an object with runs and by, got {shown(entry)}")
+    _only(entry, ("runs", "by"), where)
+    return Clones(spans_of_runs(entry.get("runs"), f"{where}: runs"), _point(entry.get("by"), f"{where}: by"))
+
+
+def _record_json(record: FillRecord) -> dict[str, object]:
+    clones = [{"by": one.by.tolist(), "runs": runs_of(one.spans)} for one in record.clones]
+    return {"removed": runs_of(record.removed), "clones": clones}
+
+
 _CHANGES: dict[str, tuple[type[Change], dict[str, Read]]] = {
     "remove": (Remove, {}),
     "isolate": (Isolate, {}),
@@ -231,7 +260,7 @@ _CHANGES: dict[str, tuple[type[Change], dict[str, Read]]] = {
     "palette": (Palette, {"colors": _colors}),
     "match photo": (MatchPhoto, {"mean": _point, "covariance": _square(3)}),
     "replace": (Replace, {"scene": _text, "fingerprint": _text, "matrix": _square(4), "spans": spans_of_runs}),
-    "fill": (Fill, {"version": as_count}),
+    "fill": (Fill, {"version": as_count, "record": _record}),
 }
 _EARLIER: dict[str, dict[str, object]] = {"fill": {"version": 1}}  # what lists say by leaving it out
 NAMES = {made: name for name, (made, _) in _CHANGES.items()}
@@ -242,5 +271,9 @@ def _change_json(change: Change) -> dict[str, object]:
     values = {key: getattr(change, key) for key in _CHANGES[name][1]}
     if isinstance(change, Replace) and change.spans is not None:
         values["spans"] = runs_of(change.spans)
+    if isinstance(change, Fill):
+        if change.lacks_record:
+            raise InputError("fill: its record is missing: store the list with EditFile.change, which makes it")
+        values["record"] = None if change.record is None else _record_json(change.record)
     plain = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in values.items()}
     return {"do": name} | {key: value for key, value in plain.items() if value is not None}

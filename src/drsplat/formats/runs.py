@@ -11,10 +11,10 @@ Spans = Int64[np.ndarray, "s 2"]
 
 
 def spans_of(ids: Integer[np.ndarray, " m"]) -> Spans:
-    """Return the spans of ascending rows, each from its first number to before its second."""
+    """Return the spans of ascending rows, each from its first number to before its second; none of no rows."""
     rows = ids.astype(np.int64)
     begins = np.flatnonzero(np.diff(rows, prepend=-2) != 1)
-    lasts = np.append(begins[1:], len(rows)) - 1
+    lasts = np.append(begins[1:], len(rows))[: len(begins)] - 1
     return np.stack([rows[begins], rows[lasts] + 1], axis=1).reshape(-1, 2)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from ..arrays import Bool, Float32, Int64
 from ..editing import Edit, EditFile, EditList
 from ..editing.draft import OBJECT_ID
-from ..editing.edits import drafted
+from ..editing.edits import drafted, recorded
 from ..formats.annotations import AnnotationFile, without
 from ..formats.scenes import read_gaussians
 from ..kernels import SplatArrays, splat_arrays
@@ -35,7 +35,7 @@ class _State:
         """Apply a list of edits to the scene. Raises: as `edited`."""
         if not listed.active:
             return cls(listed, gaussians, np.ones(len(gaussians), bool))
-        draft = drafted(gaussians, listed.active, read_gaussians if file is None else file.other)
+        draft = drafted(gaussians, listed.active, _reader(file))
         return cls(listed, draft.everything(), draft.present)
 
     @cached_property
@@ -98,13 +98,18 @@ class Edits:
         self._standing, self._state, self._drawn, self._rows = other._standing, other._state, other._drawn, other._rows
 
     def _made(self, listed: EditList) -> _State:
-        return _State.of(replace(self._standing, extra=self.gaussians.extra), listed, self.file)
+        return _State.of(self._now, listed, self.file)
+
+    @property
+    def _now(self) -> Gaussians:
+        """The scene's own rows before all edits, where they are now, with the objects of the field."""
+        return replace(self._standing, extra=self.gaussians.extra)
 
     # --- changing ---
 
     def add(self, edit: Edit) -> None:
         """Do one more. Raises: InputError: it cannot be done."""
-        self._change(lambda listed: listed.with_edit(edit))
+        self._change(lambda listed: recorded(self._now, listed.with_edit(edit), _reader(self.file)))
 
     def undo(self, count: int = 1) -> None:
         """Undo the last edits. Raises: InputError: there is nothing to undo."""
@@ -193,6 +198,11 @@ class Edits:
         if self._rows is None or self._rows[0] is not self.listed:
             self._rows = (self.listed, shown_of(self._state.everything, budget, before.frame))
         return self._rows[1]
+
+
+def _reader(file: EditFile | None) -> Callable[[str], Gaussians]:
+    """Return what reads the scenes that edits name, whose paths begin at the list's folder."""
+    return read_gaussians if file is None else file.other
 
 
 def _times(step: Callable[[EditList], EditList], count: int, listed: EditList) -> EditList:
