@@ -23,6 +23,7 @@ from machine import arguments
 
 import drsplat as ds
 from drsplat.kernels import render_channels, splat_arrays, view_weights
+from drsplat.kernels.cuda import using_device
 from drsplat.kernels.cuda.engine import cuda_engine
 from drsplat.kernels.cuda.places import on_host
 from drsplat.training.device_run import DeviceRun
@@ -152,7 +153,7 @@ def registered(grown: Grown, num_views: int) -> None:
     masks = np.kron(cells, np.ones((MASK_SIDE, MASK_SIDE), np.int32))[: REGISTERED[1], : REGISTERED[0]].astype(np.int32)
     values = rng.random((len(grown.scene), 3), np.float32)
     here, spent = splat_arrays(grown.scene), {}
-    with ds.using_device("cuda"):
+    with using_device("cuda"):
         there = splat_arrays(grown.scene)
     for name, splats, count in (("GPU", there, 40), ("CPU", here, 8)):
         some = views[:count]
@@ -176,7 +177,7 @@ def registered(grown: Grown, num_views: int) -> None:
     peak_mib()
     for device in ("cuda", "cpu"):
         begin = time.perf_counter()
-        with ds.using_device(device):
+        with using_device(device):
             entries = ds.register(grown.scene, views, features).evidence.weights.nnz
         print(f"{len(views)} views registered on {device}: {time.perf_counter() - begin:.1f} s, {entries:,} entries")
     print(f"registration: {peak_mib()} MiB")

@@ -52,7 +52,6 @@ PUBLIC = {
     "render",
     "train",
     "train_codebook",
-    "using_device",
     "write_gaussians",
 }
 HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")

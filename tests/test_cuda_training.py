@@ -4,6 +4,7 @@ The device that is chosen, and what is said where there is none.
 """
 
 import json
+import math
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -514,3 +515,34 @@ def test_a_device_is_used_within_its_block(machine, cuda_engine_on_cpu, monkeypa
         _ = 1 / 0
     assert devices.device_in_use() == "cpu"
     assert splat_arrays(scene).engine is None
+
+
+# --- noise ----------------------------------------------------------------------------------------
+
+
+def philox(counter: int, low: int, high: int) -> list[int]:
+    """Philox 4x32-10 as its paper has it."""
+    x, key = [counter, 0, 0, 0], [low, high]
+    for _ in range(10):
+        a, b = x[0] * 0xD2511F53, x[2] * 0xCD9E8D57
+        x = [(b >> 32) ^ x[1] ^ key[0], b & 0xFFFFFFFF, (a >> 32) ^ x[3] ^ key[1], a & 0xFFFFFFFF]
+        key = [(key[0] + 0x9E3779B9) & 0xFFFFFFFF, (key[1] + 0xBB67AE85) & 0xFFFFFFFF]
+    return x
+
+
+def test_noise_is_that_of_philox(cuda_engine_on_cpu):
+    assert philox(0, 0, 0) == [0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8]  # the known answer of its authors
+    low, high = (int(word) for word in np.random.default_rng(3).integers(1 << 32, size=2))
+    drawn = there.normals(cuda_engine_on_cpu, np.random.default_rng(3), 5).ravel()
+    for place in range(0, 14, 2):
+        first, second = ((word >> 8) + 0.5 for word in philox(place // 4, low, high)[place % 4 : place % 4 + 2])
+        length, angle = math.sqrt(-2 * math.log(first / 2**24)), 2 * math.pi * second / 2**24
+        assert_allclose(drawn[place : place + 2], [length * math.cos(angle), length * math.sin(angle)], atol=2e-6)
+
+
+def test_noise_is_normal(cuda_engine_on_cpu):
+    drawn = there.normals(cuda_engine_on_cpu, np.random.default_rng(0), 30_001).astype(np.float64)
+    assert abs(drawn.mean()) < 0.02
+    assert drawn.std() == pytest.approx(1, abs=0.02)
+    assert (drawn**4).mean() == pytest.approx(3, abs=0.15)
+    assert np.abs(np.corrcoef(drawn.T) - np.eye(3)).max() < 0.03

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -646,19 +645,15 @@ def test_points_move_with_their_views(capture, tmp_path):
 
 
 def test_devices(monkeypatch):
-    from drsplat.training import devices
+    from drsplat.kernels.cuda import devices
 
-    class Cuda:
-        unavailable: Callable[[], str | None]
-
-    monkeypatch.setattr(devices, "_cuda", lambda: Cuda)
-    Cuda.unavailable = staticmethod(lambda: "pip install 'drsplat[cuda]'")
+    monkeypatch.setattr(devices, "unavailable", lambda: "pip install 'drsplat[cuda]'")
     assert chosen_device("cpu") == chosen_device("auto") == "cpu"
     with pytest.raises(MissingExtraError, match="pip install"):
         chosen_device("cuda")
     with pytest.raises(InputError, match="device"):
         chosen_device("tpu")
-    Cuda.unavailable = staticmethod(lambda: None)
+    monkeypatch.setattr(devices, "unavailable", lambda: None)
     assert chosen_device("cuda") == chosen_device("auto") == "cuda"
 
 

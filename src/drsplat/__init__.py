@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from .formats.langsplat import read_features
     from .formats.scenes import read_gaussians, write_gaussians
     from .formats.vocabulary import read_vocabulary
-    from .kernels.cuda.devices import using_device
     from .masks.features import ViewFeatures
     from .models.loading import load_encoder
     from .models.mini import MiniEncoder
@@ -45,7 +44,7 @@ _HOMES = {
     "scene.photos": ("load_image",), "query": ("Answer", "Cut", "Match", "Query", "Scene", "open_scene"),
     "registration": ("Registration", "register"), "drawing.rendering": ("render",),
     "viewing.exporting": ("export_page",), "training": ("TrainingSettings", "train"), "scene.views": ("View",),
-    "models.words": ("WordEncoder",), "kernels.cuda.devices": ("using_device",),
+    "models.words": ("WordEncoder",),
 }  # fmt: skip
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
@@ -55,7 +54,7 @@ __all__ = [
     "TrainingSettings", "View", "ViewFeatures", "WordEncoder", "__version__", "embed", "evaluate", "export_page",
     "load_codebook", "load_encoder", "load_field", "load_image", "load_segmenter", "open_scene", "read_features",
     "read_gaussians", "read_sparse_points", "read_views", "read_vocabulary", "register", "render", "train",
-    "train_codebook", "using_device", "write_gaussians",
+    "train_codebook", "write_gaussians",
 ]  # fmt: skip
 
 

@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--device", choices=("auto", "cpu", "cuda"), default="auto",
-        help="device to train on; auto is CUDA where CuPy and a GPU are at hand (default: auto)",
+        help="device to train on; auto is the CPU, whose scenes are the better ones so far (default: auto)",
     )  # fmt: skip
     _add_method(parser)
     _add_course(parser)
@@ -127,12 +127,12 @@ def _add_course(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from .. import read_sparse_points, train
-    from ..kernels.cuda.devices import chosen_device
     from ..progress import Meter
     from ..system import peak_memory_bytes
     from ..terminal import counted
+    from ..training.devices import training_device
 
-    device = chosen_device(arguments.device)
+    device = training_device(arguments.device)
     divisor = arguments.resolution if arguments.resolution in DIVISORS else None
     views = [
         view.limited(max(view.width, view.height) / divisor if divisor else arguments.resolution or MAX_SIDE)

@@ -5,9 +5,9 @@ import numpy as np
 from ..arrays import Anywhere, Float
 
 
-def rotation_matrices(quats: Float[Anywhere, "n 4"]) -> Float[Anywhere, "n 3 3"]:
+def rotation_matrices(quats: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 3 3"]:
     """Return the matrices from local axes (their columns) to the world, in the precision of the input."""
-    matrices: Anywhere = np.stack([np.stack(row, -1) for row in rotation_rows(quats.T)], -2)
+    matrices: np.ndarray = np.stack([np.stack(row, -1) for row in rotation_rows(quats.T)], -2)
     return matrices
 
 

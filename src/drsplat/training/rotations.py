@@ -1,20 +1,24 @@
-"""Quaternions (w, x, y, z) of any length, acting on vectors row by row."""
+"""Quaternions (w, x, y, z) of any length, acting on vectors row by row; on arrays of NumPy or of a device.
+
+Written out, because libraries contract products of small matrices in orders and precisions of their own.
+"""
 
 import numpy as np
 
 from ..arrays import Anywhere, Float32
-from ..scene.rotations import rotation_matrices
+from ..scene.rotations import rotation_rows
 
 
 def unit(quats: Float32[Anywhere, "n 4"]) -> Float32[Anywhere, "n 4"]:
-    unit: Anywhere = quats / np.sqrt(np.einsum("ni,ni->n", quats, quats))[:, None]
+    w, x, y, z = quats.T
+    unit: Anywhere = quats / np.sqrt(w * w + x * x + y * y + z * z)[:, None]
     return unit
 
 
 def rotated(quats: Float32[Anywhere, "n 4"], vectors: Float32[Anywhere, "n 3"]) -> Float32[Anywhere, "n 3"]:
     """Rotate vectors from the local axes of each row to the world."""
-    # einsum, not matmul: BLAS may round differently with another number of threads
-    turned: Anywhere = np.einsum("nij,nj->ni", rotation_matrices(unit(quats)), vectors)
+    x, y, z = vectors.T
+    turned: Anywhere = np.stack([a * x + b * y + c * z for a, b, c in rotation_rows(unit(quats).T)], -1)
     return turned
 
 
@@ -22,7 +26,8 @@ def spread(
     quats: Float32[Anywhere, "n 4"], scales: Float32[Anywhere, "n 3"], vectors: Float32[Anywhere, "n 3"]
 ) -> Float32[Anywhere, "n 3"]:
     """Covariance times vector: R S S^T R^T v."""
-    axes = rotation_matrices(unit(quats))
-    local = np.einsum("nij,ni->nj", axes, vectors) * scales**2
-    world: Anywhere = np.einsum("nij,nj->ni", axes, local)
+    rows = rotation_rows(unit(quats).T)
+    x, y, z = vectors.T
+    local = [(rows[0][k] * x + rows[1][k] * y + rows[2][k] * z) * scales[:, k] ** 2 for k in range(3)]
+    world: Anywhere = np.stack([a * local[0] + b * local[1] + c * local[2] for a, b, c in rows], -1)
     return world
