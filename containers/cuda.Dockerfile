@@ -1,7 +1,8 @@
 # drsplat with SAM, CLIP and training on a CUDA GPU:   docker run --rm --gpus all drsplat-cuda doctor
 #   docker build -t drsplat-cuda -f containers/cuda.Dockerfile .
 # CUDA's libraries come with the packages; the kernels are compiled when they are first used. Keep them, and the models,
-# in a volume:   docker run --rm --gpus all -v "$PWD:/data" -v drsplat-cache:/home/drsplat drsplat-cuda train capture
+# in a volume:
+#   docker run --rm --gpus all -v "$PWD:/data" -v drsplat-cache:/home/drsplat drsplat-cuda train capture --device cuda
 FROM ubuntu:24.04
 # hadolint ignore=DL3008
 RUN apt-get update \
