@@ -8,7 +8,7 @@ import numpy as np
 from ..arrays import Anywhere, Bool, Float32, Integer
 from ..errors import FormatError
 from ..formats.activation import checked, sigmoid
-from ..kernels.cuda.places import on_host
+from ..kernels.cuda.places import contiguous, on_host
 from ..kernels.cuda.training import DeviceGradients
 from ..kernels.training import Gradients, SceneParameters, adam_step
 from ..scene.eight_bits import MAX_CONSTANT
@@ -139,8 +139,10 @@ def _zeros_like(parameters: SceneParameters) -> SceneParameters:
 
 
 def _rows(parameters: SceneParameters, rows: Rows) -> SceneParameters:
-    return SceneParameters(*(array[rows] for array in parameters))
+    return SceneParameters(*(contiguous(array[rows]) for array in parameters))
 
 
 def _joined(parameters: SceneParameters, new: SceneParameters) -> SceneParameters:
-    return SceneParameters(*(np.concatenate([old, more]) for old, more in zip(parameters, new, strict=True)))
+    return SceneParameters(
+        *(contiguous(np.concatenate([old, more])) for old, more in zip(parameters, new, strict=True))
+    )

@@ -16,3 +16,8 @@ def on_host(array: Any) -> np.ndarray:
 def placed(array: np.ndarray, like: Anywhere) -> Anywhere:
     """Return an array where another one is."""
     return np.asarray(array, like=like)
+
+
+def contiguous(array: Anywhere) -> Anywhere:
+    """Return an array row after row, as kernels read it: libraries choose the layouts of their results."""
+    return np.ascontiguousarray(array, like=array)
