@@ -439,6 +439,20 @@ def test_full_memory_is_explained(views, points, tmp_path):
         cuda.train(Job(views, BUSY, points=points), Full(compiled()))
 
 
+def test_a_gpu_without_room_for_the_start_says_so(views, points):
+    class Numpy:
+        def __getattr__(self, name):
+            return getattr(np, name)
+
+        def asarray(self, array):
+            raise OutOfMemoryError("tried to allocate 3 GiB")
+
+    full = CpuEngine(compiled())
+    full.xp = Numpy()
+    with pytest.raises(DrSplatError, match=r"full at 60 Gaussians, which are sent there: .*max_gaussians=N.*3 GiB"):
+        cuda.train(Job(views, BUSY, points=points), full)
+
+
 # --- the device that is chosen ---------------------------------------------------------------------
 
 

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from functools import partial
 
 from ..kernels.cuda.engine import Engine, cuda_engine, memory_explained
-from .device_run import DeviceRun
+from .device_run import CURE, DeviceRun
 from .job import Job
 from .keeper import Keeper
 from .loop import optimise, trained
@@ -29,11 +29,5 @@ def _optimise(run: DeviceRun, keeper: Keeper, job: Job) -> None:
 
 @contextmanager
 def _memory_explained(run: DeviceRun) -> Iterator[None]:
-    def where() -> str:
-        return (
-            f"at {len(run):,} Gaussians, in iteration {run.iteration}: limit them with max_gaussians=N, or train on "
-            "smaller photos"
-        )
-
-    with memory_explained(where):
+    with memory_explained(lambda: f"at {len(run):,} Gaussians, in iteration {run.iteration}: {CURE}"):
         yield

@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from ..kernels.cuda.engine import Engine
+from ..kernels.cuda.engine import Engine, memory_explained
 from ..kernels.cuda.places import on_host
 from ..kernels.cuda.training import (
     AdamRates,
@@ -31,6 +31,7 @@ from .run import Outcome, Run
 from .schedules import active_sh_degree
 from .training_photos import Photo, TrainingPhotos
 
+CURE = "limit them with max_gaussians=N, or train on smaller photos"
 PHOTO_SHARE = 4  # photos take a quarter of the memory that is free, at most
 
 
@@ -111,7 +112,8 @@ class DeviceRun(Run):
             self.engine.release()
 
     def _placed(self, optimizer: Optimizer) -> Optimizer:
-        return DeviceOptimizer.sent(optimizer, self.engine)
+        with memory_explained(lambda: f"at {len(optimizer):,} Gaussians, which are sent there: {CURE}"):
+            return DeviceOptimizer.sent(optimizer, self.engine)
 
     def _density(self) -> MonteCarlo | AdaptiveDensity:
         if self.settings.strategy == "mcmc":
