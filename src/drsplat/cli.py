@@ -1,9 +1,9 @@
 """The command line: arguments -> one public call -> print.
 
 Each verb is a module of `drsplat.commands` with EXAMPLES, add_arguments(parser), run(arguments) -> a JSON object, and
-show(object) for people. Two more are optional: DAILY, the options that --help shows if not all, and
-interrupted(arguments) -> how to go on after Ctrl-C. To add a verb, add the module, and its name and summary to
-`drsplat.commands.verbs`.
+show(object) for people. Three more are optional: DAILY, the options that --help shows if not all,
+interrupted(arguments) -> how to go on after Ctrl-C, and device(arguments) -> where it draws and registers. To add a
+verb, add the module, and its name and summary to `drsplat.commands.verbs`.
 """
 
 import argparse
@@ -197,6 +197,19 @@ def spelled(message: str, flags: Mapping[str, str]) -> str:
     return _ARGUMENT.sub(spell, message)
 
 
+@contextmanager
+def _on_device(arguments: argparse.Namespace) -> Iterator[None]:
+    """Draw and register where a verb says, if it has a choice. Raises: MissingExtraError: there is no such GPU."""
+    choice = getattr(arguments.command, "device", None)
+    if choice is None:
+        yield
+        return
+    from .kernels.cuda.devices import using_device
+
+    with using_device(choice(arguments)):
+        yield
+
+
 def _run(argv: list[str]) -> int:
     arguments = make_parser(argv[:1]).parse_args(argv)
     _refuse_no_texts(arguments)
@@ -209,7 +222,8 @@ def _run(argv: list[str]) -> int:
         os.environ.update(dict.fromkeys(_THREAD_VARIABLES, str(arguments.threads)))
     with _warnings_as_lines(arguments.flags, arguments.debug):
         try:
-            answer = arguments.command.run(arguments)
+            with _on_device(arguments):
+                answer = arguments.command.run(arguments)
         except (DrSplatError, KeyboardInterrupt) as error:
             if isinstance(error, KeyboardInterrupt) and not error.args and hasattr(arguments.command, "interrupted"):
                 error.args = (arguments.command.interrupted(arguments),)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .leaving_out import add_without, left_out
-from .options import add_overwrite, add_query_encoders, device_for_kernels, finite, length, tracker, whole, words
+from .options import add_overwrite, add_query_encoders, finite, length, tracker, whole, words
 from .query_options import open_scene
 
 if TYPE_CHECKING:
@@ -92,13 +92,6 @@ def _add_classes(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from ..kernels.cuda.devices import using_device
-
-    with using_device(device_for_kernels(arguments)):
-        return _evaluated(arguments)
-
-
-def _evaluated(arguments: argparse.Namespace) -> dict[str, Any]:
     from .. import evaluate
     from ..evaluation.label_sets import label_set
     from ..evaluation.report import without_nan

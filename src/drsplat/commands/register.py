@@ -149,11 +149,16 @@ def _add_code(method: argparse._ArgumentGroup) -> None:
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..formats.field_folder import claimed_field
-    from ..kernels.cuda.devices import using_device
+    from ..kernels.cuda.devices import device_in_use
 
-    output = new_or_complete(arguments.output, arguments.overwrite)
-    with claimed_field(output) as claimed, using_device(arguments.device) as device:
-        return _registered(arguments, claimed) | {"device": device}
+    with claimed_field(new_or_complete(arguments.output, arguments.overwrite)) as output:
+        return _registered(arguments, output) | {"device": device_in_use()}
+
+
+def device(arguments: argparse.Namespace) -> str:
+    """Return the device to register on."""
+    name: str = arguments.device
+    return name
 
 
 def interrupted(arguments: argparse.Namespace) -> str:

@@ -13,7 +13,6 @@ from .options import (
     add_near,
     add_overwrite,
     add_query_encoders,
-    device_for_kernels,
     finite,
     new_output,
     tracker,
@@ -109,13 +108,6 @@ def _add_answer_options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from ..kernels.cuda.devices import using_device
-
-    with using_device(device_for_kernels(arguments)):
-        return _rendered(arguments)
-
-
-def _rendered(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..formats.moving_scenes import read_scene
     from ..progress import Stopwatch
     from ..scene.moving import canonical_of

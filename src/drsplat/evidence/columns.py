@@ -15,7 +15,6 @@ from ..errors import FormatError, InputError, MismatchError
 from ..formats.tensors import map_tensors, read_tensors, write_tensors
 from ..kernels import SplatArrays, Triples, default_isa, splat_arrays
 from ..kernels.cuda.devices import device_in_use
-from ..kernels.splatting import on_device_in_use
 from ..masks.features import ViewFeatures
 from ..scene.gaussians import Gaussians, ShapesDigest
 from ..scene.moving import Moving
@@ -142,7 +141,7 @@ class ColumnMaker:
         columns, is_new = Columns(view.name, path, features.embeddings, key), not is_finished(path, marks)
         if is_new:
             splats, rows = self.scenery.visible_splats(view)
-            triples = self.sampling.triples(on_device_in_use(splats), view, mask_ids, self.threads)
+            triples = self.sampling.triples(splats, view, mask_ids, self.threads)
             if rows is not None:
                 triples = triples._replace(gaussian_ids=rows[triples.gaussian_ids])
             self.folder.mkdir(parents=True, exist_ok=True)

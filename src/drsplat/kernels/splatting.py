@@ -202,6 +202,7 @@ def view_weights(
         )
     pixels = np.ascontiguousarray(mask_ids, np.int32)
     limits = _positive("topk", topk), _positive("first_hits", first_hits)
+    splats = on_device_in_use(splats)
     if splats.engine is not None:
         there: Triples = _on_device().view_weights(splats, view, pixels, *limits)
         return there
