@@ -1,5 +1,8 @@
 """A GPU that is too full for a view: bands of it, and the same answer. Scenes that are on the device already."""
 
+from importlib import import_module
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -101,3 +104,23 @@ def test_tensors_that_do_not_fit_are_refused(folder, scene, change, said):
     tensors = [scene.means, scene.quats, scene.scales, scene.opacities]
     with pytest.raises(InputError, match=said):
         splats_of_tensors(*change(tensors), near=0.2, engine=CpuEngine(folder))
+
+
+@pytest.mark.parametrize("verb", ["register", "render", "evaluate"])
+def test_a_verb_that_draws_says_where(verb):
+    command = import_module(f"drsplat.commands.{verb}")
+    assert command.device(SimpleNamespace(device="cpu")) == "cpu"
+    assert command.device(SimpleNamespace(device="auto")) == "auto"
+
+
+def test_the_command_line_draws_where_it_is_asked_to(monkeypatch):
+    from drsplat import cli
+    from drsplat.kernels.cuda import devices
+
+    monkeypatch.setattr(devices, "unavailable", lambda: None)
+    command = SimpleNamespace(device=lambda arguments: arguments.device)
+    with cli._on_device(SimpleNamespace(command=command, device="cuda")):
+        assert devices.device_in_use() == "cuda"
+    assert devices.device_in_use() == "cpu"
+    with cli._on_device(SimpleNamespace(command=SimpleNamespace())):
+        assert devices.device_in_use() == "cpu"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .leaving_out import add_without, left_out
-from .options import add_overwrite, add_query_encoders, finite, length, tracker, whole, words
+from .options import add_overwrite, add_query_encoders, device_for_kernels, finite, length, tracker, whole, words
 from .query_options import open_scene
 
 if TYPE_CHECKING:
@@ -89,6 +89,11 @@ def _add_classes(parser: argparse.ArgumentParser) -> None:
         "--voxel-side", type=length, default=0.05, metavar="LENGTH",
         help="side of a voxel in scene units (default: 0.05)",
     )  # fmt: skip
+
+
+def device(arguments: argparse.Namespace) -> str:
+    """Return the device to draw on."""
+    return device_for_kernels(arguments)
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from .options import (
     add_near,
     add_overwrite,
     add_query_encoders,
+    device_for_kernels,
     finite,
     new_output,
     tracker,
@@ -105,6 +106,11 @@ def _add_answer_options(parser: argparse.ArgumentParser) -> None:
         "--attributes", type=words, nargs="+", metavar="WORDS",
         help="one row of pictures of the best match of --query: as it is, and a heat map for each of these words",
     )  # fmt: skip
+
+
+def device(arguments: argparse.Namespace) -> str:
+    """Return the device to draw on."""
+    return device_for_kernels(arguments)
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
