@@ -1,5 +1,6 @@
 """A GPU that is too full for a view: bands of it, and the same answer. Scenes that are on the device already."""
 
+from argparse import Namespace
 from importlib import import_module
 from types import SimpleNamespace
 
@@ -109,8 +110,8 @@ def test_tensors_that_do_not_fit_are_refused(folder, scene, change, said):
 @pytest.mark.parametrize("verb", ["register", "render", "evaluate"])
 def test_a_verb_that_draws_says_where(verb):
     command = import_module(f"drsplat.commands.{verb}")
-    assert command.device(SimpleNamespace(device="cpu")) == "cpu"
-    assert command.device(SimpleNamespace(device="auto")) == "auto"
+    assert command.device(Namespace(device="cpu")) == "cpu"
+    assert command.device(Namespace(device="auto")) == "auto"
 
 
 def test_the_command_line_draws_where_it_is_asked_to(monkeypatch):
@@ -119,8 +120,8 @@ def test_the_command_line_draws_where_it_is_asked_to(monkeypatch):
 
     monkeypatch.setattr(devices, "unavailable", lambda: None)
     command = SimpleNamespace(device=lambda arguments: arguments.device)
-    with cli._on_device(SimpleNamespace(command=command, device="cuda")):
+    with cli._on_device(Namespace(command=command, device="cuda")):
         assert devices.device_in_use() == "cuda"
     assert devices.device_in_use() == "cpu"
-    with cli._on_device(SimpleNamespace(command=SimpleNamespace())):
+    with cli._on_device(Namespace(command=SimpleNamespace())):
         assert devices.device_in_use() == "cpu"
