@@ -24,12 +24,13 @@ from drsplat.kernels import training as kernels
 from drsplat.kernels.cuda import devices
 from drsplat.kernels.cuda import engine as engines
 from drsplat.kernels.cuda import training as there
+from drsplat.kernels.training import Rates
 from drsplat.scene.eight_bits import MAX_CONSTANT
 from drsplat.training import cuda
 from drsplat.training.checkpoint import load_checkpoint, save_checkpoint
 from drsplat.training.device_run import DeviceOptimizer, DeviceRun
 from drsplat.training.job import Beginning, Job
-from drsplat.training.optimizer import Optimizer, Rates
+from drsplat.training.optimizer import Optimizer
 from drsplat.training.run import Run
 from drsplat.training.start import first_gaussians
 from test_gradients import (
@@ -37,6 +38,7 @@ from test_gradients import (
     assert_gradients_agree,
     background_of,
     decisions_of,
+    extreme_columns,
     image_gradient_of,
     random_scene,
     scene_of,
@@ -137,16 +139,8 @@ def test_what_is_not_seen_has_no_gradient(cuda_engine_on_cpu, count):
 
 
 def test_extreme_parameters_give_finite_gradients(cuda_engine_on_cpu):
-    """What an optimiser may run into: collapsed, huge, faint, opaque, behind or in the camera."""
     view = view_of("black")
-    columns = [column.copy() for column in random_scene(200, 7, 3)]
-    means, log_scales, quats, logits, sh = columns
-    quats[0:5], quats[5:10], quats[10:15] = 0, 1e-12 * quats[5:10], 1e12 * quats[10:15]
-    logits[15:20], logits[20:25], logits[25:30], logits[30:35] = 50, -50, 200, -200
-    log_scales[35:40], log_scales[40:45], log_scales[45:50] = -100, -30, 30
-    log_scales[50:55], log_scales[55:60] = [5, -12, -12], 8
-    means[60:65], means[65:70], means[70:75] = view.center, view.center + 1e-4, 1e10
-    sh[75:80], sh[80:85] = 1e10, -1e10
+    columns = extreme_columns(view)
     parameters, sent = kernels.SceneParameters(*columns), there.sent_view(cuda_engine_on_cpu, view, NEAR)
     drawn = there.forward(cuda_engine_on_cpu, parameters, sent, 3, np.zeros(3, np.float32), False)
     assert np.isfinite(drawn.image).all()

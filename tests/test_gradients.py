@@ -283,9 +283,8 @@ def test_what_is_not_seen_has_no_gradient():
         assert_array_equal(column, 0)
 
 
-def test_extreme_parameters_give_finite_gradients():
+def extreme_columns(view: View) -> list[np.ndarray]:
     """What an optimiser may run into: collapsed, huge, faint, opaque, behind or in the camera."""
-    view = view_of("black")
     columns = [column.copy() for column in random_scene(200, 7, 3)]
     means, log_scales, quats, logits, sh = columns
     quats[0:5], quats[5:10], quats[10:15] = 0, 1e-12 * quats[5:10], 1e12 * quats[10:15]
@@ -294,6 +293,12 @@ def test_extreme_parameters_give_finite_gradients():
     log_scales[50:55], log_scales[55:60] = [5, -12, -12], 8
     means[60:65], means[65:70], means[70:75] = view.center, view.center + 1e-4, 1e10
     sh[75:80], sh[80:85] = 1e10, -1e10
+    return columns
+
+
+def test_extreme_parameters_give_finite_gradients():
+    view = view_of("black")
+    columns = extreme_columns(view)
     found = forward(SceneParameters(*columns), view, 3, np.zeros(3, np.float32))
     assert np.isfinite(found.image).all()
     for name, column in found.backward(image_gradient_of("black"))._asdict().items():

@@ -221,6 +221,7 @@ def topk_contributions(
     Source: Dr. Splat Sec. A; 3DGS Eq. 3.
     """
     size, limits = (view.width, view.height), (_positive("k", k), _positive("first_hits", first_hits))
+    splats = on_device_in_use(splats)
     if splats.engine is not None:
         there: Contributions = _on_device().topk_contributions(splats, view, *limits)
         return there
@@ -262,6 +263,7 @@ def render_channels(
     behind = np.zeros(channels, np.float32) if background is None else background
     if len(values) != n or behind.shape != (channels,):
         raise InputError(f"expected values ({n}, C) and background (C); got {values.shape} and {behind.shape}")
+    splats = on_device_in_use(splats)
     if splats.engine is not None:
         there: Rendering = _on_device().render_channels(
             splats, view, np.ascontiguousarray(values), np.ascontiguousarray(behind)

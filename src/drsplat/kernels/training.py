@@ -30,6 +30,17 @@ class SceneParameters(NamedTuple):
     sh: Float32[np.ndarray, "n k 3"]
 
 
+class Rates(NamedTuple):
+    """Learning rate of each kind of parameter; sh of the constant term, sh_rest of all others."""
+
+    means: float
+    log_scales: float
+    quats: float
+    logits: float
+    sh: float
+    sh_rest: float
+
+
 class Gradients(NamedTuple):
     """Gradients dL/d(parameter) and what density control needs; all zero for unseen Gaussians.
 

@@ -10,7 +10,6 @@ import numpy as np
 from ..kernels.cuda.engine import Engine, memory_explained
 from ..kernels.cuda.places import on_host
 from ..kernels.cuda.training import (
-    AdamRates,
     DeviceGradients,
     DevicePhoto,
     DeviceView,
@@ -21,12 +20,12 @@ from ..kernels.cuda.training import (
     photometric_loss,
     sent_view,
 )
-from ..kernels.training import SceneParameters
+from ..kernels.training import Rates, SceneParameters
 from ..scene.views import View
 from .density import AdaptiveDensity
 from .job import Beginning
 from .mcmc import MonteCarlo
-from .optimizer import Optimizer, Rates, Slopes
+from .optimizer import Optimizer, Slopes
 from .run import Outcome, Run
 from .schedules import active_sh_degree
 from .training_photos import Photo, TrainingPhotos
@@ -56,7 +55,7 @@ class DeviceOptimizer(Optimizer):
     def step(self, gradients: Slopes, rates: Rates, step: int, threads: int = 0) -> None:
         """One step of Adam, in place."""
         slopes = cast(DeviceGradients, gradients)
-        adam_step(self.engine, self.parameters, self.first, self.second, slopes, AdamRates(*rates), step)
+        adam_step(self.engine, self.parameters, self.first, self.second, slopes, rates=rates, step=step)
 
     def noise(self, rng: np.random.Generator, count: int) -> Any:
         return normals(self.engine, rng, count)
@@ -72,12 +71,13 @@ class DevicePhotos:
         self._photos, self._xp, self._room = photos, engine.xp, engine.free_bytes() // PHOTO_SHARE
         self._kept: dict[tuple[int, int, int], DevicePhoto] = {}
 
-    def seen(self, index: int, view: View, coarse: bool) -> DevicePhoto:
-        """Return a photo on the raster of a view, which is coarser than its own where `coarse`."""
+    def seen(self, index: int, view: View) -> DevicePhoto:
+        """Return a photo on the raster of a view, which may be coarser than its own."""
         key = (index, view.width, view.height)
         if key not in self._kept:
             photo = self._photos[index]
-            sent = self._sent(photo.smaller(view.width, view.height) if coarse else photo)
+            fits = photo.pixels.shape[:2] == (view.height, view.width)
+            sent = self._sent(photo if fits else photo.smaller(view.width, view.height))
             size = sum(array.nbytes for array in sent if array is not None)
             if size > self._room:
                 return sent
@@ -122,7 +122,7 @@ class DeviceRun(Run):
 
     def _seen_and_compared(self, index: int, threads: int) -> tuple[Outcome, Slopes]:
         view = self._view(index)
-        target = self.targets.seen(index, view, view is not self.views[index])
+        target = self.targets.seen(index, view)
         self._lap("photo")
         drawn = forward(
             self.engine, self.optimizer.parameters, self._camera(index, view),

@@ -1,7 +1,6 @@
 """The optimised parameters, with Adam's moments row by row beside them."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 
@@ -10,7 +9,7 @@ from ..errors import FormatError
 from ..formats.activation import checked, sigmoid
 from ..kernels.cuda.places import contiguous, on_host
 from ..kernels.cuda.training import DeviceGradients
-from ..kernels.training import Gradients, SceneParameters, adam_step
+from ..kernels.training import Gradients, Rates, SceneParameters, adam_step
 from ..scene.eight_bits import MAX_CONSTANT
 from ..scene.gaussians import Gaussians
 
@@ -18,17 +17,6 @@ FLOATING = SceneParameters._fields
 Slopes = Gradients | DeviceGradients  # of the CPU, of a device
 LOG_SCALE_LIMIT = 80.0  # exp of it is still a normal float32
 Rows = Integer[Anywhere, " _"] | Bool[Anywhere, " _"]
-
-
-class Rates(NamedTuple):
-    """Learning rate of each kind of parameter; sh of the constant term, sh_rest of all others."""
-
-    means: float
-    log_scales: float
-    quats: float
-    logits: float
-    sh: float
-    sh_rest: float
 
 
 class Optimizer:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..arrays import Float32
 from ..errors import DrSplatError
-from ..kernels.training import Gradients, Loss, TrainingView, forward, photometric_loss
+from ..kernels.training import Gradients, Loss, Rates, TrainingView, forward, photometric_loss
 from ..scene.gaussians import Gaussians
 from ..scene.placing import near_plane
 from ..scene.views import View
@@ -20,7 +20,7 @@ from .density import AdaptiveDensity
 from .job import Beginning
 from .mcmc import MonteCarlo
 from .metrics import psnr
-from .optimizer import Optimizer, Rates, Slopes
+from .optimizer import Optimizer, Slopes
 from .schedules import active_sh_degree, divisor, means_rate
 from .start import scene_extent
 from .training_photos import Photo, TrainingPhotos, ViewOrder

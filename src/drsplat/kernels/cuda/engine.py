@@ -15,7 +15,7 @@ from ...errors import DrSplatError, MissingExtraError
 
 INSTALL = 'pip install "drsplat[cuda]"'
 COMMON = ("basics", "projection", "walk")
-MODULES = {  # files that are compiled together, of which the last ones hold kernels of this module alone
+MODULES = {  # files that are compiled together
     "tiling": ("basics", "sort", "projection", "tiles"),
     "drawing": (*COMMON, "draw", "weights"),
     "training": (*COMMON, "training"),
@@ -54,12 +54,10 @@ def source_of(module: str) -> str:
 
 @cache
 def module_of(kernel: str) -> str:
-    """Return the module that a kernel is in."""
+    """Return the first module that a kernel is in."""
     folder = Path(__file__).parent
     for module, files in MODULES.items():
         for name in files:
-            if name in COMMON and module != "tiling":
-                continue
             if any(found[1] == kernel for found in KERNEL.finditer((folder / f"{name}.cuh").read_text("utf-8"))):
                 return module
     raise KeyError(kernel)

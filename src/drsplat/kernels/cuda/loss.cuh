@@ -12,6 +12,18 @@ DEVICE float target_at(const Photo &photo, const float *image, size_t pixel, int
   return photo.unused && photo.unused[pixel] ? seen : (float)photo.pixels[pixel * 3 + channel] * (1.f / 255);
 }
 
+struct Square {  // 16x16 pixels of a block, and the one of a thread in it
+  int left, top, lx, ly;
+  bool inside;
+  size_t at;
+};
+
+DEVICE Square square_of_thread(int width, int height) {
+  const int columns = (width + TILE - 1) / TILE, left = blockIdx.x % columns * TILE, top = blockIdx.x / columns * TILE;
+  const int lx = threadIdx.x % TILE, ly = threadIdx.x / TILE, x = left + lx, y = top + ly;
+  return {left, top, lx, ly, x < width && y < height, (size_t)y * width + x};
+}
+
 // The sum of one number of each of 256 threads, in thread 0.
 DEVICE double block_sum(double value) {
   __shared__ double of_warps[8];
@@ -39,10 +51,8 @@ KERNEL __launch_bounds__(256)
                   float *partials, double *sums) {
   __shared__ float a[SIDE][SIDE], b[SIDE][SIDE], across[5][SIDE][TILE], w[WINDOW];
   const Photo photo = {pixels, unused};
-  const int columns = (width + TILE - 1) / TILE, left = blockIdx.x % columns * TILE, top = blockIdx.x / columns * TILE;
-  const int lx = threadIdx.x % TILE, ly = threadIdx.x / TILE, x = left + lx, y = top + ly;
-  const bool inside = x < width && y < height;
-  const size_t plane = (size_t)width * height, at = (size_t)y * width + x;
+  const auto [left, top, lx, ly, inside, at] = square_of_thread(width, height);
+  const size_t plane = (size_t)width * height;
   if (threadIdx.x < WINDOW) w[threadIdx.x] = window[threadIdx.x];
   double total = 0;
   for (int c = 0; c < 3; c++) {
@@ -88,10 +98,8 @@ KERNEL __launch_bounds__(256)
                   const float *partials, float ssim_weight, float *gradient, double *sums) {
   __shared__ float planes[3][SIDE][SIDE], across[3][SIDE][TILE], w[WINDOW];
   const Photo photo = {pixels, unused};
-  const int columns = (width + TILE - 1) / TILE, left = blockIdx.x % columns * TILE, top = blockIdx.x / columns * TILE;
-  const int lx = threadIdx.x % TILE, ly = threadIdx.x / TILE, x = left + lx, y = top + ly;
-  const bool inside = x < width && y < height;
-  const size_t plane = (size_t)width * height, at = (size_t)y * width + x;
+  const auto [left, top, lx, ly, inside, at] = square_of_thread(width, height);
+  const size_t plane = (size_t)width * height;
   const float share = 1.f / (3.f * (float)width * (float)height), l1 = (1.f - ssim_weight) * share;
   if (threadIdx.x < WINDOW) w[threadIdx.x] = window[threadIdx.x];
   double total = 0;

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...scene.views import View
-from ..training import SceneParameters
+from ..training import Rates, SceneParameters
 from .engine import Engine, blocks_of
 from .sorting import empty
 from .tiling import Projected, Raster, Tiles, room_for_splats, sent_camera, tiles_of
@@ -160,24 +160,14 @@ def photometric_loss(engine: Engine, image: Any, photo: DevicePhoto, ssim_weight
     return DeviceLoss(totals, gradient, 3 * height * width, ssim_weight)
 
 
-class AdamRates(NamedTuple):
-    """Learning rates, as `training.optimizer.Rates`."""
-
-    means: float
-    log_scales: float
-    quats: float
-    logits: float
-    sh: float
-    sh_rest: float
-
-
 def adam_step(
     engine: Engine,
     parameters: SceneParameters,
     first: SceneParameters,
     second: SceneParameters,
     gradients: DeviceGradients,
-    rates: AdamRates,
+    *,
+    rates: Rates,
     step: int,
 ) -> None:
     """Take Adam's step in place: parameters and both moments change. step counts from 1.
