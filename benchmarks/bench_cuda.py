@@ -123,7 +123,7 @@ def copied(optimizer: Optimizer) -> Optimizer:
 
 
 def stepped(grown: Grown) -> None:
-    views = [view.resized(*TRAINED) for view in grown.views[:24]]
+    views = [replace(view.resized(*TRAINED), distortion=None) for view in grown.views[:24]]  # gsplat's has no edges
     settings = ds.TrainingSettings(iterations=10**6, refine_from=10**6, sh_degree_every=1)
     beginning = grown.beginning(copied(grown.optimizer), settings, views)
     ours = DeviceRun(beginning, cuda_engine())

@@ -24,7 +24,6 @@ from drsplat.formats.tensors import map_tensors, write_tensors
 from drsplat.kernels.cuda.devices import chosen_device
 from drsplat.scene.eight_bits import clamped_in_bytes
 from drsplat.training import everyday
-from drsplat.training.devices import training_device
 from furnished.capture import write_model
 
 BUSY = ds.TrainingSettings(
@@ -656,8 +655,6 @@ def test_devices(monkeypatch):
         chosen_device("tpu")
     monkeypatch.setattr(devices, "unavailable", lambda: None)
     assert chosen_device("cuda") == chosen_device("auto") == "cuda"
-    assert training_device("cuda") == "cuda"
-    assert training_device("auto") == "cpu"
 
 
 def test_an_optimisation_that_diverges_is_an_error(views, points):

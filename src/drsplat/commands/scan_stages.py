@@ -138,12 +138,12 @@ def _capturing(source: ScanInput, folder: Path, common: Sequence[str]) -> Stage:
 
 
 def _training(arguments: argparse.Namespace, capture: str, model: str, common: Sequence[str]) -> VerbLine:
-    from ..training.devices import training_device
+    from ..kernels.cuda.devices import chosen_device
 
     given = [capture, "--output-dir", model]
     given += [] if arguments.iterations is None else ["--iterations", str(arguments.iterations)]
     defaults: dict[str, str] = {}
-    if training_device(verb_line("train", given, common).arguments.device) == "cpu":
+    if chosen_device(verb_line("train", given, common).arguments.device) == "cpu":
         defaults["resolution"] = str(CPU_SIDE)
     return verb_line("train", given, common, defaults)
 

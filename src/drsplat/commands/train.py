@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
-from .options import add_invert_masks, add_overwrite, count, views_of, whole
+from .options import add_invert_masks, add_kernel_device, add_overwrite, count, views_of, whole
 
 if TYPE_CHECKING:
     from ..formats.captures import SparsePoints
@@ -46,10 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"divisor of the photos' sides (1, 2, 4 or 8), or else their longer side in pixels, from 64 on: smaller "
         f"ones teach little, and sides under 11 are refused (default: as they are, but at most {MAX_SIDE})",
     )  # fmt: skip
-    parser.add_argument(
-        "--device", choices=("auto", "cpu", "cuda"), default="auto",
-        help="device to train on; auto is the CPU, whose scenes are the better ones so far (default: auto)",
-    )  # fmt: skip
+    add_kernel_device(parser)
     _add_method(parser)
     _add_course(parser)
     group = parser.add_argument_group("capture")
@@ -127,12 +124,12 @@ def _add_course(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from .. import read_sparse_points, train
+    from ..kernels.cuda.devices import chosen_device
     from ..progress import Meter
     from ..system import peak_memory_bytes
     from ..terminal import counted
-    from ..training.devices import training_device
 
-    device = training_device(arguments.device)
+    device = chosen_device(arguments.device)
     divisor = arguments.resolution if arguments.resolution in DIVISORS else None
     views = [
         view.limited(max(view.width, view.height) / divisor if divisor else arguments.resolution or MAX_SIDE)

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
+from functools import lru_cache
 from io import BytesIO
 from pathlib import Path
 
@@ -94,12 +95,24 @@ def undistort_ids(view: View, mask_ids: Int32[np.ndarray, "h w"]) -> Int32[np.nd
     if view.distortion is None:
         return mask_ids
     height, width = mask_ids.shape
-    undistorted = np.full_like(mask_ids, -1)
-    for rows, source in _source_blocks(view.resized(width, height)):
+    raster = view.resized(width, height)
+    source = _nearest_pixels(width, height, raster.K.tobytes(), view.distortion)
+    return np.where(source < 0, np.int32(-1), mask_ids.reshape(-1)[source])
+
+
+@lru_cache(maxsize=2)  # photos of a capture mostly share a camera; 4 bytes a pixel
+def _nearest_pixels(
+    width: int, height: int, intrinsics: bytes, distortion: tuple[float, float, float, float]
+) -> Int32[np.ndarray, "h w"]:
+    """Return the flat index of the photo's pixel that each pixel of the pinhole shows; -1 outside the photo."""
+    pinhole = View("", np.frombuffer(intrinsics).reshape(3, 3), np.eye(4), width, height, distortion=distortion)
+    nearest = np.full((height, width), -1, np.int32)
+    for rows, source in _source_blocks(pinhole):
         inside = _inside(source, width, height)
-        x, y = source[inside].astype(np.intp).T
-        undistorted[rows][inside] = mask_ids[y, x]
-    return undistorted
+        x, y = source[inside].astype(np.int32).T
+        nearest[rows][inside] = y * width + x
+    nearest.flags.writeable = False
+    return nearest
 
 
 def _undistort_bilinear(view: View, photo: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:

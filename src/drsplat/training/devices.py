@@ -4,7 +4,7 @@ from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
 from ..formats.captures import SparsePoints
-from ..kernels.cuda.devices import Device, chosen_device
+from ..kernels.cuda.devices import chosen_device
 from ..scene.views import View
 from . import cuda, loop
 from .everyday import everyday
@@ -34,7 +34,7 @@ def train(
     points that is in it goes on by itself, on the CPU to the bit as if it had never stopped; so does a finished one of
     the original's settings when more iterations are asked for. None keeps everything in memory.
     points: where to start (`read_sparse_points`); None triangulates some from the photos.
-    device: "auto" is the CPU, until what a GPU makes is proven to be as good (docs/training.md, "On a GPU").
+    device: "cpu", "cuda", or "auto": CUDA where CuPy and a GPU are at hand, else the CPU.
     save_at: iterations after which the scene is written as well, before an opacity reset that is due
     then. checkpoint_every: iterations, and at
     the latest every two minutes. report: called after every iteration.
@@ -54,12 +54,4 @@ def train(
     job = Job(
         views, settings or everyday(views), output_dir, points, overwrite, save_at, checkpoint_every, threads, report
     )
-    return (loop if training_device(device) == "cpu" else cuda).train(job)
-
-
-def training_device(device: str) -> Device:
-    """Return what "auto" stands for: the CPU, whose scenes are the better ones so far.
-
-    Raises: InputError: no such device. MissingExtraError: "cuda" cannot be used; says why.
-    """
-    return "cpu" if device == "auto" else chosen_device(device)
+    return (loop if chosen_device(device) == "cpu" else cuda).train(job)
