@@ -17,8 +17,8 @@ from rooms import SyntheticFeatures, room, room_views
 
 from benchmarks.suite.aggregators import MEASURED
 from drsplat import Gaussians, register
-from drsplat.evidence.aggregation import Aggregator, Sampling
-from drsplat.evidence.evidence import Evidence
+from drsplat.field.evidence.aggregation import Aggregator, Sampling
+from drsplat.field.evidence.evidence import Evidence
 
 BLOCK = 8192
 

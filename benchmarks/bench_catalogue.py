@@ -30,7 +30,7 @@ from drawn_embeddings import CLIP, Drawn
 from machine import arguments
 
 from drsplat import DrSplatWarning, Query
-from drsplat.catalogue import Catalogue, Where, table
+from drsplat.query.catalogue import Catalogue, Where, table
 from drsplat.query.sketch import Sketch
 
 KINDS, AT_ONCE, TOP = 5000, 25, 10

@@ -140,7 +140,7 @@ def main() -> None:
                 rates.setdefault(name, []).append(run())
         opened.close()
     package = ROOT / "tests/foreign/node_modules/@sparkjsdev/spark/dist/spark.module.min.js"
-    own = ROOT / "src/drsplat/viewing/client.js"
+    own = ROOT / "src/drsplat/fronts/viewing/client.js"
     for file in (package, own):
         print(f"{file.name}: {file.stat().st_size / 1e6:.2f} MB")
     base = median(rates["Spark, WebGL in software"])

@@ -9,7 +9,7 @@ import numpy as np
 from machine import arguments, interleaved
 
 from drsplat import Codebook, EncoderIdentity, train_codebook
-from drsplat.codes.kmeans import ITERATIONS
+from drsplat.field.codes.kmeans import ITERATIONS
 
 
 def clusters(rng: np.random.Generator, count: int, dim: int) -> np.ndarray:

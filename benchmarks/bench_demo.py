@@ -18,15 +18,15 @@ from time import process_time
 
 from machine import describe
 
-from drsplat.demo import story
-from drsplat.demo.album import write_album
-from drsplat.demo.page import write_page
+from drsplat.evaluation.demo import story
+from drsplat.evaluation.demo.album import write_album
+from drsplat.evaluation.demo.page import write_page
 
 ONE_THREAD = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 
 
 class Processor:
-    """As `drsplat.progress.Stopwatch`, of the processor's time."""
+    """As `drsplat.base.progress.Stopwatch`, of the processor's time."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}

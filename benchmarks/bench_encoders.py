@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from machine import arguments
 
-from drsplat.models.loading import load_encoder
+from drsplat.photos.models.loading import load_encoder
 
 SIDE = 400  # pixels of a crop, about what SAM's larger masks have in photos
 
@@ -69,7 +69,7 @@ def main() -> None:
     )
     import torch
 
-    from drsplat.models.transformers_encoders import TransformersEncoder
+    from drsplat.photos.models.transformers_encoders import TransformersEncoder
 
     print(f"torch {torch.__version__}")
     rng = np.random.default_rng(0)

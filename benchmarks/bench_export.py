@@ -60,7 +60,7 @@ def scene_of(count: int, degree: int, seed: int = 0):
 def write(source: Path, output: Path, kind: str, num_objects: int) -> None:
     """Read a PLY and write it in a format, with so many objects, which are runs of its rows."""
     import drsplat as ds
-    from drsplat.exporting.writers import write_scene
+    from drsplat.authoring.exporting.writers import write_scene
     from drsplat.formats.tiles import TILES, read_tiles
     from drsplat.formats.tiles3d_writing import write_tiles3d
     from drsplat.scene.labelled import LabelledScene, Thing

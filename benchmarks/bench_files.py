@@ -21,10 +21,10 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from drsplat import EncoderIdentity, LanguageField, cli, load_field
-from drsplat.codes.mixture import MixtureCode
-from drsplat.codes.mixture.code import packed
-from drsplat.codes.mixture.dictionary import AtomTable
-from drsplat.evidence.evidence import Evidence, MaskIds
+from drsplat.field.codes.mixture import MixtureCode
+from drsplat.field.codes.mixture.code import packed
+from drsplat.field.codes.mixture.dictionary import AtomTable
+from drsplat.field.evidence.evidence import Evidence, MaskIds
 from drsplat.formats.tensors import read_tensors
 from drsplat.formats.tiles import write_tiles
 from drsplat.kernels.mixture import Dictionary

@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 from machine import arguments
 
-from drsplat.filming.encoding import SUFFIXES as ENCODED
-from drsplat.filming.encoding import ffmpeg
-from drsplat.filming.frames import Film
-from drsplat.filming.highlights import Highlight, marks_of
-from drsplat.filming.ways import around_scene, orbit
-from drsplat.filming.writing import SUFFIXES, write_film
+from drsplat.authoring.filming.encoding import SUFFIXES as ENCODED
+from drsplat.authoring.filming.encoding import ffmpeg
+from drsplat.authoring.filming.frames import Film
+from drsplat.authoring.filming.highlights import Highlight, marks_of
+from drsplat.authoring.filming.ways import around_scene, orbit
+from drsplat.authoring.filming.writing import SUFFIXES, write_film
 from drsplat.kernels.boxes import box_of
 from drsplat.query import Match
 from drsplat.scene.gaussians import Gaussians

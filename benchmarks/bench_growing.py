@@ -20,10 +20,10 @@ from machine import arguments
 from rooms import SyntheticFeatures, room, room_views
 
 from drsplat import LanguageField, Registration, Sampling, load_field, read_gaussians, register, write_gaussians
-from drsplat.codes import PQ, Codebook, CodeSpecification, Mixture
+from drsplat.base.progress import Stopwatch
 from drsplat.field import learning
-from drsplat.growing import Change, add_views, change_field, remove_views
-from drsplat.progress import Stopwatch
+from drsplat.field.codes import PQ, Codebook, CodeSpecification, Mixture
+from drsplat.field.growing import Change, add_views, change_field, remove_views
 
 
 class BothClocks(Stopwatch):
@@ -108,8 +108,8 @@ def measure(folder, every, gaussians, features, new, code, name, threads) -> Non
         def remove(field: LanguageField, view=view) -> Change:
             return remove_views(field, gaussians, [view.name], threads=threads)
 
-        with patch("drsplat.growing.changing.Stopwatch", BothClocks), \
-             patch("drsplat.growing.folder.Stopwatch", BothClocks):  # fmt: skip
+        with patch("drsplat.field.growing.changing.Stopwatch", BothClocks), \
+             patch("drsplat.field.growing.folder.Stopwatch", BothClocks):  # fmt: skip
             told("one view, all rows" if is_learnt_from else "one view", *timed(path, gaussians, add))
             print(f"    the same bytes as at once: {same_files(path, whole)}")
             if not is_learnt_from:

@@ -23,14 +23,14 @@ from playwright.sync_api import sync_playwright
 
 from drsplat import open_scene
 from drsplat.formats.scenes import read_gaussians, write_gaussians
+from drsplat.fronts.viewing.bare import open_bare
+from drsplat.fronts.viewing.listening import listening_socket
+from drsplat.fronts.viewing.live.service import Service
+from drsplat.fronts.viewing.live.shared import Shared
+from drsplat.fronts.viewing.saving import Saves
+from drsplat.fronts.viewing.session import Session
+from drsplat.fronts.viewing.shown import frame_of
 from drsplat.scene.gaussians import Gaussians
-from drsplat.viewing.bare import open_bare
-from drsplat.viewing.listening import listening_socket
-from drsplat.viewing.live.service import Service
-from drsplat.viewing.live.shared import Shared
-from drsplat.viewing.saving import Saves
-from drsplat.viewing.session import Session
-from drsplat.viewing.shown import frame_of
 
 JITTER, SECONDS = 0.1, 12  # in units of which the scene's radius has ten
 

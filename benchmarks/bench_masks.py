@@ -25,10 +25,10 @@ from PIL import Image
 from skimage.segmentation import felzenszwalb
 
 from drsplat.kernels import photo_regions as native
-from drsplat.masks.masks import Masks, cut_masks
-from drsplat.masks.selection import mask_nms
-from drsplat.models.graph import GraphSegmenter, regions
-from drsplat.models.graph.network import layers_of
+from drsplat.photos.models.graph import GraphSegmenter, regions
+from drsplat.photos.models.graph.network import layers_of
+from drsplat.scene.masks.masks import Masks, cut_masks
+from drsplat.scene.masks.selection import mask_nms
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
@@ -209,8 +209,8 @@ def bench_nms(number: int, rounds: int) -> None:
 def bench_segmenter(name: str, device: str, size: tuple[int, int], points: int, crop_layers: int, rounds: int) -> None:
     import torch
 
-    from drsplat.models.point_masks import PointMaskSettings, PointSegmenter
-    from drsplat.models.sam import ModelFrame, SamPredictor
+    from drsplat.photos.models.point_masks import PointMaskSettings, PointSegmenter
+    from drsplat.photos.models.sam import ModelFrame, SamPredictor
 
     model = random_model(name)
     weights = sum(tensor.numel() for tensor in model.parameters())

@@ -19,9 +19,9 @@ from machine import arguments, describe, interleaved
 from search_rivals import Run
 
 from drsplat import LanguageField, load_field
-from drsplat.codes import Code, PQCode
-from drsplat.codes.mixture import AtomTable, MixtureCode, encode_mixture, quantised
-from drsplat.evidence.evidence import Evidence
+from drsplat.field.codes import Code, PQCode
+from drsplat.field.codes.mixture import AtomTable, MixtureCode, encode_mixture, quantised
+from drsplat.field.evidence.evidence import Evidence
 from drsplat.kernels import default_isa
 from drsplat.kernels.mixture import Blocks
 

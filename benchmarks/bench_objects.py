@@ -18,9 +18,9 @@ from rooms import room
 from scipy.sparse import csr_array
 
 from drsplat import EncoderIdentity, Gaussians, LanguageField, Registration
-from drsplat.evidence.evidence import Evidence, MaskIds
-from drsplat.objects.choosing import choose
-from drsplat.objects.finding import SMALLEST, find_objects, grow
+from drsplat.field.evidence.evidence import Evidence, MaskIds
+from drsplat.field.objects.choosing import choose
+from drsplat.field.objects.finding import SMALLEST, find_objects, grow
 
 SEEN, DIM, TWICE = 13, 64, 0.15
 

@@ -20,7 +20,7 @@ import torch
 from bench_masks import random_model
 from machine import arguments
 
-from drsplat.models.sam import ModelFrame, SamPredictor
+from drsplat.photos.models.sam import ModelFrame, SamPredictor
 
 Run = Callable[[Any], Any]
 

@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from drsplat import read_gaussians
+from drsplat.authoring.exporting.writers import write_scene
 from drsplat.errors import DrSplatError
-from drsplat.exporting.writers import write_scene
 from drsplat.formats.glb_layout import HARMONICS, OPACITY, POSITION, ROTATION, SCALE
 from drsplat.formats.spz_writing import spz_bytes
 from drsplat.scene.gaussians import Gaussians

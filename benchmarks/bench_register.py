@@ -25,9 +25,9 @@ from rooms import mask_map, room, room_views
 from study_codes import CLUSTERS, QUERIES, mini_words, quality
 
 from drsplat import MiniEncoder, ViewFeatures, read_features, read_gaussians, read_views, register
-from drsplat.codes.mixture import encode_mixture, learn_scene_atoms
-from drsplat.codes.mixture.scene_atoms import spherical_kmeans
-from drsplat.evidence.evidence import Evidence
+from drsplat.field.codes.mixture import encode_mixture, learn_scene_atoms
+from drsplat.field.codes.mixture.scene_atoms import spherical_kmeans
+from drsplat.field.evidence.evidence import Evidence
 from drsplat.kernels.mixture import nearest_centres
 
 MEASURED = 3  # every third row

@@ -23,7 +23,7 @@ from machine import describe, interleaved
 from search_rivals import Run, faiss_rivals, forced, raw_rivals, readers
 
 from drsplat import Codebook, EncoderIdentity, LanguageField, load_field
-from drsplat.codes import PQCode
+from drsplat.field.codes import PQCode
 from drsplat.kernels import available_isas, default_isa
 
 AVX2, FAISS = "drsplat forced to AVX2 (v3)", "FAISS IndexPQ, top 100"

@@ -27,7 +27,7 @@ from machine import arguments
 from rooms import room
 
 from drsplat import LanguageField, WordEncoder, train_codebook, write_gaussians
-from drsplat.codes import Codes, pq_code
+from drsplat.field.codes import Codes, pq_code
 
 NAMES = [f"{color} {name}" for color in ("red", "blue", "green", "yellow") for name in (
     "mug", "chair", "lamp", "book", "vase", "bowl", "clock", "plant", "bottle", "basket", "cushion", "candle",
@@ -109,7 +109,7 @@ def status_of(head: bytes) -> int:
 def workers_of(pid: int) -> list[int]:
     children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
     commands = {int(one): Path(f"/proc/{one}/cmdline").read_bytes() for one in children}
-    return [one for one, command in commands.items() if b"drsplat.serving.worker" in command] + [pid]
+    return [one for one, command in commands.items() if b"drsplat.fronts.serving.worker" in command] + [pid]
 
 
 def memory(pids: list[int]) -> tuple[float, float]:

@@ -34,17 +34,17 @@ from unittest.mock import patch
 import numpy as np
 
 import drsplat as ds
-from drsplat.codes import Smaller
+from drsplat.field.codes import Smaller
 from drsplat.field.learning import learn
+from drsplat.field.objects.finding import find_objects
+from drsplat.field.tiles.cutting import cut
+from drsplat.field.tiles.launching import Processes
+from drsplat.field.tiles.registering import register_tiles
+from drsplat.field.tiles.seeing import seen_tiles
 from drsplat.formats.sources import Block, sources_of
 from drsplat.formats.tiles import Tiles
-from drsplat.masks.features import ViewFeatures
-from drsplat.objects.finding import find_objects
+from drsplat.scene.masks.features import ViewFeatures
 from drsplat.scene.similarity import Similarity
-from drsplat.tiles.cutting import cut
-from drsplat.tiles.launching import Processes
-from drsplat.tiles.registering import register_tiles
-from drsplat.tiles.seeing import seen_tiles
 
 BYTES = 44  # of a Gaussian's shape
 CORES = 16  # of a node

@@ -20,11 +20,11 @@ from bench_search import IDENTITY, random_code
 from machine import arguments
 
 from drsplat import Gaussians, LanguageField, write_gaussians
+from drsplat.fronts.viewing.live.acts import done, read_act
+from drsplat.fronts.viewing.live.shared import Shared
+from drsplat.fronts.viewing.saving import Saves
+from drsplat.fronts.viewing.session import Session
 from drsplat.query import Scene, SceneFiles, open_scene
-from drsplat.viewing.live.acts import done, read_act
-from drsplat.viewing.live.shared import Shared
-from drsplat.viewing.saving import Saves
-from drsplat.viewing.session import Session
 
 OF_A_THING = 256  # rows of one group of codes
 WORDS = ("red vase", "candle", "couch", "laptop", "something to eat")  # of the demo

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from drsplat import EncoderIdentity
-from drsplat.codes import read_faiss_codebook
+from drsplat.field.codes import read_faiss_codebook
 
 INDEX, TEXTS = "pq_index.faiss", "text_negative.npy"
 CLIP = EncoderIdentity("drawn like ViT-B-16", 512)

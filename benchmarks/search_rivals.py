@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from drsplat.codes import PQCode
+from drsplat.field.codes import PQCode
 
 Run = Callable[[], object]
 

@@ -28,11 +28,11 @@ from machine import describe
 
 from benchmarks.suite.scenes import BenchScene, read_scene
 from drsplat import EncoderIdentity, MiniEncoder, ViewFeatures, load_field, register, train_codebook
-from drsplat.codes.mixture import encode_mixture, train_scene_atoms
-from drsplat.codes.mixture.scene_atoms import spherical_kmeans
-from drsplat.evidence.evidence import Evidence
+from drsplat.field.codes.mixture import encode_mixture, train_scene_atoms
+from drsplat.field.codes.mixture.scene_atoms import spherical_kmeans
+from drsplat.field.evidence.evidence import Evidence
 from drsplat.kernels.mixture import nearest_centres
-from drsplat.models.mini.lexicon import COLORS, NAMES
+from drsplat.photos.models.mini.lexicon import COLORS, NAMES
 
 TOP_SHARE = 0.02
 CLUSTERS = 150  # of masks, where things are not known

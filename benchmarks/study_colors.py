@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmarks.suite import places
 from benchmarks.suite.answers import best_iou, place_of
 from drsplat import LanguageField, MiniEncoder, Scene, load_field
-from drsplat.models.mini.lexicon import COLORS, MATERIALS
+from drsplat.photos.models.mini.lexicon import COLORS, MATERIALS
 from drsplat.query.defaults import MIN_GAUSSIANS
 
 MINI = MiniEncoder()

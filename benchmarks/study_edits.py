@@ -12,8 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from drsplat import Scene, open_scene, render
-from drsplat.drawing.pictures import OtherPixels, as_pixels, contact_sheet, titled, write_picture
-from drsplat.editing import (
+from drsplat.authoring.editing import (
     Copies,
     Duplicate,
     Edit,
@@ -29,10 +28,11 @@ from drsplat.editing import (
     Turn,
     edited,
 )
-from drsplat.editing.draft import OBJECT_ID
-from drsplat.editing.edits import Change
-from drsplat.editing.making import replaced_by, scaled_on_its_foot
-from drsplat.editing.resolving import query_rows
+from drsplat.authoring.editing.draft import OBJECT_ID
+from drsplat.authoring.editing.edits import Change
+from drsplat.authoring.editing.making import replaced_by, scaled_on_its_foot
+from drsplat.authoring.editing.resolving import query_rows
+from drsplat.drawing.pictures import OtherPixels, as_pixels, contact_sheet, titled, write_picture
 from drsplat.scene.views import View
 
 VASE, TABLE, COUCH, CAR = "red vase", "wooden table", "couch", "green car"

@@ -37,10 +37,10 @@ from benchmarks.suite.simulated_sam import SimulatedSam
 from benchmarks.suite.trials import LEAST
 from benchmarks.suite.vocabularies import Clip
 from drsplat import View, load_image
-from drsplat.embedding.shared_crops import share_crops
-from drsplat.embedding.view_choice import choose_views
-from drsplat.models.point_masks import PointSegmenter
-from drsplat.objects.choosing import Tree
+from drsplat.field.objects.choosing import Tree
+from drsplat.photos.embedding.shared_crops import share_crops
+from drsplat.photos.embedding.view_choice import choose_views
+from drsplat.photos.models.point_masks import PointSegmenter
 
 WRONG = 0.2
 SHARES = 0.5, 0.75

@@ -31,10 +31,10 @@ from world.rooms import Room, make_room
 
 from benchmarks.study_loose_parts import _pixels, true_owners
 from drsplat import Scene, View, open_scene, render
+from drsplat.authoring.editing import Edit, Fill, Remove, Rows, edited
+from drsplat.authoring.editing.draft import OBJECT_ID
+from drsplat.authoring.editing.resolving import whole
 from drsplat.drawing.pictures import OtherPixels, as_pixels, contact_sheet, titled, write_picture
-from drsplat.editing import Edit, Fill, Remove, Rows, edited
-from drsplat.editing.draft import OBJECT_ID
-from drsplat.editing.resolving import whole
 from drsplat.errors import DrSplatWarning, InputError
 
 SIDE, SAMPLES = 240, 16

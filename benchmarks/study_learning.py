@@ -12,8 +12,8 @@ from rooms import room, unit_rows
 from scipy.sparse import csr_array
 
 from drsplat import PQ, EncoderIdentity, Gaussians, Mixture, Registration
-from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import learning
+from drsplat.field.evidence.evidence import Evidence, MaskIds
 
 SEEN, SIDE, DIM, TWICE = 13, 5, 512, 0.15
 KINDS = SIDE**3

@@ -33,7 +33,7 @@ from benchmarks.suite.places import Place, with_wrong_masks
 from benchmarks.suite.trials import trial
 from benchmarks.suite.vocabularies import Clip
 from drsplat import LanguageField, load_field
-from drsplat.objects.agreed import agreed, agreement
+from drsplat.field.objects.agreed import agreed, agreement
 
 KNOWN, IN_THINGS = 0.5, 0.5
 IOU, PURE, SHARE = 0.5, 0.9, 0.02

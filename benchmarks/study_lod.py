@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 
+from drsplat.authoring.filming.looking import looking_at, named_up
 from drsplat.drawing.rendering import render
-from drsplat.filming.looking import looking_at, named_up
 from drsplat.formats.scenes import read_gaussians
+from drsplat.fronts.viewing.shown import Shown, frame_of, shown_of, significance
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.views import View
-from drsplat.viewing.shown import Shown, frame_of, shown_of, significance
 
 WEB = Path(__file__).resolve().parent.parent / "web"
 SIZE, FOV_DEGREES, HEIGHT = (480, 360), 55.0, 0.35

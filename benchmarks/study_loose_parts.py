@@ -35,8 +35,8 @@ from benchmarks.suite.answers import place_of
 from benchmarks.suite.outlines import iou, middle
 from benchmarks.suite.vocabularies import Clip
 from drsplat import Query, Scene, View, open_scene
+from drsplat.authoring.editing.resolving import completed
 from drsplat.drawing.pictures import visible_share
-from drsplat.editing.resolving import completed
 from drsplat.kernels import render_channels, splat_arrays
 
 FAR, BETWEEN = 0.05, 0.006  # metres

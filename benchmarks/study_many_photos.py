@@ -20,12 +20,12 @@ import numpy as np
 from machine import describe
 from PIL import Image
 
-from drsplat.capture import database as colmap_database
-from drsplat.capture.capturing import _bring_all
-from drsplat.capture.finding import find_photos
-from drsplat.capture.posing import Posing
-from drsplat.capture.work import Work
-from drsplat.system import peak_memory_bytes
+from drsplat.base.system import peak_memory_bytes
+from drsplat.photos.capture import database as colmap_database
+from drsplat.photos.capture.capturing import _bring_all
+from drsplat.photos.capture.finding import find_photos
+from drsplat.photos.capture.posing import Posing
+from drsplat.photos.capture.work import Work
 
 WIDTH, HEIGHT, FEATURES = 160, 120, 500
 STAGES = ("bring", "pair")

@@ -31,12 +31,12 @@ from study_thresholds import true_things
 from benchmarks.suite.masks import features_of
 from benchmarks.suite.scenes import read_scene
 from drsplat import LanguageField, MiniEncoder, Mixture, Scene, load_field, register
-from drsplat.masks.crops import crop
-from drsplat.models.mini.lexicon import COLORS, NAMES
+from drsplat.photos.models.mini.lexicon import COLORS, NAMES
+from drsplat.photos.models.word_list import list_vectors
 from drsplat.query.contrast import contrast, relevancy_threshold
 from drsplat.query.naming import fit_of
 from drsplat.query.thresholds import PEAK, peak_score, threshold_above
-from drsplat.query.word_list import list_vectors
+from drsplat.scene.masks.crops import crop
 
 FIXED = (0.125, 0.15, 0.175, 0.2, 0.25, 0.3)
 SHARES = (0.3, 0.36, 0.42, 0.48)

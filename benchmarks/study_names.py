@@ -28,11 +28,11 @@ from benchmarks.suite.places import with_wrong_masks
 from benchmarks.suite.trials import Means, Trial, trial
 from benchmarks.suite.vocabularies import Clip
 from drsplat import LanguageField
-from drsplat.encoders import Encoder
-from drsplat.models.mini.lexicon import COLORS
-from drsplat.objects.agreed import agreed
-from drsplat.objects.finding import find_objects
+from drsplat.field.objects.agreed import agreed
+from drsplat.field.objects.finding import find_objects
+from drsplat.photos.models.mini.lexicon import COLORS
 from drsplat.query.naming import object_names, own_vocabulary
+from drsplat.scene.encoders import Encoder
 
 MOSTLY = 0.7  # of an object, that is one thing
 NONE = -1

@@ -35,13 +35,13 @@ from benchmarks.suite.places import with_wrong_masks
 from benchmarks.suite.rivals.things import Agreement, Alike, light_splat, mask_clustering, sureness
 from benchmarks.suite.scenes import read_scene
 from drsplat import Gaussians, LanguageField, MiniEncoder, Scene, View, read_gaussians, read_views, register
-from drsplat.codes.code import Code
 from drsplat.evaluation import metrics
-from drsplat.evidence.evidence import Evidence, evidence_from_tensors
-from drsplat.field.objects import THING
+from drsplat.field.codes.code import Code
+from drsplat.field.evidence.evidence import Evidence, evidence_from_tensors
+from drsplat.field.forest import THING
+from drsplat.field.objects.choosing import Tree, _owners, choose
+from drsplat.field.objects.finding import SMALLEST, grow, of_pieces
 from drsplat.formats.tensors import read_tensors, write_tensors
-from drsplat.objects.choosing import Tree, _owners, choose
-from drsplat.objects.finding import SMALLEST, grow, of_pieces
 
 MINI = MiniEncoder()
 OURS = "objects"

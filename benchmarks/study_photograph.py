@@ -29,14 +29,14 @@ from benchmarks.suite.places import UNKNOWN, Place, _found, _registered, drawn_i
 from benchmarks.suite.trials import Trial
 from benchmarks.suite.vocabularies import Clip
 from drsplat import MiniEncoder, Scene, embed, read_features, read_gaussians, read_views, register
-from drsplat.demo import story
-from drsplat.demo.household import unpack_household
-from drsplat.demo.probes import PROBES
+from drsplat.authoring.photographing.settings import PhotographSettings
+from drsplat.authoring.photographing.taking import photograph
+from drsplat.evaluation.demo import story
+from drsplat.evaluation.demo.household import unpack_household
+from drsplat.evaluation.demo.probes import PROBES
+from drsplat.field.objects.finding import find_objects
 from drsplat.kernels import splat_arrays
-from drsplat.models.graph import GraphSegmenter
-from drsplat.objects.finding import find_objects
-from drsplat.photographing.settings import PhotographSettings
-from drsplat.photographing.taking import photograph
+from drsplat.photos.models.graph import GraphSegmenter
 from drsplat.scene.boxes import up_of
 
 RIGHT = 0.5  # of the weight of the best match

@@ -28,10 +28,10 @@ from benchmarks.suite.places import drawn_ids
 from benchmarks.suite.scenes import BenchScene, read_scene
 from benchmarks.suite.simulated_sam import SMALL, room_sam
 from drsplat import View, load_image
-from drsplat.field.objects import THING
-from drsplat.masks.selection import mask_maps
-from drsplat.models.point_masks import PointSegmenter
-from drsplat.objects.choosing import _owners
+from drsplat.field.forest import THING
+from drsplat.field.objects.choosing import _owners
+from drsplat.photos.models.point_masks import PointSegmenter
+from drsplat.scene.masks.selection import mask_maps
 
 LEAST = 100  # pixels of a thing
 FIRST = 3  # every so many photos are asked before

@@ -22,10 +22,10 @@ from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from drsplat.capture.capturing import capture
-from drsplat.capture.world import umeyama
 from drsplat.formats.captures import read_views
 from drsplat.formats.georeference import read_georeference
+from drsplat.photos.capture.capturing import capture
+from drsplat.photos.capture.world import umeyama
 from drsplat.scene.views import View
 
 FRAMES_A_SECOND, EACH = 10, 2

@@ -23,9 +23,9 @@ from machine import arguments, describe, interleaved
 from study_codes import mini_words, quality, scene_case
 
 from drsplat import Codebook, EncoderIdentity, train_codebook
-from drsplat.codes import Codes, pq_code
 from drsplat.evaluation.metrics import mean, mean_interval
 from drsplat.evaluation.svg import bars
+from drsplat.field.codes import Codes, pq_code
 
 SUBVECTORS = (128, 64, 32)
 RATIOS = (32, 16, 8)

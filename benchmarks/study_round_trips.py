@@ -41,8 +41,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 import drsplat as ds
 from benchmarks import machine
 from browsing import a_browser
-from drsplat.exporting import export, labelled
-from drsplat.exporting.writing import written_tiles3d
+from drsplat.authoring.exporting import export, labelled
+from drsplat.authoring.exporting.writing import written_tiles3d
 from drsplat.formats.axes import HALF_TURN, standing_up
 from drsplat.formats.georeference import Georeference
 from drsplat.scene.gaussians import SH_C0, Gaussians

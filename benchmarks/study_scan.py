@@ -36,16 +36,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.machine import arguments
 from benchmarks.study_poses import EACH, _film, _frame, _photos, said
-from drsplat.capture.world import umeyama
-from drsplat.commands.stages import is_done
-from drsplat.demo.household import SCENE, unpack_household
+from drsplat.authoring.filming.paths import CameraPath, KeyFrame
 from drsplat.drawing.pictures import as_pixels
 from drsplat.drawing.rendering import render
-from drsplat.filming.paths import CameraPath, KeyFrame
+from drsplat.evaluation.demo.household import SCENE, unpack_household
 from drsplat.formats.cameras_json import read_cameras_json, write_cameras_json
 from drsplat.formats.captures import read_views
 from drsplat.formats.scan_record import read_scan_record
 from drsplat.formats.scenes import read_gaussians
+from drsplat.fronts.commands.stages import is_done
+from drsplat.photos.capture.world import umeyama
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.views import View
 

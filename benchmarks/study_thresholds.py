@@ -34,11 +34,11 @@ from benchmarks.suite.masks import MASKS
 from benchmarks.suite.scenes import BenchScene, read_scene
 from benchmarks.suite.vocabularies import KINDS, Clip, unit
 from drsplat import Gaussians, ViewFeatures, load_image, register
-from drsplat.evidence.evidence import Evidence
-from drsplat.masks.masks import LEVELS
-from drsplat.masks.selection import mask_maps
+from drsplat.field.evidence.evidence import Evidence
 from drsplat.query.contrast import Contrast, _contrast, middle_threshold, relevancy_threshold
 from drsplat.query.thresholds import PEAK, automatic_threshold
+from drsplat.scene.masks.masks import LEVELS
+from drsplat.scene.masks.selection import mask_maps
 
 ROWS, OF = 12_000, 50_000  # Gaussians looked at, and of a scene
 PEAK_HERE = round(PEAK * ROWS / OF)

@@ -23,11 +23,11 @@ from PIL import Image
 from playwright.sync_api import sync_playwright
 
 from drsplat import export_page, open_scene
-from drsplat.viewing.listening import listening_socket
-from drsplat.viewing.live.service import Service
-from drsplat.viewing.live.shared import Shared
-from drsplat.viewing.saving import Saves
-from drsplat.viewing.session import Session
+from drsplat.fronts.viewing.listening import listening_socket
+from drsplat.fronts.viewing.live.service import Service
+from drsplat.fronts.viewing.live.shared import Shared
+from drsplat.fronts.viewing.saving import Saves
+from drsplat.fronts.viewing.session import Session
 
 PAGE = ["red vase", "couch", "something to eat", "laptop"]
 DESK, PHONE, QUALITY = (1280, 800), (390, 844), 82

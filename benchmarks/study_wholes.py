@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmarks.study_loose_parts import LEAST_PIXELS, _left_and_taken, _pixels, clicks_in, true_owners, views_of
 from benchmarks.suite.vocabularies import Clip
 from drsplat import Query, Scene, View, open_scene
-from drsplat.editing.resolving import completed
+from drsplat.authoring.editing.resolving import completed
 from drsplat.errors import InputError
 
 LEAST = 0.1  # of a thing's Gaussians that a selection has: less is no selection of it

@@ -19,9 +19,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 import drsplat as ds
 from browsing import a_browser
+from drsplat.authoring.exporting import export, labelled
+from drsplat.authoring.exporting.writing import written_tiles3d
 from drsplat.drawing.pictures import contact_sheet, titled
-from drsplat.exporting import export, labelled
-from drsplat.exporting.writing import written_tiles3d
 from drsplat.formats.axes import HALF_TURN, Z_UP_FROM_PLY, standing_as_ply, standing_up
 from drsplat.formats.georeference import Georeference
 from drsplat.scene.geodesy import enu_axes, geocentric

@@ -16,11 +16,11 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 import drsplat as ds
+from drsplat.authoring.filming.highlights import Highlight
+from drsplat.authoring.filming.looking import looking_at
+from drsplat.authoring.filming.paths import CameraPath, KeyFrame
 from drsplat.drawing.pictures import as_pixels
 from drsplat.drawing.rendering import render
-from drsplat.filming.highlights import Highlight
-from drsplat.filming.looking import looking_at
-from drsplat.filming.paths import CameraPath, KeyFrame
 
 ROOT = Path(__file__).resolve().parent.parent
 WORDS = "red vase"

@@ -21,13 +21,13 @@ from PIL import Image
 import drsplat as ds
 from drsplat.drawing.labels import Mark, marked
 from drsplat.drawing.palette import class_colors
-from drsplat.embedding.embed import embed
-from drsplat.models.graph import GraphSegmenter
-from drsplat.objects.finding import find_objects
-from drsplat.viewing.page import PageAnswer
+from drsplat.field.objects.finding import find_objects
+from drsplat.fronts.viewing.page import PageAnswer
+from drsplat.photos.embedding.embed import embed
+from drsplat.photos.models.graph import GraphSegmenter
 
 ROOT = Path(__file__).resolve().parent.parent
-SCENES = {"demo": ROOT / "src/drsplat/demo/scene"} | {
+SCENES = {"demo": ROOT / "src/drsplat/evaluation/demo/scene"} | {
     path.parent.name: path.parent for path in sorted((ROOT / "world/scenes").glob("*/truth.json"))
 }
 MOST_GAUSSIANS = 50_000  # of a page: two and a half megabytes

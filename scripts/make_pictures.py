@@ -13,13 +13,13 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 import drsplat as ds
+from drsplat.authoring.editing import Duplicate, Edit, Recolour, Remove, Rows, edited
+from drsplat.authoring.filming.looking import looking_at
 from drsplat.drawing.labels import Mark, marked
 from drsplat.drawing.legend import tinted
 from drsplat.drawing.palette import class_colors
 from drsplat.drawing.pictures import as_pixels, highlighted
 from drsplat.drawing.rendering import render
-from drsplat.editing import Duplicate, Edit, Recolour, Remove, Rows, edited
-from drsplat.filming.looking import looking_at
 
 ROOT = Path(__file__).resolve().parent.parent
 SIZE, FINER, QUALITY = (720, 450), 2, 84  # pixels; drawn so many times as large and made smaller

@@ -229,7 +229,7 @@ def http() -> str:
 def _openapi() -> dict[str, Any]:
     import tempfile
 
-    from drsplat.serving.app import Settings, create_app
+    from drsplat.fronts.serving.app import Settings, create_app
 
     with tempfile.TemporaryDirectory() as folder:
         return dict(create_app(Settings(folder)).openapi())
@@ -280,12 +280,12 @@ def _tools() -> Any:
     import tempfile
     from contextlib import closing
 
-    from drsplat.serving.limits import Limits
-    from drsplat.serving.metrics import Metrics
-    from drsplat.serving.scene_folder import SceneFolder
-    from drsplat.serving.tools import make_server
-    from drsplat.serving.workbench import Workbench
-    from drsplat.serving.worker import Workplace
+    from drsplat.fronts.serving.limits import Limits
+    from drsplat.fronts.serving.metrics import Metrics
+    from drsplat.fronts.serving.scene_folder import SceneFolder
+    from drsplat.fronts.serving.tools import make_server
+    from drsplat.fronts.serving.workbench import Workbench
+    from drsplat.fronts.serving.worker import Workplace
 
     with tempfile.TemporaryDirectory() as folder:
         limits = Limits()

@@ -11,7 +11,7 @@ import pytest
 
 import last_skipped
 from browsing import a_browser
-from drsplat.demo import story as household
+from drsplat.evaluation.demo import story as household
 from edited_rooms import write_room
 from furnished.story import Setup, Story, tell
 

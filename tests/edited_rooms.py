@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from drsplat import WordEncoder, read_features, read_gaussians, read_views, register
-from drsplat.objects.choosing import Tree
-from drsplat.objects.describing import describe
+from drsplat.field.objects.choosing import Tree
+from drsplat.field.objects.describing import describe
 from toy_capture import PER_THING, write_toy_capture
 
 

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image
 
-from drsplat.encoders import EncoderIdentity
-from drsplat.masks.masks import LEVELS, Masks, cut_masks
+from drsplat.scene.encoders import EncoderIdentity
+from drsplat.scene.masks.masks import LEVELS, Masks, cut_masks
 
 DIM = 16
 
@@ -71,7 +71,7 @@ def thumbnail(image: np.ndarray) -> np.ndarray:
 
 if __name__ == "__main__":
     from drsplat import read_views
-    from drsplat.embedding.embed import embed
+    from drsplat.photos.embedding.embed import embed
 
     capture, output, form = sys.argv[1:]
     embed(read_views(capture), output, ColorSegmenter(seconds=0.1), ThumbnailEncoder(), form=form)

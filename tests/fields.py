@@ -10,11 +10,11 @@ import numpy as np
 from safetensors.numpy import save
 from scipy.sparse import csr_array, random_array
 
-from drsplat.encoders import EncoderIdentity
-from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import LanguageField, build_field
+from drsplat.field.evidence.evidence import Evidence, MaskIds
 from drsplat.formats.checksums import DOCUMENT, TENSORS
 from drsplat.formats.tensors import map_tensors
+from drsplat.scene.encoders import EncoderIdentity
 
 OFFICIAL_INDEX = Path(__file__).resolve().parents[2] / "shared/data/official/pq_index.faiss"
 TOY = EncoderIdentity("toy", 32, "w0")

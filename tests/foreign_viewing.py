@@ -15,7 +15,7 @@ import numpy as np
 
 import drsplat as ds
 from browsing import a_page, eventually, pixels_of
-from drsplat.arrays import Float64
+from drsplat.base.arrays import Float64
 from drsplat.kernels import sh_colors
 from drsplat.scene.gaussians import SH_C0
 from foreign_programs import NPM_FOLDER

@@ -10,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 
-from drsplat.codes import CodeSpecification
-from drsplat.evidence.aggregation import AGGREGATORS, Sampling
 from drsplat.field import LanguageField
+from drsplat.field.codes import CodeSpecification
+from drsplat.field.evidence.aggregation import AGGREGATORS, Sampling
+from drsplat.field.registration import register
 from drsplat.formats.claiming import LOCK
-from drsplat.masks.features import ViewFeatures
-from drsplat.registration import register
 from drsplat.scene.gaussians import Gaussians
+from drsplat.scene.masks.features import ViewFeatures
 from drsplat.scene.views import View
 from scenes import look_at_view, random_gaussians, random_mask_map
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.sparse import csr_array
 
-from drsplat.encoders import EncoderIdentity
-from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import LanguageField, build_field
-from drsplat.field.objects import Objects
-from drsplat.objects.choosing import Tree
-from drsplat.objects.describing import describe
+from drsplat.field.evidence.evidence import Evidence, MaskIds
+from drsplat.field.forest import Objects
+from drsplat.field.objects.choosing import Tree
+from drsplat.field.objects.describing import describe
+from drsplat.scene.encoders import EncoderIdentity
 from drsplat.scene.gaussians import Gaussians
 from test_tasks import boxes_scene
 

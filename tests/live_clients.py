@@ -16,17 +16,17 @@ pytest.importorskip("httpx", reason="httpx, which the tests ask with, is not ins
 
 import httpx
 
+from drsplat.fronts.viewing.bare import is_bare, open_bare
+from drsplat.fronts.viewing.listening import listening_socket
+from drsplat.fronts.viewing.live.app import create_app
+from drsplat.fronts.viewing.live.gate import Gate
+from drsplat.fronts.viewing.live.shared import Shared
+from drsplat.fronts.viewing.live.shelf import Shelf
+from drsplat.fronts.viewing.live.turns import Lanes
+from drsplat.fronts.viewing.live.uploads import UploadLimits, Uploads
+from drsplat.fronts.viewing.saving import Saves
+from drsplat.fronts.viewing.session import Session
 from drsplat.query import Scene, open_scene
-from drsplat.viewing.bare import is_bare, open_bare
-from drsplat.viewing.listening import listening_socket
-from drsplat.viewing.live.app import create_app
-from drsplat.viewing.live.gate import Gate
-from drsplat.viewing.live.shared import Shared
-from drsplat.viewing.live.shelf import Shelf
-from drsplat.viewing.live.turns import Lanes
-from drsplat.viewing.live.uploads import UploadLimits, Uploads
-from drsplat.viewing.saving import Saves
-from drsplat.viewing.session import Session
 from viewing_scenes import THINGS, boxes_scene
 
 HOST = "127.0.0.1:8080"
@@ -171,7 +171,7 @@ class Stream:
 @contextmanager
 def served(session: Session) -> Iterator[str]:
     """The address of a viewer of a session, for a browser."""
-    from drsplat.viewing.live.service import Service
+    from drsplat.fronts.viewing.live.service import Service
 
     with listening_socket("127.0.0.1", 0) as listening:
         service = Service(Shared(Saves(None), opened), listening, "127.0.0.1")

@@ -8,12 +8,12 @@ import numpy as np
 from PIL import Image
 
 from drsplat import Mixture, Scene, View, ViewFeatures, WordEncoder, register
+from drsplat.field.objects.choosing import Tree
+from drsplat.field.objects.describing import describe
 from drsplat.formats.langsplat import write_features
 from drsplat.formats.moving_scenes import write_moving
 from drsplat.formats.ply import write_vertices
 from drsplat.kernels import render_channels, splat_arrays
-from drsplat.objects.choosing import Tree
-from drsplat.objects.describing import describe
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.moving import Frames, Moving
 from scenes import look_at_view, random_gaussians

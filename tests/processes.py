@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-WORKER = b"drsplat.serving.worker"
+WORKER = b"drsplat.fronts.serving.worker"
 
 
 def children_of(pid: int, command: bytes = WORKER) -> list[int]:

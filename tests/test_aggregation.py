@@ -13,13 +13,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array
 
 from drsplat.errors import InputError
-from drsplat.evidence.aggregation import AGGREGATORS, Aggregator, aggregator
-from drsplat.evidence.aggregation.by_view import effective_views, view_sums
-from drsplat.evidence.aggregation.entries import BLOCK, canonical, column_counts, of_columns, with_weights
-from drsplat.evidence.aggregation.outliers import OutlierRejection
-from drsplat.evidence.aggregation.reliability import reliability, resultant_lengths
-from drsplat.evidence.aggregation.trust import MaskTrust, surpluses
-from drsplat.evidence.evidence import Evidence, MaskIds
+from drsplat.field.evidence.aggregation import AGGREGATORS, Aggregator, aggregator
+from drsplat.field.evidence.aggregation.by_view import effective_views, view_sums
+from drsplat.field.evidence.aggregation.entries import BLOCK, canonical, column_counts, of_columns, with_weights
+from drsplat.field.evidence.aggregation.outliers import OutlierRejection
+from drsplat.field.evidence.aggregation.reliability import reliability, resultant_lengths
+from drsplat.field.evidence.aggregation.trust import MaskTrust, surpluses
+from drsplat.field.evidence.evidence import Evidence, MaskIds
 from fields import random_weights, unit_rows
 
 few = settings(derandomize=True, deadline=None, max_examples=25)
@@ -177,7 +177,7 @@ def test_chunks_of_rows_do_not_show_in_trust(monkeypatch: pytest.MonkeyPatch) ->
     evidence = evidence_of(np.random.default_rng(5), rows=200)
     whole = MaskTrust()(evidence, 1).weights.data
     for module in ("entries", "trust"):
-        monkeypatch.setattr(f"drsplat.evidence.aggregation.{module}.ENTRIES", 37)
+        monkeypatch.setattr(f"drsplat.field.evidence.aggregation.{module}.ENTRIES", 37)
     assert_allclose(MaskTrust()(evidence, 1).weights.data, whole, rtol=1e-6)
 
 
@@ -189,7 +189,7 @@ def test_the_entries_of_some_columns(seed: int) -> None:
     weights, kept = evidence.weights, rng.random(evidence.weights.shape[1]) < 0.5
     weights.data[rng.random(weights.nnz) < 0.1] = 0
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("drsplat.evidence.aggregation.entries.ENTRIES", int(rng.integers(1, 200)))
+        patch.setattr("drsplat.field.evidence.aggregation.entries.ENTRIES", int(rng.integers(1, 200)))
         found, counts = of_columns(evidence, kept).weights, column_counts(weights)
     whole = with_weights(evidence, np.where(kept[weights.indices], weights.data, np.float32(0))).weights
     for name in ("indptr", "indices", "data"):
@@ -292,7 +292,7 @@ def test_any_number_of_threads_gives_the_same_bits(how: Aggregator) -> None:
 
 @every_weigher
 def test_blocks_do_not_show(how: Aggregator, monkeypatch: pytest.MonkeyPatch) -> None:
-    from drsplat.evidence.aggregation import entries
+    from drsplat.field.evidence.aggregation import entries
 
     evidence = evidence_of(np.random.default_rng(8), rows=300)
     whole = how(evidence).evidence.weights

@@ -7,9 +7,9 @@ import pytest
 from benchmarks.suite.aggregators import MEASURED
 
 from drsplat import WordEncoder, load_field
-from drsplat.evidence.aggregation import Aggregated, aggregator
-from drsplat.evidence.evidence import Evidence
-from drsplat.registration import Registration
+from drsplat.field.evidence.aggregation import Aggregated, aggregator
+from drsplat.field.evidence.evidence import Evidence
+from drsplat.field.registration import Registration
 from test_cli import answer_of, error_of, registering, text_of
 
 NOISE, BLOCK = 0.5, 4096

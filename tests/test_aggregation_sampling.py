@@ -8,10 +8,10 @@ import pytest
 from hypothesis import settings
 
 from drsplat.errors import FormatError, InputError, MismatchError
-from drsplat.evidence.aggregation import MEAN_RECORD, Sampling, aggregator
 from drsplat.field import load_field
+from drsplat.field.evidence.aggregation import MEAN_RECORD, Sampling, aggregator
+from drsplat.field.registration import Registration, register
 from drsplat.formats.checksums import sealed
-from drsplat.registration import Registration, register
 from fields import toy_field
 from scenes import random_gaussians
 from test_registration import capture, same

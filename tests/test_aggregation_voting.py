@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array
 
-from drsplat.encoders import EncoderIdentity
 from drsplat.errors import InputError, MismatchError
-from drsplat.evidence.aggregation import Aggregated, Aggregator, aggregator
-from drsplat.evidence.aggregation.reliability import reliability
-from drsplat.evidence.aggregation.voting import SAME, ModeVoting
-from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import build_field
+from drsplat.field.evidence.aggregation import Aggregated, Aggregator, aggregator
+from drsplat.field.evidence.aggregation.reliability import reliability
+from drsplat.field.evidence.aggregation.voting import SAME, ModeVoting
+from drsplat.field.evidence.evidence import Evidence, MaskIds
+from drsplat.scene.encoders import EncoderIdentity
 from drsplat.scene.gaussians import Gaussians
 from scenes import random_gaussians
 from test_aggregation import evidence_of

@@ -10,24 +10,24 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from command_line import answer_of, text_of
-from drsplat.editing.edits import Edit, edited
-from drsplat.editing.replacement import Replace
-from drsplat.editing.targets import Rows
+from drsplat.authoring.editing.edits import Edit, edited
+from drsplat.authoring.editing.replacement import Replace
+from drsplat.authoring.editing.targets import Rows
 from drsplat.errors import DrSplatWarning, FormatError, InputError
-from drsplat.evidence.columns import StillScenery
+from drsplat.field.evidence.columns import StillScenery
+from drsplat.field.tiles.cutting import cut
+from drsplat.field.tiles.seeing import Gallery
 from drsplat.formats.motion import read_motion, write_motion
 from drsplat.formats.ply_sequence import read_ply_sequence, write_ply_sequence
 from drsplat.formats.scenes import parse_gaussians, read_gaussians, write_gaussians
 from drsplat.formats.sources import blocks_of
 from drsplat.formats.tiles import read_tiles
+from drsplat.fronts.viewing.page import Page, _header
+from drsplat.fronts.viewing.shown import moved_shown, shown_of
 from drsplat.kernels import splat_arrays, view_weights
 from drsplat.scene.gaussians import Gaussians, concatenated
 from drsplat.scene.moving import Frames, Moving
 from drsplat.scene.similarity import similarity_of
-from drsplat.tiles.cutting import cut
-from drsplat.tiles.seeing import Gallery
-from drsplat.viewing.page import Page, _header
-from drsplat.viewing.shown import moved_shown, shown_of
 from scene_files import compressed_ply_bytes, ply_bytes, ply_columns, sog_files, spz_bytes, zip_bytes
 from scenes import look_at_view, random_gaussians
 

@@ -56,49 +56,25 @@ PUBLIC = {
 }
 HEAVY = ("torch", "faiss", "rich", "scipy", "numpy", "PIL")
 
-# A module imports only from those before it, or from its own package.
-ORDER = (
-    "errors",
-    "arrays",
-    "terminal",
-    "system",
-    "kinds",
-    "contents",
-    "progress",
-    "encoders",
-    "scene",
-    "masks",
-    "formats",
-    "kernels",
-    "codes",
-    "evidence",
-    "field",
-    "objects",
-    "registration",
-    "tiles",
-    "growing",
-    "models",
-    "drawing",
-    "query",
-    "editing",
-    "exporting",
-    "filming",
-    "exchange",
-    "catalogue",
-    "embedding",
-    "photographing",
-    "serving",
-    "viewing",
-    "triangulation",
-    "training",
-    "capture",
-    "evaluation",
-    "demo",
-    "scanning",
-    "commands",
-    "cli",
-    "__main__",
-)
+# A module imports only from wings and rooms before its own, or from its own. Rooms of a wing follow their order.
+WINGS: dict[str, tuple[str, ...]] = {
+    "errors": (),
+    "base": (),
+    "scene": (),
+    "formats": (),
+    "kernels": (),
+    "field": ("codes", "evidence", "", "objects", "registration", "tiles", "growing"),
+    "photos": ("capture", "models", "embedding"),
+    "drawing": (),
+    "query": ("", "catalogue"),
+    "authoring": ("editing", "exporting", "filming", "exchange", "photographing"),
+    "training": ("triangulation", ""),
+    "evaluation": ("", "demo"),
+    "fronts": ("serving", "viewing", "scanning", "commands"),
+    "cli": (),
+    "__main__": (),
+}
+ORDER = tuple(f"{wing}.{room}".strip(".") for wing, rooms in WINGS.items() for room in rooms or ("",))
 SOURCE = Path(drsplat.__file__).parent
 
 
@@ -141,27 +117,34 @@ def test_no_public_name_needs_torch_faiss_or_rich() -> None:
     assert "numpy" in loaded  # so this test could fail
 
 
+def place_of(parts: list[str]) -> str:
+    """Where in ORDER a module of drsplat is: its wing, and its room where the wing has some."""
+    wing, *inner = parts
+    return f"{wing}.{inner[0]}" if inner and inner[0] in WINGS[wing] else wing
+
+
 def imports_of(path: Path) -> set[str]:
-    """Top modules of drsplat that a file imports, wherever in it; the package itself is none."""
+    """Places in ORDER that a file imports from, wherever in it; the package itself is none."""
     package = ["drsplat", *path.relative_to(SOURCE).parent.parts]
     found = set()
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.ImportFrom):
             base = package[: len(package) - node.level + 1] if node.level else []
             full = [*base, *(node.module.split(".") if node.module else [])]
-            names = [full] if len(full) > 1 else [[*full, alias.name] for alias in node.names]
-            found |= {name[1] for name in names if name[0] == "drsplat" and name[1] in ORDER}
+            names = [[*full, alias.name] for alias in node.names]
+            found |= {place_of(name[1:]) for name in names if name[0] == "drsplat" and name[1] in WINGS}
     return found
 
 
 @pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda p: p.relative_to(SOURCE).as_posix())
 def test_imports_go_one_way(path: Path) -> None:
-    own = path.relative_to(SOURCE).with_suffix("").parts[0]
-    if own == "__init__":  # names every module, but loads none
+    parts = list(path.relative_to(SOURCE).with_suffix("").parts)
+    if parts[-1] == "__init__":  # of a wing names modules of its rooms, but loads none
         return
-    assert own in ORDER, f"give the new module '{own}' its place in ORDER"
-    upwards = {name for name in imports_of(path) if ORDER.index(name) > ORDER.index(own)}
-    assert not upwards, f"{own} comes before {upwards}"
+    assert parts[0] in WINGS, f"give the new module '{parts[0]}' its place in WINGS"
+    own = ORDER.index(place_of(parts))
+    upwards = {name for name in imports_of(path) if ORDER.index(name) > own}
+    assert not upwards, f"{place_of(parts)} comes before {upwards}"
 
 
 def test_nothing_that_runs_imports_a_twin() -> None:
@@ -169,27 +152,34 @@ def test_nothing_that_runs_imports_a_twin() -> None:
     assert [path.name for path in product if "reference" in imports_of(path)] == []
 
 
-ROOMS = sorted(path.parent for path in SOURCE.glob("*/__init__.py"))
-EVERYWHERE = {"errors", "arrays", "terminal", "system", "kinds", "contents", "progress"}
-
-
 def test_annotations_of_arrays_are_from_one_module() -> None:
     asking = [path for path in SOURCE.rglob("*.py") if "from jaxtyping" in path.read_text(encoding="utf-8")]
-    assert asking == [SOURCE / "arrays.py"]
+    assert asking == [SOURCE / "base/arrays.py"]
 
 
-def test_few_modules_stand_outside_of_rooms() -> None:
-    assert len(list(SOURCE.glob("*.py"))) <= 12
+def test_few_entries_stand_at_the_root() -> None:
+    entries = {path.name for path in SOURCE.iterdir()} - {"py.typed", "_native.pyi", "__pycache__"}
+    assert len({name for name in entries if not name.startswith("_native.")}) <= 16
 
 
-@pytest.mark.parametrize("room", [room for room in ROOMS if room.name != "commands"], ids=lambda room: room.name)
-def test_a_room_says_what_it_is_for_and_what_it_imports(room: Path) -> None:
-    doc = ast.get_docstring(ast.parse((room / "__init__.py").read_text()))
+FOLDERS = sorted(path.parent for path in SOURCE.rglob("__init__.py") if path.parent != SOURCE)
+
+
+@pytest.mark.parametrize("folder", FOLDERS, ids=lambda folder: folder.relative_to(SOURCE).as_posix())
+def test_a_folder_says_what_it_is_for(folder: Path) -> None:
+    doc = ast.get_docstring(ast.parse((folder / "__init__.py").read_text()))
+    assert doc is not None
+    assert len(doc.split()) > 5
+
+
+@pytest.mark.parametrize("wing", sorted({path.parent for path in SOURCE.glob("*/__init__.py")}), ids=lambda p: p.name)
+def test_a_wing_says_where_to_begin_and_what_it_imports(wing: Path) -> None:
+    doc = ast.get_docstring(ast.parse((wing / "__init__.py").read_text()))
     assert doc is not None
     purpose, _, imports = doc.rpartition("\n\nImports ")
-    assert len(purpose.split()) > 5
-    used = set().union(*(imports_of(path) for path in room.rglob("*.py"))) - {room.name} - EVERYWHERE
-    assert set(re.findall(r"`(\w+)`", imports)) == used
+    assert "Begin with" in " ".join(purpose.split())
+    used = {name.split(".")[0] for path in wing.rglob("*.py") for name in imports_of(path)}
+    assert set(re.findall(r"`(\w+)`", imports)) == used - {wing.name, "base", "errors"}
 
 
 @pytest.mark.parametrize(

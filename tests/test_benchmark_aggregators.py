@@ -17,13 +17,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array
 
 from drsplat.errors import InputError, MismatchError
-from drsplat.evidence.aggregation import AggregatorRecord, Sampling, aggregator
-from drsplat.evidence.aggregation.by_view import effective_views
-from drsplat.evidence.aggregation.outliers import OutlierRejection
-from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import load_field
+from drsplat.field.evidence.aggregation import AggregatorRecord, Sampling, aggregator
+from drsplat.field.evidence.aggregation.by_view import effective_views
+from drsplat.field.evidence.aggregation.outliers import OutlierRejection
+from drsplat.field.evidence.evidence import Evidence, MaskIds
+from drsplat.field.registration import Registration, register
 from drsplat.kernels import splat_arrays, view_weights
-from drsplat.registration import Registration, register
 from scenes import random_gaussians, random_mask_map
 from test_aggregation import evidence_of, features, few, one_row, seeds, unit, votes
 from test_registration import capture, named_view, same

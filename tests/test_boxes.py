@@ -12,9 +12,9 @@ from scipy.spatial.transform import Rotation
 from scipy.special import ndtr, ndtri
 
 from drsplat import Answer, Gaussians, Scene, load_field, register
-from drsplat.codes import PQ
 from drsplat.errors import InputError, MismatchError
-from drsplat.evidence.aggregation import Sampling
+from drsplat.field.codes import PQ
+from drsplat.field.evidence.aggregation import Sampling
 from drsplat.formats.field_folder import MANIFEST
 from drsplat.kernels.boxes import box_of, boxes_of
 from drsplat.query.tasks import locate

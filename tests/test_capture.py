@@ -16,18 +16,18 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from drsplat.capture import program
-from drsplat.capture.capturing import _bring_all, capture
-from drsplat.capture.finding import find_photos
-from drsplat.capture.measuring import KnownDistance, _meeting
-from drsplat.capture.places import Place, read_places
-from drsplat.capture.posing import camera_key
-from drsplat.capture.settings import CaptureSettings
-from drsplat.capture.work import Work, _remove
-from drsplat.capture.world import umeyama
 from drsplat.cli import main
 from drsplat.errors import FormatError, InputError, MissingExtraError
 from drsplat.formats.captures import read_sparse_points, read_views
+from drsplat.photos.capture import program
+from drsplat.photos.capture.capturing import _bring_all, capture
+from drsplat.photos.capture.finding import find_photos
+from drsplat.photos.capture.measuring import KnownDistance, _meeting
+from drsplat.photos.capture.places import Place, read_places
+from drsplat.photos.capture.posing import camera_key
+from drsplat.photos.capture.settings import CaptureSettings
+from drsplat.photos.capture.work import Work, _remove
+from drsplat.photos.capture.world import umeyama
 from drsplat.scene.photos import load_image
 from drsplat.scene.views import View
 from photographed_room import exif_of, jpeg, photographed, room_views, write_room
@@ -215,7 +215,7 @@ def test_a_run_that_is_stopped_while_it_moves_things_into_place_is_finished_by_t
 
     record = capture(good_photos, tmp_path / "c", threads=1)
     with monkeypatch.context() as context:
-        context.setattr("drsplat.capture.work._remove", _after(2, stop))
+        context.setattr("drsplat.photos.capture.work._remove", _after(2, stop))
         with pytest.raises(KeyboardInterrupt):
             capture(good_photos, tmp_path / "c", CaptureSettings(lens="opencv"), overwrite=True, threads=1)
     assert not (tmp_path / "c/sparse").exists()
@@ -248,7 +248,8 @@ def test_a_run_on_one_thread_gives_the_same_bits_again(good_photos: Path, tmp_pa
 
 
 def test_importing_the_verb_imports_no_extra() -> None:
-    code = "import sys; import drsplat.commands.capture, drsplat.capture.capturing, drsplat.capture.videos; "
+    code = "import sys; import drsplat.fronts.commands.capture; "
+    code += "import drsplat.photos.capture.capturing, drsplat.photos.capture.videos; "
     code += "print(*{'pycolmap', 'av', 'pi_heif'} & set(sys.modules))"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split() == []
 

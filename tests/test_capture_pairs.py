@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from drsplat.capture.looks import looks_of
-from drsplat.capture.pairs import (
+from drsplat.photos.capture.looks import looks_of
+from drsplat.photos.capture.pairs import (
     NEIGHBOURS_IN_LOOKS,
     NEIGHBOURS_IN_ORDER,
     all_pairs,

@@ -11,14 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from drsplat.capture.capturing import capture_names
-from drsplat.capture.exif import APPLE, ExifFacts, exif_facts
-from drsplat.capture.finding import are_numbered, find_photos, in_order
-from drsplat.capture.photos import Photo, bring, sharpness, turned_down
-from drsplat.capture.reasons import Reasons
-from drsplat.capture.settings import LENSES
-from drsplat.commands.capture import LENSES as LENSES_OF_THE_VERB
 from drsplat.errors import InputError
+from drsplat.fronts.commands.capture import LENSES as LENSES_OF_THE_VERB
+from drsplat.photos.capture.capturing import capture_names
+from drsplat.photos.capture.exif import APPLE, ExifFacts, exif_facts
+from drsplat.photos.capture.finding import are_numbered, find_photos, in_order
+from drsplat.photos.capture.photos import Photo, bring, sharpness, turned_down
+from drsplat.photos.capture.reasons import Reasons
+from drsplat.photos.capture.settings import LENSES
 
 PIXELS = np.random.default_rng(0).integers(0, 255, (80, 100, 3), np.uint8)
 EXIF_IFD, GPS_IFD, ORIENTATION, MAKER_NOTE = 0x8769, 0x8825, 0x0112, 37500

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drsplat.capture.capturing import capture
 from drsplat.formats.captures import read_views
 from drsplat.formats.georeference import read_georeference
+from drsplat.photos.capture.capturing import capture
 from drsplat.scene.geodesy import local_offsets
 from test_capture import differences
 

@@ -10,12 +10,12 @@ import pytest
 from jaxtyping import UInt8
 from PIL import Image, ImageFilter
 
-from drsplat.capture.capturing import capture
-from drsplat.capture.frames import Film, choose, movement, shift_of
-from drsplat.capture.videos import is_video
 from drsplat.cli import main
 from drsplat.errors import InputError
 from drsplat.formats.captures import read_views
+from drsplat.photos.capture.capturing import capture
+from drsplat.photos.capture.frames import Film, choose, movement, shift_of
+from drsplat.photos.capture.videos import is_video
 from photographed_room import photographed, room_views
 from test_capture import differences, has_colmap
 

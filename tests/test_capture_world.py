@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drsplat.capture.exif import ExifFacts
-from drsplat.capture.world import TYPICAL_DEPTH, World, umeyama, with_scale, world_of
 from drsplat.formats.georeference import read_georeference, write_georeference
+from drsplat.photos.capture.exif import ExifFacts
+from drsplat.photos.capture.world import TYPICAL_DEPTH, World, umeyama, with_scale, world_of
 from drsplat.scene.geodesy import geodetic, local_offsets
 from drsplat.scene.similarity import Similarity
 from drsplat.scene.views import View

@@ -79,7 +79,7 @@ def test_everything_goes_along(known) -> None:
 
 
 def test_a_field_that_was_registered_can_be_carried_and_goes_on_growing(tmp_path: Path) -> None:
-    from drsplat.growing import remove_views
+    from drsplat.field.growing import remove_views
     from toy_capture import write_toy_capture
 
     folder = write_toy_capture(tmp_path)

@@ -34,9 +34,9 @@ from known_objects import CENTERS, EACH, known_scene
 
 pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
 
-from drsplat.catalogue import Catalogue, Where, record, table
-from drsplat.catalogue.conditions import quoted
-from drsplat.catalogue.thumbnails import MAX_BYTES, thumbnail
+from drsplat.query.catalogue import Catalogue, Where, record, table
+from drsplat.query.catalogue.conditions import quoted
+from drsplat.query.catalogue.thumbnails import MAX_BYTES, thumbnail
 
 ANYWHERE = Where()
 WORDS = {"kitchen": ("red mug", "wooden table", "green plant"), "o'hara": ("blue mug", "red chair", "white lamp")}
@@ -454,7 +454,7 @@ def test_what_is_usual_stays_while_a_large_table_hardly_changes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rng, encoder, path = np.random.default_rng(4), EncoderIdentity("test", 16), tmp_path / "c"
-    monkeypatch.setattr("drsplat.catalogue.catalogue.LARGE_ROWS", 200)
+    monkeypatch.setattr("drsplat.query.catalogue.catalogue.LARGE_ROWS", 200)
     catalogue, asked = Catalogue.open(path), []
     for name, size in (("small", 150), ("more", 250), ("hardly", 2), ("much", 50)):
         table.replace_scene(path, name, rows_of(name, unit(rng, size, 16), encoder, 1), encoder)
@@ -468,7 +468,7 @@ def test_what_is_usual_stays_while_a_large_table_hardly_changes(
 
 def test_writers_take_turns(scenes: Path, tmp_path: Path) -> None:
     """Two processes add at once, and a thread of this one."""
-    code = "import sys; from drsplat.catalogue import Catalogue; Catalogue.open(sys.argv[1]).add(sys.argv[2])"
+    code = "import sys; from drsplat.query.catalogue import Catalogue; Catalogue.open(sys.argv[1]).add(sys.argv[2])"
     path = tmp_path / "c"
     processes = [
         subprocess.Popen([sys.executable, "-c", code, str(path), str(scenes / name)], stderr=subprocess.PIPE)
@@ -483,7 +483,7 @@ def test_writers_take_turns(scenes: Path, tmp_path: Path) -> None:
 
 ADDING = """
 import resource, sys, time
-from drsplat.catalogue import Catalogue, table
+from drsplat.query.catalogue import Catalogue, table
 from drsplat.query import open_scene
 scene, catalogue = open_scene(sys.argv[2]), Catalogue.open(sys.argv[1])
 print("ready", flush=True)
@@ -568,7 +568,7 @@ def test_without_its_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> N
     monkeypatch.setitem(sys.modules, "lancedb", None)
     with pytest.raises(MissingExtraError, match=r'pip install "drsplat\[catalogue\]"'):
         Catalogue.open(tmp_path)
-    code = "import sys, drsplat.catalogue; print('lancedb' in sys.modules or 'pyarrow' in sys.modules)"
+    code = "import sys, drsplat.query.catalogue; print('lancedb' in sys.modules or 'pyarrow' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "False\n"
 
@@ -763,7 +763,7 @@ def test_a_missing_file_of_a_large_table_is_refused(tmp_path: Path, monkeypatch:
 KILLED = """
 import os, sys
 import numpy as np
-from drsplat.catalogue import Catalogue, table
+from drsplat.query.catalogue import Catalogue, table
 def killed(*given, **how):
     os.kill(os.getpid(), 9)
 moment, path, scene = sys.argv[1:]
@@ -795,7 +795,7 @@ def test_a_writer_killed_before_its_record(scenes: Path, tmp_path: Path) -> None
 
 REMOVED = """
 import os, sys
-from drsplat.catalogue import Catalogue, table
+from drsplat.query.catalogue import Catalogue, table
 real, times = table.record, []
 def second(*given, **how):
     times.append(1)

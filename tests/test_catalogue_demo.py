@@ -5,13 +5,13 @@ from pathlib import Path
 import pytest
 
 from drsplat import Scene, open_scene
-from drsplat.demo.story import Story
 from drsplat.errors import DrSplatWarning
+from drsplat.evaluation.demo.story import Story
 from drsplat.query.objects import object_of
 
 pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
 
-from drsplat.catalogue import Catalogue
+from drsplat.query.catalogue import Catalogue
 
 WORDS = ("apple", "candle", "plant", "sofa", "table", "toy car", "toy duck", "red vase", "orange sofa", "green toy car")
 MANY = (

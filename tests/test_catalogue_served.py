@@ -20,8 +20,8 @@ pytest.importorskip("httpx", reason="httpx, which the tests ask with, is not ins
 
 import httpx
 
-from drsplat.catalogue import Catalogue
-from drsplat.serving.app import Settings, create_app
+from drsplat.fronts.serving.app import Settings, create_app
+from drsplat.query.catalogue import Catalogue
 from test_catalogue import WORDS
 from test_glossary import descriptions, offenders, retired, schema_keys
 
@@ -139,12 +139,12 @@ def test_a_catalogue_that_is_none_is_told_at_the_start(folder: Path, capsys: Cap
 
 def test_language_models_search_all_scenes(folder: Path) -> None:
     pytest.importorskip("mcp", reason="the extra drsplat[mcp] is not installed")
-    from drsplat.serving.limits import Limits
-    from drsplat.serving.metrics import Metrics
-    from drsplat.serving.scene_folder import SceneFolder
-    from drsplat.serving.tools import make_server
-    from drsplat.serving.workbench import Workbench
-    from drsplat.serving.worker import Workplace
+    from drsplat.fronts.serving.limits import Limits
+    from drsplat.fronts.serving.metrics import Metrics
+    from drsplat.fronts.serving.scene_folder import SceneFolder
+    from drsplat.fronts.serving.tools import make_server
+    from drsplat.fronts.serving.workbench import Workbench
+    from drsplat.fronts.serving.worker import Workplace
 
     scenes, path = folder / "scenes", folder / "flats.catalogue"
     with closing(Workbench(Workplace(str(scenes), catalogue=str(path)), Metrics())) as bench:

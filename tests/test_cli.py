@@ -16,13 +16,13 @@ from PIL import Image
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import EncoderIdentity, WordEncoder, cli, load_field, read_gaussians, read_views, write_gaussians
+from drsplat.base.progress import track
 from drsplat.cli import VERBS, main
-from drsplat.codes import save_codebook
-from drsplat.demo import story as household
-from drsplat.demo.probes import PROBES
+from drsplat.evaluation.demo import story as household
+from drsplat.evaluation.demo.probes import PROBES
+from drsplat.field.codes import save_codebook
 from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.npy import write_npy
-from drsplat.progress import track
 from furnished.story import Story
 
 
@@ -129,8 +129,8 @@ def test_warnings_of_libraries_are_for_programmers(
         warnings.warn("use something else", FutureWarning, stacklevel=1)
         return {"infinite": [float(np.float32(value) * np.float32(1e38)) for value in (1e38, 2e38)]}
 
-    monkeypatch.setattr("drsplat.commands.inspect.run", run)
-    monkeypatch.setattr("drsplat.commands.inspect.show", lambda _: None)
+    monkeypatch.setattr("drsplat.fronts.commands.inspect.run", run)
+    monkeypatch.setattr("drsplat.fronts.commands.inspect.show", lambda _: None)
     with warnings.catch_warnings(record=True) as shown:
         warnings.simplefilter("always")
         assert main(["inspect", str(tmp_path), *debug]) == 0
@@ -274,7 +274,7 @@ def test_register_takes_the_names_that_others_use(room: Path, tmp_path: Path, ca
 
 KILLED_AFTER = """
 import os, signal
-from drsplat.evidence.aggregation import sampling
+from drsplat.field.evidence.aggregation import sampling
 from drsplat.cli import main
 whole, done = sampling.view_weights, []
 def weights(*args, **options):
@@ -491,8 +491,8 @@ def test_demo_verb_tells_its_story(
     """The story and its pictures are tested elsewhere; here, what is printed of them."""
     count = len(PROBES)
     pictures = [tmp_path / "overview.png", *(tmp_path / f"{k}.png" for k in range(count))]
-    monkeypatch.setattr("drsplat.demo.story.tell", lambda *_args, **_options: household_story)
-    monkeypatch.setattr("drsplat.demo.album.write_album", lambda *_args, **_options: pictures)
+    monkeypatch.setattr("drsplat.evaluation.demo.story.tell", lambda *_args, **_options: household_story)
+    monkeypatch.setattr("drsplat.evaluation.demo.album.write_album", lambda *_args, **_options: pictures)
     answer = answer_of(capsys, "demo", "--output-dir", tmp_path)
     assert [query["text"] for query in answer["queries"]] == [q.text for q in PROBES]
     wanted = {"text", "num_matches", "is_right", "iou", "num_selected", "center", "seconds"}

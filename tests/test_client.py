@@ -11,12 +11,12 @@ from scipy.spatial import cKDTree
 
 from browsing import PANEL, a_page, colorfulness, eventually, near, needs_chromium, opened, pixels_of, settled
 from drsplat import open_scene, read_gaussians
+from drsplat.authoring.filming.looking import looking_at
 from drsplat.drawing.rendering import render
-from drsplat.filming.looking import looking_at
+from drsplat.fronts.viewing.client import client_file
+from drsplat.fronts.viewing.exporting import export_page
+from drsplat.fronts.viewing.session import Session
 from drsplat.query.objects import objects_of
-from drsplat.viewing.client import client_file
-from drsplat.viewing.exporting import export_page
-from drsplat.viewing.session import Session
 from glb_files import Read
 from viewing_scenes import THINGS, boxes_scene
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from browsing import a_page, needs_chromium, opened
+from drsplat.fronts.viewing.exporting import export_page
+from drsplat.fronts.viewing.session import Session
 from drsplat.query import open_scene
 from drsplat.scene.annotations import Annotation
-from drsplat.viewing.exporting import export_page
-from drsplat.viewing.session import Session
 from live_clients import served
 
 pytestmark = [needs_chromium, pytest.mark.slow]

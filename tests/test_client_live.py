@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from browsing import PANEL, a_page, colorfulness, eventually, near, needs_chromium, opened, pixels_of, settled
-from drsplat.editing import Duplicate
+from drsplat.authoring.editing import Duplicate
+from drsplat.fronts.viewing.exporting import export_page
+from drsplat.fronts.viewing.live.stage import Stage
+from drsplat.fronts.viewing.session import Session
 from drsplat.query import Scene, open_scene
 from drsplat.scene.annotations import Annotation
-from drsplat.viewing.exporting import export_page
-from drsplat.viewing.live.stage import Stage
-from drsplat.viewing.session import Session
 from live_clients import served
 
 pytest.importorskip("uvicorn")
@@ -59,7 +59,7 @@ def test_ask_remove_undo(session: Session, size: tuple[int, int], chromium: Any)
 def test_a_scene_comes_in_pieces_and_is_whole_with_its_answer(
     session: Session, chromium: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drsplat.viewing.live.arrays.PIECE", len(session.scene.gaussians) // 7)
+    monkeypatch.setattr("drsplat.fronts.viewing.live.arrays.PIECE", len(session.scene.gaussians) // 7)
     session.ask("red mug")
     with served(session) as address, a_page(chromium) as page:
         opened(page, address)

@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drsplat.codes import (
+from drsplat.errors import FormatError, InputError, MismatchError
+from drsplat.field.codes import (
     Code,
     Codebook,
     Codes,
@@ -22,8 +23,7 @@ from drsplat.codes import (
     save_codebook,
     train_codebook,
 )
-from drsplat.encoders import EncoderIdentity
-from drsplat.errors import FormatError, InputError, MismatchError
+from drsplat.scene.encoders import EncoderIdentity
 from fields import OFFICIAL_INDEX, unit_rows
 from twins import algebra as reference_algebra
 from twins import scan as reference_scan

@@ -4,12 +4,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-from drsplat.commands.verbs import GROUPS, SUMMARIES
-from drsplat.demo.story import Story
+from drsplat.evaluation.demo.story import Story
+from drsplat.fronts.commands.verbs import GROUPS, SUMMARIES
 
 BUILDING = {
-    "drsplat.field.building", "drsplat.field.regrowing", "drsplat.field.carrying", "drsplat.registration",
-    "drsplat.evidence.aggregation.aggregators", "torch", "scipy.ndimage",
+    "drsplat.field.building", "drsplat.field.regrowing", "drsplat.field.carrying", "drsplat.field.registration",
+    "drsplat.field.evidence.aggregation.aggregators", "torch", "scipy.ndimage",
 }  # fmt: skip
 TREES = {"scipy.spatial", "scipy.sparse.csgraph"}
 SLOW = {"jaxtyping", "asyncio", "scipy", "PIL", "safetensors", "importlib.metadata", "importlib.resources"}
@@ -28,8 +28,8 @@ def test_every_verb_is_in_one_group_and_has_a_summary() -> None:
 
 def test_help_loads_no_verb() -> None:
     loaded = loaded_by("--help")
-    assert {"drsplat.commands.verbs", "argparse"} <= loaded
-    assert not loaded & {f"drsplat.commands.{verb}" for verb in SUMMARIES}
+    assert {"drsplat.fronts.commands.verbs", "argparse"} <= loaded
+    assert not loaded & {f"drsplat.fronts.commands.{verb}" for verb in SUMMARIES}
     assert not loaded & {"numpy", "scipy", "json", "tomllib", "html", "subprocess", "dataclasses"}
 
 
@@ -45,5 +45,5 @@ def test_a_question_loads_nothing_that_builds(story: Story, demo_folder: Path) -
 
 def test_facts_of_a_field_need_no_matrix(story: Story, demo_folder: Path) -> None:
     inspected = loaded_by("inspect", demo_folder / "room.field")
-    assert "drsplat.evidence.evidence" in inspected
+    assert "drsplat.field.evidence.evidence" in inspected
     assert not inspected & (BUILDING | SLOW)

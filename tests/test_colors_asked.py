@@ -5,11 +5,11 @@ import pytest
 from scipy.sparse import csr_array, eye_array
 
 from drsplat import LanguageField, Scene
-from drsplat.codes import Mixture
-from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import build_field
-from drsplat.models.mini import MiniEncoder
-from drsplat.models.mini.lexicon import COLORS, ORANGE, only_colors, words_of
+from drsplat.field.codes import Mixture
+from drsplat.field.evidence.evidence import Evidence, MaskIds
+from drsplat.photos.models.mini import MiniEncoder
+from drsplat.photos.models.mini.lexicon import COLORS, ORANGE, only_colors, words_of
 from drsplat.query.query import Query
 from drsplat.query.ranking import Described, Surroundings
 from fields import SCENE

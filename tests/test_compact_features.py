@@ -11,13 +11,13 @@ from numpy.testing import assert_array_equal
 
 import drsplat as ds
 from drsplat import cli
-from drsplat.embedding.embed import EmbeddingReport, embed
 from drsplat.errors import DrSplatError, FormatError, InputError
 from drsplat.formats import compact_features
 from drsplat.formats.compact_features import read_compact, write_compact
 from drsplat.formats.feature_files import COMPACT
 from drsplat.formats.langsplat import LEVELS, FeatureFolder, read_features, write_features
 from drsplat.formats.tensors import map_tensors, write_tensors
+from drsplat.photos.embedding.embed import EmbeddingReport, embed
 from fake_models import ColorSegmenter, LargeSegmenter, ThumbnailEncoder
 from fields import unit_rows, without_checksums
 from mutations import bounded_allocations, mutants, quota

@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from command_line import Capture, error_of, text_of
 from drsplat.cli import VERBS, make_parser
-from drsplat.commands.configuring import MAX_BYTES, configuration, options_of, place
-from drsplat.commands.options import words
-from drsplat.commands.parsing import VerbParser
 from drsplat.errors import InputError
+from drsplat.fronts.commands.configuring import MAX_BYTES, configuration, options_of, place
+from drsplat.fronts.commands.options import words
+from drsplat.fronts.commands.parsing import VerbParser
 
 TEXTS = ["a", "1", "1.50", "007", "x y", 'q"\\', "größer", "--scene=evil", "-k5", "2026-01-01", "true"]
 OTHERS = ["1", "2", "0", "0.5", "8", "auto", "scene", "64x48", "1,2,3", "large", "every:2", "-0.25", "all"]

@@ -14,7 +14,7 @@ pytest.importorskip("uvicorn", reason="the extra drsplat[serve] is not installed
 
 import uvicorn
 
-from drsplat.serving.connections import SECONDS, Stage, connection_class
+from drsplat.fronts.serving.connections import SECONDS, Stage, connection_class
 
 QUICK = {Stage.IDLE: 1.0, Stage.HEAD: 0.5, Stage.BODY: 1.0}
 REQUEST = b"GET / HTTP/1.1\r\nHost: here\r\n\r\n"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drsplat import contents, load_field, read_gaussians, read_views
-from drsplat.contents import file_bytes, pieces, release
+from drsplat.base.contents import file_bytes, pieces, release
 from drsplat.errors import DrSplatError, FormatError, InputError
 from drsplat.formats.json_files import read_json
 from drsplat.formats.npy import map_npy

@@ -10,12 +10,14 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.sparse import csr_array, eye_array
 
 from drsplat import EncoderIdentity, LanguageField, Scene, load_field
-from drsplat.codes import Mixture
 from drsplat.errors import InputError
-from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import build_field
+from drsplat.field.codes import Mixture
+from drsplat.field.evidence.evidence import Evidence, MaskIds
 from drsplat.formats.vocabulary import VocabularyEncoder
-from drsplat.models.mini import MiniEncoder
+from drsplat.photos.models.mini import MiniEncoder
+from drsplat.photos.models.nouns import NOUNS, broad_list
+from drsplat.photos.models.word_list import MOST, list_vectors
 from drsplat.query.contrast import (
     CLEARER,
     CROWD,
@@ -28,9 +30,7 @@ from drsplat.query.contrast import (
     middle_threshold,
     relevancy_threshold,
 )  # fmt: skip
-from drsplat.query.nouns import NOUNS, broad_list
 from drsplat.query.thresholds import PEAK
-from drsplat.query.word_list import MOST, list_vectors
 from fields import SCENE, ToyEncoder, unit_rows
 
 DIM, GAP = 64, 0.25

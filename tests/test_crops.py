@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from drsplat.errors import InputError
-from drsplat.masks.crops import Crops, crop, crops
-from drsplat.masks.masks import Masks
+from drsplat.scene.masks.crops import Crops, crop, crops
+from drsplat.scene.masks.masks import Masks
 
 RNG = np.random.default_rng(0)
 IMAGE = RNG.integers(1, 256, (7, 9, 3), np.uint8)

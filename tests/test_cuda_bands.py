@@ -109,7 +109,7 @@ def test_tensors_that_do_not_fit_are_refused(folder, scene, change, said):
 
 @pytest.mark.parametrize("verb", ["register", "render", "evaluate"])
 def test_a_verb_that_draws_says_where(verb):
-    command = import_module(f"drsplat.commands.{verb}")
+    command = import_module(f"drsplat.fronts.commands.{verb}")
     assert command.device(Namespace(device="cpu")) == "cpu"
     assert command.device(Namespace(device="auto")) == "auto"
 

@@ -10,13 +10,13 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from cuda_on_cpu import CpuEngine, compiled
 from drsplat import EncoderIdentity, LanguageField, load_field, open_scene
-from drsplat.codes import Codebook, Codes, PQCode, device_code, pq_code
 from drsplat.errors import InputError, MissingExtraError
+from drsplat.field.codes import Codebook, Codes, PQCode, device_code, pq_code
+from drsplat.fronts.serving.scene_folder import SceneFolder, Sources
 from drsplat.kernels import scan
 from drsplat.kernels.cuda import devices, scanning
 from drsplat.kernels.cuda.engine import Engine, cuda_engine, unavailable
 from drsplat.kernels.scan import ERROR, GroupedRows, QueryTables
-from drsplat.serving.scene_folder import SceneFolder, Sources
 from test_mixture import code as mixture_code
 from test_scan import drawn
 from twins import scan as reference_scan

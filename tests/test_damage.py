@@ -14,9 +14,9 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from drsplat.cli import main
-from drsplat.codes import PQ, Mixture, load_codebook, save_codebook
 from drsplat.errors import DrSplatError, FormatError
 from drsplat.field import LanguageField, build_field, load_field
+from drsplat.field.codes import PQ, Mixture, load_codebook, save_codebook
 from drsplat.formats.checksums import sealed
 from drsplat.formats.replacing import replacing, sweep, together
 from drsplat.formats.tensors import map_tensors, read_tensors, write_tensors

@@ -12,15 +12,15 @@ import pytest
 from PIL import Image
 
 from drsplat import read_features, read_views
-from drsplat.demo.album import note, write_album
-from drsplat.demo.household import read_household, unpack_household
-from drsplat.demo.page import write_page
-from drsplat.demo.probes import PROBES
-from drsplat.demo.story import Story, Verdict, tell
 from drsplat.drawing.pictures import visible_share
 from drsplat.errors import InputError
+from drsplat.evaluation.demo.album import note, write_album
+from drsplat.evaluation.demo.household import read_household, unpack_household
+from drsplat.evaluation.demo.page import write_page
+from drsplat.evaluation.demo.probes import PROBES
+from drsplat.evaluation.demo.story import Story, Verdict, tell
 
-SHIPPED = Path(__file__).parent.parent / "src/drsplat/demo/scene"
+SHIPPED = Path(__file__).parent.parent / "src/drsplat/evaluation/demo/scene"
 
 
 def test_the_scene_is_small() -> None:

@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from PIL import Image
 
-from drsplat.embedding.mask_rows import MaskEncoder, mask_rows
 from drsplat.errors import FormatError
-from drsplat.masks.crops import crops
-from drsplat.masks.masks import Masks, cut_masks
-from drsplat.models.dense_encoder import coverage
-from drsplat.models.loading import load_encoder
+from drsplat.photos.embedding.mask_rows import MaskEncoder, mask_rows
+from drsplat.photos.models.dense_encoder import coverage
+from drsplat.photos.models.loading import load_encoder
+from drsplat.scene.masks.crops import crops
+from drsplat.scene.masks.masks import Masks, cut_masks
 from tiny_encoders import PATCH, SIDE, write_model
 
 ALONG = SIDE // PATCH

@@ -17,9 +17,9 @@ import pytest
 
 import drsplat as ds
 from drsplat.cli import VERBS, main
+from drsplat.field.objects.choosing import Tree
+from drsplat.field.objects.describing import describe
 from drsplat.formats.tensors import map_tensors
-from drsplat.objects.choosing import Tree
-from drsplat.objects.describing import describe
 from toy_capture import NEGATIVES, PER_THING, THINGS, write_toy_capture
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from drsplat.cli import main
-from drsplat.commands import doctor
+from drsplat.fronts.commands import doctor
 from drsplat.kernels import available_isas, default_isa
 
 MODELS = "masks and embeddings of real models (SAM, CLIP)"
@@ -109,8 +109,8 @@ def test_models_in_the_cache_are_found(
 
 
 def test_the_models_are_the_defaults() -> None:
-    from drsplat.models.loading import DEFAULT_ENCODER
-    from drsplat.models.sam import CPU_SEGMENTER, DEFAULT_SEGMENTER
+    from drsplat.photos.models.loading import DEFAULT_ENCODER
+    from drsplat.photos.models.sam import CPU_SEGMENTER, DEFAULT_SEGMENTER
 
     assert list(doctor.MODELS) == [DEFAULT_ENCODER, DEFAULT_SEGMENTER, CPU_SEGMENTER]
 

@@ -10,12 +10,12 @@ from PIL import Image
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Query, open_scene, read_gaussians
+from drsplat.authoring.editing import Duplicate, Edit, EditFile, EditList, Everything
+from drsplat.authoring.editing.draft import Draft
 from drsplat.cli import main
-from drsplat.commands.edit_options import note_own_scenes
-from drsplat.editing import Duplicate, Edit, EditFile, EditList, Everything
-from drsplat.editing.draft import Draft
 from drsplat.field.labels import Label, LabelFile
 from drsplat.formats.npy import write_npy
+from drsplat.fronts.commands.edit_options import note_own_scenes
 from toy_capture import PER_THING
 
 

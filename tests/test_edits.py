@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drsplat import Gaussians, render
-from drsplat.drawing.palette import LUMA
-from drsplat.editing import (
+from drsplat.authoring.editing import (
     Box,
     Copies,
     Duplicate,
@@ -33,9 +32,10 @@ from drsplat.editing import (
     draft,
     edited,
 )
-from drsplat.editing.edits import Change
-from drsplat.editing.fill_record import Clones, FillRecord
-from drsplat.editing.replacement import placed_in
+from drsplat.authoring.editing.edits import Change
+from drsplat.authoring.editing.fill_record import Clones, FillRecord
+from drsplat.authoring.editing.replacement import placed_in
+from drsplat.drawing.palette import LUMA
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
 from drsplat.formats.scenes import write_gaussians
 from drsplat.kernels.boxes import box_of
@@ -348,7 +348,7 @@ def test_where_there_is_no_plane_nothing_is_filled() -> None:
 
 
 def test_a_hole_that_is_larger_than_what_is_left_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drsplat.editing.filling.ROUNDS", 1)
+    monkeypatch.setattr("drsplat.authoring.editing.filling.ROUNDS", 1)
     scene, thing = on_a_floor()
     near = (np.abs(scene.means[:, :2]) < 0.34).all(axis=1)
     small = scene.subset(near)

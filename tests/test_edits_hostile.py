@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drsplat.editing import EditFile, EditList, Replace
-from drsplat.editing.edits import drafted
+from drsplat.authoring.editing import EditFile, EditList, Replace
+from drsplat.authoring.editing.edits import drafted
 from drsplat.errors import DrSplatError
 from drsplat.formats.annotations import AnnotationFile
 from drsplat.scene.annotations import Annotation

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from drsplat import Gaussians, render
+from drsplat.authoring.editing import Duplicate, Edit, Fill, Move, Remove, Rows, Scale, Turn, edited
 from drsplat.drawing.pictures import visible_share
-from drsplat.editing import Duplicate, Edit, Fill, Move, Remove, Rows, Scale, Turn, edited
 from drsplat.scene.gaussians import SH_C0
 from drsplat.scene.similarity import sh_basis
 from drsplat.scene.views import View

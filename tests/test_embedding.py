@@ -21,16 +21,16 @@ import drsplat as ds
 from captures_to_train import ring
 from drsplat import cli
 from drsplat.drawing.pictures import as_pixels, write_picture
-from drsplat.embedding.embed import embed as embed_compactly
-from drsplat.embedding.embed import recorded_encoder
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
 from drsplat.formats.checksums import sealed
 from drsplat.formats.embedding_record import EmbeddingRecord, finished_photos
 from drsplat.formats.feature_files import COMPACT
 from drsplat.formats.langsplat import LEVELS, read_features
 from drsplat.formats.replacing import NoRoom
-from drsplat.masks.crops import crop
+from drsplat.photos.embedding.embed import embed as embed_compactly
+from drsplat.photos.embedding.embed import recorded_encoder
 from drsplat.scene.gaussians import SH_C0
+from drsplat.scene.masks.crops import crop
 from drsplat.scene.views import View
 from fake_models import DIM, ColorSegmenter, LargeSegmenter, ThumbnailEncoder
 from furnished.capture import write_model
@@ -571,7 +571,7 @@ def test_embed_register_query(three_balls, tmp_path):
 
 @pytest.fixture
 def fake_models(monkeypatch) -> None:
-    from drsplat.models import loading, sam
+    from drsplat.photos.models import loading, sam
 
     def load_segmenter(name, device, settings, threads):
         assert device == "cpu"
@@ -622,7 +622,7 @@ def test_where_the_command_writes_unless_told(named, three_balls, fake_models, c
 
 
 def test_an_encoder_of_words_alone_is_refused(three_balls, fake_models, monkeypatch, capsys):
-    from drsplat.models import loading
+    from drsplat.photos.models import loading
 
     monkeypatch.setattr(loading, "load_encoder", lambda name, device, threads: ds.WordEncoder())
     assert cli.main(["embed", str(three_balls), "--encoder", "drsplat-words", "--device", "cpu"]) == 1

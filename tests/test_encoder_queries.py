@@ -12,14 +12,14 @@ from PIL import Image
 
 from drsplat import Answer, Query, Scene
 from drsplat.cli import main
-from drsplat.commands.query_inputs import read_picture
-from drsplat.encoders import EncoderIdentity
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.field import LanguageField, build_field
-from drsplat.models.loading import load_encoder
+from drsplat.fronts.commands.query_inputs import read_picture
+from drsplat.photos.models.loading import load_encoder
+from drsplat.photos.models.word_list import list_vectors
 from drsplat.query.contrast import contrast
 from drsplat.query.encoding import encoder_for
-from drsplat.query.word_list import list_vectors
+from drsplat.scene.encoders import EncoderIdentity
 from fields import SCENE, random_evidence
 from tiny_encoders import write_model
 
@@ -139,7 +139,7 @@ def test_self_referencing_queries(dinov2: Path, tmp_path: Path) -> None:
 
 
 def test_the_words_encoder_sees_no_images(tmp_path: Path) -> None:
-    from drsplat.models.words import WordEncoder
+    from drsplat.photos.models.words import WordEncoder
 
     Image.fromarray(THING).save(tmp_path / "thing.png")
     with pytest.raises(InputError, match="drsplat-words sees no images"):

@@ -14,13 +14,13 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
-from drsplat.codes.files import encoder_from_json
-from drsplat.encoders import Encoder, EncoderIdentity, ImageEncoder, identity_json
 from drsplat.errors import DrSplatError, FormatError, InputError, MissingExtraError
-from drsplat.models import devices, libraries, pretrained, sam, torch_encoder
-from drsplat.models.loading import DEFAULT_ENCODER, load_encoder
-from drsplat.models.preprocessing import Preprocessing, read_preprocessing
-from drsplat.models.words import WordEncoder
+from drsplat.field.codes.files import encoder_from_json
+from drsplat.photos.models import devices, libraries, pretrained, sam, torch_encoder
+from drsplat.photos.models.loading import DEFAULT_ENCODER, load_encoder
+from drsplat.photos.models.preprocessing import Preprocessing, read_preprocessing
+from drsplat.photos.models.words import WordEncoder
+from drsplat.scene.encoders import Encoder, EncoderIdentity, ImageEncoder, identity_json
 from tiny_encoders import PATCH, SIDE, TOKENS, write_model
 
 torch = pytest.importorskip("torch", reason="needs torch")

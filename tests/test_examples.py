@@ -18,7 +18,7 @@ import pytest
 from PIL import Image
 
 import drsplat as ds
-from drsplat.demo.story import Story
+from drsplat.evaluation.demo.story import Story
 from drsplat.formats.langsplat import write_features
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -11,12 +11,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Gaussians, Scene, open_scene, read_gaussians, write_gaussians
+from drsplat.authoring.editing import Duplicate, Edit, EditFile, Move, Remove
+from drsplat.authoring.editing.resolving import object_rows
+from drsplat.authoring.exporting import export, labelled
+from drsplat.authoring.exporting.choosing import only_used
 from drsplat.cli import main
-from drsplat.editing import Duplicate, Edit, EditFile, Move, Remove
-from drsplat.editing.resolving import object_rows
 from drsplat.errors import InputError
-from drsplat.exporting import export, labelled
-from drsplat.exporting.choosing import only_used
 from drsplat.formats.annotations import AnnotationFile
 from drsplat.formats.georeference import Georeference, write_georeference
 from drsplat.formats.moving_scenes import write_moving

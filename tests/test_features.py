@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from drsplat.encoders import EncoderIdentity
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.formats.langsplat import LEVELS, FeatureFolder, read_features, write_features
 from drsplat.formats.npy import map_npy, write_npy
 from drsplat.formats.vocabulary import VocabularyEncoder, read_vocabulary, write_vocabulary
+from drsplat.scene.encoders import EncoderIdentity
 
 RNG = np.random.default_rng(0)
 ROWS = RNG.normal(size=(11, 8)).astype(np.float32)

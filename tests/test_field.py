@@ -18,15 +18,15 @@ from safetensors.numpy import load_file, save_file
 from scipy.sparse import csr_array
 
 from drsplat import contents
-from drsplat.codes import Codebook, Mixture, train_codebook
-from drsplat.codes.mixture import MixtureCode
-from drsplat.encoders import EncoderIdentity
 from drsplat.errors import FormatError, InputError, MismatchError
-from drsplat.evidence.aggregation import Aggregated
-from drsplat.evidence.evidence import Evidence, Explanation, MaskIds
 from drsplat.field import LanguageField, build_field, load_field, relevancy_from_scores
+from drsplat.field.codes import Codebook, Mixture, train_codebook
+from drsplat.field.codes.mixture import MixtureCode
+from drsplat.field.evidence.aggregation import Aggregated
+from drsplat.field.evidence.evidence import Evidence, Explanation, MaskIds
 from drsplat.formats.checksums import sealed
 from drsplat.formats.tensors import map_tensors, write_tensors
+from drsplat.scene.encoders import EncoderIdentity
 from drsplat.scene.gaussians import Gaussians
 from fields import SCENE, TOY, random_evidence, toy_field, unit_rows
 

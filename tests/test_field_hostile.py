@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drsplat.codes import Codebook, Mixture, load_codebook, read_faiss_codebook, save_codebook
-from drsplat.encoders import EncoderIdentity
 from drsplat.errors import DrSplatError, FormatError
 from drsplat.field import build_field, load_field
+from drsplat.field.codes import Codebook, Mixture, load_codebook, read_faiss_codebook, save_codebook
 from drsplat.formats.faiss_index import read_faiss_quantizer
 from drsplat.formats.tensors import map_tensors, write_tensors
+from drsplat.scene.encoders import EncoderIdentity
 from fields import SCENE, as_version_2, random_evidence, unit_rows, without_checksums
 from known_objects import with_objects
 from mutations import bounded_allocations, mutants, quota, seeded

@@ -10,14 +10,14 @@ import pytest
 
 from command_line import Capture, answer_of
 from drsplat import Gaussians, read_gaussians
-from drsplat.editing import Copies, Edit, EditFile, EditList, Fill, Move, Remove, Rows, edited
-from drsplat.editing.edits import recorded
-from drsplat.editing.stored import document_of, edits_of
+from drsplat.authoring.editing import Copies, Edit, EditFile, EditList, Fill, Move, Remove, Rows, edited
+from drsplat.authoring.editing.edits import recorded
+from drsplat.authoring.editing.stored import document_of, edits_of
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.formats.npy import write_npy
 from drsplat.formats.scenes import write_gaussians
-from drsplat.viewing.bare import open_bare
-from drsplat.viewing.edits import Edits
+from drsplat.fronts.viewing.bare import open_bare
+from drsplat.fronts.viewing.edits import Edits
 from mutations import bounded_allocations
 from test_edits import ARRAYS, on_a_floor
 from test_loose_parts import a_thing_in_a_hole

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from drsplat.authoring.filming import encoding
+from drsplat.authoring.filming.writing import SUFFIXES, check_film, write_film
 from drsplat.errors import InputError, MissingExtraError
-from drsplat.filming import encoding
-from drsplat.filming.writing import SUFFIXES, check_film, write_film
 
 needs_ffmpeg = pytest.mark.skipif(encoding.ffmpeg() is None, reason="the program ffmpeg is not installed")
 WIDTH, HEIGHT = 64, 48
@@ -177,7 +177,7 @@ def test_a_name_that_looks_like_an_option_or_an_address(tmp_path: Path, monkeypa
 
 ENDLESS = """
 import signal, sys, numpy as np
-from drsplat.filming.writing import write_film
+from drsplat.authoring.filming.writing import write_film
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell may have started the tests without one
 def pictures():
     number = 0
@@ -214,7 +214,7 @@ def test_killed_or_interrupted_it_leaves_no_film(suffix: str, how: signal.Signal
 
 MEASURED = """
 import resource, sys, numpy as np
-from drsplat.filming.writing import write_film
+from drsplat.authoring.filming.writing import write_film
 noise = np.random.default_rng(0).integers(0, 255, (240, 320, 3)).astype(np.uint8)
 def pictures(count):
     return (np.roll(noise, number, 1) for number in range(count))

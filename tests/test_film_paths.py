@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from drsplat.authoring.filming import path_files, planning, ways
+from drsplat.authoring.filming.looking import looking_at
+from drsplat.authoring.filming.paths import MOST_FRAMES, CameraPath, KeyFrame, frame_count
 from drsplat.errors import DrSplatError, FormatError, InputError
-from drsplat.filming import path_files, planning, ways
-from drsplat.filming.looking import looking_at
-from drsplat.filming.paths import MOST_FRAMES, CameraPath, KeyFrame, frame_count
 from drsplat.scene.views import View
 from mutations import mutants
 from scenes import look_at_view, random_gaussians

@@ -13,14 +13,14 @@ from PIL import Image
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Gaussians, Query, cli, render
+from drsplat.authoring.filming.frames import Film
+from drsplat.authoring.filming.highlights import Highlight
+from drsplat.authoring.filming.looking import looking_at
 from drsplat.drawing import labels
 from drsplat.drawing.labels import Mark, lines_of, marked
 from drsplat.drawing.pictures import as_pixels, titled
 from drsplat.drawing.plates import plates_of
 from drsplat.errors import InputError
-from drsplat.filming.frames import Film
-from drsplat.filming.highlights import Highlight
-from drsplat.filming.looking import looking_at
 from drsplat.formats.annotations import AnnotationFile
 from drsplat.query.sheets import attribute_row
 from drsplat.scene.annotations import Annotation

@@ -13,7 +13,7 @@ import pytest
 from numpy.testing import assert_allclose
 from PIL import Image
 
-import drsplat.demo
+import drsplat.evaluation.demo
 from drsplat.errors import FormatError
 from drsplat.formats.captures import read_views
 from drsplat.formats.colmap import read_colmap, read_points
@@ -128,7 +128,7 @@ def test_colmap_reads_what_we_write(kind: str, tmp_path: Path) -> None:
     """The model of the demo, and those that the tests write after COLMAP's description, so that these are right."""
     folder = tmp_path / "model"
     if kind == "demo":
-        folder = Path(drsplat.demo.__file__).parent / "scene/sparse/0"
+        folder = Path(drsplat.evaluation.demo.__file__).parent / "scene/sparse/0"
     elif kind == "furnished":
         write_furnished_model(folder)
     else:

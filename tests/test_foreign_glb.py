@@ -16,8 +16,8 @@ from numpy.testing import assert_allclose
 import drsplat as ds
 import scene_files
 from browsing import a_browser, a_page, needs_chromium
-from drsplat.exporting import export
-from drsplat.exporting.writers import write_scene
+from drsplat.authoring.exporting import export
+from drsplat.authoring.exporting.writers import write_scene
 from drsplat.formats.axes import standing_up
 from drsplat.scene.annotations import Annotation
 from drsplat.scene.labelled import LabelledScene, Thing

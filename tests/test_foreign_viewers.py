@@ -18,7 +18,7 @@ import pytest
 import drsplat as ds
 from browsing import a_browser, needs_chromium
 from command_line import Capture, answer_of
-from drsplat.exporting.writers import write_scene
+from drsplat.authoring.exporting.writers import write_scene
 from drsplat.formats.axes import HALF_TURN
 from drsplat.scene.labelled import LabelledScene, Thing
 from foreign_programs import needs_packages

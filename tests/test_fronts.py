@@ -19,15 +19,15 @@ from PIL import Image
 from command_line import Capture, answer_of
 from drsplat import Answer, Cut, Match, MiniEncoder, Query, Scene, open_scene
 from drsplat.cli import make_parser, spelled
-from drsplat.demo import story as household
 from drsplat.errors import DrSplatError
-from drsplat.viewing.results import result_of
-from drsplat.viewing.session import Session
+from drsplat.evaluation.demo import story as household
+from drsplat.fronts.viewing.results import result_of
+from drsplat.fronts.viewing.session import Session
 
 pytest.importorskip("fastapi")
-from drsplat.serving.conversation import Conversation
-from drsplat.serving.scene_folder import SceneFolder
-from drsplat.serving.worker import Workplace, reply_to
+from drsplat.fronts.serving.conversation import Conversation
+from drsplat.fronts.serving.scene_folder import SceneFolder
+from drsplat.fronts.serving.worker import Workplace, reply_to
 
 PICTURE = np.zeros((40, 40, 3), np.uint8)
 PICTURE[5:35, 5:35] = (200, 30, 30)

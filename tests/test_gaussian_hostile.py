@@ -15,8 +15,8 @@ import zstandard
 
 import glb_files
 import scene_files
+from drsplat.authoring.exporting.writers import write_scene
 from drsplat.errors import DrSplatError, DrSplatWarning, FormatError
-from drsplat.exporting.writers import write_scene
 from drsplat.formats.glb import names_in_glb
 from drsplat.formats.scenes import parse_gaussians, read_gaussians
 from drsplat.scene.gaussians import Gaussians

@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import glb_files
 import scene_files
+from drsplat.authoring.exporting.writers import lacks, write_scene
 from drsplat.errors import FormatError, InputError
-from drsplat.exporting.writers import lacks, write_scene
 from drsplat.formats import glb_writing
 from drsplat.formats.axes import standing_up
 from drsplat.formats.glb import names_in_glb

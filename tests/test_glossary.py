@@ -129,7 +129,7 @@ def descriptions(node: Any) -> Iterator[str]:
 @pytest.fixture(scope="module")
 def openapi(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     pytest.importorskip("fastapi")
-    from drsplat.serving.app import Settings, create_app
+    from drsplat.fronts.serving.app import Settings, create_app
 
     folder = tmp_path_factory.mktemp("scenes")
     (folder / "none").mkdir()
@@ -139,12 +139,12 @@ def openapi(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 @pytest.fixture(scope="module")
 def tools(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
     pytest.importorskip("mcp")
-    from drsplat.serving.limits import Limits
-    from drsplat.serving.metrics import Metrics
-    from drsplat.serving.scene_folder import SceneFolder
-    from drsplat.serving.tools import make_server
-    from drsplat.serving.workbench import Workbench
-    from drsplat.serving.worker import Workplace
+    from drsplat.fronts.serving.limits import Limits
+    from drsplat.fronts.serving.metrics import Metrics
+    from drsplat.fronts.serving.scene_folder import SceneFolder
+    from drsplat.fronts.serving.tools import make_server
+    from drsplat.fronts.serving.workbench import Workbench
+    from drsplat.fronts.serving.worker import Workplace
 
     folder = tmp_path_factory.mktemp("scenes")
     with closing(Workbench(Workplace(str(folder)), Metrics())) as bench:

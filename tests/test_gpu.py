@@ -209,7 +209,7 @@ def pictures() -> list[np.ndarray]:
 @pytest.mark.parametrize("kind", ["clip", "siglip", "siglip2", "dinov2"])
 @pytest.mark.parametrize(("dtype", "least"), [("float32", 0.99999), ("float16", 0.999)])
 def test_embeddings_are_those_of_the_cpu(torch, pictures, tmp_path, kind, dtype, least):
-    from drsplat.models.loading import load_encoder
+    from drsplat.photos.models.loading import load_encoder
 
     folder = str(write_model(tmp_path / kind, kind))
     here, there = load_encoder(folder, "cpu", "float32"), load_encoder(folder, "cuda", dtype)
@@ -220,7 +220,7 @@ def test_embeddings_are_those_of_the_cpu(torch, pictures, tmp_path, kind, dtype,
 
 
 def test_a_batch_that_does_not_fit_is_made_smaller(torch, pictures, tmp_path):
-    from drsplat.models.loading import load_encoder
+    from drsplat.photos.models.loading import load_encoder
 
     folder = str(write_model(tmp_path / "clip", "clip"))
     there = load_encoder(folder, "cuda", "float32")
@@ -239,7 +239,7 @@ def test_a_batch_that_does_not_fit_is_made_smaller(torch, pictures, tmp_path):
 def test_masks_are_those_of_the_cpu(torch, tmp_path, kind):
     import transformers
 
-    from drsplat.models import sam
+    from drsplat.photos.models import sam
     from test_sam import IMAGE, LOOSE, saved
 
     folder: Path = saved(tmp_path / kind, transformers, kind)

@@ -36,15 +36,15 @@ from drsplat.kernels.photo_regions import (
     pair_likelihoods,
     region_graph,
 )
-from drsplat.masks.masks import Masks, Segmenter
-from drsplat.masks.selection import paint
-from drsplat.models.graph import GraphSegmenter
-from drsplat.models.graph.network import look, shipped_network
-from drsplat.models.graph.regions import WORKING_PIXELS, enlarged, small_regions, working_image
-from drsplat.models.graph.rule import MergeRule, shipped_rule
-from drsplat.models.graph.segmenter import GraphSettings, label_masks, segment_labels
-from drsplat.models.point_masks import PointMaskSettings
-from drsplat.models.sam import load_segmenter
+from drsplat.photos.models.graph import GraphSegmenter
+from drsplat.photos.models.graph.network import look, shipped_network
+from drsplat.photos.models.graph.regions import WORKING_PIXELS, enlarged, small_regions, working_image
+from drsplat.photos.models.graph.rule import MergeRule, shipped_rule
+from drsplat.photos.models.graph.segmenter import GraphSettings, label_masks, segment_labels
+from drsplat.photos.models.point_masks import PointMaskSettings
+from drsplat.photos.models.sam import load_segmenter
+from drsplat.scene.masks.masks import Masks, Segmenter
+from drsplat.scene.masks.selection import paint
 from test_views_hostile import unchecked_types
 from twins.photo_features import OF_NETWORK, pair_features
 from twins.photo_merging import Merging
@@ -420,7 +420,7 @@ def test_the_shipped_rule_is_of_the_learned_form(tmp_path: Path) -> None:
 
     rule = shipped_rule()[0]
     save_rule(rule, tmp_path / "again.safetensors")
-    shipped = files("drsplat.models.graph") / "rule.safetensors"
+    shipped = files("drsplat.photos.models.graph") / "rule.safetensors"
     assert (tmp_path / "again.safetensors").read_bytes() == shipped.read_bytes()
     assert {name: a.shape for name, a in load_file(tmp_path / "again.safetensors").items()} == {
         name: a.shape for name, a in vars(rule).items()
@@ -512,7 +512,7 @@ def test_a_halved_photo_keeps_its_things() -> None:
 SEE = """
 import hashlib, numpy as np
 from drsplat import MiniEncoder
-from drsplat.models.graph.network import look, shipped_network
+from drsplat.photos.models.graph.network import look, shipped_network
 image = np.random.default_rng(0).integers(0, 256, (240, 320, 3), np.uint8)
 sight = look(image, shipped_network()[0], threads={threads})
 rows = MiniEncoder(threads={threads}).encode_images([image[:90, :90], image])

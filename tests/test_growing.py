@@ -11,16 +11,16 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
 from drsplat import load_field
-from drsplat.codes import PQ, Mixture, Smaller
 from drsplat.errors import DrSplatWarning, InputError, MismatchError
-from drsplat.evidence.aggregation import Sampling
-from drsplat.evidence.changing import with_views, without_views
-from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import LanguageField, learning
+from drsplat.field.codes import PQ, Mixture, Smaller
+from drsplat.field.evidence.aggregation import Sampling
+from drsplat.field.evidence.changing import with_views, without_views
+from drsplat.field.evidence.evidence import Evidence, MaskIds
+from drsplat.field.growing import Change, add_views, change_field, remove_views
+from drsplat.field.registration import Registration, register
 from drsplat.formats.claiming import claimed_output
-from drsplat.growing import Change, add_views, change_field, remove_views
-from drsplat.masks.features import ViewFeatures
-from drsplat.registration import Registration, register
+from drsplat.scene.masks.features import ViewFeatures
 from growing_fields import COUNT, Killed, at_once, features, files_of, killed_at, remaining, scene, views
 
 NAMES = tuple(view.name for view in views())

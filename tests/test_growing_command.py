@@ -204,7 +204,7 @@ def test_a_field_of_an_older_version_says_what_to_do(room: Path, capsys: Capture
 KILLED = """
 import os, signal
 from drsplat.formats import field_folder
-from drsplat.evidence.aggregation import sampling
+from drsplat.field.evidence.aggregation import sampling
 from drsplat.cli import main
 def killed(*args, **options):
     os.kill(os.getpid(), signal.SIGKILL)
@@ -297,7 +297,7 @@ def test_a_full_disk_is_told_and_changes_nothing(limit: int, room: Path, capsys:
 
 def test_a_capture_that_grows_is_followed(room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     """Poses come first, then features view by view, file by file."""
-    from drsplat.growing import watching
+    from drsplat.field.growing import watching
 
     monkeypatch.setattr(watching, "EVERY_S", 0.05)
     views = ds.read_views(room / "capture")
@@ -326,7 +326,7 @@ def test_a_capture_that_grows_is_followed(room: Path, capsys: Capture, monkeypat
 
 
 def test_a_view_comes_when_its_features_are_whole_and_no_longer_written(room: Path) -> None:
-    from drsplat.growing.watching import Watch
+    from drsplat.field.growing.watching import Watch
 
     views, features = ds.read_views(room / "capture"), ds.read_features(some_features(room, "photo_1"))
     watch = Watch(lambda: (views, features))
@@ -342,7 +342,7 @@ def test_a_view_comes_when_its_features_are_whole_and_no_longer_written(room: Pa
 
 
 def test_watching_ends_on_ctrl_c(room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
-    from drsplat.growing import watching
+    from drsplat.field.growing import watching
 
     field = register(room, capsys, "a.field", *PHOTOS[:2])
     monkeypatch.setattr(watching, "EVERY_S", 0.01)
@@ -384,7 +384,7 @@ def swapped(room: Path, capsys: Capture, *more: object, code: int = 0) -> tuple[
 def test_another_encoder_takes_the_weights_of_a_field(
     room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from drsplat.evidence.aggregation import sampling
+    from drsplat.field.evidence.aggregation import sampling
 
     field = register(room, capsys, "a.field", *PHOTOS, more=("--topk", "7", "--near", "0.3"))
     argv = swapped(room, capsys)

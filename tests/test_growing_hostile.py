@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from drsplat import load_field
-from drsplat.codes import PQ, Mixture
 from drsplat.errors import DrSplatError, FormatError
-from drsplat.growing import add_views, remove_views
+from drsplat.field.codes import PQ, Mixture
+from drsplat.field.growing import add_views, remove_views
 from fields import as_version_2, without_checksums
 from growing_fields import at_once, features, files_of, scene, views
 from mutations import mutants, quota, seeded

@@ -13,7 +13,7 @@ import pytest
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import cli
 from drsplat.cli import VERBS, main, make_parser
-from drsplat.commands.parsing import VerbParser
+from drsplat.fronts.commands.parsing import VerbParser
 from drsplat.kernels import available_isas
 from toy_capture import write_toy_capture
 
@@ -44,7 +44,7 @@ def test_help_fits_in_80_columns(verb: str, flag: str, monkeypatch: pytest.Monke
     assert [line for line in text.splitlines() if len(line) > 80] == []
     assert re.findall(r"\w+-\n", text) == []  # names with hyphens, which people copy, stay whole
     assert re.findall(r"\\\n +[^-\s].*", text) == []  # and values beside their options
-    examples = commands_in(sys.modules[f"drsplat.commands.{verb}"].EXAMPLES)
+    examples = commands_in(sys.modules[f"drsplat.fronts.commands.{verb}"].EXAMPLES)
     assert commands_in(text) == (examples if flag == "--help-all" else examples[:3])
 
 
@@ -278,8 +278,8 @@ def test_a_stopped_demo_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
         raise KeyboardInterrupt
 
     seen: list[bool] = []
-    monkeypatch.setattr("drsplat.demo.story.embed", lambda *_, overwrite, **__: seen.append(overwrite))
-    monkeypatch.setattr("drsplat.demo.story.read_features", stop)
+    monkeypatch.setattr("drsplat.evaluation.demo.story.embed", lambda *_, overwrite, **__: seen.append(overwrite))
+    monkeypatch.setattr("drsplat.evaluation.demo.story.read_features", stop)
     again = "drsplat: interrupted: the photos embedded so far are kept in here: give the same command again to go on\n"
     for _ in range(2):
         assert main(["demo", "-o", "here"]) == 130

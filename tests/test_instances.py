@@ -7,7 +7,7 @@ from benchmarks.suite.instances import Compared, Region, average_precision, comp
 from benchmarks.suite.rivals.things import Agreement, Alike, dominant, in_space, light_splat, mask_clustering, sureness
 from scipy.sparse import csr_array
 
-from drsplat.evidence.evidence import Evidence, MaskIds
+from drsplat.field.evidence.evidence import Evidence, MaskIds
 
 EACH = 100
 OWNERS = np.repeat([0, 1, 7, -1], EACH)  # two things, a structure, what no photo shows

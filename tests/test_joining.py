@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 from drsplat import Gaussians, View
 from drsplat.errors import InputError
-from drsplat.evidence.provenance import Provenance, cameras_of
-from drsplat.field.objects import GROUP, PART, THING, check_forest
-from drsplat.objects.borders import Borders, borders
-from drsplat.objects.choosing import Tree
-from drsplat.objects.joining import RELIEF, Joined, join, with_joined
-from drsplat.objects.standing_out import FEW, Outlines, PieceSet, grown, refined
+from drsplat.field.evidence.provenance import Provenance, cameras_of
+from drsplat.field.forest import GROUP, PART, THING, check_forest
+from drsplat.field.objects.borders import Borders, borders
+from drsplat.field.objects.choosing import Tree
+from drsplat.field.objects.joining import RELIEF, Joined, join, with_joined
+from drsplat.field.objects.standing_out import FEW, Outlines, PieceSet, grown, refined
 from splat_captures import look_at
 
 SIZE = 200

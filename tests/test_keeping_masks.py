@@ -7,9 +7,9 @@ import pytest
 
 import drsplat as ds
 from command_line import Capture, answer_of, error_of
-from drsplat.encoders import EncoderIdentity
 from drsplat.errors import DrSplatWarning, InputError, MismatchError
 from drsplat.formats.langsplat import write_features
+from drsplat.scene.encoders import EncoderIdentity
 from growing_fields import files_of
 from toy_capture import write_toy_capture
 

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import drsplat as ds
+from drsplat.base.kinds import _annotations, checked
 from drsplat.errors import InputError
-from drsplat.kinds import _annotations, checked
-from drsplat.viewing.session import Session
+from drsplat.fronts.viewing.session import Session
 from toy_capture import balls, write_toy_capture
 
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from drsplat import open_scene, write_gaussians
-from drsplat.editing import EditFile
-from drsplat.filming.looking import before
+from drsplat.authoring.editing import EditFile
+from drsplat.authoring.filming.looking import before
+from drsplat.fronts.viewing.live import arrays
+from drsplat.fronts.viewing.session import Mode, Session
+from drsplat.fronts.viewing.shown import significance
 from drsplat.query import Scene
-from drsplat.viewing.live import arrays
-from drsplat.viewing.session import Mode, Session
-from drsplat.viewing.shown import significance
 from live_clients import Viewer, a_viewer, camera, opened
 from moving_scenes import passing_red_scene
 from scenes import random_gaussians
@@ -79,7 +79,7 @@ def test_rows_come_in_pieces_of_which_none_is_large(viewer: Viewer, monkeypatch:
     whole = {path: viewer.get(path).content for path in paths}
     sizes = {path: len(content) // COUNT for path, content in whole.items()}
     assert sizes == {"/view/splats": 28, "/view/paint": 2, "/view/colors?mode=features": 3}
-    monkeypatch.setattr("drsplat.viewing.live.arrays.PIECE", 400)
+    monkeypatch.setattr("drsplat.fronts.viewing.live.arrays.PIECE", 400)
     for path in paths:
         more = "&" if "?" in path else "?"
         parts = [viewer.get(f"{path}{more}from={begin}") for begin in range(0, COUNT, 400)]
@@ -271,7 +271,7 @@ def test_clear_lets_go_of_everything(viewer: Viewer) -> None:
 
 
 def test_a_picture_needs_an_encoder_that_sees_and_is_a_picture(viewer: Viewer) -> None:
-    from drsplat.viewing.saving import png_of
+    from drsplat.fronts.viewing.saving import png_of
 
     picture = png_of(np.zeros((4, 4, 3), np.uint8))
     answer = viewer.post("/view/ask-picture?name=x.png", picture)

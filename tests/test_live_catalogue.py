@@ -18,8 +18,8 @@ from test_catalogue import WORDS
 
 pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
 
-from drsplat.catalogue import Catalogue
-from drsplat.viewing.live.shelf import Shelf
+from drsplat.fronts.viewing.live.shelf import Shelf
+from drsplat.query.catalogue import Catalogue
 
 
 @pytest.fixture(scope="module")

@@ -17,12 +17,12 @@ pytest.importorskip("fastapi", reason="the extra drsplat[viewer] is not installe
 pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
 
 from drsplat import open_scene, read_gaussians, write_gaussians
+from drsplat.authoring.filming.path_files import read_path
 from drsplat.errors import InputError
-from drsplat.filming.path_files import read_path
-from drsplat.viewing import saving
-from drsplat.viewing.live import files
-from drsplat.viewing.live.uploads import root_of
-from drsplat.viewing.session import Session
+from drsplat.fronts.viewing import saving
+from drsplat.fronts.viewing.live import files
+from drsplat.fronts.viewing.live.uploads import root_of
+from drsplat.fronts.viewing.session import Session
 from glb_files import Read
 from live_clients import Viewer, a_viewer, camera, error_of
 from scenes import random_gaussians

@@ -21,17 +21,17 @@ pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installe
 
 from browsing import eventually
 from drsplat.errors import DrSplatError, InputError
+from drsplat.fronts.serving.replies import BusyError
+from drsplat.fronts.viewing.listening import listening_socket
+from drsplat.fronts.viewing.live import gate, service
+from drsplat.fronts.viewing.live.acts import AnyAct
+from drsplat.fronts.viewing.live.events import MOST_STREAMS, Events
+from drsplat.fronts.viewing.live.shared import Shared
+from drsplat.fronts.viewing.live.turns import Turns
+from drsplat.fronts.viewing.live.uploads import UploadLimits, checked_path
+from drsplat.fronts.viewing.saving import Saves
+from drsplat.fronts.viewing.session import Session
 from drsplat.query import Scene
-from drsplat.serving.replies import BusyError
-from drsplat.viewing.listening import listening_socket
-from drsplat.viewing.live import gate, service
-from drsplat.viewing.live.acts import AnyAct
-from drsplat.viewing.live.events import MOST_STREAMS, Events
-from drsplat.viewing.live.shared import Shared
-from drsplat.viewing.live.turns import Turns
-from drsplat.viewing.live.uploads import UploadLimits, checked_path
-from drsplat.viewing.saving import Saves
-from drsplat.viewing.session import Session
 from live_clients import HOST, OWN, Stream, Viewer, a_viewer, error_of
 from viewing_scenes import THINGS, boxes_scene
 
@@ -578,7 +578,7 @@ def test_a_photo_outside_of_what_was_sent_is_not_shown(tmp_path: Path) -> None:
     """A capture that is sent may name any photo of this machine."""
     from dataclasses import replace
 
-    from drsplat.viewing.live.opening import confined
+    from drsplat.fronts.viewing.live.opening import confined
     from scenes import look_at_view
 
     secret, own = tmp_path / "secret.png", tmp_path / "sent/own.png"

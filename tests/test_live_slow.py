@@ -13,10 +13,10 @@ import pytest
 pytest.importorskip("fastapi", reason="the extra drsplat[viewer] is not installed")
 pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
 
-from drsplat.viewing.edits import Edits
-from drsplat.viewing.live import files
-from drsplat.viewing.live.turns import Lanes
-from drsplat.viewing.session import Session
+from drsplat.fronts.viewing.edits import Edits
+from drsplat.fronts.viewing.live import files
+from drsplat.fronts.viewing.live.turns import Lanes
+from drsplat.fronts.viewing.session import Session
 from live_clients import Viewer, a_viewer
 from viewing_scenes import THINGS, boxes_scene
 
@@ -163,7 +163,7 @@ def test_a_copy_of_a_session_stays_as_it_was() -> None:
 
 def test_names_are_found_beside_the_session(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
     gate = Gate()
-    monkeypatch.setattr("drsplat.viewing.live.stage.suggestions", lambda *_: gate.wait() or ["red mug"])
+    monkeypatch.setattr("drsplat.fronts.viewing.live.stage.suggestions", lambda *_: gate.wait() or ["red mug"])
     preparing = viewer.lanes.change(viewer.shared.prepare)
     assert gate.come.wait(PATIENCE_S)
     assert viewer.get("/view/header").json()["words"] == []

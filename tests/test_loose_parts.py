@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from drsplat import Gaussians
-from drsplat.editing import Edit, Fill, Remove, Rows, edited
-from drsplat.editing.draft import OBJECT_ID
-from drsplat.editing.edits import EditList
-from drsplat.editing.loose_parts import loose_parts
-from drsplat.editing.resolving import completed
-from drsplat.editing.shifts import Surface, best_shift
-from drsplat.editing.stored import document_of, edits_of
+from drsplat.authoring.editing import Edit, Fill, Remove, Rows, edited
+from drsplat.authoring.editing.draft import OBJECT_ID
+from drsplat.authoring.editing.edits import EditList
+from drsplat.authoring.editing.loose_parts import loose_parts
+from drsplat.authoring.editing.resolving import completed
+from drsplat.authoring.editing.shifts import Surface, best_shift
+from drsplat.authoring.editing.stored import document_of, edits_of
 from drsplat.errors import InputError
 from drsplat.scene.gaussians import SH_C0
 

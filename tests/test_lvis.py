@@ -14,11 +14,11 @@ from PIL import Image
 
 import drsplat as ds
 from drsplat import cli
-from drsplat.embedding.patches import MIN_AREA, PatchSource, embed_patches, find_patches, patches
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
 from drsplat.formats.lvis import read_annotations
 from drsplat.formats.rle import decode_runs, fill_polygon, unpack_counts
-from drsplat.masks.crops import crop, crops
+from drsplat.photos.embedding.patches import MIN_AREA, PatchSource, embed_patches, find_patches, patches
+from drsplat.scene.masks.crops import crop, crops
 from fake_models import DIM, ThumbnailEncoder
 from lvis_files import (
     BOXES,
@@ -273,7 +273,7 @@ def test_patches_are_the_things_on_black(tmp_path):
 
 
 def test_photos_are_opened_once(tmp_path, monkeypatch):
-    from drsplat.embedding import patches as module
+    from drsplat.photos.embedding import patches as module
 
     opened: list[str] = []
     load = module.load_image
@@ -397,7 +397,7 @@ def test_what_an_earlier_run_did_of_other_patches_is_not_used(tmp_path, changed)
 
 @pytest.fixture
 def fake_encoder(monkeypatch) -> None:
-    from drsplat.models import loading
+    from drsplat.photos.models import loading
 
     monkeypatch.setattr(loading, "load_encoder", lambda name, device, threads: ThumbnailEncoder(name))
 

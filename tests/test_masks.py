@@ -8,8 +8,8 @@ from hypothesis.extra.numpy import arrays
 
 from drsplat.errors import InputError
 from drsplat.formats.langsplat import read_features, write_features
-from drsplat.masks.masks import LEVELS, Masks, cut_masks
-from drsplat.masks.selection import mask_maps, mask_nms, overlaps, paint
+from drsplat.scene.masks.masks import LEVELS, Masks, cut_masks
+from drsplat.scene.masks.selection import mask_maps, mask_nms, overlaps, paint
 
 
 def of(*drawings: str, scores: list[float] | None = None) -> Masks:

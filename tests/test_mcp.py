@@ -25,7 +25,7 @@ from PIL import Image
 
 from command_line import Capture, error_of
 from drsplat import Query, open_scene
-from drsplat.demo import story as household
+from drsplat.evaluation.demo import story as household
 from processes import children_of
 
 pytest.importorskip("mcp", reason="the extra drsplat[mcp] is not installed")

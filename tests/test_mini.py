@@ -11,14 +11,12 @@ from world.mini.augment import cut_out
 from world.mini.texts import bank, said_of, truth
 
 from drsplat import Scene
-from drsplat.encoders import Encoder, ImageEncoder
 from drsplat.errors import InputError
 from drsplat.field import build_field
-from drsplat.masks.crops import crop
-from drsplat.models.loading import load_encoder
-from drsplat.models.mini import MiniEncoder
-from drsplat.models.mini.encoder import DIM, _pixels
-from drsplat.models.mini.lexicon import (
+from drsplat.photos.models.loading import load_encoder
+from drsplat.photos.models.mini import MiniEncoder
+from drsplat.photos.models.mini.encoder import DIM, _pixels
+from drsplat.photos.models.mini.lexicon import (
     COLORS,
     GROUPS,
     MATERIALS,
@@ -30,7 +28,9 @@ from drsplat.models.mini.lexicon import (
     fits,
     words_of,
 )
-from drsplat.models.mini.network import STRIDES, embed_images
+from drsplat.photos.models.mini.network import STRIDES, embed_images
+from drsplat.scene.encoders import Encoder, ImageEncoder
+from drsplat.scene.masks.crops import crop
 from fields import SCENE, random_evidence
 
 

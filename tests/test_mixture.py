@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drsplat.codes import PQ, Code, Codebook, Mixture, Smaller, choose_code, official_bytes, train_codebook
-from drsplat.codes.mixture import (
+from drsplat.errors import FormatError, InputError
+from drsplat.field import LanguageField, build_field
+from drsplat.field.codes import PQ, Code, Codebook, Mixture, Smaller, choose_code, official_bytes, train_codebook
+from drsplat.field.codes.mixture import (
     MixtureCode,
     encode_mixture,
     encoding,
@@ -18,11 +20,9 @@ from drsplat.codes.mixture import (
     scene_atoms,
     train_scene_atoms,
 )
-from drsplat.encoders import EncoderIdentity
-from drsplat.errors import FormatError, InputError
-from drsplat.evidence.evidence import Evidence
-from drsplat.field import LanguageField, build_field
+from drsplat.field.evidence.evidence import Evidence
 from drsplat.formats.tensors import map_tensors, write_tensors
+from drsplat.scene.encoders import EncoderIdentity
 from fields import SCENE, TOY, random_evidence, unit_rows
 from mutations import bounded_allocations
 from twins import mixture as reference_mixture

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drsplat.codes.mixture import encode_mixture, mixture_from_tensors
 from drsplat.errors import DrSplatError, FormatError
+from drsplat.field.codes.mixture import encode_mixture, mixture_from_tensors
 from drsplat.formats.tensors import map_tensors, write_tensors
 from fields import random_evidence
 from mutations import bounded_allocations, mutants, quota, seeded

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drsplat.codes.mixture import quantised
-from drsplat.codes.mixture.code import packed
 from drsplat.errors import InputError
+from drsplat.field.codes.mixture import quantised
+from drsplat.field.codes.mixture.code import packed
 from drsplat.kernels import available_isas
 from drsplat.kernels.mixture import (
     Blocks,

@@ -10,13 +10,13 @@ from scipy.sparse import csr_array
 
 from drsplat import PQ, Cut, Mixture, Query, Scene, WordEncoder, open_scene, register
 from drsplat.errors import InputError
-from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import LanguageField, build_field
+from drsplat.field.evidence.evidence import Evidence, MaskIds
+from drsplat.field.objects.choosing import Tree
+from drsplat.field.objects.describing import describe
+from drsplat.field.objects.drifting import drifting
 from drsplat.field.spans import field_during
 from drsplat.formats.moving_scenes import write_moving
-from drsplat.objects.choosing import Tree
-from drsplat.objects.describing import describe
-from drsplat.objects.drifting import drifting
 from drsplat.query.tracks import runs
 from drsplat.scene.moving import Frames, Moving
 from fields import random_evidence
@@ -298,9 +298,9 @@ def test_services_ask_of_a_span() -> None:
     pytest.importorskip("pydantic")
     from pydantic import ValidationError
 
-    from drsplat.serving.conversation import Conversation
-    from drsplat.serving.limits import Limits
-    from drsplat.serving.requests import Locate, Segment, cut_of, query_of
+    from drsplat.fronts.serving.conversation import Conversation
+    from drsplat.fronts.serving.limits import Limits
+    from drsplat.fronts.serving.requests import Locate, Segment, cut_of, query_of
 
     assert query_of(Locate(text="red car", during=[0.0, 0.4]), Limits()).during == (0.0, 0.4)
     assert cut_of(Segment(classes=["red car"], during=[0.0, 0.4])).during == (0.0, 0.4)
@@ -315,10 +315,10 @@ def test_services_ask_of_a_span() -> None:
 
 def test_language_models_ask_when() -> None:
     pytest.importorskip("pydantic")
-    from drsplat.serving.conversation import Conversation, When
-    from drsplat.serving.conversation import told as answered
-    from drsplat.serving.limits import Limits
-    from drsplat.serving.requests import Tool
+    from drsplat.fronts.serving.conversation import Conversation, When
+    from drsplat.fronts.serving.conversation import told as answered
+    from drsplat.fronts.serving.limits import Limits
+    from drsplat.fronts.serving.requests import Tool
 
     told = Conversation(played(), "film").when("red car", "left_of", "white vase", "cam0/00")
     assert np.allclose(told.spans, [(0, 0.4)])

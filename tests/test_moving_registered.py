@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from drsplat import PQ, load_field, register
 from drsplat.errors import DrSplatWarning, InputError, MismatchError
-from drsplat.evidence.aggregation import Sampling
-from drsplat.evidence.columns import MovingScenery, part_name
 from drsplat.field import LanguageField
-from drsplat.growing import add_views, change_field, remove_views, with_weights_of
-from drsplat.registration import Registration
+from drsplat.field.evidence.aggregation import Sampling
+from drsplat.field.evidence.columns import MovingScenery, part_name
+from drsplat.field.growing import add_views, change_field, remove_views, with_weights_of
+from drsplat.field.registration import Registration
 from drsplat.scene.moving import Frames, Moving
 from drsplat.scene.views import View
 from growing_fields import features, files_of, scene, views

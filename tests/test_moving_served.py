@@ -12,8 +12,8 @@ from drsplat.cli import main
 from moving_scenes import write_film
 
 pytest.importorskip("fastapi")
-from drsplat.serving.scene_folder import SceneFolder
-from drsplat.serving.worker import Workplace, reply_to
+from drsplat.fronts.serving.scene_folder import SceneFolder
+from drsplat.fronts.serving.worker import Workplace, reply_to
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +66,7 @@ def test_tracks_are_those_of_the_library(folder: Path) -> None:
 
 
 def test_a_model_reads_a_few_times_of_many(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drsplat.serving.conversation.MOST_TIMES", 3)
+    monkeypatch.setattr("drsplat.fronts.serving.conversation.MOST_TIMES", 3)
     (listed,) = tool(folder, "locate", text="red car", tracks=True)["matches"]
     assert listed["track"]["times"] == [0, 2, 5]
     assert len(listed["track"]["centers"]) == len(listed["track"]["views"]) == 3

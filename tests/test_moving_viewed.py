@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from drsplat.editing import Edit, Everything, Move, Remove
+from drsplat.authoring.editing import Edit, Everything, Move, Remove
+from drsplat.fronts.viewing.playing import placed_now
+from drsplat.fronts.viewing.session import Session
 from drsplat.query import Scene
-from drsplat.viewing.playing import placed_now
-from drsplat.viewing.session import Session
 from moving_scenes import passing_red_scene
 
 CAR = np.arange(100)

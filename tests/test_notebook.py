@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import drsplat as ds
+from drsplat.authoring.exchange.clouds import to_boxes, to_point_cloud
+from drsplat.authoring.exchange.frames import COLUMNS, to_frame
+from drsplat.authoring.exchange.splats import from_splats, to_splats
 from drsplat.errors import FormatError, InputError, MissingExtraError
-from drsplat.exchange.clouds import to_boxes, to_point_cloud
-from drsplat.exchange.frames import COLUMNS, to_frame
-from drsplat.exchange.splats import from_splats, to_splats
-from drsplat.objects.choosing import Tree
-from drsplat.objects.describing import describe
+from drsplat.field.objects.choosing import Tree
+from drsplat.field.objects.describing import describe
 from toy_capture import PER_THING, write_toy_capture
 
 

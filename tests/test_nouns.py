@@ -7,8 +7,8 @@ import pytest
 
 from command_line import Capture, answer_of, text_of
 from drsplat import LanguageField, Scene, write_gaussians
-from drsplat.models.mini import MiniEncoder
-from drsplat.models.mini.lexicon import nouns_in
+from drsplat.photos.models.mini import MiniEncoder
+from drsplat.photos.models.mini.lexicon import nouns_in
 from drsplat.query.naming import knows_nouns
 from drsplat.scene.gaussians import Gaussians
 from known_objects import described, known_field, known_scene
@@ -72,11 +72,11 @@ def test_all_verbs_say_so(tmp_path: Path, capsys: Capture) -> None:
 
 def test_servers_and_viewer_say_so() -> None:
     pytest.importorskip("pydantic")
-    from drsplat.serving.conversation import Conversation, told
-    from drsplat.serving.limits import Limits
-    from drsplat.serving.models import measured
-    from drsplat.serving.requests import Tool
-    from drsplat.viewing.results import result_of
+    from drsplat.fronts.serving.conversation import Conversation, told
+    from drsplat.fronts.serving.limits import Limits
+    from drsplat.fronts.serving.models import measured
+    from drsplat.fronts.serving.requests import Tool
+    from drsplat.fronts.viewing.results import result_of
 
     scene = Scene(*made(FAINT), encoder=MINI)
     answer = scene.ask("clock")

@@ -10,10 +10,10 @@ from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Scene
 from drsplat.errors import DrSplatWarning
 from drsplat.field.labels import LabelFile
-from drsplat.objects.agreed import agreed
-from drsplat.viewing.object_list import in_order, names_of
-from drsplat.viewing.page_parts import object_numbers, objects_of_page
-from drsplat.viewing.session import Session
+from drsplat.field.objects.agreed import agreed
+from drsplat.fronts.viewing.object_list import in_order, names_of
+from drsplat.fronts.viewing.page_parts import object_numbers, objects_of_page
+from drsplat.fronts.viewing.session import Session
 from known_objects import EACH, with_objects
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -101,7 +101,7 @@ def test_a_page_lists_the_agreed_first_and_finds_each_in_the_picture() -> None:
 
 def test_a_catalogue_counts_them(tmp_path: Path, capsys: Capture) -> None:
     pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
-    from drsplat.catalogue import Catalogue
+    from drsplat.query.catalogue import Catalogue
 
     catalogue = Catalogue(tmp_path / "c")
     with pytest.warns(DrSplatWarning, match="no thumbnails"):

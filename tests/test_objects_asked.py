@@ -12,8 +12,8 @@ from hypothesis.extra.numpy import arrays
 
 import drsplat as ds
 from drsplat import Answer, Query, Scene
+from drsplat.field.forest import PART
 from drsplat.field.labels import LabelFile
-from drsplat.field.objects import PART
 from drsplat.query.linking import join_to_held
 from drsplat.query.wholes import by_object, for_comparing, highest_share
 from drsplat.query.wholes import with_objects as of_objects

@@ -13,12 +13,12 @@ from PIL import Image
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Scene, load_field, open_scene, read_gaussians, write_gaussians
-from drsplat.commands import objects as objects_command
 from drsplat.drawing.cards import GAP_PX, HEADING_PX, LINE_SPACING, MARGIN_PX, NOTE_PX
 from drsplat.drawing.cutouts import TILE, cut_out
 from drsplat.drawing.pictures import PAPER
 from drsplat.errors import InputError
 from drsplat.formats.cameras_json import write_cameras_json
+from drsplat.fronts.commands import objects as objects_command
 from known_objects import CENTERS, EACH, VIEWS, described, known_field, known_scene
 from scenes import look_at_view
 
@@ -200,9 +200,9 @@ def test_they_are_found_once_and_kept(room: Path, capsys: Capture, monkeypatch: 
         calls.append(threads)
         return described(field, gaussians, threads)
 
-    found = ModuleType("drsplat.objects.finding")
+    found = ModuleType("drsplat.field.objects.finding")
     found.find_objects = find_objects  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "drsplat.objects.finding", found)
+    monkeypatch.setitem(sys.modules, "drsplat.field.objects.finding", found)
     argv = ("objects", room / "b.field", "--scene", room / "scene.ply", "--threads", 1)
     told = answer_of(capsys, *argv)
     assert told["objects"] == answer_of(capsys, *asked(room))["objects"]

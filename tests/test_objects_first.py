@@ -12,16 +12,16 @@ from scipy.sparse import csc_array, csr_array
 
 import drsplat as ds
 from drsplat import cli
-from drsplat.embedding.embed import embed
-from drsplat.embedding.keeping import WithoutEmbedding
-from drsplat.embedding.objects_first import CROPS, MASKS, embed_objects
-from drsplat.embedding.shared_crops import CROPS_PER_OBJECT, _spread, node_fits, share_crops
-from drsplat.embedding.view_choice import SIGHTS, choose_views, greedy
 from drsplat.errors import InputError
-from drsplat.evidence.evidence import Evidence, MaskIds
+from drsplat.field.evidence.evidence import Evidence, MaskIds
+from drsplat.field.registration import register
 from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.langsplat import read_features
-from drsplat.registration import register
+from drsplat.photos.embedding.embed import embed
+from drsplat.photos.embedding.keeping import WithoutEmbedding
+from drsplat.photos.embedding.objects_first import CROPS, MASKS, embed_objects
+from drsplat.photos.embedding.shared_crops import CROPS_PER_OBJECT, _spread, node_fits, share_crops
+from drsplat.photos.embedding.view_choice import SIGHTS, choose_views, greedy
 from drsplat.scene.views import View
 from fake_models import ColorSegmenter, LargeSegmenter, ThumbnailEncoder
 from scenes import look_at_view

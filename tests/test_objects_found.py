@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 
 from drsplat import Gaussians, LanguageField, Registration, View
 from drsplat.errors import InputError
-from drsplat.evidence.changing import without_views
-from drsplat.evidence.evidence import Evidence, MaskIds
-from drsplat.field.objects import GROUP, PART, THING
+from drsplat.field.evidence.changing import without_views
+from drsplat.field.evidence.evidence import Evidence, MaskIds
+from drsplat.field.forest import GROUP, PART, THING
+from drsplat.field.objects.choosing import best_nodes, choose
+from drsplat.field.objects.finding import find_objects, of_few_views
 from drsplat.formats.gaussian_ply import vertex_columns
 from drsplat.formats.ply import write_vertices
 from drsplat.kernels import Forest
-from drsplat.objects.choosing import best_nodes, choose
-from drsplat.objects.finding import find_objects, of_few_views
 
 
 def forest(parents: list[int], sizes: list[int], fits: list[float], spreads: list[float] | None = None) -> Forest:
@@ -154,7 +154,7 @@ def test_of_more_weights_those_of_some_views_are_looked_at(monkeypatch: pytest.M
         np.testing.assert_array_equal(array, rest.tensors()[name])
     more = of_few_views(without_views(whole, np.arange(7) == np.flatnonzero(gone)[0]), int(2.5 * len(points)))
     assert more.masks.view_names == few.masks.view_names  # a view that is not drawn changes nothing
-    monkeypatch.setattr("drsplat.objects.finding.of_few_views", lambda _: few)
+    monkeypatch.setattr("drsplat.field.objects.finding.of_few_views", lambda _: few)
     assert find_objects(field, scene).num_views.tolist() == [7, 7, 7]  # described from all
 
 

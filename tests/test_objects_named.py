@@ -5,7 +5,7 @@ import pytest
 
 from drsplat import EncoderIdentity, LanguageField
 from drsplat.formats.vocabulary import VocabularyEncoder
-from drsplat.models.mini import MiniEncoder
+from drsplat.photos.models.mini import MiniEncoder
 from drsplat.query.naming import object_names
 from known_objects import described, known_field, known_scene
 

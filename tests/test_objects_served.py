@@ -21,14 +21,14 @@ from scenes import look_at_view
 
 pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
 
-from drsplat.commands.object_outputs import listing
-from drsplat.serving.conversation import Conversation
-from drsplat.serving.files import exported
-from drsplat.serving.limits import Limits
-from drsplat.serving.replies import Reply
-from drsplat.serving.requests import Export
-from drsplat.serving.scene_folder import SceneFolder
-from drsplat.serving.worker import Workplace, reply_to
+from drsplat.fronts.commands.object_outputs import listing
+from drsplat.fronts.serving.conversation import Conversation
+from drsplat.fronts.serving.files import exported
+from drsplat.fronts.serving.limits import Limits
+from drsplat.fronts.serving.replies import Reply
+from drsplat.fronts.serving.requests import Export
+from drsplat.fronts.serving.scene_folder import SceneFolder
+from drsplat.fronts.serving.worker import Workplace, reply_to
 
 EYES = ((0.5, -4.0, 1.5), (1.5, -4.5, 2.0), (2.5, -4.0, 1.0))
 
@@ -139,7 +139,7 @@ def test_long_lists_are_cut(folder: Path) -> None:
 
 def test_routes(folder: Path) -> None:
     httpx = pytest.importorskip("httpx")
-    from drsplat.serving.app import Settings, create_app
+    from drsplat.fronts.serving.app import Settings, create_app
 
     app = create_app(Settings(str(folder)))
 

@@ -8,13 +8,13 @@ import pytest
 
 from drsplat import load_field
 from drsplat.errors import FormatError, InputError, MismatchError
-from drsplat.evidence.evidence import Evidence
 from drsplat.field import loading
-from drsplat.field.objects import ARRAYS, Objects
+from drsplat.field.evidence.evidence import Evidence
+from drsplat.field.forest import ARRAYS, Objects
+from drsplat.field.objects.choosing import Tree
+from drsplat.field.objects.describing import describe
 from drsplat.formats.field_folder import read_manifest
 from drsplat.formats.tensors import map_tensors, write_tensors
-from drsplat.objects.choosing import Tree
-from drsplat.objects.describing import describe
 from fields import random_weights, unit_rows
 from known_objects import CENTERS, EACH, SIZES, UP, described, known_field, known_scene, known_tree, with_objects
 

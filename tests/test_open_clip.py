@@ -13,9 +13,9 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drsplat.errors import FormatError, InputError
-from drsplat.models import open_clip, pretrained
-from drsplat.models.loading import DEFAULT_ENCODER, load_encoder
-from drsplat.models.open_clip_settings import config_arguments
+from drsplat.photos.models import open_clip, pretrained
+from drsplat.photos.models.loading import DEFAULT_ENCODER, load_encoder
+from drsplat.photos.models.open_clip_settings import config_arguments
 from tiny_encoders import PATCH, SIDE, TOKENS, write_clip_tokenizer, write_model
 
 torch = pytest.importorskip("torch", reason="needs torch")

@@ -17,8 +17,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from drsplat.errors import FormatError, InputError, MissingExtraError
-from drsplat.models import open_clip_encoder, pretrained
-from drsplat.models.loading import load_encoder
+from drsplat.photos.models import open_clip_encoder, pretrained
+from drsplat.photos.models.loading import load_encoder
 from test_sam import run_alone
 
 torch = pytest.importorskip("torch", reason="needs torch")

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 from drsplat import cli, load_field, read_gaussians
 from drsplat.cli import make_parser
-from drsplat.commands.options import LARGEST, MOST, finite, length, whole, words
-from drsplat.objects.choosing import Tree
-from drsplat.objects.describing import describe
+from drsplat.field.objects.choosing import Tree
+from drsplat.field.objects.describing import describe
+from drsplat.fronts.commands.options import LARGEST, MOST, finite, length, whole, words
 from toy_capture import PER_THING, write_toy_capture
 
 NO_NUMBERS = [

@@ -12,11 +12,11 @@ from world.mini.color_names import term_shares, terms_of
 from world.mini.photo_colors import fitted, gain_of, in_other_light, wanted
 
 from drsplat import Scene
-from drsplat.codes import Mixture
-from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import build_field
-from drsplat.models.mini import MiniEncoder
-from drsplat.models.mini.lexicon import COLORS, WORDS, colors_in
+from drsplat.field.codes import Mixture
+from drsplat.field.evidence.evidence import Evidence, MaskIds
+from drsplat.photos.models.mini import MiniEncoder
+from drsplat.photos.models.mini.lexicon import COLORS, WORDS, colors_in
 from fields import SCENE
 
 MINI = MiniEncoder()
@@ -51,13 +51,13 @@ def test_shadow_takes_no_colour_away(color: str) -> None:
 
 @pytest.mark.parametrize("text", ["red mug", "a dark green sofa", "orange", "wooden"])
 def test_other_texts_are_the_sum_of_taught_words(text: str) -> None:
-    table = load((files("drsplat.models.mini") / "mini.safetensors").read_bytes())["words"].astype(np.float32)
+    table = load((files("drsplat.photos.models.mini") / "mini.safetensors").read_bytes())["words"].astype(np.float32)
     total = table[[WORDS.index(word) for word in text.split() if word != "a"]].sum(0)
     assert_array_equal(MINI.encode_texts([text])[0], total / np.linalg.norm(total))
 
 
 def test_fields_stay_valid_when_the_colours_of_photos_change() -> None:
-    weights = (files("drsplat.models.mini") / "mini.safetensors").read_bytes()
+    weights = (files("drsplat.photos.models.mini") / "mini.safetensors").read_bytes()
     assert MINI.identity.weights == hashlib.blake2b(weights, digest_size=8).hexdigest()
 
 
@@ -152,6 +152,6 @@ def test_white_is_what_is_brightest_in_a_photo() -> None:
 
 
 def test_rooms_are_named_by_the_colours_that_were_taught() -> None:
-    table = load((files("drsplat.models.mini") / "mini.safetensors").read_bytes())["words"].astype(np.float32)
+    table = load((files("drsplat.photos.models.mini") / "mini.safetensors").read_bytes())["words"].astype(np.float32)
     rows = table[[WORDS.index("orange (colour)" if color == "orange" else color) for color in COLORS]]
     assert_array_equal(MINI.taught_colors, rows / np.linalg.norm(rows, axis=1, keepdims=True))

@@ -13,12 +13,12 @@ from PIL import Image
 import drsplat as ds
 from captures_to_train import known_scene, perturbed_points, photographed, ring
 from drsplat.cli import main
-from drsplat.embedding.embed import embed
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
 from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.langsplat import read_features
-from drsplat.masks.keeping_out import kept_masks
-from drsplat.masks.masks import cut_masks
+from drsplat.photos.embedding.embed import embed
+from drsplat.scene.masks.keeping_out import kept_masks
+from drsplat.scene.masks.masks import cut_masks
 from drsplat.scene.photo_masks import load_mask, views_with_something
 from drsplat.scene.photos import undistort_ids
 from drsplat.training.evaluation import evaluate

@@ -26,7 +26,7 @@ from drsplat.kernels.photo_regions import (
     TRAITS,
     Sight,
 )
-from drsplat.models.graph.network import layers_of, shipped_network
+from drsplat.photos.models.graph.network import layers_of, shipped_network
 from test_views_hostile import unchecked_types
 from twins import photo_network
 from twins import photo_regions as twin

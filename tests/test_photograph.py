@@ -10,15 +10,22 @@ from scipy.sparse import csc_array
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Gaussians, View, ViewFeatures, load_image, read_sparse_points, read_views, register, render
+from drsplat.authoring.filming.looking import looking_at
+from drsplat.authoring.filming.path_files import write_path
+from drsplat.authoring.filming.paths import CameraPath, KeyFrame
+from drsplat.authoring.photographing import candidates, taking
+from drsplat.authoring.photographing.coverage import OFTEN, Sights, chosen_views, sights
+from drsplat.authoring.photographing.settings import PhotographSettings
+from drsplat.authoring.photographing.space import Space
+from drsplat.authoring.photographing.taking import photograph
+from drsplat.authoring.photographing.upright import guessed_up
 from drsplat.drawing.pictures import as_pixels
 from drsplat.errors import DrSplatWarning, FormatError, InputError
 from drsplat.evaluation.report import html_page
 from drsplat.evaluation.scorers import cosine_scorer
 from drsplat.evaluation.tables import pictures_judged, pictures_note
-from drsplat.evidence.aggregation.entries import canonical
-from drsplat.filming.looking import looking_at
-from drsplat.filming.path_files import write_path
-from drsplat.filming.paths import CameraPath, KeyFrame
+from drsplat.field.evidence.aggregation.entries import canonical
+from drsplat.field.registration import Registration
 from drsplat.formats.colmap import read_colmap
 from drsplat.formats.colmap_writing import write_colmap
 from drsplat.formats.field_folder import MANIFEST
@@ -26,13 +33,6 @@ from drsplat.formats.moving_scenes import write_moving
 from drsplat.formats.rendering_record import RECORD, read_rendering_record
 from drsplat.formats.scenes import write_gaussians
 from drsplat.formats.vocabulary import VocabularyEncoder
-from drsplat.photographing import candidates, taking
-from drsplat.photographing.coverage import OFTEN, Sights, chosen_views, sights
-from drsplat.photographing.settings import PhotographSettings
-from drsplat.photographing.space import Space
-from drsplat.photographing.taking import photograph
-from drsplat.photographing.upright import guessed_up
-from drsplat.registration import Registration
 from moving_scenes import still
 from scenes import random_gaussians
 
@@ -382,7 +382,7 @@ def test_pictures_along_a_path_are_those_of_a_film(tmp_path: Path, capsys: Captu
     options = (tmp_path / "room.ply", "-o", tmp_path / "capture", "--size", "64x48")
     answer = answer_of(capsys, "photograph", *options, "--path", path, "--number", 5)
     assert (answer["kind"], answer["num_pictures"]) == ("path", 5)
-    from drsplat.filming.path_files import read_path
+    from drsplat.authoring.filming.path_files import read_path
 
     for view, expected in zip(read_views(tmp_path / "capture"), read_path(path).views(5, (64, 48)), strict=True):
         np.testing.assert_allclose(view.cam_from_world, expected.cam_from_world, atol=1e-12)

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from drsplat.errors import FormatError, InputError
-from drsplat.masks.crops import MOST_PADDED, crop
+from drsplat.scene.masks.crops import MOST_PADDED, crop
 from drsplat.scene.photos import decoded_picture, load_image
 from drsplat.scene.picture_costs import MAX_SCANS_LARGE, MAX_SCANS_SMALL, jpeg_scans, most_scans
 from drsplat.scene.views import View

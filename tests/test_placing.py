@@ -14,16 +14,16 @@ import drsplat as ds
 from captures_to_train import known_scene, perturbed_points, photographed, ring
 from drsplat import DrSplatWarning, Gaussians, View
 from drsplat.errors import InputError
-from drsplat.evidence.aggregation import Sampling
+from drsplat.field.evidence.aggregation import Sampling
 from drsplat.formats.gaussian_ply import vertex_columns
 from drsplat.formats.ply import write_vertices
+from drsplat.fronts.viewing.picking import hit_by_ray
+from drsplat.fronts.viewing.shown import shown_of
 from drsplat.kernels import splat_arrays
 from drsplat.query.places import nearest_gaussian
 from drsplat.scene.gaussians import concatenated
 from drsplat.scene.placing import PUBLISHED_NEAR, local_origin, near_plane, size_of
 from drsplat.training import TrainingSettings, train
-from drsplat.viewing.picking import hit_by_ray
-from drsplat.viewing.shown import shown_of
 from scenes import look_at_view, random_gaussians
 from test_registration import capture
 from twins import registering as reference

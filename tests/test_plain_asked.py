@@ -10,10 +10,10 @@ import pytest
 
 from command_line import Capture, answer_of, error_of
 from drsplat import Answer, Cut, Match, Query, Scene, load_field, read_gaussians
-from drsplat.editing.resolving import query_rows
+from drsplat.authoring.editing.resolving import query_rows
 from drsplat.field.labels import LabelFile
-from drsplat.objects.choosing import Tree
-from drsplat.objects.describing import describe
+from drsplat.field.objects.choosing import Tree
+from drsplat.field.objects.describing import describe
 from drsplat.query.sheets import attribute_row
 from edited_rooms import write_room
 from known_objects import CENTERS, TEST, described, known_field, known_scene
@@ -154,10 +154,10 @@ def test_relations_too(tmp_path: Path) -> None:
 
 def test_services_ask_for_relations_too(tmp_path: Path) -> None:
     pytest.importorskip("pydantic")
-    from drsplat.serving.answers import when
-    from drsplat.serving.conversation import Conversation
-    from drsplat.serving.limits import Limits
-    from drsplat.serving.requests import When
+    from drsplat.fronts.serving.answers import when
+    from drsplat.fronts.serving.conversation import Conversation
+    from drsplat.fronts.serving.limits import Limits
+    from drsplat.fronts.serving.requests import When
 
     scene, asked = mislabelled(tmp_path), {"one": "red car", "relation": "next_to", "other": "white vase"}
     expected = list(map(list, without_objects(scene).when(*asked.values())))

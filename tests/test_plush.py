@@ -20,7 +20,7 @@ from drsplat import (
     register,
     train,
 )
-from drsplat.objects.finding import find_objects
+from drsplat.field.objects.finding import find_objects
 
 PLUSH = Path(__file__).resolve().parents[2] / "shared" / "data" / "plush"
 needs_plush = pytest.mark.skipif(not PLUSH.is_dir(), reason="the shared plush capture is absent")

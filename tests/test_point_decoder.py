@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from drsplat.models.point_decoder import PointDecoder
+from drsplat.photos.models.point_decoder import PointDecoder
 from test_sam import fill, library, tiny_model  # noqa: F401  (a fixture)
 
 KINDS = ("sam", "sam2", "sam3_tracker")

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from drsplat import MiniEncoder, WordEncoder, write_gaussians
-from drsplat.demo import story as household
 from drsplat.errors import InputError, MismatchError
+from drsplat.evaluation.demo import story as household
 from drsplat.query import Cut, Query, Scene, find_scene, open_scene
 from drsplat.query.places import nearest_gaussian
 from drsplat.query.regions import region

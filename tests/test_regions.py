@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
 from drsplat.errors import InputError
+from drsplat.field.objects.neighbours import along_a_curve, neighbours
 from drsplat.kernels import Forest, MergeRule, agglomerate
-from drsplat.objects.neighbours import along_a_curve, neighbours
 from fields import random_weights
 from twins import regions as twin
 

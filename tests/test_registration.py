@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drsplat.encoders import EncoderIdentity
 from drsplat.errors import DrSplatWarning, InputError, MismatchError
-from drsplat.evidence.aggregation import Sampling
+from drsplat.field.evidence.aggregation import Sampling
+from drsplat.field.registration import Registration, register
 from drsplat.formats.langsplat import read_features, write_features
 from drsplat.kernels import splat_arrays, view_weights
-from drsplat.masks.features import ViewFeatures
-from drsplat.registration import Registration, register
+from drsplat.scene.encoders import EncoderIdentity
 from drsplat.scene.lens import distort_points
+from drsplat.scene.masks.features import ViewFeatures
 from drsplat.scene.views import View, same_aspect
 from scenes import look_at_view, random_gaussians, random_mask_map
 from twins import registering as reference

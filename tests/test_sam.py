@@ -14,10 +14,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from drsplat.errors import DrSplatError, FormatError, InputError, MissingExtraError
-from drsplat.masks.masks import LEVELS, Segmenter, cut_masks
-from drsplat.masks.selection import mask_maps
-from drsplat.models import sam
-from drsplat.models.mask_geometry import (
+from drsplat.photos.models import sam
+from drsplat.photos.models.mask_geometry import (
     box_nms,
     crop_boxes,
     cut_by_crop,
@@ -26,7 +24,9 @@ from drsplat.models.mask_geometry import (
     spread,
     without_small_regions,
 )
-from drsplat.models.point_masks import PointMasks, PointMaskSettings, PointSegmenter
+from drsplat.photos.models.point_masks import PointMasks, PointMaskSettings, PointSegmenter
+from drsplat.scene.masks.masks import LEVELS, Segmenter, cut_masks
+from drsplat.scene.masks.selection import mask_maps
 
 # --- where points are asked, which boxes and regions stay -----------------------------------------
 
@@ -794,7 +794,7 @@ def test_devices_that_are_not_here(folder, library, monkeypatch):
 
 
 def test_without_transformers_the_message_has_the_line(monkeypatch):
-    from drsplat.models import libraries
+    from drsplat.photos.models import libraries
 
     monkeypatch.setattr(libraries, "find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r'pip install "drsplat\[models\]"'):

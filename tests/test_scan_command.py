@@ -17,14 +17,14 @@ from scipy.spatial.transform import Rotation
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import load_field, open_scene, read_views
 from drsplat.cli import main
-from drsplat.commands.embed import point_settings
-from drsplat.commands.scan_stages import _embedding
-from drsplat.commands.stages import check_tables, verb_line
 from drsplat.formats.scan_record import read_scan_record
-from drsplat.models.loading import DEFAULT_ENCODER
-from drsplat.models.sam import CPU_SEGMENTER
-from drsplat.scanning import choosing
-from drsplat.scanning.display import Display
+from drsplat.fronts.commands.embed import point_settings
+from drsplat.fronts.commands.scan_stages import _embedding
+from drsplat.fronts.commands.stages import check_tables, verb_line
+from drsplat.fronts.scanning import choosing
+from drsplat.fronts.scanning.display import Display
+from drsplat.photos.models.loading import DEFAULT_ENCODER
+from drsplat.photos.models.sam import CPU_SEGMENTER
 from drsplat.scene.views import View
 from photographed_room import ROOM, room_views, write_room
 from written_captures import write_colmap_text
@@ -270,7 +270,7 @@ def test_photos_that_come_after_a_scan_that_found_no_poses_are_taken(tmp_path: P
 def test_photos_without_colmap_say_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
-    from drsplat.capture import program
+    from drsplat.photos.capture import program
 
     write_room(tmp_path / "photos", room_views(3))
     monkeypatch.setattr(program, "find_spec", lambda name: None)

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
 
 from drsplat import Gaussians, LanguageField, View, WordEncoder
-from drsplat.encoders import EncoderIdentity
 from drsplat.errors import InputError, MismatchError
 from drsplat.kernels import splat_arrays, topk_contributions
 from drsplat.query import Answer, Query, Scene
 from drsplat.query.search import LOWEST, NEGATIVES, embed_query, feature_at, split_negation, text_negatives, without
+from drsplat.scene.encoders import EncoderIdentity
 from fields import ToyEncoder, toy_field
 from furnished.story import Story
 

@@ -24,8 +24,8 @@ from PIL import Image
 
 from command_line import Capture, error_of
 from drsplat import LanguageField, MiniEncoder, load_field
-from drsplat.codes import PQCode
-from drsplat.demo import story as household
+from drsplat.evaluation.demo import story as household
+from drsplat.field.codes import PQCode
 from drsplat.query import Query, open_scene
 from processes import children_of
 
@@ -36,11 +36,11 @@ pytest.importorskip("httpx", reason="httpx, which the tests ask with, is not ins
 
 import httpx
 
-from drsplat.serving import workbench
-from drsplat.serving.app import Settings, create_app
-from drsplat.serving.limits import Limits
-from drsplat.serving.listening import bound_socket
-from drsplat.serving.scene_folder import SceneFolder, Sources, UnknownSceneError
+from drsplat.fronts.serving import workbench
+from drsplat.fronts.serving.app import Settings, create_app
+from drsplat.fronts.serving.limits import Limits
+from drsplat.fronts.serving.listening import bound_socket
+from drsplat.fronts.serving.scene_folder import SceneFolder, Sources, UnknownSceneError
 
 VASE = {"text": "red vase"}
 KEY = "0123456789abcdef-key"
@@ -431,7 +431,7 @@ def test_a_killed_process_that_was_idle_costs_nothing(service: Service) -> None:
 def test_no_exception_of_a_request_ends_a_process(
     fault: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    broken = f"import sys; from drsplat.serving import worker; worker.answered = lambda *_: {fault}; "
+    broken = f"import sys; from drsplat.fronts.serving import worker; worker.answered = lambda *_: {fault}; "
     monkeypatch.setattr(
         workbench, "COMMAND", [sys.executable, "-c", broken + "worker.main(int(sys.argv[1]), int(sys.argv[2]))"]
     )

@@ -20,8 +20,8 @@ from schemathesis import GenerationMode, checks
 from schemathesis.openapi import from_asgi  # type: ignore[attr-defined]
 
 from catalogued import write_scene
-from drsplat.catalogue import Catalogue
-from drsplat.serving.app import Settings, create_app
+from drsplat.fronts.serving.app import Settings, create_app
+from drsplat.query.catalogue import Catalogue
 
 EXAMPLES = int(os.environ.get("DRSPLAT_EXAMPLES", "8"))
 SEED = int(os.environ.get("DRSPLAT_SEED", "0"))

@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drsplat.embedding.embed import embed
-from drsplat.embedding.side_by_side import MAX_PHOTOS_AT_ONCE, photos_at_once, side_by_side
-from drsplat.models.graph import GraphSegmenter
-from drsplat.models.mini import MiniEncoder
+from drsplat.photos.embedding.embed import embed
+from drsplat.photos.embedding.side_by_side import MAX_PHOTOS_AT_ONCE, photos_at_once, side_by_side
+from drsplat.photos.models.graph import GraphSegmenter
+from drsplat.photos.models.mini import MiniEncoder
 from fake_models import ColorSegmenter
 from test_embedding import a_view
 

@@ -12,9 +12,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import drsplat as ds
 from drsplat.errors import DrSplatError, FormatError
+from drsplat.field.tiles.cutting import cut
 from drsplat.formats.sources import blocks_of, sources_of
 from drsplat.formats.streamed_sog import LOD_META
-from drsplat.tiles.cutting import cut
 from scene_files import random_gaussians, sog_files
 
 BOX = {"min": [-1, -1, -1], "max": [1, 1, 1]}

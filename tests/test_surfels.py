@@ -10,15 +10,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import drsplat as ds
 from command_line import Capture, answer_of
-from drsplat.exporting import export
-from drsplat.exporting.sog_writing import sog_bytes
+from drsplat.authoring.exporting import export
+from drsplat.authoring.exporting.sog_writing import sog_bytes
+from drsplat.field.tiles.cutting import cut
 from drsplat.formats.scenes import parse_gaussians, read_gaussians, write_gaussians
 from drsplat.formats.sources import Block, sources_of
 from drsplat.formats.tiles import read_tiles
 from drsplat.scene.gaussians import SURFEL_THICKNESS, Gaussians
 from drsplat.scene.labelled import LabelledScene
 from drsplat.scene.merging import coarser
-from drsplat.tiles.cutting import cut
 from scene_files import compressed_ply_bytes, ply_bytes, ply_columns, random_gaussians, sog_files, zip_bytes
 from scenes import look_at_view
 

@@ -11,11 +11,11 @@ import pytest
 
 import drsplat
 from drsplat import system
+from drsplat.base.system import peak_memory_bytes
 from drsplat.errors import InputError
 from drsplat.formats.claiming import claimed_output
 from drsplat.formats.replacing import replacing, together
-from drsplat.serving.libraries import require
-from drsplat.system import peak_memory_bytes
+from drsplat.fronts.serving.libraries import require
 
 SOURCE = Path(drsplat.__file__).parent
 MODULES = {"fcntl", "resource", "pwd", "grp", "termios", "tty", "pty", "msvcrt", "winreg", "posix", "nt"}
@@ -50,7 +50,7 @@ def test_peak_memory_counts_bytes() -> None:
 
 WORKERS = """
 import time
-from drsplat.tiles.launching import Processes
+from drsplat.field.tiles.launching import Processes
 for _ in Processes(2).results(time.sleep, [0, 0, 600]):
     print("working", flush=True)
 """
@@ -66,7 +66,7 @@ def test_workers_end_with_a_killed_parent() -> None:
 
 
 def test_a_process_whose_parent_has_ended_before_it_began_to_look_ends() -> None:
-    code = "import time; from drsplat.system import end_with; end_with(0); time.sleep(600)"
+    code = "import time; from drsplat.base.system import end_with; end_with(0); time.sleep(600)"
     assert subprocess.run([sys.executable, "-c", code], timeout=120, check=False).returncode == 1
 
 

@@ -10,11 +10,11 @@ from PIL import Image
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Scene, WordEncoder, load_field, read_gaussians
-from drsplat.demo import story as household
 from drsplat.drawing.legend import class_colors, legend
+from drsplat.evaluation.demo import story as household
 from drsplat.formats.npy import write_npy
 from drsplat.formats.vocabulary import VocabularyEncoder, write_vocabulary
-from drsplat.query.nouns import NOUNS
+from drsplat.photos.models.nouns import NOUNS
 from drsplat.query.thresholds import share_threshold
 from furnished.story import Story, intersection_over_union
 

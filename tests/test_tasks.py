@@ -7,13 +7,13 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
-from drsplat.codes import Codebook
-from drsplat.encoders import EncoderIdentity
 from drsplat.errors import InputError, MismatchError
-from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import LanguageField, build_field
+from drsplat.field.codes import Codebook
+from drsplat.field.evidence.evidence import Evidence, MaskIds
 from drsplat.query import Answer
 from drsplat.query.tasks import NO_CLASS, locate, rank, segment, sure_matches
+from drsplat.scene.encoders import EncoderIdentity
 from drsplat.scene.gaussians import Gaussians
 
 

@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 import drsplat
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import errors
+from drsplat.base.progress import Meter
+from drsplat.base.terminal import counted, plain, plain_json, quoted
 from drsplat.cli import main, make_parser, spelled
-from drsplat.commands.tables import show_facts, show_table
-from drsplat.progress import Meter
-from drsplat.terminal import counted, plain, plain_json, quoted
+from drsplat.fronts.commands.tables import show_facts, show_table
 from toy_capture import write_toy_capture
 
 EVIL = "\x1b[2J\x1b]0;pwned\x07\x9b31m\u202e\ud800"
@@ -56,7 +56,7 @@ def test_hostile_names_in_files_and_errors(tmp_path: Path, capsys: Capture) -> N
 
 def test_hostile_names_in_progress(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
     for name in ("PATIENCE_S", "LINE_EVERY_S"):
-        monkeypatch.setattr(f"drsplat.progress.{name}", -1.0)
+        monkeypatch.setattr(f"drsplat.base.progress.{name}", -1.0)
     with Meter("embedding photos", 10) as meter:
         meter.update(1, "\x1b[2J.jpg")
         meter.update(5, "b.jpg")
@@ -67,12 +67,12 @@ def test_hostile_names_in_progress(monkeypatch: pytest.MonkeyPatch, capsys: Capt
 
 @pytest.mark.parametrize("columns", [60, 80])
 def test_a_bar_shows_count_rate_and_time(columns: int, monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
-    monkeypatch.setattr("drsplat.progress.PATIENCE_S", -1.0)
+    monkeypatch.setattr("drsplat.base.progress.PATIENCE_S", -1.0)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
     monkeypatch.setenv("COLUMNS", str(columns))
     monkeypatch.setenv("TERM", "xterm")
     seconds = itertools.count(step=3)
-    monkeypatch.setattr("drsplat.progress.time", SimpleNamespace(monotonic=lambda: float(next(seconds))))
+    monkeypatch.setattr("drsplat.base.progress.time", SimpleNamespace(monotonic=lambda: float(next(seconds))))
     with Meter("embedding patches", 123_456) as meter:
         for done in (30_000, 30_001):
             meter.update(done, f"[/red]{NAMES[0]}")

@@ -18,17 +18,17 @@ from PIL import Image
 
 import drsplat as ds
 from drsplat.cli import main
-from drsplat.codes import Smaller
 from drsplat.errors import FormatError, InputError
+from drsplat.field.codes import Smaller
+from drsplat.field.tiles.cutting import cut
+from drsplat.field.tiles.launching import Here, Processes
+from drsplat.field.tiles.registering import Work, register_tiles
+from drsplat.field.tiles.seeing import Gallery, seen_tiles
+from drsplat.field.tiles.store import Remote
 from drsplat.formats.sources import Block, Keep, blocks_of, read_blocks, sources_of
 from drsplat.formats.tiles import TILES, Tiles, read_tiles
 from drsplat.kernels import splat_arrays, view_weights
 from drsplat.scene.morton import morton_codes, morton_order
-from drsplat.tiles.cutting import cut
-from drsplat.tiles.launching import Here, Processes
-from drsplat.tiles.registering import Work, register_tiles
-from drsplat.tiles.seeing import Gallery, seen_tiles
-from drsplat.tiles.store import Remote
 from fields import unit_rows
 from scenes import look_at_view
 from toy_capture import write_toy_capture
@@ -305,7 +305,7 @@ def test_masks_of_photos_leave_out_of_tiles_what_they_leave_out_of_the_whole(toy
 @pytest.mark.parametrize("launcher", [Here(), Processes(2)], ids=["here", "processes"])
 @pytest.mark.parametrize("code", [ds.PQ(), ds.Mixture()], ids=["pq", "mixture"])
 def test_a_field_of_tiles_is_that_of_the_whole(toy, tmp_path, launcher, code, monkeypatch):
-    monkeypatch.setattr("drsplat.tiles.transposing.RUN_BYTES", 20_000)  # several runs
+    monkeypatch.setattr("drsplat.field.tiles.transposing.RUN_BYTES", 20_000)  # several runs
     tiles = read_tiles(toy / "scene.tiles")
     views, features = inputs(toy)
     made, work = counted(tiles, views, features, parts=tmp_path / "parts", launcher=launcher, threads=1)
@@ -319,7 +319,7 @@ def test_a_field_of_tiles_is_that_of_the_whole(toy, tmp_path, launcher, code, mo
 
 
 def test_codes_that_are_there_are_not_made_again(toy, tmp_path, monkeypatch):
-    monkeypatch.setattr("drsplat.tiles.transposing.RUN_BYTES", 20_000)
+    monkeypatch.setattr("drsplat.field.tiles.transposing.RUN_BYTES", 20_000)
     tiles, parts = read_tiles(toy / "scene.tiles"), tmp_path / "parts"
     field = register_tiles(tiles, *inputs(toy), parts=parts, threads=1).to_field(ds.Mixture())
     made = sorted((parts / "codes").iterdir())
@@ -336,8 +336,8 @@ def test_codes_that_are_there_are_not_made_again(toy, tmp_path, monkeypatch):
 
 
 def test_atoms_that_cannot_be_addressed_are_left_out_of_tiles_too(toy, tmp_path, monkeypatch):
-    monkeypatch.setattr("drsplat.tiles.transposing.RUN_BYTES", 20_000)
-    monkeypatch.setattr("drsplat.codes.mixture.encoding.MOST_SCENE_ATOMS", 1)
+    monkeypatch.setattr("drsplat.field.tiles.transposing.RUN_BYTES", 20_000)
+    monkeypatch.setattr("drsplat.field.codes.mixture.encoding.MOST_SCENE_ATOMS", 1)
     tiles, (views, stored), rng = read_tiles(toy / "scene.tiles"), inputs(toy), np.random.default_rng(0)
     features = {
         name: replace(stored[name], embeddings=unit_rows(rng, *stored[name].embeddings.shape)) for name in stored

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from drsplat.errors import InputError
+from drsplat.field.tiles.cutting import cut
 from drsplat.formats.georeference import Georeference
 from drsplat.formats.glb_writing import write_glb
 from drsplat.formats.scenes import parse_gaussians
@@ -22,7 +23,6 @@ from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.geodesy import geocentric
 from drsplat.scene.labelled import LabelledScene, Thing
 from drsplat.scene.rotations import rotation_matrices
-from drsplat.tiles.cutting import cut
 from glb_files import Read
 from scene_files import random_gaussians
 

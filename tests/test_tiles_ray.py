@@ -9,11 +9,11 @@ import pytest
 
 import drsplat as ds
 from drsplat.errors import InputError
+from drsplat.field.tiles.cutting import cut
+from drsplat.field.tiles.launching import Ray
+from drsplat.field.tiles.registering import Work, register_tiles
 from drsplat.formats.sources import blocks_of
 from drsplat.formats.tiles import read_tiles
-from drsplat.tiles.cutting import cut
-from drsplat.tiles.launching import Ray
-from drsplat.tiles.registering import Work, register_tiles
 from toy_capture import write_toy_capture
 
 ray = pytest.importorskip("ray", reason="needs ray")

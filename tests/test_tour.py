@@ -20,7 +20,7 @@ import pytest
 import drsplat as ds
 from drsplat.cli import VERBS, main
 from drsplat.errors import MismatchError
-from drsplat.models import sam
+from drsplat.photos.models import sam
 from fake_models import ColorSegmenter
 
 pytest.importorskip("transformers", reason="the extra drsplat[models] is not installed")

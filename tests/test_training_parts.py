@@ -14,10 +14,10 @@ from PIL import Image
 from scipy import integrate
 
 from drsplat import TrainingSettings, View, progress
-from drsplat.commands.train import EVERYDAY_ITERATIONS, ORIGINAL_ITERATIONS
 from drsplat.errors import InputError
 from drsplat.formats.activation import sigmoid
 from drsplat.formats.captures import SparsePoints
+from drsplat.fronts.commands.train import EVERYDAY_ITERATIONS, ORIGINAL_ITERATIONS
 from drsplat.kernels.training import Gradients, Rates, SceneParameters
 from drsplat.scene.gaussians import SH_C0
 from drsplat.scene.rotations import rotation_matrices

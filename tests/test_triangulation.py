@@ -17,13 +17,13 @@ from drsplat.scene.lens import undistort_points
 from drsplat.scene.photos import load_image
 from drsplat.training.settings import TrainingSettings
 from drsplat.training.start_points import start_points
-from drsplat.triangulation import detecting, filling, triangulate
-from drsplat.triangulation.detecting import detect_all
-from drsplat.triangulation.keypoints import as_stored, keypoints
-from drsplat.triangulation.matching import _nearest, fundamental_matrix
-from drsplat.triangulation.meeting import meet
-from drsplat.triangulation.pairs import neighbours
-from drsplat.triangulation.tracks import Tracks, join
+from drsplat.training.triangulation import detecting, filling, triangulate
+from drsplat.training.triangulation.detecting import detect_all
+from drsplat.training.triangulation.keypoints import as_stored, keypoints
+from drsplat.training.triangulation.matching import _nearest, fundamental_matrix
+from drsplat.training.triangulation.meeting import meet
+from drsplat.training.triangulation.pairs import neighbours
+from drsplat.training.triangulation.tracks import Tracks, join
 from scenes import look_at_view
 
 ROOM = Path(__file__).parents[1] / "world/scenes/table_1"

@@ -8,7 +8,7 @@ import pytest
 
 import drsplat as ds
 from drsplat.cli import main
-from drsplat.demo.story import Story
+from drsplat.evaluation.demo.story import Story
 from fake_models import ColorSegmenter
 from toured import blocks, commands_of, write_lerf, write_tour
 from toy_capture import THINGS, write_toy_capture
@@ -32,7 +32,7 @@ def run_snippets(document: str) -> dict[str, object]:
 
 def test_from_a_phone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capsys) -> None:
     pytest.importorskip("transformers", reason="the extra drsplat[models] is not installed")
-    from drsplat.models import sam
+    from drsplat.photos.models import sam
 
     monkeypatch.chdir(write_tour(tmp_path, CLIP))
     monkeypatch.setattr(sam, "load_segmenter", lambda *_, **__: ColorSegmenter())

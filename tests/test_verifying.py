@@ -13,9 +13,10 @@ import pytest
 from catalogued import write_scene
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat.cli import main
-from drsplat.codes import PQ, load_codebook, save_codebook
 from drsplat.errors import DrSplatError, FormatError
 from drsplat.field import build_field
+from drsplat.field.codes import PQ, load_codebook, save_codebook
+from drsplat.field.tiles.cutting import cut
 from drsplat.formats.embedding_record import open_record
 from drsplat.formats.langsplat import write_features
 from drsplat.formats.motion import MOTION, SCENE_SUM
@@ -24,7 +25,6 @@ from drsplat.formats.sources import blocks_of
 from drsplat.formats.tensors import map_tensors, write_tensors
 from drsplat.formats.tiles import TILES, read_tiles
 from drsplat.scene.annotations import Annotation
-from drsplat.tiles.cutting import cut
 from fields import SCENE, TOY, random_evidence, toy_field, unit_rows
 from moving_scenes import drifting
 from mutations import quota
@@ -56,7 +56,7 @@ def write_tiles(folder: Path, seed: int = 0) -> Path:
 
 def write_catalogue(folder: Path) -> Path:
     pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
-    from drsplat.catalogue import Catalogue
+    from drsplat.query.catalogue import Catalogue
 
     catalogue = Catalogue.open(folder / "a.catalogue")
     for name, words in (("kitchen", ("red mug", "table", "plant")), ("hall", ("blue mug", "chair", "lamp"))):

@@ -11,15 +11,15 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from drsplat import read_gaussians, write_gaussians
+from drsplat.authoring.filming import looking
 from drsplat.drawing.heat import heat_of
 from drsplat.errors import InputError
-from drsplat.filming import looking
+from drsplat.fronts.viewing import painting, picking, results, saving, shown, texts
+from drsplat.fronts.viewing.bare import is_bare, open_bare
+from drsplat.fronts.viewing.naming import photo_of
+from drsplat.fronts.viewing.session import MOST_QUERIES, Mode, Session
+from drsplat.fronts.viewing.suggestions import suggestions
 from drsplat.query import Scene
-from drsplat.viewing import painting, picking, results, saving, shown, texts
-from drsplat.viewing.bare import is_bare, open_bare
-from drsplat.viewing.naming import photo_of
-from drsplat.viewing.session import MOST_QUERIES, Mode, Session
-from drsplat.viewing.suggestions import suggestions
 from scenes import look_at_view, random_gaussians
 from viewing_scenes import CENTERS, EACH, THINGS, boxes_scene
 

@@ -17,10 +17,10 @@ from drsplat import write_gaussians
 from drsplat.cli import main
 from drsplat.errors import InputError
 from drsplat.formats.spz import parse_spz
-from drsplat.viewing.client import PAGE_POLICY, filled
-from drsplat.viewing.page import packed
-from drsplat.viewing.session import Session
-from drsplat.viewing.shown import significance
+from drsplat.fronts.viewing.client import PAGE_POLICY, filled
+from drsplat.fronts.viewing.page import packed
+from drsplat.fronts.viewing.session import Session
+from drsplat.fronts.viewing.shown import significance
 from viewing_scenes import EACH, THINGS, boxes_scene
 
 
@@ -224,8 +224,8 @@ def test_what_is_filled_in_is_not_filled_again() -> None:
 
 
 def test_too_many_gaussians_are_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from drsplat.viewing import page
-    from drsplat.viewing.exporting import page_of
+    from drsplat.fronts.viewing import page
+    from drsplat.fronts.viewing.exporting import page_of
 
     monkeypatch.setattr(page, "MOST", 10)
     up = np.array([0.0, 0.0, 1.0])

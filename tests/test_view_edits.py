@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from drsplat import export_page, open_scene, read_gaussians
-from drsplat.editing import Copies, Duplicate, Edit, EditFile, Move, Remove
+from drsplat.authoring.editing import Copies, Duplicate, Edit, EditFile, Move, Remove
 from drsplat.errors import InputError
 from drsplat.formats.annotations import AnnotationFile
+from drsplat.fronts.viewing import saving
+from drsplat.fronts.viewing.page_parts import annotations_of_page, objects_of_page
+from drsplat.fronts.viewing.playing import placed_now
+from drsplat.fronts.viewing.session import Mode, Session
 from drsplat.scene.annotations import Annotation
-from drsplat.viewing import saving
-from drsplat.viewing.page_parts import annotations_of_page, objects_of_page
-from drsplat.viewing.playing import placed_now
-from drsplat.viewing.session import Mode, Session
 from toy_capture import PER_THING, THINGS
 from viewing_scenes import EACH, boxes_scene
 

@@ -10,13 +10,13 @@ from drsplat import write_gaussians
 from drsplat.drawing.palette import class_colors
 from drsplat.errors import InputError
 from drsplat.field.labels import LabelFile
-from drsplat.objects.choosing import Tree
-from drsplat.objects.describing import describe
+from drsplat.field.objects.choosing import Tree
+from drsplat.field.objects.describing import describe
+from drsplat.fronts.viewing import painting
+from drsplat.fronts.viewing.session import Mode, Session
 from drsplat.query import Scene, open_scene
 from drsplat.query.nodes import Chosen, chosen_at, name_of
 from drsplat.query.query import Query
-from drsplat.viewing import painting
-from drsplat.viewing.session import Mode, Session
 from known_objects import CENTERS, EACH, with_objects
 from viewing_scenes import CENTERS as PLACES
 from viewing_scenes import THINGS, boxes_scene

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from browsing import SLOW, eventually, needs_chromium, opened, pixels_of, settled
+from drsplat.authoring.filming.path_files import write_path
+from drsplat.authoring.filming.paths import CameraPath, KeyFrame
 from drsplat.errors import InputError
-from drsplat.filming.path_files import write_path
-from drsplat.filming.paths import CameraPath, KeyFrame
-from drsplat.viewing.exporting import export_page
+from drsplat.fronts.viewing.exporting import export_page
 from scenes import look_at_view
 from viewing_scenes import THINGS, boxes_scene
 

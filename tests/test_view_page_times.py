@@ -13,12 +13,12 @@ import pytest
 
 from browsing import PANEL, a_page, eventually, near, needs_chromium, opened, pixels_of, settled
 from drsplat import Scene, export_page
-from drsplat.editing import Edit, Everything, Move
+from drsplat.authoring.editing import Edit, Everything, Move
 from drsplat.errors import InputError
+from drsplat.fronts.viewing import page_times
+from drsplat.fronts.viewing.page_times import boxes_of, times_of_page
+from drsplat.fronts.viewing.session import Session
 from drsplat.scene.moving import Moving
-from drsplat.viewing import page_times
-from drsplat.viewing.page_times import boxes_of, times_of_page
-from drsplat.viewing.session import Session
 from moving_scenes import passing_red_scene
 
 UP = np.array([0.0, 0, 1])

@@ -12,7 +12,6 @@ import jaxtyping
 import numpy as np
 import pytest
 
-from drsplat.encoders import EncoderIdentity
 from drsplat.errors import DrSplatError, DrSplatWarning, FormatError
 from drsplat.formats.captures import read_views
 from drsplat.formats.colmap import read_points
@@ -21,7 +20,8 @@ from drsplat.formats.langsplat import LEVELS, FeatureFolder, write_features
 from drsplat.formats.npy import map_npy
 from drsplat.formats.photo_files import safe_name
 from drsplat.formats.vocabulary import VocabularyEncoder, read_vocabulary, write_vocabulary
-from drsplat.masks.features import ViewFeatures
+from drsplat.scene.encoders import EncoderIdentity
+from drsplat.scene.masks.features import ViewFeatures
 from drsplat.scene.photos import load_image, photo_size
 from drsplat.scene.views import View
 from mutations import bounded_allocations, mutants, quota, seeded

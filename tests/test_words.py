@@ -5,7 +5,7 @@ import pytest
 
 from drsplat import WordEncoder
 from drsplat.errors import InputError
-from drsplat.models.words import DIM, SYNONYM_COSINE, words_of
+from drsplat.photos.models.words import DIM, SYNONYM_COSINE, words_of
 
 
 def cosine(a: str, b: str) -> float:

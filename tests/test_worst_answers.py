@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
 from drsplat import Gaussians, View
-from drsplat.evidence.evidence import Evidence, MaskIds
+from drsplat.field.evidence.evidence import Evidence, MaskIds
 
 EACH = 40  # Gaussians of a thing
 STEPS = causes.Steps(0.9, 0.8, 0.7, 0.3, 0.3)  # threshold

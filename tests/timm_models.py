@@ -14,9 +14,9 @@ import numpy as np
 import torch
 from numpy.testing import assert_allclose, assert_array_equal
 
-from drsplat.models.loading import load_encoder
-from drsplat.models.mask_geometry import point_grid
-from drsplat.models.sam import load_segmenter
+from drsplat.photos.models.loading import load_encoder
+from drsplat.photos.models.mask_geometry import point_grid
+from drsplat.photos.models.sam import load_segmenter
 from test_sam import DECODER, IMAGE, IMAGENET, LOOSE, PROMPTS, fill
 from torchvision_standin import install_where_absent
 

@@ -3,9 +3,9 @@
 import numpy as np
 from scipy.sparse import csr_array
 
-from drsplat.evidence.evidence import Evidence, MaskIds
 from drsplat.field import build_field
-from drsplat.models.words import WordEncoder
+from drsplat.field.evidence.evidence import Evidence, MaskIds
+from drsplat.photos.models.words import WordEncoder
 from drsplat.query import Scene
 from drsplat.scene.gaussians import Gaussians
 from scenes import look_at_view

@@ -1,11 +1,11 @@
-// Builds the client into the Python package. usage: node build.mjs [FOLDER]    default: ../src/drsplat/viewing
+// Builds the client into the Python package. usage: node build.mjs [FOLDER]    default: ../src/drsplat/fronts/viewing
 import { build } from "esbuild";
 import { createHash } from "node:crypto";
 import { readdirSync, readFileSync, statSync, writeFileSync } from "node:fs";
 import { dirname, join, relative } from "node:path";
 import { fileURLToPath } from "node:url";
 
-const here = dirname(fileURLToPath(import.meta.url)), folder = process.argv[2] ?? join(here, "../src/drsplat/viewing");
+const here = dirname(fileURLToPath(import.meta.url)), folder = process.argv[2] ?? join(here, "../src/drsplat/fronts/viewing");
 const common = { bundle: true, minify: true, format: "iife", target: "es2022", charset: "utf8", legalComments: "none", write: false };
 
 const worker = await build({ ...common, entryPoints: [join(here, "src/drawing/worker.ts")] });

@@ -9,12 +9,12 @@ import numpy as np
 from jaxtyping import UInt8
 
 from drsplat import MiniEncoder, View, ViewFeatures, load_image
-from drsplat.commands.embed import COARSE_TO_FINE, NESTED
-from drsplat.masks.crops import crops
-from drsplat.masks.masks import LEVELS, Masks, cut_masks
-from drsplat.masks.selection import mask_maps
-from drsplat.models.graph import GraphSegmenter
-from drsplat.models.point_masks import PointMaskSettings, PointSegmenter
+from drsplat.fronts.commands.embed import COARSE_TO_FINE, NESTED
+from drsplat.photos.models.graph import GraphSegmenter
+from drsplat.photos.models.point_masks import PointMaskSettings, PointSegmenter
+from drsplat.scene.masks.crops import crops
+from drsplat.scene.masks.masks import LEVELS, Masks, cut_masks
+from drsplat.scene.masks.selection import mask_maps
 
 from .scenes import BenchScene, read_scene
 from .simulated_sam import room_sam

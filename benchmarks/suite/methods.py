@@ -17,10 +17,10 @@ from drsplat import (
     ViewFeatures,
     register,
 )
-from drsplat.codes import CodeSpecification
 from drsplat.evaluation.scorers import Scorer, cosine_scorer, feature_scorer
-from drsplat.evidence.aggregation import Sampling
-from drsplat.objects.finding import find_objects
+from drsplat.field.codes import CodeSpecification
+from drsplat.field.evidence.aggregation import Sampling
+from drsplat.field.objects.finding import find_objects
 
 from .aggregators import MEASURED
 from .masks import features_of

@@ -20,7 +20,7 @@ from scipy import ndimage
 from drsplat import Query, Scene, View
 from drsplat.drawing.pictures import visible_share
 from drsplat.errors import InputError
-from drsplat.field.objects import LEVELS
+from drsplat.field.forest import LEVELS
 from drsplat.kernels import render_channels
 from drsplat.scene.photos import undistort_ids
 

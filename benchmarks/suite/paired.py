@@ -14,11 +14,11 @@ from jaxtyping import Float32, Int64
 
 from benchmarks.drawn_embeddings import unit
 from drsplat import EncoderIdentity, LanguageField
-from drsplat.evidence.evidence import Evidence
-from drsplat.field.objects import Objects
-from drsplat.objects.choosing import Tree
-from drsplat.objects.describing import describe
-from drsplat.objects.finding import find_tree
+from drsplat.field.evidence.evidence import Evidence
+from drsplat.field.forest import Objects
+from drsplat.field.objects.choosing import Tree
+from drsplat.field.objects.describing import describe
+from drsplat.field.objects.finding import find_tree
 from drsplat.query.defaults import MIN_GAUSSIANS
 
 from .places import Place

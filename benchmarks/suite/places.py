@@ -19,16 +19,16 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from drsplat import Gaussians, View, ViewFeatures, load_image, read_gaussians, read_views, register
-from drsplat.embedding.shared_crops import SharedCrops
-from drsplat.evidence.changing import without_views
-from drsplat.evidence.evidence import Evidence, evidence_from_tensors
+from drsplat.field.evidence.changing import without_views
+from drsplat.field.evidence.evidence import Evidence, evidence_from_tensors
 from drsplat.formats.checksums import hash_file
 from drsplat.formats.tensors import read_tensors, write_tensors
 from drsplat.kernels import render_channels, splat_arrays
-from drsplat.masks.masks import LEVELS
-from drsplat.masks.selection import mask_maps
-from drsplat.models.graph import GraphSegmenter
-from drsplat.models.point_masks import PointSegmenter
+from drsplat.photos.embedding.shared_crops import SharedCrops
+from drsplat.photos.models.graph import GraphSegmenter
+from drsplat.photos.models.point_masks import PointSegmenter
+from drsplat.scene.masks.masks import LEVELS
+from drsplat.scene.masks.selection import mask_maps
 
 from .masks import ASKING, asking, cut_of
 from .outlines import inside, outlined_in_part, read_outlines

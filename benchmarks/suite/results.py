@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from drsplat import MiniEncoder
-from drsplat.encoders import identity_json
 from drsplat.evaluation.voxel import SIDE
 from drsplat.formats.replacing import replacing
-from drsplat.models.graph import GraphSegmenter
+from drsplat.photos.models.graph import GraphSegmenter
+from drsplat.scene.encoders import identity_json
 
 from . import answers, running
 from .masks import MASKS

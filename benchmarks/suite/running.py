@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from drsplat import MiniEncoder
-from drsplat.encoders import identity_json
 from drsplat.formats.replacing import replacing
-from drsplat.models.graph import GraphSegmenter
+from drsplat.photos.models.graph import GraphSegmenter
+from drsplat.scene.encoders import identity_json
 
 from . import stamps
 from .aggregators import MEASURED

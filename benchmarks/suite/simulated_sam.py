@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float64, Int32, UInt8
 from scipy import ndimage
 
 from drsplat import View, load_image
-from drsplat.models.point_masks import PointMasks, PointMaskSettings
+from drsplat.photos.models.point_masks import PointMasks, PointMaskSettings
 
 from .scenes import BenchScene
 

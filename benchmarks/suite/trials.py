@@ -15,9 +15,9 @@ from jaxtyping import Bool, Float32, Float64
 
 from benchmarks.drawn_embeddings import unit
 from drsplat import EncoderIdentity, Gaussians, LanguageField, Scene
-from drsplat.codes.code import Code
-from drsplat.encoders import Encoder
-from drsplat.objects.finding import find_objects
+from drsplat.field.codes.code import Code
+from drsplat.field.objects.finding import find_objects
+from drsplat.scene.encoders import Encoder
 
 from .places import Place
 from .vocabularies import Pictures, Vocabulary

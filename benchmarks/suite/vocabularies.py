@@ -21,7 +21,7 @@ from jaxtyping import Float32, Int64
 
 from benchmarks.drawn_embeddings import unit
 from drsplat import EncoderIdentity
-from drsplat.codes import read_faiss_codebook
+from drsplat.field.codes import read_faiss_codebook
 from drsplat.formats.vocabulary import VocabularyEncoder
 
 NEGATIVES = ("object", "things", "stuff", "texture")

@@ -8,43 +8,45 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     __version__: str
-    from .codes import PQ, Codebook, Mixture, load_codebook, train_codebook
     from .drawing.rendering import render
-    from .embedding.embed import embed
-    from .encoders import Encoder, EncoderIdentity
     from .errors import DrSplatError, DrSplatWarning
     from .evaluation.running import evaluate
-    from .evidence.aggregation import Sampling
     from .field import LanguageField, load_field
+    from .field.codes import PQ, Codebook, Mixture, load_codebook, train_codebook
+    from .field.evidence.aggregation import Sampling
+    from .field.registration import Registration, register
     from .formats.captures import read_sparse_points, read_views
     from .formats.langsplat import read_features
     from .formats.scenes import read_gaussians, write_gaussians
     from .formats.vocabulary import read_vocabulary
-    from .masks.features import ViewFeatures
-    from .models.loading import load_encoder
-    from .models.mini import MiniEncoder
-    from .models.sam import load_segmenter
-    from .models.words import WordEncoder
+    from .fronts.viewing.exporting import export_page
+    from .photos.embedding.embed import embed
+    from .photos.models.loading import load_encoder
+    from .photos.models.mini import MiniEncoder
+    from .photos.models.sam import load_segmenter
+    from .photos.models.words import WordEncoder
     from .query import Answer, Cut, Match, Query, Scene, open_scene
-    from .registration import Registration, register
+    from .scene.encoders import Encoder, EncoderIdentity
     from .scene.gaussians import Gaussians
+    from .scene.masks.features import ViewFeatures
     from .scene.photos import load_image
     from .scene.views import View
     from .training import TrainingSettings, train
-    from .viewing.exporting import export_page
 
 _HOMES = {
-    "models.loading": ("load_encoder",), "models.sam": ("load_segmenter",), "evidence.aggregation": ("Sampling",),
-    "codes": ("PQ", "Codebook", "Mixture", "load_codebook", "train_codebook"), "embedding.embed": ("embed",),
-    "encoders": ("Encoder", "EncoderIdentity"), "evaluation.running": ("evaluate",),
-    "errors": ("DrSplatError", "DrSplatWarning"), "masks.features": ("ViewFeatures",),
+    "photos.models.loading": ("load_encoder",), "photos.models.sam": ("load_segmenter",),
+    "photos.embedding.embed": ("embed",), "field.evidence.aggregation": ("Sampling",),
+    "field.codes": ("PQ", "Codebook", "Mixture", "load_codebook", "train_codebook"),
+    "scene.encoders": ("Encoder", "EncoderIdentity"), "evaluation.running": ("evaluate",),
+    "errors": ("DrSplatError", "DrSplatWarning"), "scene.masks.features": ("ViewFeatures",),
     "field": ("LanguageField", "load_field"), "formats.captures": ("read_sparse_points", "read_views"),
     "formats.langsplat": ("read_features",), "formats.scenes": ("read_gaussians", "write_gaussians"),
-    "formats.vocabulary": ("read_vocabulary",), "scene.gaussians": ("Gaussians",), "models.mini": ("MiniEncoder",),
-    "scene.photos": ("load_image",), "query": ("Answer", "Cut", "Match", "Query", "Scene", "open_scene"),
-    "registration": ("Registration", "register"), "drawing.rendering": ("render",),
-    "viewing.exporting": ("export_page",), "training": ("TrainingSettings", "train"), "scene.views": ("View",),
-    "models.words": ("WordEncoder",),
+    "formats.vocabulary": ("read_vocabulary",), "scene.gaussians": ("Gaussians",),
+    "photos.models.mini": ("MiniEncoder",), "scene.photos": ("load_image",),
+    "query": ("Answer", "Cut", "Match", "Query", "Scene", "open_scene"),
+    "field.registration": ("Registration", "register"), "drawing.rendering": ("render",),
+    "fronts.viewing.exporting": ("export_page",), "training": ("TrainingSettings", "train"), "scene.views": ("View",),
+    "photos.models.words": ("WordEncoder",),
 }  # fmt: skip
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
@@ -65,7 +67,7 @@ def __getattr__(name: str) -> object:
         return globals().setdefault(name, version("drsplat"))
     if name not in _HOME_OF:
         raise AttributeError(f"module 'drsplat' has no attribute '{name}'")
-    from .kinds import checked
+    from .base.kinds import checked
 
     thing = getattr(import_module(f".{_HOME_OF[name]}", __name__), name)
     return globals().setdefault(name, checked(thing))

@@ -1,9 +1,9 @@
 """The command line: arguments -> one public call -> print.
 
-Each verb is a module of `drsplat.commands` with EXAMPLES, add_arguments(parser), run(arguments) -> a JSON object, and
-show(object) for people. Three more are optional: DAILY, the options that --help shows if not all,
+Each verb is a module of `drsplat.fronts.commands` with EXAMPLES, add_arguments(parser), run(arguments) -> a JSON
+object, and show(object) for people. Three more are optional: DAILY, the options that --help shows if not all,
 interrupted(arguments) -> how to go on after Ctrl-C, and device(arguments) -> where it draws and registers. To add a
-verb, add the module, and its name and summary to `drsplat.commands.verbs`.
+verb, add the module, and its name and summary to `drsplat.fronts.commands.verbs`.
 """
 
 import argparse
@@ -19,14 +19,14 @@ from io import TextIOWrapper
 from types import ModuleType
 from typing import Any, NoReturn, TextIO
 
-from .commands.common import add_common
-from .commands.help_texts import VerbListFormatter
-from .commands.log import logged, path_of
-from .commands.parsing import Parser, UsageError, VerbParser, did_you_mean
-from .commands.verbs import GROUPS, SUMMARIES
+from .base.system import can_be_a_path
+from .base.terminal import plain, plain_json, quoted
 from .errors import DrSplatError, DrSplatWarning, InputError, MissingExtraError
-from .system import can_be_a_path
-from .terminal import plain, plain_json, quoted
+from .fronts.commands.common import add_common
+from .fronts.commands.help_texts import VerbListFormatter
+from .fronts.commands.log import logged, path_of
+from .fronts.commands.parsing import Parser, UsageError, VerbParser, did_you_mean
+from .fronts.commands.verbs import GROUPS, SUMMARIES
 
 VERBS = tuple(SUMMARIES)
 _ARGUMENT = re.compile(r"\b([a-z_]+)=(True\b|[A-Z][A-Z_]*\b(?:\.\w+|[,:][A-Z]\b)*|\d+\b)|\A([a-z_]+)(?=: )")
@@ -166,7 +166,7 @@ def make_parser(verbs: Sequence[str] = VERBS) -> argparse.ArgumentParser:
     for name, summary in SUMMARIES.items():
         verb = subparsers.add_parser(name, help=summary, description=f"{summary[0].upper()}{summary[1:]}.")
         if name in verbs:
-            _add_options(verb, import_module(f".commands.{name}", __package__))
+            _add_options(verb, import_module(f".fronts.commands.{name}", __package__))
     return parser
 
 
@@ -214,7 +214,7 @@ def _run(argv: list[str]) -> int:
     arguments = make_parser(argv[:1]).parse_args(argv)
     _refuse_no_texts(arguments)
     if arguments.print_config:
-        from .commands.configuring import configuration
+        from .fronts.commands.configuring import configuration
 
         print(configuration(arguments.parser))
         return 0

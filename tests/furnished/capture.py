@@ -5,9 +5,9 @@ from pathlib import Path
 
 from scipy.spatial.transform import Rotation
 
-from drsplat.codes import Track, untracked
 from drsplat.drawing.pictures import as_pixels, write_picture
 from drsplat.drawing.rendering import render
+from drsplat.field.codes import Track, untracked
 from drsplat.formats.langsplat import write_features
 from drsplat.formats.replacing import replacing
 from drsplat.formats.scenes import write_gaussians

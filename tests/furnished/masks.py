@@ -12,9 +12,9 @@ import numpy as np
 from jaxtyping import Float32, Int32
 from scipy import ndimage
 
-from drsplat.encoders import Encoder
 from drsplat.kernels import SplatArrays, render_channels, splat_arrays
-from drsplat.masks.features import ViewFeatures
+from drsplat.scene.encoders import Encoder
+from drsplat.scene.masks.features import ViewFeatures
 from drsplat.scene.views import View
 
 from .room import Room

@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Int64
 
-from drsplat.codes import Track, untracked
-from drsplat.demo.probes import Probe
-from drsplat.demo.story import FIELD, Verdict
+from drsplat.base.progress import Stopwatch
 from drsplat.errors import InputError
+from drsplat.evaluation.demo.probes import Probe
+from drsplat.evaluation.demo.story import FIELD, Verdict
 from drsplat.field import LanguageField, load_field
+from drsplat.field.codes import Track, untracked
+from drsplat.field.registration import register
 from drsplat.formats.captures import read_views
 from drsplat.formats.langsplat import read_features
 from drsplat.formats.scenes import read_gaussians
-from drsplat.models.words import WordEncoder
-from drsplat.progress import Stopwatch
+from drsplat.photos.models.words import WordEncoder
 from drsplat.query import Scene
-from drsplat.registration import register
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.views import View
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import sparse
 
-from drsplat.arrays import Float, Float64, Int64, Integer, UInt8
+from drsplat.base.arrays import Float, Float64, Int64, Integer, UInt8
 
 
 def weighted_rows(

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.special import ndtr
 
-from drsplat.arrays import Bool, Float64, Integer
+from drsplat.base.arrays import Bool, Float64, Integer
 from drsplat.kernels.boxes import OUTLIERS, SPARSE, STRAYS
 from drsplat.scene.boxes import Box
 from drsplat.scene.gaussians import Gaussians

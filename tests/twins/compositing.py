@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drsplat.arrays import Bool, Float, Float64, Int, Int64
+from drsplat.base.arrays import Bool, Float, Float64, Int, Int64
 from drsplat.scene.views import View
 
 from .projection import MIN_ALPHA, ROUNDING, TILE, Projection, Splats, project

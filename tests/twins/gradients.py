@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drsplat.arrays import Float, Float64
+from drsplat.base.arrays import Float, Float64
 from drsplat.scene.views import View
 
 from .training import Branches, Entries, Footprints, Parameters, alphas_of, composite, decide, float64_of, footprints

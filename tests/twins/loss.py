@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import correlate1d
 
-from drsplat.arrays import Float, Float64
+from drsplat.base.arrays import Float, Float64
 
 WINDOW, SIGMA = 11, 1.5
 C1, C2 = 0.01**2, 0.03**2

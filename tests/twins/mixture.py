@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from drsplat.arrays import Float, Float64, Int32, Int64, UInt8
+from drsplat.base.arrays import Float, Float64, Int32, Int64, UInt8
 from drsplat.kernels.mixture import Blocks, Candidates, Dictionary, Encoded
 
 DEPENDENT = 1e-4  # an atom adds nothing if its squared sine to the chosen ones is below

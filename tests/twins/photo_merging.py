@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from drsplat.arrays import Float64, Int64
+from drsplat.base.arrays import Float64, Int64
 from drsplat.kernels.photo_regions import AREA, AROUND, LENGTH, RegionGraph
 
 from .photo_features import pair_features

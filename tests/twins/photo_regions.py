@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from drsplat.arrays import Float64, Int32, Int64, UInt8
+from drsplat.base.arrays import Float64, Int32, Int64, UInt8
 from drsplat.kernels.photo_regions import (
     AREA,
     AROUND,

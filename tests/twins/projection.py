@@ -8,7 +8,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from drsplat.arrays import Float, Float64, Int
+from drsplat.base.arrays import Float, Float64, Int
 from drsplat.scene.views import View
 
 TILE = 16

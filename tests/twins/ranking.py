@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from drsplat.arrays import Float, Integer
+from drsplat.base.arrays import Float, Integer
 
 
 def keep_best(

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from scipy.sparse import csr_array
 
-from drsplat.arrays import Float, Int32, Integer
+from drsplat.base.arrays import Float, Int32, Integer
 from drsplat.kernels.regions import Forest, MergeRule
 
 Votes = Mapping[int, Mapping[int, float]]  # of a region, by view and mask

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drsplat.arrays import Bool, Float, Float64, Int, Int32
+from drsplat.base.arrays import Bool, Float, Float64, Int, Int32
 from drsplat.scene.views import View
 
 from .compositing import Contributors, contributors, rank_in_pixel, select

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from drsplat.arrays import Float, Float64, Int64
+from drsplat.base.arrays import Float, Float64, Int64
 from drsplat.kernels.scan import GroupedRows, QueryTables, rows_of_groups
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drsplat.arrays import Bool, Float, Float64, Int
+from drsplat.base.arrays import Bool, Float, Float64, Int
 from drsplat.scene.placing import PUBLISHED_NEAR
 from drsplat.scene.views import View
 

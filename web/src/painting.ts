@@ -1,5 +1,5 @@
 // Colours that say something. The photo's own colours stay in full light where something answers; the rest is dimmed
-// and loses most of its colour, but never goes black. `drsplat.viewing.painting` paints pictures and films alike.
+// and loses most of its colour, but never goes black. `drsplat.fronts.viewing.painting` paints pictures and films alike.
 
 import type { Marks } from "./drawing/raster";
 import type { Color, Header, Look, Paint, Splats, State } from "./protocol";

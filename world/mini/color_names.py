@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float32, Float64, UInt8
 from skimage.color import deltaE_ciede2000, rgb2lab
 
-from drsplat.models.mini.lexicon import COLORS
+from drsplat.photos.models.mini.lexicon import COLORS
 
 NEAREST_NAMES = 6
 SHIFT, LEVELS = 3, 32  # bits of a channel that are dropped, and the values that are left

@@ -14,9 +14,9 @@ import torch
 from safetensors.numpy import save_file
 from torch import nn
 
-from drsplat.models.mini.encoder import DIM
-from drsplat.models.mini.lexicon import WORDS
-from drsplat.models.mini.network import STRIDES
+from drsplat.photos.models.mini.encoder import DIM
+from drsplat.photos.models.mini.lexicon import WORDS
+from drsplat.photos.models.mini.network import STRIDES
 
 from .augment import augmented, repainted
 from .texts import Label, bank, said_of, truth
@@ -59,7 +59,7 @@ class Tower(nn.Module):
 
 
 def exported(tower: Tower) -> dict[str, np.ndarray]:
-    """What `drsplat.models.mini` reads, in half precision."""
+    """What `drsplat.photos.models.mini` reads, in half precision."""
     tensors: dict[str, np.ndarray] = {}
     for i, (conv, norm) in enumerate(tower.convolutions):
         gain = norm.weight / torch.sqrt(norm.running_var + norm.eps)

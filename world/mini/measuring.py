@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int64
 from PIL import Image, ImageDraw
 
-from drsplat.models.mini import MiniEncoder
-from drsplat.models.mini.lexicon import COLORS, NAMES
+from drsplat.photos.models.mini import MiniEncoder
+from drsplat.photos.models.mini.lexicon import COLORS, NAMES
 
 from .augment import cut_out
 

@@ -22,11 +22,11 @@ from safetensors.numpy import save_file
 from scipy.optimize import minimize
 from skimage.color import lab2rgb, rgb2lab
 
-from drsplat.masks.crops import crop
-from drsplat.models.graph import GraphSegmenter
-from drsplat.models.mini import MiniEncoder
-from drsplat.models.mini.lexicon import COLORS
-from drsplat.models.mini.network import SIDE
+from drsplat.photos.models.graph import GraphSegmenter
+from drsplat.photos.models.mini import MiniEncoder
+from drsplat.photos.models.mini.lexicon import COLORS
+from drsplat.photos.models.mini.network import SIDE
+from drsplat.scene.masks.crops import crop
 
 from .color_names import term_shares
 

@@ -15,8 +15,8 @@ import numpy as np
 from jaxtyping import Bool, Int32, UInt8
 from PIL import Image
 
-from drsplat.masks.masks import tight_box
-from drsplat.models.graph import GraphSegmenter
+from drsplat.photos.models.graph import GraphSegmenter
+from drsplat.scene.masks.masks import tight_box
 
 from ..truth import Label, read_truth
 from .dataset import SIDE

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float32
 
-from drsplat.models.mini.lexicon import (
+from drsplat.photos.models.mini.lexicon import (
     ANYTHING,
     COLORS,
     GROUPS,

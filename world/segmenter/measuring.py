@@ -14,8 +14,8 @@ from jaxtyping import Int64
 from skimage.segmentation import mark_boundaries
 
 from drsplat.drawing.pictures import as_pixels, contact_sheet, write_picture
-from drsplat.masks.selection import paint
-from drsplat.models.graph import GraphSegmenter
+from drsplat.photos.models.graph import GraphSegmenter
+from drsplat.scene.masks.selection import paint
 
 from .scenes import Photo, photos
 from .scores import LEAST_PIXELS, Score, score, shared_pixels

@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping
 
-from drsplat.evidence.aggregation import AGGREGATORS, Aggregator
-from drsplat.evidence.aggregation.voting import ModeVoting
+from drsplat.field.evidence.aggregation import AGGREGATORS, Aggregator
+from drsplat.field.evidence.aggregation.voting import ModeVoting
 
 from .centres import CentrePixels
 from .gates import Gated, MassGate, QuantileGate, Spared

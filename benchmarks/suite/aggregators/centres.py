@@ -8,7 +8,7 @@ from jaxtyping import Int32, Int64
 
 from drsplat import View
 from drsplat.errors import InputError
-from drsplat.evidence.aggregation import Sampling
+from drsplat.field.evidence.aggregation import Sampling
 from drsplat.kernels import SplatArrays, Triples, view_weights
 
 PIXELS_AT_ONCE = 1 << 16  # times about a hundred contributors of 12 bytes: 80 MB

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float32, Float64
 
-from drsplat.evidence.aggregation.entries import RowBlock, reweighted
-from drsplat.evidence.evidence import Evidence
+from drsplat.field.evidence.aggregation.entries import RowBlock, reweighted
+from drsplat.field.evidence.evidence import Evidence
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drsplat.evidence.aggregation.entries import with_weights
-from drsplat.evidence.evidence import Evidence
+from drsplat.field.evidence.aggregation.entries import with_weights
+from drsplat.field.evidence.evidence import Evidence
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float32, Float64, Int64, Integer
 from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
-from drsplat.evidence.evidence import Evidence
-from drsplat.objects.neighbours import neighbours
+from drsplat.field.evidence.evidence import Evidence
+from drsplat.field.objects.neighbours import neighbours
 
 NONE = -1
 Labels = Int64[np.ndarray, " r"]

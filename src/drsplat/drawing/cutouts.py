@@ -3,7 +3,7 @@
 import numpy as np
 from PIL import Image
 
-from ..arrays import Float32, Int64
+from ..base.arrays import Float32, Int64
 from .palette import LUMA
 from .pictures import FAINT, PAPER, OtherPixels, Pixels, border
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..arrays import Float32
+from ..base.arrays import Float32
 
 Values = Float32[np.ndarray, " n"]
 

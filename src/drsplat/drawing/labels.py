@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 from ..scene.annotations import Annotation, Outline
 from ..scene.views import View
 from .pictures import OUTLINE, Pixels

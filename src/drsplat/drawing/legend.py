@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ..arrays import Float32, Int32
+from ..base.arrays import Float32, Int32
 from ..kernels import render_channels, splat_arrays
 from ..scene.gaussians import SH_C0, Gaussians
 from ..scene.views import View

@@ -4,7 +4,7 @@ import colorsys
 
 import numpy as np
 
-from ..arrays import UInt8
+from ..base.arrays import UInt8
 
 LUMA = np.array([0.299, 0.587, 0.114])  # of red, green and blue: how light a colour looks
 GOLDEN = 0.6180339887498949  # of a turn between hues, which keeps any number of them apart

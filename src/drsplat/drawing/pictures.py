@@ -9,7 +9,7 @@ from os import PathLike
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ..arrays import Bool, Float32, Integer, UInt8
+from ..base.arrays import Bool, Float32, Integer, UInt8
 from ..errors import InputError
 from ..formats.replacing import replacing
 from ..kernels import SplatArrays, render_channels, splat_arrays

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 
 MAX_DODGING = 200  # names that make room for each other; further ones are placed as if alone
 STEPS = (0, 1, 2, 3)  # heights of a plate between an object and its name

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Bool, Float32, Integer
+from ..base.arrays import Bool, Float32, Integer
 from ..errors import InputError
 from ..kernels import SplatArrays, render_channels, sh_colors, splat_arrays
 from ..kernels.cuda.places import on_host

@@ -1,8 +1,8 @@
-"""Named and versioned protocols: predict to disk, score from disk, report.
+"""Named and versioned protocols: predict to disk, score from disk, report; and the demo, which is scored likewise.
 
 lerf_ovs, scannet_points, scannet_volume, voxel: one protocol each, with `predict` and `score`. running: `evaluate`, all
 of it in one call. scorers: methods that are scored. metrics, thresholds, pseudo_labels: the algebra. report: JSON and
-HTML.
+HTML. Begin with `running`.
 
-Imports `encoders`, `scene`, `formats`, `kernels`, `codes`, `field`, `drawing` and `query`.
+Imports `scene`, `formats`, `kernels`, `field`, `photos`, `drawing` and `query`.
 """

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..arrays import Float32
+from ..base.arrays import Float32
 from ..query.thresholds import CUT, default_threshold
 from .predictions import AUTOMATIC, Chooser
 from .scorers import Scorer

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ..arrays import Float32, UInt8
+from ..base.arrays import Float32, UInt8
 from ..drawing.pictures import as_pixels, best_views, highlighted, photo_or_rendering, visible_share
 from ..kernels import SplatArrays, render_channels, splat_arrays
 from ..scene.gaussians import Gaussians

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Int32, Integer
-from ..contents import file_text
+from ..base.arrays import Int32, Integer
+from ..base.contents import file_text
 from ..errors import FormatError, InputError
 
 BUILT_IN = ("scannet19", "scannet15", "scannet10", "scannet200", "household")

@@ -21,9 +21,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from ..arrays import Bool, Float32, Int64
-from ..codes import Track, untracked
+from ..base.arrays import Bool, Float32, Int64
 from ..errors import FormatError, InputError, MismatchError
+from ..field.codes import Track, untracked
 from ..formats.captures import read_views
 from ..formats.json_files import as_vector, read_json, shown
 from ..formats.lerf_ovs import LabelledFrame, read_lerf_labels

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..arrays import Bool, Float64, Integer, Real
+from ..base.arrays import Bool, Float64, Integer, Real
 
 Labels = Integer[np.ndarray, " n"]
 Numbers = Sequence[float | int] | Real[np.ndarray, " n"]

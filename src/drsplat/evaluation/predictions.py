@@ -16,7 +16,7 @@ from urllib.parse import quote
 import numpy as np
 from PIL import Image
 
-from ..arrays import Bool, Float32
+from ..base.arrays import Bool, Float32
 from ..errors import FormatError, InputError, MismatchError
 from ..formats.json_files import read_json, shown
 from ..formats.replacing import replacing

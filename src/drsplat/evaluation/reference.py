@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..arrays import Float64, Integer
+from ..base.arrays import Float64, Integer
 from ..scene.gaussians import Gaussians
 
 Positions = Float64[np.ndarray, "m 3"]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ..arrays import UInt8
+from ..base.arrays import UInt8
 from ..formats.replacing import replacing
 from .plots import COLUMNS, charts_of
 from .svg import scatter

@@ -6,13 +6,13 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-from ..codes import Track, untracked
-from ..encoders import Encoder
 from ..errors import InputError
+from ..field.codes import Track, untracked
 from ..formats.captures import read_views
 from ..formats.checksums import hash_file
 from ..formats.peer_features import Rows
 from ..query import Scene
+from ..scene.encoders import Encoder
 from ..scene.gaussians import Gaussians
 from . import lerf_ovs, scannet_points, scannet_volume, voxel
 from .choosers import automatic_choosers

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import Float32, Float64, Int32
-from ..codes import Track, untracked
+from ..base.arrays import Float32, Float64, Int32
 from ..errors import FormatError, MismatchError
+from ..field.codes import Track, untracked
 from ..formats.npy import write_npy
 from ..formats.scannet import (
     TABLE_NAME,

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import Int32
+from ..base.arrays import Int32
 from ..errors import MismatchError
 from . import metrics
 from .predictions import read_manifests

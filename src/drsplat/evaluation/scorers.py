@@ -7,14 +7,14 @@ from functools import cache
 
 import numpy as np
 
-from ..arrays import Float32
-from ..encoders import Encoder
+from ..base.arrays import Float32
 from ..errors import MismatchError
 from ..field import LanguageField, relevancy_from_scores
 from ..formats.peer_features import Rows
 from ..query import Scene
 from ..query.search import CHUNK, NEGATIVES, embed_query
 from ..query.wholes import by_object, for_comparing
+from ..scene.encoders import Encoder
 from ..scene.views import pictures_kind, scenes_rendered
 
 BLOCK = 1 << 16

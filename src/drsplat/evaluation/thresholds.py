@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..arrays import Bool, Float32, Float64
+from ..base.arrays import Bool, Float32, Float64
 from .predictions import is_sweep
 
 MIN_GAIN = 1e-12

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import Float64, Int32, Int64
+from ..base.arrays import Float64, Int32, Int64
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 from . import metrics, scannet_volume

@@ -1,7 +1,10 @@
-"""The artefact of the method: a language field, built from evidence, saved, loaded and searched.
+"""The method: features and a scene become a field. Registration, evidence, codes, objects, growth and tiles.
 
-Imports `encoders`, `scene`, `formats`, `kernels`, `codes` and `evidence`. Names are loaded when they are first used:
-who asks a field loads nothing of what builds it.
+The room's own modules are of a language field: built from evidence, saved, loaded and searched. Begin with
+`registration`, then `building` and `language_field`. Names are loaded when they are first used: who asks a field loads
+nothing of what builds it.
+
+Imports `scene`, `formats` and `kernels`.
 """
 
 from importlib import import_module

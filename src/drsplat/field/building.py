@@ -5,17 +5,17 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from scipy.sparse import csr_array
 
-from ..arrays import Bool, Float32, Int32, Int64, Integer, UInt32
-from ..codes import PQ, Code, Codebook, Codes, CodeSpecification, Mixture, Smaller, Track, pq_code, untracked
-from ..codes.codebook import BLOCK
-from ..codes.mixture import Mixed, SceneAtoms, encode_with
-from ..contents import release
-from ..encoders import EncoderIdentity
+from ..base.arrays import Bool, Float32, Int32, Int64, Integer, UInt32
+from ..base.contents import release
 from ..errors import InputError, MismatchError
-from ..evidence.aggregation import MEAN, Aggregated
-from ..evidence.aggregation.entries import canonical
-from ..evidence.evidence import Evidence
-from ..evidence.provenance import Provenance
+from ..scene.encoders import EncoderIdentity
+from .codes import PQ, Code, Codebook, Codes, CodeSpecification, Mixture, Smaller, Track, pq_code, untracked
+from .codes.codebook import BLOCK
+from .codes.mixture import Mixed, SceneAtoms, encode_with
+from .evidence.aggregation import MEAN, Aggregated
+from .evidence.aggregation.entries import canonical
+from .evidence.evidence import Evidence
+from .evidence.provenance import Provenance
 from .growth import Growth
 from .language_field import LanguageField
 from .learning import Learnt, learn, source_of

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from ..arrays import Bool, Float32, Float64, Int64
+from ..base.arrays import Bool, Float32, Float64, Int64
 from ..errors import InputError, MismatchError
 from ..formats.runs import ids_of
 from ..scene.gaussians import SH_C0, Gaussians

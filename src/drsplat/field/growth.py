@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import Int32, Sparse, UInt32
-from ..codes import PQ, Code, CodeSpecification, Mixture, PQCode, Smaller
-from ..codes.mixture import MixtureCode, SceneAtoms, quantised
-from ..codes.mixture.dictionary import SCENE_ATOM
+from ..base.arrays import Int32, Sparse, UInt32
 from ..errors import FormatError, InputError
-from ..evidence.provenance import Provenance
 from ..formats.json_files import is_text, shown
 from ..formats.tensors import check_tensors
+from .codes import PQ, Code, CodeSpecification, Mixture, PQCode, Smaller
+from .codes.mixture import MixtureCode, SceneAtoms, quantised
+from .codes.mixture.dictionary import SCENE_ATOM
+from .evidence.provenance import Provenance
 
 GIVEN = "codebook"
 

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Float64, Int64, Integer
+from ..base.arrays import Float64, Int64, Integer
 from ..errors import FormatError, InputError
 from ..formats.claiming import claimed_output
 from ..formats.json_files import as_vector, is_text, read_json
 from ..formats.replacing import replacing
 from ..formats.runs import are_rows, ids_of, runs_of, spans_of, spans_of_runs
+from .forest import THING
 from .language_field import LanguageField
-from .objects import THING
 
 FORMAT, VERSION = "drsplat labels", 1
 LONGEST, MOST = 200, 10_000  # characters of a name; labels of a file

@@ -8,19 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Float32, Float64, Int64, Integer, UInt32
-from ..codes import Best, Code, Codebook, Hits, PQCode
-from ..encoders import EncoderIdentity, identity_json, identity_text
+from ..base.arrays import Float32, Float64, Int64, Integer, UInt32
+from ..base.terminal import counted, facts_html
 from ..errors import InputError, MismatchError
-from ..evidence.aggregation import MEAN_RECORD, AggregatorRecord, record_json
-from ..evidence.evidence import Evidence, Explanation
 from ..formats.field_folder import TensorFile, write_folder
 from ..formats.tiles import Tiles
+from ..scene.encoders import EncoderIdentity, identity_json, identity_text
 from ..scene.gaussians import Gaussians
 from ..scene.views import pictures_kind, scenes_rendered
-from ..terminal import counted, facts_html
+from .codes import Best, Code, Codebook, Hits, PQCode
+from .evidence.aggregation import MEAN_RECORD, AggregatorRecord, record_json
+from .evidence.evidence import Evidence, Explanation
+from .forest import Objects
 from .growth import Growth
-from .objects import Objects
 
 FORMAT, VERSION = "drsplat field", 3
 CODES, EVIDENCE, NEGATIVES = "codes.safetensors", "evidence.safetensors", "negatives.safetensors"

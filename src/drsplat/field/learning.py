@@ -5,13 +5,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..codes import PQ, Codebook, Mixture, Track, train_codebook
-from ..codes.codebook import TRAINING_POINTS
-from ..codes.mixture import SceneAtoms, learn_scene_atoms
-from ..encoders import EncoderIdentity
-from ..evidence.aggregation import Aggregated
-from ..evidence.aggregation.entries import canonical, column_counts, of_columns
-from ..evidence.evidence import Evidence
+from ..scene.encoders import EncoderIdentity
+from .codes import PQ, Codebook, Mixture, Track, train_codebook
+from .codes.codebook import TRAINING_POINTS
+from .codes.mixture import SceneAtoms, learn_scene_atoms
+from .evidence.aggregation import Aggregated
+from .evidence.aggregation.entries import canonical, column_counts, of_columns
+from .evidence.evidence import Evidence
 
 LEARNT_FROM = 64  # views
 

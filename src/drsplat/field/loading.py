@@ -7,12 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Float64
-from ..codes import Code, PQCode, codebook_from_tensors, encoder_from_json
-from ..codes.mixture import MixtureCode, mixture_from_tensors
+from ..base.arrays import Float64
 from ..errors import FormatError, InputError, MismatchError
-from ..evidence.aggregation import record_from_json
-from ..evidence.evidence import Evidence, evidence_from_tensors
 from ..formats.checksums import DOCUMENT, check_checksums, check_document, check_seal
 from ..formats.field_folder import MANIFEST, read_manifest
 from ..formats.json_files import as_vector, is_text, shown
@@ -20,6 +16,11 @@ from ..formats.recognising import Kind, mistaken
 from ..formats.runs import MAX_GAUSSIANS
 from ..formats.tensors import check_tensors, map_tensors, read_tensors
 from ..kernels import group_codes
+from .codes import Code, PQCode, codebook_from_tensors, encoder_from_json
+from .codes.mixture import MixtureCode, mixture_from_tensors
+from .evidence.aggregation import record_from_json
+from .evidence.evidence import Evidence, evidence_from_tensors
+from .forest import ARRAYS, Objects
 from .growth import growth_from_tensors
 from .language_field import (
     CODES,
@@ -34,7 +35,6 @@ from .language_field import (
     Negatives,
     WordList,
 )
-from .objects import ARRAYS, Objects
 from .stored import StoredField
 
 SUMMED = 3  # the first version with checksums
@@ -195,7 +195,7 @@ def _code(tensors: _Tensors, manifest: dict[str, object], path: Path) -> Code:
 def _searched_on(code: Code, device: str) -> Code:
     if device == "cpu":
         return code
-    from ..codes.device_code import searched_on
+    from .codes.device_code import searched_on
 
     return searched_on(code, device)
 

@@ -9,16 +9,16 @@ from collections.abc import Collection
 import numpy as np
 from scipy.sparse import csr_array, vstack
 
-from ..arrays import Bool, Int32, Int64
-from ..codes import Codebook, Codes, Mixture, PQCode, Track, pq_code, untracked
-from ..codes.mixture import Mixed, MixtureCode, fits_at_once, regrown_mixture
+from ..base.arrays import Bool, Int32, Int64
 from ..errors import InputError
-from ..evidence.aggregation import MEAN, aggregator
-from ..evidence.aggregation.entries import canonical
-from ..evidence.changing import GONE
-from ..evidence.evidence import Evidence, MaskIds
-from ..evidence.provenance import Provenance
 from .building import Coded, chosen_code, encode_features, grown_of
+from .codes import Codebook, Codes, Mixture, PQCode, Track, pq_code, untracked
+from .codes.mixture import Mixed, MixtureCode, fits_at_once, regrown_mixture
+from .evidence.aggregation import MEAN, aggregator
+from .evidence.aggregation.entries import canonical
+from .evidence.changing import GONE
+from .evidence.evidence import Evidence, MaskIds
+from .evidence.provenance import Provenance
 from .growth import Growth
 from .language_field import LanguageField
 from .learning import Learnt, learning_views

@@ -4,14 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import Bool
-from ..codes import PQ, Codebook, Mixture, PQCode
+from ..base.arrays import Bool
 from ..errors import InputError
-from ..evidence.aggregation import aggregator
-from ..evidence.aggregation.entries import with_weights
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Span
 from .building import build_field
+from .codes import PQ, Codebook, Mixture, PQCode
+from .evidence.aggregation import aggregator
+from .evidence.aggregation.entries import with_weights
 from .language_field import LanguageField
 from .regrowing import whole_evidence
 

@@ -1,4 +1,6 @@
 """Reading and writing other people's files: one small module per format, by header, never by position.
 
-Imports `encoders`, `scene` and `masks`.
+Begin with `scenes` and `captures`, which choose the reader of a file.
+
+Imports `scene`.
 """

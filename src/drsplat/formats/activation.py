@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..arrays import Anywhere, Bool, Float32, Integer
+from ..base.arrays import Anywhere, Bool, Float32, Integer
 from ..errors import FormatError
 from ..scene.gaussians import Gaussians
 

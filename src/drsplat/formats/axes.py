@@ -6,7 +6,7 @@ tileset of the Earth has z up. The world of a scene may have anything up.
 
 import numpy as np
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 
 HALF_TURN = np.diag([1.0, -1.0, -1.0])  # about x: between the axes of a PLY, y down, and those of glTF, y up
 Z_UP_FROM_PLY = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Float64, UInt8
+from ..base.arrays import Float64, UInt8
 from ..errors import DrSplatWarning, FormatError, InputError
 from ..scene.views import View
 from .cameras_json import read_cameras_json

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..contents import open_file, pieces
+from ..base.contents import open_file, pieces
 from ..errors import FormatError
 from .json_files import document_in
 

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import BinaryIO
 
-from .. import system
+from ..base import system
 from ..errors import InputError
 from .replacing import sweep
 

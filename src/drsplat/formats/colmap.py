@@ -5,7 +5,7 @@ from types import ModuleType
 
 import numpy as np
 
-from ..arrays import Float64, UInt8
+from ..base.arrays import Float64, UInt8
 from ..errors import FormatError, InputError
 from ..scene.views import View
 from . import colmap_binary, colmap_text

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ..contents import SMALL, open_file
+from ..base.contents import SMALL, open_file
 from ..errors import FormatError
 from .colmap_records import MODEL_NAMES, CameraRecord, ImageRecord, PointRecord, parameter_names
 

@@ -5,7 +5,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import TypeVar
 
-from ..contents import open_file
+from ..base.contents import open_file
 from ..errors import FormatError
 from .colmap_records import CameraRecord, ImageRecord, PointRecord
 

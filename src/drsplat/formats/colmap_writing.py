@@ -9,7 +9,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from ..arrays import Float64, UInt8
+from ..base.arrays import Float64, UInt8
 from ..errors import InputError
 from ..scene.views import View
 from .colmap_binary import CAMERA, COUNT, IMAGE, POINT

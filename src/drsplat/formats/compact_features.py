@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import zstandard
 
-from ..arrays import Float32, Int32, Int64
+from ..base.arrays import Float32, Int32, Int64
 from ..errors import FormatError, InputError
 from .tensors import check_tensors, read_tensors, write_tensors
 

@@ -11,7 +11,7 @@ Source: PlayCanvas, "Compressed PLY format" (SuperSplat user manual).
 
 import numpy as np
 
-from ..arrays import Float32, UInt32
+from ..base.arrays import Float32, UInt32
 from ..errors import FormatError
 from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians
 from .activation import checked, exp, from_smallest_three

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from ..contents import file_text
+from ..base.contents import file_text
 from ..errors import FormatError, InputError
 
 MOST_ROWS = 1_000_000

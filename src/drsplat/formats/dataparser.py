@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 from ..errors import FormatError
 from ..scene.views import View
 from .json_files import as_matrix, as_number, read_json

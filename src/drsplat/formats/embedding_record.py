@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from ..encoders import EncoderIdentity
 from ..errors import FormatError, InputError, MismatchError
+from ..scene.encoders import EncoderIdentity
 from .checksums import DOCUMENT, check_document, check_seal, hash_file, sealed
 from .feature_files import COMPACT, EMBEDDINGS, MAPS, Form, stems
 from .journal import Journal, changes_to

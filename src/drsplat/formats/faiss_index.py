@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Float32
-from ..contents import file_bytes, open_file
+from ..base.arrays import Float32
+from ..base.contents import file_bytes, open_file
 from ..errors import FormatError, InputError
 
 _PLAIN = {b"IxPq", b"IxPQ"}

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..contents import open_file
+from ..base.contents import open_file
 from ..errors import FormatError, InputError
 from .checksums import sealed
 from .claiming import claimed_output

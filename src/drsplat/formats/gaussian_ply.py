@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import Float32, Float64
+from ..base.arrays import Float32, Float64
 from ..errors import FormatError
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians, flat
 from ..scene.placing import local_origin

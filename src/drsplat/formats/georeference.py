@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 from ..errors import FormatError
 from ..scene.geodesy import geodetic
 from .json_files import as_matrix, as_number, read_json

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Float32, Float64, Int32
-from ..contents import file_bytes
+from ..base.arrays import Float32, Float64, Int32
+from ..base.contents import file_bytes
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians, concatenated
 from ..scene.placing import FEWEST, local_origin

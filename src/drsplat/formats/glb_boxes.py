@@ -4,7 +4,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 from ..scene.annotations import Annotation
 from ..scene.labelled import LabelledScene, Thing
 from .glb_layout import rotation_xyzw

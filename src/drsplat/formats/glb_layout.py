@@ -7,7 +7,7 @@ import struct
 
 import numpy as np
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 from ..scene.similarity import quaternion_of
 
 MAGIC, VERSION = b"glTF", 2

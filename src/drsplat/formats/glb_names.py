@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Int32
+from ..base.arrays import Int32
 from ..errors import FormatError
 from .glb_layout import METADATA
 from .glb_tables import NAME, NUMBER

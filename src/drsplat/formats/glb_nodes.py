@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 from ..errors import FormatError
 from ..scene.rotations import rotation_matrices
 from .axes import HALF_TURN, standing_up

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..arrays import Float32, Int32, UInt8
+from ..base.arrays import Float32, Int32, UInt8
 from ..errors import InputError
 from ..scene.gaussians import SH_C0, Gaussians
 from ..scene.labelled import LabelledScene

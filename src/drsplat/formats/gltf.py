@@ -13,7 +13,7 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from ..contents import file_bytes
+from ..base.contents import file_bytes
 from ..errors import FormatError
 from .glb_layout import BINARY_CHUNK, CHUNK, COMPONENTS, HEADER, JSON_CHUNK, MAGIC, VERSION, WIDTHS
 from .json_files import document_in, shown

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from ..contents import open_file
+from ..base.contents import open_file
 from ..errors import FormatError
 from .checksums import check_seal, sealed
 from .json_files import document_in

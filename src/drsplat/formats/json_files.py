@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Float64
-from ..contents import file_text
+from ..base.arrays import Float64
+from ..base.contents import file_text
 from ..errors import FormatError, InputError
 
 LARGEST = 1e100  # of any number: three multiplied are still finite

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Float32, Float64
+from ..base.arrays import Float32, Float64
 from ..errors import FormatError
 from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians
 from .activation import checked

@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Float32, Int32, Int64
-from ..encoders import EncoderIdentity
+from ..base.arrays import Float32, Int32, Int64
+from ..base.terminal import counted
 from ..errors import DrSplatError, FormatError, InputError, MismatchError
-from ..masks.features import ViewFeatures
-from ..masks.masks import LEVELS
-from ..terminal import counted
+from ..scene.encoders import EncoderIdentity
+from ..scene.masks.features import ViewFeatures
+from ..scene.masks.masks import LEVELS
 from .compact_features import CompactFile, read_compact, write_compact
 from .embedding_record import check_finished, embedded_by, finished_photos
 from .feature_files import COMPACT, EMBEDDINGS, MAPS, Form, stems

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..contents import file_bytes
+from ..base.contents import file_bytes
 from ..errors import FormatError
 from ..scene.gaussians import Gaussians, concatenated
 from ..scene.similarity import similarity_of

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 from ..scene.gaussians import Gaussians
 from ..scene.morton import morton_order
 from .tiles import Tiles

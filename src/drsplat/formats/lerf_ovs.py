@@ -15,7 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..arrays import Bool, Float64, Int64
+from ..base.arrays import Bool, Float64, Int64
 from ..errors import FormatError, InputError
 from .json_files import as_count, as_vector, read_json, shown
 from .photo_files import safe_name

@@ -12,8 +12,8 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from ..arrays import Bool, Float64, Int64
-from ..contents import file_text
+from ..base.arrays import Bool, Float64, Int64
+from ..base.contents import file_text
 from ..errors import FormatError, InputError
 from .json_files import as_count, as_number, shown
 from .photo_files import safe_name

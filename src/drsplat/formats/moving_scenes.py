@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from ..contents import open_file
+from ..base.contents import open_file
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Moving

@@ -13,7 +13,7 @@ from typing import Any, BinaryIO, Literal
 
 import numpy as np
 
-from ..contents import open_file
+from ..base.contents import open_file
 from ..errors import FormatError, InputError
 from .replacing import replacing
 

@@ -19,7 +19,7 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from ..arrays import Float32, Integer, Num
+from ..base.arrays import Float32, Integer, Num
 from ..errors import FormatError, InputError, MissingExtraError
 from .npy import map_npy, read_npy
 from .tensors import map_tensors

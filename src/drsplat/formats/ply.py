@@ -11,7 +11,7 @@ from os import PathLike
 
 import numpy as np
 
-from ..arrays import Float32, Shaped
+from ..base.arrays import Float32, Shaped
 from ..errors import DrSplatWarning, FormatError, InputError
 from .ply_header import SCALAR_TYPES, Element, Header
 from .replacing import replacing

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..contents import open_file
+from ..base.contents import open_file
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Frames, Moving, counted_from

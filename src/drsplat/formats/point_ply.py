@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Float64, UInt8
+from ..base.arrays import Float64, UInt8
 from ..errors import FormatError, InputError
 from .ply import Records, read_elements
 from .ply_header import read_header

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 from ..errors import FormatError, InputError
 from ..scene.rotations import rotation_matrices
 from ..scene.views import View

@@ -8,7 +8,7 @@ from enum import Enum
 from itertools import islice
 from pathlib import Path
 
-from ..contents import open_file
+from ..base.contents import open_file
 from ..errors import DrSplatError, InputError, did_you_mean
 from .colmap import find_model
 from .feature_files import COMPACT, EMBEDDINGS

@@ -16,7 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import BinaryIO
 
-from .. import system
+from ..base import system
 from ..errors import InputError
 
 _WAITING: ContextVar[list[tuple[Path, Path, int | None]] | None] = ContextVar("waiting", default=None)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 from ..errors import MissingExtraError
 from ..scene.gaussians import SH_C0, Gaussians
 from ..scene.labelled import LabelledScene, Thing

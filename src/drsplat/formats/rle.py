@@ -7,7 +7,7 @@ Source: the COCO API (masks.h, maskApi.c), its data formats; read for facts.
 
 import numpy as np
 
-from ..arrays import Bool, Float, Int64, UInt8
+from ..base.arrays import Bool, Float, Int64, UInt8
 from ..errors import FormatError
 
 _FIRST, _DIGIT, _MORE, _SIGN, _BITS = 48, 0x1F, 0x20, 0x10, 5

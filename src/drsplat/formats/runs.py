@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..arrays import Int64, Integer
+from ..base.arrays import Int64, Integer
 from ..errors import FormatError
 from .json_files import as_count
 

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Float32, Int32
-from ..contents import file_bytes, file_text
+from ..base.arrays import Float32, Int32
+from ..base.contents import file_bytes, file_text
 from ..errors import FormatError, InputError, MismatchError
 from .json_files import read_json, shown
 from .ply import gather, read_elements

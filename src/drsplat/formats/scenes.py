@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Shaped
-from ..contents import file_bytes
+from ..base.arrays import Shaped
+from ..base.contents import file_bytes
 from ..errors import DrSplatWarning, FormatError, InputError
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians, filled
 from ..scene.units import lost_precision

@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import Float32, UInt8
-from ..contents import file_bytes
+from ..base.arrays import Float32, UInt8
+from ..base.contents import file_bytes
 from ..errors import FormatError
 from ..scene.gaussians import Gaussians, flat
 from .activation import checked, exp, from_smallest_three, sigmoid

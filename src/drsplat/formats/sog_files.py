@@ -14,7 +14,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from ..arrays import UInt8
+from ..base.arrays import UInt8
 from ..errors import FormatError
 from .json_files import shown
 

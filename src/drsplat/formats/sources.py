@@ -7,8 +7,8 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from ..arrays import Bool, Float32, Float64, Integer
-from ..contents import file_bytes
+from ..base.arrays import Bool, Float32, Float64, Integer
+from ..base.contents import file_bytes
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians
 from ..scene.similarity import IDENTITY, Similarity, similarity_of

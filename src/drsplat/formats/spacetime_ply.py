@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..contents import file_bytes
+from ..base.contents import file_bytes
 from ..errors import FormatError, InputError
 from ..scene.moving import Moving
 from ..scene.spacetime import Spacetime

@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Float32, UInt8
-from ..contents import file_bytes
+from ..base.arrays import Float32, UInt8
+from ..base.contents import file_bytes
 from ..errors import DrSplatWarning, FormatError
 from ..scene.gaussians import Gaussians
 from .activation import checked, exp, from_smallest_three

@@ -15,7 +15,7 @@ import struct
 
 import numpy as np
 
-from ..arrays import Float32, UInt8
+from ..base.arrays import Float32, UInt8
 from ..errors import InputError
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians
 from ..scene.labelled import LabelledScene

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..contents import file_bytes, pieces
+from ..base.contents import file_bytes, pieces
 from ..errors import FormatError, InputError
 from .checksums import check_checksums, check_header, header_checksum, with_checksums
 from .json_files import unique_names

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Float32, Float64
+from ..base.arrays import Float32, Float64
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians, ShapesDigest, drawn_alike, filled
 from ..scene.placing import near_plane

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import Float64, Int32
+from ..base.arrays import Float64, Int32
 from ..scene.gaussians import Gaussians
 from ..scene.labelled import Thing, numbers_of
 from .glb_layout import (

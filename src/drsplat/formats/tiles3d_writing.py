@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..arrays import Float64, Int32
+from ..base.arrays import Float64, Int32
 from ..scene.gaussians import Gaussians, concatenated
 from ..scene.geodesy import enu_axes, geocentric
 from ..scene.labelled import PLY_UP, LabelledScene, Thing

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 from ..errors import DrSplatWarning, FormatError, InputError
 from ..scene.views import View
 from .dataparser import SceneFrame, scene_frame

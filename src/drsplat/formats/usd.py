@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Float64
-from ..contents import file_bytes, open_file
+from ..base.arrays import Float64
+from ..base.contents import file_bytes, open_file
 from ..errors import DrSplatWarning, FormatError, InputError
 from ..scene.annotations import Annotation
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenated

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..arrays import Float32
+from ..base.arrays import Float32
 from ..errors import InputError
 from ..scene.annotations import Annotation
 from ..scene.gaussians import Gaussians, covariances_of

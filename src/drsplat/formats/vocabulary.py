@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Float32
-from ..encoders import EncoderIdentity
+from ..base.arrays import Float32
 from ..errors import FormatError, InputError, did_you_mean
+from ..scene.encoders import EncoderIdentity
 from .checksums import check_checksums
 from .json_files import as_vector, is_text, parsed, read_json, shown
 from .sog import is_sog_meta

@@ -1,5 +1,7 @@
 """The native core: arrays in, arrays out. A function of the same name in tests/twins is its slow float64 twin.
 
+`cuda` does the same on a GPU. Begin with `splatting`, which registers and draws.
+
 Imports `scene`.
 """
 

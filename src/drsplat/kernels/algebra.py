@@ -7,7 +7,7 @@ Every function is the same to the bit for any number of threads; `threads=0` tak
 import numpy as np
 
 from .. import _native
-from ..arrays import Float32, Float64, Int32, Int64, Integer, UInt8
+from ..base.arrays import Float32, Float64, Int32, Int64, Integer, UInt8
 from ..errors import InputError
 from .splatting import checked_isa
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _native
-from ..arrays import Float64, Int64, Integer
+from ..base.arrays import Float64, Int64, Integer
 from ..errors import InputError
 from ..scene.boxes import Box
 from ..scene.gaussians import Gaussians

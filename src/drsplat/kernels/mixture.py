@@ -11,7 +11,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from .. import _native
-from ..arrays import Float16, Float32, Int8, Int32, Int64, Integer, UInt8, UInt16
+from ..base.arrays import Float16, Float32, Int8, Int32, Int64, Integer, UInt8, UInt16
 from ..errors import InputError
 from .splatting import checked_isa
 

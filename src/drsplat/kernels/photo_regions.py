@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import _native
-from ..arrays import Float32, Float64, Int32, UInt8
+from ..base.arrays import Float32, Float64, Int32, UInt8
 from ..errors import InputError
 from .splatting import checked_isa
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from .. import _native
-from ..arrays import Float32, UInt16
+from ..base.arrays import Float32, UInt16
 from ..errors import InputError
 from .splatting import checked_isa
 

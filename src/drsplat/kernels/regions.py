@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _native
-from ..arrays import Float32, Int32, Integer, Sparse
+from ..base.arrays import Float32, Int32, Integer, Sparse
 from ..errors import InputError
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _native
-from ..arrays import Float32, Int32, Int64, Integer, UInt8, UInt16
+from ..base.arrays import Float32, Int32, Int64, Integer, UInt8, UInt16
 from ..errors import InputError
 from .algebra import CENTROIDS
 from .splatting import checked_isa

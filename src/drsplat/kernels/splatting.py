@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import _native
-from ..arrays import Anywhere, Bool, Float32, Float64, Int32, Integer, UInt32
+from ..base.arrays import Anywhere, Bool, Float32, Float64, Int32, Integer, UInt32
 from ..errors import InputError
 from ..scene.gaussians import Gaussians, covariances_of
 from ..scene.placing import PUBLISHED_NEAR

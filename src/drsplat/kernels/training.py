@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _native
-from ..arrays import Float32
+from ..base.arrays import Float32
 from ..errors import InputError
 from ..scene.placing import PUBLISHED_NEAR
 from ..scene.views import View

@@ -1,11 +1,11 @@
 """The engine: an opened `Scene` is asked a `Query` and gives an `Answer`, and `Match`es where it has Gaussians.
 
 Every rule of measuring, cutting and grouping is here, and every default: the command line, Python, the viewer, HTTP,
-MCP, the demo and the evaluation turn their input into a query and show an answer. Names are loaded when they are
-first used: the command line reads the defaults here without NumPy.
+MCP, the demo and the evaluation turn their input into a query and show an answer. `catalogue` asks many scenes at once.
+Begin with `query`, `scene` and `tasks`. Names are loaded when they are first used: the command line reads the defaults
+here without NumPy.
 
-Imports `encoders`, `scene`, `masks`, `formats`, `kernels`, `codes`, `evidence`, `field`, `objects`, `models` and
-`drawing`.
+Imports `scene`, `formats`, `kernels`, `field`, `photos` and `drawing`.
 """
 
 from importlib import import_module

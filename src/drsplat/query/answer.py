@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Float32, Float64, Int32, Int64, Integer, PilImage
+from ..base.arrays import Float32, Float64, Int32, Int64, Integer, PilImage
+from ..base.terminal import counted, facts_html
 from ..errors import InputError
-from ..evidence.evidence import Explanation
 from ..field import LanguageField
+from ..field.evidence.evidence import Explanation
 from ..scene.moving import Span
 from ..scene.views import View
-from ..terminal import counted, facts_html
 from .defaults import COSINE, GIVEN, LABEL, OBJECT, RELEVANCY
 from .search import LOWEST
 

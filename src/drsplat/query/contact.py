@@ -7,7 +7,7 @@ of whether it stands there; Gaussians beside its foot do. Defined in docs/object
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..arrays import Float64, Integer
+from ..base.arrays import Float64, Integer
 from ..scene.boxes import solid
 from ..scene.gaussians import Gaussians
 

@@ -11,7 +11,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ..arrays import Bool, Float32, Float64, UInt16
+from ..base.arrays import Bool, Float32, Float64, UInt16
 from ..field import LanguageField
 from ..kernels.ranking import keep_best
 from .thresholds import PEAK, clear_threshold, peak_score

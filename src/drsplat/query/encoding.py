@@ -5,12 +5,12 @@ from copy import copy
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-from ..encoders import Encoder, EncoderIdentity
 from ..errors import InputError, MismatchError
 from ..formats.vocabulary import read_vocabulary
-from ..models.loading import load_encoder
-from ..models.mini import MiniEncoder
-from ..models.words import WordEncoder
+from ..photos.models.loading import load_encoder
+from ..photos.models.mini import MiniEncoder
+from ..photos.models.words import WordEncoder
+from ..scene.encoders import Encoder, EncoderIdentity
 
 Load = Callable[[str, str], Encoder]
 

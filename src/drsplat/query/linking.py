@@ -5,7 +5,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ..arrays import Float64, Int64, Integer
+from ..base.arrays import Float64, Int64, Integer
 
 NEIGHBOURS = 8
 BORDER = 0.5

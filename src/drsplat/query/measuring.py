@@ -6,11 +6,12 @@ from functools import cached_property
 
 import numpy as np
 
-from ..arrays import Float32, UInt8
-from ..encoders import Encoder, ImageEncoder
+from ..base.arrays import Float32, UInt8
 from ..errors import InputError
 from ..field import LanguageField, Negatives, relevancy_from_scores
-from ..masks.crops import crop
+from ..photos.models.word_list import list_vectors, rival_vectors
+from ..scene.encoders import Encoder, ImageEncoder
+from ..scene.masks.crops import crop
 from .answer import Answer
 from .contrast import Contrast, contrast, contrast_of_kind, middle_threshold, relevancy_threshold
 from .defaults import AUTO, COSINE, DEFAULT, ENCODER, GIVEN, LIST, RELEVANCY, RELEVANCY_THRESHOLD, SHARE
@@ -19,7 +20,6 @@ from .query import Cut, Query
 from .search import CHUNK, LOWEST, NEGATIVES, embed_query, rival_scores, split_negation, text_negatives, without
 from .thresholds import PEAK, default_threshold, peak_score, share_threshold
 from .wholes import by_object
-from .word_list import list_vectors, rival_vectors
 
 HALF = 0.6  # of the 40th highest cosine: half of what is asked for, and some more
 

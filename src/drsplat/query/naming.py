@@ -5,15 +5,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import Float32
-from ..encoders import Encoder
+from ..base.arrays import Float32
 from ..errors import InputError
 from ..field import LanguageField
 from ..formats.vocabulary import VocabularyEncoder
-from ..models.mini import MiniEncoder
-from ..models.mini.lexicon import COLORS, NAMES, STRUCTURES, nouns_in
+from ..photos.models.mini import MiniEncoder
+from ..photos.models.mini.lexicon import COLORS, NAMES, STRUCTURES, nouns_in
+from ..photos.models.word_list import list_vectors
+from ..scene.encoders import Encoder
 from .contrast import LEAST_SPREAD, NEAR, TILT, usual_pictures
-from .word_list import list_vectors
 
 SAMPLED_ROWS = 1000
 NAMED_AGAINST = 1024  # pictures of the scene that say what is usual

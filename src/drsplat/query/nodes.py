@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import Float, Integer
-from ..field.objects import GROUP, THING, Objects
-from ..terminal import counted
+from ..base.arrays import Float, Integer
+from ..base.terminal import counted
+from ..field.forest import GROUP, THING, Objects
 from .objects import most_seen, objects_of
 from .scene import Scene
 

@@ -4,11 +4,11 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from ..arrays import Float, Integer
+from ..base.arrays import Float, Integer
 from ..errors import InputError
-from ..evidence.evidence import Explanation
 from ..field import LanguageField
-from ..field.objects import Objects
+from ..field.evidence.evidence import Explanation
+from ..field.forest import Objects
 from .answer import Answer, Match
 
 SUPPORT = 3  # masks listed for an object

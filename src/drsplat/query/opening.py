@@ -16,7 +16,7 @@ from ..formats.recognising import FIELD_SUFFIX, SCENE_SUFFIXES, Kind, mistaken, 
 from ..formats.scan_record import MODEL, read_scan_record
 from ..formats.scenes import was_edited
 from ..formats.tiles import TILES
-from ..models.loading import DEFAULT_ENCODER, load_encoder
+from ..photos.models.loading import DEFAULT_ENCODER, load_encoder
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Moving, canonical_of
 from ..scene.views import View

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..arrays import Float64, Integer
+from ..base.arrays import Float64, Integer
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 

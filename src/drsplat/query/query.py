@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import Float32, UInt8
+from ..base.arrays import Float32, UInt8
 from ..errors import InputError
 from .defaults import AUTO, NEVER
 

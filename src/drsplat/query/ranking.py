@@ -11,10 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Bool, Float32, Int64
-from ..encoders import Encoder, identity_text
+from ..base.arrays import Bool, Float32, Int64
 from ..errors import InputError, MismatchError
 from ..field import relevancy_from_scores
+from ..photos.models.word_list import list_vectors, rival_vectors
+from ..scene.encoders import Encoder, identity_text
 from .contrast import Contrast, contrast_of, relevancy_threshold
 from .defaults import AUTO, COSINE, DEFAULT, ENCODER, GIVEN, LIST, RELEVANCY, RELEVANCY_THRESHOLD
 from .encoding import Embedded
@@ -22,7 +23,6 @@ from .measuring import embedded_image, least_peak, own_threshold, whole
 from .query import Query
 from .search import NEGATIVES, embed_query, split_negation
 from .thresholds import automatic_threshold, threshold_above
-from .word_list import list_vectors, rival_vectors
 
 MIN_OBJECTS = 1  # object that fits is enough
 CUT_OF_OBJECTS = 0.8  # of the way to the peak: values of whole objects are further apart than those of Gaussians

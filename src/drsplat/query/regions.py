@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 from ..errors import InputError
 from .defaults import MIN_GAUSSIANS
 from .naming import own_vocabulary

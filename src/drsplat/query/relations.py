@@ -8,7 +8,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 from ..errors import InputError
 from ..scene.boxes import solid
 from ..scene.gaussians import Gaussians

@@ -7,19 +7,19 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Bool, Float32, Float64, Int32, Integer, UInt8
-from ..encoders import Encoder
+from ..base.arrays import Bool, Float32, Float64, Int32, Integer, UInt8
+from ..base.terminal import facts_html
 from ..errors import InputError, MissingExtraError
 from ..field import LanguageField
+from ..field.forest import Objects
 from ..field.labels import Label, LabelFile, Matched, matched
-from ..field.objects import Objects
+from ..field.objects.agreed import agreed
 from ..kernels import SplatArrays, splat_arrays
-from ..objects.agreed import agreed
 from ..scene.boxes import BoxKind, up_of
+from ..scene.encoders import Encoder
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Moving, Span, canonical_of
 from ..scene.views import View
-from ..terminal import facts_html
 from .answer import Answer, Match, MatchTrack, Segmentation, Word
 from .defaults import COSINE, LABEL, MIN_GAUSSIANS, OBJECT
 from .encoding import source_of

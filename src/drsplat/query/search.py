@@ -5,11 +5,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..arrays import Float32, Int64
-from ..encoders import Encoder
+from ..base.arrays import Float32, Int64
 from ..errors import InputError
 from ..field import LanguageField, Negatives
 from ..kernels import splat_arrays, view_weights
+from ..scene.encoders import Encoder
 from ..scene.gaussians import Gaussians
 from ..scene.views import View
 from .encoding import Embedded

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..base.terminal import counted
 from ..drawing.cards import Card, card_sheet
 from ..drawing.cutouts import TILE, cut_out
 from ..drawing.heat import heat_of
@@ -21,7 +22,6 @@ from ..drawing.pictures import (
 from ..drawing.rendering import render
 from ..errors import InputError
 from ..scene.views import View
-from ..terminal import counted
 from .answer import Answer, Match
 from .objects import objects_of, photos_of
 from .query import Query

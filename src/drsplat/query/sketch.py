@@ -7,17 +7,18 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array
 
-from ..arrays import Float32, Int8, Int32, Int64, Integer
-from ..codes.code import Best, Hits
-from ..codes.mixture.scene_atoms import spherical_kmeans
-from ..encoders import Encoder, EncoderIdentity
+from ..base.arrays import Float32, Int8, Int32, Int64, Integer
 from ..errors import FormatError
-from ..evidence.evidence import Evidence, MaskIds
 from ..field import LanguageField
+from ..field.codes.code import Best, Hits
+from ..field.codes.mixture.scene_atoms import spherical_kmeans
+from ..field.evidence.evidence import Evidence, MaskIds
+from ..field.forest import THING, Objects
 from ..field.labels import same_name
-from ..field.objects import THING, Objects
 from ..kernels.mixture import nearest_centres
+from ..photos.models.word_list import list_vectors
 from ..scene.boxes import HAZE
+from ..scene.encoders import Encoder, EncoderIdentity
 from .contrast import Contrast, contrast_of, usual_pictures
 from .defaults import MIN_GAUSSIANS, RELEVANCY
 from .measuring import Background, Measuring
@@ -25,7 +26,6 @@ from .objects import objects_of
 from .query import Query
 from .scene import Scene
 from .thresholds import PEAK
-from .word_list import list_vectors
 
 MOST_OF_OBJECT, MOST_LOOSE = 4, 32  # vectors for one object, and for all Gaussians that belong to none
 ROWS_EACH = 16  # that a vector is the mean of, at least

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 from ..errors import InputError
 from ..scene.boxes import solid
 from ..scene.gaussians import Gaussians

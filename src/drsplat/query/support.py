@@ -4,10 +4,10 @@ from itertools import islice
 
 import numpy as np
 
-from ..arrays import Float32, Integer
+from ..base.arrays import Float32, Integer
 from ..errors import InputError
-from ..evidence.evidence import Explanation
 from ..field import LanguageField
+from ..field.evidence.evidence import Explanation
 from .answer import Answer, Match
 from .objects import SUPPORT, objects_of, support_of
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from ..arrays import Float32, Float64, Int32, Int64
+from ..base.arrays import Float32, Float64, Int32, Int64
 from ..errors import InputError
 from ..field import LanguageField
 from ..kernels.boxes import box_of

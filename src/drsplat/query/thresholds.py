@@ -6,7 +6,7 @@ All follow the scores when these are shifted or scaled, and none depends on thei
 
 import numpy as np
 
-from ..arrays import Float
+from ..base.arrays import Float
 from ..errors import InputError
 
 PEAK = 40  # rows: a thing of fewer is a speck

@@ -6,12 +6,12 @@ from typing import cast
 
 import numpy as np
 
-from ..arrays import Bool, Float64
+from ..base.arrays import Bool, Float64
 from ..errors import InputError
 from ..field import LanguageField
+from ..field.objects.describing import objects_during
 from ..field.spans import field_during
 from ..kernels.boxes import box_of
-from ..objects.describing import objects_during
 from ..scene.boxes import HAZE, solid
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Moving, Span, canonical_of

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ..arrays import Float32, Int32, UInt32
+from ..base.arrays import Float32, Int32, UInt32
 from ..field import LanguageField
-from ..field.objects import Objects
+from ..field.forest import Objects
 
 SHARE = 0.25  # of an object's Gaussians that speak for it
 TRUST = 0.5  # in what an object says against what a Gaussian of it says

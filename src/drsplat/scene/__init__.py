@@ -1,4 +1,6 @@
-"""Parts of the world: Gaussians, posed views and their lenses, photos, boxes, units and frames.
+"""Parts of the world: Gaussians, posed views and their lenses, photos and their masks, boxes, units and frames.
 
-Imports nothing but errors and words for people.
+What a mask and an encoder are is said here too, not what makes them. Begin with `gaussians` and `views`.
+
+Imports nothing but base.
 """

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 from ..errors import InputError
 
 MAX_LENGTH = 200  # characters

@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from ..arrays import Float64, Integer
+from ..base.arrays import Float64, Integer
 from ..errors import InputError
 from .gaussians import Gaussians
 from .views import View

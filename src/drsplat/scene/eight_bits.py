@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import Bool, Float32, Float64
+from ..base.arrays import Bool, Float32, Float64
 from .gaussians import SH_C0, Gaussians
 from .similarity import sh_basis
 

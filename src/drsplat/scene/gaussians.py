@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..arrays import Bool, Float32, Float64, Integer
+from ..base.arrays import Bool, Float32, Float64, Integer
 from ..errors import InputError
 from .placing import FEWEST, local_origin, near_plane
 from .rotations import rotation_matrices, rotation_rows

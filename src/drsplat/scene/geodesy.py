@@ -5,7 +5,7 @@ Source: WGS 84, NGA.STND.0036: semi-major axis and flattening; Bowring 1976 for 
 
 import numpy as np
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 
 RADIUS_M, FLATTENING = 6_378_137.0, 1 / 298.257223563
 E2 = FLATTENING * (2 - FLATTENING)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import Float32, Float64, Int32
+from ..base.arrays import Float32, Float64, Int32
 from ..errors import InputError
 from .annotations import Annotation
 from .gaussians import Gaussians

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 from ..errors import InputError
 from .views import View
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import Float32, Float64, Int, Int64
+from ..base.arrays import Float32, Float64, Int, Int64
 from ..errors import InputError
 from .gaussians import SH_C0, Gaussians
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..arrays import Float, Int64, UInt64
+from ..base.arrays import Float, Int64, UInt64
 
 BITS = 21  # of each axis: three of them fill 63
 _SPREAD = (  # shift, mask: each bit of 21 to every third place

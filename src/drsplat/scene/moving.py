@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from ..arrays import Float32, Float64
+from ..base.arrays import Float32, Float64
 from ..errors import InputError
 from .gaussians import Gaussians
 

@@ -9,8 +9,8 @@ from warnings import warn
 import numpy as np
 from PIL import Image
 
-from ..arrays import Bool
-from ..contents import open_file
+from ..base.arrays import Bool
+from ..base.contents import open_file
 from ..errors import DrSplatWarning, FormatError, MismatchError
 from .photos import PHOTO_FORMATS, photo_size, undistort_ids
 from .picture_costs import check_cost

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from ..arrays import Bool, Float64, Int32, UInt8
-from ..contents import open_file
+from ..base.arrays import Bool, Float64, Int32, UInt8
+from ..base.contents import open_file
 from ..errors import FormatError, InputError
 from .lens import distort_points
 from .picture_costs import check_cost

@@ -6,7 +6,7 @@ exact as one about zero. Poses, boxes and whatever else is reported stay in the 
 
 import numpy as np
 
-from ..arrays import Bool, Float, Float64
+from ..base.arrays import Bool, Float, Float64
 
 PUBLISHED_NEAR = 0.2  # scene units: 3DGS draws nothing that is nearer to a camera
 NEAR_SHARE = 0.05  # of the scene's size, where that is less: scenes smaller than four units

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..arrays import Anywhere, Float
+from ..base.arrays import Anywhere, Float
 
 
 def rotation_matrices(quats: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 3 3"]:

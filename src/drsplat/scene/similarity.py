@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..arrays import Float32, Float64
+from ..base.arrays import Float32, Float64
 from ..errors import InputError
 from .gaussians import SH_C0, Gaussians
 from .placing import local_origin

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import Float32, Float64
+from ..base.arrays import Float32, Float64
 from ..errors import InputError
 from .gaussians import Gaussians
 

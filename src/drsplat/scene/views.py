@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 from ..errors import InputError
 
 PHOTOS, RENDERINGS = "photos", "renderings"

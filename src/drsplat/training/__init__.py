@@ -1,6 +1,8 @@
-"""Posed photos -> a scene of Gaussians: the optimisation of 3DGS, on a CPU.
+"""Posed photos -> a scene of Gaussians: the optimisation of 3DGS, on a CPU or a GPU, and the points it starts from.
 
-Imports `scene`, `formats`, `kernels`, `drawing` and `triangulation`.
+Begin with `loop` and `run`.
+
+Imports `scene`, `formats`, `kernels` and `drawing`.
 """
 
 from .devices import train

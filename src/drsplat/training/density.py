@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from ..arrays import Anywhere, Bool, Float32, Integer
+from ..base.arrays import Anywhere, Bool, Float32, Integer
 from ..formats.activation import sigmoid
 from ..kernels.cuda.places import on_host, placed
 from ..kernels.training import SceneParameters

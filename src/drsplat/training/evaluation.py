@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Float32, UInt8
+from ..base.arrays import Float32, UInt8
 from ..drawing.pictures import as_pixels, write_picture
 from ..kernels.training import SceneParameters, forward
 from ..scene.placing import PUBLISHED_NEAR

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 from ..errors import InputError
 from ..formats.captures import SparsePoints
 from ..scene.views import View

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 from ..errors import DrSplatWarning, InputError
 from ..formats.captures import SparsePoints
 from ..formats.point_ply import read_point_ply

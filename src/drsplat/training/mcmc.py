@@ -9,7 +9,7 @@ from math import comb, sqrt
 
 import numpy as np
 
-from ..arrays import Anywhere, Float32, Float64, Integer
+from ..base.arrays import Anywhere, Float32, Float64, Integer
 from ..formats.activation import sigmoid
 from ..kernels.cuda.places import placed
 from .density import add_opacity_penalty

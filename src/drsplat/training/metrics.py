@@ -5,7 +5,7 @@ import math
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from ..arrays import Bool, Float32, Float64, Integer
+from ..base.arrays import Bool, Float32, Float64, Integer
 
 WINDOW, SIGMA = 11, 1.5
 C1, C2 = 0.01**2, 0.03**2

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..arrays import Anywhere, Bool, Float32, Integer
+from ..base.arrays import Anywhere, Bool, Float32, Integer
 from ..errors import FormatError
 from ..formats.activation import checked, sigmoid
 from ..kernels.cuda.places import contiguous, on_host

@@ -5,7 +5,7 @@ Written out, because libraries contract products of small matrices in orders and
 
 import numpy as np
 
-from ..arrays import Anywhere, Float32
+from ..base.arrays import Anywhere, Float32
 from ..scene.rotations import rotation_rows
 
 

@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ..arrays import Float32
+from ..base.arrays import Float32
 from ..errors import DrSplatError
 from ..kernels.training import Gradients, Loss, Rates, TrainingView, forward, photometric_loss
 from ..scene.gaussians import Gaussians

@@ -8,7 +8,7 @@ from warnings import warn
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..arrays import Float64
+from ..base.arrays import Float64
 from ..errors import DrSplatWarning, InputError
 from ..formats.captures import SparsePoints
 from ..kernels.training import SceneParameters

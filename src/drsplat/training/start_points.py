@@ -6,14 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import Bool, Float64
+from ..base.arrays import Bool, Float64
 from ..errors import DrSplatWarning, InputError
 from ..formats.captures import SparsePoints
 from ..scene.views import View
-from ..triangulation import Triangulation, triangulate
-from ..triangulation.filling import fill
 from .settings import TrainingSettings
 from .start import NEIGHBOURS, scene_extent
+from .triangulation import Triangulation, triangulate
+from .triangulation.filling import fill
 
 FEW = 300  # triangulated points; with more, random ones between them cost PSNR (bench_starts.py)
 GREY = 128

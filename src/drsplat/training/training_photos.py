@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from ..arrays import Bool, Float32, Integer, UInt8
+from ..base.arrays import Bool, Float32, Integer, UInt8
 from ..scene.photo_masks import load_mask
 from ..scene.photos import load_image, photo_coverage
 from ..scene.views import View

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from ...arrays import Float32, Int32
+from ...base.arrays import Float32, Int32
 from ...errors import DrSplatError
 from ...scene.views import View
 from ..splatting import Contributions, Rendering, SplatArrays, Triples

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from ...arrays import Anywhere
+from ...base.arrays import Anywhere
 
 
 def on_host(array: Any) -> np.ndarray:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...arrays import Float32, Int32, Int64
+from ...base.arrays import Float32, Int32, Int64
 from ...errors import InputError
 from ..scan import (
     GroupedRows,

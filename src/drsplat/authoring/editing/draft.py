@@ -1,0 +1,131 @@
+"""A scene while it is edited: rows keep their numbers, whatever is removed, and new ones come behind the last."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...base.arrays import Bool, Float32, Float64, Int64
+from ...errors import InputError
+from ...formats.scenes import read_gaussians
+from ...scene.gaussians import Gaussians, filled
+
+OBJECT_ID = "object_id"  # the column that says whose a row is, -1 for none
+LARGEST = 1e30  # places and sizes: differences of them are still floats of 32 bits
+ROWS_AT_LEAST, ROWS_PER_ROW = 1_000_000, 4  # that edits may make: of any scene, and for each row of a larger one
+Ids = Int64[np.ndarray, " m"]
+
+
+@dataclass(eq=False)
+class Draft:
+    """The arrays of all rows, those of the scene first. Its own: changes write into them.
+
+    present: false where a row was removed. homes: means of rows as they came. added: the rows that each edit brought,
+    from the first to before the last, (0, 0) for none; of the edits so far. read: gives other scenes. most: rows that
+    there may be, removed ones included. antialiased: as of `Gaussians`.
+    """
+
+    means: Float32[np.ndarray, "n 3"]
+    quats: Float32[np.ndarray, "n 4"]
+    scales: Float32[np.ndarray, "n 3"]
+    opacities: Float32[np.ndarray, " n"]
+    sh: Float32[np.ndarray, "n k 3"]
+    extra: dict[str, np.ndarray]
+    origin: Float64[np.ndarray, " 3"]
+    present: Bool[np.ndarray, " n"]
+    homes: Float32[np.ndarray, "n 3"]
+    most: int = ROWS_AT_LEAST
+    added: list[tuple[int, int]] = field(default_factory=list)
+    read: Callable[[str], Gaussians] = read_gaussians
+    antialiased: bool = False
+
+    @classmethod
+    def of(cls, scene: Gaussians) -> "Draft":
+        extra = {name: column.copy() for name, column in scene.extra.items()}
+        present, homes = np.ones(len(scene), bool), scene.means.copy()
+        return cls(
+            scene.means.copy(), scene.quats.copy(), scene.scales.copy(), scene.opacities.copy(), scene.sh.copy(), extra,
+            scene.origin, present, homes, most_rows(len(scene)), antialiased=scene.antialiased,
+        )  # fmt: skip
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def is_sound(self) -> bool:
+        """Return whether all rows are still Gaussians, with numbers that can be computed with."""
+        finite = all(np.isfinite(column).all() for column in (self.quats, self.sh))
+        near = all((np.abs(column) <= LARGEST).all() for column in (self.means, self.scales))  # NaN is not either
+        return finite and near and bool((self.scales > 0).all())
+
+    def gaussians(self) -> Gaussians:
+        """Return the scene as it is now, without removed rows."""
+        return self.part(np.flatnonzero(self.present))
+
+    def everything(self) -> Gaussians:
+        """Return all rows under their numbers, removed ones with opacity 0."""
+        opacities = np.where(self.present, self.opacities, np.float32(0))
+        columns = (self.means, self.quats, self.scales, opacities, self.sh, self.extra, self.origin)
+        return Gaussians(*columns, self.antialiased)
+
+    def part(self, ids: Ids) -> Gaussians:
+        """Return some rows, removed ones as well."""
+        extra = {name: column[ids] for name, column in self.extra.items()}
+        columns = (self.means[ids], self.quats[ids], self.scales[ids], self.opacities[ids], self.sh[ids])
+        return Gaussians(*columns, extra, self.origin, self.antialiased)
+
+    def put(self, ids: Ids, part: Gaussians) -> None:
+        """Rows where and as `part` has them."""
+        self.means[ids] = self._means(part)
+        self.quats[ids], self.scales[ids], self.sh[ids] = part.quats, part.scales, part.sh
+
+    def shift(self, ids: Ids, by: Sequence[int | float] | Float64[np.ndarray, "*rows 3"]) -> None:
+        """Move rows by the same vector, or each by its own."""
+        self.means[ids] = (self.means[ids] + np.asarray(by, np.float64)).astype(np.float32)
+
+    def add(self, part: Gaussians, object_id: int | None = None) -> Ids:
+        """Append rows behind the last, and return their numbers.
+
+        object_id: whose they are, None for the column of `part`. What else only one of the two knows is 0.
+
+        Raises: InputError: more rows than there may be.
+        """
+        first, count = len(self), len(part)
+        self.check_room(count)
+        most = max(self.sh.shape[1], part.sh.shape[1])
+        self.sh = np.concatenate([filled(self.sh, most), filled(part.sh, most)])
+        self.means = np.concatenate([self.means, self._means(part)])
+        self.homes = np.concatenate([self.homes, self.means[first:]])
+        self.quats = np.concatenate([self.quats, part.quats])
+        self.scales = np.concatenate([self.scales, part.scales])
+        self.opacities = np.concatenate([self.opacities, part.opacities])
+        self.present = np.concatenate([self.present, np.ones(count, bool)])
+        for name, column in self.extra.items():
+            own = part.extra.get(name, np.zeros(count, column.dtype)).astype(column.dtype)
+            own = np.full(count, object_id, column.dtype) if name == OBJECT_ID and object_id is not None else own
+            self.extra[name] = np.concatenate([column, own])
+        return np.arange(first, first + count, dtype=np.int64)
+
+    def check_room(self, count: int) -> None:
+        """Check that so many rows may be added. Raises: InputError: more than there may be."""
+        if len(self) + count > self.most:
+            raise InputError(
+                f"adds {count:,} Gaussians to {len(self):,}, and edits of this scene make up to {self.most:,}, removed "
+                "ones included: undo it, or save the scene as it is now and edit what was saved"
+            )
+
+    def next_object(self) -> int:
+        """Return a number that no object has."""
+        ids = self.extra.get(OBJECT_ID)
+        return 0 if ids is None else int(ids.max(initial=-1)) + 1
+
+    def _means(self, part: Gaussians) -> Float32[np.ndarray, "m 3"]:
+        """Return the centres of a part, counted from this draft's origin."""
+        if (part.origin == self.origin).all():
+            return part.means
+        return np.asarray((part.positions - self.origin).astype(np.float32))
+
+
+def most_rows(rows: int) -> int:
+    """Return how many rows edits may make where the largest scene that takes part has so many."""
+    return max(ROWS_AT_LEAST, ROWS_PER_ROW * rows)

@@ -1,0 +1,119 @@
+"""The planes that something stands on or before: ground and walls, from the Gaussians around it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...base.arrays import Bool, Float64, Int64
+
+TRIES = 300  # of three points each
+LOOKED_AT = 4000  # points, to choose a plane by
+TOLERANCE = 0.04  # of the size of what stands there: how far from a plane its Gaussians may lie
+FEWEST, SHARE = 40, 0.005  # Gaussians of a plane, and of those around
+SPREAD, THINNEST = 4.0, 0.2  # median distances from a plane that its Gaussians lie within; least of what they may
+TOUCHES = 4.0  # tolerances between a plane and what stands on it
+LARGEST_SHARE_BEHIND = 0.15  # of what stands there: roots of training, and what is wrong in masks
+SIDES = 4  # of eight directions from its middle in which the plane goes on
+NEAR, BESIDE = 1.6, 0.01  # there: up to so many times its own reach; with such a share of the plane's Gaussians
+ALIKE = 0.9  # cosine of the normals of planes that are one surface, taken twice
+MOST, LOOKS = 3, 12
+Points = Float64[np.ndarray, "n 3"]
+Thing = Float64[np.ndarray, "t 3"]
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """Points x with normal . x = offset; the normal points to where the object is. axes: two in it, at right angles."""
+
+    normal: Float64[np.ndarray, " 3"]
+    offset: float
+    axes: Float64[np.ndarray, "2 3"]
+    tolerance: float
+
+    def heights(self, points: Points) -> Float64[np.ndarray, " n"]:
+        return np.asarray(np.einsum("ni,i->n", points, self.normal) - self.offset)
+
+    def flat(self, points: Points) -> Float64[np.ndarray, "n 2"]:
+        """Places in the plane, in scene units."""
+        return np.asarray(np.einsum("ni,ai->na", points, self.axes))
+
+    def holds(self, points: Points) -> Bool[np.ndarray, " n"]:
+        return np.asarray(np.abs(self.heights(points)) <= self.tolerance)
+
+
+def planes_around(thing: Thing, around: Points) -> list[Plane]:
+    """Up to three planes among points around a thing that it touches and stands before, the largest first."""
+    rng, rest = np.random.default_rng(0), around
+    tolerance = TOLERANCE * float(np.linalg.norm(np.ptp(thing, axis=0)))
+    least = max(FEWEST, int(SHARE * len(around)))
+    planes: list[Plane] = []
+    for _ in range(LOOKS):  # some that are large are none that it stands on
+        plane = _largest(rest, thing, tolerance, rng) if len(rest) >= least else None
+        if plane is None:
+            break
+        inside = plane.holds(rest)
+        if np.count_nonzero(inside) < least:
+            break
+        if _stands_on(plane, thing, rest[inside]) and not any(_are_one(plane, other) for other in planes):
+            planes.append(plane)
+        rest = rest[~inside]
+    return planes[:MOST]
+
+
+def largest_plane(points: Points, thing: Thing) -> Plane | None:
+    """Return the plane that most of some points lie in, its normal to where a thing is; None for points on a line."""
+    return _largest(points, thing, TOLERANCE * float(np.linalg.norm(np.ptp(thing, axis=0))), np.random.default_rng(0))
+
+
+def _largest(points: Points, thing: Thing, tolerance: float, rng: np.random.Generator) -> Plane | None:
+    """Return the plane through three of the points that most of them lie in, fitted to these."""
+    some = points[:: -(-len(points) // LOOKED_AT)]
+    best, most = None, 0
+    a, b, c = some[rng.integers(len(some), size=(TRIES, 3))].transpose(1, 0, 2)
+    for start, normal in zip(a, np.cross(b - a, c - a), strict=True):
+        length = float(np.linalg.norm(normal))
+        if length > 0:
+            inside = np.abs(np.einsum("ni,i->n", some - start, normal / length)) <= tolerance
+            count = int(np.count_nonzero(inside))
+            best, most = (inside, count) if count > most else (best, most)
+    return None if best is None else _fitted(some[best], thing, tolerance)
+
+
+def _fitted(points: Points, thing: Thing, tolerance: float) -> Plane:
+    middle = points.mean(axis=0)
+    away = points - middle
+    axes = np.linalg.eigh(np.einsum("ni,nj->ij", away, away))[1].T
+    normal = axes[0]
+    if np.median(np.einsum("ni,i->n", thing - middle, normal)) < 0:
+        normal = -normal
+    thickness = SPREAD * float(np.median(np.abs(np.einsum("ni,i->n", away, normal))))
+    return Plane(normal, float(normal @ middle), axes[1:], min(tolerance, max(thickness, THINNEST * tolerance)))
+
+
+def _are_one(plane: Plane, other: Plane) -> bool:
+    """Return True for planes of one direction: a thing stands on one ground, and before one wall of each."""
+    return abs(float(plane.normal @ other.normal)) >= ALIKE
+
+
+def _stands_on(plane: Plane, thing: Thing, ground: Points) -> bool:
+    """Return True if a thing is before a plane, touches it, and has it on several sides."""
+    heights, tolerance = plane.heights(thing), TOLERANCE * float(np.linalg.norm(np.ptp(thing, axis=0)))
+    before = float((heights < -tolerance).mean()) <= LARGEST_SHARE_BEHIND
+    touches = float(np.quantile(heights, 0.02)) <= TOUCHES * tolerance
+    return before and touches and num_sides(plane.flat(thing), plane.flat(ground)) >= SIDES
+
+
+def num_sides(thing: Float64[np.ndarray, "t 2"], ground: Float64[np.ndarray, "m 2"]) -> int:
+    """In how many of eight directions the ground begins where a thing ends."""
+    middle = np.median(thing, axis=0)
+    (own, reach), (other, distance) = (_polar(points - middle) for points in (thing, ground))
+    ends = [float(np.quantile(reach[own == k], 0.95)) if (own == k).any() else 0.0 for k in range(8)]
+    least = max(3, int(BESIDE * len(ground)))
+    beside = [np.count_nonzero(distance[other == k] <= NEAR * max(ends[k], ends[k - 4])) for k in range(8)]
+    return sum(int(number) >= least for number in beside)
+
+
+def _polar(away: Float64[np.ndarray, "n 2"]) -> tuple[Int64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+    """Eighths of a turn, and distances."""
+    eighths = np.floor((np.arctan2(away[:, 1], away[:, 0]) + np.pi) / (np.pi / 4)).astype(np.int64) % 8
+    return eighths, np.linalg.norm(away, axis=1)

@@ -1,0 +1,111 @@
+"""An object of another scene in the place of one."""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...base.arrays import Float64, Int64
+from ...errors import DrSplatWarning, InputError, MismatchError
+from ...formats.json_files import is_text
+from ...formats.runs import are_rows, ids_of
+from ...kernels.boxes import box_of
+from ...scene.boxes import Box, solid
+from ...scene.gaussians import Gaussians
+from ...scene.similarity import similarity_of
+from .draft import OBJECT_ID, Draft, most_rows
+
+Vector = Float64[np.ndarray, " 3"]
+Spans = Int64[np.ndarray, "s 2"]
+Ids = Int64[np.ndarray, " m"]
+LEAST = 1e-9  # length of a box that something can be fitted to
+
+
+@dataclass(frozen=True, eq=False)
+class Replace:
+    """Replacement: the target is removed, and rows of another scene stand in its place.
+
+    scene: its file. fingerprint: of its Gaussians. spans: its rows, None for all. matrix: 4x4, from its world to that
+    of the scene that is edited; `fitted` makes one. What comes belongs to the object that goes.
+
+    Raises: InputError: no path, rows that do not ascend, or a matrix that is no rotation, scale and translation.
+    """
+
+    scene: str
+    fingerprint: str
+    matrix: Float64[np.ndarray, "4 4"]
+    spans: Spans | None = None
+
+    def __post_init__(self) -> None:
+        if not self.scene or not is_text(self.scene):
+            raise InputError("replace: expected the path of a scene")
+        if self.spans is not None and not are_rows(self.spans):
+            raise InputError("replace: spans: expected ascending rows of the other scene, one or more")
+        similarity_of(self.matrix)
+
+    def apply(self, draft: Draft, ids: Ids) -> None:
+        other = draft.read(self.scene)
+        _tell_of_another_drawing(draft, other)
+        draft.most = max(draft.most, most_rows(len(other)))
+        draft.present[ids] = False
+        draft.add(similarity_of(self.matrix).moved(self._part(other)), _object_of(draft, ids))
+
+    def _part(self, other: Gaussians) -> Gaussians:
+        if other.fingerprint != self.fingerprint:
+            raise MismatchError(
+                f"{self.scene}: has become another scene ({other.fingerprint}) than was meant ({self.fingerprint}): "
+                "undo this edit and make it anew"
+            )
+        if self.spans is None:
+            return other
+        if int(self.spans[-1, 1]) > len(other):
+            raise InputError(
+                f"replace: has row {self.spans[-1, 1] - 1:,} of {self.scene}, which has {len(other):,}: undo this edit "
+                "and make it anew"
+            )
+        return other.subset(ids_of(self.spans))
+
+
+def fitted(goes: Box, comes: Box) -> Float64[np.ndarray, "4 4"]:
+    """Return the matrix that puts one upright box into another: same floor, same middle, the largest size that fits.
+
+    Upright: the third axis is up. Long sides lie along long sides. Raises: InputError: a box without a length.
+    """
+    if not (goes.extent.max() > LEAST and comes.extent.max() > LEAST):
+        raise InputError("replace: expected two things with a size, got a single point")
+    scale = float((np.maximum(goes.extent, LEAST) / np.maximum(comes.extent, LEAST)).min())
+    rotation = goes.axes.T @ comes.axes
+    matrix = np.eye(4)
+    matrix[:3, :3] = scale * rotation
+    matrix[:3, 3] = _foot(goes) - scale * rotation @ _foot(comes)
+    return matrix
+
+
+def placed_in(
+    scene: Gaussians, ids: Ids, up: Vector, other: Gaussians, others: Ids, up_there: Vector
+) -> Float64[np.ndarray, "4 4"]:  # fmt: skip
+    """Return `fitted` for the boxes of rows of this scene and of another. up: unit directions in each of them."""
+    goes, comes = box_of(scene, solid(scene, ids), up), box_of(other, solid(other, others), up_there)
+    return fitted(goes, comes)
+
+
+def _tell_of_another_drawing(draft: Draft, other: Gaussians) -> None:
+    if draft.antialiased != other.antialiased:
+        kinds = ("antialiased (mip)", "not") if other.antialiased else ("not antialiased", "antialiased (mip)")
+        warnings.warn(
+            f"replace: what comes was trained to be drawn {kinds[0]}, the scene {kinds[1]}: drawn as the scene is, its "
+            "small Gaussians look somewhat too solid or too faint from afar",
+            DrSplatWarning,
+            stacklevel=4,
+        )
+
+
+def _foot(box: Box) -> Vector:
+    return np.asarray(box.center - box.axes[2] * box.extent[2] / 2)
+
+
+def _object_of(draft: Draft, ids: Ids) -> int:
+    """Return the number of the object that most of some rows belong to, or a new number."""
+    of = draft.extra.get(OBJECT_ID)
+    known = np.empty(0, np.int64) if of is None else of[ids][of[ids] >= 0].astype(np.int64)
+    return int(np.bincount(known).argmax()) if len(known) else draft.next_object()

@@ -1,0 +1,147 @@
+"""Rows of what a person names: an object's number, a label, a query; and what hangs on to them."""
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ...base.arrays import Bool, Float64, Int64, Integer
+from ...errors import InputError
+from ...field import LanguageField
+from ...query import Query, Scene
+from ...query.objects import match_of, objects_of
+from ...scene.boxes import HAZE
+from ...scene.gaussians import Gaussians
+from .loose_parts import loose_parts
+from .targets import Rows
+
+Ids = Int64[np.ndarray, " m"]
+DIRECTIONS = 64  # in which a thing may be around a place
+NEARLY_ALL = 0.95  # of an object's Gaussians: the others are its noisy ones
+AROUND = 0.85  # of them, from which on a place is inside
+MOST_POINTS, AT_ONCE = 1500, 1 << 20  # of a thing that directions are looked at; pairs at once
+NEIGHBOURS, MAJORITY = 8, 5  # of a loose Gaussian's neighbours, how many belong to what it hangs on to
+PASSES = 2
+
+
+def object_rows(scene: Scene, number: int) -> Rows:
+    """Return the rows of an object of the field. Raises: InputError: no such number, or a field without objects."""
+    match = match_of(scene.field, objects_of(scene.field).thing(number))
+    return Rows.of(whole(scene, match.gaussian_ids), "object", str(number))
+
+
+def label_rows(scene: Scene, name: str) -> Rows:
+    """Return the rows of all that people gave this name. Raises: InputError: nothing has it."""
+    nodes = scene.labels.called(name)
+    if not nodes:
+        known = ", ".join(sorted({label.name for label in scene.labels.by_node.values()})) or "none"
+        raise InputError(f"nothing has the label '{name}'; labels here: {known}")
+    ids = np.concatenate([match_of(scene.field, node).gaussian_ids for node in nodes])
+    return Rows.of(whole(scene, ids), "label", name)
+
+
+def query_rows(scene: Scene, query: Query | str, said: str = "") -> Rows:
+    """Return the rows of all matches of a query together. Raises: InputError: it has none."""
+    said = said or (query if isinstance(query, str) else query.text or "")
+    answer = scene.ask(query)
+    matches = scene.locate(answer)
+    if not matches:
+        raise InputError(f"no match for “{said}”: `drsplat locate` prints how near it was")
+    ids = np.concatenate([match.gaussian_ids for match in matches])
+    return Rows.of(completed(scene.gaussians, ids, *_objects(scene, answer.field)), "query", said)
+
+
+def whole(scene: Scene, ids: Integer[np.ndarray, " k"]) -> Ids:
+    """Return rows of a scene with what nobody can tell apart from them; see `completed`."""
+    return completed(scene.gaussians, ids, *_objects(scene, scene.field))
+
+
+def _objects(scene: Scene, field: LanguageField) -> tuple[Int64[np.ndarray, " n"], Bool[np.ndarray, " o"]]:
+    """Return the object's number of each Gaussian, and whether photos agree on each object.
+
+    Numbers are -1 for none, and where `field`, of an answer, has no objects.
+    """
+    if field.objects is None:
+        return np.full(len(scene.gaussians), -1, np.int64), np.zeros(0, bool)
+    return scene.object_ids().astype(np.int64), scene.agreed
+
+
+def completed(
+    gaussians: Gaussians,
+    ids: Integer[np.ndarray, " k"],
+    owners: Int64[np.ndarray, " n"],
+    agreed: Bool[np.ndarray, " o"],
+) -> Ids:  # fmt: skip
+    """Return rows with what cannot be told apart from them.
+
+    That is the rest of objects that they nearly are, what they enclose, loose Gaussians that hang on to them, and in a
+    scene with objects `loose_parts` and `rests`.
+
+    Training leaves Gaussians inside of things, where no photo looks; masks give them to whatever is behind. What is
+    inside stays behind only where it is more than half of an object: an apple in a closed box.
+    """
+    inside = np.zeros(len(gaussians), bool)
+    inside[ids] = True
+    owned = owners >= 0
+    sizes = np.bincount(owners[owned], minlength=owners.max(initial=0) + 1)
+    nearly_all = np.bincount(owners[inside & owned], minlength=len(sizes)) >= NEARLY_ALL * sizes
+    inside |= owned & nearly_all[owners]
+    taken = enclosed(gaussians, inside)
+    own_things = np.bincount(owners[taken & owned], minlength=len(sizes)) > sizes / 2
+    inside |= taken & ~(own_things[owners] & owned)
+    for _ in range(PASSES):
+        inside |= hanging(gaussians, inside, (owners < 0) & ~inside)
+    if len(agreed):
+        inside |= loose_parts(gaussians, inside, owners, agreed)
+        inside |= rests(inside, owners, agreed)
+    return np.flatnonzero(inside)
+
+
+def rests(
+    inside: Bool[np.ndarray, " n"], owners: Int64[np.ndarray, " n"], agreed: Bool[np.ndarray, " o"]
+) -> Bool[np.ndarray, " n"]:  # fmt: skip
+    """Return the Gaussians of objects that photos do not agree on and of which a thing has more than half."""
+    owned = owners >= 0
+    sizes, own = (np.bincount(owners[some], minlength=len(agreed)) for some in (owned, owned & inside))
+    return np.asarray(owned & ((2 * own > sizes) & ~agreed)[owners])
+
+
+def enclosed(gaussians: Gaussians, inside: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    """Other Gaussians that have those of a thing around them in nearly all directions."""
+    thing = gaussians.means[inside & (gaussians.opacities >= HAZE)].astype(np.float64)
+    found = np.zeros(len(gaussians), bool)
+    if len(thing) < DIRECTIONS:
+        return found
+    thing = thing[:: -(-len(thing) // MOST_POINTS)]
+    low, high = np.quantile(thing, (0.01, 0.99), axis=0)
+    near = np.flatnonzero(((gaussians.means > low) & (gaussians.means < high)).all(axis=1) & ~inside)
+    directions = _sphere(DIRECTIONS)
+    for begin in range(0, len(near), block := max(1, AT_ONCE // len(thing))):
+        some = near[begin : begin + block]
+        away = thing[None] - gaussians.means[some, None].astype(np.float64)
+        nearest = np.einsum("pti,di->ptd", away, directions).argmax(axis=2)
+        seen = np.zeros((len(some), DIRECTIONS), bool)
+        np.put_along_axis(seen, nearest, True, axis=1)
+        found[some] = seen.mean(axis=1) >= AROUND
+    return found
+
+
+def hanging(
+    gaussians: Gaussians, inside: Bool[np.ndarray, " n"], loose: Bool[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:  # fmt: skip
+    """Loose Gaussians most of whose neighbours belong to a thing."""
+    found = np.zeros(len(gaussians), bool)
+    among = min(NEIGHBOURS + 1, len(gaussians))
+    near = np.flatnonzero(loose)
+    if len(near) and inside.any():
+        low, high = gaussians.means[inside].min(axis=0), gaussians.means[inside].max(axis=0)
+        near = near[((gaussians.means[near] >= low) & (gaussians.means[near] <= high)).all(axis=1)]
+        _, neighbours = cKDTree(gaussians.means).query(gaussians.means[near], range(1, among + 1))
+        found[near] = inside[neighbours].sum(axis=1) >= MAJORITY
+    return found
+
+
+def _sphere(count: int) -> Float64[np.ndarray, "d 3"]:
+    """Directions evenly spread, along a spiral."""
+    z = 1 - (2 * np.arange(count) + 1) / count
+    turn = np.pi * (1 + np.sqrt(5)) * np.arange(count)
+    flat = np.sqrt(1 - z * z)
+    return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)

@@ -1,0 +1,262 @@
+"""Writing SOG, version 2: lossless WebP pictures of quantised planes, the format of PlayCanvas and SuperSplat.
+
+Rows follow a Morton curve, which the format asks for, so they are others than those of the scene. The object and the
+relevancy of each Gaussian, which the format has no place for, are pictures of their own beside those of the format,
+and names and boxes a JSON; `meta.json` names the three under "drsplat", a key that other readers step over.
+
+Positions are 16 bits an axis of a logarithm over the extent of the scene, rotations 8 bits a component. Scales and
+colours are each of a codebook of 256, further harmonics of a palette of 65,536 whose numbers are of another codebook.
+The same bytes for the same scene.
+
+Source: developer.playcanvas.com, "The SOG Format".
+"""
+
+import io
+import json
+import zipfile
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from ...base.arrays import Float32, Float64, Integer, UInt8, UInt16
+from ...errors import InputError
+from ...field.codes.kmeans import train_centroids
+from ...formats.labels import has_labels, labels_bytes
+from ...formats.sog import ANTIALIASED, LARGEST_PALETTE, OWN, PALETTE_ROW, SURFELS
+from ...formats.sog_files import META
+from ...formats.writable import refuse_unwritable
+from ...kernels import pq_encode
+from ...scene.gaussians import Gaussians
+from ...scene.labelled import LabelledScene
+from ...scene.morton import morton_order
+
+VERSION, GENERATOR = 2, "drsplat"
+CODEBOOK = 256
+LLOYD_STEPS = 12  # of a codebook of single numbers
+CELL_ROWS = 2048  # of a cell of the palette that its entries are learnt from
+FIRST_TAG = 252  # of the largest component of a rotation
+LARGEST_ID = (1 << 24) - 2  # of an object: three bytes, 0 for none
+OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
+MOST_ROWS = 1 << 26
+SEED = 0
+LABELS, OBJECTS, RELEVANCIES = "drsplat_labels.json", "drsplat_objects.webp", "drsplat_relevancy.webp"
+
+
+def sog_bytes(scene: LabelledScene) -> bytes:
+    """Encode a scene as a bundled SOG, a ZIP of `sog_files`. Raises: InputError: as `sog_files`."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as archive:
+        for name, content in sog_files(scene).items():
+            archive.writestr(zipfile.ZipInfo(name), content)  # of 1980, so the same bytes at any time
+    return out.getvalue()
+
+
+def sog_files(scene: LabelledScene) -> dict[str, bytes]:
+    """Encode a scene as the files of an unpacked SOG, by name; meta.json comes first.
+
+    Positions are written relative to the scene's `origin`, which our reader adds again.
+
+    Raises: InputError: a scene without Gaussians, or too many for the format's pictures or for an object's number.
+    """
+    refuse_other_counts(len(scene.gaussians))
+    refuse_unwritable(scene.gaussians)
+    gaussians = replace(scene.gaussians, extra=scene.columns).subset(morton_order(scene.gaussians.means))
+    return ordered_files(gaussians, labels_bytes(scene) if has_labels(scene) else b"")
+
+
+def refuse_other_counts(count: int) -> None:
+    """Check a count. Raises: InputError: no Gaussians, or more than the format's pictures hold."""
+    if not 0 < count <= MOST_ROWS:
+        raise InputError(f"SOG: expected 1 to {MOST_ROWS:,} Gaussians, got {count:,}: cut the scene into tiles")
+
+
+def ordered_files(gaussians: Gaussians, labels: bytes = b"") -> dict[str, bytes]:
+    """Encode Gaussians in their order, which is along a Morton curve, as the files of an unpacked SOG.
+
+    Args:
+        gaussians: the extra columns "object_id" and "relevancy" go along, others do not.
+        labels: the names of the objects, as `labels_bytes` writes them; none if empty.
+
+    Raises: InputError: too many objects for the numbers of a picture.
+    """
+    own, own_files = _own_parts(gaussians, labels)
+    means, mean_files = _means(gaussians.means)
+    scales, scale_codes = coded(np.log(gaussians.scales))
+    colours, colour_codes = coded(gaussians.sh[:, 0])
+    alpha = np.rint(gaussians.opacities * 255).astype(np.uint8)
+    further, further_files = _further(gaussians.sh[:, 1:])
+    meta: dict[str, object] = {
+        "version": VERSION,
+        "asset": {"generator": GENERATOR},
+        "count": len(gaussians),
+        **_model(gaussians),
+        "means": means,
+        "scales": {"codebook": scales, "files": ["scales.webp"]},
+        "quats": {"files": ["quats.webp"]},
+        "sh0": {"codebook": colours, "files": ["sh0.webp"]},
+        **further,
+        **own,
+    }
+    return {
+        META: json.dumps(meta, separators=(",", ":")).encode(),
+        **mean_files,
+        "quats.webp": picture(_quats(gaussians.quats)),
+        "scales.webp": picture(scale_codes),
+        "sh0.webp": picture(np.column_stack([colour_codes, alpha])),
+        **further_files,
+        **own_files,
+    }
+
+
+def _model(gaussians: Gaussians) -> dict[str, object]:
+    """Return the mark of surfels, or of antialiased Gaussians; none of others."""
+    if gaussians.surfels:
+        return {"model": SURFELS}
+    return {"model": ANTIALIASED} if gaussians.antialiased else {}
+
+
+def picture(rows: UInt8[np.ndarray, "n c"], width: int = 0) -> bytes:
+    """Encode rows of up to four bytes as the pixels of a lossless WebP; missing bytes are 0, and alpha 255."""
+    from PIL import Image
+
+    side = width or -(-int(np.ceil(np.sqrt(len(rows)))) // 4) * 4
+    height = -(-len(rows) // side)
+    height, width = height if width else -(-height // 4) * 4, side
+    pixels = np.zeros((height * width, 4), np.uint8)
+    pixels[:, 3] = 255
+    pixels[: len(rows), : rows.shape[1]] = rows
+    out = io.BytesIO()
+    Image.fromarray(pixels.reshape(height, width, 4)).save(out, "WEBP", lossless=True, exact=True)
+    return out.getvalue()
+
+
+def coded(values: Float32[np.ndarray, "..."]) -> tuple[list[float], UInt8[np.ndarray, "..."]]:
+    """Return a codebook of 256 numbers, ascending, and the nearest of them for each value."""
+    book = codebook(values)
+    codes = np.searchsorted((book[1:] + book[:-1]) / 2, values.astype(np.float64)).astype(np.uint8)
+    return [float(number) for number in book.astype(np.float32)], codes
+
+
+def codebook(values: Float32[np.ndarray, "..."]) -> Float64[np.ndarray, " c"]:
+    """Return the k-means of single numbers by Lloyd's algorithm on the sorted values, from their quantiles.
+
+    At most 256 distinct values are kept exactly. Cells of sorted numbers are runs, so a step costs 256 look-ups.
+    """
+    ascending = np.sort(values, axis=None).astype(np.float64)
+    distinct = ascending[np.concatenate([[True], ascending[1:] > ascending[:-1]])]
+    if len(distinct) <= CODEBOOK:
+        return np.pad(distinct, (0, CODEBOOK - len(distinct)), mode="edge")
+    sums = np.concatenate([[0.0], np.cumsum(ascending)])
+    book = distinct[np.linspace(0, len(distinct) - 1, CODEBOOK).round().astype(np.int64)]
+    for _ in range(LLOYD_STEPS):
+        ends = np.concatenate([[0], np.searchsorted(ascending, (book[1:] + book[:-1]) / 2), [len(ascending)]])
+        sizes = np.diff(ends)
+        book = np.where(sizes > 0, (sums[ends[1:]] - sums[ends[:-1]]) / np.maximum(sizes, 1), book)
+    return np.sort(book)
+
+
+def _means(means: Float32[np.ndarray, "n 3"]) -> tuple[dict[str, object], dict[str, bytes]]:
+    logs = np.sign(means) * np.log1p(np.abs(means.astype(np.float64)))
+    low, high = logs.min(0), logs.max(0)
+    steps = np.rint((logs - low) / np.where(high > low, high - low, 1) * 65535).astype(np.uint16)
+    files = {"means_l.webp": picture(low_bytes(steps)), "means_u.webp": picture((steps >> 8).astype(np.uint8))}
+    return {"mins": low.tolist(), "maxs": high.tolist(), "files": list(files)}, files
+
+
+def low_bytes(values: Integer[np.ndarray, "..."]) -> UInt8[np.ndarray, "..."]:
+    return np.asarray(values & 255).astype(np.uint8)
+
+
+def _quats(quats: Float32[np.ndarray, "n 4"]) -> UInt8[np.ndarray, "n 4"]:
+    largest = np.abs(quats).argmax(1)
+    signs = np.where(np.take_along_axis(quats, largest[:, None], 1) < 0, -1, 1)
+    three = np.take_along_axis(quats, OTHERS[largest], 1) * signs * np.sqrt(2)
+    steps = np.clip(np.rint((three * 0.5 + 0.5) * 255), 0, 255)
+    return np.column_stack([steps, FIRST_TAG + largest]).astype(np.uint8)
+
+
+def _further(rest: Float32[np.ndarray, "n k 3"]) -> tuple[dict[str, object], dict[str, bytes]]:
+    """Encode harmonics beyond the constant one as a palette and a label of each row."""
+    coefficients = rest.shape[1]
+    if not coefficients:
+        return {}, {}
+    palette, labels = harmonics_palette(rest.reshape(len(rest), -1))
+    book, codes = coded(palette)
+    entries = codes.reshape(-1, 3)
+    width = PALETTE_ROW * coefficients
+    padded = np.zeros((-(-len(entries) // width) * width, 3), np.uint8)
+    padded[: len(entries)] = entries
+    files = {
+        "shN_centroids.webp": picture(padded, width),
+        "shN_labels.webp": picture(np.column_stack([low_bytes(labels), (labels >> 8).astype(np.uint8)])),
+    }
+    bands = {3: 1, 8: 2, 15: 3}[coefficients]
+    return {"shN": {"count": len(palette), "bands": bands, "codebook": book, "files": list(files)}}, files
+
+
+def harmonics_palette(rows: Float32[np.ndarray, "n d"]) -> tuple[Float32[np.ndarray, "p d"], UInt16[np.ndarray, " n"]]:
+    """Return at most 65,536 entries and the entry of each row; the rows themselves where they are no more.
+
+    Otherwise 256 cells of 256 entries, k-means of k-means, so that a row is compared with 512 centroids.
+    """
+    if len(rows) <= LARGEST_PALETTE:
+        palette, labels = np.unique(rows, axis=0, return_inverse=True)
+        return palette, labels.reshape(-1).astype(np.uint16)
+    rows = np.ascontiguousarray(rows)
+    cell_of = _nearest(rows, _centroids(rows, LARGEST_PALETTE))
+    palette, labels = np.empty((0, rows.shape[1]), np.float32), np.empty(len(rows), np.int64)
+    parts = []
+    start = 0
+    for cell in range(CODEBOOK):
+        own = np.flatnonzero(cell_of == cell)
+        if len(own):
+            entries = _centroids(rows[own], CELL_ROWS)
+            used, labels_here = np.unique(_nearest(rows[own], entries), return_inverse=True)
+            labels[own] = start + labels_here.reshape(-1)
+            parts.append(entries[used])
+            start += len(used)
+    palette = np.concatenate(parts)
+    return palette, labels.astype(np.uint16)
+
+
+def _centroids(rows: Float32[np.ndarray, "n d"], most: int) -> Float32[np.ndarray, "c d"]:
+    """Return 256 k-means of at most so many of the rows, evenly chosen."""
+    chosen = np.linspace(0, len(rows) - 1, min(len(rows), most)).round().astype(np.int64)
+    return np.asarray(train_centroids(np.ascontiguousarray(rows[chosen]), 1, SEED)[0])
+
+
+def _nearest(rows: Float32[np.ndarray, "n d"], centroids: Float32[np.ndarray, "c d"]) -> UInt8[np.ndarray, " n"]:
+    return np.asarray(pq_encode(np.ascontiguousarray(rows), centroids[None])[:, 0])
+
+
+def _own_parts(gaussians: Gaussians, labels: bytes) -> tuple[dict[str, object], dict[str, bytes]]:
+    """Encode what the format has no place for: objects, relevancy and an origin."""
+    part: dict[str, object] = {"version": 1}
+    files: dict[str, bytes] = {}
+    if gaussians.origin.any():
+        part["origin"] = gaussians.origin.tolist()
+    if labels:
+        part["labels"], files[LABELS] = LABELS, labels
+    if "object_id" in gaussians.extra:
+        part["object_id"], files[OBJECTS] = _object_ids(gaussians.extra["object_id"])
+    if "relevancy" in gaussians.extra:
+        part["relevancy"], files[RELEVANCIES] = _relevancy(gaussians.extra["relevancy"])
+    return ({OWN: part} if len(part) > 1 else {}), files
+
+
+def _object_ids(object_of: Integer[np.ndarray, " n"]) -> tuple[Mapping[str, object], bytes]:
+    """Encode numbers of objects, increased by 1, as three bytes, the lowest first."""
+    if object_of.max() > LARGEST_ID:
+        raise InputError(f"SOG: expected at most {LARGEST_ID + 1:,} objects, got the number {object_of.max():,}")
+    ids = object_of.astype(np.int64) + 1
+    rows = np.column_stack([low_bytes(ids >> shift) for shift in (0, 8, 16)])
+    return {"files": [OBJECTS]}, picture(rows)
+
+
+def _relevancy(relevancy: Float32[np.ndarray, " n"]) -> tuple[Mapping[str, object], bytes]:
+    """Encode relevancies as 16 bits between the least and the greatest."""
+    low, high = float(relevancy.min()), float(relevancy.max())
+    steps = np.rint((relevancy.astype(np.float64) - low) / max(high - low, 1e-30) * 65535).astype(np.uint16)
+    rows = np.column_stack([low_bytes(steps), (steps >> 8).astype(np.uint8)])
+    return {"min": low, "max": high, "files": [RELEVANCIES]}, picture(rows)

@@ -1,0 +1,126 @@
+"""Viewpoints: which way is up, the place before a match, a swing around it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...base.arrays import Bool, Float64
+from ...errors import InputError
+from ...query import Match, Scene
+from ...scene.gaussians import Gaussians
+from ...scene.views import View
+
+Vector = Float64[np.ndarray, " 3"]
+ASIDE, ABOVE = 2.6, 0.45  # distance to a match in its own sizes; height above it over that distance
+MARGIN = 0.15  # share of a photo's sides where a thing is cut off
+LEAST_SIZE = 0.04  # of a scene's radius: nearer than that a small match fills the picture with noise
+FOV_DEGREES = 55.0
+UP_WITHOUT_VIEWS = (0.0, -1.0, 0.0)  # COLMAP's first camera, which most scenes are in the frame of
+
+
+def up_direction(scene: Scene) -> Vector:
+    """Return the scene's upward direction, as its boxes stand; where nothing tells, that of COLMAP's first camera."""
+    return np.array(UP_WITHOUT_VIEWS) if scene.up is None else scene.up
+
+
+def named_up(text: str) -> Vector:
+    """Return the direction of "+z", "-y" and so on; "z" is "+z". Raises: InputError: none of these."""
+    sign, letter = (text[:1], text[1:]) if text[:1] in ("+", "-") else ("+", text)
+    if letter not in ("x", "y", "z"):
+        raise InputError(f"up: {text}: expected one of +x -x +y -y +z -z")
+    return np.asarray(np.eye(3)["xyz".index(letter)] * (1 if sign == "+" else -1))
+
+
+def looking_at(
+    eye: Vector, target: Vector, up: Vector, size: tuple[int, int], fov_degrees: float = FOV_DEGREES
+) -> View:
+    """Return a camera at `eye` with `target` in the middle of its picture. size: width and height.
+
+    fov_degrees: from the top to the bottom of the picture.
+
+    Raises: InputError: eye and target are one.
+    """
+    ahead = target - eye
+    length = np.linalg.norm(ahead)
+    if not length > 0:
+        raise InputError("a camera cannot look at the place where it stands")
+    ahead = ahead / length
+    right = np.cross(ahead, up)
+    if np.linalg.norm(right) < 1e-6:  # straight up or down: any right will do
+        right = np.cross(ahead, np.roll(up, 1) + 1e-3)
+    right = right / np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, :3] = np.stack([right, np.cross(ahead, right), ahead])
+    pose[:3, 3] = -pose[:3, :3] @ eye
+    width, height = size
+    focal = height / (2 * np.tan(np.radians(fov_degrees) / 2))
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
+    return View("camera", K, pose, width, height)
+
+
+def before(match: Match, gaussians: Gaussians, views: Sequence[View], up: Vector) -> Vector:
+    """Return a place to see a match from: on the way to a photo that shows it, so that nothing stands between.
+
+    Of the photos that have its middle in the picture, the one taken from about the best distance; without any, a place
+    a little above it.
+    """
+    return beside(match.center, size_of(match, gaussians), views, up)
+
+
+def beside(center: Vector, size: float, views: Sequence[View], up: Vector) -> Vector:
+    """Return a place to see something from, of a size in scene units; see `before`."""
+    distance = ASIDE * size * float(np.hypot(1, ABOVE))
+    if not views:
+        side = np.array([0.8, 0.5, 0.3])
+        side = side - (side @ up) * up
+        side = side / np.linalg.norm(side) + ABOVE * up
+        return np.asarray(center + distance * side / np.linalg.norm(side))
+    ways = np.stack([view.center for view in views]) - center
+    lengths = np.maximum(np.linalg.norm(ways, axis=1), 1e-9)
+    showing = _showing(views, center)
+    unfit = np.abs(np.log(lengths / distance)) + np.where(showing | ~showing.any(), 0.0, np.inf)
+    best = int(unfit.argmin())
+    return np.asarray(center + ways[best] * min(1.0, distance / lengths[best]))
+
+
+def _showing(views: Sequence[View], point: Vector) -> Bool[np.ndarray, " v"]:
+    """Return which views have a point in the inner part of their picture."""
+    poses, K = np.stack([view.cam_from_world for view in views]), np.stack([view.K for view in views])
+    x, y, z = (poses[:, :3, :3] @ point + poses[:, :3, 3]).T
+    z = np.where(z > 0, z, np.nan)
+    u = (K[:, 0, 0] * x / z + K[:, 0, 2]) / [view.width for view in views]
+    v = (K[:, 1, 1] * y / z + K[:, 1, 2]) / [view.height for view in views]
+    return np.asarray((np.minimum(u, v) >= MARGIN) & (np.maximum(u, v) <= 1 - MARGIN))
+
+
+def size_of(match: Match, gaussians: Gaussians) -> float:
+    """Return the longest side of a match's box, but not less than a small part of the scene."""
+    return size_in(match.extent, radius_of(gaussians))
+
+
+def size_in(extent: Vector, radius: float) -> float:
+    """Return the size of a box in a scene of some radius; see `size_of`."""
+    return max(float(extent.max()), LEAST_SIZE * radius, 1e-6)
+
+
+def radius_of(gaussians: Gaussians) -> float:
+    """Return the median distance of the Gaussians from their middle, in scene units."""
+    spread = gaussians.means.astype(np.float64)
+    return float(np.median(np.linalg.norm(spread - np.median(spread, axis=0), axis=1)))
+
+
+def swing(eye: Vector, target: Vector, up: Vector, frames: int, turn_degrees: float = 60.0) -> list[Vector]:
+    """Places of a swing around `target` that begins and ends at `eye`: a loop, slow at its turns.
+
+    Raises: InputError: fewer than two frames.
+    """
+    if frames < 2:
+        raise InputError(f"a swing needs two frames or more, got {frames}")
+    angles = np.radians(turn_degrees / 2) * np.sin(2 * np.pi * np.arange(frames) / frames)
+    return [target + _turned(eye - target, up, float(angle)) for angle in angles]
+
+
+def _turned(vector: Vector, axis: Vector, angle: float) -> Vector:
+    """Rodrigues' formula; axis: of unit length."""
+    along = (axis @ vector) * axis
+    return np.asarray(along + np.cos(angle) * (vector - along) + np.sin(angle) * np.cross(axis, vector))

@@ -1,0 +1,223 @@
+"""The way of a camera: a smooth curve through key frames, and the views along it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
+from scipy.spatial.transform import Rotation, RotationSpline
+
+from ...base.arrays import Float64
+from ...errors import InputError
+from ...scene.views import View
+
+Vector = Float64[np.ndarray, " 3"]
+MOST_KEYS = 20_000
+MOST_FRAMES = 36_000  # ten minutes at 60 a second
+MOST_PIXELS, MOST_SIDE = 7680 * 4320, 8192
+WRAPPED = 4  # key frames of the other end that a closed curve is led by, at each end
+STEPS = 24  # between two key frames, to measure how long the way is
+LEAST_GAP = 1e-3  # of the mean one, between key frames at one place
+SLOWEST, FASTEST = 0.01, 240.0  # pictures a second; a GIF's last up to 655 seconds each
+LENSES = (1.0, 170.0)  # degrees
+
+
+@dataclass(frozen=True, eq=False)
+class KeyFrame:
+    """A camera that a path passes. rotation: rows are its right, down and ahead in the world.
+
+    fov_degrees: from the top to the bottom of the picture. seconds: when it is passed, None where the way says so.
+
+    Raises: InputError: a lens of less than 1 or more than 170 degrees; what is not finite.
+    """
+
+    eye: Vector
+    rotation: Float64[np.ndarray, "3 3"]
+    fov_degrees: float
+    seconds: float | None = None
+
+    def __post_init__(self) -> None:
+        if not LENSES[0] <= self.fov_degrees <= LENSES[1]:
+            raise InputError(
+                f"fov: expected {LENSES[0]:g} to {LENSES[1]:g} degrees from top to bottom, got {self.fov_degrees:g}"
+            )
+        if not (np.isfinite(self.eye).all() and np.isfinite(self.rotation).all()):
+            raise InputError("a key frame needs a finite place and direction")
+
+    @classmethod
+    def of(cls, view: View, seconds: float | None = None) -> "KeyFrame":
+        """Return the key frame of a view's camera, with the principal point moved to the middle of the picture."""
+        fov = np.degrees(2 * np.arctan(view.height / (2 * view.K[1, 1])))
+        return cls(view.center, view.cam_from_world[:3, :3], float(np.clip(fov, *LENSES)), seconds)
+
+    def view(self, size: tuple[int, int], name: str = "camera") -> View:
+        """Return the view of this key frame. size: pixels across and down."""
+        width, height = size
+        focal = height / (2 * np.tan(np.radians(self.fov_degrees) / 2))
+        pose = np.eye(4)
+        pose[:3, :3] = self.rotation
+        pose[:3, 3] = -self.rotation @ self.eye
+        K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
+        return View(name, K, pose, width, height)
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPath:
+    """A smooth camera path through key frames.
+
+    Places follow a centripetal Catmull-Rom spline, rotations SciPy's spline on the sphere, lenses do not overshoot.
+    closed: the last key frame leads to the first. Key frames with seconds are passed then, with `even` one after the
+    other in equal times; else the camera has one speed, in which half of all time goes to moving and half to turning.
+    seconds, fps, size: wished for, None for the default.
+
+    Raises: InputError: fewer than two key frames, too many, times that do not rise, or times of a closed path.
+    """
+
+    keys: Sequence[KeyFrame]
+    closed: bool = False
+    even: bool = False
+    seconds: float | None = None
+    fps: float | None = None
+    size: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        if not 2 <= len(self.keys) <= MOST_KEYS:
+            raise InputError(f"a path goes through 2 to {MOST_KEYS:,} key frames, got {len(self.keys):,}")
+        given = [key.seconds for key in self.keys if key.seconds is not None]
+        if given and (len(given) < len(self.keys) or not (np.diff(given) > 0).all()):
+            raise InputError("the seconds of key frames: expected those of all or of none, each later than the last")
+        if given and self.closed:
+            raise InputError("a closed path has one speed: leave out the seconds of its key frames")
+
+    def __repr__(self) -> str:
+        return f"CameraPath({len(self.keys)} key frames{', closed' if self.closed else ''})"
+
+    @property
+    def is_timed(self) -> bool:
+        return self.keys[0].seconds is not None
+
+    def at(self, shares: Float64[np.ndarray, " f"]) -> list[KeyFrame]:
+        """Return the cameras at shares of the path's time, from 0 to 1."""
+        knots = self._knot_at(shares)
+        return [
+            KeyFrame(eye, rotation, float(np.clip(fov, *LENSES)))
+            for eye, rotation, fov in zip(
+                self._curve(knots), self._turning(knots).as_matrix(), self._lens(knots), strict=True
+            )
+        ]
+
+    def views(self, frames: int, size: tuple[int, int]) -> list[View]:
+        """Return a view for each picture of a film; the last of a closed path is the one before the first.
+
+        Raises: InputError: no pictures or too many, or too large ones.
+        """
+        _check_frames(frames)
+        check_size(size)
+        shares = np.arange(frames) / max(frames if self.closed else frames - 1, 1)
+        return [key.view(size, f"frame_{number:05d}") for number, key in enumerate(self.at(shares))]
+
+    # --- the curve, over knots that centripetal distances set apart ---
+
+    @cached_property
+    def _around(self) -> list[KeyFrame]:
+        """The key frames, of a closed path with some of the other end at each end."""
+        if not self.closed:
+            return list(self.keys)
+        count = len(self.keys)
+        return [self.keys[number % count] for number in range(-WRAPPED, count + 1 + WRAPPED)]
+
+    @property
+    def _first(self) -> int:
+        return WRAPPED if self.closed else 0
+
+    @property
+    def _last(self) -> int:
+        return self._first + len(self.keys) - (0 if self.closed else 1)
+
+    @cached_property
+    def _knots(self) -> Float64[np.ndarray, " k"]:
+        if self.is_timed:
+            return np.array([key.seconds for key in self.keys], np.float64)
+        if self.even:
+            return np.arange(len(self._around), dtype=np.float64)
+        gaps = np.sqrt(self._gaps(self._eyes, self._rotations))
+        gaps = np.maximum(gaps, LEAST_GAP * gaps.mean()) if gaps.any() else np.ones(len(gaps))
+        return np.concatenate([[0], np.cumsum(gaps)])
+
+    @cached_property
+    def _eyes(self) -> Float64[np.ndarray, "k 3"]:
+        return np.array([key.eye for key in self._around])
+
+    @cached_property
+    def _rotations(self) -> Rotation:
+        return Rotation.from_matrix(np.array([key.rotation for key in self._around]))
+
+    @cached_property
+    def _curve(self) -> CubicHermiteSpline:
+        return CubicHermiteSpline(self._knots, self._eyes, _tangents(self._knots, self._eyes))
+
+    @cached_property
+    def _turning(self) -> RotationSpline:
+        return RotationSpline(self._knots, self._rotations)
+
+    @cached_property
+    def _lens(self) -> PchipInterpolator:
+        return PchipInterpolator(self._knots, [key.fov_degrees for key in self._around])
+
+    def _gaps(self, eyes: Float64[np.ndarray, "k 3"], rotations: Rotation) -> Float64[np.ndarray, " g"]:
+        """How far each is from the next: moving and turning count alike, in shares of all that there is of each."""
+        moved = np.linalg.norm(np.diff(eyes, axis=0), axis=1)
+        turned = (rotations[:-1].inv() * rotations[1:]).magnitude()
+        return np.asarray(
+            sum(part / part.sum() for part in (moved, turned) if part.sum() > 1e-12) + np.zeros(len(moved))
+        )
+
+    def _knot_at(self, shares: Float64[np.ndarray, " f"]) -> Float64[np.ndarray, " f"]:
+        """Return where on the curve the camera is; `even` and timed paths run as the knots do."""
+        shown = self._knots[self._first : self._last + 1]
+        if self.even or self.is_timed:
+            return np.asarray(shown[0] + np.clip(shares, 0, 1) * (shown[-1] - shown[0]))
+        steps = np.arange((len(shown) - 1) * STEPS + 1) / STEPS
+        fine = np.interp(steps, np.arange(len(shown)), shown)
+        way = np.concatenate([[0], np.cumsum(self._gaps(self._curve(fine), self._turning(fine)))])
+        return np.asarray(np.interp(np.clip(shares, 0, 1) * way[-1], way, fine))
+
+
+def _tangents(knots: Float64[np.ndarray, " k"], points: Float64[np.ndarray, "k 3"]) -> Float64[np.ndarray, "k 3"]:
+    """Return the tangents of a Catmull-Rom spline over uneven knots; it runs straight on at both ends.
+
+    Source: Barry and Goldman 1988; Yuksel et al. 2011 (centripetal knots make no loops).
+    """
+    gaps = np.diff(knots)[:, None]
+    slopes = np.diff(points, axis=0) / gaps
+    inner = (slopes[:-1] * gaps[1:] + slopes[1:] * gaps[:-1]) / (gaps[:-1] + gaps[1:])
+    return np.concatenate([slopes[:1], inner, slopes[-1:]])
+
+
+def check_size(size: tuple[int, int]) -> None:
+    """Check a film's width and height. Raises: InputError: no pixels, or more than the limit."""
+    width, height = size
+    if not (2 <= width <= MOST_SIDE and 2 <= height <= MOST_SIDE and width * height <= MOST_PIXELS):
+        raise InputError(f"size: expected 2x2 to {MOST_SIDE} pixels a side and 7680x4320 in all, got {width}x{height}")
+
+
+def check_fps(fps: float) -> None:
+    """Check the pictures a second of a film. Raises: InputError: fewer or more than films have."""
+    if not SLOWEST <= fps <= FASTEST:
+        raise InputError(f"fps: expected {SLOWEST:g} to {FASTEST:g} pictures a second, got {fps:g}")
+
+
+def frame_count(seconds: float, fps: float) -> int:
+    """Return how many pictures a film has. Raises: InputError: none, too many, or too slow or fast ones."""
+    check_fps(fps)
+    if not 0 < seconds <= MOST_FRAMES / SLOWEST:
+        raise InputError(f"seconds: expected above 0, up to {MOST_FRAMES / SLOWEST:,.0f}; got {seconds:g}")
+    count = max(1, round(seconds * fps))
+    _check_frames(count)
+    return count
+
+
+def _check_frames(count: int) -> None:
+    if not 1 <= count <= MOST_FRAMES:
+        raise InputError(f"a film has 1 to {MOST_FRAMES:,} pictures, got {count:,}: fewer seconds or fewer fps")

@@ -1,0 +1,138 @@
+"""Paths that a scene suggests: through its photos, around it, around one thing in it."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ...base.arrays import Float64
+from ...errors import InputError
+from ...query import Match
+from ...scene.gaussians import Gaussians
+from ...scene.views import View
+from .looking import FOV_DEGREES, before, looking_at, swing
+from .paths import CameraPath, KeyFrame, Vector
+
+PASSED = 2.0  # photos a second at most: more of them are the shaking of a hand
+PHOTO_SECONDS, ORBIT_SECONDS, SWING_SECONDS = (4.0, 30.0), 10.0, 5.0
+ROUND, SWUNG = 36, 24  # key frames
+ABOVE = 0.5  # height of an orbit without photos, over its radius
+REACH, WITHIN = 1.6, 0.9  # radius of an orbit without photos, of that which so many Gaussians lie in
+UNSEEN = 2 * np.pi / 3  # of a circle without a photo: an orbit turns back there
+MOST_PHOTOS = (0.1, 0.9)  # of those by their angles: the outermost stand where there is little room
+FACING = 0.5  # of the photos: what fewer have before them is not what they were taken of
+
+
+class Around(NamedTuple):
+    """A circling camera: it looks at `target` and begins at `eye`."""
+
+    target: Vector
+    eye: Vector
+    fov_degrees: float = FOV_DEGREES
+
+
+def through_photos(views: Sequence[View], seconds: float | None = None) -> CameraPath:
+    """In the order of the photos, through two of them a second at most, evenly chosen.
+
+    seconds: of the film; None for half of one for each photo, 4 to 30. Raises: InputError: fewer than two photos.
+    """
+    if len(views) < 2:
+        raise InputError(f"a path through the photos needs two of them or more, got {len(views)}")
+    lasts = float(np.clip(len(views) / PASSED, *PHOTO_SECONDS)) if seconds is None else seconds
+    count = int(np.clip(round(lasts * PASSED) + 1, 2, len(views)))
+    chosen = np.linspace(0, len(views) - 1, count).round().astype(int)
+    return CameraPath([KeyFrame.of(views[i]) for i in chosen], seconds=lasts)
+
+
+def orbit(around: Around, up: Vector, views: Sequence[View] = ()) -> CameraPath:
+    """Round the target, level, at one height: once, or to and fro where the photos leave out a third of the circle.
+
+    There nobody has seen what the scene looks like; as often as not it is the inside of a wall.
+
+    Raises: InputError: the camera would stand above or below its target.
+    """
+    arm = around.eye - around.target
+    level = arm - (arm @ up) * up
+    if not np.linalg.norm(level) > 1e-9 * max(1.0, float(np.linalg.norm(arm))):
+        raise InputError("an orbit cannot begin right above or below what it goes around: name another place")
+    aside = np.cross(up, level)
+    turns = np.arange(ROUND) * 2 * np.pi / ROUND
+    arc = _arc([view.center - around.target for view in views], level, aside)
+    if arc is not None:
+        turns = arc[0] + (arc[1] - arc[0]) * (0.5 + 0.5 * np.sin(turns))
+    eyes = around.target + (arm @ up) * up + np.outer(np.cos(turns), level) + np.outer(np.sin(turns), aside)
+    return CameraPath(_looking(eyes, around, up), closed=True, even=True, seconds=ORBIT_SECONDS)
+
+
+def _arc(arms: Sequence[Vector], level: Vector, aside: Vector) -> tuple[float, float] | None:
+    """Return the range of angles that the photos are in, None where they are all around, or nowhere."""
+    if not arms:
+        return None
+    angles = np.sort([np.arctan2(arm @ aside, arm @ level) for arm in arms])
+    gaps = np.diff(angles, append=angles[0] + 2 * np.pi)
+    widest = int(gaps.argmax())
+    if gaps[widest] < UNSEEN:
+        return None
+    turns = np.mod(angles - angles[(widest + 1) % len(angles)], 2 * np.pi)
+    low, high = float(angles[(widest + 1) % len(angles)]) + np.quantile(turns, MOST_PHOTOS)
+    return float(low), float(high)
+
+
+def swinging(around: Around, up: Vector, turn_degrees: float = 60.0) -> CameraPath:
+    """To one side, to the other and back, slow at its turns: a loop that keeps to the side it begins at."""
+    eyes = np.array(swing(around.eye, around.target, up, SWUNG, turn_degrees))
+    return CameraPath(_looking(eyes, around, up), closed=True, even=True, seconds=SWING_SECONDS)
+
+
+def around_match(match: Match, gaussians: Gaussians, views: Sequence[View], up: Vector) -> Around:
+    """Return a camera that circles a match, from the side that most photos see it from."""
+    return Around(match.center, before(match, gaussians, views, up))
+
+
+def around_scene(gaussians: Gaussians, views: Sequence[View], up: Vector) -> Around:
+    """Return a camera that circles what the photos look at, from their distance and height.
+
+    Without photos it circles the middle of the scene, from outside.
+
+    Raises: InputError: no Gaussians.
+    """
+    if not len(gaussians):
+        raise InputError("there is nothing to go around: the scene has no Gaussians")
+    middle, reach = _extent_of(gaussians)
+    if not views:
+        side = np.cross(up, np.roll(up, 1) + 1e-3)
+        side = side / np.linalg.norm(side)
+        return Around(middle, middle + REACH * reach * (side + ABOVE * up))
+    target = focus_of(views, middle)
+    arms = np.array([view.center for view in views]) - target
+    heights = arms @ up
+    level = np.linalg.norm(arms - heights[:, None] * up, axis=1)
+    first = arms[0] - heights[0] * up
+    if not np.linalg.norm(first) > 1e-9:
+        first = np.cross(up, np.roll(up, 1) + 1e-3)
+    eye = target + np.median(level) * first / np.linalg.norm(first) + np.median(heights) * up
+    return Around(target, eye, KeyFrame.of(views[len(views) // 2]).fov_degrees)
+
+
+def focus_of(views: Sequence[View], middle: Vector) -> Vector:
+    """Return the place that the photos' optical axes pass nearest to; `middle` where most do not face it."""
+    eyes, ahead = np.array([view.center for view in views]), np.array([view.cam_from_world[2, :3] for view in views])
+    across = np.eye(3) - ahead[:, :, None] * ahead[:, None]
+    held = 1e-3 * np.eye(3)  # where all axes are parallel, or there is one, any place along them will do
+    found = np.linalg.solve(
+        across.sum(0) + held * len(views), np.einsum("vij,vj->i", across, eyes) + held @ middle * len(views)
+    )
+    faced = np.einsum("vi,vi->v", found - eyes, ahead) > 0
+    return np.asarray(found if faced.mean() > FACING else middle)
+
+
+def _extent_of(gaussians: Gaussians) -> tuple[Vector, float]:
+    points = gaussians.positions
+    middle = np.median(points, axis=0)
+    reach = float(np.quantile(np.linalg.norm(points - middle, axis=1), WITHIN))
+    return middle, reach if reach > 0 else 1.0
+
+
+def _looking(eyes: Float64[np.ndarray, "k 3"], around: Around, up: Vector) -> list[KeyFrame]:
+    """Key frames at some places that look at the target."""
+    return [KeyFrame.of(looking_at(eye, around.target, up, (64, 64), around.fov_degrees)) for eye in eyes]

@@ -1,0 +1,81 @@
+"""The bytes of files from strangers: only of regular files, read where they are few, mapped where they are many.
+
+A pipe would block its reader for ever. A mapped file that is cut short where it lies kills whoever reads on, so only
+what is too large to be copied is mapped.
+"""
+
+import mmap
+import os
+import stat
+from collections.abc import Iterator
+from io import BufferedReader
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import FormatError, InputError
+from .arrays import UInt8
+from .system import NO_WAITING, OF_OURS
+
+SMALL = 64 << 20  # bytes; read in some hundredths of a second
+_CACHE_LINE = 64  # bytes
+_PIECE = 64 << 20  # bytes of a mapped file that are in memory at once
+
+
+def open_file(path: str | os.PathLike[str]) -> BufferedReader:
+    """Open a regular file for reading; never wait for a pipe's writer.
+
+    Raises: InputError: a folder, pipe, socket or device. OSError: as `open`.
+    """
+    number = os.open(path, os.O_RDONLY | NO_WAITING | OF_OURS)
+    if not stat.S_ISREG(os.fstat(number).st_mode):
+        os.close(number)
+        raise InputError(f"{path}: expected a file, this is a folder, a pipe or a device")
+    return open(number, "rb")
+
+
+def file_text(path: str | os.PathLike[str]) -> str:
+    """Read a UTF-8 file, with or without a byte order mark. Raises: UnicodeDecodeError; as `open_file`."""
+    with open_file(path) as file:
+        return file.read().decode("utf-8-sig")
+
+
+def file_bytes(path: Path) -> UInt8[np.ndarray, " n"]:
+    """Return all bytes of a file, read-only, beginning at a cache line; map the file if it is large.
+
+    Raises: InputError: there is no such file, or it is none. FormatError: it becomes shorter while it is read.
+    """
+    try:
+        with open_file(path) as file:
+            size = os.fstat(file.fileno()).st_size
+            return _read(file, size, path) if size <= SMALL else np.memmap(file, np.uint8, "r")
+    except (FileNotFoundError, NotADirectoryError):
+        raise InputError(f"{path}: there is no such file") from None
+
+
+def release(*arrays: np.ndarray) -> None:
+    """Give back the memory of those arrays that are maps of files: what is used again is read again."""
+    for array in arrays:
+        while isinstance(array.base, np.ndarray):
+            array = array.base
+        shared = isinstance(array, np.memmap) and array.mode != "c"
+        if shared and isinstance(array.base, mmap.mmap) and hasattr(mmap, "MADV_DONTNEED"):
+            array.base.madvise(mmap.MADV_DONTNEED)
+
+
+def pieces(array: np.ndarray) -> Iterator[memoryview]:
+    """Yield the bytes of an array in C order, in pieces; a mapped file is never in memory as a whole."""
+    raw = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
+    for begin in range(0, raw.size, _PIECE):
+        yield raw[begin : begin + _PIECE].data
+        release(array)
+
+
+def _read(file: BufferedReader, size: int, path: Path) -> UInt8[np.ndarray, " n"]:
+    room = np.empty(size + _CACHE_LINE, np.uint8)
+    start = -room.ctypes.data % _CACHE_LINE
+    content = room[start : start + size]
+    if file.readinto(content.data) != size:
+        raise FormatError(f"{path}: the file became shorter while it was read: try again")
+    content.setflags(write=False)
+    return content

@@ -1,4 +1,0 @@
-"""The verbs of the command line, one module each. They import what they need when they run.
-
-Imports any room, when a verb runs.
-"""

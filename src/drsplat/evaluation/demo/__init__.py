@@ -1,0 +1,1 @@
+"""Demo: a small scene in the package, searched in words and compared with its truth."""

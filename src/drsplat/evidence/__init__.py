@@ -1,4 +1,0 @@
-"""W and what it says: weights of Gaussians under masks, the columns of a view, and ways from votes to features.
-
-Imports `scene`, `masks`, `formats` and `kernels`.
-"""

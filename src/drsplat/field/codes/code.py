@@ -1,0 +1,75 @@
+"""Protocol of every code: the features of n rows, kept small, and searched without being decoded."""
+
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from ...base.arrays import Float32, Int32, Int64, Integer
+
+
+class Hits(NamedTuple):
+    """Rows that a search returns, and their scores."""
+
+    rows: Int64[np.ndarray, " h"]
+    scores: Float32[np.ndarray, " h"]
+
+
+class Best(NamedTuple):
+    """Best of several queries for each row: its index, its score, and the second best score.
+
+    Ties go to the first query. With one query the second best score is -inf.
+    """
+
+    index: Int32[np.ndarray, " n"]  # type: ignore[assignment]  # hides tuple.index
+    scores: Float32[np.ndarray, " n"]
+    runner_up: Float32[np.ndarray, " n"]
+
+
+@runtime_checkable
+class Code(Protocol):
+    """Coded features of n rows.
+
+    Queries are unit vectors, and a score is the cosine with the decoded feature; 0 for a row without
+    direction. threads: 0 takes all cores; all answers are the same to the bit for any number of them.
+    """
+
+    @property
+    def kind(self) -> str:
+        """Name of the code in files."""
+
+    @property
+    def dim(self) -> int: ...
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all rows together, without what they share."""
+
+    def __len__(self) -> int: ...
+
+    def scores(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Float32[np.ndarray, "q n"]:
+        """Return the score of every row for each query; the same whether a query comes alone or among others."""
+
+    def select(
+        self,
+        query: Float32[np.ndarray, " D"],
+        threshold: float,
+        floor: Float32[np.ndarray, " n"] | None = None,
+        *,
+        threads: int = 0,
+    ) -> Hits:
+        """Return the rows whose score, minus the row's `floor`, exceeds the threshold; ascending."""
+
+    def top(self, query: Float32[np.ndarray, " D"], count: int, *, threads: int = 0) -> Hits:
+        """Return the `count` best rows, best first, ties to the lower row."""
+
+    def best(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Best:
+        """Return the best query of each row, without a matrix of queries and rows."""
+
+    def decode(self, rows: Integer[np.ndarray, " b"]) -> Float32[np.ndarray, "b D"]:
+        """Return the unit features of some rows; zero for a row without direction."""
+
+    def rows(self, index: Integer[np.ndarray, " b"]) -> "Code":
+        """Return the code of some rows."""
+
+    def tensors(self) -> dict[str, np.ndarray]:
+        """Return all arrays by name, as they are written to files."""

@@ -1,0 +1,220 @@
+"""Codebooks, which turn features into codes and back."""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from ...base.arrays import Float32, Integer, UInt8, UInt16
+from ...errors import InputError, MismatchError
+from ...kernels import QueryTables, lookup_tables, pq_encode
+from ...kernels.algebra import CENTROIDS
+from ...kernels.mixture import nearest_centres
+from ...scene.encoders import EncoderIdentity
+from .kmeans import Track, train_centroids, untracked
+
+BLOCK = 8192  # rows at once: bounds the memory of decoded features
+TRAINING_POINTS = 64 * CENTROIDS
+LARGEST = 1e15  # absolute value in a centroid: squared norms are float32
+
+
+class Codes(NamedTuple):
+    """Codes of rows: a centroid per sub-vector. coarse_ids: a coarse centroid per row, or None (plain)."""
+
+    codes: UInt8[np.ndarray, "n L"]
+    coarse_ids: UInt16[np.ndarray, " n"] | None = None
+
+    def rows(self, index: slice | Integer[np.ndarray, " m"]) -> "Codes":
+        return Codes(self.codes[index], None if self.coarse_ids is None else self.coarse_ids[index])
+
+
+@dataclass(frozen=True, eq=False)
+class Codebook:
+    """Centroids of each sub-vector; fits every scene seen by the same encoder.
+
+    coarse: None (plain), or centroids of whole features, whose codes are of what they leave over.
+
+    Raises: InputError: shapes disagree, or values are not finite. MismatchError: another dimension than the encoder's.
+    """
+
+    centroids: Float32[np.ndarray, "L c d"]
+    coarse: Float32[np.ndarray, "C D"] | None
+    encoder: EncoderIdentity
+
+    def __post_init__(self) -> None:
+        shape, dtype = self.centroids.shape, self.centroids.dtype
+        if len(shape) != 3 or shape[1] != CENTROIDS or 0 in shape or dtype != np.float32:
+            raise InputError(f"centroids: expected float32 (L, 256, D / L), got {dtype} {shape}")
+        if self.dim != self.encoder.dim:
+            raise MismatchError(
+                f"codebook of {self.dim} numbers for the encoder {self.encoder.name} of "
+                f"{self.encoder.dim}: train or read one made with this encoder"
+            )
+        coarse = self.coarse
+        if coarse is not None and not (
+            coarse.ndim == 2
+            and coarse.shape[1] == self.dim
+            and 1 <= len(coarse) <= 65535
+            and coarse.dtype == np.float32
+        ):
+            raise InputError(f"coarse: expected float32 (up to 65535, {self.dim}), got {coarse.dtype} {coarse.shape}")
+        parts = [part for part in (self.centroids, coarse) if part is not None]
+        if not all(np.abs(part).max(initial=0) <= LARGEST for part in parts):  # NaN is not either
+            raise InputError(f"centroids must be finite, and not beyond {LARGEST:g}")
+
+    @property
+    def num_subvectors(self) -> int:
+        return len(self.centroids)
+
+    @property
+    def code_bytes(self) -> int:
+        """Bytes of a code: one per sub-vector, two more for the coarse id of a residual codebook."""
+        return self.num_subvectors + (0 if self.coarse is None else 2)
+
+    @property
+    def dim(self) -> int:
+        return int(self.centroids.shape[0] * self.centroids.shape[2])
+
+    @cached_property
+    def hash(self) -> str:
+        """Hash of the whole codebook: codebooks of equal hash give a code the same meaning."""
+        digest = hashlib.blake2b(digest_size=16)
+        shapes = [self.centroids.shape, None if self.coarse is None else self.coarse.shape]
+        identity = [self.encoder.name, self.encoder.dim, self.encoder.weights]
+        digest.update(json.dumps([shapes, identity]).encode())
+        for part in (self.centroids, self.coarse):
+            if part is not None:
+                digest.update(np.ascontiguousarray(part).data)
+        return digest.hexdigest()
+
+    def encode(self, features: Float32[np.ndarray, "n D"], *, threads: int = 0) -> Codes:
+        """Return the nearest code of each feature; blockwise, so n may be any number.
+
+        Coarse centroids are chosen by inner product, as in the authors' index.
+
+        Raises: InputError: features of another dimension, or not finite.
+        """
+        if features.ndim != 2 or features.shape[1] != self.dim:
+            raise InputError(f"expected features (n, {self.dim}), got {features.shape}")
+        if self.coarse is None:
+            return Codes(pq_encode(features, self.centroids, threads=threads))
+        codes = np.empty((len(features), self.num_subvectors), np.uint8)
+        coarse_ids = np.empty(len(features), np.uint16)
+        for rows in _blocks(len(features)):
+            block = features[rows]
+            coarse_ids[rows] = nearest = nearest_centres(block, self.coarse, threads=threads)
+            codes[rows] = pq_encode(block - self.coarse[nearest], self.centroids, threads=threads)
+        return Codes(codes, coarse_ids)
+
+    def decode(self, codes: Codes) -> Float32[np.ndarray, "n D"]:
+        """Return the features that codes stand for, as coded: not normalised.
+
+        Raises: InputError: codes of another codebook (see `check`).
+        """
+        self.check(codes)
+        parts = self.centroids[np.arange(self.num_subvectors), codes.codes]
+        features: np.ndarray = parts.reshape(len(codes.codes), self.dim)
+        if self.coarse is not None:
+            features += self.coarse[codes.coarse_ids]
+        return features
+
+    def inverse_norms(self, codes: Codes) -> Float32[np.ndarray, " n"]:
+        """Return 1 / norm of each decoded feature, 0 where it is zero; decodes a block at a time."""
+        self.check(codes)
+        squares = (self.centroids.astype(np.float64) ** 2).sum(axis=2).astype(np.float32)
+        squared = np.empty(len(codes.codes), np.float32)
+        for rows in _blocks(len(squared)):
+            if self.coarse is None:  # squared norms add up over sub-vectors; even and odd ones apart, in one order
+                sums = np.zeros((2, len(squared[rows])), np.float32)
+                for part, column in enumerate(codes.codes[rows].T):
+                    sums[part % 2] += squares[part, column]
+                squared[rows] = sums.sum(axis=0)
+            else:
+                squared[rows] = (self.decode(codes.rows(rows)) ** 2).sum(axis=1)
+        norms = np.sqrt(squared)
+        return np.asarray(np.divide(1, norms, out=np.zeros_like(norms), where=norms > 0))
+
+    def tables(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> QueryTables:
+        """Return each query's inner products with all centroids.
+
+        Raises: InputError: queries of another dimension.
+        """
+        if queries.shape[1] != self.dim:
+            raise InputError(f"expected queries of {self.dim} numbers, got {queries.shape[1]}")
+        by_part, by_block = self._by_number
+        luts = lookup_tables(by_part, queries, threads=threads)
+        if self.coarse is None:
+            return QueryTables(luts)
+        blocks = [lookup_tables(block[None], queries, threads=threads) for block in by_block]
+        return QueryTables(luts, np.concatenate(blocks, axis=2)[:, 0, : len(self.coarse)])
+
+    @cached_property
+    def _by_number(self) -> tuple[Float32[np.ndarray, "L d c"], Float32[np.ndarray, "b D c"]]:
+        """Centroids, and blocks of 256 coarse ones, as `lookup_tables` reads them."""
+        by_part = np.ascontiguousarray(self.centroids.transpose(0, 2, 1))
+        coarse = np.empty((0, self.dim), np.float32) if self.coarse is None else self.coarse
+        padded = np.zeros((-(-len(coarse) // CENTROIDS), CENTROIDS, self.dim), np.float32)
+        padded.reshape(-1, self.dim)[: len(coarse)] = coarse
+        return by_part, np.ascontiguousarray(padded.transpose(0, 2, 1))
+
+    def check(self, codes: Codes) -> None:
+        """Refuse codes that this codebook cannot have made.
+
+        Raises: InputError: another number of sub-vectors, coarse ids missing, superfluous or out of range.
+        """
+        if codes.codes.ndim != 2 or codes.codes.shape[1] != self.num_subvectors:
+            raise InputError(f"expected codes (n, {self.num_subvectors}), got {codes.codes.shape}")
+        self.check_coarse_ids(codes.coarse_ids, len(codes.codes))
+
+    def check_coarse_ids(self, ids: UInt16[np.ndarray, " n"] | None, rows: int) -> None:
+        """Check coarse ids. Raises: InputError: ids missing, superfluous, out of range or not one per row."""
+        if (ids is None) != (self.coarse is None):
+            raise InputError("coarse ids belong with a residual codebook, and only with one")
+        if self.coarse is not None and ids is not None:
+            if ids.shape != (rows,) or ids.dtype != np.uint16:
+                raise InputError(f"expected {rows} coarse ids (uint16), got {ids.dtype} {ids.shape}")
+            largest = int(ids.max(initial=0))
+            if largest >= len(self.coarse):
+                raise InputError(f"coarse id {largest}, but there are {len(self.coarse)} coarse centroids")
+
+    def tensors(self) -> dict[str, np.ndarray]:
+        """Return the arrays by name, as they are written to files."""
+        return {"centroids": self.centroids} | ({} if self.coarse is None else {"coarse": self.coarse})
+
+
+def train_codebook(
+    embeddings: Float32[np.ndarray, "n D"],
+    num_subvectors: int = 128,
+    *,
+    encoder: EncoderIdentity,
+    seed: int = 0,
+    threads: int = 0,
+    track: Track = untracked,
+) -> Codebook:
+    """Train a plain codebook; equal to the bit for any number of threads. track: shows progress.
+
+    At most 16,384 of the points are used, drawn by `seed`: 64 per centroid. Where a sub-vector has
+    up to 256 distinct values, they become its centroids, and are then coded without loss.
+
+    Raises: InputError: no points, points not finite, or D is no multiple of num_subvectors.
+    Source: Dr. Splat Sec. B.
+    """
+    n, dim = embeddings.shape
+    if n == 0 or num_subvectors < 1 or dim % num_subvectors:
+        raise InputError(
+            f"cannot train {num_subvectors} sub-vectors on {n} embeddings of {dim} numbers: give at "
+            f"least one embedding, and a number of sub-vectors that divides {dim}"
+        )
+    if n > TRAINING_POINTS:
+        drawn = np.random.default_rng(seed).choice(n, TRAINING_POINTS, replace=False)
+        embeddings = embeddings[np.sort(drawn)]
+    points = np.ascontiguousarray(embeddings)
+    return Codebook(train_centroids(points, num_subvectors, seed, threads, track), None, encoder)
+
+
+def _blocks(count: int) -> Iterator[slice]:
+    return (slice(begin, min(begin + BLOCK, count)) for begin in range(0, count, BLOCK))

@@ -1,0 +1,97 @@
+"""K-means of all sub-vectors at once: Lloyd's algorithm on the native encoder.
+
+The same points and seed give the same bits for any number of threads.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import Protocol, TypeVar, runtime_checkable
+
+import numpy as np
+
+from ...base.arrays import Float32, Float64, Int, Int64, UInt8, UInt64
+from ...kernels import pq_encode
+from ...kernels.algebra import CENTROIDS, code_sums
+
+ITERATIONS = 12
+T = TypeVar("T")
+
+
+@runtime_checkable
+class Track(Protocol):
+    """Function that yields the items of a long job, in order, and shows its progress, such as `base.progress.track`."""
+
+    def __call__(self, items: Sequence[T], description: str, /) -> Iterable[T]: ...
+
+
+def untracked(items: Sequence[T], description: str, /) -> Iterable[T]:
+    """Return the items and show no progress."""
+    return items
+
+
+def train_centroids(
+    points: Float32[np.ndarray, "n D"], num_subvectors: int, seed: int, threads: int = 0, track: Track = untracked
+) -> Float32[np.ndarray, "L c d"]:
+    """Train 256 centroids per sub-vector; one of at most 256 distinct values gets exactly those.
+
+    Starts from distinct points. A centroid that serves no point moves to the worst-served one.
+
+    Source: Jegou et al. 2011; Lloyd 1982.
+    """
+    parts = points.reshape(len(points), num_subvectors, -1)
+    rng = np.random.default_rng(seed)
+    starts = [_starts(keys, rng) for keys in _keys(parts).T]
+    centroids = np.stack([parts[index, m] for m, index in enumerate(starts)])
+    previous = None
+    for _ in track(range(ITERATIONS), "training the codebook"):
+        codes = pq_encode(points, centroids, threads=threads)
+        if previous is not None and np.array_equal(codes, previous):
+            break
+        _update(centroids, parts, codes, threads)
+        previous = codes
+    return centroids
+
+
+def _keys(parts: Float32[np.ndarray, "n L d"]) -> UInt64[np.ndarray, "n L"]:
+    """Return a 64-bit hash of each sub-vector: equal for equal values."""
+    words = (parts + np.float32(0)).view(np.uint32).astype(np.uint64)  # + 0 makes -0 equal 0
+    keys = np.zeros(parts.shape[:2], np.uint64)
+    for word in range(words.shape[2]):
+        keys = (keys ^ words[:, :, word]) * np.uint64(0x9E3779B97F4A7C15)
+        keys ^= keys >> np.uint64(29)
+    return keys
+
+
+def _starts(keys: UInt64[np.ndarray, " n"], rng: "np.random.Generator") -> Int[np.ndarray, " c"]:
+    """Draw 256 points of distinct values; where there are fewer, take all and repeat the first."""
+    distinct = np.sort(np.unique(keys, return_index=True)[1])
+    if len(distinct) <= CENTROIDS:
+        return np.pad(distinct, (0, CENTROIDS - len(distinct)), constant_values=distinct[0])
+    return np.sort(rng.choice(distinct, CENTROIDS, replace=False))
+
+
+def _update(
+    centroids: Float32[np.ndarray, "L c d"],
+    parts: Float32[np.ndarray, "n L d"],
+    codes: UInt8[np.ndarray, "n L"],
+    threads: int,
+) -> None:
+    """Move each centroid to the mean of its points, in place."""
+    sums, counts = code_sums(parts.reshape(len(parts), -1), codes, threads=threads)
+    served = counts > 0
+    centroids[served] = sums[served] / counts[served][:, None]
+    for m in np.flatnonzero(~served.all(axis=1)):
+        columns = np.ascontiguousarray(parts[:, m].T, np.float64)
+        _move_idle(centroids[m], np.flatnonzero(~served[m]), columns, codes[:, m])
+
+
+def _move_idle(
+    centroids: Float32[np.ndarray, "c d"],
+    idle: Int64[np.ndarray, " i"],
+    columns: Float64[np.ndarray, "d n"],
+    codes: UInt8[np.ndarray, " n"],
+) -> None:
+    """Put centroids that serve no point on those that are served worst."""
+    distances = ((columns - centroids[codes].T) ** 2).sum(axis=0)
+    worst = np.argsort(-distances, kind="stable")[: len(idle)]
+    worst = worst[distances[worst] > 0]  # nothing is gained by a copy of a centroid
+    centroids[idle[: len(worst)]] = columns[:, worst].T

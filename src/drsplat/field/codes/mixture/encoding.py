@@ -1,0 +1,183 @@
+"""Rows of W to a mixture code, a block of rows at a time: there is never a dense matrix of all features."""
+
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from ....base.arrays import Float32, Int32, Int64, Integer, Sparse
+from ....base.contents import release
+from ....errors import InputError
+from ....kernels.mixture import ADDRESSABLE, MOST_ATOMS, Candidates, Dictionary, Encoded, mixture_encode
+from ..kmeans import Track, untracked
+from .code import MixtureCode, packed
+from .dictionary import SCENE_ATOM, AtomTable, quantised
+from .scene_atoms import POINTS_PER_ATOM, SceneAtoms, train_scene_atoms
+
+BLOCK = 8192
+DEFAULT_ATOMS = 4  # of a row
+MOST_SCENE_ATOMS = 4096
+ROWS_PER_SCENE_ATOM = 16
+
+
+@runtime_checkable
+class MixtureSource(Protocol):
+    """Source of the masks that features are mixtures of, such as `Evidence`."""
+
+    @property
+    def weights(self) -> Sparse: ...
+    @property
+    def embeddings(self) -> Float32[np.ndarray, "m D"]: ...
+    def __len__(self) -> int: ...
+    def features(self, begin: int, end: int, *, threads: int = 0) -> Float32[np.ndarray, "n D"]: ...
+
+
+@runtime_checkable
+class SourceOfSome(MixtureSource, Protocol):
+    """Source whose rows can be taken out."""
+
+    def rows(self, index: Integer[np.ndarray, " r"]) -> "MixtureSource": ...
+
+
+class Mixed(NamedTuple):
+    """Code and its scene atoms. scene_places: numbers among the scene's atoms of those in the code, in its order."""
+
+    code: MixtureCode
+    scene_places: Int32[np.ndarray, " p"]
+
+
+class Plan(NamedTuple):
+    """Atoms to encode with. positions: of each column's atom, -1 for none. first_scene: of the first scene atom."""
+
+    dictionary: Dictionary
+    positions: Int32[np.ndarray, " m"]
+    scene: SceneAtoms | None
+    first_scene: int
+
+
+def encode_mixture(
+    source: SourceOfSome,
+    atoms_per_row: int = DEFAULT_ATOMS,
+    *,
+    scene_atoms: int | SceneAtoms | None = None,
+    seed: int = 0,
+    threads: int = 0,
+    track: Track = untracked,
+) -> MixtureCode:
+    """Encode every row as a mixture: 3 * atoms_per_row + 2 bytes each, and the atoms that are used.
+
+    A row is made of the masks in it and of scene atoms near its feature. scene_atoms: those, or how many
+    to learn of these rows; None: one per 16 rows, up to 4,096; 0: none. Where rows use more than 65,536 atoms, all are
+    coded again with those used most. Equal to the bit for any number of threads.
+
+    Raises: InputError: no rows, nothing to mix, atoms_per_row not in 1..16, or more than 32,768 scene atoms.
+    """
+    if not isinstance(scene_atoms, SceneAtoms):
+        scene_atoms = learn_scene_atoms(source, scene_atoms, seed=seed, threads=threads)
+    return encode_with(source, atoms_per_row, scene_atoms, threads=threads, track=track).code
+
+
+def encode_with(
+    source: MixtureSource, atoms_per_row: int, scene: SceneAtoms | None, *, threads: int = 0, track: Track = untracked
+) -> Mixed:
+    """Encode rows as `encode_mixture` does, with scene atoms that are trained already, or none."""
+    if not 1 <= atoms_per_row <= MOST_ATOMS:
+        raise InputError(f"expected 1 to {MOST_ATOMS} atoms per row, got {atoms_per_row}")
+    if not len(source) or not len(source.embeddings):
+        raise InputError(f"no code of {len(source)} rows and {len(source.embeddings)} masks")
+    columns = np.arange(len(source.embeddings), dtype=np.int32)
+    while True:
+        plan = plan_of(source.embeddings, columns, scene)
+        encoded = encode_rows(source, plan, atoms_per_row, threads=threads, track=track)
+        used = atoms_by_use(encoded)
+        if len(used) <= ADDRESSABLE:
+            return assembled(encoded, plan, columns, used)
+        columns = columns[left_in(used, plan.first_scene, scene)]
+
+
+def left_in(used: Int64[np.ndarray, " u"], masks: int, scene: SceneAtoms | None) -> Int32[np.ndarray, " c"]:
+    """Return the most used of the first `masks` atoms that can be addressed beside all of the scene's; ascending."""
+    own = used[used < masks][: ADDRESSABLE - (len(scene) if scene else 0)]
+    return np.sort(own).astype(np.int32)
+
+
+def learn_scene_atoms(
+    source: SourceOfSome, wanted: int | None = None, *, seed: int = 0, threads: int = 0
+) -> SceneAtoms | None:
+    """Learn typical features of rows; None where none are wanted or no row has a feature.
+
+    wanted: how many; None: one per 16 rows, up to 4,096.
+
+    Raises: InputError: more than 32,768 are wanted.
+    """
+    if wanted is None:
+        wanted = min(MOST_SCENE_ATOMS, len(source) // ROWS_PER_SCENE_ATOM)
+    if not 0 <= wanted <= ADDRESSABLE // 2:
+        raise InputError(f"expected 0 to {ADDRESSABLE // 2:,} scene atoms, got {wanted:,}")
+    count = min(len(source), POINTS_PER_ATOM * wanted)
+    spread = np.linspace(0, len(source) - 1, count).astype(np.int64)
+    points = source.rows(spread).features(0, count, threads=threads)
+    directed = np.ascontiguousarray(points[points.any(axis=1)])
+    if not wanted or not len(directed):
+        return None
+    return train_scene_atoms(directed, wanted, seed=seed, threads=threads)
+
+
+def plan_of(embeddings: Float32[np.ndarray, "m D"], columns: Int32[np.ndarray, " c"], scene: SceneAtoms | None) -> Plan:
+    """Return a plan of the atoms of some columns, followed by those of the scene."""
+    parts = [quantised(embeddings[columns])] + ([scene.coded] if scene else [])
+    values, scales = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
+    positions = np.full(len(embeddings), -1, np.int32)
+    positions[columns] = np.arange(len(columns), dtype=np.int32)
+    return Plan(Dictionary(values, scales), positions, scene, len(columns))
+
+
+def encode_rows(
+    source: MixtureSource, plan: Plan, atoms_per_row: int, *, threads: int = 0, track: Track = untracked
+) -> Encoded:
+    """Encode each row by itself: the same to the bit whatever rows are coded with it."""
+    rows = len(source)
+    ids = np.empty((rows, atoms_per_row), np.int32)
+    weights, scales = np.empty((rows, atoms_per_row), np.uint8), np.empty(rows, np.float32)
+    for begin in track(range(0, rows, BLOCK), "coding Gaussians"):
+        block = slice(begin, min(begin + BLOCK, rows))
+        features = source.features(block.start, block.stop, threads=threads)
+        candidates = _candidates(source, plan, features, block, threads)
+        ids[block], weights[block], scales[block] = mixture_encode(
+            features, plan.dictionary, candidates, atoms_per_row, threads=threads
+        )
+        release(source.weights.indices, source.weights.data)
+    return Encoded(ids, weights, scales)
+
+
+def _candidates(
+    source: MixtureSource, plan: Plan, features: Float32[np.ndarray, "n D"], block: slice, threads: int
+) -> Candidates:
+    indptr = source.weights.indptr[block.start : block.stop + 1].astype(np.int64)
+    atoms = plan.positions[source.weights.indices[indptr[0] : indptr[-1]]]
+    kept = np.concatenate([[0], np.cumsum(atoms >= 0)])
+    further = np.empty((len(features), 0), np.int32)
+    if plan.scene is not None:
+        further = plan.scene.near(features, threads=threads) + np.int32(plan.first_scene)
+    return Candidates(kept[indptr - indptr[0]], atoms[atoms >= 0], further)
+
+
+def atoms_by_use(encoded: Encoded) -> Int64[np.ndarray, " u"]:
+    """Return the atoms with a weight in any row that has a direction, most used first, close together for scans."""
+    counts = (encoded.weights > 0) & (encoded.scales.astype(np.float16) > 0)[:, None]
+    uses = np.bincount(encoded.ids[counts])
+    order = np.argsort(-uses, kind="stable")
+    return np.asarray(order[uses[order] > 0])
+
+
+def assembled(encoded: Encoded, plan: Plan, columns: Int32[np.ndarray, " c"], used: Int64[np.ndarray, " u"]) -> Mixed:
+    """Return the code of the rows with the atoms that they use; parts without weight name the first atom."""
+    kept = used if len(used) else np.zeros(1, np.int64)  # no row has a direction
+    is_mask = kept < plan.first_scene
+    masks = np.where(is_mask, columns[np.minimum(kept, len(columns) - 1)], SCENE_ATOM)
+    places = np.zeros(len(plan.dictionary.scales), np.uint16)
+    places[kept] = np.arange(len(kept), dtype=np.uint16)
+    dictionary = Dictionary(plan.dictionary.values[kept], plan.dictionary.scales[kept])
+    atoms = AtomTable(dictionary, masks.astype(np.int32))
+    ids = np.where(encoded.weights > 0, places[encoded.ids], 0).astype(np.uint16)
+    scene_places = (kept[~is_mask] - plan.first_scene).astype(np.int32)
+    return Mixed(MixtureCode(packed(ids, encoded.weights, encoded.scales), atoms), scene_places)

@@ -1,0 +1,161 @@
+"""The rows of W, a block at a time: every row's k-th entry at once.
+
+An entry W_ij is one vote: mask j says e_j of Gaussian i, with that weight. A mask belongs to one photo,
+so a Gaussian that one mask covers in a photo has one vote of that photo, as in the published methods that
+look at one pixel; where masks meet it has several, and the smaller of them can be dropped alone.
+"""
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from ....base.arrays import Bool, Float32, Float64, Int64, Integer
+from ....base.contents import release
+from ..evidence import Evidence, MaskIds
+
+BLOCK = 1024  # rows: the embeddings of a step, 2 MB at 512 numbers, stay in the processor's cache
+CELLS = 1 << 19  # largest number of cells in a block's tables: rows of many votes come in smaller blocks
+ENTRIES = 1 << 20  # of W at once, in passes over all of them: bounds the memory beside it
+
+
+@dataclass(frozen=True, eq=False)
+class RowBlock:
+    """The entries of some rows as tables; rows by falling length, padded at their ends with weight 0.
+
+    positions: of each entry in the arrays of W. active[k]: how many rows, the first ones, have an entry k.
+    """
+
+    positions: Int64[np.ndarray, "n k"]
+    columns: Integer[np.ndarray, "n k"]
+    weights: Float64[np.ndarray, "n k"]
+    active: Int64[np.ndarray, " k"]
+
+    @property
+    def filled(self) -> Bool[np.ndarray, "n k"]:
+        return np.arange(len(self.positions))[:, None] < self.active
+
+    def embeddings(self, table: Float32[np.ndarray, "m d"], entry: int) -> Float32[np.ndarray, "a d"]:
+        """Return the embedding of the k-th entry (k = `entry`) of every row that has one."""
+        return table.take(self.columns[: self.active[entry], entry], axis=0)
+
+
+def row_block(weights: csr_array, rows: Int64[np.ndarray, " n"]) -> RowBlock:
+    """Return the entries of some rows as tables; rows must come by falling length, none of them empty."""
+    starts = weights.indptr[rows].astype(np.int64)
+    lengths = weights.indptr[rows + 1] - starts
+    entries = np.arange(lengths[0])
+    filled = entries < lengths[:, None]
+    positions = np.where(filled, starts[:, None] + entries, starts[0])
+    values = np.where(filled, weights.data[positions].astype(np.float64), 0.0)
+    return RowBlock(positions, weights.indices[positions], values, filled.sum(axis=0))
+
+
+Rule = Callable[[RowBlock], Float64[np.ndarray, "n k"]]
+"""A number per entry of a block."""
+
+
+def reweighted(evidence: Evidence, rule: Rule, threads: int = 0) -> Evidence:
+    """Return the evidence with the weights that `rule` gives to each block of rows; those of 0 are dropped."""
+    return with_weights(evidence, entry_values(evidence, rule, threads))
+
+
+def entry_values(evidence: Evidence, rule: Rule, threads: int = 0) -> Float32[np.ndarray, " e"]:
+    """Return the value of `rule` for each entry of W, in the order of its arrays.
+
+    Blocks do not depend on each other, so that any number of threads gives the same bits.
+    """
+    weights = evidence.weights
+    values = np.zeros(len(weights.data), np.float32)
+    lengths = np.diff(weights.indptr)
+    # Rows of like length go together, so that their tables are full.
+    order = np.argsort(-lengths, kind="stable")[: np.count_nonzero(lengths)]
+
+    def work(rows: Int64[np.ndarray, " n"]) -> None:
+        block = row_block(weights, rows)
+        values[block.positions[block.filled]] = rule(block)[block.filled]
+
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        list(pool.map(work, _blocks(order, lengths)))
+    return values
+
+
+def _blocks(order: Int64[np.ndarray, " r"], lengths: Integer[np.ndarray, " n"]) -> Iterator[Int64[np.ndarray, " b"]]:
+    """Yield rows by falling length in blocks of at most BLOCK rows, and CELLS entries unless one row has more."""
+    begin = 0
+    while begin < len(order):
+        size = min(BLOCK, max(1, CELLS // int(lengths[order[begin]])))
+        yield order[begin : begin + size]
+        begin += size
+
+
+def with_weights(evidence: Evidence, data: Float32[np.ndarray, " e"]) -> Evidence:
+    """Return the evidence with other weights of the same entries; entries of weight 0 are dropped."""
+    old = evidence.weights
+    kept = data > 0
+    if kept.all():
+        matrix = csr_array((data, old.indices, old.indptr), shape=old.shape)
+    else:
+        before = np.concatenate([[0], np.cumsum(kept)])
+        indptr = before[old.indptr].astype(old.indptr.dtype)
+        matrix = csr_array((data[kept], old.indices[kept], indptr), shape=old.shape)
+    return replace(evidence, weights=matrix)
+
+
+def row_chunks(weights: csr_array) -> Iterator[slice]:
+    """Yield slices of rows with about ENTRIES entries each; a memory-mapped W is never in memory as a whole."""
+    ends = np.arange(ENTRIES, weights.indptr[-1] + ENTRIES, ENTRIES)
+    stops = np.unique([0, *np.searchsorted(weights.indptr, ends), len(weights.indptr) - 1])
+    for begin, end in pairwise(stops[stops < len(weights.indptr)].tolist()):
+        yield slice(begin, end)
+        release(weights.indices, weights.data)
+
+
+def of_columns(evidence: Evidence, kept: Bool[np.ndarray, " m"]) -> Evidence:
+    """Return the evidence without the entries of the columns that are not kept, and without those of weight 0."""
+    old, lengths = evidence.weights, np.zeros(len(evidence) + 1, np.int64)
+    indices, data = [np.empty(0, old.indices.dtype)], [np.empty(0, np.float32)]
+    for rows in row_chunks(old):
+        starts = old.indptr[rows.start : rows.stop + 1].astype(np.int64)
+        columns, values = old.indices[starts[0] : starts[-1]], old.data[starts[0] : starts[-1]]
+        held = kept[columns] & (values > 0)
+        indices.append(columns[held])
+        data.append(values[held])
+        lengths[rows.start + 1 : rows.stop + 1] = np.diff(np.append(0, np.cumsum(held))[starts - starts[0]])
+    indptr = np.cumsum(lengths).astype(old.indptr.dtype)
+    matrix = csr_array((np.concatenate(data), np.concatenate(indices), indptr), shape=old.shape)
+    return replace(evidence, weights=matrix)
+
+
+def column_counts(weights: csr_array) -> Int64[np.ndarray, " m"]:
+    """Count the entries of each column."""
+    counts = np.zeros(weights.shape[1], np.int64)
+    for rows in row_chunks(weights):
+        columns = weights.indices[weights.indptr[rows.start] : weights.indptr[rows.stop]]
+        counts += np.bincount(columns, minlength=len(counts))
+    return counts
+
+
+def canonical(evidence: Evidence) -> Evidence:
+    """Sort the columns by view name, then mask id, and the entries of each row in that order.
+
+    Registrations are sorted, evidence made by hand may not be; sorted evidence is returned as it is.
+    """
+    masks, weights = evidence.masks, evidence.weights
+    names = sorted(masks.view_names)
+    rank = {name: i for i, name in enumerate(names)}
+    views = np.array([rank[name] for name in masks.view_names], np.int32)[masks.views]
+    order = np.lexsort((masks.ids, views))
+    if (np.diff(order) == 1).all() and weights.has_sorted_indices:
+        return evidence
+    columns = csr_array(weights[:, order])
+    columns.sort_indices()
+    by_name = np.argsort(np.array(masks.view_names, object), kind="stable")
+    times = None if masks.times is None else masks.times[by_name]
+    rendered = tuple(masks.sources[at] for at in by_name) if masks.rendered_from else ()
+    ordered = MaskIds(tuple(names), views[order], masks.ids[order], times, rendered)
+    return Evidence(columns, ordered, evidence.embeddings[order])

@@ -1,0 +1,128 @@
+"""Votes of neighbours on a Gaussian's feature, which may be replaced by another's; nothing is averaged."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ....base.arrays import Float32, Float64, Int32, Int64, Integer
+from ....scene.gaussians import Gaussians
+from ..evidence import Evidence
+from .reliability import reliability
+
+SAME = 1e-5  # relative difference of support that counts as equal: float32 products differ between processors
+BLOCK = 512  # receivers at once, near each other: they share most neighbours
+
+Points = Float32[np.ndarray, "r 3"]
+
+
+@dataclass(frozen=True)
+class ModeVoting:
+    """Vote by support S_ij = R_j sum_k R_k d_ik g_jk over the neighbours j and k of i, itself among them.
+
+    d_ik = min(1, a_k / a_i)^footprint exp(-|x_i - x_k|^2 / 2 s^2): s is the distance of i to the middle one
+    of its `neighbours`, a the product of the two larger scales, so that many small Gaussians on a thing do not
+    outvote the large one that it stands on. g_jk = exp((cos(f_j, f_k) - 1) / bandwidth). R is `reliability`.
+    Gaussian i takes the feature of the best j where S_ij > (1 + margin) S_ii by more than rounding; of equal ones the
+    nearest.
+
+    Source: NormLift (2026), mode voting. Of what we know of it d, g and the margin are open; they, and a, are
+    ours.
+    Twin: tests/test_aggregation_voting.py::slow_donors.
+    """
+
+    neighbours: int = 20
+    bandwidth: float = 0.1
+    margin: float = 0.0
+    footprint: float = 0.5
+
+    def donors(
+        self, evidence: Evidence, gaussians: Gaussians, receivers: Int64[np.ndarray, " v"], threads: int = 0
+    ) -> Int32[np.ndarray, " r"]:
+        """Return for each row the row whose feature it takes: mostly its own; -1 where it gets none.
+
+        gaussians: those of the rows. receivers: rows that may take another's feature, or get one though they have none.
+        """
+        trust = reliability(evidence, threads)
+        donors = np.where(trust > 0, np.arange(len(trust)), -1).astype(np.int32)
+        givers = np.flatnonzero(trust > 0)
+        if not len(givers):
+            return donors
+        means, sizes = gaussians.means, footprints(gaussians) ** self.footprint
+        tree = cKDTree(means[givers])
+        for rows in _near_each_other(tree, means, receivers, threads):
+            distances, near = _neighbours(tree, means[rows], self.neighbours + 1, threads)
+            candidates = _with_self(givers[near], rows, trust)
+            alike = _likeness(evidence, candidates, self.bandwidth, threads)
+            close = _closeness(distances) * np.minimum(1, sizes[candidates] / sizes[rows, None])
+            donors[rows] = self._best(trust, rows, candidates, close, alike)
+        return donors
+
+    def _best(
+        self,
+        trust: Float64[np.ndarray, " r"],
+        rows: Int64[np.ndarray, " b"],
+        candidates: Int64[np.ndarray, "b k"],
+        close: Float64[np.ndarray, "b k"],
+        alike: Float64[np.ndarray, "b k k"],
+    ) -> Int64[np.ndarray, " b"]:
+        believed = trust[candidates] * close
+        support = trust[candidates] * np.matmul(alike, believed[:, :, None])[:, :, 0]
+        own = np.where(candidates == rows[:, None], support, 0).max(axis=1)
+        best = support.argmax(axis=1)[:, None]
+        wins = np.take_along_axis(support, best, 1)[:, 0] > (1 + self.margin) * (1 + SAME) * own
+        taken = np.take_along_axis(candidates, best, 1)[:, 0]
+        return np.where(wins, taken, np.where(trust[rows] > 0, rows, -1))
+
+
+def footprints(gaussians: Gaussians) -> Float64[np.ndarray, " n"]:
+    """Return the product of the two larger scales: the area that a Gaussian on a surface covers."""
+    sides = np.sort(gaussians.scales.astype(np.float64), axis=1)
+    return np.asarray(np.maximum(sides[:, 1] * sides[:, 2], np.finfo(np.float64).tiny))
+
+
+def _near_each_other(
+    tree: cKDTree, means: Points, receivers: Int64[np.ndarray, " v"], threads: int
+) -> Iterator[Int64[np.ndarray, " b"]]:
+    """Yield the receivers in the order of the tree's leaves, in blocks."""
+    rank = np.empty(tree.n, np.int64)
+    rank[tree.indices] = np.arange(tree.n)
+    nearest = tree.query(means[receivers], workers=threads or -1)[1]
+    ordered = receivers[np.argsort(rank[nearest], kind="stable")]
+    yield from (ordered[begin : begin + BLOCK] for begin in range(0, len(ordered), BLOCK))
+
+
+def _neighbours(
+    tree: cKDTree, points: Points, count: int, threads: int
+) -> tuple[Float64[np.ndarray, "b k"], Integer[np.ndarray, "b k"]]:
+    """Return distances and indices of the nearest points of the tree, nearest first; equally near ones by index."""
+    count = min(count, tree.n)
+    distances, near = tree.query(points, k=np.arange(1, count + 1), workers=threads or -1)
+    order = np.lexsort((near, distances), axis=1)
+    return np.take_along_axis(distances, order, 1), np.take_along_axis(near, order, 1)
+
+
+def _with_self(
+    candidates: Int64[np.ndarray, "b k"], rows: Int64[np.ndarray, " b"], trust: Float64[np.ndarray, " r"]
+) -> Int64[np.ndarray, "b k"]:
+    """Put rows among their own candidates; one that many others coincide with may be missing there."""
+    absent = (trust[rows] > 0) & ~(candidates == rows[:, None]).any(axis=1)
+    candidates[absent, 0] = rows[absent]
+    return candidates
+
+
+def _closeness(distances: Float64[np.ndarray, "b k"]) -> Float64[np.ndarray, "b k"]:
+    middle = distances[:, distances.shape[1] // 2, None]
+    return np.exp(-0.5 * (distances / np.where(middle > 0, middle, 1.0)) ** 2)
+
+
+def _likeness(
+    evidence: Evidence, candidates: Int64[np.ndarray, "b k"], bandwidth: float, threads: int
+) -> Float64[np.ndarray, "b k k"]:
+    """Return g of all pairs of candidates of each row, from one table of all pairs in the block."""
+    present, at = np.unique(candidates, return_inverse=True)
+    features = evidence.rows(present).features(0, len(present), threads=threads)
+    cosines, at = features @ features.T, at.reshape(candidates.shape)
+    pairs = np.minimum(cosines[at[:, :, None], at[:, None, :]], 1).astype(np.float64)
+    return np.asarray(np.exp((pairs - 1) / bandwidth))

@@ -1,0 +1,246 @@
+"""Columns of W of each view: computed once, stored on disk, stacked into a sparse matrix."""
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from ...base.arrays import Float32, Int32, Int64, UInt32
+from ...errors import FormatError, InputError, MismatchError
+from ...formats.tensors import map_tensors, read_tensors, write_tensors
+from ...kernels import SplatArrays, Triples, default_isa, splat_arrays
+from ...kernels.cuda.devices import device_in_use
+from ...scene.gaussians import Gaussians, ShapesDigest
+from ...scene.masks.features import ViewFeatures
+from ...scene.moving import Moving
+from ...scene.photo_masks import load_mask
+from ...scene.photos import undistort_ids
+from ...scene.views import View, same_aspect
+from .aggregation import Sampling
+from .provenance import KEY_BYTES
+
+COLUMNS_VERSION = "2"
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Part of W of one view, its triples on disk at `path`; mask s is its column s. key: hash of its inputs."""
+
+    view_name: str
+    path: Path
+    embeddings: Float32[np.ndarray, "s d"]
+    key: bytes
+
+    def triples(self) -> Triples:
+        tensors, _ = map_tensors(self.path)
+        return Triples(tensors["gaussian_ids"], tensors["segment_ids"], tensors["weights"])
+
+
+class VisibleSplats(NamedTuple):
+    """Gaussians in front of a camera. rows: of the scene, ascending; None: all of them."""
+
+    splats: SplatArrays
+    rows: UInt32[np.ndarray, " m"] | None = None
+
+
+@runtime_checkable
+class Scenery(Protocol):
+    """Scene that views look at. digest: hash of all that decides what a view sees. near: see `SplatArrays`."""
+
+    @property
+    def near(self) -> float: ...
+    def digest(self, view: View) -> str: ...
+    def visible_splats(self, view: View) -> VisibleSplats: ...
+
+
+@dataclass(frozen=True, eq=False)
+class StillScenery:
+    """Still scene in memory; every camera sees all of it."""
+
+    gaussians: Gaussians
+    given_near: float | None = None
+
+    @cached_property
+    def splats(self) -> SplatArrays:
+        return splat_arrays(self.gaussians, self.given_near)
+
+    @property
+    def near(self) -> float:
+        return self.gaussians.near if self.given_near is None else self.given_near
+
+    @cached_property
+    def _digest(self) -> str:
+        return f"{ShapesDigest(self.gaussians.origin).add(self.gaussians).text()} {self.near!r}"
+
+    def digest(self, view: View) -> str:
+        return self._digest
+
+    def visible_splats(self, view: View) -> VisibleSplats:
+        return VisibleSplats(self.splats)
+
+
+class MovingScenery:
+    """Moving scene; every camera sees it at the time of its photo. The scene at the last time is cached.
+
+    near: one for the whole film. Raises: InputError: a view has no time, or one outside of the scene's span.
+    """
+
+    def __init__(self, moving: Moving, given_near: float | None = None) -> None:
+        self.moving, self.near = moving, moving.canonical.near if given_near is None else given_near
+        self._at = lru_cache(maxsize=1)(lambda time: StillScenery(moving.at(time), self.near))
+
+    def digest(self, view: View) -> str:
+        return self._at(time_of(view)).digest(view)
+
+    def visible_splats(self, view: View) -> VisibleSplats:
+        return self._at(time_of(view)).visible_splats(view)
+
+
+def scenery_of(scene: Gaussians | Moving, near: float | None = None) -> StillScenery | MovingScenery:
+    """Return the scenery of a scene in memory, still or moving."""
+    return MovingScenery(scene, near) if isinstance(scene, Moving) else StillScenery(scene, near)
+
+
+def time_of(view: View) -> float:
+    """Return the time of a view of a moving scene. Raises: InputError: it has none."""
+    if view.time is None:
+        raise InputError(
+            f"view '{view.name}' has no time, and the scene moves: give times=TABLE.csv or a pattern of names such as "
+            "cam*/frame_{time}.png, or a transforms.json with the time of each frame"
+        )
+    return view.time
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnMaker:
+    """Maker of the columns of one scene's views in `folder`; it recognises those that are there already."""
+
+    scenery: Scenery
+    folder: Path
+    sampling: Sampling
+    threads: int
+
+    def columns(self, view: View, features: ViewFeatures) -> Columns:
+        """Compute the view's columns, unless the very same ones are in the folder.
+
+        Raises: MismatchError: the map has another shape than the photo.
+        """
+        return self.made(view, features)[0]
+
+    def made(self, view: View, features: ViewFeatures) -> tuple[Columns, bool]:
+        """Return the view's columns, and whether they were computed now; see `columns`."""
+        mask_ids = _mask_ids(view, features)
+        key = self._key(view, mask_ids)
+        marks = _marks(key)
+        path = self.folder / part_name(view.name)
+        columns, is_new = Columns(view.name, path, features.embeddings, key), not is_finished(path, marks)
+        if is_new:
+            splats, rows = self.scenery.visible_splats(view)
+            triples = self.sampling.triples(splats, view, mask_ids, self.threads)
+            if rows is not None:
+                triples = triples._replace(gaussian_ids=rows[triples.gaussian_ids])
+            self.folder.mkdir(parents=True, exist_ok=True)
+            tensors = dict(zip(("gaussian_ids", "segment_ids", "weights"), triples, strict=True))
+            write_tensors(path, tensors, marks | {"view": view.name}, overwrite=True)
+        return columns, is_new
+
+    def key(self, view: View, features: ViewFeatures) -> bytes:
+        """Return a hash of all that decides a view's columns; equal keys mean equal columns on one instruction set.
+
+        Raises: MismatchError: the map has another shape than the photo.
+        """
+        return self._key(view, _mask_ids(view, features))
+
+    def _key(self, view: View, mask_ids: Int32[np.ndarray, "h w"]) -> bytes:
+        salt = f"{self._settings} {self.scenery.digest(view)}"
+        return _digest(view.K, view.cam_from_world, mask_ids, salt=salt)
+
+    @cached_property
+    def _settings(self) -> str:
+        """Version and sampling, as they enter the key of every view."""
+        sampling = self.sampling
+        pixels = "" if sampling.pixels == "all" else f" {sampling.pixels}"
+        return f"{COLUMNS_VERSION} {sampling.topk} {sampling.first_hits}{pixels}"
+
+
+def _mask_ids(view: View, features: ViewFeatures) -> Int32[np.ndarray, "h w"]:
+    """Return the mask map on the view's raster, undistorted; -1 also where the photo's mask leaves a pixel out."""
+    height, width = features.mask_ids.shape
+    if not same_aspect((width, height), (view.width, view.height)):
+        raise MismatchError(
+            f"the masks of '{view.name}' are {width}x{height}, its photo {view.width}x{view.height}: another "
+            "aspect ratio. Make the masks on the photos as they are stored (uncropped, not rotated by EXIF)"
+        )
+    mask_ids = undistort_ids(view, features.resized(view.width, view.height).mask_ids)
+    kept = load_mask(view)
+    return mask_ids if kept is None else np.where(kept, mask_ids, np.int32(-1))
+
+
+def part_name(view_name: str) -> str:
+    """Return the name of the file of a view's columns."""
+    digest = hashlib.blake2b(view_name.encode(), digest_size=12).hexdigest()
+    return f"{digest}.columns.safetensors"
+
+
+def _digest(*arrays: np.ndarray, salt: str = "") -> bytes:
+    digest = hashlib.blake2b(salt.encode(), digest_size=KEY_BYTES)
+    for array in arrays:
+        digest.update(str(array.shape).encode())
+        digest.update(np.ascontiguousarray(array).data)
+    return digest.digest()
+
+
+def _marks(key: bytes) -> dict[str, str]:
+    """Return the marks of a finished part: another instruction set changes the last bits."""
+    return {"key": key.hex(), "isa": default_isa() if device_in_use() == "cpu" else device_in_use()}
+
+
+def is_finished(path: Path, marks: Mapping[str, str]) -> bool:
+    """Return whether the file exists, is not damaged and was made with the same marks."""
+    if not path.exists():
+        return False
+    try:
+        return marks.items() <= read_tensors(path)[1].items()
+    except FormatError:  # a damaged part is computed again
+        return False
+
+
+def stack_columns(columns: Sequence[Columns], num_gaussians: int) -> csr_array:
+    """Stack the views' triples into W (N, M) in CSR form, in two passes over them; 8 bytes per weight.
+
+    Columns stay in the order of the views; within a row they are ascending.
+    """
+    return stacked([view.triples for view in columns], [len(view.embeddings) for view in columns], num_gaussians)
+
+
+def stacked(views: Sequence[Callable[[], Triples]], widths: Sequence[int], num_rows: int) -> csr_array:
+    """Stack triples as `stack_columns` does. views: each reads one view's triples. widths: columns of each view."""
+    starts = np.zeros(num_rows + 1, np.int64)
+    for triples in views:
+        ids = triples().gaussian_ids
+        first, runs = _runs(ids)
+        starts[1:][ids[first]] += runs
+    np.cumsum(starts, out=starts)
+    indices, weights = np.empty(starts[-1], np.int32), np.empty(starts[-1], np.float32)
+    cursor, offset = starts[:-1].copy(), 0
+    for triples, width in zip(views, widths, strict=True):
+        ids, masks, values = triples()
+        first, runs = _runs(ids)
+        position = cursor[ids] + np.arange(len(ids)) - np.repeat(first, runs)
+        indices[position], weights[position] = masks + offset, values
+        cursor[ids[first]] += runs
+        offset += width
+    # SciPy gives both index arrays the wider type: int64 starts would make 12 bytes of the 8.
+    starts = starts.astype(np.int32 if starts[-1] < 1 << 31 else np.int64)
+    return csr_array((weights, indices, starts), shape=(num_rows, offset))
+
+
+def _runs(ids: UInt32[np.ndarray, " t"]) -> tuple[Int64[np.ndarray, " r"], Int64[np.ndarray, " r"]]:
+    """Return where each of ascending ids begins, and how often it occurs."""
+    first = np.flatnonzero(np.diff(ids.astype(np.int64), prepend=-1))
+    return first, np.diff(first, append=len(ids))

@@ -1,0 +1,290 @@
+"""Objects: a forest of parts, things and groups over the rows of a field (docs/objects.md)."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..base.arrays import Bool, Float32, Float64, Int32, Int64, Integer, UInt8
+from ..base.terminal import counted, numbers_text, rows_html
+from ..errors import InputError
+
+PART, THING, GROUP = 0, 1, 2
+LEVELS = ("part", "thing", "group")
+MOST_MASKS, MOST_DESCRIPTORS = 32, 4  # of a node
+OF_ONE, SQUARE = 1e-3, 1e-4  # how far lengths may be from 1, and axes from a right angle
+MOST_SHOWN = 20  # of a table in a notebook
+LARGEST = 3.4e38  # of any number: as floats of 32 bits
+
+ARRAYS = {
+    "node_of": ("int32", "R"), "parents": ("int32", "T"), "levels": ("uint8", "T"), "sure": ("float32", "T"),
+    "centers": ("float64", "T 3"), "axes": ("float64", "T 3 3"), "extents": ("float64", "T 3"),
+    "masses": ("float32", "T"), "num_views": ("int32", "T"),
+    "mask_starts": ("int64", "T1"), "masks": ("int32", "E"), "shares": ("float32", "E"),
+    "descriptor_starts": ("int64", "T1"), "descriptors": ("float32", "P D"),
+}  # fmt: skip
+"""Dtype and dimensions of each array, in memory and on disk."""
+
+
+@dataclass(frozen=True, eq=False)
+class Objects:
+    """A forest of what belongs together: parts, things and groups of a scene, found across photos.
+
+    Node t has parents[t] > t, or -1. levels: 0 part, 1 thing, 2 group: on each way from a leaf to a root there are
+    parts, then at most one thing, then groups. node_of: per row of the field the smallest node that it belongs to,
+    -1 for none. sure: consensus of the photos in [0, 1]. centers, axes, extents: boxes as of `Match`, in the world,
+    upright where the field knows what is up. masses: opacity summed. num_views: photos that see it.
+    mask_starts, masks, shares: per node up to 32 columns of the evidence, with their shares of the node's weight,
+    largest first. descriptor_starts, descriptors: per node up to 4 unit embeddings, of the most masks first.
+
+    Raises: InputError: arrays that are not so, or do not fit each other.
+    """
+
+    node_of: Int32[np.ndarray, " R"]
+    parents: Int32[np.ndarray, " T"]
+    levels: UInt8[np.ndarray, " T"]
+    sure: Float32[np.ndarray, " T"]
+    centers: Float64[np.ndarray, "T 3"]
+    axes: Float64[np.ndarray, "T 3 3"]
+    extents: Float64[np.ndarray, "T 3"]
+    masses: Float32[np.ndarray, " T"]
+    num_views: Int32[np.ndarray, " T"]
+    mask_starts: Int64[np.ndarray, " T1"]
+    masks: Int32[np.ndarray, " E"]
+    shares: Float32[np.ndarray, " E"]
+    descriptor_starts: Int64[np.ndarray, " T1"]
+    descriptors: Float32[np.ndarray, "P D"]
+
+    def __post_init__(self) -> None:
+        self._check_shapes()
+        check_forest(self.node_of, self.parents, self.levels)
+        self._check_boxes()
+        _check_all(_within(self.sure, 0.0, 1.0), "sure: expected numbers from 0 to 1")
+        _check_all(_within(self.masses, 0.0, LARGEST), "masses: expected finite numbers of 0 or more")
+        _check_all(self.num_views >= 0, "num_views: expected counts")
+        _check_starts("masks", self.mask_starts, len(self.masks), MOST_MASKS)
+        _check_starts("descriptors", self.descriptor_starts, len(self.descriptors), MOST_DESCRIPTORS)
+        _check_all(self.masks >= 0, "masks: expected columns of the evidence")
+        _check_all(_within(self.shares, 0.0, 1 + OF_ONE), "shares: expected numbers from 0 to 1")
+        lengths = np.sqrt(np.einsum("pd,pd->p", self.descriptors, self.descriptors))
+        _check_all(_within(lengths, 1 - OF_ONE, 1 + OF_ONE), "descriptors: expected finite unit vectors")
+
+    def __repr__(self) -> str:
+        kinds = (int(np.count_nonzero(self.levels == level)) for level in (PART, GROUP))
+        parts, groups = (counted(number, LEVELS[level]) for number, level in zip(kinds, (PART, GROUP), strict=True))
+        return f"Objects({len(self)}, with {parts} and {groups})"
+
+    def _repr_html_(self) -> str:
+        names = ("object", "photos", "agreement", "mass", "centre", "size")
+        rows = (
+            (number, int(self.num_views[node]), f"{self.sure[node]:.2f}", f"{self.masses[node]:.1f}",
+             numbers_text(self.centers[node]), numbers_text(self.extents[node]))
+            for number, node in enumerate(self.things[:MOST_SHOWN].tolist())
+        )  # fmt: skip
+        return rows_html(repr(self), names, rows, len(self))
+
+    def __len__(self) -> int:
+        """How many things there are."""
+        return len(self.things)
+
+    @property
+    def num_nodes(self) -> int:
+        return len(self.parents)
+
+    @cached_property
+    def things(self) -> Int64[np.ndarray, " o"]:
+        """The nodes of things; object 0, 1, ... of people are these, the largest mass first."""
+        nodes = np.flatnonzero(self.levels == THING)
+        return np.asarray(nodes[np.argsort(-self.masses[nodes], kind="stable")])
+
+    @cached_property
+    def number_of(self) -> Int32[np.ndarray, " T"]:
+        """Per node the number of the thing that it is, or is a part of; -1 for none."""
+        numbers = np.full(self.num_nodes, -1, np.int32)
+        numbers[self.things] = np.arange(len(self.things), dtype=np.int32)
+        return self._handed_down(numbers)
+
+    def thing_of(self) -> Int32[np.ndarray, " R"]:
+        """Per row of the field the number of the thing that it belongs to, -1 for none."""
+        return self._by_row(self.number_of, np.int32(-1))
+
+    def piece_of(self) -> Int32[np.ndarray, " R"]:
+        """Return per row of the field the part right below a thing that it belongs to, -1 for none."""
+        return self._belonging(self._right_below)
+
+    def single_of(self) -> Int32[np.ndarray, " R"]:
+        """Return per row of the field the node that answers as a whole, -1 for loose rows.
+
+        That is its thing, or the part right below a thing that is nothing but its parts, as one joined from pieces is.
+        """
+        has_own = np.bincount(self.node_of[self.node_of >= 0], minlength=self.num_nodes) > 0
+        return self._belonging((self.levels == THING) & has_own | self._right_below & ~has_own[self.parents])
+
+    @property
+    def _right_below(self) -> Bool[np.ndarray, " T"]:
+        """Parts of a thing that are no parts of another part."""
+        return np.asarray((self.parents >= 0) & (self.levels == PART) & (self.levels[self.parents] == THING))
+
+    def _belonging(self, chosen: Bool[np.ndarray, " T"]) -> Int32[np.ndarray, " R"]:
+        """Return per row the chosen node that it belongs to, -1 for none."""
+        nodes = np.where(chosen, np.arange(self.num_nodes, dtype=np.int32), np.int32(-1))
+        return self._by_row(self._handed_down(nodes), np.int32(-1))
+
+    def rows(self, node: int) -> Int64[np.ndarray, " r"]:
+        """Rows of the field in a node and in all below it, ascending.
+
+        Raises: InputError: no such node.
+        """
+        inside = np.full(self.num_nodes, -1, np.int32)
+        inside[self._checked(node)] = 0
+        order, starts = self._by_node
+        within = np.flatnonzero(self._handed_down(inside) == 0).tolist()
+        return np.sort(np.concatenate([order[starts[one] : starts[one + 1]] for one in within]))
+
+    @cached_property
+    def _by_node(self) -> tuple[Int64[np.ndarray, " R"], Int64[np.ndarray, " T1"]]:
+        """The rows in the order of their nodes, and where those of each node begin."""
+        order = np.argsort(self.node_of, kind="stable")
+        return order, np.searchsorted(self.node_of[order], np.arange(self.num_nodes + 1))
+
+    def counts(self, rows: Integer[np.ndarray, " r"]) -> Int64[np.ndarray, " T"]:
+        """Per node how many of some rows belong to it or to a node below it."""
+        nodes = self.node_of[rows]
+        counts: list[int] = np.bincount(nodes[nodes >= 0], minlength=self.num_nodes).tolist()
+        for node, parent in enumerate(self.parents.tolist()):
+            if parent >= 0:
+                counts[parent] += counts[node]
+        return np.array(counts, np.int64)
+
+    @cached_property
+    def sizes(self) -> Int64[np.ndarray, " T"]:
+        """Rows of each node."""
+        return self.counts(np.arange(len(self.node_of)))
+
+    def above(self, node: int) -> int | None:
+        """Return the node that this one is a part or member of. Raises: InputError: no such node."""
+        parent = int(self.parents[self._checked(node)])
+        return None if parent < 0 else parent
+
+    def below(self, node: int) -> list[int]:
+        """Return the nodes that this one is made of, ascending. Raises: InputError: no such node."""
+        below: list[int] = np.flatnonzero(self.parents == self._checked(node)).tolist()
+        return below
+
+    def path(self, row: int) -> list[int]:
+        """Return the nodes that a row of the field belongs to, smallest first: parts, thing, groups; [] for none.
+
+        Raises: InputError: no such row.
+        """
+        if not 0 <= row < len(self.node_of):
+            raise InputError(f"row {row} of a field of {len(self.node_of)}")
+        node, path = int(self.node_of[row]), []
+        while node >= 0:
+            path.append(node)
+            node = int(self.parents[node])
+        return path
+
+    def thing(self, number: int) -> int:
+        """Return the node of object 0, 1, ...
+
+        Raises: InputError: there is none of that number.
+        """
+        if not 0 <= number < len(self):
+            known = f"there are 0 to {len(self) - 1}" if len(self) else "this field has none"
+            raise InputError(f"there is no object {number}: {known}")
+        return int(self.things[number])
+
+    def masks_of(self, node: int) -> tuple[Int32[np.ndarray, " m"], Float32[np.ndarray, " m"]]:
+        """Columns of the evidence that speak for a node, and their shares. Raises: InputError: no such node."""
+        part = slice(*self.mask_starts[self._checked(node) :][:2])
+        return self.masks[part], self.shares[part]
+
+    def descriptors_of(self, node: int) -> Float32[np.ndarray, "p D"]:
+        """Return the unit embeddings of a node. Raises: InputError: no such node."""
+        return self.descriptors[slice(*self.descriptor_starts[self._checked(node) :][:2])]
+
+    def tensors(self) -> dict[str, np.ndarray]:
+        """Its arrays by name, as they are written to files."""
+        return {name: getattr(self, name) for name in ARRAYS}
+
+    def check_field(self, rows: int, dim: int, masks: int | None) -> None:
+        """Refuse those of another field. masks: columns of its evidence, None where it has none.
+
+        Raises: InputError.
+        """
+        if len(self.node_of) != rows:
+            raise InputError(f"objects: expected a node for each of {rows} rows, got {len(self.node_of)}")
+        if len(self.descriptors) and self.descriptors.shape[1] != dim:
+            raise InputError(f"objects: descriptors of {self.descriptors.shape[1]} numbers in a field of {dim}")
+        if masks is not None and self.masks.max(initial=-1) >= masks:
+            raise InputError(f"objects: masks up to {self.masks.max()} of evidence of {masks}")
+
+    def _checked(self, node: int) -> int:
+        if not 0 <= node < self.num_nodes:
+            raise InputError(f"node {node} of {self.num_nodes}")
+        return node
+
+    def _handed_down(self, values: Int32[np.ndarray, " T"]) -> Int32[np.ndarray, " T"]:
+        """Values of nodes, -1 replaced by that of the nearest node above that has one."""
+        values, above = values.copy(), self.parents
+        while True:
+            missing = (values < 0) & (above >= 0)
+            if not missing.any():
+                return values
+            values[missing] = values[above[missing]]
+            above = np.where(missing, self.parents[above], -1)
+
+    def _by_row(self, values: np.ndarray, none: Any) -> np.ndarray:
+        return np.asarray(np.append(values, none)[self.node_of])  # the last one is that of -1
+
+    def _check_shapes(self) -> None:
+        known = {"T1": len(self.parents) + 1, "3": 3}
+        for name, (dtype, dimensions) in ARRAYS.items():
+            given, names = getattr(self, name), dimensions.split()
+            lengths = [known.setdefault(*one) for one in zip(names, given.shape, strict=False)]
+            if given.dtype != dtype or given.ndim != len(names) or list(given.shape) != lengths:
+                raise InputError(f"{name}: expected {dtype} ({dimensions}), got {given.dtype} {given.shape}")
+
+    def _check_boxes(self) -> None:
+        _check_all(_within(self.centers, -LARGEST, LARGEST), "centers: expected finite numbers")
+        _check_all(_within(self.extents, 0.0, LARGEST), "extents: expected finite lengths of 0 or more")
+        _check_all(_within(self.axes, -2.0, 2.0), "axes: expected unit vectors")
+        products = np.einsum("tik,tjk->tij", self.axes, self.axes)
+        _check_all(np.abs(products - np.eye(3)) < SQUARE, "axes: expected unit vectors at right angles")
+
+
+def check_forest(
+    node_of: Int32[np.ndarray, " R"], parents: Int32[np.ndarray, " T"], levels: UInt8[np.ndarray, " T"]
+) -> None:
+    """Check that nodes stand after all that is in them, and that levels grow on the way up.
+
+    Raises: InputError.
+    """
+    count = len(parents)
+    _check_all((node_of >= -1) & (node_of < count), f"node_of: expected one of {count} nodes, or -1")
+    own = np.arange(count)
+    _check_all(((parents > own) | (parents == -1)) & (parents < count), "parents: expected a later node, or -1")
+    _check_all(levels <= GROUP, "levels: expected 0 (part), 1 (thing) or 2 (group)")
+    child = parents >= 0
+    lower, upper = levels[child], levels[parents[child]]
+    _check_all(
+        (upper >= lower) & ((upper != THING) | (lower != THING)), "levels: expected parts below things below groups"
+    )
+
+
+def _within(values: np.ndarray, low: float, high: float) -> Bool[np.ndarray, "..."]:
+    """Mark values within a range, NaN not."""
+    return np.asarray((values >= low) & (values <= high))
+
+
+def _check_all(fine: Bool[np.ndarray, "..."], message: str) -> None:
+    if not fine.all():
+        raise InputError(f"{message}; not so at {np.argwhere(~fine)[0].tolist()}")
+
+
+def _check_starts(name: str, starts: Int64[np.ndarray, " T1"], total: int, most: int) -> None:
+    ends = len(starts) and starts[0] == 0 and starts[-1] == total
+    lengths = np.diff(starts)
+    if not ends or not ((lengths >= 0) & (lengths <= most)).all():
+        raise InputError(f"{name}: starts of up to {most} each do not fit {total} entries")

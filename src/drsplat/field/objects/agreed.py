@@ -1,0 +1,31 @@
+"""Which objects photos agree on well enough to be shown to people first."""
+
+import numpy as np
+
+from ...base.arrays import Bool, Float32, Float64, Integer
+
+LEAST_AGREEMENT = 0.25
+FEW_PHOTOS = 2  # of no object at all, counted with those of each object
+
+
+def agreed(sure: Float32[np.ndarray, " o"], num_views: Integer[np.ndarray, " o"]) -> Bool[np.ndarray, " o"]:
+    """Return per object whether photos agree on it: those that are listed first.
+
+    An object of many photos needs a sureness of 0.25, one of three 0.42, of two 0.5 and of a single one 0.75.
+
+    Args:
+        sure: how well single masks fit each object, from 0 to 1, as of `Objects`.
+        num_views: photos that see it.
+
+    Source: chosen and measured by benchmarks/study_list.py.
+    """
+    return np.asarray(agreement(sure, num_views) >= LEAST_AGREEMENT)
+
+
+def agreement(sure: Float32[np.ndarray, " o"], num_views: Integer[np.ndarray, " o"]) -> Float64[np.ndarray, " o"]:
+    """Return the mean sureness of an object's photos and of two that know nothing of it.
+
+    The two are there because a photo alone only agrees with itself. Arguments are those of `agreed`.
+    """
+    photos = num_views.astype(np.float64)
+    return np.asarray(sure * photos / (photos + FEW_PHOTOS))

@@ -1,0 +1,115 @@
+"""Borders of pieces: where they meet in the photos, and how far apart in depth they are there.
+
+What is in front of something else ends in a jump of depth; where a surface goes on, depth does as well. So the borders
+of pieces tell whether two of them are one surface of different colours, or one thing before another.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ...base.arrays import Bool, Float32, Int32, Int64
+from ...kernels import SplatArrays, heaviest_labels, render_channels, splat_arrays, topk_contributions
+from ...scene.gaussians import Gaussians
+from ...scene.views import View
+from ..learning import drawn
+
+SIDE = 336  # pixels of a photo's longer side: borders need no more
+MOST_VIEWS = 60  # that are looked at
+HEAVIEST = 8  # Gaussians of a pixel
+SEEN = 0.5  # opacity of a pixel that shows something
+JUMP = 1.5  # least jump of depth, in what STRIDE pixels are across there: below it depth goes on
+FAR = 2.0  # jump from which on a border is never a valley
+STRIDE = 5  # pixels between the depths on both sides: nearer ones are mixtures of both
+REACH = 8  # pixels from the border to the far end of a slope
+BEND = 1.0  # between the slopes on both sides, away from the camera: a mug's foot on a table, the corner of a room
+NONE = -1
+
+Labels = Int32[np.ndarray, "h w"]
+
+
+class Borders(NamedTuple):
+    """Pairs of pieces that are side by side in some photo.
+
+    front, back: the nearer piece and the further one. levels: pixels of their border where depth goes on. lengths: all
+    pixels of it. areas: pixels of each piece.
+    """
+
+    front: Int32[np.ndarray, " p"]
+    back: Int32[np.ndarray, " p"]
+    levels: Int64[np.ndarray, " p"]
+    lengths: Int64[np.ndarray, " p"]
+    areas: Int64[np.ndarray, " n"]
+
+
+def borders(
+    gaussians: Gaussians, views: Sequence[View], pieces: Int32[np.ndarray, " n"], *, threads: int = 0
+) -> Borders:
+    """Look at up to MOST_VIEWS views, which a hash of their names draws. pieces: of each Gaussian, -1 for none.
+
+    Memory is that of one view, and of the pairs. The same bits at any number of threads.
+    """
+    splats, count = splat_arrays(gaussians), int(pieces.max(initial=NONE)) + 1
+    chosen = sorted(views, key=lambda view: (drawn(view.name), view.name))[:MOST_VIEWS]
+    areas = np.zeros(count, np.int64)
+    keys, counts = np.empty(0, np.int64), np.empty((0, 2), np.int64)
+    for view in chosen:
+        seen, labels, depth = _seen(splats, view.limited(SIDE), pieces, threads)
+        areas += np.bincount(labels[labels >= 0], minlength=count)
+        for front, back, jump in _crossings(labels, depth, float(seen.K[0, 0])):
+            within = np.stack([jump < JUMP, np.ones(len(jump), bool)], axis=1)
+            keys = np.concatenate([keys, front.astype(np.int64) * count + back])
+            counts = np.concatenate([counts, within.astype(np.int64)])
+        keys, counts = _summed(keys, counts)
+    front, back = (side.astype(np.int32) for side in np.divmod(keys, max(count, 1)))
+    return Borders(front, back, counts[:, 0], counts[:, 1], areas)
+
+
+def _summed(keys: Int64[np.ndarray, " k"], counts: Int64[np.ndarray, "k 2"]) -> tuple[np.ndarray, np.ndarray]:
+    """Each key once, its counts together."""
+    once, places = np.unique(keys, return_inverse=True)
+    total = np.zeros((len(once), counts.shape[1]), np.int64)
+    np.add.at(total, places, counts)
+    return once, total
+
+
+def _seen(
+    splats: SplatArrays, view: View, pieces: Int32[np.ndarray, " n"], threads: int
+) -> tuple[View, Labels, Float32[np.ndarray, "h w"]]:
+    """Return the piece that each pixel shows most of, -1 for none, and its depth."""
+    drawing = render_channels(splats, view, np.empty((len(pieces), 0), np.float32), threads=threads)
+    most = heaviest_labels(topk_contributions(splats, view, HEAVIEST, threads=threads), pieces, threads=threads)
+    return view, np.where(drawing.alpha < SEEN, NONE, most).astype(np.int32), drawing.depth
+
+
+def _crossings(
+    labels: Labels, depth: Float32[np.ndarray, "h w"], focal: float
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Pairs of neighbouring pixels of two pieces, along rows and then along columns.
+
+    The nearer piece, the further one, and the jump between them in what STRIDE pixels are across there. Of a slanted
+    surface depth changes without any jump: both sides are prolonged to the border, and the smaller difference counts.
+    Where depth goes on, but in a valley, two things touch: such pixels are left out.
+    """
+    for shown, far in ((labels, depth), (labels.T, depth.T)):
+        left, right = shown[:, REACH + 1 : -REACH - 2], shown[:, REACH + 2 : -REACH - 1]
+        y, x = np.nonzero((left != right) & (left >= 0) & (right >= 0))
+        x = x + REACH + 1
+        clear = _clear(shown, y, x)
+        y, x = y[clear], x[clear]
+        before, after = far[y, x - 2], far[y, x + 3]
+        slopes = (before - far[y, x - 5]) / 3, (far[y, x + 6] - after) / 3
+        prolonged = np.abs(before + 2.5 * slopes[0] - (after - 2.5 * slopes[1]))
+        pixel = np.minimum(before, after) / focal
+        jump = np.minimum(np.abs(before - after), prolonged) / (STRIDE * pixel)
+        bend = (before - far[y, x - REACH] - far[y, x + REACH + 1] + after) / ((REACH - 2) * pixel)
+        kept = (bend <= BEND) | (jump >= FAR)
+        y, x, jump, nearer = y[kept], x[kept], jump[kept], (before < after)[kept]
+        one, other = shown[y, x], shown[y, x + 1]
+        yield np.where(nearer, one, other), np.where(nearer, other, one), jump
+
+
+def _clear(shown: Labels, y: Int64[np.ndarray, " k"], x: Int64[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+    """Mark places where both pieces are two pixels wide or more: slivers between others say nothing."""
+    return np.asarray((shown[y, x - 1] == shown[y, x]) & (shown[y, x + 2] == shown[y, x + 1]))

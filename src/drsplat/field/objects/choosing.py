@@ -1,0 +1,158 @@
+"""Which nodes of a forest of merges are parts, things and groups."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...base.arrays import Bool, Float32, Float64, Int32, Int64, Integer, UInt8
+from ...kernels import Forest
+from ..forest import GROUP, PART, THING
+
+APART = 0.4  # distance of embeddings (1: unrelated) of regions that are never one thing
+MOST = 0.5  # of all weight: what holds more is no group but the room
+SMALL, SEEN_ALONE = 0.1, 0.19  # of the size of what a small thing is on, and the fit that it needs
+SMALL_COUNT = 0.7  # power of the size that weighs nodes where small ones are looked for
+NONE = -1
+
+
+class Tree(NamedTuple):
+    """The nodes that are kept, as in `Objects`: node_of per row, sure how well the masks of the photos fit a node."""
+
+    node_of: Int32[np.ndarray, " r"]
+    parents: Int32[np.ndarray, " t"]
+    levels: UInt8[np.ndarray, " t"]
+    sure: Float32[np.ndarray, " t"]
+
+
+def choose(forest: Forest, rows: int, smallest: int) -> Tree:
+    """Choose the hierarchy of parts, things and groups in a forest over `rows` rows.
+
+    Things are the disjoint nodes with the largest sum of weight times the root of fit; none merges regions whose
+    embeddings are `APART`. Small things on them are things of their own (`_small_things`), what is left of them
+    another, and together they are a group. Parts are the best nodes within each thing, groups nodes above that hold
+    several.
+    """
+    (judged,) = np.nonzero(forest.sizes >= smallest)  # what is above them is larger
+    parents, sizes, fits = _within(forest.parents, judged), forest.sizes[judged], forest.fits[judged].astype(np.float64)
+    worth, alike = forest.masses[judged] * np.sqrt(fits), forest.spreads[judged] <= APART
+    things = best_nodes(parents, np.where(alike, worth, NONE))
+    small = _small_things(parents, sizes, np.where(alike, fits, 0), things)
+    crowded = np.zeros(len(parents), bool)
+    crowded[_above(parents, things)[small]] = True
+    total = float(forest.masses[forest.parents < 0].sum(dtype=np.float64))
+    groups = _several_branches(parents, things) & (forest.masses[judged] <= MOST * total)
+    parts = _parts(parents, np.where(small | _holding(parents, small), NONE, worth), things | small)
+    levels = np.full(len(parents), NONE)
+    for level, nodes in ((PART, parts), (THING, things | small), (GROUP, groups | crowded)):
+        levels[nodes] = level
+    kept = levels != NONE
+    return _with_rests(_tree_of(forest, rows, judged[kept], levels[kept].astype(np.uint8)), crowded[kept])
+
+
+def _small_things(
+    parents: Int64[np.ndarray, " t"],
+    sizes: Int32[np.ndarray, " t"],
+    fits: Float64[np.ndarray, " t"],
+    things: Bool[np.ndarray, " t"],
+) -> Bool[np.ndarray, " t"]:
+    """Nodes strictly within things that are small on them, and that masks of the photos still fit.
+
+    A plate that shares masks with the table costs the table little of its fit: weighed by weight the two stay one.
+    So nodes within are weighed by a power of their size, which favours small ones, and those that are small and fit
+    are taken. Where they are half of the thing, it is cut in pieces, and none is.
+    """
+    thing = _above(parents, things)
+    best = best_nodes(parents, np.where(thing >= 0, sizes**SMALL_COUNT * np.sqrt(fits), NONE))
+    small = best & (fits >= SEEN_ALONE) & (sizes <= SMALL * sizes[thing])
+    taken = np.bincount(thing[small], sizes[small], minlength=len(parents))
+    return np.asarray(small & (taken <= sizes / 2)[thing])
+
+
+def _within(parents: Int32[np.ndarray, " t"], nodes: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
+    """Return the forest of some nodes alone: for each the number of the lowest of them above it, -1 for none."""
+    among = np.zeros(len(parents), bool)
+    among[nodes] = True
+    number = np.append(np.cumsum(among) - 1, NONE)  # -1 stays -1
+    return np.asarray(number[_above(parents, among)[nodes]])
+
+
+def best_nodes(parents: Integer[np.ndarray, " t"], worth: Float64[np.ndarray, " t"]) -> Bool[np.ndarray, " t"]:
+    """Return the set of nodes, none above another, of the largest sum of worth; negative worth is never chosen.
+
+    Of sets of equal sums it is the one of larger nodes. Linear: children come before their parents.
+    """
+    below = [0.0] * len(parents)
+    own = np.zeros(len(parents), bool)
+    for node, (parent, value) in enumerate(zip(parents.tolist(), worth.tolist(), strict=True)):
+        own[node] = value >= max(below[node], 0.0)
+        if parent >= 0:
+            below[parent] += max(value, below[node])
+    return np.asarray(own & (_above(parents, own) < 0))
+
+
+def _owners(parents: Integer[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -> Int64[np.ndarray, " t"]:
+    """For each node itself or the lowest of `nodes` above it, -1 for none."""
+    up = np.append(np.where(nodes, np.arange(len(parents)), parents), NONE)
+    while (up != (further := up[up])).any():
+        up = further
+    return np.asarray(up[:-1])
+
+
+def _above(parents: Integer[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -> Int64[np.ndarray, " t"]:
+    """For each node the lowest of `nodes` above it, -1 for none."""
+    return np.asarray(np.append(_owners(parents, nodes), NONE)[parents])
+
+
+def _parts(
+    parents: Int64[np.ndarray, " t"], worth: Float64[np.ndarray, " t"], things: Bool[np.ndarray, " t"]
+) -> Bool[np.ndarray, " t"]:
+    """Return the best nodes strictly within things, where a thing has two or more."""
+    thing = _above(parents, things)
+    found = best_nodes(parents, np.where(thing >= 0, worth, NONE))
+    several = np.bincount(thing[found], minlength=len(parents)) > 1
+    return np.asarray(found & several[thing])
+
+
+def _holding(parents: Int64[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -> Bool[np.ndarray, " t"]:
+    """Those with one of `nodes` below them."""
+    holding = np.zeros(len(parents), bool)
+    at = np.unique(parents[nodes])
+    while len(at := at[at >= 0]):
+        at = at[~holding[at]]
+        holding[at] = True
+        at = np.unique(parents[at])
+    return holding
+
+
+def _several_branches(parents: Int64[np.ndarray, " t"], things: Bool[np.ndarray, " t"]) -> Bool[np.ndarray, " t"]:
+    """Nodes with things below two or more of their children."""
+    holds = things.tolist()
+    branches = [0] * len(holds)
+    for node, parent in enumerate(parents.tolist()):
+        holds[node] |= branches[node] > 0
+        if parent >= 0 and holds[node]:
+            branches[parent] += 1
+    return np.array(branches) > 1
+
+
+def _tree_of(forest: Forest, rows: int, nodes: Int64[np.ndarray, " n"], levels: UInt8[np.ndarray, " n"]) -> Tree:
+    """Return the tree of the chosen nodes alone, in their order."""
+    among = np.zeros(len(forest.parents), bool)
+    among[nodes] = True
+    number = np.append(np.cumsum(among) - 1, NONE)
+    node_of = number[_owners(forest.parents, among)[:rows]]
+    parents = _within(forest.parents, nodes)
+    return Tree(node_of.astype(np.int32), parents.astype(np.int32), levels, forest.fits[nodes])
+
+
+def _with_rests(tree: Tree, crowded: Bool[np.ndarray, " t"]) -> Tree:
+    """Crowded nodes are groups of the things in them: a thing before each of them has what is in none of these."""
+    number = np.append(np.arange(len(crowded)) + np.cumsum(crowded), NONE)  # -1 stays -1
+    rest = number - np.append(crowded, False)
+    new, count = number[:-1], len(crowded) + int(np.count_nonzero(crowded))
+    parents, levels, sure = np.full(count, NONE, np.int32), np.full(count, THING, np.uint8), np.zeros(count, np.float32)
+    parents[new] = np.where(tree.levels == PART, rest[tree.parents], number[tree.parents])
+    parents[new[crowded] - 1] = new[crowded]
+    levels[new] = tree.levels
+    sure[new] = sure[rest[:-1]] = tree.sure
+    return Tree(rest[tree.node_of].astype(np.int32), parents, levels, sure)

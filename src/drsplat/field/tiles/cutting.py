@@ -1,0 +1,90 @@
+"""Scenes, or blocks of one, cut into tiles along a Morton curve."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ...base.arrays import Float32, Float64, Int64, UInt16, UInt32
+from ...errors import InputError
+from ...formats.sources import Block
+from ...formats.tiles import Tiles, write_tiles
+from ...scene.gaussians import Gaussians, concatenated
+from ...scene.morton import morton_order
+from ...scene.placing import local_origin
+from ...scene.similarity import IDENTITY
+
+MOST_BLOCKS = 65_535
+SMALL = 0.99  # of all Gaussians
+ROWS = 1 << 17  # of a tile: 6 MB of shapes
+
+
+def cut(blocks: Sequence[Block], output: Path, rows: int = ROWS, *, overwrite: bool = False) -> Tiles:
+    """Write the Gaussians of all blocks, where they stand in the world, as tiles of at most so many `rows`.
+
+    Holds places, sizes and order of all Gaussians, and the rows of one tile; a binary PLY may be of any size.
+
+    Raises: InputError: no Gaussian is left, more blocks than 65,535 or `output` exists. FormatError: as reading them.
+    """
+    if len(blocks) > MOST_BLOCKS:
+        raise InputError(f"expected at most {MOST_BLOCKS:,} blocks, got {len(blocks):,}: cut them in several scenes")
+    if rows < 1:
+        raise InputError(f"rows: expected a positive number, got {rows}")
+    placed = _placed(blocks)
+    if not len(placed.positions):
+        raise InputError("no Gaussian is left to cut into tiles: check the boxes of what is kept")
+    origin = local_origin(placed.positions)
+    names = [block.source.name for block in blocks]
+    runs = _runs(placed, rows)
+    parts = (_tile(blocks, placed.blocks[run], placed.rows[run], origin) for run in runs)
+    return write_tiles(output, parts, origin, names, overwrite)
+
+
+class _Placed(NamedTuple):
+    """Gaussians that are kept: their positions in the world, sizes, blocks, and rows within the blocks."""
+
+    positions: Float64[np.ndarray, "n 3"]
+    sizes: Float32[np.ndarray, " n"]
+    blocks: UInt16[np.ndarray, " n"]
+    rows: UInt32[np.ndarray, " n"]
+
+
+def _runs(placed: _Placed, rows: int) -> Iterator[Int64[np.ndarray, " m"]]:
+    """Tile by tile: along the curve, the largest hundredth apart, since one of them makes a tile seen from afar."""
+    order = morton_order(placed.positions)
+    large = placed.sizes[order] > np.quantile(placed.sizes, SMALL)
+    for of_size in (order[~large], order[large]):
+        for begin in range(0, len(of_size), rows):
+            yield of_size[begin : begin + rows]
+
+
+def _placed(blocks: Sequence[Block]) -> _Placed:
+    parts = []
+    for number, (source, place, keep) in enumerate(blocks):
+        here, sizes = source.positions(), source.sizes()
+        if place is not IDENTITY:
+            here, sizes = place.positions(here), np.float32(place.scale) * sizes
+        kept = np.arange(len(here)) if keep is None else np.flatnonzero(keep.holds(here))
+        parts.append((here[kept], sizes[kept], np.full(len(kept), number, np.uint16), kept.astype(np.uint32)))
+    return _Placed(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
+
+
+def _tile(
+    blocks: Sequence[Block], block_of: UInt16[np.ndarray, " m"], row_of: UInt32[np.ndarray, " m"],
+    origin: Float64[np.ndarray, " 3"],
+) -> Gaussians:  # fmt: skip
+    """Return some rows of some blocks, ordered by block and row, with positions counted from the origin."""
+    order = np.lexsort((row_of, block_of))  # files are read front to back
+    parts = []
+    for number in np.unique(block_of):
+        source, place, _ = blocks[number]
+        part = source.gaussians(row_of[order][block_of[order] == number])
+        parts.append(part if place is IDENTITY else place.moved(part))
+    whole = concatenated([replace(part, extra={}) for part in parts])
+    means = (whole.positions - origin).astype(np.float32)
+    extra = {"block": block_of[order], "source_row": row_of[order]}
+    back = np.empty(len(order), np.int64)
+    back[order] = np.arange(len(order))
+    return replace(whole, means=means, extra=extra, origin=origin).subset(back)

@@ -1,6 +1,0 @@
-"""Films of a scene: smooth paths of a camera, one picture after the other, and files that play.
-
-No more than a few pictures are held at a time, however long the film.
-
-Imports `scene`, `formats`, `kernels`, `drawing` and `query`.
-"""

@@ -1,0 +1,162 @@
+"""drsplat capture: photos or a video -> posed photos."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .options import add_invert_masks, add_overwrite, finite, length
+
+if TYPE_CHECKING:
+    from ...base.progress import Meter
+    from ...photos.capture.measuring import KnownDistance
+    from ...photos.capture.settings import CaptureSettings
+
+EXAMPLES = """\
+  drsplat capture photos --output capture
+  drsplat capture walk.mp4 --output capture
+  drsplat capture photos --output capture --lens opencv --json
+  drsplat capture photos --output capture --known-distance a.jpg 310 540 b.jpg 1200 610 0.9 --overwrite
+  drsplat capture photos --output capture --places places.csv --known-distance corner door 2.4 --overwrite
+  drsplat train capture --output-dir model
+
+The photos are only read. A stopped run goes on where it was when the same command is given again, also with more
+photos. Where there is a capture and only --scale or --known-distance is new, --overwrite keeps its poses. Needs
+COLMAP's package: pip install "drsplat[capture]"."""
+LENSES = ("pinhole", "radial", "opencv", "fisheye")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "photos", help="folder of photos (JPEG, PNG, HEIC, WebP, TIFF, BMP; also in subfolders), or a video"
+    )
+    parser.add_argument(
+        "--output", "-o", required=True, metavar="DIR",
+        help="folder for the capture: images/, sparse/0 in COLMAP's format, capture.json",
+    )  # fmt: skip
+    add_overwrite(parser)
+    add_invert_masks(parser)
+    size = parser.add_argument_group("how long a metre is (default: by the photos' GPS, else lengths have no unit)")
+    size.add_argument(
+        "--known-distance", nargs="+", metavar="PLACE",
+        help="metres between two places: PHOTO X Y PHOTO X Y METRES, each by a pixel (x right, y down) of an upright "
+        "photo in its full size, or with --places NAME NAME METRES",
+    )  # fmt: skip
+    size.add_argument(
+        "--places", metavar="FILE.csv",
+        help="table of named places for --known-distance: the line name,photo,x,y first, then a pixel in each; a place "
+        "that is given in two photos or more is where their rays meet",
+    )  # fmt: skip
+    size.add_argument(
+        "--scale", type=length, metavar="FACTOR", help="metres of a unit that the capture has without this option"
+    )
+    parser.add_argument(
+        "--lens", choices=LENSES, default="radial",
+        help="lens, by what it does to straight lines: pinhole nothing, radial one term (phones, cameras), opencv two "
+        "radial and two tangential terms (wide angles); photos of fisheye are written as a pinhole sees them "
+        "(default: radial)",
+    )  # fmt: skip
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ...base.system import peak_memory_bytes
+    from ...photos.capture.capturing import capture
+
+    with Stages(arguments.json) as stages:
+        record = capture(
+            arguments.photos, arguments.output, capture_settings(arguments),
+            overwrite=arguments.overwrite, threads=arguments.threads, progress=stages.update,
+        )  # fmt: skip
+    return {"capture": arguments.output, **record, "peak_memory_bytes": peak_memory_bytes()}
+
+
+def capture_settings(arguments: argparse.Namespace) -> CaptureSettings:
+    from ...photos.capture.settings import CaptureSettings
+
+    return CaptureSettings(arguments.lens, arguments.scale, _known_distance(arguments), arguments.invert_masks)
+
+
+def _known_distance(arguments: argparse.Namespace) -> KnownDistance | None:
+    from ...photos.capture.measuring import KnownDistance
+    from ...photos.capture.places import Place, marker_named, read_places
+    from .parsing import UsageError
+
+    given = arguments.known_distance
+    if given is None:
+        if arguments.places is not None:
+            raise UsageError("--places names places for --known-distance NAME NAME METRES: give that, too")
+        return None
+    expected = 7 if arguments.places is None else 3
+    if len(given) != expected:
+        form = "PHOTO X Y PHOTO X Y METRES" if expected == 7 else "NAME NAME METRES, for --places is given"
+        more = ", or --places FILE.csv with NAME NAME METRES" if len(given) == 3 else ""
+        raise UsageError(f"--known-distance: expected {form}{more}; got {len(given)} values")
+    try:
+        if arguments.places is not None:
+            markers, metres = read_places(Path(arguments.places)), finite(given[2])
+            return KnownDistance(marker_named(given[0], markers), marker_named(given[1], markers), metres)
+        x1, y1, x2, y2, metres = (finite(given[index]) for index in (1, 2, 4, 5, 6))
+    except argparse.ArgumentTypeError as error:
+        raise UsageError(f"--known-distance: {error}") from None
+    return KnownDistance(Place(given[0], x1, y1), Place(given[3], x2, y2), metres)
+
+
+class Stages:
+    """A `Meter` for each stage that is told of, one after the other."""
+
+    def __init__(self, quiet: bool) -> None:
+        self._quiet, self._stage = quiet, ""
+        self._meter: Meter | None = None
+
+    def __enter__(self) -> Stages:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._meter is not None:
+            self._meter.__exit__(None, None, None)
+
+    def update(self, stage: str, done: int, total: int) -> None:
+        """Show that so much of a stage is done; the first word of another stage ends the one before."""
+        from ...base.progress import Meter
+
+        if stage != self._stage or self._meter is None:
+            self.__exit__()
+            self._stage, self._meter = stage, Meter(stage, total, quiet=self._quiet)
+        self._meter.update(done, "")
+
+
+def interrupted(arguments: argparse.Namespace) -> str:
+    """Return what a stopped run keeps, and how to go on."""
+    return f"what is done is kept in {arguments.output}: give the same command again to go on"
+
+
+def show(answer: dict[str, Any]) -> None:
+    from .tables import said, show_facts, show_table, size_text
+
+    registered, photos = answer["num_registered"], answer["num_photos"]
+    residual = answer["gps_residual_m"]
+    show_facts(
+        f"capture: {answer['capture']}",
+        {
+            "posed": f"{said(registered)} of {said(photos)} photos",
+            **({} if answer["video"] is None else {"frames": _frames_text(answer["video"])}),
+            "points": f"{said(answer['num_points'])}, {answer['reprojection_error_px']:.2f} px on average",
+            "lengths": "in metres, from " + answer["scale_from"] if answer["unit"] == "m" else "in units of no length",
+            "up": f"+z, from {answer['up_from']}" if answer["up"] else "unknown",
+            "GPS": "not used" if residual is None else f"{residual:.2f} m from the cameras (median)",
+            "peak memory": size_text(answer["peak_memory_bytes"]),
+        },
+    )
+    if answer["left_out"]:
+        rows = [(one["name"], one["reason"]) for one in answer["left_out"]]
+        show_table("Photos without a pose", ("photo", "why"), rows)
+
+
+def _frames_text(counts: dict[str, int]) -> str:
+    from .tables import said
+
+    return (
+        f"{said(counts['num_chosen'])} of {said(counts['num_frames'])} became photos, "
+        f"{said(counts['num_blurred'])} were blurred, {said(counts['num_still'])} showed nothing new"
+    )

@@ -1,0 +1,173 @@
+"""drsplat codebook: outlined things of many photos, or embeddings -> a codebook for all scenes."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .embed import ENCODER, ENCODER_HELP, add_device, image_encoder
+from .options import add_overwrite, count, count_or_all, tracker, whole, words
+from .parts import COMPLETE, new_or_complete, parts_of, was_complete
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ...field.codes import Codebook
+    from ...scene.encoders import EncoderIdentity
+
+EXAMPLES = """\
+  drsplat codebook train --lvis lvis_v1_train.json --images coco --output clip.safetensors
+  drsplat codebook train embeddings.npy --encoder-name ViT-B-16/laion2b_s34b_b88k --output clip.safetensors
+  drsplat register scene.ply capture --features capture/language_features --codebook clip.safetensors \\
+      --output scene.field
+
+A stopped run resumes when the same command is given again; drsplat inspect describes a codebook."""
+DAILY = ("output", "lvis", "images", "encoder_name", "overwrite")
+LIMIT = 17_500  # 64 for each of 256 centroids, which is what is trained on, and 5 % held out
+HELD_OUT_SHARE, MOST_HELD_OUT = 0.05, 10_000
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("action", choices=("train",), help="action, the only one")
+    parser.add_argument(
+        "features", nargs="?", metavar="FEATURES.npy", help="embeddings (N, D) to train on, instead of --lvis"
+    )  # fmt: skip
+    parser.add_argument("--output", "-o", required=True, metavar="FILE", help=".safetensors to write the codebook to")
+    add_overwrite(parser)
+    source = parser.add_argument_group("source")
+    source.add_argument(
+        "--lvis", metavar="FILE", help="file of annotations of LVIS v1 or COCO, JSON: polygons or run lengths"
+    )  # fmt: skip
+    source.add_argument("--images", metavar="DIR", help="folder of their photos, e.g. that of train2017 and val2017")
+    source.add_argument(
+        "--encoder-name", type=words, metavar="NAME",
+        help="encoder that made FEATURES.npy, e.g. ViT-B-16/laion2b_s34b_b88k"
+    )  # fmt: skip
+    source.add_argument(
+        "--limit", type=count_or_all, default=LIMIT, metavar="N",
+        help="embed at most N patches, drawn at random, or 'all'. Training takes 16,384 of them in any case, all "
+        f"others only cost time (default: {LIMIT}; patches under 100 pixels are left out)",
+    )  # fmt: skip
+    source.add_argument("--encoder", type=words, default=ENCODER, metavar="NAME", help=ENCODER_HELP)
+    add_device(source)
+    method = parser.add_argument_group("method")
+    method.add_argument(
+        "--subvectors", type=count, default=128, metavar="L",
+        help="bytes per code; must divide the embedding size (default: 128; 64 and 32 are smaller and coarser)",
+    )  # fmt: skip
+    method.add_argument("--seed", type=whole, default=0, metavar="N", help="random seed (default: 0)")
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ...base.progress import Stopwatch
+    from ...base.system import peak_memory_bytes
+    from ...errors import InputError
+    from ...field.codes import load_codebook, save_codebook
+
+    output = new_or_complete(arguments.output, arguments.overwrite, ".safetensors")
+    if (arguments.features is None) == (arguments.lvis is None):
+        raise InputError("codebook train: give either FEATURES.npy or --lvis with --images")
+    watch = Stopwatch()
+    parts = parts_of(output)
+    rows, encoder, facts = _embedded(arguments, parts) if arguments.features is None else _training_rows(arguments)
+    watch.lap("embed")
+    codebook, cosines = _trained(rows, encoder, arguments)
+    watch.lap("train")
+    complete = was_complete(output, arguments.overwrite, lambda: load_codebook(output).hash == codebook.hash)
+    if not complete:
+        save_codebook(codebook, output, overwrite=arguments.overwrite)
+    del rows
+    if arguments.features is None:
+        shutil.rmtree(parts, ignore_errors=True)
+    return {
+        "codebook": str(output),
+        "was_complete": complete,
+        "encoder": encoder.name,
+        "dim": encoder.dim,
+        "num_subvectors": codebook.num_subvectors,
+        "hash": codebook.hash,
+        **facts,
+        "num_held_out": len(cosines),
+        "held_out_cosine": float(cosines.mean()) if len(cosines) else None,
+        "held_out_cosine_worst": float(cosines.min()) if len(cosines) else None,
+        "seconds": sum(watch.seconds.values()),
+        "stage_seconds": watch.seconds,
+        "peak_memory_bytes": peak_memory_bytes(),
+    }
+
+
+def show(answer: dict[str, Any]) -> None:
+    from ...base.terminal import counted
+    from .tables import said, show_facts, size_text
+
+    held_out = answer["num_held_out"]
+    facts = {
+        "encoder": f"{answer['encoder']} ({answer['dim']}-d)",
+        "codes": f"{answer['num_subvectors']} bytes",
+        "embeddings": said(answer["num_embeddings"]),
+        "cosine": f"{answer['held_out_cosine']:.4f} on average, {answer['held_out_cosine_worst']:.4f} at worst, of "
+        f"{said(held_out)} held out" if held_out else "not measured: one embedding",
+        "time": ", ".join(f"{name} {s:.1f} s" for name, s in answer["stage_seconds"].items()),
+        "peak memory": size_text(answer["peak_memory_bytes"]),
+    }  # fmt: skip
+    if "num_photos" in answer:
+        facts["photos"] = f"{said(answer['num_photos'])} ({said(answer['num_missing_photos'])} missing)"
+        facts["left out"] = counted(answer["num_left_out"], "patch", "patches")
+    show_facts(f"trained: {answer['codebook']}{COMPLETE if answer['was_complete'] else ''}", facts)
+
+
+def _embedded(arguments: argparse.Namespace, parts: Path) -> tuple[np.ndarray, EncoderIdentity, dict[str, int]]:
+    from ...errors import InputError
+    from ...formats.lvis import read_annotations
+    from ...photos.embedding.patches import embed_patches, find_patches
+
+    if arguments.images is None:
+        raise InputError("--lvis needs --images DIR, the folder of the annotated photos")
+    source = find_patches(read_annotations(arguments.lvis), arguments.images, arguments.limit, arguments.seed)
+    encoder = image_encoder(arguments)
+    embedded = embed_patches(source, encoder, parts, tracker(arguments))
+    facts = {
+        "num_embeddings": len(embedded.embeddings),
+        "num_photos": len(source.photos),
+        "num_missing_photos": len(source.missing),
+        "num_left_out": source.left_out + embedded.too_small,
+    }
+    return embedded.embeddings, encoder.identity, facts
+
+
+def _training_rows(arguments: argparse.Namespace) -> tuple[np.ndarray, EncoderIdentity, dict[str, int]]:
+    from ... import EncoderIdentity
+    from ...errors import FormatError, InputError
+    from ...formats.npy import map_npy
+
+    if arguments.encoder_name is None:
+        raise InputError(f"{arguments.features}: the file does not name its encoder: pass --encoder-name NAME")
+    rows = map_npy(Path(arguments.features))
+    if rows.ndim != 2 or 0 in rows.shape or rows.dtype.kind != "f":
+        raise FormatError(f"{arguments.features}: expected floats (N, D), got {rows.dtype} {rows.shape}")
+    identity = EncoderIdentity(arguments.encoder_name, rows.shape[1])
+    return rows, identity, {"num_embeddings": len(rows)}
+
+
+def _trained(rows: np.ndarray, encoder: EncoderIdentity, arguments: argparse.Namespace) -> tuple[Codebook, np.ndarray]:
+    """Return the codebook, and the cosine of each held-out row with its decoded code."""
+    import numpy as np
+
+    from ... import train_codebook
+    from ...field.codes.codebook import TRAINING_POINTS
+    from ...formats.langsplat import unit_rows
+
+    path = Path(arguments.features or arguments.lvis)
+    order = np.random.default_rng(arguments.seed).permutation(len(rows))
+    share = max(1, int(HELD_OUT_SHARE * len(rows))) if len(rows) > 1 else 0
+    held_out = unit_rows(rows, order[: min(share, MOST_HELD_OUT)], path)
+    drawn = unit_rows(rows, np.sort(order[share:][:TRAINING_POINTS]), path)
+    codebook = train_codebook(
+        drawn, arguments.subvectors, encoder=encoder, seed=arguments.seed,
+        threads=arguments.threads, track=tracker(arguments),
+    )  # fmt: skip
+    codes = codebook.encode(held_out, threads=arguments.threads)
+    cosines = (held_out * codebook.decode(codes)).sum(axis=1) * codebook.inverse_norms(codes)
+    return codebook, cosines

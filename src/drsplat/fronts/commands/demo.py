@@ -1,0 +1,123 @@
+"""drsplat demo: photos to answers, on a small scene that ships."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from .options import add_overwrite, tracker
+
+EXAMPLES = """\
+  drsplat demo
+  drsplat demo --output-dir room --overwrite --json
+  drsplat locate drsplat-demo "red vase"        (afterwards)
+  drsplat view drsplat-demo                     (afterwards, in a browser)
+
+A stopped run goes on when the same command is given again, without --overwrite."""
+CAPTION = (
+    "The photos are renderings of a made-up room that neither the segmenter nor the encoder learned from; both are "
+    "built in, small, and know this kind of room only. Real photos need SAM and CLIP: see drsplat embed --help."
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--output-dir", "--output", "-o", default="drsplat-demo", metavar="DIR",
+        help="folder for the scene, the photos, the field and the pictures (default: drsplat-demo)",
+    )  # fmt: skip
+    add_overwrite(parser)
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ...evaluation.demo.household import resumable
+
+    folder = Path(arguments.output_dir)
+    with resumable(folder, arguments.overwrite):
+        return _run_story(arguments, folder)
+
+
+def interrupted(arguments: argparse.Namespace) -> str:
+    """Return what a stopped demo keeps, and how to go on."""
+    again = ", without --overwrite," if arguments.overwrite else ""
+    return f"the photos embedded so far are kept in {arguments.output_dir}: give the same command again{again} to go on"
+
+
+def _run_story(arguments: argparse.Namespace, folder: Path) -> dict[str, Any]:
+    from ...base.progress import Stopwatch
+    from ...base.system import peak_memory_bytes
+    from ...evaluation.demo.album import write_album
+    from ...evaluation.demo.household import SCENE
+    from ...evaluation.demo.page import write_page
+    from ...evaluation.demo.story import FIELD, tell
+
+    watch, threads, followed = Stopwatch(), arguments.threads, tracker(arguments)
+    story = tell(folder, overwrite=True, anew=arguments.overwrite, threads=threads, track=followed)
+    watch.lap("story")
+    pictures = write_album(folder, story, overwrite=True)
+    page = write_page(folder, story, pictures[1:], overwrite=True)
+    watch.lap("pictures")
+    return {
+        "output_dir": str(folder),
+        "scene": str(folder / SCENE),
+        "field": str(folder / FIELD),
+        "overview": str(pictures[0]),
+        "page": str(page),
+        "num_gaussians": len(story.gaussians),
+        "num_registered": len(story.field),
+        "num_photos": len(story.views),
+        "num_held_out": len(story.held_out),
+        "num_masks": story.num_masks,
+        "num_weights": story.num_weights,
+        "queries": [_query(verdict, path) for verdict, path in zip(story.verdicts, pictures[1:], strict=True)],
+        "num_right": sum(verdict.is_right for verdict in story.verdicts),
+        "seconds": sum(watch.seconds.values()),
+        "stage_seconds": {**story.seconds, "pictures": watch.seconds["pictures"]},
+        "peak_memory_bytes": peak_memory_bytes(),
+        "caption": CAPTION,
+    }
+
+
+def show(answer: dict[str, Any]) -> None:
+    from rich.console import Console
+
+    from .tables import said, show_table, size_text
+
+    photos, masks = answer["num_photos"], answer["num_masks"]
+    title = f"{said(answer['num_gaussians'])} Gaussians, {photos} photos, {said(masks)} masks"
+    columns = ("query", "", "", "IoU", "Gaussians", "centre (m)", "ms")
+    show_table(title, columns, [_row(query) for query in answer["queries"]])
+    seconds, memory = answer["seconds"], size_text(answer["peak_memory_bytes"])
+    print(
+        f"{answer['num_right']} of {len(answer['queries'])} answers are right, measured in {answer['num_held_out']} "
+        f"photos held out; {seconds:.1f} s, {memory} at most."
+    )
+    print(f"Look at {answer['page']} or {answer['overview']}, then try your own query:")
+    print(f'  drsplat locate {answer["output_dir"]} "red vase"')
+    print(f"  drsplat view {answer['output_dir']}        (in a browser)")
+    Console(highlight=False, markup=False).print(f"\n{answer['caption']}", style="dim")
+
+
+def _row(query: dict[str, Any]) -> tuple[str, ...]:
+    from ...base.terminal import counted
+
+    matches = counted(query["num_matches"], "match", "matches")
+    iou = "" if query["iou"] is None else f"{query['iou']:.2f}"
+    center = "" if query["center"] is None else " ".join(f"{x:.2f}" for x in query["center"])
+    return (
+        query["text"], "right" if query["is_right"] else "MISS", matches, iou,
+        f"{query['num_selected']:,}", center, f"{1000 * query['seconds']:.0f}",
+    )  # fmt: skip
+
+
+def _query(verdict: Any, picture: Path) -> dict[str, Any]:
+    return {
+        "text": verdict.probe.text,
+        "expected": list(verdict.probe.meant),
+        "is_right": verdict.is_right,
+        "iou": verdict.iou,
+        "num_selected": len(verdict.gaussian_ids),
+        "num_matches": verdict.num_matches,
+        "center": verdict.center,
+        "score_range": list(verdict.scores),
+        "seconds": verdict.seconds,
+        "picture": str(picture),
+    }

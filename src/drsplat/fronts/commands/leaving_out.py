@@ -1,0 +1,81 @@
+"""--without: photos that are kept for measuring, and so may not be learnt from."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from .options import whole, words
+
+EVERY = "every:"
+
+
+def add_without(parser: argparse._ActionsContainer) -> None:
+    parser.add_argument(
+        "--without", type=words, metavar="FILE|every:N",
+        help="photos to leave out: a file with a name on each line, or every Nth by name from the first on, as "
+        "`drsplat train` holds them out (default: none)",
+    )  # fmt: skip
+
+
+def left_out(names: Sequence[str], without: str | None) -> set[str]:
+    """Those of the photos' names that --without means.
+
+    Raises: InputError: no such file, names that no photo has, all photos, or none.
+    """
+    from ...errors import InputError
+
+    if without is None:
+        return set()
+    chosen = _every(names, without) if without.startswith(EVERY) else _listed(names, without)
+    if not chosen or len(chosen) == len(set(names)):
+        raise InputError(
+            f"--without {without}: leaves out {len(chosen)} of {len(set(names))} photos: name some, not all"
+        )
+    return chosen
+
+
+def _every(names: Sequence[str], without: str) -> set[str]:
+    from ...errors import InputError
+
+    try:
+        step = whole(without.removeprefix(EVERY), least=2)
+    except argparse.ArgumentTypeError as error:
+        raise InputError(f"--without {without}: {error}") from None
+    return set(sorted(names)[::step])
+
+
+def _listed(names: Sequence[str], path: str) -> set[str]:
+    from ...errors import InputError
+    from ...formats.photo_files import listed
+
+    by_name = {Path(name).with_suffix("").as_posix(): name for name in names}
+    by_name |= {name: name for name in names}
+    if not Path(path).is_file():
+        raise InputError(
+            f"--without {path}: there is no such file: expected one with a photo's name on each line, or every:N"
+        )
+    wanted = lines_of(path, "a photo's name")
+    unknown = [name for name in wanted if name not in by_name]
+    if unknown:
+        raise InputError(
+            f"--without {path}: no photo has these names: {listed(unknown)}. Photos are named like {min(names)}"
+        )
+    return {by_name[name] for name in wanted}
+
+
+def lines_of(path: str, what: str) -> list[str]:
+    """Return the lines of a text file, without empty ones.
+
+    Raises: InputError: there is no such file. FormatError: it is not in UTF-8.
+    """
+    from ...errors import FormatError, InputError
+
+    if not Path(path).is_file():
+        raise InputError(f"{path}: there is no such file")
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise FormatError(f"{path}: expected text in UTF-8, {what} on a line: {error}") from None
+    return [line.strip() for line in text.splitlines() if line.strip()]

@@ -1,0 +1,156 @@
+"""drsplat locate: words, a picture or a click -> the things in the scene."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from ...query.defaults import MIN_GAUSSIANS
+from .options import count
+from .query_options import add_output_options, add_query_options, answer_json, ask, draw, measured_text
+
+if TYPE_CHECKING:
+    from ...query import Answer, Match, MatchTrack, Scene
+
+EXAMPLES = """\
+  drsplat locate room.field "red mug" --scene scene.ply
+  drsplat locate room.field "mug, not red" --scene scene.ply --threshold auto
+  drsplat locate room.field "red mug" --encoder laion/CLIP-ViT-B-16-laion2B-s34B-b88K --scene scene.ply
+  drsplat locate room.field --image my_mug.png --encoder models/clip --threshold 0.6 --scene scene.ply
+  drsplat locate room.field --click photo_003:210,140 --views capture --scene scene.ply
+  drsplat locate room.field "red mug" --vocabulary clip_texts.json --relevancy --scene scene.ply --top 3
+  drsplat locate room.field --vector query.npy --threshold 0.25 --scene scene.ply --save found.ply
+  drsplat locate film.field "toy car" --scene film.motion --tracks --during 0 0.5
+  drsplat locate room.field "red mug" --scene scene.ply --picture mug.png --views capture --view photo_003
+
+Which threshold? Cosines of one encoder's texts are near 1 for what fits, those of CLIP between texts and photos
+seldom exceed 0.3. Relevancy has the same scale for every encoder; words with --encoder are measured by it. With
+--threshold auto each query has a threshold of its own. For other queries look at the printed range."""
+DAILY = ("scene", "threshold", "top", "encoder", "save", "picture", "views", "overwrite", "click")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_query_options(parser)
+    parser.add_argument("--top", type=count, default=10, metavar="N", help="matches to list, best first (default: 10)")
+    parser.add_argument(
+        "--min-gaussians", type=count, default=MIN_GAUSSIANS, metavar="N",
+        help=f"Gaussians of the smallest match; what is smaller is a speck (default: {MIN_GAUSSIANS})",
+    )  # fmt: skip
+    parser.add_argument(
+        "--box", choices=("upright", "free"), default="upright",
+        help="upright: boxes stand on the ground, where the photos told which way is up; free: along the match's own "
+        "axes (default: upright)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--tracks", action="store_true",
+        help="list where each match is at all times of a scene that moves, and when photos see it",
+    )  # fmt: skip
+    saved = "write the scene with two more columns: relevancy, the measured values; match_id, the match's number or -1"
+    add_output_options(parser, saved)
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ...formats.replacing import together
+
+    scene, answer = ask(arguments)
+    report = answer_json(arguments, answer)
+    if not scene.has_gaussians:
+        return {**report, "num_matches": None, "matches": None}
+    matches = scene.locate(answer, min_gaussians=arguments.min_gaussians, box=arguments.box)
+    report["num_matches"] = len(matches)
+    report["matches"] = [_json(match) for match in matches[: arguments.top]]
+    if arguments.tracks:
+        for told, track in zip(report["matches"], scene.tracks(matches[: arguments.top], arguments.box), strict=True):
+            told["track"] = _track_json(track)
+    with together():
+        if arguments.save:
+            _save(arguments, scene, answer, matches)
+        if arguments.picture:
+            report["view"] = _draw(arguments, scene, matches)
+    return report
+
+
+def show(answer: dict[str, Any]) -> None:
+    from ...base.terminal import counted
+    from .tables import said, show_table
+
+    measured = measured_text(answer)
+    if not (answer["num_selected"] if answer["matches"] is None else answer["matches"]):
+        print(f"No match for '{answer['query']}'.\n{measured}")
+        if answer["num_selected"]:
+            above = counted(answer["num_selected"], "Gaussian is", "Gaussians are")
+            print(f"{above} above the threshold, too few or too scattered for a match.")
+        return
+    of = counted(answer["num_registered"], "Gaussian")
+    print(f"{said(answer['num_selected'])} of {of} selected\n{measured}")
+    if answer["matches"] is None:
+        print("For places, pass --scene SCENE.")
+        return
+    columns = ("match", "score", "Gaussians", "centre", "extent")
+    rows = [_row(number, match) for number, match in enumerate(answer["matches"])]
+    title = f"{counted(answer['num_matches'], 'match', 'matches')} of '{answer['query']}', in scene units"
+    show_table(title, columns, rows)
+    for number, match in enumerate(answer["matches"]):  # names of photos are long, and people copy them
+        if match["support"]:
+            photos = dict.fromkeys(mask["view"] for mask in match["support"])
+            print(f"match {number} is supported by {', '.join(photos)}")
+        if "track" in match:
+            print(f"match {number} {_track_text(match['track'])}")
+
+
+def _row(number: int, match: dict[str, Any]) -> tuple[str, ...]:
+    places = (" ".join(f"{x:.2f}" for x in match[key]) for key in ("center", "extent"))
+    return str(number), f"{match['score']:.3f}", f"{match['num_gaussians']:,}", *places
+
+
+def _json(match: Match) -> dict[str, Any]:
+    return {
+        "score": match.score,
+        "num_gaussians": len(match),
+        "center": match.center,
+        "extent": match.extent,
+        "axes": match.axes,
+        "support": [{"view": one.view_name, "mask": one.mask_id, "share": one.share} for one in match.support],
+    }
+
+
+def _track_json(track: MatchTrack) -> dict[str, Any]:
+    return {
+        "times": track.times,
+        "centers": track.centers,
+        "extents": track.extents,
+        "axes": track.axes,
+        "spans": [list(span) for span in track.spans],
+        "views": list(track.views),
+    }
+
+
+def _track_text(track: dict[str, Any]) -> str:
+    from ...query.tracks import spans_text
+
+    if not len(track["times"]):
+        return "is nowhere at any time"
+    start, end = (" ".join(f"{x:.2f}" for x in track["centers"][place]) for place in (0, -1))
+    seen = f", seen {spans_text(track['spans'])}" if track["spans"] else ""
+    return f"goes from ({start}) at {track['times'][0]:.4g} to ({end}) at {track['times'][-1]:.4g}{seen}"
+
+
+def _save(arguments: argparse.Namespace, scene: Scene, answer: Answer, matches: list[Match]) -> None:
+    import numpy as np
+
+    from ... import write_gaussians
+
+    match_ids = np.full(len(scene.gaussians), -1, np.int32)
+    for number, match in enumerate(matches):
+        match_ids[match.gaussian_ids] = number
+    columns = {"relevancy": answer.dense, "match_id": match_ids}
+    write_gaussians(arguments.save, scene.gaussians, columns, overwrite=arguments.overwrite)
+
+
+def _draw(arguments: argparse.Namespace, scene: Scene, matches: list[Match]) -> str:
+    import numpy as np
+
+    from ...base.terminal import counted
+
+    ids = np.concatenate([match.gaussian_ids for match in matches] or [np.empty(0, np.int64)])
+    return draw(arguments, scene, ids, counted(len(matches), "match", "matches") if matches else "no match")

@@ -1,0 +1,127 @@
+"""Output of `drsplat objects`, printed and written."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import json
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .options import new_output
+
+if TYPE_CHECKING:
+    from ...query import Scene
+
+TABLE = "objects.json"
+FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r", "\n")  # with which a text begins that spreadsheets compute
+BOXES = {"center": 3, "extent": 3, "axes": 9}
+
+
+def check(arguments: argparse.Namespace) -> None:
+    """All that can be known to be wrong before any work is done."""
+    from ...errors import InputError
+
+    if (arguments.label is None) != (arguments.id is None):
+        raise InputError("a name is given to an object: pass label=NAME and id=NUMBER together")
+    for option, output in (("--save", arguments.save), ("--picture", arguments.picture)):
+        if output is not None and not new_output(output, arguments.overwrite).parent.is_dir():
+            raise InputError(f"{option}: there is no folder {Path(output).parent}: make it first")
+    if arguments.picture and Path(arguments.picture).suffix.lower() not in (".jpg", ".jpeg", ".png"):
+        raise InputError(f"{arguments.picture}: pictures are written as .png or .jpg")
+    if arguments.save and Path(arguments.save).suffix.lower() not in _WAYS:
+        raise InputError(
+            f"{arguments.save}: expected a name that ends in .npy, .ply, .json or .csv, or that of a folder"
+        )
+
+
+def listing(scene: Scene) -> list[dict[str, Any]]:
+    """Return the objects of a scene as JSON has them."""
+    from ...query.objects import objects_of, photos_of
+
+    objects = objects_of(scene.field)
+    nodes = objects.things.tolist()
+    return [
+        {
+            "id": match.object_id,
+            "label": match.label,
+            "name": name,
+            "center": match.center.tolist(),
+            "extent": match.extent.tolist(),
+            "axes": match.axes.tolist(),
+            "num_gaussians": len(match),
+            "mass": float(objects.masses[node]),
+            "num_views": int(objects.num_views[node]),
+            "sure": match.score,
+            "agreed": agreed,
+            "views": photos_of(scene.field, node),
+        }
+        for node, match, name, agreed in zip(
+            nodes, scene.objects, scene.object_names(), scene.agreed.tolist(), strict=True
+        )
+    ]
+
+
+def save(path: str, scene: Scene, listed: list[dict[str, Any]], overwrite: bool) -> None:
+    _WAYS[Path(path).suffix.lower()](Path(path), scene, listed, overwrite)
+
+
+def _save_npy(path: Path, scene: Scene, _: list[dict[str, Any]], overwrite: bool) -> None:
+    from ...formats.npy import write_npy
+
+    write_npy(path, scene.object_ids(), overwrite)
+
+
+def _save_ply(path: Path, scene: Scene, _: list[dict[str, Any]], overwrite: bool) -> None:
+    from ... import write_gaussians
+
+    write_gaussians(path, scene.gaussians, {"object_id": scene.object_ids()}, overwrite=overwrite)
+
+
+def _save_json(path: Path, scene: Scene, listed: list[dict[str, Any]], overwrite: bool) -> None:
+    from ...formats.replacing import replacing
+
+    document = {"field": scene.field.fingerprint, "scene": scene.field.scene, "objects": listed}
+    with replacing(path, overwrite) as file:
+        file.write((json.dumps(document, indent=1) + "\n").encode())
+
+
+def _save_csv(path: Path, _: Scene, listed: list[dict[str, Any]], overwrite: bool) -> None:
+    """Write a CSV table of objects.
+
+    Each number of a box has a column, axes row by row; views share one, with semicolons between them; the last is 0 or
+    1 for `agreed`.
+    """
+    from ...formats.replacing import replacing
+
+    text = io.StringIO(newline="")
+    plain = ("id", "label", "name", "num_gaussians", "mass", "num_views", "sure")
+    rows = csv.writer(text)
+    rows.writerow([*plain, *(f"{key}_{i}" for key, count in BOXES.items() for i in range(count)), "views", "agreed"])
+    for one in listed:
+        numbers = [*one["center"], *one["extent"], *chain(*one["axes"])]
+        views = _cell(";".join(one["views"]))
+        rows.writerow([*(_cell(one[key]) for key in plain), *numbers, views, int(one["agreed"])])
+    with replacing(path, overwrite) as file:
+        file.write(text.getvalue().encode())
+
+
+def _cell(value: Any) -> Any:
+    """Return a value that no spreadsheet takes for a formula: such a text gets an apostrophe before it."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA_SIGNS) else value
+
+
+def _save_folder(path: Path, scene: Scene, listed: list[dict[str, Any]], overwrite: bool) -> None:
+    """Write a PLY of each object and a table of them; the folder appears whole or not at all."""
+    from ... import write_gaussians
+    from ...formats.field_folder import replacing_folder
+
+    with replacing_folder(path, overwrite, TABLE) as folder:
+        for match in scene.objects:
+            write_gaussians(folder / f"object_{match.object_id:04d}.ply", scene.gaussians.subset(match.gaussian_ids))
+        _save_json(folder / TABLE, scene, listed, False)
+
+
+_WAYS = {".npy": _save_npy, ".ply": _save_ply, ".json": _save_json, ".csv": _save_csv, "": _save_folder}

@@ -1,0 +1,190 @@
+"""drsplat objects: a field and its scene -> what is in it, with or without words."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING, Any
+
+from .edit_options import note_own_scene
+from .object_outputs import check, listing, save
+from .options import add_capture_options, add_overwrite, add_query_encoders, whole, words
+from .query_options import FIELD_HELP, open_scene
+
+if TYPE_CHECKING:
+    from ...query import Scene
+
+EXAMPLES = """\
+  drsplat objects room.field --scene scene.ply
+  drsplat objects room.field --scene scene.ply --all
+  drsplat objects room.field --scene scene.ply --picture objects.jpg --views capture
+  drsplat objects room.field --scene scene.ply --save ids.npy
+  drsplat objects room.field --scene scene.ply --save cut_out
+  drsplat objects room.field --label "my mug" --id 7
+
+Listed are the objects that photos agree on, and those with a label; --all lists the others
+too, of which most are scraps.
+
+The first time they are found, which takes the scene, and kept in the field. ids.npy has one int32 per Gaussian of the
+scene, its object or -1. objects.ply is the scene with that as a column object_id; a folder gets a PLY of each object;
+.json and .csv get the table, with boxes. Names that are given with --label are kept in NAME.labels.json beside
+NAME.field: they outlive the field, and queries for such a name select exactly this object."""
+DAILY = ("scene", "all", "label", "id", "save", "picture", "views", "overwrite")
+
+MOST_SHOWN = 40  # rows on a terminal without --all; real captures have hundreds of objects
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("field", help=FIELD_HELP)
+    parser.add_argument("--scene", help="scene that was registered; needed to find objects, for PLYs and for --picture")
+    parser.add_argument(
+        "--again", action="store_true", help="find objects anew, though the field has some; labels stay"
+    )
+    parser.add_argument(
+        "--all", action="store_true", help="list and draw also the objects that photos agree less on; files have all"
+    )
+    parser.add_argument("--label", type=words, metavar="NAME", help="name to give to the object --id")
+    parser.add_argument("--id", type=whole, metavar="NUMBER", help="number of the object that --label names")
+    output = parser.add_argument_group("output")
+    output.add_argument(
+        "--save", metavar="OUT",
+        help="OUT.npy: object of each Gaussian, int32; OUT.ply: scene with a column object_id; OUT.json, OUT.csv: "
+        "table with boxes; another name: folder of a PLY of each object",
+    )  # fmt: skip
+    output.add_argument(
+        "--picture", metavar="OUT.jpg",
+        help="write a sheet: each object cut out of the photo that shows it best, the 60 largest of the list",
+    )  # fmt: skip
+    output.add_argument("--views", metavar="CAPTURE", help="poses and photos, for --picture")
+    add_overwrite(output)
+    add_query_encoders(parser)
+    add_capture_options(parser)
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ...formats.replacing import together
+    from ...query.objects import objects_of
+    from ...scene.views import pictures_kind, scenes_rendered
+
+    check(arguments)
+    scene = _with_objects(arguments)
+    if arguments.label is not None:
+        scene.label(objects_of(scene.field).thing(arguments.id), arguments.label)
+    every = listing(scene)
+    if arguments.save or arguments.picture:
+        note_own_scene(scene.path, scene.gaussians if scene.has_gaussians else None)
+    with together():
+        if arguments.save:
+            save(arguments.save, scene, every, arguments.overwrite)
+        if arguments.picture:
+            _draw(arguments, scene, _listed(every, arguments.all))
+    return {
+        "field": arguments.field,
+        "num_objects": len(every),
+        "num_agreed": sum(one["agreed"] for one in every),
+        "num_registered": len(scene.field),
+        "num_in_objects": sum(one["num_gaussians"] for one in every),
+        "objects": every,
+        "all": arguments.all,
+        "pictures": pictures_kind(scene.field.rendered_from),
+        "rendered_from": scenes_rendered(scene.field.rendered_from),
+        "doubt": scene.doubt,
+        "drifting": _drifting(scene),
+        "labels_of_none": [label.name for label in scene.labels.orphans],
+        "saved": arguments.save,
+        "picture": arguments.picture,
+    }
+
+
+def show(answer: dict[str, Any]) -> None:
+    from ...base.terminal import counted
+    from .tables import said, show_table
+
+    listed = _listed(answer["objects"], answer["all"])
+    inside, every = said(sum(one["num_gaussians"] for one in listed)), counted(answer["num_registered"], "Gaussian")
+    unsure = answer["num_objects"] - len(listed)
+    pictures = answer["pictures"]
+    photos_agree = f" that {pictures} agree on" if unsure else ""
+    title = f"{counted(len(listed), 'object')}{photos_agree}, {inside} of {every} in them; lengths in scene units"
+    columns = ("object", "name", "Gaussians", "centre", "extent", pictures, "sure")
+    largest = listed if answer["all"] else listed[:MOST_SHOWN]
+    show_table(title, columns, [_row(one) for one in largest])
+    if len(listed) > len(largest):
+        print(f"and {len(listed) - len(largest):,} with less mass: --json, or --save OUT.csv, has all")
+    if unsure:
+        print(f"and {unsure:,} more that {pictures} agree less on: --all lists them")
+    if not answer["objects"]:
+        print(f"No two masks of different {pictures} agree: more {pictures}, or larger masks, may help.")
+    if answer["doubt"]:
+        print(f"warning: {answer['doubt']}")
+    if answer["drifting"]:
+        print(_drifting_text(answer["drifting"]))
+    for name in answer["labels_of_none"]:
+        print(f"the label '{name}' names nothing in this field; it is kept")
+    for output in (answer["saved"], answer["picture"]):
+        if output:
+            print(f"written to {output}")
+
+
+def _listed(objects: list[dict[str, Any]], every: bool) -> list[dict[str, Any]]:
+    """Return the objects that photos agree on, or all."""
+    return [one for one in objects if every or one["agreed"]]
+
+
+def _drifting(scene: Scene) -> dict[str, Any] | None:
+    """Count the Gaussians of a moving scene that change their object, and between which objects most do."""
+    from collections import Counter
+
+    from ...field.objects.drifting import drifting
+
+    if scene.field.times is None:
+        return None
+    found = drifting(scene.field)
+    pairs = Counter(zip(found.first.tolist(), found.last.tolist(), strict=True))
+    most = [{"from": first, "to": last, "num_gaussians": count} for (first, last), count in pairs.most_common(5)]
+    return {"num_gaussians": len(found.gaussian_ids), "between": most, "gaussian_ids": found.gaussian_ids}
+
+
+def _drifting_text(drift: dict[str, Any]) -> str:
+    from ...base.terminal import counted
+
+    if not drift["num_gaussians"]:
+        return "No Gaussian changes what it belongs to over time."
+    between = ", ".join(f"{one['from']} to {one['to']}: {one['num_gaussians']:,}" for one in drift["between"])
+    changes = counted(drift["num_gaussians"], "Gaussian changes", "Gaussians change")
+    return f"{changes} what it belongs to over time, by objects (-1: none): {between}"
+
+
+def _row(one: dict[str, Any]) -> tuple[str, ...]:
+    places = (" ".join(f"{x:.2f}" for x in one[key]) for key in ("center", "extent"))
+    name = one["label"] or one["name"] or ""
+    return str(one["id"]), name, f"{one['num_gaussians']:,}", *places, str(one["num_views"]), f"{one['sure']:.2f}"
+
+
+def _with_objects(arguments: argparse.Namespace) -> Scene:
+    """Open the scene of a field; objects are found, and kept in the field, where it has none."""
+    from ...formats.claiming import claimed_output
+    from ...query.opening import scene_files
+
+    scene = open_scene(arguments)
+    if scene.field.objects is not None and not arguments.again:
+        return scene
+    path, gaussians = scene_files(arguments.field).field, scene.gaussians
+    from ...field.objects.finding import find_objects
+
+    with claimed_output(path):
+        found = find_objects(scene.field, gaussians, threads=arguments.threads)
+        scene.field.with_objects(found).save(path, overwrite=True)
+    return open_scene(arguments)
+
+
+def _draw(arguments: argparse.Namespace, scene: Scene, listed: list[dict[str, Any]]) -> None:
+    from ...drawing.pictures import write_picture
+    from ...errors import InputError
+    from ...query.sheets import object_sheet
+
+    if scene.objects and not listed:
+        raise InputError(f"photos agree on none of the {len(scene.objects)} objects well: --all draws them")
+    matches = scene.objects
+    names = [one["label"] or one["name"] for one in listed]
+    sheet = object_sheet(scene, [matches[one["id"]] for one in listed], names)
+    write_picture(arguments.picture, sheet, arguments.overwrite)

@@ -1,0 +1,211 @@
+"""argparse with help in two lengths, errors that name what was meant, and a record of what the line gives."""
+
+import argparse
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from typing import Any, NamedTuple, NoReturn
+
+from ...base.terminal import counted, quoted
+from .help_texts import HelpFormatter, first_examples
+from .options import words
+
+MIN_LIKENESS = 0.7  # of difflib, from 0 to 1; a slip of one letter in four is still recognised
+
+
+class UsageError(Exception):
+    """A misuse that argparse found; raised instead of printed so that --json and --log apply to it."""
+
+
+class Given(NamedTuple):
+    """One use of an option: its action, and the texts that came with it."""
+
+    option: argparse.Action
+    texts: list[str]
+
+
+class Parser(argparse.ArgumentParser):
+    """The parser of the whole line; `VerbParser` is that of a verb."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings, add_help=False, allow_abbrev=False)
+        self.add_argument("--help", "-h", action=_Help, help="print this help, and exit")
+
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(f"{message}\n(see {self.prog} --help)")
+
+    def short_help(self) -> str:
+        """Return the text of --help."""
+        return self.format_help()
+
+    def _match_argument(self, action: argparse.Action, arg_strings_pattern: str) -> int:
+        try:
+            return super()._match_argument(action, arg_strings_pattern)
+        except argparse.ArgumentError:
+            if not action.option_strings:
+                raise
+            names = self._get_formatter()._format_args(action, action.dest.upper())
+            worded = {"None": "a value", "+": "one value or more"}
+            number = worded.get(str(action.nargs), f"{action.nargs} values")
+            raise argparse.ArgumentError(action, f"expected {number}: {names}") from None
+
+    def _check_value(self, action: argparse.Action, value: object) -> None:
+        if action.choices is not None and value not in action.choices:
+            choices = [str(choice) for choice in action.choices]
+            expected = " or ".join(filter(None, (", ".join(choices[:-1]), choices[-1])))
+            hint = did_you_mean(str(value), choices)
+            raise argparse.ArgumentError(action, f"expected {expected}, got {quoted(str(value))}{hint}")
+
+
+class VerbParser(Parser):
+    """The parser of one verb. Its --help shows only the options named in `daily`, and a few examples.
+
+    given: what the parsed line names, in order, then what the file of --config adds.
+    """
+
+    def __init__(self, **settings: Any) -> None:
+        self.given: list[Given] = []
+        self.daily: Collection[str] = ()
+        self._needed: list[argparse.Action] = []
+        super().__init__(**settings, formatter_class=HelpFormatter)
+        self.add_argument("--help-all", action=_Help, help="print all options and examples, and exit")
+
+    @property
+    def options(self) -> list[argparse.Action]:
+        return [action for action in self._actions if action.option_strings]
+
+    @property
+    def rivals(self) -> list[list[argparse.Action]]:
+        """Options of which only one can be given, group by group."""
+        return [group._group_actions for group in self._mutually_exclusive_groups]
+
+    @property
+    def flags(self) -> dict[str, str]:
+        """The long flag of each argument, or nothing for a positional one, by the name that the library has for it."""
+        named = ((action.dest, action.option_strings) for action in self._actions)
+        return {dest: next((flag for flag in flags if flag.startswith("--")), "") for dest, flags in named}
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> tuple[Any, list[str]]:
+        """Parse the line; then the file of --config sets what the line leaves open."""
+        self.given, self._needed = [], [action for action in self._actions if action.required]
+        with _each_with(self._needed, required=False):
+            namespace, rest = super().parse_known_args(args, namespace)
+        if rest:
+            self.error(self._left_over(rest))
+        if namespace.config:
+            from .configuring import apply_file
+
+            apply_file(namespace.config, self, namespace)
+        used = {option for option, _ in self.given}
+        missing = [_name(action) for action in self._needed if action not in used and action.nargs != "*"]
+        if missing:
+            self.error(f"the following arguments are required: {', '.join(missing)}")
+        return namespace, []
+
+    def take(self, option: argparse.Action, texts: list[str], namespace: argparse.Namespace) -> None:
+        """Set an option as if the line had given it with these texts. Raises: argparse.ArgumentError."""
+        if self._match_argument(option, "A" * len(texts)) != len(texts):
+            raise argparse.ArgumentError(option, f"expected one value, got {len(texts)}")
+        values = [self._get_value(option, text) for text in texts]
+        for value in values:
+            self._check_value(option, value)
+        single = option.nargs in (None, argparse.OPTIONAL)
+        value = (values[0] if values else option.const) if single else values
+        option(self, namespace, value, option.option_strings[0])
+        self.given.append(Given(option, texts))
+
+    def short_help(self) -> str:
+        hidden = [action for action in self.options if action.dest not in self.daily]
+        with _each_with(self._needed, required=True):  # also in the middle of parsing
+            usage = self.usage or self._short_usage()
+        epilog = first_examples(self.epilog or "")
+        with _each_with(hidden, help=argparse.SUPPRESS), _swapped(self, epilog=epilog, usage=usage):
+            text = self.format_help()
+        more = counted(sum(not isinstance(action, _Help) for action in hidden), "more option")
+        return f"{text}\n{more}: {self.prog} --help-all\n"
+
+    def format_help(self) -> str:
+        with _each_with(self._needed, required=True):  # also in the middle of parsing
+            return super().format_help()
+
+    def _short_usage(self) -> str:
+        """Return the verb, what it cannot do without, and [options] for the rest."""
+        formatter = self.formatter_class(prog=f"{self.prog} [options]")
+        needed = [action for action in self._actions if action.required or not action.option_strings]
+        formatter.add_usage(None, needed, [], prefix="usage: ")
+        return formatter.format_help().removeprefix("usage: ").strip()
+
+    def _get_values(self, action: argparse.Action, arg_strings: list[str]) -> Any:
+        if action.option_strings and "--" in arg_strings:  # which some versions of argparse drop
+            raise argparse.ArgumentError(action, "expected a value, got '--'")
+        values = super()._get_values(action, arg_strings)
+        if action.option_strings or arg_strings:
+            self.given.append(Given(action, list(arg_strings)))
+        return values
+
+    def _get_positional_kwargs(self, dest: str, **settings: Any) -> dict[str, Any]:
+        if not settings.get("choices"):  # which are their own names
+            settings.setdefault("metavar", dest.upper())
+        return super()._get_positional_kwargs(dest, **settings)
+
+    def _left_over(self, rest: Sequence[str]) -> str:
+        flag = next((text for text in rest if text.startswith("-") and text.strip("-")), None)
+        if flag is not None:
+            name = flag.partition("=")[0]
+            flags = [string for action in self.options for string in action.option_strings]
+            return f"there is no option {quoted(name)}{did_you_mean(name, flags)}"
+        last = next((use for use in reversed(self.given) if not use.option.option_strings), None)
+        if last is not None and last.option.type is words:
+            sentence = " ".join([*last.texts, *rest])
+            return f'unexpected {quoted(rest[0])}: several words need quotes: "{sentence}"'
+        return f"unexpected {quoted(rest[0])}: expected {self._expected()}"
+
+    def _expected(self) -> str:
+        names = [action.metavar or action.dest for action in self._actions if not action.option_strings]
+        return f"only {' '.join(map(str, names))}" if names else "no arguments but options"
+
+
+class _Help(argparse.Action):
+    """Action that prints the short help for --help, and all of it for --help-all."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, **settings: Any) -> None:
+        super().__init__(option_strings, dest, default=argparse.SUPPRESS, nargs=0, help=settings["help"])
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        assert isinstance(parser, Parser)
+        print(parser.format_help() if "--help-all" in self.option_strings else parser.short_help(), end="")
+        parser.exit()
+
+
+@contextmanager
+def _swapped(thing: object, **values: object) -> Iterator[None]:
+    """Set attributes for the length of a block."""
+    before = {name: getattr(thing, name) for name in values}
+    vars(thing).update(values)
+    try:
+        yield
+    finally:
+        vars(thing).update(before)
+
+
+@contextmanager
+def _each_with(actions: Iterable[argparse.Action], **values: object) -> Iterator[None]:
+    """Set attributes of several actions for the length of a block."""
+    with ExitStack() as stack:
+        for action in actions:
+            stack.enter_context(_swapped(action, **values))
+        yield
+
+
+def _name(action: argparse.Action) -> str:
+    return "/".join(action.option_strings) or str(action.metavar or action.dest)
+
+
+def did_you_mean(text: str, names: Iterable[str]) -> str:
+    """Return "; did you mean ...?" with the name that resembles a text most, or nothing if none does."""
+    from difflib import get_close_matches
+
+    bare = {name.lstrip("-").lower(): name for name in names if len(name.lstrip("-")) > 1}
+    meant = text.lstrip("-").replace("_", "-").lower()
+    begins = [name for name in bare if len(meant) > 2 and name.startswith(meant)]
+    nearest = get_close_matches(meant[:99], bare, 1, MIN_LIKENESS) or begins[:1]
+    return f"; did you mean {bare[nearest[0]]}?" if nearest else ""

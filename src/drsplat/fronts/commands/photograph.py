@@ -1,0 +1,167 @@
+"""drsplat photograph: a splat without photos -> renderings with poses, as a capture."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .edit_options import note_own_scene
+from .film import size
+from .options import add_overwrite, finite, tracker, up_to
+from .render import BACKGROUNDS
+
+if TYPE_CHECKING:
+    from ...authoring.filming.paths import CameraPath
+    from ...authoring.photographing.settings import PhotographSettings
+    from ...scene.gaussians import Gaussians
+    from ...scene.moving import Moving
+
+EXAMPLES = """\
+  drsplat photograph scene.spz --output capture
+  drsplat photograph scene.ply --output capture --number 80 --up +z
+  drsplat photograph scene.ply --output capture --path camera_path.json
+  drsplat photograph film.motion --output capture --time 0.5
+  drsplat embed capture && drsplat register scene.spz capture --features capture/language_features -o scene.field
+
+Poses are planned from the scene: all around in the free space of a room, on spheres around a thing, chosen so that as
+much of it as can be is seen in three pictures. capture/photograph.json says that the pictures are renderings, and what
+is made from them says so, too. A stopped run leaves nothing: give the same command again."""
+DAILY = ("output", "overwrite", "number", "size", "up", "path", "time")
+MOST_PICTURES = 10_000
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "scene",
+        help="Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder; of a moving scene with --time",
+    )
+    parser.add_argument(
+        "--output", "-o", required=True, metavar="DIR",
+        help="folder for the capture: images/, sparse/0 in COLMAP's format, photograph.json",
+    )  # fmt: skip
+    add_overwrite(parser)
+    parser.add_argument(
+        "--number", type=up_to(MOST_PICTURES), metavar="N",
+        help="number of pictures (default: as many as coverage takes, 48 to 150; 60 along a path)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--size", "--resolution", type=size, metavar="WxH",
+        help="width and height in pixels (default: those of FILE, else 1024x768)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--fov", type=finite, metavar="DEGREES", help="lens, from the top to the bottom of a picture (default: 60)"
+    )
+    parser.add_argument(
+        "--up", type=_direction, metavar="AXIS",
+        help="up in the pictures: +x, -x ... -z, or three numbers such as 0,-0.9,0.3 (default: what the scene's shape "
+        "suggests; look at the pictures)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--path", metavar="orbit|swing|FILE",
+        help="take pictures along a path instead: as `drsplat render` films it, or through key frames (ours, as the "
+        "viewer saves them, or nerfstudio's camera_path.json), with its lens",
+    )  # fmt: skip
+    parser.add_argument("--time", type=finite, metavar="T", help="time at which a moving scene is photographed")
+    parser.add_argument(
+        "--background", choices=sorted(BACKGROUNDS), default="black",
+        help="colour behind the Gaussians (default: black)",
+    )  # fmt: skip
+
+
+def _direction(text: str) -> tuple[float, float, float]:
+    """Return a direction by the name of its axis, or by three numbers."""
+    from ...authoring.filming.looking import named_up
+    from ...errors import InputError
+
+    parts = text.split(",")
+    try:
+        x, y, z = map(finite, parts) if len(parts) == 3 else named_up(text).tolist()
+    except InputError:
+        raise argparse.ArgumentTypeError(
+            f"expected one of +x -x +y -y +z -z, or three numbers with commas between, got {text!a}"
+        ) from None
+    return x, y, z
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ...authoring.photographing.taking import photograph
+    from ...base.progress import Stopwatch
+    from ...base.system import peak_memory_bytes
+    from ...formats.moving_scenes import read_scene
+    from ...scene.moving import canonical_of
+
+    watch = Stopwatch()
+    scene = read_scene(arguments.scene)
+    note_own_scene(arguments.scene, canonical_of(scene))
+    path = _path(arguments, scene)
+    settings = _settings(arguments, path)
+    watch.lap("read")
+    record = photograph(
+        scene, arguments.output, settings, name=Path(arguments.scene).resolve().name, path=path,
+        overwrite=arguments.overwrite, threads=arguments.threads, track=tracker(arguments),
+    )  # fmt: skip
+    watch.lap("photograph")
+    return {
+        "capture": arguments.output,
+        "pictures": "renderings",
+        **record,
+        "seconds": sum(watch.seconds.values()),
+        "stage_seconds": watch.seconds,
+        "peak_memory_bytes": peak_memory_bytes(),
+    }
+
+
+def _path(arguments: argparse.Namespace, scene: Gaussians | Moving) -> CameraPath | None:
+    import numpy as np
+
+    from ...authoring.filming.planning import PHOTOS, path_named
+    from ...errors import InputError
+    from ...scene.moving import canonical_of
+
+    if arguments.path is None:
+        return None
+    if arguments.path == PHOTOS:
+        raise InputError("path: there are no photos to go through: give orbit, swing or a file of key frames")
+    if arguments.fov is not None:
+        raise InputError("fov: a path has its own lens: leave one of both out")
+    up = None if arguments.up is None else np.array(arguments.up) / np.linalg.norm(arguments.up)
+    return path_named(arguments.path, canonical_of(scene), [], up=up)
+
+
+def _settings(arguments: argparse.Namespace, path: CameraPath | None) -> PhotographSettings:
+    from ...authoring.photographing.settings import FOV_DEGREES, SIZE, PhotographSettings
+
+    wished = None if path is None else path.size
+    return PhotographSettings(
+        arguments.number, arguments.size or wished or SIZE, arguments.fov or FOV_DEGREES, arguments.up,
+        arguments.time, BACKGROUNDS[arguments.background],
+    )  # fmt: skip
+
+
+def show(answer: dict[str, Any]) -> None:
+    from .tables import said, show_facts, size_text
+
+    width, height = answer["settings"]["size"]
+    cover = answer["coverage"]
+    guess = ", as the scene's shape suggests: --up says otherwise" if answer["up_from"] == "scene" else ""
+    chosen = f", chosen from {said(answer['num_candidates'])} poses" if answer["kind"] != "path" else ""
+    show_facts(
+        f"capture: {answer['capture']}",
+        {
+            "pictures": f"{said(answer['num_pictures'])} renderings of {width}x{height}{chosen}",
+            "of": f"{answer['scene']['name']}, {said(answer['scene']['num_gaussians'])} Gaussians",
+            "poses": _KINDS[answer["kind"]],
+            "up": f"{answer['up']}{guess}",
+            "coverage": f"{cover['often']:.1%} of {said(cover['significant'])} Gaussians that matter are seen in three "
+            f"pictures, {cover['once']:.1%} in one; all poses together show {cover['reachable']:.1%} in three",
+            "seconds": f"{answer['seconds']:.1f}",
+            "peak memory": size_text(answer["peak_memory_bytes"]),
+        },
+    )
+
+
+_KINDS = {
+    "room": "in the free space of a room, all around", "object": "on spheres around a thing and its parts",
+    "mixed": "on spheres around a thing and its parts, and in the free space around it", "path": "along a path",
+}  # fmt: skip

@@ -1,0 +1,92 @@
+"""Inputs of queries on the command line: pictures, vectors, pixels, points."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import numpy as np
+
+
+def pixel(text: str) -> tuple[str, float, float]:
+    """Return the view's name and the pixel of "photo_003:210,140". Raises: InputError: it has another form."""
+    import re
+
+    from ...errors import InputError
+
+    match = re.fullmatch(r"(.+):(\d+(?:\.\d+)?),(\d+(?:\.\d+)?)", text)
+    if match is None:
+        raise InputError(f"--click {text}: expected VIEW:X,Y in pixels, e.g. photo_003:210,140")
+    return match[1], float(match[2]), float(match[3])
+
+
+def point(text: str) -> tuple[float, float, float]:
+    """Return the point "0.3,-0.14,1.2". Raises: InputError: not three finite numbers."""
+    import math
+
+    from ...errors import InputError
+
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+        if math.isfinite(x + y + z):
+            return x, y, z
+    except ValueError:
+        pass
+    raise InputError(f"--point {text}: expected X,Y,Z, three finite numbers, e.g. 0.3,-0.14,1.2")
+
+
+def negatives(text: str) -> tuple[str, ...] | np.ndarray:
+    """Words with commas between them, or the vectors of a .npy file."""
+    if text.endswith(".npy"):
+        return read_vectors(text)
+    return tuple(word.strip() for word in text.split(","))
+
+
+def read_picture(path: str) -> np.ndarray:
+    """Read the RGB of a picture file, upright, on black where it is transparent.
+
+    Raises: InputError: there is no such file. FormatError: damaged, or not a picture.
+    """
+    from ...errors import FormatError, InputError
+    from ...scene.photos import decoded_picture
+
+    if not Path(path).is_file():
+        raise InputError(f"{path}: there is no such picture")
+    try:
+        return decoded_picture(Path(path))
+    except FormatError as error:
+        raise FormatError(f"{path}: {error}") from error
+
+
+def read_vector(path: str) -> np.ndarray:
+    """One vector of a .npy file, (D,) or (1, D).
+
+    Raises: InputError: there is no such file, or it holds more than one. FormatError: damaged.
+    """
+    from ...errors import InputError
+
+    vectors = read_vectors(path)
+    if len(vectors) != 1:
+        raise InputError(f"{path}: expected one vector, got {len(vectors)}")
+    vector: np.ndarray = vectors[0]
+    return vector
+
+
+def read_vectors(path: str) -> np.ndarray:
+    """Read the vectors of a .npy file, (n, D) or (D,), as float32.
+
+    Raises: InputError: there is no such file. FormatError: damaged, not numbers.
+    """
+    import numpy as np
+
+    from ...errors import FormatError, InputError
+    from ...formats.npy import map_npy
+
+    if not Path(path).is_file():
+        raise InputError(f"{path}: there is no such file")
+    array = np.atleast_2d(map_npy(Path(path)))
+    if array.ndim != 2 or array.dtype.kind != "f" or array.size == 0:
+        raise FormatError(f"{path}: expected floats (D,) or (n, D), got {array.dtype} {array.shape}")
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused with zeros
+        return np.ascontiguousarray(array, np.float32)

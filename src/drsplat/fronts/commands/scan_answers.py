@@ -1,0 +1,160 @@
+"""Answers of a scan: queries and their matches, numbers of all stages, and both for people."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from .stages import verb_line
+
+if TYPE_CHECKING:
+    from ..scanning.inputs import ScanInput
+
+MOST_MATCHES = 5  # of an answer that are listed
+_FACTS = ("query", "num_matches", "num_selected", "measure", "threshold", "score_range", "doubt")
+
+
+def answered(line: argparse.Namespace, encoder: Sequence[str], common: Sequence[str]) -> dict[str, Any]:
+    """Ask the queries of a scan as `drsplat locate` does, and write those that have an answer into the page.
+
+    Without queries, words that find something are asked. A query that the encoder does not know is an answer with its
+    fault, and does not stop the others.
+    """
+    from . import view
+
+    texts = line.ask or _suggested(line)
+    answers = [_answer(line.field, text, [*encoder, *common]) for text in texts]
+    known = [answer["query"] for answer in answers if "fault" not in answer] or _suggested(line)
+    page = view.run(argparse.Namespace(**vars(line) | {"ask": "; ".join(known)}))
+    return {"answers": answers, "num_shown": page["num_shown"], "bytes": page["bytes"]}
+
+
+def _answer(folder: str, text: str, options: Sequence[str]) -> dict[str, Any]:
+    from ...errors import DrSplatError
+    from . import locate
+
+    try:
+        found = locate.run(verb_line("locate", [folder, text], options).arguments)
+    except DrSplatError as error:
+        return {"query": text, "fault": str(error)}
+    matches = [
+        {**match, "support": list(dict.fromkeys(one["view"] for one in match["support"]))}
+        for match in found["matches"][:MOST_MATCHES]
+    ]
+    return {**{name: found[name] for name in _FACTS}, "matches": matches}
+
+
+def _suggested(line: argparse.Namespace) -> list[str]:
+    """Return words that find something in the scene, else one that the encoder knows."""
+    from ..viewing.naming import words_of
+    from ..viewing.suggestions import suggestions
+    from .query_options import open_scene
+
+    scene = open_scene(line)
+    return suggestions(scene) or list(words_of(scene))[:1]
+
+
+def ended(verb: str, answer: Mapping[str, Any]) -> str:
+    """Return what is said when a stage has ended."""
+    from ...base.terminal import counted
+
+    if verb == "capture":
+        return f"{answer['num_registered']:,} of {counted(answer['num_photos'], 'photo')} have a pose"
+    if verb == "train":
+        psnr = answer["psnr_test"]
+        held_out = "" if psnr is None else f", PSNR {psnr:.2f} dB in photos that were held out"
+        return f"{counted(answer['num_gaussians'], 'Gaussian')}{held_out}"
+    if verb == "embed":
+        one = _pictures(answer).removesuffix("s")
+        return f"{counted(answer['num_masks'], 'mask')} in {counted(answer['num_photos'], one)}"
+    if verb == "register":
+        return f"{answer['num_registered']:,} of {counted(answer['num_gaussians'], 'Gaussian')} can be asked"
+    if verb == "objects":
+        return f"{counted(answer['num_agreed'], 'object')} that {_pictures(answer)} agree on"
+    return f"{counted(len(answer['answers']), 'query', 'queries')} answered in the page"
+
+
+def summary(states: Mapping[str, Any], source: ScanInput) -> dict[str, Any]:
+    """Return the numbers of all stages."""
+    stages = {verb: state["answer"] for verb, state in states.items()}
+    posed = stages.get("capture", {"num_photos": source.num_photos, "num_registered": source.num_photos})
+    train, objects = stages["train"], stages["objects"]
+    return {
+        "num_photos": posed["num_photos"],
+        "pictures": _pictures(stages["register"]),
+        "num_registered": posed["num_registered"],
+        "psnr_test": train["psnr_test"],
+        "num_gaussians": train["num_gaussians"],
+        "num_masks": stages["embed"]["num_masks"],
+        "num_objects": objects["num_agreed"],
+        "num_unsure_objects": objects["num_objects"] - objects["num_agreed"],
+        "left_out": posed.get("left_out", []),
+        "answers": stages["view"]["answers"],
+        "stage_seconds": {verb: state["seconds"] for verb, state in states.items()},
+        "stage_cpu_seconds": {verb: state["cpu_seconds"] for verb, state in states.items()},
+        "seconds": sum(state["seconds"] for state in states.values()),
+    }
+
+
+def _pictures(answer: Mapping[str, Any]) -> str:
+    """Return what a stage looked at; stages of older versions knew photos only."""
+    return str(answer.get("pictures", "photos"))
+
+
+def notes(states: Mapping[str, Any]) -> list[str]:
+    """Return sentences about what was left out, and about what to doubt."""
+    stages = {verb: state["answer"] for verb, state in states.items()}
+    said = []
+    without = stages.get("capture", {}).get("left_out", [])
+    if without:
+        said.append(f"{len(without):,} of {stages['capture']['num_photos']:,} photos have no pose (left_out says why).")
+    if stages["train"]["held_out_far_below"]:
+        said.append(
+            "Photos that were held out look far worse than those trained on: the photos overlap too little, or poses "
+            "are wrong."
+        )
+    if stages["objects"]["doubt"]:
+        doubt: str = stages["objects"]["doubt"]
+        said.append(doubt[0].upper() + doubt[1:] + ".")
+    return said
+
+
+def show_answer(answer: Mapping[str, Any]) -> None:
+    """Print what a scan has made, for people."""
+    from .tables import said, show_facts, show_table, size_text
+
+    psnr = answer["psnr_test"]
+    seconds = ", ".join(f"{verb} {spent:.0f}" for verb, spent in answer["stage_seconds"].items())
+    show_facts(
+        f"scanned: {answer['output']}",
+        {
+            "posed": f"{said(answer['num_registered'])} of {said(answer['num_photos'])} {answer['pictures']}",
+            "held out": "nothing" if psnr is None else f"PSNR {psnr:.2f} dB",
+            "Gaussians": said(answer["num_gaussians"]),
+            "masks": said(answer["num_masks"]),
+            "objects": f"{said(answer['num_objects'])}, and {said(answer['num_unsure_objects'])} less sure",
+            "time": f"{answer['seconds']:.0f} s ({seconds})",
+            "peak memory": size_text(answer["peak_memory_bytes"]),
+        },
+    )
+    if answer["left_out"]:
+        show_table(
+            "Photos without a pose", ("photo", "why"), [(one["name"], one["reason"]) for one in answer["left_out"]]
+        )
+    for one in answer["answers"]:
+        print(f"{one['query']}: {_answer_text(one)}")
+    for note in answer["notes"]:
+        print(note)
+    print(f"Open {Path(answer['page'])} in a browser. To search it live: {answer['view']}")
+
+
+def _answer_text(one: Mapping[str, Any]) -> str:
+    from ...base.terminal import counted
+
+    if "fault" in one:
+        return f"not asked: {one['fault']}"
+    places = [" ".join(f"{x:.2f}" for x in match["center"]) for match in one["matches"]]
+    where = f" at {'; '.join(places)}" if places else ""
+    return f"{counted(one['num_matches'], 'match', 'matches')}{where}"

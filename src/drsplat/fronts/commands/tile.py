@@ -1,0 +1,73 @@
+"""drsplat tile: scenes, or blocks of one -> a folder of tiles."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from .options import add_overwrite, count, new_output
+
+EXAMPLES = """\
+  drsplat tile scene.ply --output city.tiles
+  drsplat tile block_a.ply block_b.ply --output city.tiles
+  drsplat tile blocks.json --output city.tiles
+  drsplat tile streamed/lod-meta.json --output city.tiles
+
+blocks.json is a list of {"file": "block_a.ply", "transform": 4x4 rows, "keep": {"low": [x, y, z], "high": [x, y, z]}};
+transform goes from the block to the world, and Gaussians outside of keep are left out.
+
+The folder is a scene for every verb. Its rows are in an order of their own; the columns block and source_row say
+where each Gaussian came from."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "scenes", nargs="+", metavar="SCENE", help="scene files in one world, a streamed SOG, or JSON that lists blocks"
+    )
+    parser.add_argument(
+        "--output", "-o", required=True, metavar="TILES", help="folder to write, conventionally NAME.tiles"
+    )
+    parser.add_argument(
+        "--rows", type=count, default=argparse.SUPPRESS, metavar="N", help="Gaussians per tile (default: 131072)"
+    )
+    add_overwrite(parser)
+
+
+def run(arguments: argparse.Namespace) -> dict[str, Any]:
+    from ...base.progress import Stopwatch
+    from ...base.system import peak_memory_bytes
+    from ...field.tiles.cutting import ROWS, cut
+    from ...formats.sources import blocks_of
+
+    output, watch = new_output(arguments.output, arguments.overwrite), Stopwatch()
+    blocks = blocks_of([Path(scene) for scene in arguments.scenes])
+    tiles = cut(blocks, output, getattr(arguments, "rows", ROWS), overwrite=arguments.overwrite)
+    watch.lap("cut")
+    return {
+        "tiles": str(output),
+        "num_gaussians": len(tiles),
+        "num_tiles": len(tiles.tiles),
+        "scene": tiles.fingerprint,
+        "sources": list(tiles.sources),
+        "origin": tiles.origin.tolist(),
+        "near": tiles.near,
+        "bytes": sum(file.stat().st_size for file in output.iterdir()),
+        "seconds": sum(watch.seconds.values()),
+        "peak_memory_bytes": peak_memory_bytes(),
+    }
+
+
+def show(answer: dict[str, Any]) -> None:
+    from ...base.terminal import counted
+    from .tables import said, show_facts, size_text
+
+    show_facts(
+        f"cut: {answer['tiles']}",
+        {
+            "Gaussians": f"{said(answer['num_gaussians'])} of {counted(len(answer['sources']), 'file')}",
+            "tiles": f"{said(answer['num_tiles'])}, {size_text(answer['bytes'])}",
+            "time": f"{answer['seconds']:.1f} s",
+            "peak memory": size_text(answer["peak_memory_bytes"]),
+        },
+    )

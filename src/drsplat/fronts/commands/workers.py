@@ -1,0 +1,80 @@
+"""A scene as one of the verbs takes it, whole or in tiles, and who registers it."""
+
+from __future__ import annotations
+
+import argparse
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from .options import count, words
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from ...field.registration import Registration
+    from ...field.tiles.launching import Launcher
+    from ...formats.tiles import Tiles
+    from ...scene.gaussians import Gaussians
+    from ...scene.moving import Moving
+
+    Register = Callable[..., Registration]
+
+
+def add_workers(group: argparse._ArgumentGroup) -> None:
+    group.add_argument(
+        "--workers", type=count, metavar="N",
+        help="processes that register the photos of a tiled scene, each with --threads threads (default: this one)",
+    )  # fmt: skip
+    group.add_argument(
+        "--ray", type=words, metavar="ADDRESS",
+        help="Ray cluster that does, e.g. auto or ray://head:10001; local starts one on this machine. Its nodes see "
+        "scene, DIR and the folder of --parts under the same names, or --parts is an address",
+    )  # fmt: skip
+    group.add_argument(
+        "--ray-memory", type=count, metavar="MB", help="memory of a task, by which Ray limits how many run on a node"
+    )
+
+
+def scene_of(arguments: argparse.Namespace) -> tuple[Gaussians | Moving | Tiles, Register]:
+    """Return the scene, whose tiles and frames stay on disk, and the function that registers it.
+
+    Raises: InputError: workers for a scene without tiles, or two kinds of them.
+    """
+    from ... import register
+    from ...errors import InputError
+    from ...field.tiles.registering import register_tiles
+    from ...formats.moving_scenes import read_scene
+    from ...formats.tiles import TILES, read_tiles
+
+    path = Path(arguments.scene)
+    folder = path.parent if path.name == TILES else path
+    if (folder / TILES).is_file():
+        return read_tiles(folder), partial(register_tiles, launcher=_launcher(arguments))
+    if "://" in str(arguments.parts or ""):
+        raise InputError(
+            "--parts: an address is for a scene in tiles: give a folder, or cut the scene with drsplat tile"
+        )
+    if arguments.workers or arguments.ray:
+        given = "--workers" if arguments.workers else "--ray"
+        raise InputError(
+            f"{given} is for a scene in tiles: drsplat tile {arguments.scene} --output NAME.tiles, then register those"
+        )
+    return read_scene(arguments.scene), register
+
+
+def in_memory(scene: Gaussians | Moving | Tiles) -> Gaussians | Moving:
+    from ...formats.tiles import Tiles
+
+    return scene.gaussians() if isinstance(scene, Tiles) else scene
+
+
+def _launcher(arguments: argparse.Namespace) -> Launcher:
+    from ...errors import InputError
+    from ...field.tiles.launching import Here, Processes, Ray
+
+    if arguments.workers and arguments.ray:
+        raise InputError("--workers and --ray are two ways of working: drop one of them")
+    if arguments.ray:
+        return Ray(arguments.ray, arguments.threads or 1, (arguments.ray_memory or 0) << 20)
+    return Processes(arguments.workers) if arguments.workers else Here()

@@ -1,0 +1,113 @@
+"""Choice of the models that cut and embed the photos: SAM and CLIP if available, else the built-in ones."""
+
+import os
+import threading
+import urllib.error
+import urllib.request
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+
+from ...errors import MissingExtraError
+from ...photos.models.devices import chosen_device
+from ...photos.models.graph import GraphSegmenter
+from ...photos.models.libraries import INSTALL, models_library
+from ...photos.models.loading import DEFAULT_ENCODER
+from ...photos.models.mini import MiniEncoder
+from ...photos.models.pretrained import cached_in_full
+from ...photos.models.sam import CPU_SEGMENTER, DEFAULT_SEGMENTER
+
+AUTO = "auto"
+HUB_PATIENCE_S = 5.0
+DOWNLOAD = "have a network, or name folders that hold them as segmenter and encoder"
+MEANING = (
+    "they know colours, and household words in made-up rooms only, so of real photos ask for colours ('something red')"
+)
+
+
+@dataclass(frozen=True)
+class ModelChoice:
+    """Models of a scan. reason: why "auto" means a built-in one, "" where it does not; cure: what helps."""
+
+    segmenter: str
+    encoder: str
+    reason: str = ""
+    cure: str = ""
+
+    @property
+    def is_built_in(self) -> bool:
+        """True where the built-in encoder understands the words."""
+        return self.encoder == MiniEncoder.name
+
+    @property
+    def is_known(self) -> bool:
+        """True where queries of the scan's folder need not name the encoder."""
+        return self.encoder in (MiniEncoder.name, DEFAULT_ENCODER)
+
+    @property
+    def sentence(self) -> str:
+        """Sentence that says which models work, what that means and what would be better."""
+        if not self.reason:
+            words = MEANING if self.is_built_in else "any words can be asked"
+            return f"{self.segmenter} cuts the photos into masks and {self.encoder} embeds them: {words}."
+        noun = "models" if self.is_built_in and self.segmenter == GraphSegmenter.name else "model"
+        names = [name for name in (self.segmenter, self.encoder) if name in (GraphSegmenter.name, MiniEncoder.name)]
+        meaning = MEANING if self.is_built_in else "its masks are coarser than those of SAM"
+        return (
+            f"The built-in {noun} ({' and '.join(names)}) work, because {self.reason}; {meaning}. For SAM and CLIP: "
+            f"{self.cure}, and run drsplat scan with --overwrite."
+        )
+
+
+def choose_models(segmenter: str, encoder: str, device: str = AUTO) -> ModelChoice:
+    """Return the models that "auto" stands for on this machine; other names stay.
+
+    A hub that does not answer within `HUB_PATIENCE_S` counts as out of reach.
+    """
+    if AUTO not in (segmenter, encoder):
+        return ModelChoice(segmenter, encoder)
+    try:
+        models_library()
+    except MissingExtraError as error:
+        return _built_in(segmenter, encoder, str(error).partition(": ")[0], INSTALL)
+    sam = DEFAULT_SEGMENTER if chosen_device(device) != "cpu" else CPU_SEGMENTER
+    named = [(segmenter, sam), (encoder, DEFAULT_ENCODER)]
+    reasons = [_why_not(name) for choice, name in named if choice == AUTO]
+    reason = next(filter(None, reasons), "")
+    if reason:
+        return _built_in(segmenter, encoder, reason, DOWNLOAD)
+    return ModelChoice(*(name if choice == AUTO else choice for choice, name in named))
+
+
+def _built_in(segmenter: str, encoder: str, reason: str, cure: str) -> ModelChoice:
+    segmenter = GraphSegmenter.name if segmenter == AUTO else segmenter
+    return ModelChoice(segmenter, MiniEncoder.name if encoder == AUTO else encoder, reason, cure)
+
+
+def _why_not(name: str) -> str:
+    """Return why a model's weights cannot be had, "" where they can."""
+    if Path(name).is_dir() or cached_in_full(name):
+        return ""
+    if os.environ.get("HF_HUB_OFFLINE", "").upper() in ("1", "ON", "YES", "TRUE"):
+        return f"the weights of {name} are not on this disk, and HF_HUB_OFFLINE is set"
+    endpoint = str(import_module("huggingface_hub.constants").ENDPOINT)
+    if _answers(f"{endpoint}/api/models/{name}"):
+        return ""
+    return f"the weights of {name} are not on this disk, and {endpoint} cannot be reached"
+
+
+def _answers(address: str) -> bool:
+    """Return whether a server answers in time; names are looked up in a thread, because that has no time limit."""
+    answered = []
+
+    def ask() -> None:
+        try:
+            with urllib.request.urlopen(address, timeout=HUB_PATIENCE_S) as reply:
+                answered.append(reply.status == 200)
+        except (OSError, ValueError, urllib.error.URLError):
+            pass
+
+    thread = threading.Thread(target=ask, daemon=True)
+    thread.start()
+    thread.join(HUB_PATIENCE_S)
+    return bool(answered and answered[0])

@@ -1,0 +1,93 @@
+"""One display of progress for all stages of a scan, with the remaining time of the whole."""
+
+import os
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import NamedTuple
+
+from ...base.progress import Meter, duration, followed
+
+IN_ONE_METER = ("train", "embed")  # stages whose meter counts all of their work
+
+
+class Cost(NamedTuple):
+    """Time of a stage, with the processes that it started."""
+
+    seconds: float
+    cpu_seconds: float
+
+
+class Display:
+    """Progress of stages that follow each other, on stderr; nothing where `quiet`.
+
+    expected: seconds of each stage, in order; only their ratios count as soon as one has ended.
+    """
+
+    def __init__(self, expected: Mapping[str, float], *, quiet: bool = False) -> None:
+        self.expected, self._quiet = dict(expected), quiet
+        self.costs: dict[str, Cost] = {}
+        self._stage, self._job = "", ""
+        self._meter: Meter | None = None
+        self._begin = self._job_begin = time.monotonic()
+        self._first = 0
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Show the meters of the block as those of a stage, and record its cost."""
+        cpu = _cpu_seconds()
+        self._stage, self._job, self._begin = name, "", time.monotonic()
+        try:
+            with followed(self._update):
+                yield
+        finally:
+            self._end_job()
+        self.costs[name] = Cost(time.monotonic() - self._begin, _cpu_seconds() - cpu)
+
+    def say(self, name: str, text: str) -> None:
+        """Print a line about a stage."""
+        if not self._quiet:
+            print(f"{self._number(name)} {text}", file=sys.stderr, flush=True)
+
+    def tell(self, text: str) -> None:
+        """Print a line about the scan."""
+        if not self._quiet:
+            print(f"drsplat: {text}", file=sys.stderr, flush=True)
+
+    def _number(self, name: str) -> str:
+        return f"{list(self.expected).index(name) + 1}/{len(self.expected)} {name}:"
+
+    def _update(self, job: str, done: int, total: int, text: str) -> None:
+        if job != self._job or self._meter is None:
+            self._end_job()
+            self._job, self._job_begin, self._first = job, time.monotonic(), done - 1
+            self._meter = Meter(f"{self._number(self._stage)} {job}", total, quiet=self._quiet)
+        elapsed = time.monotonic() - self._job_begin
+        job_left = (total - done) * elapsed / max(done - self._first, 1)
+        whole = f"about {duration(self.seconds_left(job_left))} for all"
+        self._meter.draw(done, "  ".join(filter(None, (whole, text))))
+
+    def seconds_left(self, job_left: float) -> float:
+        """Return the remaining time of all stages. job_left: of the meter that moves now."""
+        pace = self._pace()
+        names = list(self.expected)
+        later = sum(self.expected[name] for name in names[names.index(self._stage) + 1 :])
+        own = self.expected[self._stage] * pace - (time.monotonic() - self._begin)
+        return (job_left if self._stage in IN_ONE_METER else max(job_left, own)) + later * pace
+
+    def _pace(self) -> float:
+        """Return how many times longer stages take here than expected."""
+        expected = sum(self.expected[name] for name in self.costs)
+        return sum(cost.seconds for cost in self.costs.values()) / expected if expected else 1.0
+
+    def _end_job(self) -> None:
+        if self._meter is not None:
+            self._meter.__exit__(None, None, None)
+        self._meter = None
+
+
+def _cpu_seconds() -> float:
+    """Return the CPU time of this process and of the child processes that have ended."""
+    now = os.times()
+    return now.user + now.system + now.children_user + now.children_system

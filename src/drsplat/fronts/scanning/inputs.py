@@ -1,0 +1,60 @@
+"""Input of a scan: photos, a video, or a capture with poses."""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ...errors import InputError
+from ...formats.captures import read_views
+from ...formats.recognising import Kind, recognised
+from ...photos.capture.finding import VIDEO_ENDS, find_photos
+from ...photos.capture.rescaling import sources_key
+from ...photos.capture.videos import video_source
+
+PHOTOS, VIDEO, CAPTURE = "photos", "video", "capture"
+
+
+@dataclass(frozen=True)
+class ScanInput:
+    """An input of a scan.
+
+    Attributes:
+        path: as it was given.
+        kind: "photos", "video" or "capture".
+        fingerprint: changes with the photos, by their names, sizes and times.
+        num_photos: None for a video.
+    """
+
+    path: Path
+    kind: str
+    fingerprint: str
+    num_photos: int | None
+
+    def document(self) -> dict[str, Any]:
+        """Return the input's entry in the record."""
+        return {"path": str(self.path), "kind": self.kind, "fingerprint": self.fingerprint}
+
+
+def scan_input(path: Path) -> ScanInput:
+    """Identify the input at a path, by names and times only; no photo is decoded.
+
+    Raises: InputError: neither photos, nor a video, nor a capture with photos. FormatError: a damaged capture.
+    """
+    if path.suffix.lower() in VIDEO_ENDS and path.is_file():
+        return ScanInput(path, VIDEO, sources_key([video_source(path)]), None)
+    if path.is_dir() and recognised(path) is Kind.CAPTURE:
+        photos = [view.image_path for view in read_views(path) if view.image_path is not None]
+        if not photos:
+            raise InputError(f"{path}: has poses, but none of its photos is there: put them into {path / 'images'}")
+        return ScanInput(path, CAPTURE, _fingerprint(path, photos), len(photos))
+    sources = find_photos(path)
+    return ScanInput(path, PHOTOS, sources_key(sources), len(sources))
+
+
+def _fingerprint(capture: Path, photos: list[Path]) -> str:
+    models = [file for name in ("sparse", "colmap") for file in (capture / name).rglob("*") if file.is_file()]
+    cameras = sorted([*models, *capture.glob("*.json")])
+    facts = [(str(file.name), file.stat().st_size, file.stat().st_mtime_ns) for file in [*cameras, *photos]]
+    return hashlib.blake2b(json.dumps(facts).encode(), digest_size=16).hexdigest()

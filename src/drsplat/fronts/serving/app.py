@@ -1,0 +1,287 @@
+"""The HTTP service: every route is one public call in a process of the workbench."""
+
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+from fastapi import FastAPI, Query, Request, Response
+from fastapi import Path as InPath
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import HTMLResponse
+from pydantic import BaseModel
+from starlette.exceptions import HTTPException
+from starlette.middleware.cors import CORSMiddleware
+
+from ... import __version__
+from ...errors import DrSplatError
+from . import models
+from .catalogued import AskCatalogue, CatalogueAnswer, CatalogueScenes
+from .front_page import front_page
+from .guards import Guard
+from .limits import Limits
+from .metrics import Metrics
+from .models import Health, Located, ObjectList, Problem, SceneDetails, SceneList, Segmented, Selected, Words
+from .refusals import faults_of
+from .replies import BUG, GLB, JPEG, NO_JSON, PLY, PNG, Reply, is_json, problem, refusal
+from .requests import Export, Locate, Picture, Segment, Select, WhatIs, When
+from .scene_folder import SceneFolder, Sources, without_paths
+from .workbench import Job, Workbench
+from .worker import Workplace
+
+FIELD_HEADER = "x-drsplat-field"
+DESCRIPTION = """\
+Scenes that answer words. Positions are world coordinates in scene units. Whatever cannot be answered gets
+`{"error": ..., "kind": ...}` with a status of 4xx, 503 where it can be asked again later, or 500 for a fault of the
+service."""
+
+Scene = Annotated[str, InPath(min_length=1, max_length=200, description="a name from /scenes")]
+Number = Annotated[int, InPath(ge=0, le=2**31 - 1, description="an id from /scenes/{scene}/objects")]
+_REFUSALS = {
+    400: "not HTTP as expected", 401: "no key, or a wrong one", 404: "no such scene or photo",
+    413: "the body is too large", 415: "the content type of the body is not JSON",
+    422: "the request makes no sense, or not for this scene",
+    500: "a fault of the service; its log has the details",
+    503: "too busy, too slow, or the scene's files are damaged",
+}  # fmt: skip
+REFUSALS: dict[int | str, dict[str, Any]] = {
+    status: {"model": Problem, "description": text} for status, text in _REFUSALS.items()
+}
+
+
+def binary(media_type: str) -> dict[int | str, dict[str, Any]]:
+    """Return the responses of a route that sends bytes."""
+    return {200: {"content": {media_type: {"schema": {"type": "string", "format": "binary"}}}}}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """key: of the service, None for none. hosts: as in `Guard`. origins: of pages whose scripts may read answers.
+
+    catalogue: folder of one, None for none.
+    """
+
+    folder: str
+    sources: Sources = field(default_factory=Sources)
+    limits: Limits = field(default_factory=Limits)
+    key: str | None = field(default=None, repr=False)
+    hosts: tuple[str, ...] | None = None
+    origins: tuple[str, ...] = ()
+    catalogue: str | None = None
+
+
+def create_app(settings: Settings) -> FastAPI:
+    """Create the service over the scenes of a folder, an ASGI application. Raises: InputError: no such folder."""
+    limits, metrics = settings.limits, Metrics()
+    catalogue = None if settings.catalogue is None else Path(settings.catalogue)
+    scene_folder = SceneFolder(Path(settings.folder), settings.sources, catalogue_path=catalogue)
+    bench = Workbench(Workplace(settings.folder, settings.sources, limits, settings.catalogue), metrics)
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncIterator[None]:
+        bench.start()
+        yield
+        bench.close()
+
+    app = FastAPI(
+        title="drsplat",
+        version=__version__,
+        description=DESCRIPTION,
+        lifespan=lifespan,
+        docs_url=None,  # these load scripts from elsewhere
+        redoc_url=None,
+        responses=REFUSALS,
+    )
+    _add_errors(app, scene_folder)
+    app.state.bench = bench
+    _add_watching(app, scene_folder, metrics)
+    _add_scenes(app, bench)
+    _add_objects(app, bench)
+    _add_queries(app, bench)
+    if settings.catalogue is not None:
+        _add_catalogue(app, bench)
+    _add_pages(app)
+    app.add_middleware(Guard, limits=limits, metrics=metrics, key=settings.key, hosts=settings.hosts)  # type: ignore[arg-type]
+    if settings.origins:
+        _allow(app, settings.origins)
+    return app
+
+
+def _allow(app: FastAPI, origins: Sequence[str]) -> None:
+    """Before the guard: a browser asks without the key whether it may ask with it."""
+    app.add_middleware(
+        CORSMiddleware,
+        allow_origins=list(origins),
+        allow_methods=["GET", "POST"],
+        allow_headers=["authorization", "x-api-key", "content-type"],
+        expose_headers=[FIELD_HEADER, "retry-after"],
+    )
+
+
+def _add_errors(app: FastAPI, scene_folder: SceneFolder) -> None:
+    @app.exception_handler(DrSplatError)
+    async def refused(_: Any, error: DrSplatError) -> Response:
+        return _sent(refusal(error, without_paths(str(error), scene_folder.roots)))
+
+    @app.exception_handler(RequestValidationError)
+    async def invalid(request: Request, error: RequestValidationError) -> Response:
+        given = request.headers.get("content-type", "")
+        if request.method == "POST" and not is_json(given):
+            return _sent(problem(415, f"{NO_JSON}; got {given!a:.80}" if given else NO_JSON, "media type"))
+        return _sent(problem(422, faults_of(error.errors()), "invalid"))
+
+    @app.exception_handler(HTTPException)
+    async def http(request: Request, error: HTTPException) -> Response:
+        return _sent(problem(error.status_code, _routing_fault(request, error), "http"), error.headers)
+
+    @app.exception_handler(Exception)
+    async def failed(_: Any, __: Exception) -> Response:
+        return _sent(problem(500, BUG, "bug"))  # uvicorn logs the traceback
+
+
+def _routing_fault(request: Request, error: HTTPException) -> str:
+    """Return what was expected of a request that no route takes."""
+    if error.status_code == 404:
+        return f"there is nothing at {request.url.path!a:.80}: GET /openapi.json lists the routes"
+    if error.status_code == 405:
+        return f"expected {(error.headers or {}).get('Allow', 'another method')} here, got {request.method}"
+    return str(error.detail)
+
+
+def _sent(reply: Reply, headers: Any = None) -> Response:
+    more = {"retry-after": "1"} if reply.status == 503 else {}
+    if reply.field:
+        more[FIELD_HEADER] = reply.field
+    return Response(reply.body, reply.status, {**(headers or {}), **more}, media_type=reply.media_type)
+
+
+def _add_watching(app: FastAPI, scene_folder: SceneFolder, metrics: Metrics) -> None:
+    @app.get("/health", tags=["watching"])
+    async def health() -> Health:
+        """Tell that the service lives; needs no key."""
+        return Health(status="ok", num_scenes=len(scene_folder.folders()))
+
+    @app.get(
+        "/metrics",
+        tags=["watching"],
+        response_class=Response,
+        responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
+    )
+    async def numbers() -> Response:
+        """Counters and times, in Prometheus' text format."""
+        return Response(metrics.text(), media_type=metrics.content_type)
+
+
+def _add_scenes(app: FastAPI, bench: Workbench) -> None:
+    @app.get("/scenes", tags=["scenes"], response_model=SceneList)
+    async def scenes() -> Response:
+        """All scenes, without opening them."""
+        return _sent(await bench.run(Job("list")))
+
+    @app.get("/scenes/{scene}", tags=["scenes"], response_model=SceneDetails)
+    async def scene_details(scene: Scene) -> Response:
+        """One scene: its size, its photos, which way is up."""
+        return _sent(await bench.run(Job("details", scene, {"name": scene})))
+
+    @app.get("/scenes/{scene}/photo", tags=["scenes"], response_class=Response, responses=binary(PNG))
+    async def photo(
+        scene: Scene,
+        view: Annotated[str, Query(min_length=1, max_length=500, description="a photo's name")],
+        max_side: Annotated[int, Query(ge=16, le=Limits.side)] = 800,
+    ) -> Response:
+        """Send a photo of the scene, such as a supporting one, as PNG."""
+        return _sent(await bench.run(Job("photo", scene, {"view": view, "max_side": max_side})))
+
+
+def _add_objects(app: FastAPI, bench: Workbench) -> None:
+    @app.get("/scenes/{scene}/objects", tags=["objects"], response_model=ObjectList)
+    async def objects(
+        scene: Scene, all: Annotated[bool, Query(description="list also the objects that photos agree less on")] = False
+    ) -> Response:
+        """List the objects of a scene that photos agree on, found across photos, without any word for them."""
+        return _sent(await bench.run(Job("objects", scene, {"all": all})))
+
+    @app.get(
+        "/scenes/{scene}/objects/{number}/picture", tags=["objects"], response_class=Response, responses=binary(JPEG)
+    )
+    async def object_picture(scene: Scene, number: Number) -> Response:
+        """Send an object, cut out of the photo that shows it best, as JPEG."""
+        return _sent(await bench.run(Job("object-picture", scene, {"number": number})))
+
+    @app.get("/scenes/{scene}/objects/{number}/ply", tags=["objects"], response_class=Response, responses=binary(PLY))
+    async def object_ply(scene: Scene, number: Number) -> Response:
+        """Send the Gaussians of an object, as PLY."""
+        return _sent(await bench.run(Job("object-ply", scene, {"number": number})))
+
+
+def _add_queries(app: FastAPI, bench: Workbench) -> None:
+    async def computed(act: str, scene: str, asked: BaseModel) -> Response:
+        return _sent(await bench.run(Job(act, scene, asked.model_dump(mode="json"))))
+
+    @app.post("/scenes/{scene}/select", tags=["queries"], response_model=Selected)
+    async def select(scene: Scene, asked: Select) -> Response:
+        """Select the Gaussians of a text, vector, image, point or click."""
+        return await computed("select", scene, asked)
+
+    @app.post("/scenes/{scene}/locate", tags=["queries"], response_model=Located)
+    async def locate(scene: Scene, asked: Locate) -> Response:
+        """Locate the matches of a query, best first: centre, oriented box, supporting photos."""
+        return await computed("locate", scene, asked)
+
+    @app.post("/scenes/{scene}/when", tags=["queries"], response_model=models.When)
+    async def when(scene: Scene, asked: When) -> Response:
+        """In which spans of time one match stands in a relation to another, in a scene that moves."""
+        return await computed("when", scene, asked)
+
+    @app.post("/scenes/{scene}/segment", tags=["queries"], response_model=Segmented)
+    async def segment(scene: Scene, asked: Segment) -> Response:
+        """Give each Gaussian the best of some classes."""
+        return await computed("segment", scene, asked)
+
+    @app.post("/scenes/{scene}/what-is", tags=["queries"], response_model=Words)
+    async def what_is(scene: Scene, asked: WhatIs) -> Response:
+        """Name what is at a point or a pixel, best words first."""
+        return await computed("what-is", scene, asked)
+
+    @app.post("/scenes/{scene}/picture", tags=["queries"], response_class=Response, responses=binary(PNG))
+    async def picture(scene: Scene, asked: Picture) -> Response:
+        """Render a picture as PNG, optionally with the matches of a query kept in colour."""
+        return await computed("picture", scene, asked)
+
+    files = binary(GLB)[200]["content"] | binary(PLY)[200]["content"]
+
+    @app.post("/scenes/{scene}/export", tags=["queries"], response_class=Response, responses={200: {"content": files}})
+    async def export(scene: Scene, asked: Export) -> Response:
+        """Export the scene as a file for other programs: GLB with named objects, PLY or SPZ."""
+        return await computed("export", scene, asked)
+
+
+def _add_catalogue(app: FastAPI, bench: Workbench) -> None:
+    @app.get("/catalogue", tags=["catalogue"], response_model=CatalogueScenes)
+    async def catalogue_scenes() -> Response:
+        """List the scenes whose objects can be asked for together."""
+        return _sent(await bench.run(Job("catalogue-list")))
+
+    @app.post("/catalogue/ask", tags=["catalogue"], response_model=CatalogueAnswer)
+    async def ask_catalogue(asked: AskCatalogue) -> Response:
+        """Search the objects of all scenes by a text, vector or image, best first."""
+        return _sent(await bench.run(Job("catalogue-ask", asked=asked.model_dump(mode="json"))))
+
+    @app.get("/catalogue/picture", tags=["catalogue"], response_class=Response, responses=binary(JPEG))
+    async def catalogue_picture(
+        scene: Annotated[str, Query(min_length=1, max_length=200, description="name of the scene")],
+        object_id: Annotated[int, Query(ge=0, le=2**31 - 1)],
+        tile: Annotated[int, Query(ge=0, le=2**31 - 1)] = 0,
+    ) -> Response:
+        """Send the thumbnail of an object, as JPEG."""
+        asked = {"scene": scene, "object_id": object_id, "tile": tile}
+        return _sent(await bench.run(Job("catalogue-picture", asked=asked)))
+
+
+def _add_pages(app: FastAPI) -> None:
+    @app.get("/", include_in_schema=False)
+    @app.get("/docs", include_in_schema=False)
+    async def page() -> HTMLResponse:
+        safe = {"content-security-policy": "default-src 'none'; style-src 'unsafe-inline'"}
+        return HTMLResponse(front_page(app.openapi()), headers=safe)

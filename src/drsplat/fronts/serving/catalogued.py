@@ -1,0 +1,175 @@
+"""Requests to a catalogue, over HTTP and by language models, and their answers."""
+
+from collections.abc import Mapping
+from datetime import datetime
+from typing import Annotated, Any, Literal
+from urllib.parse import urlencode
+
+import numpy as np
+from pydantic import ConfigDict, Field
+
+from ... import query as engine
+from ...errors import InputError
+from ...query.catalogue import Catalogue, Entry, Where
+from .limits import Limits
+from .models import Body, Vector, significant
+from .pictures import from_base64
+from .replies import JPEG, Reply
+from .requests import MOST, Finite, Request, Text, Threshold
+
+SceneNames = Annotated[list[Annotated[str, Field(min_length=1, max_length=200)]], Field(max_length=64)]
+
+
+class AskCatalogue(Request):
+    """Exactly one of text, vector and image; and which objects are looked at."""
+
+    text: Text | None = Field(None, description="words; 'mug, not red' excludes what 'red mug' fits as well")
+    vector: Annotated[list[Finite], Field(min_length=1, max_length=8192)] | None = None
+    image: Annotated[str, Field(max_length=MOST.body_bytes)] | None = Field(
+        None, description="a picture of what to search for, base64 of PNG, JPEG, WebP, TIFF, BMP or PPM"
+    )
+    exclude: Annotated[list[Text], Field(max_length=16)] = Field([])
+    threshold: Threshold | Literal["auto"] | None = None
+    top: Annotated[int, Field(ge=1, le=MOST.matches, description="matches to return, best first")] = 10
+    scenes: SceneNames = Field([], description="names of scenes to search; none for all")
+    box: Annotated[list[Finite], Field(min_length=6, max_length=6)] | None = Field(
+        None, description="lowest and highest corner of a box that centres lie in, in the world of each scene"
+    )
+    area: Annotated[list[Finite], Field(min_length=4, max_length=4)] | None = Field(
+        None, description="west, south, east and north in degrees, of scenes with a georeference"
+    )
+    since: Annotated[str, Field(max_length=40)] | None = Field(
+        None, description="time of the oldest addition, ISO 8601 with its zone"
+    )
+
+    model_config = ConfigDict(json_schema_extra={"examples": [{"text": "red mug", "top": 5}]})
+
+
+class CataloguePicture(Request):
+    """The thumbnail of an object by its scene and number."""
+
+    scene: str
+    object_id: int
+    tile: int
+
+
+class EarthPosition(Body):
+    longitude: float
+    latitude: float
+    height: float = Field(description="metres above the ellipsoid")
+
+
+class CatalogueMatch(Body):
+    """An object of one of the scenes, with its oriented box in that scene's world."""
+
+    scene: str
+    tile: int
+    object_id: int = Field(description="its number in the scene, as from /scenes/{scene}/objects")
+    label: str | None = Field(description="the name that people gave it")
+    name: str | None = Field(description="the best word for it, where one was known")
+    score: float
+    center: Vector
+    extent: Vector = Field(description="full lengths of the box along its axes")
+    axes: list[Vector]
+    position: EarthPosition | None = Field(description="on the Earth, where the scene has a georeference")
+    num_gaussians: int
+    num_views: int
+    sure: float
+    photo: str | None = Field(description="the photo that shows it best")
+    mask: int | None = Field(description="its mask there")
+    added: str
+    field: str = Field(description="fingerprint of the field that it is of")
+    picture: str | None = Field(description="where to get its thumbnail, a JPEG")
+
+
+class CatalogueAnswer(Body):
+    query: str
+    num_matches: int
+    matches: list[CatalogueMatch] = Field(description="best first, of all scenes")
+    measure: str = Field(description="cosine or relevancy")
+    threshold: float
+    threshold_rule: str
+    num_compared: int
+    exact: bool = Field(description="whether no index was used")
+    advice: str = ""
+
+
+class CatalogueScene(Body):
+    name: str
+    num_objects: int
+    num_agreed: int = Field(description="of its objects, those that photos agree on, or that have a label")
+    added: str
+    state: str = Field(description="current, changed (its field is another one now), missing or unknown")
+
+
+class CatalogueScenes(Body):
+    scenes: list[CatalogueScene]
+    num_objects: int
+
+
+def catalogue_reply(catalogue: Catalogue, act: str, asked: Mapping[str, Any], limits: Limits) -> Reply:
+    """act: "catalogue-list", "catalogue-ask" or "catalogue-picture". Raises: DrSplatError."""
+    if act == "catalogue-picture":
+        which = CataloguePicture(**asked)
+        return Reply(catalogue.thumbnail(which.scene, which.object_id, which.tile), JPEG)
+    answer = _listed(catalogue) if act == "catalogue-list" else _answered(catalogue, AskCatalogue(**asked), limits)
+    return Reply(answer.model_dump_json().encode())
+
+
+def _answered(catalogue: Catalogue, asked: AskCatalogue, limits: Limits) -> CatalogueAnswer:
+    answer = catalogue.answer(_query(asked, limits), _where(asked), top=asked.top)
+    return CatalogueAnswer(
+        query=asked.text or "",
+        num_matches=len(answer.entries),
+        matches=[_match(entry) for entry in answer.entries],
+        measure=answer.measure,
+        threshold=significant(answer.threshold),
+        threshold_rule=answer.rule,
+        num_compared=answer.num_compared,
+        exact=answer.exact,
+        advice="" if answer.entries else "no match in any scene: try other words, or a lower threshold",
+    )
+
+
+def _match(entry: Entry) -> CatalogueMatch:
+    which = urlencode({"scene": entry.scene, "object_id": entry.object_id, "tile": entry.tile})
+    picture = None if entry.thumbnail is None else f"/catalogue/picture?{which}"
+    return CatalogueMatch(**entry.json(), picture=picture)
+
+
+def _listed(catalogue: Catalogue) -> CatalogueScenes:
+    listed = catalogue.scenes()
+    scenes = [
+        CatalogueScene(
+            name=one.scene,
+            num_objects=one.num_objects,
+            num_agreed=one.num_agreed,
+            added=one.added.isoformat(),
+            state=one.state,
+        )
+        for one in listed
+    ]
+    return CatalogueScenes(scenes=scenes, num_objects=sum(one.num_objects for one in listed))
+
+
+def _query(asked: AskCatalogue, limits: Limits) -> engine.Query:
+    return engine.Query(
+        asked.text,
+        None if asked.vector is None else np.asarray(asked.vector, np.float32),
+        None if asked.image is None else from_base64(asked.image, limits.pixels),
+        exclude=tuple(asked.exclude),
+        threshold=asked.threshold,
+    )
+
+
+def _where(asked: AskCatalogue) -> Where:
+    """Return the conditions of a request. Raises: InputError: a box or an area that is none, or no time."""
+    box, area = (None if given is None else tuple(given) for given in (asked.box, asked.area))
+    return Where(tuple(asked.scenes), box, area, None if asked.since is None else _time(asked.since))  # type: ignore[arg-type]
+
+
+def _time(text: str) -> datetime:
+    try:
+        return datetime.fromisoformat(text)
+    except ValueError:
+        raise InputError("since: expected a time as 2026-11-22T14:00:00Z") from None

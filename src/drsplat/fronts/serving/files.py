@@ -1,0 +1,46 @@
+"""A scene as a file that is sent: as `drsplat export` writes it, of a bounded size."""
+
+import tempfile
+from pathlib import Path
+
+from ...authoring.editing.resolving import object_rows
+from ...authoring.exporting import labelled
+from ...authoring.exporting.labelling import Only
+from ...authoring.exporting.writing import written
+from ...errors import InputError
+from ...query import Scene
+from ...scene.gaussians import Gaussians
+from .limits import Limits
+from .replies import GLB, PLY, Reply
+from .requests import Export, asks_something, query_of
+
+BYTES_BESIDE_HARMONICS = 48  # of a Gaussian: place, rotation, scales, opacity, point's colour
+BYTES_PER_COEFFICIENT = 12
+
+
+def exported(scene: Scene, asked: Export, limits: Limits) -> Reply:
+    """Return a scene as a file.
+
+    Raises: InputError: options that do not go together, a scene that is too large to send; as `labelled`.
+    """
+    query = query_of(asked, limits) if asks_something(asked) else None
+    if asked.only and (query is None or asked.object is not None):
+        raise InputError("only: what matches is that of a query: pass text, and no object")
+    _refuse_large(scene.gaussians, limits)
+    only: Only = "matches" if asked.only else None
+    if asked.object is not None:
+        only = object_rows(scene, asked.object)
+    carried = labelled(scene, query, only=only, time=asked.time, edits=asked.edits, embeddings=asked.embeddings)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"scene.{asked.format}"
+        written(path, carried)
+        return Reply(path.read_bytes(), GLB if asked.format == "glb" else PLY)
+
+
+def _refuse_large(gaussians: Gaussians, limits: Limits) -> None:
+    size = len(gaussians) * (BYTES_BESIDE_HARMONICS + BYTES_PER_COEFFICIENT * gaussians.sh.shape[1])
+    if size > limits.file_bytes:
+        raise InputError(
+            f"this scene would be a file of about {size / 1e6:,.0f} MB, and up to {limits.file_bytes / 1e6:,.0f} are "
+            "sent: `drsplat export` writes it where the scene is"
+        )

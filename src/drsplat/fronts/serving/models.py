@@ -1,0 +1,324 @@
+"""Answers as JSON, for programs and for language models alike.
+
+Coordinates are world coordinates of the scene, in scene units: metres only where the capture was scaled so.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Annotated
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from ... import query as engine
+from ...query.objects import objects_of, photos_of
+from ...scene.boxes import BoxKind
+from .scene_folder import Summary
+
+UNITS = "scene units"
+MOST_PHOTOS = 8  # listed of an object
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+Span = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+
+class Body(BaseModel):
+    """A JSON object of an answer."""
+
+    model_config = ConfigDict(ser_json_inf_nan="null")
+
+
+Fingerprint = Annotated[str, Field(description="fingerprint of the field that answered: another one, another version")]
+
+
+class SceneSummary(Body):
+    name: str = Field(description="what to pass as scene")
+    num_gaussians: int = Field(description="Gaussians of the scene")
+    num_registered: int = Field(description="those that have a language feature")
+    encoder: str = Field(description="the model that embeds words for this scene")
+    fault: str = Field("", description="why it cannot be opened; empty if it can")
+
+
+class Word(Body):
+    name: str
+    score: float = Field(description="cosine; only the order means something across encoders")
+
+
+class Words(Body):
+    words: list[Word] = Field(description="best first")
+    field: Fingerprint = ""
+
+
+class Problem(Body):
+    """Why there is no answer."""
+
+    error: str = Field(description="what was given, what is expected, what to do")
+    kind: str
+
+
+class Health(Body):
+    status: str
+    num_scenes: int
+
+
+class SceneDetails(SceneSummary):
+    views: list[str] = Field(description="names of the photos")
+    low: Vector = Field(description="corner of the box of the middle 98 % of the Gaussians")
+    high: Vector
+    up: Vector | None = Field(None, description="unit direction, told by the photos")
+    times: Annotated[Span | None, Field(description="first and last time of a scene that moves, else null")] = None
+    units: str = UNITS
+    scene: str = Field("", description="fingerprint of the Gaussians: of their count, positions and order")
+    field: Fingerprint = ""
+
+
+DOUBT: str = Field("", description="reason not to rely on the answer; empty if there is none")
+
+
+class Measured(Body):
+    """How a query was scored and cut."""
+
+    measure: str = Field(description="cosine or relevancy")
+    threshold: float
+    threshold_rule: str
+    num_selected: int
+    num_registered: int
+    doubt: str = DOUBT
+
+
+class Selected(Body):
+    """Selection of a query."""
+
+    measured: Measured
+    score_range: Annotated[list[float], Field(min_length=2, max_length=2)]
+    gaussian_ids: list[int] | None = Field(None, description="rows of the scene, ascending; only with 'ids': true")
+    field: Fingerprint = ""
+
+
+class ClassCount(Body):
+    name: str
+    num_gaussians: int
+    share: float = Field(description="of the registered Gaussians")
+    threshold: float
+
+
+class Segmented(Body):
+    measure: str
+    num_registered: int
+    num_labelled: int
+    classes: list[ClassCount]
+    labels: list[int] | None = Field(None, description="per Gaussian of the scene the number of its class, -1 for none")
+    field: Fingerprint = ""
+    doubt: str = DOUBT
+
+
+class SceneList(Body):
+    scenes: list[SceneSummary]
+    advice: str = ""
+
+
+class Support(Body):
+    """A mask of a supporting photo."""
+
+    view: str
+    mask: int = Field(description="its number in the photo")
+    share: float = Field(description="its part of all support")
+
+
+class Track(Body):
+    """Track of a match: its places over time, and when photos see it."""
+
+    times: list[float] = Field(description="those of the scene's times at which it is there, ascending")
+    centers: list[Vector] = Field(description="one of each time, as are extents and axes")
+    extents: list[Vector]
+    axes: list[Annotated[list[Vector], Field(min_length=3, max_length=3)]]
+    spans: list[Span] = Field(description="first and last time of each span in which a photo sees it")
+    views: list[str] = Field(description="these photos")
+
+
+class Match(Body):
+    """A place that a query matches, with its oriented box."""
+
+    center: Vector
+    extent: Vector = Field(description="full lengths of the box along its axes")
+    axes: list[Vector] = Field(
+        description="unit directions of the box, one per row: the third is up, or, of free boxes, the longest first"
+    )
+    score: float
+    num_gaussians: int
+    support: list[Support]
+    track: Annotated[Track | None, Field(description="only with 'tracks': true, of a scene that moves")] = None
+
+
+class SceneObject(Body):
+    """An object that photos agree on, with or without a word for it."""
+
+    id: int = Field(description="its number: 0 has the largest mass")
+    label: str | None = Field(description="the name that people gave it")
+    name: str | None = Field(description="the word that the encoder is sure of among its list")
+    center: Vector
+    extent: Vector = Field(description="full lengths of the box along its axes")
+    axes: list[Vector] = Field(description="unit directions of the box, one per row: the third is up where it is known")
+    num_gaussians: int
+    num_views: int = Field(description="photos that see it")
+    sure: float = Field(description="how far the photos agree on it, from 0 to 1")
+    agreed: bool = Field(description="whether photos agree on it, or it has a label; most others are scraps")
+    views: list[str] = Field(description="photos, those that show most of it first")
+
+
+class ObjectList(Body):
+    num_objects: int = Field(description="all, listed or not")
+    num_agreed: int = Field(description="of these, those that photos agree on")
+    objects: list[SceneObject] = Field(description="largest mass first")
+    units: str = UNITS
+    advice: str = ""
+    field: Fingerprint = ""
+
+
+class Located(Body):
+    query: str
+    num_matches: int
+    matches: list[Match]
+    units: str = UNITS
+    advice: str = ""
+    measured: Measured | None = None
+    field: Fingerprint = ""
+
+
+class When(Body):
+    one: str
+    relation: str
+    other: str
+    spans: list[Span] = Field(description="first and last time of each span in which it holds")
+    times: Span = Field(description="first and last time of the scene")
+    field: Fingerprint = ""
+    advice: str = ""
+
+
+def summarized(summary: Summary) -> SceneSummary:
+    return SceneSummary(**vars(summary))
+
+
+def measured(answer: engine.Answer) -> Measured:
+    return Measured(
+        measure=answer.measure,
+        threshold=significant(answer.threshold),
+        threshold_rule=answer.rule,
+        num_selected=len(answer.gaussian_ids),
+        num_registered=len(answer.field),
+        doubt=answer.doubt,
+    )
+
+
+def matches_of(found: Sequence[engine.Match], decimals: int) -> list[Match]:
+    return [
+        Match(
+            center=rounded(one.center, decimals),
+            extent=rounded(one.extent, decimals),
+            axes=[rounded(axis, 4) for axis in one.axes],
+            score=round(one.score, 4),
+            num_gaussians=len(one),
+            support=[Support(view=s.view_name, mask=s.mask_id, share=round(s.share, 4)) for s in one.support],
+        )
+        for one in found
+    ]
+
+
+def tracked(scene: engine.Scene, found: Sequence[engine.Match], box: BoxKind, most: int | None = None) -> list[Match]:
+    """Return matches with their tracks. most: times and photos of each at most, evenly chosen; None: all of them.
+
+    Raises: InputError: a scene that stands still.
+    """
+    digits = decimals_of(scene)
+    told = zip(matches_of(found, digits), scene.tracks(found, box), strict=True)
+    return [match.model_copy(update={"track": _track(track, digits, most)}) for match, track in told]
+
+
+def _track(track: engine.MatchTrack, decimals: int, most: int | None) -> Track:
+    count = len(track)
+    chosen = np.linspace(0, count - 1, min(count, most or count)).round().astype(int).tolist()
+    return Track(
+        times=track.times[chosen].tolist(),
+        centers=[rounded(track.centers[one], decimals) for one in chosen],
+        extents=[rounded(track.extents[one], decimals) for one in chosen],
+        axes=[[rounded(axis, 4) for axis in track.axes[one]] for one in chosen],
+        spans=[list(span) for span in track.spans],
+        views=list(track.views[:most]),
+    )
+
+
+def when_told(
+    scene: engine.Scene, one: engine.Query, relation: str, other: engine.Query, view: str | None = None
+) -> When:
+    """Return when two queries stand in a relation. Raises: as `Scene.when`."""
+    spans = scene.when(one, relation, other, view)
+    return When(
+        one=one.text or "",
+        relation=relation,
+        other=other.text or "",
+        spans=[list(span) for span in spans],
+        times=list(scene.moving.span),
+        field=scene.field.fingerprint,
+        advice="" if spans else "at no time; locate with tracks says where each is",
+    )
+
+
+def span_of(scene: engine.Scene) -> list[float] | None:
+    """First and last time of a scene that moves."""
+    return None if scene.motion is None else list(scene.motion.span)
+
+
+def listed_objects(scene: engine.Scene, every: bool) -> tuple[list[engine.Match], int]:
+    """Return the objects that photos agree on, or all, and how many are left out. Raises: as `Scene.objects`."""
+    objects = scene.objects
+    shown = [one for one, agreed in zip(objects, scene.agreed, strict=True) if agreed or every]
+    return shown, len(objects) - len(shown)
+
+
+def object_list(scene: engine.Scene, shown: Sequence[engine.Match], advice: str = "") -> ObjectList:
+    """shown: objects of the scene."""
+    names, agreed, digits = scene.object_names(), scene.agreed, decimals_of(scene)
+    return ObjectList(
+        num_objects=len(names),
+        num_agreed=int(np.count_nonzero(agreed)),
+        objects=[
+            _object(scene, one, names[one.object_id], bool(agreed[one.object_id]), digits)
+            for one in shown
+            if one.object_id is not None
+        ],
+        advice=advice,
+        field=scene.field.fingerprint,
+    )
+
+
+def _object(scene: engine.Scene, match: engine.Match, name: str | None, agreed: bool, decimals: int) -> SceneObject:
+    objects, number = objects_of(scene.field), match.object_id
+    node = objects.thing(-1 if number is None else number)
+    return SceneObject(
+        id=objects.number_of[node],
+        label=match.label,
+        name=name,
+        center=rounded(match.center, decimals),
+        extent=rounded(match.extent, decimals),
+        axes=[rounded(axis, 4) for axis in match.axes],
+        num_gaussians=len(match),
+        num_views=objects.num_views[node],
+        sure=round(match.score, 4),
+        agreed=agreed,
+        views=photos_of(scene.field, node)[:MOST_PHOTOS],
+    )
+
+
+def decimals_of(scene: engine.Scene) -> int:
+    """Return the decimals of coordinates: a ten-thousandth of the scene's size or finer, 4 for a room in metres."""
+    low, high = scene.box
+    size = max(float(np.linalg.norm(high - low)), 1e-12)
+    return 4 - math.floor(math.log10(size))
+
+
+def rounded(values: Iterable[float], decimals: int) -> list[float]:
+    return [round(float(value), decimals) for value in values]
+
+
+def significant(value: float) -> float:
+    """Six digits of a score: as many as single precision holds."""
+    return float(f"{float(value):.6g}")

@@ -1,0 +1,61 @@
+"""Replies to a client: bytes with a status, and a reason in JSON for each refusal."""
+
+import json
+from typing import NamedTuple
+
+from ...errors import DrSplatError, MissingExtraError
+from .scene_folder import SceneFaultError, UnknownSceneError
+
+BUG = "this is a fault of the service, not of the request; its log has the details"
+NO_JSON = "expected JSON and the header Content-Type: application/json (curl: -H 'content-type: application/json')"
+JSON, PNG, JPEG, PLY = "application/json", "image/png", "image/jpeg", "application/octet-stream"
+GLB = "model/gltf-binary"
+
+
+class BusyError(DrSplatError):
+    """More requests wait than may."""
+
+
+class LostError(DrSplatError):
+    """The process that computed an answer ended before it had one."""
+
+
+_STATUSES: dict[type[DrSplatError], int] = {
+    UnknownSceneError: 404, SceneFaultError: 503, BusyError: 503, LostError: 503, MissingExtraError: 503,
+}  # fmt: skip
+
+
+class Reply(NamedTuple):
+    """field: fingerprint of the field that answered, "" where none did."""
+
+    body: bytes
+    media_type: str = JSON
+    status: int = 200
+    field: str = ""
+
+
+def is_json(content_type: str) -> bool:
+    """Return whether a content type is JSON, which pages of other sites cannot send without a preflight request."""
+    kind = content_type.partition(";")[0].strip().lower()
+    return kind.startswith("application/") and kind.endswith(("/json", "+json"))
+
+
+def problem(status: int, error: str, kind: str) -> Reply:
+    """Why there is no answer. Texts may hold halves of surrogate pairs, which are no UTF-8."""
+    said = error.encode("utf-8", "replace").decode()
+    return Reply(json.dumps({"error": said, "kind": kind}).encode(), status=status)
+
+
+def refusal(error: DrSplatError, message: str) -> Reply:
+    return problem(_STATUSES.get(type(error), 422), message, type(error).__name__)
+
+
+def packed(reply: Reply) -> bytes:
+    """Pack a reply for its way from the process that computed it: a line about it, and the body."""
+    about = {"media_type": reply.media_type, "status": reply.status, "field": reply.field}
+    return json.dumps(about).encode() + b"\n" + reply.body
+
+
+def unpacked(message: bytes) -> Reply:
+    about, _, body = message.partition(b"\n")
+    return Reply(body, **json.loads(about))

@@ -1,0 +1,266 @@
+"""The scenes of a folder, by name, opened when they are first asked for and again when their files change."""
+
+import os
+from collections import OrderedDict
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from threading import Lock
+
+from ...errors import DrSplatError, InputError
+from ...field.labels import LabelFile
+from ...formats.field_folder import read_manifest
+from ...formats.recognising import FIELD_SUFFIX
+from ...formats.vocabulary import read_vocabulary
+from ...photos.models.loading import load_encoder
+from ...query import Scene, SceneFiles, find_scene, open_scene
+from ...query.catalogue import Catalogue
+from ...query.opening import CAMERAS
+from ...scene.encoders import Encoder
+
+LISTED = 20
+_MOST_GAUSSIANS = (1 << 31) - 1
+Version = frozenset[tuple[str, int, int, int, int]]
+
+
+class SceneFaultError(DrSplatError):
+    """A scene is there, but its files cannot be opened."""
+
+
+class UnknownSceneError(InputError):
+    """There is no scene of that name; the message has those that there are."""
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Encoder of words for all scenes, the threads of one question, and the device that codes are searched on."""
+
+    encoder: str | None = None
+    vocabulary: str | None = None
+    device: str = "auto"
+    threads: int = 0
+    search_device: str = "cpu"
+
+
+@dataclass(frozen=True)
+class Summary:
+    """Summary of a scene without opening it. fault: why it cannot be opened, else ""."""
+
+    name: str
+    num_gaussians: int = 0
+    num_registered: int = 0
+    encoder: str = ""
+    fault: str = ""
+
+
+@dataclass(eq=False)
+class SceneFolder:
+    """A folder that is a scene itself, or has one in each of some subfolders.
+
+    A name is looked up among those listed and never becomes a path. The `most` scenes used last stay open, each
+    until one of its files is another; encoders are shared by all, and by a catalogue. Safe for several threads.
+
+    Raises: InputError: no such folder.
+    """
+
+    folder: Path
+    sources: Sources = Sources()
+    most: int = 8
+    catalogue_path: Path | None = None
+    _open: "OrderedDict[str, tuple[Version, Scene]]" = field(default_factory=OrderedDict)
+    _encoders: dict[tuple[str, str], Encoder] = field(default_factory=dict)
+    _lock: Lock = field(default_factory=Lock)
+    _loading: Lock = field(default_factory=Lock)
+
+    def __post_init__(self) -> None:
+        if not self.folder.is_dir():
+            raise InputError(f"{self.folder}: there is no such folder")
+        self.folder = self.folder.resolve()
+        self.catalogue_path = None if self.catalogue_path is None else self.catalogue_path.resolve()
+
+    @cached_property
+    def roots(self) -> tuple[Path, ...]:
+        """Folders that clients are not told: of the scenes, and of the files that embed words."""
+        given = (self.sources.vocabulary, self.sources.encoder)
+        files = [Path(one) for one in given if one is not None and _is_file(one)]
+        catalogue = () if self.catalogue_path is None else (self.catalogue_path,)
+        return (self.folder, *catalogue, *(way.parent for one in files for way in (one, one.resolve())))
+
+    @cached_property
+    def catalogue(self) -> Catalogue:
+        """Raises: InputError: there is none. FormatError: damaged. MissingExtraError."""
+        if self.catalogue_path is None:
+            raise InputError("there is no catalogue here")
+        given = self.sources
+        return Catalogue.open(
+            self.catalogue_path, encoder=given.encoder, vocabulary=given.vocabulary, device=given.device,
+            threads=given.threads, load=self._load,
+        )  # fmt: skip
+
+    def folders(self) -> dict[str, Path]:
+        """Name and folder of each scene, as they are now."""
+        if _has_field(self.folder):
+            return {_name(self.folder) or "scene": self.folder}
+        inside = sorted(path for path in self.folder.iterdir() if not path.name.startswith("."))
+        return {_name(path): path for path in inside if _has_field(path)}
+
+    def check_sources(self) -> None:
+        """For whoever starts a service: clients could not tell what is wrong with its files.
+
+        Raises: InputError: no such vocabulary, or an encoder beside it. FormatError: a damaged one. MissingExtraError:
+        search device "cuda" without CuPy or a GPU.
+        """
+        if self.sources.search_device != "cpu":
+            from ...kernels.cuda.devices import chosen_device
+
+            chosen_device(self.sources.search_device)
+        if self.sources.vocabulary is None:
+            return
+        if self.sources.encoder is not None:
+            raise InputError("encoder=NAME and vocabulary=FILE both embed the words: drop one")
+        read_vocabulary(self.sources.vocabulary)
+
+    def check_catalogue(self) -> None:
+        """Open the catalogue. Raises: InputError: nothing was added yet. FormatError: damaged. MissingExtraError."""
+        if self.catalogue_path is not None:
+            _ = self.catalogue.encoder
+
+    def checked(self) -> int:
+        """How many scenes there are, for whoever starts a service. Raises: InputError: none; as `check_sources`."""
+        self.check_sources()
+        self.check_catalogue()
+        number = len(self.folders())
+        if not number:
+            raise InputError(
+                f"{self.folder}: no scene is here: expected a folder with NAME{FIELD_SUFFIX}, as `drsplat register` "
+                "writes it, and the scene it was registered on, or such folders in it; `drsplat demo` makes one"
+            )
+        return number
+
+    def summaries(self) -> list[Summary]:
+        return [self._summary(name, folder) for name, folder in self.folders().items()]
+
+    def scene(self, name: str) -> Scene:
+        """Open, or the one that is open. Raises: UnknownSceneError. SceneFaultError: its files cannot be opened."""
+        folders = self.folders()
+        if name not in folders:
+            known = ", ".join(map(repr, list(folders)[:LISTED])) or "none"
+            raise UnknownSceneError(f"there is no scene {name[:60]!r} here; there are: {known}")
+        try:
+            return self._known(name, folders[name])
+        except (DrSplatError, OSError) as error:
+            reason = without_paths(str(error), (folders[name].resolve(), *self.roots))
+            raise SceneFaultError(f"scene {name!r} cannot be opened: {reason}") from error
+
+    def only(self) -> str | None:
+        """Return the name of the only scene, None if there are more or none."""
+        names = list(self.folders())
+        return names[0] if len(names) == 1 else None
+
+    def _known(self, name: str, folder: Path) -> Scene:
+        files = find_scene(folder)
+        version = version_of(files)
+        with self._loading:
+            with self._lock:
+                if name in self._open and self._open[name][0] == version:
+                    self._open.move_to_end(name)
+                    return self._open[name][1]
+                self._open.pop(name, None)  # before another takes its room
+            scene = self._opened(files)
+            with self._lock:
+                self._open[name] = version, scene
+                while len(self._open) > self.most:
+                    self._open.popitem(last=False)
+        return scene
+
+    def _opened(self, files: SceneFiles) -> Scene:
+        given = self.sources
+        scene = open_scene(
+            files,
+            encoder=given.encoder,
+            vocabulary=given.vocabulary,
+            device=given.device,
+            search_device=given.search_device,
+            threads=given.threads,
+            load=self._load,
+        )
+        scene.field.verify()  # damage is told now, as a fault of the scene, not in mid-answer
+        return scene
+
+    def _load(self, name: str, device: str) -> Encoder:
+        with self._lock:
+            known = self._encoders.get((name, device))
+        if known is None:
+            loaded = load_encoder(name, device)
+            with self._lock:
+                known = self._encoders.setdefault((name, device), loaded)
+        return known
+
+    def _summary(self, name: str, folder: Path) -> Summary:
+        try:
+            manifest = read_manifest(find_scene(folder).field)
+        except (DrSplatError, OSError) as error:
+            roots = (folder.resolve(), *self.roots)
+            return Summary(name, fault=_text(without_paths(str(error), roots)))
+        encoder = manifest.get("encoder")
+        known = encoder.get("name") if isinstance(encoder, dict) else ""
+        every, registered = (manifest.get(key) for key in ("num_gaussians", "num_registered"))
+        return Summary(name, _count(every), _count(registered), _text(str(known))[:200])
+
+
+def version_of(files: SceneFiles) -> Version:
+    """Return a version that changes when a file of a scene is replaced, cut short or written to."""
+    capture = [] if files.capture is None else [files.capture / name for name in CAMERAS]
+    labels = LabelFile.beside(files.field).path
+    return frozenset(_stats(files.field) | _stats(*files.scenes, *capture, labels))
+
+
+def without_paths(message: str, roots: Sequence[Path]) -> str:
+    """Return a message without this machine's folders, for others than the one who started the service."""
+    for root in sorted({str(one) for one in roots}, key=len, reverse=True):
+        if root not in (os.sep, "", "."):
+            message = message.replace(f"{root}{os.sep}", "")
+            message = message.replace(root, Path(root).name)
+    return message
+
+
+def _stats(*paths: Path) -> set[tuple[str, int, int, int, int]]:
+    """Return identity, size and times of files, and of those in folders to a depth of three (COLMAP's sparse/0)."""
+    found = set()
+    for top in paths:
+        for path in (top, *(one for deep in ("*", "*/*", "*/*/*") for one in top.glob(deep))):
+            try:
+                now = path.stat()
+            except OSError:
+                continue
+            found.add((str(path), now.st_ino, now.st_size, now.st_mtime_ns, now.st_ctime_ns))
+    return found
+
+
+def _is_file(given: str) -> bool:
+    """Return True if a text names a file or folder of this machine, be it there or not, and no model of a hub."""
+    return Path(given).is_absolute() or Path(given).exists()
+
+
+def _has_field(folder: Path) -> bool:
+    try:
+        return folder.is_dir() and any(
+            path.is_dir() for path in folder.glob(f"*{FIELD_SUFFIX}") if not path.name.startswith(".")
+        )
+    except OSError:  # a folder that may not be read, or that has just gone
+        return False
+
+
+def _count(value: object) -> int:
+    return value if type(value) is int and 0 <= value <= _MOST_GAUSSIANS else 0
+
+
+def _name(folder: Path) -> str:
+    """Names of files are bytes, and need not be UTF-8."""
+    return os.fsencode(folder.name).decode("utf-8", "backslashreplace")
+
+
+def _text(text: str) -> str:
+    """Return a text that UTF-8 can encode: JSON may hold halves of surrogate pairs."""
+    return text.encode("utf-8", "backslashreplace").decode()

@@ -1,0 +1,233 @@
+"""Workbench that computes questions in a few processes, one in each.
+
+Some more wait, the rest are told to come again.
+"""
+
+import asyncio
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import dataclass, field
+from multiprocessing.connection import Connection
+from queue import SimpleQueue
+from threading import Lock
+from typing import Any
+from weakref import finalize
+
+from .metrics import Metrics
+from .replies import BusyError, LostError, Reply, unpacked
+from .worker import Workplace
+
+OPENING = 600.0  # seconds that a worker may take to open a scene and load its models
+LONGEST = 1 << 30  # bytes of an answer
+COMMAND = [sys.executable, "-P", "-m", "drsplat.fronts.serving.worker"]
+
+
+@dataclass(eq=False)
+class Job:
+    """A question, and what becomes of it. act: see `worker.reply_to`.
+
+    Ended when nobody waits for it any more: the process that computes it is killed.
+    """
+
+    act: str
+    scene: str = ""
+    asked: Mapping[str, Any] = field(default_factory=dict)
+    _ended: bool = False
+    _process: "subprocess.Popen[bytes] | None" = None
+    _lock: Lock = field(default_factory=Lock)
+
+    @property
+    def opens(self) -> bool:
+        """True if files are read and models loaded for it, which may take longer than a question."""
+        return bool(self.scene) or self.act == "catalogue-ask"
+
+    def begin(self, process: "subprocess.Popen[bytes]") -> bool:
+        """Say where it is computed; False where it has ended already."""
+        with self._lock:
+            self._process = process
+            return not self._ended
+
+    def leave(self) -> None:
+        """Let go of the process, which now does what other questions need as well, or is free."""
+        with self._lock:
+            self._process = None
+
+    @property
+    def ended(self) -> bool:
+        return self._ended
+
+    def end(self) -> None:
+        with self._lock:
+            self._ended = True
+            if self._process is not None:
+                self._process.kill()
+
+
+class Workbench:
+    """`limits.workers` processes, started when they are first needed and again when they have ended."""
+
+    def __init__(self, place: Workplace, metrics: Metrics) -> None:
+        self._limits, self._metrics = place.limits, metrics
+        self._inside, self._lock = 0, Lock()
+        self._workers = [_Worker(place) for _ in range(place.limits.workers)]
+        self._idle: SimpleQueue[_Worker] = SimpleQueue()
+        for worker in self._workers:
+            self._idle.put(worker)
+        self._threads = ThreadPoolExecutor(place.limits.workers, thread_name_prefix="worker")
+
+    def start(self) -> None:
+        """Start the processes before somebody asks."""
+        for worker in self._workers:
+            worker.started()
+
+    async def run(self, job: Job) -> Reply:
+        """Compute the answer; cancelling ends the process that computes it.
+
+        Raises: BusyError. LostError: the process ended.
+        """
+        with self._lock:
+            if self._inside >= self._limits.workers + self._limits.waiting:
+                raise BusyError(f"{self._inside} requests are computed or wait already: come again")
+            self._inside += 1
+        self._metrics.waiting.inc()
+        future = self._threads.submit(self._counted, job)
+        future.add_done_callback(self._left)
+        try:
+            return await asyncio.wrap_future(future)
+        except asyncio.CancelledError:
+            job.end()
+            raise
+
+    def close(self) -> None:
+        """End all processes; what they compute gets no answer."""
+        self._threads.shutdown(wait=False, cancel_futures=True)
+        for worker in self._workers:
+            worker.kill()
+        self._threads.shutdown(wait=True)
+        for worker in self._workers:
+            worker.close()
+
+    def _left(self, done: Future[Reply]) -> None:
+        if done.cancelled():  # while it waited
+            self._metrics.waiting.dec()
+        with self._lock:
+            self._inside -= 1
+
+    def _counted(self, job: Job) -> Reply:
+        self._metrics.waiting.dec()
+        self._metrics.computing.inc()
+        worker = self._idle.get()
+        try:
+            return worker.answer(job)
+        finally:
+            self._idle.put(worker)
+            self._metrics.computing.dec()
+
+
+class _Worker:
+    """One process and the line to it. Only its closing is for several threads."""
+
+    def __init__(self, place: Workplace) -> None:
+        self._place, self._closed = place, False
+        self._opened: set[str] = set()
+        self._line: tuple[subprocess.Popen[bytes], Connection] | None = None
+        self._end: finalize[..., _Worker] | None = None
+
+    def answer(self, job: Job) -> Reply:
+        """Open the job's scene if need be and compute its answer. Raises: LostError: the process ended."""
+        if job.opens:
+            opened = self._open(job)
+            if opened.status != 200:
+                return opened
+        return self._reply(job, job.act, job.asked)
+
+    def started(self) -> "tuple[subprocess.Popen[bytes], Connection]":
+        if self._line is None:
+            if self._closed:
+                raise LostError("the service stops")
+            self._line = _process(self._place)
+            self._end = finalize(self, _end, *self._line)
+            self._opened = set()
+        return self._line
+
+    def kill(self) -> None:
+        """End the process for good; a job that waits for it fails with `LostError`."""
+        self._closed = True
+        if self._line is not None:
+            self._line[0].kill()
+
+    def close(self) -> None:
+        if self._end is not None:
+            self._end()
+
+    def _open(self, job: Job) -> Reply:
+        """Open a scene; the first time may take long, and only so can it be asked at all.
+
+        A process that has ended while it was idle is found out here, and another one asked.
+        """
+        for last in (False, True):
+            first = job.scene not in self._opened
+            try:
+                reply = self._reply(job, "open", {"for": job.act}, seconds=OPENING if first else None)
+            except LostError:
+                if last or job.ended:
+                    raise
+                continue
+            if reply.status == 200:
+                self._opened.add(job.scene)
+            return reply
+        raise AssertionError("not reached")
+
+    def _reply(self, job: Job, act: str, asked: Mapping[str, Any], seconds: float | None = None) -> Reply:
+        """Return the answer of the process. seconds: how long it may take; None: until the job ends."""
+        process, line = self.started()
+        if seconds is None and not job.begin(process):
+            raise LostError("nobody waits for it")
+        message = json.dumps({"act": act, "scene": job.scene, "asked": dict(asked)})
+        try:
+            line.send_bytes(message.encode())
+            if not line.poll(seconds):
+                raise TimeoutError(f"not within {seconds:g} s")
+            return unpacked(line.recv_bytes(LONGEST))
+        except (OSError, EOFError) as error:
+            raise LostError(f"{self._lost(error)}: try again") from error
+        finally:
+            job.leave()
+
+    def _lost(self, error: Exception) -> str:
+        """Why the process is no more; the next question starts another."""
+        process, self._line = self.started()[0], None
+        if self._end is not None:
+            self._end()
+        code = process.returncode
+        name = signal.Signals(-code).name if code and code < 0 else f"exit code {code}"
+        return f"the process that computed it ended ({type(error).__name__ if code == 0 else name})"
+
+
+def _process(place: Workplace) -> "tuple[subprocess.Popen[bytes], Connection]":
+    ours, theirs = socket.socketpair()
+    with theirs:
+        process = subprocess.Popen(
+            [*COMMAND, str(theirs.fileno()), str(os.getpid())],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            pass_fds=[theirs.fileno()],
+            start_new_session=True,  # Ctrl-C is for the service, which ends it
+        )
+    line = Connection(ours.detach())
+    with suppress(OSError):  # told when it is first asked
+        line.send_bytes(place.to_json().encode())
+    return process, line
+
+
+def _end(process: "subprocess.Popen[bytes]", line: Connection) -> None:
+    process.kill()
+    process.wait()
+    line.close()

@@ -1,0 +1,95 @@
+"""A process that answers one question at a time, and that can be ended at any moment.
+
+It opens scenes and decodes pictures of strangers; what goes wrong in it, be it a loop or a damaged file, costs one
+answer. No exception ends it: only a signal, a fault in native code or the end of the service does.
+Questions and answers are JSON and bytes over a socket: nothing that arrives is unpickled.
+"""
+
+import json
+import logging
+import signal
+import sys
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+from ...base.system import end_with
+from ...errors import DrSplatError
+from .answers import ANSWERS, answered
+from .catalogued import catalogue_reply
+from .limits import Limits
+from .models import SceneList, summarized
+from .replies import BUG, Reply, packed, problem, refusal
+from .scene_folder import SceneFolder, Sources, without_paths
+
+_log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Workplace:
+    """Settings that a worker starts with."""
+
+    folder: str
+    sources: Sources = field(default_factory=Sources)
+    limits: Limits = field(default_factory=Limits)
+    catalogue: str | None = None
+
+    def to_json(self) -> str:
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str | bytes) -> "Workplace":
+        given = json.loads(text)
+        return cls(given["folder"], Sources(**given["sources"]), Limits(**given["limits"]), given["catalogue"])
+
+
+def main(descriptor: int, parent: int) -> None:
+    """Answer what comes over an inherited socket until it is closed, or the process `parent` ends."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # who started this process ends it
+    end_with(parent)
+    link = Connection(descriptor)
+    with suppress(EOFError, OSError):
+        place = Workplace.from_json(link.recv_bytes())
+        catalogue = None if place.catalogue is None else Path(place.catalogue)
+        scene_folder = SceneFolder(Path(place.folder), place.sources, catalogue_path=catalogue)
+        while True:
+            asked = json.loads(link.recv_bytes())
+            link.send_bytes(packed(safe_reply_to(scene_folder, place, **asked)))
+
+
+def safe_reply_to(scene_folder: SceneFolder, place: Workplace, **question: Any) -> Reply:
+    """Return the reply to a question, see `reply_to`; a fault of ours becomes a 500, with its traceback on stderr."""
+    try:
+        return reply_to(scene_folder, place, **question)
+    except BaseException as error:  # panics of Rust, which LanceDB is made of, are no `Exception`
+        _log.error("no answer to %s", f"{question!a:.300}", exc_info=error)
+        return problem(500, BUG, "bug")
+
+
+def reply_to(scene_folder: SceneFolder, place: Workplace, act: str, scene: str, asked: dict[str, Any]) -> Reply:
+    """act: "list", "open" (which also loads who embeds words), one of `ANSWERS`, or of a catalogue."""
+    try:
+        if act == "list":
+            scenes = [summarized(one) for one in scene_folder.summaries()]
+            return Reply(SceneList(scenes=scenes).model_dump_json().encode())
+        if act == "open" and not scene:
+            with suppress(DrSplatError):  # told when it is asked
+                scene_folder.catalogue.query_encoder  # noqa: B018
+            return Reply(b"")
+        if act.startswith("catalogue-"):
+            return catalogue_reply(scene_folder.catalogue, act, asked, place.limits)
+        opened = scene_folder.scene(scene)
+        if act != "open":
+            return answered(opened, act, asked, place.limits)
+        if ANSWERS[asked["for"]].words:
+            with suppress(DrSplatError):  # told when words are asked for
+                opened.encoder  # noqa: B018
+        return Reply(b"")
+    except DrSplatError as error:
+        return refusal(error, without_paths(str(error), scene_folder.roots))
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]))

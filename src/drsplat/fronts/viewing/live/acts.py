@@ -1,0 +1,369 @@
+"""Acts of people: each is one JSON object, and one call or a few of the session.
+
+Source of the names and shapes: docs/viewer.md, "For other clients".
+"""
+
+from collections.abc import Callable, Hashable
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, TypeAdapter
+
+from ....errors import InputError
+from ....kernels.boxes import box_of
+from ....query import Match
+from ....scene.annotations import Annotation
+from ..session import Mode, Session
+from .cameras import Body, Camera, Finite, Number, Point, Span, Text, view_of
+from .changes import ChangeRequest
+from .opening import open_batch, open_entry
+from .shared import Shared
+from .stage import Stage
+
+LASSO_SIDE = 640  # pixels of the picture in which an outline selects
+Corner = tuple[Finite, Finite]
+
+
+class Act(Body):
+    """An act. One with a `key` is left out where another of the same key came before its turn."""
+
+    @property
+    def key(self) -> Hashable | None:
+        return None
+
+    def do(self, shared: Shared) -> str | None:
+        """Do it; returns what is to be said, None for what the session says of its answers."""
+        raise NotImplementedError
+
+
+Finish = Callable[[], str | None]
+"""The last step of a slow act: shows what was computed and returns what is to be said, as `Act.do`."""
+
+
+class SlowAct(Act):
+    """An act whose work is done beside the session, which answers meanwhile as it was before."""
+
+    def begin(self, shared: Shared) -> Callable[[], Finish]:
+        """Return the work, which touches nothing that is shown; what it returns in turn shows the result."""
+        raise NotImplementedError
+
+    def do(self, shared: Shared) -> str | None:
+        return self.begin(shared)()()
+
+
+class EditAct(SlowAct):
+    """A change of the list of edits."""
+
+    def begin(self, shared: Shared) -> Callable[[], Finish]:
+        stage, session = shared.stage.copied(), shared.session
+
+        def work() -> Finish:
+            ahead = stage.session
+            ahead.take_edits(session)  # as edits before this one have left them
+            self.apply(stage)
+            _ = ahead.drawn  # what browsers ask for next
+
+            def finish() -> None:
+                session.take_edits(ahead)
+                if session.results is ahead.results:
+                    session.mode = ahead.mode
+
+            return finish
+
+        return work
+
+    def apply(self, stage: Stage) -> None:
+        """Change the edits of a copy of the session. Raises: InputError: it cannot be done."""
+        raise NotImplementedError
+
+
+class Ask(Act):
+    act: Literal["ask"]
+    text: Text
+    during: Span | None = None
+
+    def do(self, shared: Shared) -> str | None:
+        if "during" in self.model_fields_set:
+            _set_during(shared.session, self.during)
+        return shared.session.ask(self.text)
+
+
+class MoreLikeThis(Act):
+    act: Literal["more_like_this"]
+
+    def do(self, shared: Shared) -> str | None:
+        return shared.session.more_like_this()
+
+
+class Threshold(Act):
+    act: Literal["threshold"]
+    query: Number
+    value: Finite
+
+    @property
+    def key(self) -> Hashable:
+        return "threshold", self.query
+
+    def do(self, shared: Shared) -> str | None:
+        return shared.session.set_threshold(self.query, self.value)
+
+
+class Classify(Act):
+    act: Literal["classify"]
+    text: Text
+
+    def do(self, shared: Shared) -> str | None:
+        shared.session.classify(self.text.split(","))
+        return None
+
+
+class SetMode(Act):
+    act: Literal["mode"]
+    mode: str
+
+    def do(self, shared: Shared) -> str | None:
+        modes = [mode.value for mode in shared.session.modes]
+        if self.mode not in modes:
+            raise InputError(f"mode: expected one of {', '.join(modes)}; got {self.mode!a:.40}")
+        shared.session.mode = Mode(self.mode)
+        return None
+
+
+class Clear(Act):
+    act: Literal["clear"]
+
+    def do(self, shared: Shared) -> str | None:
+        shared.session.clear()
+        return ""
+
+
+class Click(Act):
+    act: Literal["click"]
+    origin: Point
+    direction: Point
+
+    def do(self, shared: Shared) -> str | None:
+        return _click(shared.session, np.array(self.origin, np.float64), np.array(self.direction, np.float64))
+
+
+class ClickPhoto(Act):
+    act: Literal["click_photo"]
+    photo: Text
+    x: Finite
+    y: Finite
+
+    def do(self, shared: Shared) -> str | None:
+        session = shared.session
+        view = session.scene.view(self.photo)
+        if not (0 <= self.x <= view.width and 0 <= self.y <= view.height):
+            raise InputError(f"photo: expected a pixel of {view.width} x {view.height}, got {self.x:g}, {self.y:g}")
+        ahead = view.cam_from_world[:3, :3].T @ np.linalg.solve(view.K, [self.x, self.y, 1.0])
+        return _click(session, session.shown.frame.shown(view.center), ahead)
+
+
+class Choose(Act):
+    act: Literal["choose"]
+    number: Number
+
+    def do(self, shared: Shared) -> str | None:
+        shared.session.choose_object(self.number)
+        return None
+
+
+class Smaller(Act):
+    act: Literal["smaller"]
+
+    def do(self, shared: Shared) -> str | None:
+        shared.session.smaller()
+        return None
+
+
+class Larger(Act):
+    act: Literal["larger"]
+
+    def do(self, shared: Shared) -> str | None:
+        shared.session.larger()
+        return None
+
+
+class Name(Act):
+    act: Literal["name"]
+    text: Text
+
+    def do(self, shared: Shared) -> str | None:
+        shared.session.name(self.text)
+        shared.stage.rename()
+        shared.renew_header()
+        return None
+
+
+class Lasso(Act):
+    act: Literal["lasso"]
+    polygon: Annotated[list[Corner], Field(min_length=3, max_length=1000)]
+    camera: Camera
+
+    def do(self, shared: Shared) -> str | None:
+        view = view_of(shared.stage, self.camera, LASSO_SIDE)
+        scale = np.array([view.width / self.camera.width, view.height / self.camera.height])
+        return shared.session.lasso(view, np.array(self.polygon, np.float64) * scale)
+
+
+class EditSelection(EditAct, ChangeRequest):
+    act: Literal["edit"]
+
+    def apply(self, stage: Stage) -> None:
+        stage.session.edit(self.made(stage))
+
+
+class Undo(EditAct):
+    act: Literal["undo"]
+
+    def apply(self, stage: Stage) -> None:
+        stage.session.edits.undo()
+
+
+class Redo(EditAct):
+    act: Literal["redo"]
+
+    def apply(self, stage: Stage) -> None:
+        stage.session.edits.redo()
+
+
+class Restore(EditAct):
+    act: Literal["restore"]
+
+    def apply(self, stage: Stage) -> None:
+        stage.session.restore()
+
+
+class Annotate(Act):
+    act: Literal["annotate"]
+    text: Text
+    at: Literal["selection", "click"]
+
+    def do(self, shared: Shared) -> str | None:
+        session = shared.session
+        here = _clicked_note if self.at == "click" else _selected_notes
+        session.edits.annotate(*here(session, self.text))
+        return None
+
+
+class DropAnnotation(Act):
+    act: Literal["drop_annotation"]
+    number: Number
+
+    def do(self, shared: Shared) -> str | None:
+        shared.session.edits.drop(self.number)
+        return None
+
+
+class Time(Act):
+    act: Literal["time"]
+    at: Finite
+
+    @property
+    def key(self) -> Hashable:
+        return "time"
+
+    def do(self, shared: Shared) -> str | None:
+        times = shared.session.scene.moving.times
+        shared.session.time = float(np.clip(self.at, times[0], times[-1]))
+        return None
+
+
+class During(Act):
+    act: Literal["during"]
+    span: Span | None
+
+    def do(self, shared: Shared) -> str | None:
+        _set_during(shared.session, self.span)
+        return None
+
+
+class Open(SlowAct):
+    act: Literal["open"]
+    batch: Text
+
+    def begin(self, shared: Shared) -> Callable[[], Finish]:
+        return open_batch(shared, self.batch)
+
+
+class OpenEntry(SlowAct):
+    act: Literal["open_entry"]
+    number: Number
+
+    def begin(self, shared: Shared) -> Callable[[], Finish]:
+        return open_entry(shared, self.number)
+
+
+AnyAct = (
+    Ask | MoreLikeThis | Threshold | Classify | SetMode | Clear | Click | ClickPhoto | Choose | Smaller | Larger | Name
+    | Lasso | EditSelection | Undo | Redo | Restore | Annotate | DropAnnotation | Time | During | Open | OpenEntry
+)  # fmt: skip
+_ADAPTER: TypeAdapter[AnyAct] = TypeAdapter(Annotated[AnyAct, Field(discriminator="act")])
+
+
+def read_act(body: bytes) -> AnyAct:
+    """Read an act. Raises: pydantic.ValidationError: it is none."""
+    return _ADAPTER.validate_json(body)
+
+
+def done(shared: Shared, act: Act) -> dict[str, object]:
+    """Do an act and return the state after it. Raises: as the session's calls."""
+    try:
+        shared.say(act.do(shared))
+    finally:
+        shared.note()
+    return shared.state()
+
+
+def begun(shared: Shared, act: SlowAct) -> Callable[[], Callable[[], dict[str, object]]]:
+    """Begin a slow act; as `SlowAct.begin`, but the last step returns the state after it."""
+    work = act.begin(shared)
+
+    def shown(finish: Finish) -> dict[str, object]:
+        try:
+            shared.say(finish())
+        finally:
+            shared.note()
+        return shared.state()
+
+    def done_beside() -> Callable[[], dict[str, object]]:
+        finish = work()
+        return lambda: shown(finish)
+
+    return done_beside
+
+
+def _click(session: Session, origin: np.ndarray, direction: np.ndarray) -> str | None:
+    """Return what is said of a click in the browser's frame."""
+    return "Nothing with a feature is there." if session.click(origin, direction) is None else None
+
+
+def _set_during(session: Session, span: Span | None) -> None:
+    """Let queries ask of a span of time. Raises: InputError: the scene stands still, or a span without length."""
+    times = session.scene.moving.times
+    if span is not None and not span[0] <= span[1]:
+        raise InputError(f"during: expected a start before its end, got {span[0]:g} to {span[1]:g}")
+    session.during = None if span is None or (span[0] <= times[0] and span[1] >= times[-1]) else span
+
+
+def _selected_notes(session: Session, text: str) -> list[Annotation]:
+    """Return a text at the box of each match. Raises: InputError: nothing is selected."""
+    boxes = [match for result in session.results for match in result.matches]
+    if not boxes:
+        raise InputError("nothing is selected: make a query that has a match first, or click an object")
+    return [_boxed(session, text, match) for match in boxes]
+
+
+def _boxed(session: Session, text: str, match: Match) -> Annotation:
+    """Return a text where a match is now: it may have been moved."""
+    box = box_of(session.edits.standing, match.gaussian_ids, session.scene.up)
+    return Annotation.box(text, box.center, box.axes, np.maximum(box.extent, 1e-6))
+
+
+def _clicked_note(session: Session, text: str) -> list[Annotation]:
+    """Return a text at the place that was clicked. Raises: InputError: nothing was."""
+    if session.clicked is None:
+        raise InputError("click something in the scene first")
+    return [Annotation.at(text, session.clicked.point)]

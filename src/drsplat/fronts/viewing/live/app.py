@@ -1,0 +1,311 @@
+"""The routes of the viewer: each is one call in the thread of its session, but what is slow."""
+
+import asyncio
+import secrets
+from collections.abc import AsyncIterator, Callable, Coroutine
+from contextlib import asynccontextmanager
+from threading import Event
+from typing import Any, TypeVar
+from urllib.parse import quote
+
+from pydantic import BaseModel, ValidationError
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from starlette.responses import HTMLResponse, JSONResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from ....errors import DrSplatError, InputError
+from ...serving.pictures import decoded
+from ...serving.refusals import faults_of
+from ...serving.replies import BUG, JPEG, PNG, Reply, problem, refusal
+from ..client import client_file, live_html
+from ..saving import Saves
+from ..texts import printable
+from . import files
+from .acts import AnyAct, Open, SlowAct, begun, done, read_act
+from .arrays import HEADER, ROWS, Packed
+from .cameras import MOST_SIDE, Body, Camera, Path, Text, flight_document
+from .events import Events
+from .shared import Shared
+from .stage import Stage
+from .turns import Lanes
+
+MOST_PIXELS = 40_000_000  # of a picture that is sent
+WORDED = {"extra_forbidden": "there is no such field"}
+T = TypeVar("T")
+B = TypeVar("B", bound=BaseModel)
+Handler = Callable[[Request], Coroutine[Any, Any, Response]]
+
+
+class CameraOnly(Body):
+    camera: Camera
+
+
+class CatalogueText(Body):
+    text: Text
+
+
+class Viewer:
+    """The handlers of one service.
+
+    Whatever touches the session has a turn of its thread; what is slow works on a copy beside it.
+    """
+
+    def __init__(self, shared: Shared, lanes: Lanes) -> None:
+        self.shared, self.lanes, self.turns, self.pictures = shared, lanes, lanes.quick, files.ObjectPictures()
+        self.progress = files.Progress()
+        self.events = Events(lambda: vars(shared.counted))
+        shared.tell = self.events.tell
+
+    def routes(self) -> list[Route]:
+        looks: dict[str, Handler] = {
+            "/": self.page, "/client.js": self.script, "/client.css": self.style, "/favicon.ico": self.icon,
+            "/view/header": self.header, "/view/state": self.state,
+            "/view/splats": self.splats, "/view/paint": self.paint, "/view/colors": self.colors,
+            "/view/events": self.listen, "/view/photo": self.photo, "/view/object-picture": self.object_picture,
+            "/view/clicked-photo": self.clicked_photo, "/view/catalogue-picture": self.catalogue_picture,
+            "/view/film-progress": self.film_progress,
+        }  # fmt: skip
+        acts: dict[str, Handler] = {
+            "/view/do": self.do, "/view/ask-picture": self.ask_picture, "/view/open": self.open,
+            "/view/upload": self.upload, "/view/picture": self.picture, "/view/before-after": self.before_after,
+            "/view/save": self.save, "/view/film": self.film, "/view/path": self.path, "/view/flight": self.flight,
+            "/view/load-path": self.load_path, "/view/page": self.export, "/view/catalogue": self.catalogue,
+        }  # fmt: skip
+        return [
+            *(Route(path, handler, methods=["GET"]) for path, handler in looks.items()),
+            *(Route(path, handler, methods=["POST"]) for path, handler in acts.items()),
+        ]
+
+    # --- looking ---
+
+    async def page(self, _: Request) -> Response:
+        return HTMLResponse(live_html())
+
+    async def script(self, _: Request) -> Response:
+        return Response(client_file("client.js"), media_type="text/javascript")
+
+    async def style(self, _: Request) -> Response:
+        return Response(client_file("client.css"), media_type="text/css")
+
+    async def icon(self, _: Request) -> Response:
+        return Response(status_code=204)  # which browsers ask for unasked
+
+    async def header(self, _: Request) -> Response:
+        return JSONResponse(await self.turns.take(self.shared.header))
+
+    async def state(self, _: Request) -> Response:
+        return JSONResponse(await self.turns.take(self.shared.state))
+
+    async def splats(self, request: Request) -> Response:
+        begin = _number(request, "from", "0")
+        return _binary(await self.turns.take(lambda: self.shared.splats(begin)))
+
+    async def paint(self, request: Request) -> Response:
+        begin = _number(request, "from", "0")
+        return _binary(await self.turns.take(lambda: self.shared.paint(begin)))
+
+    async def colors(self, request: Request) -> Response:
+        mode, begin = request.query_params.get("mode", ""), _number(request, "from", "0")
+        return _binary(await self.turns.take(lambda: self.shared.colors(mode, begin)))
+
+    async def listen(self, _: Request) -> Response:
+        return StreamingResponse(self.events.open(), media_type="text/event-stream")
+
+    async def photo(self, request: Request) -> Response:
+        name, side = request.query_params.get("name", ""), _number(request, "side", "960")
+        if not 16 <= side <= MOST_SIDE:
+            raise InputError(f"side: expected 16 to {MOST_SIDE} pixels, got {side}")
+        return Response(await self.turns.take(lambda: files.photo(self.shared.stage, name, side)), media_type=JPEG)
+
+    async def object_picture(self, request: Request) -> Response:
+        number = _number(request, "number")
+        drawn = await self.turns.take(lambda: self.pictures.picture(self.shared.stage, number))
+        return Response(drawn, media_type=JPEG)
+
+    async def clicked_photo(self, _: Request) -> Response:
+        return Response(await self.turns.take(lambda: files.clicked_photo(self.shared.stage)), media_type=JPEG)
+
+    # --- acting ---
+
+    async def do(self, request: Request) -> Response:
+        return JSONResponse(await self._done(read_act(await request.body())))
+
+    async def _done(self, act: AnyAct) -> dict[str, Any]:
+        shared = self.shared
+        opened = shared.counted.scene
+        if isinstance(act, SlowAct):
+            state = await self.lanes.take_change(lambda: begun(shared, act))
+        elif act.key is None:
+            state = await self.turns.take(lambda: done(shared, act))
+        else:
+            state = await self.turns.take_latest(act.key, lambda: done(shared, act), shared.state)
+        if shared.counted.scene != opened:
+            self.lanes.change(shared.prepare)
+        return state
+
+    async def ask_picture(self, request: Request) -> Response:
+        name, body = request.query_params.get("name", "picture"), await request.body()
+
+        def ask() -> dict[str, Any]:
+            self.shared.say(self.shared.session.ask_picture(decoded(body, MOST_PIXELS), printable(name, 60)))
+            self.shared.note()
+            return self.shared.state()
+
+        return JSONResponse(await self.turns.take(ask))
+
+    async def upload(self, request: Request) -> Response:
+        batch, name = request.query_params.get("batch", ""), request.query_params.get("name", "")
+        size = await self.shared.uploads.take(batch, name, request.stream())
+        return JSONResponse({"bytes": size})
+
+    async def open(self, request: Request) -> Response:
+        """Take one file, and open it."""
+        batch, uploads = secrets.token_hex(8), self.shared.uploads
+        try:
+            await uploads.take(batch, request.query_params.get("name", ""), request.stream())
+            return JSONResponse(await self._done(Open(act="open", batch=batch)))
+        finally:
+            uploads.drop(batch)
+
+    # --- files ---
+
+    async def picture(self, request: Request) -> Response:
+        asked = await _body(request, CameraOnly)
+        drawn = await self.turns.take(lambda: files.shown_picture(self.shared.stage, asked.camera))
+        return Response(drawn, media_type=PNG)
+
+    async def before_after(self, request: Request) -> Response:
+        asked = await _body(request, CameraOnly)
+        drawn = await self.turns.take(lambda: files.before_after(self.shared.stage, asked.camera))
+        return Response(drawn, media_type=PNG)
+
+    async def save(self, request: Request) -> Response:
+        asked = await _body(request, files.Save)
+        return await self._file(lambda saves, stage: files.saved(saves, stage, asked))
+
+    async def film(self, request: Request) -> Response:
+        asked, is_gone = await _body(request, files.Film), Event()
+        watching = asyncio.ensure_future(_watch(request, is_gone))
+        try:
+            return await self._file(lambda saves, stage: files.film(saves, stage, asked, is_gone, self.progress))
+        finally:
+            is_gone.set()
+            watching.cancel()
+
+    async def film_progress(self, request: Request) -> Response:
+        return JSONResponse(self.progress.document(request.query_params.get("job", "")))
+
+    async def path(self, request: Request) -> Response:
+        asked = await _body(request, Path)
+        return await self._file(lambda saves, stage: files.path_file(saves, stage, asked))
+
+    async def flight(self, request: Request) -> Response:
+        asked = await _body(request, Path)
+        return JSONResponse(await self.turns.take(lambda: flight_document(self.shared.stage, asked)))
+
+    async def load_path(self, request: Request) -> Response:
+        body = await request.body()
+        return JSONResponse(await self.turns.take(lambda: files.loaded_path(self.shared.stage, body)))
+
+    async def export(self, _: Request) -> Response:
+        return await self._file(files.page_file)
+
+    async def _file(self, write: Callable[[Saves, Stage], files.Saved]) -> Response:
+        """Answer with a file of the session as it is now, whatever is done to it while the file is written."""
+        shared = self.shared
+
+        def begin() -> Callable[[], files.Saved]:
+            stage = shared.stage.copied()
+            return lambda: write(shared.saves, stage)
+
+        saved = await self.lanes.take_file(begin)
+        headers = {"content-disposition": f'attachment; filename="{saved.path.name}"'}
+        if self.shared.saves.folder is not None:
+            headers["x-drsplat-saved"] = quote(str(saved.path), errors="replace")
+        return Response(saved.data, headers=headers, media_type="application/octet-stream")
+
+    # --- the catalogue ---
+
+    async def catalogue(self, request: Request) -> Response:
+        asked = await _body(request, CatalogueText)
+        return JSONResponse(await self.turns.take(lambda: self.shared.search(asked.text)))
+
+    async def catalogue_picture(self, request: Request) -> Response:
+        number = _number(request, "number")
+        drawn = await self.turns.take(lambda: self.shared.needed_shelf.picture(number))
+        return Response(drawn, media_type=JPEG)
+
+
+def create_app(shared: Shared, lanes: Lanes) -> Starlette:
+    """Create the viewer as an ASGI application, without the gate before it."""
+    viewer = Viewer(shared, lanes)
+
+    @asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        yield
+        viewer.events.close()
+
+    app = Starlette(routes=viewer.routes(), lifespan=lifespan, exception_handlers=_refusals(shared))
+    app.state.viewer = viewer
+    return app
+
+
+def _refusals(shared: Shared) -> dict[Any, Any]:
+    """Return what answers each kind of error; no answer names a folder of this machine."""
+
+    async def refused(_: Request, error: DrSplatError) -> Response:
+        return _sent(refusal(error, shared.without_folders(str(error))))
+
+    async def invalid(_: Request, error: ValidationError) -> Response:
+        return _sent(problem(422, faults_of(error.errors(), WORDED), "invalid"))
+
+    async def http(request: Request, error: HTTPException) -> Response:
+        said = f"there is nothing at {request.url.path!a:.80}" if error.status_code == 404 else str(error.detail)
+        return _sent(problem(error.status_code, said, "http"))
+
+    async def failed_system(_: Request, error: OSError) -> Response:
+        return _sent(problem(503, f"the viewer's machine says: {error.strerror or type(error).__name__}", "system"))
+
+    async def failed_memory(_: Request, __: MemoryError) -> Response:
+        return _sent(problem(503, "the viewer's machine has too little memory for this", "memory"))
+
+    async def failed(_: Request, __: Exception) -> Response:
+        return _sent(problem(500, BUG, "bug"))  # uvicorn logs the traceback
+
+    return {
+        DrSplatError: refused, ValidationError: invalid, HTTPException: http, OSError: failed_system,
+        MemoryError: failed_memory, Exception: failed,
+    }  # fmt: skip
+
+
+def _sent(reply: Reply) -> Response:
+    headers = {"retry-after": "1"} if reply.status == 503 else {}
+    return Response(reply.body, reply.status, headers, reply.media_type)
+
+
+def _binary(packed: Packed) -> Response:
+    return Response(
+        packed.data, headers={HEADER: packed.layout, ROWS: str(packed.rows)}, media_type="application/octet-stream"
+    )
+
+
+async def _body(request: Request, kind: type[B]) -> B:
+    """Read a JSON body. Raises: ValidationError: it is of another shape."""
+    return kind.model_validate_json(await request.body())
+
+
+def _number(request: Request, name: str, default: str = "") -> int:
+    """Return a whole number of the query. Raises: InputError: there is none."""
+    text = request.query_params.get(name, default)
+    if not (text.isascii() and text.isdigit() and len(text) < 10):
+        raise InputError(f"{name}: expected a whole number, got {text!a:.40}")
+    return int(text)
+
+
+async def _watch(request: Request, is_gone: Event) -> None:
+    """Set an event when whoever asked has gone."""
+    while (await request.receive())["type"] != "http.disconnect":
+        pass
+    is_gone.set()

@@ -1,0 +1,214 @@
+"""Pictures and files that a browser gets: photos, what is shown, scenes, films and paths."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path as FilePath
+from threading import Event
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import StringConstraints
+
+from ....authoring.exporting.writers import write_scene
+from ....authoring.filming.path_files import path_of, write_path
+from ....authoring.filming.paths import frame_count
+from ....authoring.filming.writing import write_film
+from ....base.arrays import UInt8
+from ....drawing.pictures import OtherPixels, as_pixels
+from ....drawing.rendering import render
+from ....errors import InputError
+from ....formats.json_files import document_in
+from ....query.sheets import AT_ONCE
+from ...serving.pictures import jpeg, png
+from ..carrying import carried
+from ..exporting import export_session
+from ..naming import photo_of
+from ..object_list import pictures_of
+from ..saving import Saves, flight_gif, picture_of, save_scene, write_bytes
+from .cameras import FILM_SIZE, FPS, Body, Camera, Path, path_document, path_through, view_of
+from .stage import Stage
+from .state import film_formats
+
+SPLIT_SIDE = 960  # pixels of each side of before and after
+MOST_PICTURES = 256  # of objects that are kept
+MOST_PAGE_QUERIES = 6  # suggested words that a page answers, where nothing was asked
+
+
+class Saved(NamedTuple):
+    """path: where a file is, or what it is called. data: what is in it, empty where that is too large to send."""
+
+    path: FilePath
+    data: bytes
+
+
+class Save(Body):
+    """camera: of a swing, for where nothing is found. format: of a scene or a selection."""
+
+    what: Literal["scene", "selection", "swing"]
+    format: Literal[".ply", ".glb", ".spz"] = ".ply"
+    camera: Camera | None = None
+
+
+class Film(Path):
+    """A film along a path. job: a name to ask with how far it is; none where it is empty."""
+
+    format: Literal[".mp4", ".webm", ".webp", ".gif"]
+    job: Annotated[str, StringConstraints(max_length=64)] = ""
+
+
+# --- pictures ---
+
+
+def photo(stage: Stage, name: str, side: int) -> bytes:
+    """Return a photo as JPEG, or a rendering where it is not at hand. Raises: InputError: no such view."""
+    return jpeg(stage.session.scene.picture(name, photo=True, max_side=side))
+
+
+def clicked_photo(stage: Stage) -> bytes:
+    """Return the photo of most support of what was clicked, as JPEG. Raises: InputError: there is none."""
+    clicked = stage.session.clicked
+    picture = None if clicked is None else photo_of(stage.session.scene, clicked)
+    if picture is None:
+        raise InputError("no photo shows what was clicked: click something else")
+    return jpeg(picture)
+
+
+def shown_picture(stage: Stage, camera: Camera) -> bytes:
+    """Return what the viewer shows as PNG, by this package's own renderer."""
+    return png(picture_of(stage.session, view_of(stage, camera)))
+
+
+def before_after(stage: Stage, camera: Camera) -> bytes:
+    """Return the scene before its edits and after them, side by side, as PNG. Raises: InputError: nothing is left."""
+    session = stage.session
+    view = view_of(stage, camera, SPLIT_SIDE)
+    sides = session.here.gaussians, session.edited()[0]
+    drawn = [as_pixels(render(one, view, threads=session.scene.threads).rgb) for one in sides]
+    return png(np.concatenate(drawn, axis=1))
+
+
+@dataclass(eq=False)
+class ObjectPictures:
+    """Pictures of objects as JPEG, kept once they are drawn; those listed together are drawn together."""
+
+    _stage: Stage | None = None
+    _kept: OrderedDict[int, bytes] = field(default_factory=OrderedDict)
+
+    def picture(self, stage: Stage, number: int) -> bytes:
+        """Return an object's picture. Raises: InputError: no such object, or no photos of it."""
+        if stage is not self._stage:
+            self._stage, self._kept = stage, OrderedDict()
+        if number not in self._kept:
+            self._draw(stage, number)
+        return self._kept[number]
+
+    def _draw(self, stage: Stage, number: int) -> None:
+        if number not in stage.listed:
+            raise InputError(f"there is no object {number} of {len(stage.listed)}")
+        begin = stage.listed.index(number) // AT_ONCE * AT_ONCE
+        numbers = stage.listed[begin : begin + AT_ONCE]
+        objects = stage.session.scene.objects
+        for one, pixels in zip(numbers, pictures_of(stage.session, [objects[one] for one in numbers]), strict=True):
+            self._keep(one, pixels)
+
+    def _keep(self, number: int, pixels: OtherPixels | None) -> None:
+        if pixels is None:
+            raise InputError("this scene has no photos: open it with its capture to see its objects")
+        self._kept[number] = jpeg(np.ascontiguousarray(pixels))
+        while len(self._kept) > MOST_PICTURES:
+            self._kept.popitem(last=False)
+
+
+# --- files ---
+
+
+def saved(saves: Saves, stage: Stage, asked: Save) -> Saved:
+    """Write what was asked for. Raises: InputError: nothing is selected; as `Saves.save`."""
+    if asked.what == "swing":
+        data = _swing(stage, asked.camera)
+        return _save(saves, "found", ".gif", lambda path: write_bytes(path, data))
+    only, stem = (True, "selection") if asked.what == "selection" else (False, "found")
+    if asked.format == ".ply":
+        return _save(saves, stem, ".ply", lambda path: save_scene(path, stage.session, selected_only=only))
+    scene = carried(stage.session, selected_only=only)
+    return _save(saves, stem, asked.format, lambda path: write_scene(path, scene))
+
+
+def film(saves: Saves, stage: Stage, asked: Film, is_gone: Event, progress: "Progress") -> Saved:
+    """Draw a film in the colours of the moment. is_gone: ends it early, as when nobody waits for it any more.
+
+    Raises: InputError: a format that cannot be written here; as `Saves.save`.
+    """
+    if asked.format not in film_formats():
+        raise InputError(f"{asked.format} needs the program ffmpeg: expected {' or '.join(film_formats())}")
+    path, count = path_through(stage, asked), frame_count(asked.seconds, FPS)
+    views = path.views(count, FILM_SIZE)
+
+    def pictures() -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+        for number, view in enumerate(views):
+            if is_gone.is_set():
+                raise InputError("the film was not waited for")
+            progress.note(asked.job, number, count)
+            yield picture_of(stage.session, view)
+
+    try:
+        return _save(saves, "film", asked.format, lambda file: write_film(file, pictures(), FPS))
+    finally:
+        progress.forget(asked.job)
+
+
+class Progress:
+    """How many pictures of films that are being drawn are done, by the names that browsers gave them."""
+
+    def __init__(self) -> None:
+        self._jobs: dict[str, tuple[int, int]] = {}
+
+    def note(self, job: str, done: int, count: int) -> None:
+        if job:
+            self._jobs[job] = done, count
+
+    def forget(self, job: str) -> None:
+        self._jobs.pop(job, None)
+
+    def document(self, job: str) -> dict[str, int]:
+        """Return pictures that are done, and all of them; 0 of 0 where the film waits for its turn or is whole."""
+        done, count = self._jobs.get(job, (0, 0))
+        return {"done": done, "count": count}
+
+
+def path_file(saves: Saves, stage: Stage, asked: Path) -> Saved:
+    path = path_through(stage, asked)
+    return _save(saves, "path", ".json", lambda file: write_path(file, path))
+
+
+def loaded_path(stage: Stage, body: bytes) -> dict[str, Any]:
+    """Read a path of ours, or nerfstudio's, of the scene's world. Raises: FormatError, InputError: it is none."""
+    return path_document(stage, path_of(document_in(body, "the path"), "the path"))
+
+
+def page_file(saves: Saves, stage: Stage) -> Saved:
+    """Export the scene with the queries that are answered now, else with the words that are suggested.
+
+    Raises: InputError: nothing was asked, and no word has a match.
+    """
+    session = stage.session
+    queries = (session.asked or stage.words[:MOST_PAGE_QUERIES]) if session.is_askable else ()
+    return _save(saves, "page", ".html", lambda path: export_session(path, session, queries, up=stage.up))
+
+
+def _save(saves: Saves, stem: str, suffix: str, write: Callable[[FilePath], object]) -> Saved:
+    return Saved(*saves.save(stem, suffix, write))
+
+
+def _swing(stage: Stage, camera: Camera | None) -> bytes:
+    """Return a swing around the best match, else about what a camera looks at, as GIF."""
+    session = stage.session
+    found = [match for result in session.results for match in result.matches]
+    if found:
+        match = stage.placed(found[0])
+        return flight_gif(session, stage.eye_before(match.center, match.extent), match.center, stage.up)
+    if camera is None:
+        raise InputError("swing: expected a match to swing about, or a camera")
+    eye, target = (session.shown.frame.world(np.array(at, np.float64)) for at in (camera.eye, camera.target))
+    return flight_gif(session, eye, target, stage.up)

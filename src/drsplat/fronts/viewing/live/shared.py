@@ -1,0 +1,205 @@
+"""State shared by all windows of the viewer: the open scene, what was found in it, and counters of changes."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from ....errors import InputError
+from ....query import Scene
+from ...serving.scene_folder import without_paths
+from ..bare import NO_FIELD
+from ..saving import Saves
+from ..session import Session
+from ..texts import printable
+from . import arrays
+from .arrays import Packed, Rows
+from .shelf import Shelf
+from .stage import Stage, Vector
+from .state import LONGEST, film_formats, header_of, state_of
+from .uploads import Uploads
+
+NOTHING_OPEN = "no scene is open: search the catalogue and open one, or open a file"
+FOLDERS = re.compile(r"(?<![\w.])/(?:[^/\s'\",:;]+/)+")
+CLOSED = {
+    "mode": "as it is", "selection": 0, "results": [], "clicked": None, "chosen": None, "classes": None,
+    "annotations": [], "time": None, "edits": [], "can_undo": False, "can_redo": False, "kept": False,
+}  # fmt: skip
+"""The state where no scene is open."""
+
+
+@dataclass
+class Counters:
+    """Numbers that grow when something changes: anything, the scene, its header, its splats, what these answer."""
+
+    revision: int = 0
+    scene: int = 0
+    header: int = 0
+    geometry: int = 0
+    paint: int = 0
+
+
+@dataclass(eq=False)
+class Shared:
+    """Not safe for several threads at once.
+
+    saves: where files go. open_path: opens a scene's file or folder. budget, words: as of `Session`. shelf: the
+    catalogue, None for none. tell: is called after each change.
+    """
+
+    saves: Saves
+    open_path: Callable[[Path], Scene]
+    budget: int = 1_000_000
+    words: Sequence[str] | None = None
+    shelf: Shelf | None = None
+    uploads: Uploads = field(default_factory=Uploads)
+    said: str = ""
+    tell: Callable[[], None] = lambda: None
+    _stage: Stage | None = None
+    _counters: Counters = field(default_factory=Counters)
+    _seen: tuple[Any, ...] = (None, None, None)
+    _told: tuple[int, dict[str, Any]] | None = None
+    _rows: dict[str, tuple[object, Rows]] = field(default_factory=dict)
+
+    @property
+    def stage(self) -> Stage:
+        """Raises: InputError: no scene is open."""
+        if self._stage is None:
+            raise InputError(NOTHING_OPEN)
+        return self._stage
+
+    @property
+    def session(self) -> Session:
+        """Raises: InputError: no scene is open."""
+        return self.stage.session
+
+    @property
+    def needed_shelf(self) -> Shelf:
+        """Raises: InputError: no catalogue was opened."""
+        if self.shelf is None:
+            raise InputError("there is no catalogue here")
+        return self.shelf
+
+    def say(self, text: str | None) -> None:
+        """Say something to all, safe to show; None: what the session says of its answers."""
+        own = "" if self._stage is None else self._stage.session.said
+        lines = (own if text is None else text).splitlines()
+        self.said = "\n".join(printable(line.strip(), LONGEST) for line in lines)
+
+    def without_folders(self, message: str) -> str:
+        """Return a message for others than the one who started the viewer: it names no folder of this machine."""
+        scene = None if self._stage is None else self._stage.session.scene
+        own = [] if scene is None or scene.path is None else [scene.path.parent, scene.path.resolve().parent]
+        saves = [] if self.saves.folder is None else [self.saves.folder]
+        return FOLDERS.sub("", without_paths(message, [*self.uploads.roots, *own, *saves]))
+
+    @property
+    def counted(self) -> Counters:
+        return self._counters
+
+    # --- changing ---
+
+    def show(self, session: Session, up: Vector | None = None) -> None:
+        """Show another session in place of the one that is open."""
+        self._stage = Stage.of(session, up)
+        self._counters.scene += 1
+        self._counters.header += 1
+        self.say("" if session.is_askable else NO_FIELD)
+
+    def search(self, text: str) -> dict[str, Any]:
+        """Search the catalogue. Raises: InputError: there is none; as `Shelf.ask`."""
+        answer = self.needed_shelf.ask(text)
+        self.say(answer["said"])
+        self.note()
+        return answer
+
+    def prepare(self) -> Callable[[], None]:
+        """Find names of objects and words to suggest, which may load a model, beside the session.
+
+        Returns: what shows them, in the session's thread.
+        """
+        stage = self._stage
+        take = None if stage is None else stage.prepare()
+
+        def show() -> None:
+            if take is not None:
+                take()
+            self.renew_header()
+            self.note()
+
+        return show
+
+    def renew_header(self) -> None:
+        """Count that the header is another one, as after an object was named."""
+        self._counters.header += 1
+
+    def note(self) -> None:
+        """Count what has changed since the last time, and tell whoever listens."""
+        counters = self._counters
+        seen = self._seen_now()
+        changed = [one is not other for one, other in zip(seen, self._seen, strict=True)]
+        counters.geometry += changed[0]
+        counters.paint += any(changed)
+        self._seen = seen
+        counters.revision += 1
+        self.tell()
+
+    def _seen_now(self) -> tuple[Any, ...]:
+        if self._stage is None:
+            return None, None, None
+        session = self._stage.session
+        return session.drawn, session.results, session.segmentation
+
+    # --- what a browser is told ---
+
+    def header(self) -> dict[str, Any]:
+        counters = {"scene": self._counters.scene, "header": self._counters.header}
+        return counters | {"can": self._can()} | ({} if self._stage is None else header_of(self._stage))
+
+    def state(self) -> dict[str, Any]:
+        """Return the state, made once after each change: all pages ask for it then."""
+        revision = self._counters.revision
+        if self._told is None or self._told[0] != revision:
+            state = CLOSED if self._stage is None else state_of(self._stage)
+            self._told = revision, vars(self._counters) | {"said": self.said, "fault": None} | state
+        return self._told[1]
+
+    def _can(self) -> dict[str, Any]:
+        session = None if self._stage is None else self._stage.session
+        askable = session is not None and session.is_askable
+        return {
+            "ask": askable,
+            "ask_picture": askable,
+            "objects": session is not None and session.has_objects,
+            "name": session is not None and session.has_objects and session.can_name,
+            "edit": session is not None,
+            "time": session is not None and session.scene.motion is not None,
+            "photos": session is not None and bool(session.scene.views),
+            "save_dir": self.saves.folder is not None,
+            "catalogue": self.shelf is not None,
+            "film_formats": list(film_formats()),
+            "open": True,
+        }
+
+    def splats(self, begin: int = 0) -> Packed:
+        """Return a piece of what is drawn, from a row on. Raises: InputError: there is no such row."""
+        return arrays.nothing() if self._stage is None else arrays.splats(self._stage, begin)
+
+    def paint(self, begin: int = 0) -> Packed:
+        """Return what the same rows answer. Raises: as `splats`."""
+        return self._piece("paint", (self._counters.geometry, self._counters.paint), arrays.paint, begin)
+
+    def colors(self, mode: str, begin: int = 0) -> Packed:
+        """Return the colours of the same rows. Raises: as `splats`; InputError: another mode."""
+        key = self._counters.geometry, self._counters.paint, mode
+        return self._piece("colors", key, lambda stage: arrays.colors(stage, mode), begin)
+
+    def _piece(self, name: str, version: object, make: Callable[[Stage], Rows], begin: int) -> Packed:
+        """Return a piece of arrays as they were made for somebody else, where nothing has changed since."""
+        if self._stage is None:
+            return arrays.nothing()
+        known = self._rows.get(name)
+        if known is None or known[0] != version:
+            known = self._rows[name] = version, make(self._stage)
+        return arrays.piece(known[1], begin)

@@ -1,0 +1,242 @@
+"""State of a scene for a browser, as JSON: a header for as long as it is open, and a state after each act.
+
+Places are in the browser's frame, texts are safe to show, and sizes in texts are in scene units.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ....authoring.editing.stored import NAMES
+from ....authoring.filming.encoding import ffmpeg
+from ....authoring.filming.looking import FOV_DEGREES
+from ....base.arrays import Float64
+from ....drawing.heat import HEAT
+from ....drawing.palette import class_colors
+from ....query import Match
+from ....query.nodes import numbered
+from ....query.objects import objects_of
+from ....scene.annotations import Annotation
+from ....scene.views import View
+from .. import painting
+from ..bare import NO_FIELD
+from ..naming import This, best_photo
+from ..places import box_document, match_document, place_text, rounded, size_text
+from ..results import Result
+from ..session import Session
+from ..texts import printable
+from .stage import Stage, Vector
+
+MOST_PHOTOS, MOST_OBJECTS, MOST_MATCHES, MOST_LISTED = 200, 500, 100, 100
+LONGEST = 600  # characters of a sentence
+TIMES_A_SECOND, LEAST_SECONDS, MOST_SECONDS = 15, 2.0, 10.0  # that a scene plays
+POINT = 1.0  # of the browser's units: how large a point is taken to be
+FILM_FORMATS = (".mp4", ".webm", ".webp", ".gif")
+Document = dict[str, Any]
+
+
+def film_formats() -> tuple[str, ...]:
+    """Return the suffixes of films that can be written here; MP4 and WebM need the program ffmpeg."""
+    return FILM_FORMATS if ffmpeg() else FILM_FORMATS[2:]
+
+
+# --- for as long as the scene is open ---
+
+
+def header_of(stage: Stage) -> Document:
+    session, frame = stage.session, stage.session.shown.frame
+    eye, target = stage.first_look
+    return {
+        "title": printable(session.scene.name, 60),
+        "about": about(session),
+        "eye": rounded(frame.shown(eye)),
+        "target": rounded(frame.shown(target)),
+        "up": rounded(stage.up),
+        "fov": FOV_DEGREES,
+        "heat": rounded(HEAT),
+        "look": painting.LOOK,
+        "antialiased": session.shown.antialiased,
+        "scale": frame.scale,
+        "words": _words(stage),
+        "modes": [mode.value for mode in session.modes],
+        "objects": _objects(stage),
+        "photos": [_photo(stage, view) for view in _evenly(session.scene.views, MOST_PHOTOS)],
+        "times": _times(session),
+    }
+
+
+def about(session: Session) -> str:
+    scene = session.scene
+    none = "" if session.is_askable else f" {NO_FIELD}"
+    counts = f"{len(scene.gaussians):,} Gaussians, {len(scene.field):,} with a feature."
+    return f"{counts} {session.shown.said}".strip() + none
+
+
+def _words(stage: Stage) -> list[str]:
+    """Return what one may type: suggestions first, then the names of objects, each once."""
+    names = [name for number in stage.listed if (name := stage.names[number].rpartition(" · ")[0])]
+    return list(dict.fromkeys(printable(word, 60) for word in (*stage.words, *names)))[:MOST_LISTED]
+
+
+def _objects(stage: Stage) -> list[Document]:
+    if not stage.listed:
+        return []
+    objects, agreed = stage.session.scene.objects, stage.session.scene.agreed
+    return [
+        _object(stage, number, objects[number]) | {"unsure": not bool(agreed[number])}
+        for number in stage.listed[:MOST_OBJECTS]
+    ]
+
+
+def _object(stage: Stage, number: int, match: Match) -> Document:
+    now = stage.placed(match)
+    return _box(stage, now.center, now.axes, now.extent) | {
+        "number": number,
+        "name": printable(stage.names[number], 60),
+        "size": size_text(now.extent),
+        "gaussians": len(match),
+    }
+
+
+def _photo(stage: Stage, view: View) -> Document:
+    frame, ahead = stage.session.shown.frame, view.cam_from_world[2, :3]
+    eye = frame.shown(view.center)
+    return {
+        "name": view.name,
+        "eye": rounded(eye),
+        "target": rounded(eye + ahead),
+        "up": rounded(-view.cam_from_world[1, :3]),
+        "fov": float(np.degrees(2 * np.arctan(view.height / (2 * view.K[1, 1])))),
+        "width": view.width,
+        "height": view.height,
+    }
+
+
+def _times(session: Session) -> Document | None:
+    if session.scene.motion is None:
+        return None
+    times = session.scene.motion.times
+    seconds = float(np.clip(len(times) / TIMES_A_SECOND, LEAST_SECONDS, MOST_SECONDS))
+    return {"first": float(times[0]), "last": float(times[-1]), "count": len(times), "seconds": seconds}
+
+
+# --- after each act ---
+
+
+def state_of(stage: Stage) -> Document:
+    session = stage.session
+    return {
+        "mode": session.mode.value,
+        "selection": len(session.selection),
+        "results": [_result(stage, number, result) for number, result in enumerate(session.results)],
+        "clicked": None if session.clicked is None else _clicked(session, session.clicked),
+        "chosen": _chosen(session),
+        "classes": _classes(session),
+        "annotations": [_annotation(stage, one) for one in session.edits.annotations[:MOST_LISTED]],
+        "time": None if session.time is None else {"at": session.time, "during": session.during},
+        **_edits(session),
+    }
+
+
+def _result(stage: Stage, number: int, result: Result) -> Document:
+    answer = result.answer
+    return {
+        "text": printable(result.label),
+        "said": printable(result.said, LONGEST),
+        "doubt": printable(answer.doubt, LONGEST),
+        "threshold": result.threshold,
+        "automatic": answer.threshold,
+        "limits": list(result.limits),
+        "measure": answer.measure,
+        "rule": answer.rule,
+        "exact": answer.is_exact,
+        "accent": list(painting.accent(number)),
+        "matches": [_match(stage, result, match) for match in result.matches[:MOST_MATCHES]],
+        "num_matches": len(result.matches),
+    }
+
+
+def _match(stage: Stage, result: Result, match: Match) -> Document:
+    now = stage.placed(match)
+    eye = stage.eye_before(now.center, now.extent)
+    return match_document(stage.session.shown.frame, now, eye, match.label or result.label)
+
+
+def _clicked(session: Session, this: This) -> Document:
+    evidence = [
+        {"photo": one.view_name, "mask": one.mask_id, "share": round(one.share, 4)} for one in this.evidence
+    ]  # fmt: skip
+    return {
+        "name": printable(this.name, 60),
+        "words": [{"text": printable(word.text, 60), "score": round(word.score, 4)} for word in this.words],
+        "place": place_text(this.point),
+        "center": rounded(session.shown.frame.shown(this.point)),
+        "evidence": evidence,
+        "photo": best_photo(session.scene, this) is not None,
+    }
+
+
+def _chosen(session: Session) -> Document | None:
+    chosen = session.chosen
+    if chosen is None:
+        return None
+    objects, node = objects_of(session.scene.field), chosen.node
+    number = int(objects.number_of[node])
+    return {
+        "name": printable(session.results[0].label, 60),
+        "what": numbered(objects, node),
+        "number": number if number >= 0 and objects.things[number] == node else None,
+        "smaller": chosen.smaller(objects) is not None,
+        "larger": chosen.larger() is not None,
+        "gaussians": int(objects.sizes[node]),
+        "photos": int(objects.num_views[node]),
+        "sure": round(float(objects.sure[node]), 4),
+        "label": node in session.scene.labels.by_node,
+    }
+
+
+def _classes(session: Session) -> list[Document] | None:
+    if session.segmentation is None:
+        return None
+    names, counts = session.segmentation.names, session.segmentation.counts
+    return [
+        {"name": printable(name, 60), "count": int(count), "color": color}
+        for name, count, color in zip(names, counts, class_colors(len(names)).tolist(), strict=True)
+    ]
+
+
+def _edits(session: Session) -> Document:
+    listed = session.edits.listed
+    shown = [
+        {"number": number, "what": NAMES[type(edit.change)], "target": printable(str(edit.target), 60),
+         "done": number <= listed.done}
+        for number, edit in enumerate(listed.edits, start=1)
+    ]  # fmt: skip
+    return {
+        "edits": shown[-MOST_LISTED:],
+        "can_undo": listed.done > 0,
+        "can_redo": listed.done < len(listed.edits),
+        "kept": session.edits.file is not None,
+    }
+
+
+def _annotation(stage: Stage, one: Annotation) -> Document:
+    text = {"text": printable(one.text)}
+    if one.outline is not None:
+        return text | _box(stage, one.center, one.outline.axes, one.outline.extent)
+    frame = stage.session.shown.frame
+    eye = stage.eye_before(one.center, np.full(3, POINT / frame.scale))
+    return text | {"center": rounded(frame.shown(one.center)), "eye": rounded(frame.shown(eye))}
+
+
+# --- numbers and words ---
+
+
+def _box(stage: Stage, center: Vector, axes: Float64[np.ndarray, "3 3"], extent: Vector) -> Document:
+    frame = stage.session.shown.frame
+    return box_document(frame, center, axes, extent) | {"eye": rounded(frame.shown(stage.eye_before(center, extent)))}
+
+
+def _evenly(views: Sequence[View], most: int) -> Sequence[View]:
+    return views[:: -(-len(views) // most) or 1]

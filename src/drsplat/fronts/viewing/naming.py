@@ -1,0 +1,88 @@
+"""Naming of a place: its words, the masks of supporting photos, and what is like it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...base.arrays import Float64, UInt8
+from ...errors import DrSplatError
+from ...field.evidence.evidence import Explanation
+from ...photos.models.mini.lexicon import NAMES, STRUCTURES
+from ...query import Match, Query, Scene, Word
+from ...query.naming import own_vocabulary
+from .picking import Hit
+from .results import Result, result_of
+
+EVIDENCE, PICTURE_SIDE = 3, 480
+
+
+@dataclass(frozen=True, eq=False)
+class This:
+    """words: best first, none where no encoder is known. evidence: photos and masks behind it.
+
+    match: what is like it and holds it, None where that is too little. alike: all that is like it.
+    """
+
+    gaussian_id: int
+    point: Float64[np.ndarray, " 3"]
+    words: list[Word]
+    evidence: list[Explanation]
+    match: Match | None
+    alike: Result
+
+    @property
+    def name(self) -> str:
+        return self.words[0].text if self.words else ""
+
+
+def this_is(scene: Scene, hit: Hit, words: Sequence[str] | None = None) -> This:
+    """Describe what the first Gaussian of a hit is; all of them must have a feature."""
+    first = int(hit.gaussian_ids[0])
+    feature = scene.feature_of(first)
+    alike = result_of(scene, "", scene.ask(Query(vector=feature)))
+    holding = [match for match in alike.matches if first in match.gaussian_ids]
+    return This(
+        first,
+        hit.point,
+        named(scene, first, words),
+        [] if scene.field.evidence is None else scene.field.explain(first, feature, EVIDENCE),
+        holding[0] if holding else None,
+        alike,
+    )
+
+
+def named(scene: Scene, gaussian_id: int, words: Sequence[str] | None) -> list[Word]:
+    """Return the best words; none for a field whose encoder is not at hand."""
+    try:
+        return scene.what_is(gaussian_id, words or words_of(scene))
+    except DrSplatError:
+        return []
+
+
+def known_words(scene: Scene, words: Sequence[str] | None) -> tuple[str, ...]:
+    """To name things with: given ones, else as `words_of`; none for a field whose encoder is not at hand."""
+    try:
+        return tuple(words or words_of(scene))
+    except DrSplatError:
+        return ()
+
+
+def words_of(scene: Scene) -> tuple[str, ...]:
+    """Return the encoder's own words, or those of a household for one that takes any."""
+    return own_vocabulary(scene.encoder, scene.field) or (*NAMES, *STRUCTURES)
+
+
+def photo_of(scene: Scene, this: This) -> UInt8[np.ndarray, "_ _ 3"] | None:
+    """Return the photo of most support, with the place in colour; None where there is none."""
+    best = best_photo(scene, this)
+    if best is None or this.match is None:
+        return None
+    return scene.picture(best, this.match.gaussian_ids, photo=True, max_side=PICTURE_SIDE)
+
+
+def best_photo(scene: Scene, this: This) -> str | None:
+    """Return the name of the photo of most support; None where there is none to show."""
+    names = {view.name for view in scene.views}
+    best = next((one.view_name for one in this.evidence if one.view_name in names), None)
+    return None if this.match is None else best

@@ -1,0 +1,35 @@
+"""The objects of a scene as people see them listed: in which order, by which names, with which pictures."""
+
+import numpy as np
+
+from ...drawing.pictures import OtherPixels
+from ...query import Match
+from ...query.sheets import object_picture, object_views
+from .session import Session
+
+SIZE = (200, 150)
+
+
+def pictures_of(session: Session, matches: list[Match]) -> list[OtherPixels | None]:
+    """Each cut out of the photo, or the rendering, that shows it best; none of a scene without views."""
+    if not session.scene.views:
+        return [None] * len(matches)
+    views = object_views(session.scene, matches)
+    return [
+        object_picture(session.scene, match, view, SIZE) for match, view in zip(matches, views, strict=True)
+    ]  # fmt: skip
+
+
+def names_of(session: Session) -> list[str]:
+    """Label, else the word for it, and the number of each object; "object 7" where no word is sure."""
+    words = session.scene.object_names(words=session.words or ())
+    return [
+        f"{match.label or word} · {match.object_id}" if match.label or word else f"object {match.object_id}"
+        for match, word in zip(session.scene.objects, words, strict=True)
+    ]
+
+
+def in_order(session: Session) -> tuple[list[int], list[int]]:
+    """Return the numbers of the objects that photos agree on or that have a label, and those of the others."""
+    agreed = session.scene.agreed
+    return np.flatnonzero(agreed).tolist(), np.flatnonzero(~agreed).tolist()

@@ -1,0 +1,218 @@
+"""One file with a scene and its answers, for someone who has only a browser.
+
+The file holds the client of the viewer (built from web/), the scene as SPZ, which others can take out of it, and the
+answers to some queries, as the documents that a running viewer would send (web/src/protocol.ts).
+"""
+
+import base64
+import json
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from ...authoring.filming.looking import FOV_DEGREES
+from ...authoring.filming.paths import CameraPath
+from ...base.arrays import Float32, Float64, Int64, UInt8, UInt16
+from ...drawing.heat import HEAT
+from ...errors import InputError
+from ...formats.replacing import replacing
+from ...formats.spz_writing import spz_bytes
+from ...query import Match
+from ...scene.gaussians import Gaussians
+from . import painting
+from .client import page_html
+from .page_times import PageTimes, arrays_of, header_of
+from .places import match_document, rounded
+from .shown import Frame, Shown, significance
+from .texts import printable
+
+MOST = 200_000
+"""Gaussians in a page: some 5 MB of text, and what an old laptop can draw."""
+MOST_WORDS = 65_535
+FILM_STEPS_PER_SECOND, FILM_SECONDS, MOST_FILM_SECONDS = 12, 8.0, 60.0
+KINDS = {"float32": "f4", "float16": "f2", "uint8": "u1", "uint16": "u2", "uint32": "u4"}
+
+
+@dataclass(frozen=True, eq=False)
+class PageAnswer:
+    """One query with its answer.
+
+    heat: per shown Gaussian in [0, 1]. owners: 0, or 1 for the first match. eyes: places in the world to see each match
+    from. boxes: of each match over time, as `page_times.boxes_of` has them. doubt: why not to rely on it, "" for none.
+    """
+
+    text: str
+    heat: Float32[np.ndarray, " m"]
+    owners: UInt8[np.ndarray, " m"]
+    matches: Sequence[Match]
+    eyes: Sequence[Float64[np.ndarray, " 3"]]
+    boxes: Sequence[Sequence[Sequence[float] | None]] = ()
+    doubt: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Page:
+    """Content of a page.
+
+    gaussians: the shown rows, as the scene's own file would have them. eye, target, up: of the first look, in the
+    world. features: their colours, in [0, 1].
+
+    best_words: per shown Gaussian 0, or 1 for the first of `words`. objects, annotations: as of `page_parts`.
+    object_numbers: per shown Gaussian 0, or 1 for the first object. path: that the page flies along. times: of a scene
+    that moves. num_edits: kept edits that are in it. plays: whether it flies along the path when it is opened.
+    """
+
+    title: str
+    shown: Shown
+    gaussians: Gaussians
+    answers: Sequence[PageAnswer]
+    eye: Float64[np.ndarray, " 3"]
+    target: Float64[np.ndarray, " 3"]
+    up: Float64[np.ndarray, " 3"]
+    features: Float32[np.ndarray, "m 3"] | None = None
+    words: Sequence[str] = ()
+    best_words: UInt16[np.ndarray, " m"] | None = field(default=None)
+    objects: Sequence[Mapping[str, Any]] = ()
+    annotations: Sequence[Mapping[str, Any]] = ()
+    object_numbers: UInt16[np.ndarray, " m"] | None = None
+    path: CameraPath | None = None
+    times: PageTimes | None = None
+    num_edits: int = 0
+    plays: bool = False
+
+
+def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False) -> None:
+    """Write the page. Raises: InputError: more Gaussians than `MOST`; the file exists and not `overwrite`."""
+    if len(page.shown) > MOST:
+        raise InputError(f"a page holds up to {MOST:,} Gaussians, got {len(page.shown):,}: show fewer of them")
+    order = _order(page)
+    layout, blob = packed(_arrays(page, order))
+    header = json.dumps(_header(page) | {"arrays": layout})
+    scene = base64.b64encode(spz_bytes(page.gaussians.subset(order), degree=0)).decode()
+    text = page_html(page.title, header, scene, base64.b64encode(zlib.compress(blob, 6)).decode())
+    with replacing(path, overwrite) as file:
+        file.write(text.encode())
+
+
+def packed(arrays: Mapping[str, np.ndarray]) -> tuple[list[tuple[str, str, int, int]], bytes]:
+    """Arrays one after the other, little endian: name, kind, offset in bytes and count of each."""
+    layout, parts, offset = [], [], 0
+    for name, array in arrays.items():
+        data = np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes()
+        layout.append((name, KINDS[array.dtype.name], offset, array.size))
+        parts.append(data + bytes(-len(data) % 4))
+        offset += len(parts[-1])
+    return layout, b"".join(parts)
+
+
+def _order(page: Page) -> Int64[np.ndarray, " m"]:
+    """Return the order of rows in the file: those that move, then by falling significance.
+
+    A browser that is slow draws the first rows only while the camera moves.
+    """
+    weight = significance(page.gaussians)
+    if page.times is None:
+        return np.argsort(-weight, kind="stable")
+    count = page.times.places.shape[1]
+    still = page.times.order[count:]
+    return np.concatenate([page.times.order[:count], still[np.argsort(-weight[still], kind="stable")]])
+
+
+def _arrays(page: Page, order: Int64[np.ndarray, " m"]) -> dict[str, np.ndarray]:
+    arrays: dict[str, np.ndarray] = {}
+    if page.features is not None:
+        arrays["features"] = _bytes(page.features)
+    if page.best_words is not None:
+        arrays["words"] = page.best_words
+    if page.object_numbers is not None:
+        arrays["objects"] = page.object_numbers
+    for number, answer in enumerate(page.answers):
+        arrays[f"heat{number}"], arrays[f"owner{number}"] = _bytes(answer.heat), answer.owners
+    moves = {} if page.times is None else arrays_of(page.times)
+    return {name: array[order] for name, array in arrays.items()} | moves
+
+
+def _header(page: Page) -> dict[str, Any]:
+    frame = page.shown.frame
+    return {
+        "title": printable(page.title),
+        "about": _about(page),
+        "eye": rounded(frame.shown(page.eye)),
+        "target": rounded(frame.shown(page.target)),
+        "up": page.up.tolist(),
+        "fov": FOV_DEGREES,
+        "frame": {"center": (frame.center - page.gaussians.origin).tolist(), "scale": frame.scale},
+        "heat": HEAT.tolist(),
+        "look": painting.LOOK,
+        "antialiased": page.shown.antialiased,
+        "words": [printable(answer.text) for answer in page.answers],
+        "modes": _modes(page),
+        "can": _can(page),
+        "objects": list(page.objects),
+        "photos": [],
+        "times": None,
+        "clock": None if page.times is None else header_of(page.times),
+        "film": None if page.path is None else film_document(frame, page.path, page.target),
+        "plays": page.plays,
+        "vocabulary": list(page.words)[:MOST_WORDS],
+        "annotations": list(page.annotations),
+        "answers": [_answer(frame, number, answer) for number, answer in enumerate(page.answers)],
+    }
+
+
+def _modes(page: Page) -> list[str]:
+    answers = ["answer", "heat map"] if page.answers else []
+    features = [] if page.features is None or not page.answers else ["features"]
+    return [*answers, "as it is", *features, *(["objects"] if page.objects else [])]
+
+
+def _can(page: Page) -> dict[str, Any]:
+    """Return what the client offers: a page only answers what it was made with."""
+    never = ("ask_picture", "name", "edit", "time", "photos", "save_dir", "catalogue", "open")
+    offered = {"ask": bool(page.answers), "objects": bool(page.objects), "film_formats": []}
+    return dict.fromkeys(never, False) | offered
+
+
+def _about(page: Page) -> str:
+    moves = "" if page.times is None else page.times.said
+    return " ".join(f"{len(page.shown):,} Gaussians. {moves} {page.shown.said}".split())
+
+
+def film_document(frame: Frame, path: CameraPath, target: Float64[np.ndarray, " 3"]) -> dict[str, Any]:
+    """Return places along a path, near enough to each other for straight lines, in the browser's frame.
+
+    Each looks at something as far off as `target`, in the world.
+    """
+    seconds = min(path.seconds or FILM_SECONDS, MOST_FILM_SECONDS)
+    shares = np.linspace(0, 1, max(2, round(seconds * FILM_STEPS_PER_SECOND)))
+    keys = path.at(shares)
+    ahead = [max(float(key.rotation[2] @ (target - key.eye)), 1 / frame.scale) for key in keys]
+    targets = [key.eye + far * key.rotation[2] for key, far in zip(keys, ahead, strict=True)]
+    return {
+        "seconds": seconds,
+        "eyes": [np.round(frame.shown(key.eye), 4).tolist() for key in keys],
+        "targets": [np.round(frame.shown(one), 4).tolist() for one in targets],
+        "fovs": [round(key.fov_degrees, 2) for key in keys],
+    }
+
+
+def _answer(frame: Frame, number: int, answer: PageAnswer) -> dict[str, Any]:
+    boxes = answer.boxes or [[] for _ in answer.matches]
+    matches = [
+        match_document(frame, match, eye) | {"boxes": box}
+        for match, eye, box in zip(answer.matches, answer.eyes, boxes, strict=True)
+    ]
+    text = printable(answer.text)
+    return {
+        "text": text, "said": "", "doubt": answer.doubt, "accent": painting.accent(number), "matches": matches,
+        "num_matches": len(matches), "threshold": 0, "automatic": 0, "limits": [0, 1], "measure": "", "rule": "",
+        "exact": True,
+    }  # fmt: skip
+
+
+def _bytes(values: np.ndarray) -> UInt8[np.ndarray, "..."]:
+    return np.asarray(np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)

@@ -1,0 +1,181 @@
+"""A scene that moves, in a page: what of it moves, at a bounded number of times, and the boxes that go along."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...base.arrays import Bool, Float16, Float64, Int64, UInt8, UInt16
+from ...errors import InputError
+from ...query import Match
+from ...query.tracks import tracks
+from ...scene.gaussians import Gaussians
+from ...scene.moving import Moving
+from .session import Session
+from .shown import Frame, Shown
+
+MOST_TIMES, LEAST_TIMES = 120, 8
+MOST_MOVED = 1_000_000
+"""Gaussians that move, times times: 19 bytes each before they are packed."""
+STILL = 2e-3  # of the browser's units: what moves less stands still
+SAME = 0.02  # of a Gaussian's spread: what turns or grows less does not
+SEEN = 1 / 255
+LEVELS = 65_535  # of a place along an axis
+TIMES_A_SECOND, LEAST_SECONDS, MOST_SECONDS = 15, 2.0, 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class PageTimes:
+    """Places of k of m shown Gaussians at t times; the others stand still.
+
+    order: of the shown rows, with those that move first. places: low + step * number, in the browser's frame.
+    seconds: that it plays. num_known: times of the scene.
+    """
+
+    times: Float64[np.ndarray, " t"]
+    order: Int64[np.ndarray, " m"]
+    places: UInt16[np.ndarray, "t k 3"]
+    low: Float64[np.ndarray, " 3"]
+    step: Float64[np.ndarray, " 3"]
+    covariances: Float16[np.ndarray, "t k 6"]
+    opacities: UInt8[np.ndarray, "t k"]
+    seconds: float
+    num_known: int
+
+    @property
+    def said(self) -> str:
+        """For people."""
+        of = f" of {self.num_known:,}" if len(self.times) < self.num_known else ""
+        return f"{self.places.shape[1]:,} of them move, at {len(self.times):,}{of} times."
+
+
+def times_of_page(session: Session) -> PageTimes | None:
+    """None where nothing moves. The session is left at its first time.
+
+    Raises: InputError: so much moves that a page has no room for it at `LEAST_TIMES` times.
+    """
+    if session.scene.motion is None:
+        return None
+    known = session.scene.motion.times
+    times = _evenly(known, MOST_TIMES)
+    session.time = float(times[0])
+    moves = _moving(session, times)
+    count = int(moves.sum())
+    if not count:
+        return None
+    if MOST_MOVED // count < min(LEAST_TIMES, len(times)):
+        most = MOST_MOVED // min(LEAST_TIMES, len(times))
+        raise InputError(
+            f"{count:,} of the {len(moves):,} Gaussians shown move, and a page has room for {most:,} at {LEAST_TIMES} "
+            f"times: show fewer, e.g. max_gaussians={most // 1000 * 1000 or most}"
+        )
+    times = _evenly(times, MOST_MOVED // count)
+    order = np.argsort(~moves, kind="stable")
+    return _collected(session, times, order, count, len(known))
+
+
+def _collected(
+    session: Session, times: Float64[np.ndarray, " t"], order: Int64[np.ndarray, " m"], count: int, num_known: int
+) -> PageTimes:
+    centers = np.empty((len(times), count, 3), np.float32)
+    covariances = np.empty((len(times), count, 6), np.float16)
+    opacities = np.empty((len(times), count), np.uint8)
+    for number, drawn in enumerate(_drawn(session, times)):
+        rows = order[:count]
+        centers[number], covariances[number] = drawn.centers[rows], drawn.covariances[rows]
+        opacities[number] = np.round(drawn.opacities[rows] * 255)
+    seen = centers[opacities > 0]
+    low, high = seen.min(0).astype(np.float64), seen.max(0).astype(np.float64)
+    step = np.maximum((high - low) / LEVELS, 1e-12)
+    places = np.clip(np.round((centers - low) / step), 0, LEVELS).astype(np.uint16)
+    seconds = float(np.clip(num_known / TIMES_A_SECOND, LEAST_SECONDS, MOST_SECONDS))
+    return PageTimes(times, order, places, low, step, covariances, opacities, seconds, num_known)
+
+
+def _moving(session: Session, times: Float64[np.ndarray, " t"]) -> Bool[np.ndarray, " m"]:
+    """Which of the shown rows are not at all times where they are at the first."""
+    first = session.drawn
+    spread = first.covariances[:, [0, 3, 5]].sum(1)
+    moves = np.zeros(len(first), bool)
+    for drawn in _drawn(session, times):
+        away = np.abs(drawn.centers - first.centers).max(1) > STILL
+        away |= np.abs(drawn.covariances - first.covariances).max(1) > SAME * spread
+        moves |= away & (drawn.opacities >= SEEN) | (np.abs(drawn.opacities - first.opacities) >= SEEN)
+    return moves
+
+
+def _drawn(session: Session, times: Float64[np.ndarray, " t"]) -> Iterator[Shown]:
+    """Yield what is shown at each time, one after the other, and at last set the first time again."""
+    for time in times.tolist():
+        session.time = time
+        yield session.drawn
+    session.time = float(times[0])
+
+
+def _evenly(times: Float64[np.ndarray, " t"], most: int) -> Float64[np.ndarray, " s"]:
+    return np.asarray(times[np.linspace(0, len(times) - 1, min(len(times), most)).round().astype(int)])
+
+
+def boxes_of(session: Session, times: PageTimes | None, matches: Sequence[Match]) -> list[list[list[float] | None]]:
+    """Return the box of each match at each time: middle, axes and lengths, 15 numbers in the browser's frame.
+
+    A box is None where the match is not there. Matches and scenes that stand still have no boxes, [].
+    """
+    if times is None or not matches:
+        return [[] for _ in matches]
+    scene, frame, now = session.scene, session.shown.frame, session.time
+    moving = Moving(scene.moving.canonical, times.times, _Standing(session))
+    found = tracks(moving, scene.field, matches, scene.up)
+    session.time = now
+    boxes = []
+    for track in found:
+        at = {
+            time: _numbers(frame, *box)
+            for time, *box in zip(track.times.tolist(), track.centers, track.axes, track.extents, strict=True)
+        }
+        every = [at.get(time) for time in times.times.tolist()]
+        boxes.append([] if all(box == every[0] for box in every) else every)
+    return boxes
+
+
+@dataclass(frozen=True, eq=False)
+class _Standing:
+    """The scene's own rows as edits leave them, at any time."""
+
+    session: Session
+
+    def at(self, time: float) -> Gaussians:
+        self.session.time = time
+        return self.session.edits.standing
+
+
+def _numbers(
+    frame: Frame, center: Float64[np.ndarray, " 3"], axes: Float64[np.ndarray, "3 3"],
+    extent: Float64[np.ndarray, " 3"],
+) -> list[float]:  # fmt: skip
+    numbers = np.concatenate([frame.shown(center), axes.ravel(), extent * frame.scale])
+    return np.round(numbers, 4).tolist()  # type: ignore[no-any-return]
+
+
+def arrays_of(times: PageTimes) -> dict[str, np.ndarray]:
+    """Return the arrays that a page unpacks: each time but the first as its difference, as much stays the same."""
+    turns = times.covariances.view(np.uint16)
+    return {"places": _steps(times.places), "turns": _steps(turns), "fades": _steps(times.opacities)}
+
+
+def _steps(numbers: np.ndarray) -> np.ndarray:
+    """Differences along time, which begin again where they end."""
+    steps = numbers.copy()
+    steps[1:] -= numbers[:-1]
+    return steps.ravel()
+
+
+def header_of(times: PageTimes) -> dict[str, Any]:
+    return {
+        "at": times.times.tolist(),
+        "count": times.places.shape[1],
+        "low": times.low.tolist(),
+        "step": times.step.tolist(),
+        "seconds": times.seconds,
+    }

@@ -1,0 +1,107 @@
+"""Colours of Gaussians that say something: how well they answer, what was found, what they are."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...base.arrays import Bool, Float32, Int32, UInt8
+from ...drawing import palette
+from ...field import LanguageField
+
+Colors = Float32[np.ndarray, "n 3"]
+Values = Float32[np.ndarray, " n"]
+
+ACCENTS = (
+    (255, 170, 30), (60, 150, 255), (255, 70, 150), (70, 210, 110), (180, 110, 255), (60, 215, 220), (255, 95, 60),
+    (200, 215, 60),
+)  # fmt: skip
+"""Colours of several queries at once, in the order of the queries."""
+
+LUMA = palette.LUMA.astype(np.float32)
+DIM, DIM_FLOOR = 0.52, 0.08  # what a Gaussian keeps of its light where another is meant: dimmed, never black
+GREYED = 0.72  # share of its colour that it loses
+TINT = 0.35  # share of the query's colour in what was found, where several are told apart
+LOOK = {"dim": DIM, "floor": DIM_FLOOR, "greyed": GREYED, "tint": TINT}
+"""The numbers above, as the client is told them: it paints answers as `highlighted` does."""
+OBJECT_TINT = 0.42  # share of an object's colour, where every object has one of its own
+TURN, CHROMA, CHROMA_STEP, DEPTH = 0.618034, 0.5, 0.18, 0.8  # of a hue for each object; how loud it is
+FEATURE_SAMPLE = 20_000
+
+
+def accent(number: int) -> tuple[int, int, int]:
+    return ACCENTS[number % len(ACCENTS)]
+
+
+def dimmed(rgb: Colors) -> Colors:
+    """Return colours with half their light and little of their hue, so that what is not dimmed stands out."""
+    grey = (rgb @ LUMA)[:, None]
+    return np.asarray(DIM_FLOOR + DIM * (GREYED * grey + (1 - GREYED) * rgb), np.float32)
+
+
+def highlighted(rgb: Colors, owners: Int32[np.ndarray, " n"], accents: Sequence[Sequence[int]]) -> Colors:
+    """Return what was found in its own colours and full light, the rest dimmed; as the client paints answers.
+
+    Of several queries, what was found has a share of its query's colour.
+
+    owners: the number of the query that found a Gaussian, -1 for none of them. Where nothing was found, nothing is
+    dimmed.
+    """
+    found = owners >= 0
+    if not found.any():
+        return rgb
+    painted = dimmed(rgb)
+    palette = np.array(accents, np.float32).reshape(-1, 3) / 255
+    tint = 0.0 if len(palette) == 1 else TINT
+    shade = (0.45 + 0.55 * (rgb[found] @ LUMA))[:, None]
+    painted[found] = (1 - tint) * rgb[found] + tint * palette[owners[found]] * shade
+    return np.clip(painted, 0, 1).astype(np.float32)
+
+
+def class_painted(rgb: Colors, labels: Int32[np.ndarray, " n"], palette: UInt8[np.ndarray, "c 3"]) -> Colors:
+    """Classes in their colours, shaded by the scene's own light; dimmed where there is none."""
+    painted = dimmed(rgb)
+    found = labels >= 0
+    shade = 0.5 + 0.5 * (rgb[found] @ LUMA)[:, None]
+    painted[found] = palette[labels[found]].astype(np.float32) / 255 * shade
+    return painted
+
+
+def object_colors(count: int) -> Float32[np.ndarray, "c 3"]:
+    """Return the colours of objects, as the client has them: hues far from each other, none of them loud."""
+    numbers = np.arange(count)
+    places = (np.array([5.0, 3.0, 1.0]) + (6 * (numbers * TURN % 1))[:, None]) % 6
+    chroma = CHROMA + CHROMA_STEP * (numbers % 3)
+    lost = DEPTH * chroma[:, None] * np.clip(np.minimum(places, 4 - places), 0, 1)
+    return np.asarray(1 - lost, np.float32)
+
+
+def object_painted(rgb: Colors, labels: Int32[np.ndarray, " n"], count: int) -> Colors:
+    """Return objects with a share of a colour of their own, as the client paints them; the rest dimmed."""
+    painted, found = dimmed(rgb), labels >= 0
+    shade = (0.35 + 0.65 * (rgb[found] @ LUMA))[:, None]
+    painted[found] = (1 - OBJECT_TINT) * rgb[found] + OBJECT_TINT * shade * object_colors(count)[labels[found]]
+    return painted
+
+
+def feature_colors(field: LanguageField, rgb: Colors, registered: Bool[np.ndarray, " n"], seed: int = 0) -> Colors:
+    """Return the three main directions of the field's features as red, green and blue; dimmed without a feature.
+
+    rgb, registered: of every Gaussian of the scene. The directions are those of a sample of
+    `FEATURE_SAMPLE` rows, and each colour spans 98 of 100 of these.
+    """
+    painted, rows = dimmed(rgb), len(field)
+    if rows < 3:
+        return painted
+    chosen = np.random.default_rng(seed).permutation(rows)[:FEATURE_SAMPLE]
+    sample = field.feature(np.sort(chosen)).astype(np.float64)
+    middle = sample.mean(0)
+    axes = np.linalg.eigh((sample - middle).T @ (sample - middle))[1][:, :-4:-1].T
+    axes = axes * np.sign(axes[np.arange(3), np.abs(axes).argmax(1)])[:, None]  # a direction has two signs
+    low, high = np.quantile((sample - middle) @ axes.T, (0.01, 0.99), axis=0)
+    colors, block = np.empty((rows, 3), np.float32), 1 << 16
+    for begin in range(0, rows, block):
+        part = np.arange(begin, min(begin + block, rows))
+        at = (field.feature(part) - middle) @ axes.T
+        colors[part] = np.clip((at - low) / np.maximum(high - low, 1e-9), 0, 1)
+    painted[registered] = 0.08 + 0.9 * colors
+    return painted

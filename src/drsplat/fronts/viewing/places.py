@@ -1,0 +1,48 @@
+"""Boxes and matches as documents in the browser's frame, for a page and for a running viewer."""
+
+from typing import Any
+
+import numpy as np
+
+from ...base.arrays import Float64, Shaped
+from ...query import Match
+from .shown import Frame
+from .texts import printable
+
+MAX_NAME_LENGTH = 60
+
+
+def box_document(
+    frame: Frame, center: Float64[np.ndarray, " 3"], axes: Float64[np.ndarray, "3 3"],
+    extent: Float64[np.ndarray, " 3"],
+) -> dict[str, Any]:  # fmt: skip
+    """Return an oriented box: centre, axes as rows, lengths along them."""
+    return {"center": rounded(frame.shown(center)), "axes": rounded(axes), "extent": rounded(extent * frame.scale)}
+
+
+def match_document(frame: Frame, match: Match, eye: Float64[np.ndarray, " 3"], name: str = "") -> dict[str, Any]:
+    """Return a match with its box, a place to see it from, and its numbers in scene units. eye: in the world."""
+    return box_document(frame, match.center, match.axes, match.extent) | {
+        "eye": rounded(frame.shown(eye)),
+        "score": round(float(match.score), 4),
+        "size": size_text(match.extent),
+        "place": place_text(match.center),
+        "gaussians": len(match.gaussian_ids),
+        "name": printable(name, MAX_NAME_LENGTH),
+    }
+
+
+def rounded(values: Shaped[np.ndarray, "*any"]) -> list[Any]:
+    """Return numbers as lists, to five places: a browser's unit is a twentieth of the scene."""
+    lists: list[Any] = np.round(values.astype(np.float64), 5).tolist()
+    return lists
+
+
+def size_text(extent: Float64[np.ndarray, " 3"]) -> str:
+    """Return the lengths of a box in scene units, such as "0.12 x 0.08 x 0.09"."""
+    return " x ".join(f"{x:.3g}" for x in extent)
+
+
+def place_text(point: Float64[np.ndarray, " 3"]) -> str:
+    """Return a place in the world, such as "0.30, 0.14, 0.82"."""
+    return ", ".join(f"{round(float(x), 2) + 0.0:.2f}" for x in point)

@@ -1,0 +1,116 @@
+"""Queries asked together, and their matches."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...base.arrays import Float32, Int32, Int64
+from ...base.terminal import counted
+from ...drawing.heat import heat_of
+from ...kernels.boxes import box_of
+from ...query import Answer, Match, Scene
+from ...query.defaults import OBJECT
+from ...scene.boxes import solid
+
+SEVERAL = ";"
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """One query, where its values are cut now, and the matches above that.
+
+    answer.threshold is the one that was chosen for it, and stays marked; threshold is the slider's.
+    """
+
+    label: str
+    answer: Answer
+    threshold: float
+    matches: list[Match]
+
+    @property
+    def gaussian_ids(self) -> Int64[np.ndarray, " m"]:
+        """Sorted ids of the Gaussians of all matches."""
+        return joined([match.gaussian_ids for match in self.matches])
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Between which a threshold makes a difference: the median and the highest value."""
+        values = self.answer.values
+        if not len(values):
+            return 0.0, 1.0
+        low, high = float(np.median(values)), float(values.max())
+        low, high = min(low, self.answer.threshold), max(high, self.answer.threshold)
+        return low, high if high > low else low + 1e-3
+
+    @property
+    def said(self) -> str:
+        """Sentence with the number of matches, and the reason not to rely on them, if there is one."""
+        doubt = f" ({self.answer.doubt})" if self.answer.doubt else ""
+        if not self.matches:
+            return f"No match for '{self.label}'.{doubt}"
+        matches = counted(len(self.matches), "match", "matches")
+        return f"{self.label}: {matches}, {counted(len(self.gaussian_ids), 'Gaussian')}{doubt}"
+
+
+def result_of(scene: Scene, label: str, answer: Answer) -> Result:
+    return Result(label, answer, answer.threshold, scene.locate(answer))
+
+
+def result_of_ids(scene: Scene, label: str, ids: Int64[np.ndarray, " m"]) -> Result:
+    """Return exactly some Gaussians, one or more, as the only match of a query; they need no feature."""
+    rows = scene.field.rows_of(ids)
+    answer = Answer.of_rows(scene.field, rows[rows >= 0], OBJECT)
+    box = box_of(scene.gaussians, solid(scene.gaussians, ids), scene.up)
+    return Result(label, answer, answer.threshold, [Match(box.center, box.axes, box.extent, 1.0, ids)])
+
+
+def cut_at(scene: Scene, result: Result, threshold: float) -> Result:
+    """Return the result of the same query with another threshold."""
+    matches = scene.locate(result.answer.cut_at(threshold))
+    return replace(result, threshold=threshold, matches=matches)
+
+
+def split_queries(text: str) -> list[str]:
+    """ "mug; lamp" is two queries; the same one twice is one."""
+    return list(dict.fromkeys(part.strip() for part in text.split(SEVERAL) if part.strip()))
+
+
+def joined(parts: Sequence[Int64[np.ndarray, " _"]]) -> Int64[np.ndarray, " m"]:
+    """All ids in any of the parts, ascending."""
+    return np.unique(np.concatenate(parts)) if parts else np.empty(0, np.int64)
+
+
+def heat(results: Sequence[Result], count: int) -> Float32[np.ndarray, " n"]:
+    """Per Gaussian how well it answers, as in `drawing.heat.heat_of`; of several queries the best."""
+    warmest = np.zeros(count, np.float32)
+    for result in results:
+        field, own = result.answer.field, result.answer.values
+        if len(own):
+            warm = field.dense(heat_of(own, result.threshold), fill=0.0)
+            warmest = np.maximum(warmest, warm)
+    return warmest
+
+
+def owners(results: Sequence[Result], count: int) -> Int32[np.ndarray, " n"]:
+    """Per Gaussian the number of the query that it matches, of several the first; -1 for none."""
+    owner = np.full(count, -1, np.int32)
+    for number in range(len(results) - 1, -1, -1):
+        owner[results[number].gaussian_ids] = number
+    return owner
+
+
+def match_ids(results: Sequence[Result], count: int) -> Int32[np.ndarray, " n"]:
+    """Per Gaussian the number of the match that it belongs to, counted through all queries; -1 for none."""
+    ids = np.full(count, -1, np.int32)
+    matches = [match for result in results for match in result.matches]
+    for number in range(len(matches) - 1, -1, -1):
+        ids[matches[number].gaussian_ids] = number
+    return ids
+
+
+def relevancy(results: Sequence[Result], count: int) -> Float32[np.ndarray, " n"]:
+    """Per Gaussian the highest value of any query, in its own measure."""
+    if not results:
+        return np.zeros(count, np.float32)
+    return np.asarray(np.max([result.answer.dense for result in results], axis=0))

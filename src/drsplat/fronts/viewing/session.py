@@ -1,0 +1,404 @@
+"""The state of a viewer and what people do to it; no browser, no network."""
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from functools import cached_property
+
+import numpy as np
+
+from ...authoring.editing import Edit, Isolate, Recolour, Remove, Rows
+from ...authoring.editing.edits import Change
+from ...authoring.editing.resolving import whole
+from ...authoring.editing.targets import LONGEST
+from ...base.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
+from ...base.terminal import counted
+from ...drawing.heat import heat_colors
+from ...drawing.palette import class_colors
+from ...errors import InputError
+from ...query import Query, Scene, Segmentation
+from ...query.defaults import OBJECT
+from ...query.nodes import Chosen, chosen_at, name_of
+from ...query.objects import answer_of, match_of, objects_of
+from ...scene.gaussians import Gaussians
+from ...scene.moving import Span
+from ...scene.views import View
+from . import painting, results
+from .edits import Edits
+from .lasso import inside_outline
+from .naming import This, known_words, this_is
+from .picking import hit_by_ray
+from .results import Result
+from .shown import Shown, shown_of
+
+MOST_QUERIES = 8  # at once: as many as there are colours
+
+
+class Mode(StrEnum):
+    """Mode of colours; the values are what people read."""
+
+    ANSWER = "answer"
+    HEAT = "heat map"
+    SCENE = "as it is"
+    FEATURES = "features"
+    CLASSES = "classes"
+    OBJECTS = "objects"
+
+
+@dataclass(eq=False)
+class Session:
+    """One scene on show. Not safe for several threads at once.
+
+    words: to name things with; None takes the encoder's own. budget: Gaussians that a browser gets. chosen: the part,
+    thing or group that was clicked, None for none. time: at which a scene that moves is shown; None: it stands still.
+    during: the span of time that queries ask of. edits_kept: whether edits are those kept beside the scene, or in
+    memory from none on. asked: the queries in words that are answered now, none where something else is shown.
+    """
+
+    scene: Scene
+    budget: int = 1_000_000
+    words: Sequence[str] | None = None
+    mode: Mode = Mode.SCENE
+    results: tuple[Result, ...] = ()
+    segmentation: Segmentation | None = None
+    clicked: This | None = None
+    chosen: Chosen | None = None
+    time: float | None = None
+    during: Span | None = None
+    edits_kept: bool = True
+    asked: tuple[str, ...] = ()
+    _edits: Edits = field(init=False)
+    _before: Mode = Mode.SCENE
+
+    def __repr__(self) -> str:
+        return f"Session({self.scene.name!r}, {self.mode}, {counted(len(self.results), 'result')})"
+
+    def __post_init__(self) -> None:
+        self._edits = Edits.of(self.scene, self.edits_kept)
+
+    @property
+    def edits(self) -> Edits:
+        """Those of the scene, done to it as it is at the time that is shown."""
+        self._edits.stand(self.here.gaussians)
+        return self._edits
+
+    def copied(self) -> "Session":
+        """Return a session that stays as this one is now, whatever is done to this one; edits of it are kept."""
+        edits, other = copy.copy(self.edits), copy.copy(self)
+        other._edits = edits
+        return other
+
+    def unasked(self, budget: int) -> "Session":
+        """Return a session of the same scene with a copy of its edits, in which nothing was asked."""
+        other = Session(self.scene, min(budget, self.budget), self.words, edits_kept=False)
+        other._edits = copy.copy(self.edits)
+        return other
+
+    def take_edits(self, other: "Session") -> None:
+        """Take the edits of a copy, as they are now."""
+        self._edits.take(other._edits)
+
+    @cached_property
+    def shown(self) -> Shown:
+        return shown_of(self.scene.gaussians, self.budget)
+
+    @property
+    def here(self) -> Scene:
+        """The scene as it is at the time that is shown."""
+        return self.scene if self.time is None else self.scene.at(self.time)
+
+    # --- asking ---
+
+    @property
+    def is_askable(self) -> bool:
+        """True if any Gaussian has a feature."""
+        return len(self.scene.field) > 0
+
+    @property
+    def has_objects(self) -> bool:
+        """True if the field has objects."""
+        return bool(self.scene.field.objects)
+
+    @property
+    def can_name(self) -> bool:
+        """True if there is a file to keep names in."""
+        return self.scene.label_file is not None
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        """Those that show something of this scene."""
+        if not self.is_askable:
+            return (Mode.SCENE,)
+        return tuple(mode for mode in Mode if mode is not Mode.OBJECTS or self.has_objects)
+
+    def ask(self, text: str) -> str:
+        """To one query in words, or several with ";" between them; says what was found.
+
+        Raises: InputError: no words, too many queries, words that the encoder does not know.
+        """
+        texts = results.split_queries(text)
+        if not 1 <= len(texts) <= MOST_QUERIES:
+            raise InputError(f"expected one to {MOST_QUERIES} queries with ';' between them")
+        said = self._answered(
+            [results.result_of(self.scene, one, self.scene.ask(Query(one, during=self.during))) for one in texts]
+        )
+        self.asked = tuple(texts)
+        return said
+
+    def ask_picture(self, picture: UInt8[np.ndarray, "_ _ 3"], name: str) -> str:
+        """To what a picture shows. Raises: InputError: an encoder that sees no images."""
+        answer = self.scene.ask(Query(image=picture, during=self.during))
+        return self._answered([results.result_of(self.scene, name, answer)])
+
+    def more_like_this(self) -> str:
+        """To what was clicked. Raises: InputError: nothing was."""
+        if self.clicked is None:
+            raise InputError("click something in the scene first")
+        label = f"like this {self.clicked.name}".rstrip()
+        return self._answered([replace(self.clicked.alike, label=label)])
+
+    def set_threshold(self, number: int, threshold: float) -> str:
+        """Cut the values of one of the queries elsewhere. Raises: InputError: no such query, or not a number."""
+        if not np.isfinite(threshold):
+            raise InputError(f"expected a finite threshold, got {threshold}")
+        if not 0 <= number < len(self.results):
+            raise InputError(f"there is no query {number} of {len(self.results)}")
+        changed = results.cut_at(self.scene, self.results[number], threshold)
+        self.results = (*self.results[:number], changed, *self.results[number + 1 :])
+        return self.said
+
+    def classify(self, texts: Sequence[str]) -> Segmentation:
+        """Each Gaussian as the best of some classes, and show them.
+
+        Raises: InputError: no classes, one twice, or words that the encoder does not know.
+        """
+        self.segmentation = self.scene.segment([text.strip() for text in texts if text.strip()])
+        self.mode = Mode.CLASSES
+        return self.segmentation
+
+    @property
+    def marked(self) -> tuple[Result, ...]:
+        """Those whose boxes and names the colours go with."""
+        fits = self.mode in (Mode.ANSWER, Mode.HEAT) or (self.mode is Mode.OBJECTS and self.chosen is not None)
+        return self.results if fits else ()
+
+    @property
+    def said(self) -> str:
+        return " \n".join(result.said for result in self.results)
+
+    def _answered(self, answers: list[Result]) -> str:
+        self.results, self.mode, self.chosen, self.asked = tuple(answers), Mode.ANSWER, None, ()
+        return self.said
+
+    def clear(self) -> None:
+        """Show the scene as it is, with nothing found, clicked or selected."""
+        self.results, self.asked, self.clicked, self.chosen, self.mode = (), (), None, None, Mode.SCENE
+
+    def lasso(self, view: View, outline: Float64[np.ndarray, "p 2"]) -> str:
+        """Select what is mostly seen inside an outline in a picture from a camera in the world.
+
+        outline: corners in pixels of the view. Raises: InputError: nothing is seen there.
+        """
+        splats = self.edits.splats if self.edits.is_edited else self.here.splats
+        ids = inside_outline(splats, view, outline, threads=self.scene.threads)
+        ids = ids[ids < len(self.scene.gaussians)]  # what edits added answers nothing
+        if not len(ids):
+            raise InputError("nothing is seen inside the outline: draw it around something")
+        self.clicked = None
+        return self._answered([results.result_of_ids(self.scene, "outlined", ids)])
+
+    # --- pointing ---
+
+    def click(self, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]) -> This | None:
+        """Return what a ray in the browser's frame meets first, None where that has no feature.
+
+        In a field with objects it is selected: the object, or where that is none all that is like it.
+
+        Raises: InputError: a ray that goes nowhere.
+        """
+        if not (np.isfinite(origin).all() and np.isfinite(direction).all() and direction.any()):
+            raise InputError("a click needs a place and a direction")
+        visible = np.zeros(len(self.scene.gaussians), bool)
+        visible[self.scene.field.gaussian_ids] = True
+        visible &= ~self.hidden
+        start = self.shown.frame.world(origin)
+        hit = hit_by_ray(self.edits.standing, start, direction, visible)
+        self.clicked, self.chosen = None if hit is None else this_is(self.scene, hit, self.words), None
+        if hit is not None and self.has_objects:
+            self._choose(chosen_at(self.scene, hit.gaussian_ids, hit.weights))
+        return self.clicked
+
+    # --- objects ---
+
+    def choose_object(self, number: int) -> None:
+        """Select an object by its number. Raises: InputError: there is none of that number, or the field has none."""
+        self.clicked = None
+        self._choose(Chosen((objects_of(self.scene.field).thing(number),), 0))
+
+    def smaller(self) -> None:
+        """Select the next smaller node at the place that was clicked.
+
+        Raises: InputError: no object is selected, or it has no parts.
+        """
+        smaller = self._needed_node().smaller(objects_of(self.scene.field))
+        if smaller is None:
+            raise InputError("there is nothing smaller in it")
+        self._choose(smaller)
+
+    def larger(self) -> None:
+        """Select what the selected node is part or member of.
+
+        Raises: InputError: no object is selected, or it is in none.
+        """
+        larger = self._needed_node().larger()
+        if larger is None:
+            raise InputError("there is nothing larger that it is part of")
+        self._choose(larger)
+
+    def everything(self) -> None:
+        """Show each object in a colour of its own; the second time the colours before.
+
+        Raises: InputError: the field has no objects.
+        """
+        objects_of(self.scene.field)
+        if self.mode is Mode.OBJECTS:
+            self.mode = self._before
+        else:
+            self._before, self.mode = self.mode, Mode.OBJECTS
+
+    def name(self, text: str) -> None:
+        """Call the selected part, thing or group so from now on.
+
+        Raises: InputError: no object is selected, an empty name, or nowhere to keep it.
+        """
+        chosen = self._needed_node()
+        self.scene.label(chosen.node, text)
+        self._choose(chosen)
+
+    def name_of(self, node: int) -> str:
+        """Its label, else its best word, else its number. Raises: InputError: no such node."""
+        return name_of(self.scene, node, known_words(self.scene, self.words))
+
+    def _choose(self, chosen: Chosen | None) -> None:
+        """Select a node; where there is none, what is like the place that was clicked."""
+        was_everything = self.mode is Mode.OBJECTS
+        if chosen is None:
+            self.more_like_this()
+        else:
+            name, answer = self.name_of(chosen.node), answer_of(self.scene.field, [chosen.node], OBJECT)
+            match = match_of(self.scene.field, chosen.node)
+            self._answered([Result(name, answer, answer.threshold, [match])])
+            self.clicked = None if self.clicked is None else replace(self.clicked, match=match)
+        self.chosen = chosen
+        if was_everything:
+            self._before, self.mode = Mode.ANSWER, Mode.OBJECTS
+
+    def _needed_node(self) -> Chosen:
+        if self.chosen is None:
+            raise InputError("no object is selected: click one in the scene first")
+        return self.chosen
+
+    # --- changing what is there ---
+
+    @property
+    def hidden(self) -> Bool[np.ndarray, " n"]:
+        """True for each Gaussian that edits have removed."""
+        return ~self.edits.present
+
+    @property
+    def selection(self) -> Int64[np.ndarray, " m"]:
+        """All that was found and is not hidden, ascending."""
+        ids = results.joined([result.gaussian_ids for result in self.results])
+        return np.asarray(ids[~self.hidden[ids]])
+
+    def edit(self, change: Change) -> None:
+        """Change the selection, with what hangs on to it. Raises: InputError: nothing is selected, or it cannot be."""
+        self.edits.add(Edit(self.target, change))
+        self.mode = Mode.SCENE
+
+    @property
+    def target(self) -> Rows:
+        """The selection, as edits name it. Raises: InputError: nothing is selected."""
+        ids, chosen = whole(self.scene, self._needed()), self.chosen
+        objects = self.scene.field.objects
+        number = -1 if chosen is None or objects is None else int(objects.number_of[chosen.node])
+        if number >= 0 and objects is not None and objects.thing(number) == chosen.node:  # type: ignore[union-attr]
+            return Rows.of(ids, "object", str(number))
+        return Rows.of(ids, "query", "; ".join(result.label for result in self.results)[:LONGEST])
+
+    def hide(self) -> None:
+        """Remove the selection. Raises: InputError: nothing is selected."""
+        self.edit(Remove())
+
+    def keep(self) -> None:
+        """Nothing but the selection. Raises: InputError: nothing is selected."""
+        self.edit(Isolate())
+
+    def repaint(self, rgb: Sequence[int]) -> None:
+        """Give the selection one hue, with its own light and shade. Raises: InputError: nothing is selected."""
+        red, green, blue = (part / 255 for part in rgb)
+        self.edit(Recolour((red, green, blue)))
+
+    def restore(self) -> None:
+        """Everything, as it was before all edits, which can be redone."""
+        self.edits.undo(self.edits.listed.done)
+
+    def _needed(self) -> Int64[np.ndarray, " m"]:
+        if not len(self.selection):
+            raise InputError("nothing is selected: make a query that has a match first")
+        return self.selection
+
+    # --- what it looks like ---
+
+    @property
+    def colors(self) -> Float32[np.ndarray, "n 3"]:
+        """Colours of every Gaussian of the scene in the present mode, in [0, 1]."""
+        mode, count = self.mode, len(self.scene.gaussians)
+        if mode is Mode.FEATURES:
+            return self._feature_colors
+        if mode is Mode.CLASSES and self.segmentation is not None:
+            palette = class_colors(len(self.segmentation.names))
+            return painting.class_painted(self.edits.colors, self.segmentation.labels, palette)
+        if mode is Mode.OBJECTS and self.has_objects:
+            return painting.object_painted(self.edits.colors, self.object_ids, len(objects_of(self.scene.field)))
+        if mode in (Mode.ANSWER, Mode.HEAT) and self.results:
+            heat = results.heat(self.results, count)
+            if mode is Mode.HEAT:
+                return heat_colors(heat)
+            accents = [painting.accent(number) for number in range(len(self.results))]
+            owners = results.owners(self.results, count)
+            return painting.highlighted(self.edits.colors, owners, accents)
+        return self.edits.colors
+
+    @property
+    def opacities(self) -> Float32[np.ndarray, " n"]:
+        """Opacities of every Gaussian of the scene; 0 where it is hidden."""
+        return self.edits.opacities[: len(self.scene.gaussians)]
+
+    @property
+    def drawn(self) -> Shown:
+        """Rows that a browser draws: those of the scene as edited, those that edits added behind its own."""
+        return self.edits.shown(self.shown, self.budget)
+
+    @property
+    def drawn_colors(self) -> Float32[np.ndarray, "d 3"]:
+        """`colors`, with what edits added in its own."""
+        return np.concatenate([self.colors, self.edits.added_colors])
+
+    @cached_property
+    def _feature_colors(self) -> Float32[np.ndarray, "n 3"]:
+        registered = np.zeros(len(self.scene.gaussians), bool)
+        registered[self.scene.field.gaussian_ids] = True
+        return painting.feature_colors(self.scene.field, self.edits.colors, registered)
+
+    @cached_property
+    def object_ids(self) -> Int32[np.ndarray, " n"]:
+        return self.scene.object_ids()
+
+    def edited(self, *, selected_only: bool = False) -> tuple[Gaussians, Int64[np.ndarray, " m"]]:
+        """Return the Gaussians after all edits, and their rows: the scene's own, then added ones.
+
+        selected_only: of that, what is selected. Raises: InputError: nothing is left.
+        """
+        return self.edits.part(self._needed() if selected_only else None)

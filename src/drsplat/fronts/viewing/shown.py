@@ -1,0 +1,131 @@
+"""Which Gaussians a browser is given, and in which frame."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...base.arrays import Float32, Float64, Int64
+from ...errors import InputError
+from ...scene.gaussians import SH_C0, Gaussians
+
+RADIUS = (
+    10.0  # of what is shown, in the browser's units: a Gaussian of a thousandth is 1e-4 squared, which float16 holds
+)
+WITHIN = 0.9  # of the solid Gaussians lie within that radius
+MIDDLE = (0.02, 0.98)  # quantiles along each axis whose mean is the middle: few floaters move it little
+MOST_VARIANCE = 6e4  # float16 ends at 65504
+VOLUME_POWER = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Frame of the scene in the browser: x_shown = scale * (x_world - center); directions stay."""
+
+    center: Float64[np.ndarray, " 3"]
+    scale: float
+
+    def shown(self, points: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
+        return np.asarray(self.scale * (points - self.center))
+
+    def world(self, points: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
+        return np.asarray(points / self.scale + self.center)
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """The `ids` of a scene that are shown, ascending, and what they look like from afar.
+
+    centers, covariances: in the browser's frame. rgb: the colour without view dependence, in [0, 1].
+    num_left_out: Gaussians beyond the budget. antialiased: as of `Gaussians`.
+    """
+
+    ids: Int64[np.ndarray, " m"]
+    centers: Float32[np.ndarray, "m 3"]
+    covariances: Float32[np.ndarray, "m 6"]
+    rgb: Float32[np.ndarray, "m 3"]
+    opacities: Float32[np.ndarray, " m"]
+    frame: Frame
+    num_left_out: int
+    antialiased: bool = False
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @property
+    def said(self) -> str:
+        """Sentence about what is left out, empty where nothing is."""
+        if not self.num_left_out:
+            return ""
+        total = len(self) + self.num_left_out
+        return f"Shown are the {len(self):,} most significant of {total:,} Gaussians; answers are of all of them."
+
+
+def shown_of(gaussians: Gaussians, budget: int, frame: Frame | None = None) -> Shown:
+    """Return the `budget` most significant Gaussians, in a frame that float16 covariances can bear or a given one.
+
+    Raises: InputError: a budget below 1, or a scene without Gaussians.
+    """
+    if budget < 1 or not len(gaussians):
+        raise InputError(
+            f"nothing to show: {len(gaussians)} Gaussians and room for {budget}; give a scene and a budget of 1 or more"
+        )
+    ids = most_significant(gaussians, budget)
+    part = gaussians if len(ids) == len(gaussians) else gaussians.subset(ids)
+    frame = frame or frame_of(gaussians)
+    return Shown(
+        ids, _shown_centers(part, frame), _shown_covariances(part, frame), base_colors(part),
+        part.opacities, frame, len(gaussians) - len(ids), gaussians.antialiased,
+    )  # fmt: skip
+
+
+def _shown_centers(gaussians: Gaussians, frame: Frame) -> Float32[np.ndarray, "n 3"]:
+    """Return the centres in a frame; what lies beyond float32 is put at its ends, where nobody looks."""
+    farthest = float(np.finfo(np.float32).max)
+    return np.asarray(np.clip(frame.shown(gaussians.positions), -farthest, farthest), np.float32)
+
+
+def moved_shown(shown: Shown, gaussians: Gaussians) -> Shown:
+    """Return the same Gaussians, in the same frame, where a state of the scene has them."""
+    part = gaussians if len(shown) == len(gaussians) else gaussians.subset(shown.ids)
+    centers = _shown_centers(part, shown.frame)
+    covariances = _shown_covariances(part, shown.frame)
+    return replace(shown, centers=centers, covariances=covariances, rgb=base_colors(part), opacities=part.opacities)
+
+
+def _shown_covariances(part: Gaussians, frame: Frame) -> Float32[np.ndarray, "m 6"]:
+    covariances = np.empty((len(part), 6), np.float32)
+    block = 1 << 16  # bounds the float64 temporaries
+    for begin in range(0, len(part), block):
+        rows = np.arange(begin, min(begin + block, len(part)))
+        shown = part.subset(rows).covariances() * frame.scale**2
+        covariances[rows] = np.clip(shown, -MOST_VARIANCE, MOST_VARIANCE)
+    return covariances
+
+
+def base_colors(gaussians: Gaussians) -> Float32[np.ndarray, "n 3"]:
+    """Without what depends on the direction of view, in [0, 1]."""
+    return np.clip(0.5 + SH_C0 * gaussians.sh[:, 0], 0, 1).astype(np.float32)
+
+
+def most_significant(gaussians: Gaussians, budget: int) -> Int64[np.ndarray, " m"]:
+    """Return the ascending ids of the `budget` Gaussians of the largest `significance`."""
+    if len(gaussians) <= budget:
+        return np.arange(len(gaussians))
+    return np.sort(np.argpartition(-significance(gaussians), budget - 1)[:budget])
+
+
+def significance(gaussians: Gaussians) -> Float64[np.ndarray, " n"]:
+    """Return the opacity of each Gaussian times its volume to the power 0.1: how much a picture lacks without it.
+
+    Source: Fan et al. 2023 (LightGaussian) Eq. 2, without its count of rays: it needs no photos.
+    """
+    return np.asarray(gaussians.opacities * gaussians.scales.astype(np.float64).prod(1) ** VOLUME_POWER)
+
+
+def frame_of(gaussians: Gaussians) -> Frame:
+    """Return a frame in the middle of the solid Gaussians, `WITHIN` of which are inside of `RADIUS`."""
+    solid = gaussians.positions[gaussians.opacities >= 0.1]
+    points = solid if len(solid) else gaussians.positions
+    center = np.quantile(points, MIDDLE, axis=0).mean(axis=0)
+    reach = float(np.quantile(np.linalg.norm(points - center, axis=1), WITHIN))
+    return Frame(center, RADIUS / reach if reach > 0 else 1.0)

@@ -1,4 +1,0 @@
-"""Masks of photos by level, the choice among them, their crops, and the features of a photo.
-
-Imports nothing but errors and words for people.
-"""

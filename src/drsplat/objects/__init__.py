@@ -1,4 +1,0 @@
-"""Objects: what belongs together in a scene, found across photos, with or without words.
-
-Imports `evidence`, `field`, `kernels` and `scene`.
-"""

@@ -1,4 +1,0 @@
-"""Pictures of a splat without photos: poses planned from the scene, and renderings of them as a capture.
-
-Imports `scene`, `formats`, `kernels`, `codes`, `drawing`, `filming` and `embedding`.
-"""

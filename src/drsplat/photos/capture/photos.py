@@ -1,0 +1,223 @@
+"""Photos, each checked and copied into the capture: upright, in a common format, with its facts.
+
+The photos' own folder is only read. A photo that is upright already and a plain JPEG or PNG is copied byte for byte.
+"""
+
+import json
+import shutil
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from ...base.arrays import UInt8
+from ...base.contents import open_file
+from ...errors import MissingExtraError
+from ...formats.checksums import hash_file
+from ...formats.mask_files import FOLDER as MASKS
+from ...formats.mask_files import SUFFIX as MASK_SUFFIX
+from ...formats.replacing import replacing
+from ...scene.photos import PHOTO_FORMATS
+from ...scene.picture_costs import check_cost
+from .exif import ExifFacts, exif_facts
+from .finding import Source
+from .masks import bring_mask
+
+Vector = tuple[float, float, float]
+
+HEIF_ENDS = {".heic", ".heif"}
+INSTALL = 'pip install "drsplat[capture]"'
+MAX_PIXELS = 200_000_000
+MIN_SIDE_PX = 64
+JPEG_QUALITY = 95
+ALL_LEFT_OUT = "its mask leaves all of it out: white is kept, black is left out (invert_masks=True turns that round)"
+LOOK_SIDE_PX = 512  # of the small picture for measuring sharpness
+ORIENTATION = 0x0112
+DIGEST_LETTERS = 24
+_BLOCK = 1 << 20
+# per EXIF orientation, right and down of the upright photo in (right, down) of the stored one
+_TURNS = {1: ((1, 0), (0, 1)), 3: ((-1, 0), (0, -1)), 6: ((0, -1), (1, 0)), 8: ((0, 1), (-1, 0))}
+
+
+@dataclass(frozen=True)
+class Photo:
+    """Photo in the capture, or the reason why it could not be used (`fault`).
+
+    name: in the input folder. file: its name while the capture is made, from its contents, so equal photos are one
+    file. width, height: upright, in pixels. sharpness: standard deviation of the Laplacian of a small copy, in grey
+    levels.
+    """
+
+    name: str
+    file: str = ""
+    width: int = 0
+    height: int = 0
+    sharpness: float = 0.0
+    exif: ExifFacts = field(default_factory=ExifFacts)
+    fault: str | None = None
+
+    def to_json(self) -> str:
+        """Return the record as a line of JSON; `from_json` reads it."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, line: str) -> "Photo":
+        """Parse a line of `to_json`. Raises: ValueError, TypeError: it is no such record, or was cut off."""
+        document = json.loads(line)
+        exif: dict[str, Any] = document.pop("exif")
+        exif = {key: tuple(part) if isinstance(part, list) else part for key, part in exif.items()}
+        return cls(**document, exif=ExifFacts(**exif))
+
+
+class UnreadablePhoto(Exception):
+    """Reason why a single photo is left out, in words for people."""
+
+
+class _Decoded(NamedTuple):
+    """Decoded photo. upright: the picture if it has to be written anew, None to copy the file."""
+
+    upright: Image.Image | None
+    width: int
+    height: int
+    suffix: str
+    sharpness: float
+    exif: ExifFacts
+    orientation: int = 1
+
+
+def bring(source: Source, folder: Path, invert_masks: bool = False) -> Photo:
+    """Check a photo, write it upright into a folder under a name made of its digest, and return its record.
+
+    Its mask is written to the folder `masks` beside it, and becomes part of its name.
+
+    Raises: InputError: it cannot be written. MismatchError, FormatError: of a mask. MissingExtraError: HEIC, and
+    pi-heif is not installed.
+    """
+    try:
+        decoded = _decoded(source)
+        digest = _digest(source, invert_masks)
+    except UnreadablePhoto as error:
+        return Photo(source.name, fault=str(error))
+    path = folder / (digest + decoded.suffix)
+    with open_file(source.path) as file, replacing(path, overwrite=True) as output:
+        if decoded.upright is None:
+            shutil.copyfileobj(file, output, _BLOCK)
+        elif decoded.suffix == ".jpg":
+            decoded.upright.save(output, format="JPEG", quality=JPEG_QUALITY, subsampling=0)
+        else:
+            decoded.upright.save(output, format="PNG")
+    if source.mask is not None:
+        target = mask_path(folder, path.name)
+        if not bring_mask(source.mask, target, (decoded.width, decoded.height), decoded.orientation, invert_masks):
+            path.unlink()
+            target.unlink()
+            return Photo(source.name, fault=ALL_LEFT_OUT)
+    return Photo(source.name, path.name, decoded.width, decoded.height, decoded.sharpness, decoded.exif)
+
+
+def mask_path(folder: Path, file: str) -> Path:
+    """Return where the mask of a photo in the folder is, named as COLMAP expects it."""
+    return folder.parent / MASKS / (file + MASK_SUFFIX)
+
+
+def _digest(source: Source, invert_masks: bool) -> str:
+    """Return a name from the contents of a photo and its mask."""
+    photo = hash_file(source.path)
+    if source.mask is None:
+        return photo[:DIGEST_LETTERS]
+    return f"{photo[:DIGEST_LETTERS]}_{hash_file(source.mask)[:8]}{'_inverted' if invert_masks else ''}"
+
+
+def sharpness(grey: UInt8[np.ndarray, "h w"]) -> float:
+    """Return the standard deviation of the Laplacian of a picture of some 512 pixels, in grey levels."""
+    values = grey.astype(np.float32)
+    middle = values[1:-1, 1:-1]
+    laplacian = values[:-2, 1:-1] + values[2:, 1:-1] + values[1:-1, :-2] + values[1:-1, 2:] - 4 * middle
+    return float(laplacian.std()) if laplacian.size else 0.0
+
+
+def _decoded(source: Source) -> _Decoded:
+    """Decode a photo of any format. Raises: UnreadablePhoto, MissingExtraError."""
+    if source.num_bytes == 0:
+        raise UnreadablePhoto("the file is empty")
+    formats: tuple[str, ...] = PHOTO_FORMATS
+    if source.path.suffix.lower() in HEIF_ENDS:
+        add_heif()
+        formats = (*formats, "HEIF")
+    try:
+        with open_file(source.path) as file, Image.open(file, formats=formats) as coded:
+            check_cost(coded, file, MAX_PIXELS)
+            return _from_coded(coded)
+    except UnreadablePhoto:
+        raise
+    except UnidentifiedImageError:
+        raise UnreadablePhoto("it is no photo, or damaged at its beginning") from None
+    except Exception as error:  # decoders of damaged files raise anything
+        raise UnreadablePhoto(f"it is damaged ({error or type(error).__name__})") from error
+
+
+def _from_coded(coded: Image.Image) -> _Decoded:
+    if min(coded.size) < MIN_SIDE_PX:
+        raise UnreadablePhoto(f"{coded.width}x{coded.height} pixels are too few")
+    if coded.mode in ("I", "F"):
+        raise UnreadablePhoto(f"its pixels are of mode {coded.mode}: save it with 8 or 16 bits a channel")
+    exif = exif_facts(coded)
+    orientation = _orientation(coded)
+    is_jpeg = coded.format in ("JPEG", "MPO")
+    plain = coded.mode in ("RGB", "L") and "transparency" not in coded.info
+    suffix = ".jpg" if is_jpeg or coded.format == "HEIF" else ".png"
+    if orientation == 1 and plain and (is_jpeg or coded.format == "PNG"):
+        width, height = coded.size
+        coded.draft("L", (LOOK_SIDE_PX, LOOK_SIDE_PX))
+        return _Decoded(None, width, height, suffix, _sharpness_of(coded), exif)
+    upright = ImageOps.exif_transpose(as_rgb(coded))
+    exif = replace(exif, down=turned_down(exif.down, orientation))
+    upright.info.clear()
+    return _Decoded(upright, *upright.size, suffix, _sharpness_of(upright), exif, orientation)
+
+
+def _orientation(coded: Image.Image) -> int:
+    """Return the EXIF orientation; 1 (upright) where it is missing or none."""
+    try:
+        value = coded.getexif().get(ORIENTATION, 1)
+    except Exception:  # parsers of damaged blocks raise anything
+        return 1
+    return value if isinstance(value, int) and 1 <= value <= 8 else 1
+
+
+def as_rgb(coded: Image.Image) -> Image.Image:
+    """Return the picture in 8 bits a channel, transparency on black; it keeps its EXIF orientation."""
+    if coded.mode.startswith("I;16"):
+        rgb = Image.fromarray((np.asarray(coded) >> 8).astype(np.uint8)).convert("RGB")
+    elif "A" in coded.getbands() or "transparency" in coded.info:
+        rgba = coded.convert("RGBA")
+        rgb = Image.composite(rgba.convert("RGB"), Image.new("RGB", rgba.size), rgba.getchannel("A"))
+    else:
+        rgb = coded.convert("RGB")
+    rgb.getexif()[ORIENTATION] = _orientation(coded)
+    return rgb
+
+
+def _sharpness_of(picture: Image.Image) -> float:
+    grey = picture.convert("L")
+    grey.thumbnail((LOOK_SIDE_PX, LOOK_SIDE_PX), Image.Resampling.BOX)
+    return sharpness(np.asarray(grey))
+
+
+def turned_down(down: Vector | None, orientation: int) -> Vector | None:
+    """Return gravity in the axes of the upright photo; None for a mirrored photo, which no camera takes."""
+    if down is None or orientation not in _TURNS:
+        return None
+    right, below = _TURNS[orientation]
+    return right[0] * down[0] + right[1] * down[1], below[0] * down[0] + below[1] * down[1], down[2]
+
+
+def add_heif() -> None:
+    """Register HEIC with Pillow. Raises: MissingExtraError: pi-heif is not installed."""
+    try:
+        from pi_heif import register_heif_opener
+    except ImportError:
+        raise MissingExtraError(f"HEIC photos need pi-heif: {INSTALL}") from None
+    register_heif_opener()

@@ -1,0 +1,1 @@
+"""Features of photos on disk: the photos, masks and crops that are embedded; resumable."""

@@ -1,0 +1,350 @@
+"""Language features of photos: masks, their crops, their embeddings; one photo at a time, or a few.
+
+An `embedding.json` beside the features records the settings of the folder and its finished files. Features count as
+finished only with an entry there that fits them and their photo.
+"""
+
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
+from warnings import warn
+
+import numpy as np
+
+from ...base.arrays import Float32, Int32, UInt8
+from ...errors import DrSplatWarning, InputError
+from ...field.codes import Track, encoder_from_json, untracked
+from ...formats.checksums import hash_file
+from ...formats.claiming import claimed_folder
+from ...formats.embedding_record import FILE_NAME, EmbeddingRecord, open_record, read_settings
+from ...formats.feature_files import Form
+from ...formats.langsplat import FeatureFolder, stored_features, write_features
+from ...formats.photo_files import listed
+from ...formats.vocabulary import VocabularyEncoder, read_vocabulary, write_vocabulary
+from ...scene.encoders import Encoder, EncoderIdentity, ImageEncoder, identity_json
+from ...scene.masks.keeping_out import kept_masks
+from ...scene.masks.masks import LEVELS, Masks, Segmenter
+from ...scene.masks.selection import MaskMaps, mask_maps
+from ...scene.photo_masks import load_mask, views_with_something
+from ...scene.photos import load_image
+from ...scene.views import View, scenes_rendered
+from ..models.nouns import broad_list
+from ..models.word_list import known_words
+from .keeping import embedded_again, kept_identity, kept_maps, level_counts, masks_hash
+from .mask_rows import mask_rows
+from .side_by_side import Threaded, photos_at_once, side_by_side
+
+ALGORITHM = "1"  # version of everything here that decides what is written; another one makes all files anew
+WORD_LIST = "word_list.safetensors"  # beside the features: what queries are contrasted with
+MAX_HEIGHT = 1080
+"""Height in pixels that taller photos are scaled down to. Source: LangSplat preprocess.py."""
+
+
+@dataclass(frozen=True)
+class EmbeddingReport:
+    """Result of a run.
+
+    photos: number that now have features; reused: of them, finished before; redone: made anew over older files. masks:
+    by level. crops: number embedded. empty_masks: left out because they had no pixels. changes: settings that differ
+    from those of the older files.
+    """
+
+    photos: int
+    reused: int
+    redone: int
+    masks: Mapping[str, int]
+    crops: int
+    empty_masks: int
+    changes: tuple[str, ...]
+
+
+def embed(
+    views: Sequence[View],
+    output_dir: str | Path,
+    segmenter: Segmenter | FeatureFolder,
+    encoder: ImageEncoder,
+    *,
+    max_height: int | None = MAX_HEIGHT,
+    overwrite: bool = False,
+    form: Form = "compact",
+    track: Track = untracked,
+) -> EmbeddingReport:
+    """Write `<photo>.features.safetensors` of every view, or LangSplat's files.
+
+    A photo is segmented as stored, its lens not undone, because that is where `register` expects maps to lie. Pixels
+    outside the mask of a photo are in no mask: one that lies mostly there is dropped, others lose those pixels, and
+    photos that are left out as a whole get no files. Finished photos are not touched: a killed run loses at most the
+    photo it was at. Where a setting differs from the folder's, everything is made anew, each file replaced when its
+    successor is complete. Memory holds one photo at a time; the built-in models take as many at once as they have
+    threads, up to 8, and a kill then loses those.
+    form: "compact", or "langsplat" for `<photo>_f.npy` and `<photo>_s.npy`; files finished in the other form
+    are rewritten, not made anew.
+    segmenter: cuts photos into masks; or features of the same photos, whose masks are kept with their ids, on their
+    raster: another encoder embeds them, for `register --weights-of`.
+    max_height: taller photos are scaled to it, in pixels; None takes them as they are.
+    overwrite: makes everything anew, also over features of other programs.
+
+    Warns: DrSplatWarning: views without photo, or whose mask leaves all out, changed settings, files left from other
+    settings.
+    Raises: InputError: no photo, photos that would share a file, features of others in the folder, another
+    process that embeds into it.
+    FormatError: a damaged photo or embedding.json.
+    Source: LangSplat preprocess.py; Dr. Splat Sec. A.
+    """
+    if max_height is not None and max_height < 1:
+        raise InputError(f"max_height: expected at least 1 pixel, got {max_height}")
+    rasters = {stem: _raster(view, max_height) for stem, view in _by_stem(views_with_something(views)).items()}
+    if isinstance(segmenter, FeatureFolder):
+        rasters, max_height = _with_masks(rasters, segmenter), None
+    settings = {
+        "segmenter": kept_identity(segmenter) if isinstance(segmenter, FeatureFolder) else dict(segmenter.identity),
+        "encoder": identity_json(encoder.identity),
+        "max_height": max_height,
+        "algorithm": ALGORITHM,
+        **pictures_setting(views),
+    }
+    with claimed_folder(output_dir), closing(open_record(Path(output_dir), settings, overwrite)) as record:
+        _warn_of_changes(record)
+        photos = {stem: _photo_identity(view) for stem, view in rasters.items()}
+        if isinstance(segmenter, FeatureFolder):
+            photos = {stem: f"{photo} {masks_hash(segmenter, stem)}" for stem, photo in photos.items()}
+        else:
+            photos = {stem: photo + _mask_identity(rasters[stem]) for stem, photo in photos.items()}
+        pending = [stem for stem, photo in photos.items() if not record.is_finished(stem, photo)]
+        redone = sum(record.has_files(stem) for stem in pending)
+        for stem in sorted(photos.keys() - pending):
+            _rewrite(record, stem, form)
+        with closing(_all_embedded(rasters, pending, segmenter, encoder)) as embedded:
+            for stem, features in zip(track(pending, "embedding photos"), embedded, strict=True):
+                _store(record, stem, photos[stem], features, form)
+        finish_folder(record, encoder)
+    return report_of(record, list(photos), len(pending), redone)
+
+
+def pictures_setting(views: Sequence[View]) -> dict[str, list[str]]:
+    """Return the record's entry on renderings: the scenes they are of; nothing where all are photos."""
+    scenes = scenes_rendered(view.rendered_from for view in views)
+    return {"rendered_from": scenes} if scenes else {}
+
+
+def recorded_renderings(folder: str | Path) -> list[str]:
+    """Return the scenes that a folder's pictures are renderings of; none for photos, or if unknown.
+
+    Raises: as `recorded_encoder`.
+    """
+    scenes = (read_settings(Path(folder)) or {}).get("rendered_from", [])
+    return [str(scene) for scene in scenes] if isinstance(scenes, list) else []
+
+
+def finish_folder(record: EmbeddingRecord, encoder: ImageEncoder) -> None:
+    """Write the words that queries are contrasted with, and warn of files with other settings."""
+    _record_words(record.folder, encoder)
+    _warn_of_leftovers(record)
+
+
+def report_of(record: EmbeddingRecord, stems: Sequence[str], num_embedded: int, redone: int) -> EmbeddingReport:
+    """Return the report of a folder. num_embedded: photos of this run."""
+    masks, empty_masks = _totals(record, stems)
+    crops = sum(masks.values())
+    return EmbeddingReport(len(stems), len(stems) - num_embedded, redone, masks, crops, empty_masks, record.changes)
+
+
+def recorded_words(folder: str | Path) -> VocabularyEncoder | None:
+    """Read the words that queries are contrasted with, if `embed` left them. Raises: FormatError: a damaged file."""
+    path = Path(folder) / WORD_LIST
+    return read_vocabulary(path) if path.is_file() else None
+
+
+def _record_words(folder: Path, encoder: ImageEncoder) -> None:
+    """Embed the word list while the model is loaded. Built-in encoders can be loaded at any time."""
+    if not isinstance(encoder, Encoder) or hasattr(encoder, "nouns"):
+        return
+    names, vectors = known_words(encoder, broad_list())
+    write_vocabulary(folder / WORD_LIST, VocabularyEncoder(encoder.identity, names, vectors), overwrite=True)
+
+
+def recorded_encoder(folder: str | Path) -> EncoderIdentity | None:
+    """Return the encoder of a folder that `embed` wrote; None for folders of other programs.
+
+    Raises: FormatError: a damaged embedding.json. MismatchError: features of several settings are in it.
+    """
+    settings = read_settings(Path(folder))
+    if settings is None:
+        return None
+    return encoder_from_json(settings.get("encoder"), f"{folder}/{FILE_NAME}")
+
+
+def _by_stem(views: Sequence[View]) -> dict[str, View]:
+    """Return the views with a photo, sorted, by their feature files' name without suffix.
+
+    Raises: InputError: no photo at all; two photos of one name but for the suffix.
+    """
+    by_stem: dict[str, View] = {}
+    for view in sorted(views, key=lambda view: view.name):
+        if view.image_path is not None:
+            stem = PurePosixPath(view.name).with_suffix("").as_posix()
+            if stem in by_stem:
+                raise InputError(
+                    f"'{by_stem[stem].name}' and '{view.name}' would share the features '{stem}': "
+                    "rename one of the photos"
+                )
+            by_stem[stem] = view
+    without = [view.name for view in views if view.image_path is None]
+    if not by_stem:
+        raise InputError(f"none of {len(views)} views has a photo: read them with images=FOLDER")
+    if without:
+        text = f"{len(without)} of {len(views)} views have no photo to embed: {listed(without)}"
+        warn(text, DrSplatWarning, stacklevel=4)
+    return by_stem
+
+
+def _raster(view: View, max_height: int | None) -> View:
+    """Return the view on the raster that is segmented, without its lens: maps lie on the photo as stored."""
+    stored = replace(view, distortion=None)
+    if max_height is None or view.height <= max_height:
+        return stored
+    return stored.resized(max(1, view.width * max_height // view.height), max_height)
+
+
+def _photo_identity(view: View) -> str:
+    """Return a hash of a photo's bytes, with the raster it is read to."""
+    if view.image_path is None:
+        raise InputError(f"view '{view.name}' has no photo")
+    return f"{hash_file(view.image_path)} {view.width}x{view.height}"
+
+
+def _mask_identity(view: View) -> str:
+    """Return a hash of the bytes of a photo's mask, after a space; empty where it has none."""
+    if view.mask_path is None:
+        return ""
+    return f" {hash_file(view.mask_path)}{' inverted' if view.mask_inverted else ''}"
+
+
+class _Embedded(NamedTuple):
+    """Masks and embeddings of one photo. counts: of masks by level. empty: number left out."""
+
+    mask_ids: Int32[np.ndarray, "*levels h w"]
+    embeddings: Float32[np.ndarray, "n d"]
+    counts: Mapping[str, int]
+    empty: int
+
+
+def _with_masks(rasters: Mapping[str, View], folder: FeatureFolder) -> dict[str, View]:
+    """Return the photos that have masks in a folder.
+
+    Raises: InputError: none has.
+    """
+    with_masks = {stem: view for stem, view in rasters.items() if stem in folder}
+    missing = [stem for stem in rasters if stem not in with_masks]
+    if not with_masks:
+        raise InputError(f"{folder.directory}: no photo has masks there: photos are named like '{missing[0]}'")
+    if missing:
+        text = f"{len(missing)} of {len(rasters)} photos have no masks in {folder.directory}: {listed(missing)}"
+        warn(text, DrSplatWarning, stacklevel=4)
+    return with_masks
+
+
+def _all_embedded(
+    rasters: Mapping[str, View], stems: Sequence[str], segmenter: Segmenter | FeatureFolder, encoder: ImageEncoder
+) -> Generator[_Embedded]:
+    """Yield photos' features in order, several at a time where both models are built in."""
+    at_once = min(photos_at_once([segmenter, encoder]), max(len(stems), 1))
+    if at_once > 1 and isinstance(segmenter, Threaded) and isinstance(encoder, Threaded):
+        segmenter, encoder = segmenter.on_one_thread(), encoder.on_one_thread()
+    yield from side_by_side(lambda stem: _features(rasters[stem], stem, segmenter, encoder), stems, at_once)
+
+
+def _features(view: View, stem: str, segmenter: Segmenter | FeatureFolder, encoder: ImageEncoder) -> _Embedded:
+    if isinstance(segmenter, FeatureFolder):
+        mask_ids, raster = kept_maps(segmenter, view, stem)
+        return _Embedded(mask_ids, embedded_again(mask_ids, raster, encoder), level_counts(mask_ids), 0)
+    image = load_image(view)
+    levels = segmenter.segment(image)
+    used = load_mask(view)
+    if used is not None:
+        levels = kept_masks(levels, used)
+    maps = mask_maps(levels)
+    empty = sum(not part.any() for masks in levels.values() for part in masks.parts)
+    return _Embedded(maps.mask_ids, _embeddings(image, maps.masks, encoder, view.name), _counts(maps, levels), empty)
+
+
+def finish_photo(
+    record: EmbeddingRecord,
+    stem: str,
+    photo: str,
+    mask_ids: Int32[np.ndarray, "*levels h w"],
+    rows: Float32[np.ndarray, "n d"],
+    form: Form,
+) -> None:
+    """Write the features of a photo whose masks are of one level, and record them.
+
+    photo: hash of everything that decides them.
+    """
+    one_level = mask_ids if mask_ids.ndim == 2 else mask_ids[-1]
+    _store(record, stem, photo, _Embedded(mask_ids, rows, level_counts(one_level), 0), form)
+
+
+def _store(record: EmbeddingRecord, stem: str, photo: str, features: _Embedded, form: Form) -> None:
+    record.make_room(stem)
+    write_features(record.folder, stem, features.mask_ids, features.embeddings, overwrite=True, form=form)
+    record.add(stem, photo, features.counts, features.empty, form)
+
+
+def _rewrite(record: EmbeddingRecord, stem: str, form: Form) -> None:
+    """Rewrite a finished photo's files in this form, if they are in the other."""
+    entry = record.finished[stem]
+    if entry.form != form:
+        stored = stored_features(record.folder, stem, entry.form)
+        _store(record, stem, entry.photo, _Embedded(*stored, entry.masks, entry.empty_masks), form)
+
+
+def _embeddings(
+    image: UInt8[np.ndarray, "h w 3"], masks: Masks, encoder: ImageEncoder, name: str
+) -> Float32[np.ndarray, "n d"]:
+    dim = encoder.identity.dim
+    if len(masks) == 0:
+        return np.zeros((0, dim), np.float32)
+    rows = mask_rows(image, masks, encoder)
+    if rows.shape != (len(masks), dim) or not np.allclose(np.linalg.norm(rows, axis=1), 1, 0, 1e-3):
+        raise InputError(
+            f"{name}: the encoder {encoder.identity.name} gave {rows.shape} for {len(masks)} masks: "
+            f"expected as many finite unit vectors of {dim} numbers"
+        )
+    return rows
+
+
+def _counts(maps: MaskMaps, levels: Mapping[str, Masks]) -> dict[str, int]:
+    """Count the masks by level, of the levels that the segmenter gave."""
+    ids = {level: maps.mask_ids[LEVELS.index(level)] for level in LEVELS if level in levels}
+    return {level: len(np.unique(level_ids[level_ids >= 0])) for level, level_ids in ids.items()}
+
+
+def _totals(record: EmbeddingRecord, stems: Sequence[str]) -> tuple[dict[str, int], int]:
+    """Sum the masks by level, and the empty masks, of photos; warn if there is no mask."""
+    finished = [record.finished[stem] for stem in stems]
+    counts = {level: sum(photo.masks.get(level, 0) for photo in finished) for level in LEVELS}
+    masks = {level: count for level, count in counts.items() if count}
+    if not masks:
+        text = f"no mask was found in any of {len(stems)} photos: there is nothing to register"
+        warn(text, DrSplatWarning, stacklevel=5)
+    return masks, sum(photo.empty_masks for photo in finished)
+
+
+def _warn_of_changes(record: EmbeddingRecord) -> None:
+    if record.changes:
+        text = f"{record.folder} was made with other settings, so all photos are embedded again: " + "; ".join(
+            record.changes
+        )
+        warn(text, DrSplatWarning, stacklevel=4)
+
+
+def _warn_of_leftovers(record: EmbeddingRecord) -> None:
+    leftovers = record.unfinished()
+    if leftovers:
+        text = (
+            f"{record.folder} still has files of {len(leftovers)} photos that are not among these "
+            f"views and were made otherwise: remove them, or registering mixes them in: {listed(leftovers)}"
+        )
+        warn(text, DrSplatWarning, stacklevel=4)

@@ -1,0 +1,106 @@
+"""Masks of an existing folder of features: another encoder embeds them, and their ids stay."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import find_objects
+
+from ...base.arrays import Float32, Int32, UInt8
+from ...errors import MismatchError
+from ...formats.checksums import hash_file
+from ...formats.embedding_record import read_settings
+from ...formats.langsplat import FeatureFolder
+from ...scene.encoders import EncoderIdentity, ImageEncoder
+from ...scene.masks.masks import LEVELS, Masks
+from ...scene.photos import load_image
+from ...scene.views import View, same_aspect
+from .mask_rows import mask_rows
+
+
+class WithoutEmbedding:
+    """Encoder that gives every mask the vector (1): enough to make W."""
+
+    identity = EncoderIdentity("none", 1)
+    threads = 0
+
+    def on_one_thread(self) -> "WithoutEmbedding":
+        """Return the same encoder: any number of threads may ask it."""
+        return self
+
+    def encode_images(self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "n 1"]:
+        return np.ones((len(images), 1), np.float32)
+
+
+class ChosenMasks(FeatureFolder):
+    """Masks of a folder without those whose crops are not embedded. chosen: mask ids by photo."""
+
+    def __init__(self, directory: Path, chosen: Mapping[str, Int32[np.ndarray, " c"]]) -> None:
+        super().__init__(directory, LEVELS.index("large"))
+        self.chosen = chosen
+
+    def stored(self, name: str) -> tuple[Int32[np.ndarray, "*levels h w"], Float32[np.ndarray, "n d"]]:
+        """Return the maps of a photo, -1 where a mask is left out, and its vectors."""
+        mask_ids, embeddings = super().stored(name)
+        is_chosen = np.zeros(len(embeddings) + 1, np.bool_)  # the last is that of -1
+        is_chosen[self.chosen[name]] = True
+        return np.where(is_chosen[mask_ids], mask_ids, np.int32(-1)), embeddings
+
+
+def kept_identity(folder: FeatureFolder) -> dict[str, object]:
+    """Return the segmenter of a folder's masks, as `embed` records it."""
+    settings = read_settings(folder.directory)
+    return {"kept": None if settings is None else settings.get("segmenter")}
+
+
+def masks_hash(folder: FeatureFolder, stem: str) -> str:
+    """Return a hash of the file that holds a photo's masks, and of which of them are chosen."""
+    digest = hash_file(folder.files(stem)[-1])
+    if isinstance(folder, ChosenMasks):
+        return f"{digest} {','.join(map(str, folder.chosen[stem].tolist()))}"
+    return digest
+
+
+def kept_maps(folder: FeatureFolder, view: View, stem: str) -> tuple[Int32[np.ndarray, "*levels h w"], View]:
+    """Return a photo's stored maps, and the view on their raster. Raises: MismatchError: another shape."""
+    mask_ids = folder.stored(stem)[0]
+    height, width = mask_ids.shape[-2:]
+    if not same_aspect((width, height), (view.width, view.height)):
+        raise MismatchError(
+            f"the masks of '{view.name}' are {width}x{height}, its photo {view.width}x{view.height}: another aspect "
+            "ratio, so they are of another photo"
+        )
+    return mask_ids, view.resized(width, height)
+
+
+def embedded_again(
+    mask_ids: Int32[np.ndarray, "*levels h w"], view: View, encoder: ImageEncoder
+) -> Float32[np.ndarray, "n d"]:
+    """Embed existing masks: one row per mask id, zero where a mask has no pixel, which nothing reads."""
+    rows, masks = _cut_out(mask_ids if mask_ids.ndim == 3 else mask_ids[None])
+    embeddings = np.zeros((int(mask_ids.max(initial=-1)) + 1, encoder.identity.dim), np.float32)
+    if len(rows):
+        image: UInt8[np.ndarray, "h w 3"] = load_image(view)
+        embeddings[rows] = mask_rows(image, masks, encoder)
+    return embeddings
+
+
+def level_counts(mask_ids: Int32[np.ndarray, "*levels h w"]) -> dict[str, int]:
+    """Count the masks by level; a map without levels is `large`."""
+    if mask_ids.ndim == 2:
+        return {LEVELS[-1]: len(np.unique(mask_ids[mask_ids >= 0]))}
+    return {level: len(np.unique(ids[ids >= 0])) for level, ids in zip(LEVELS, mask_ids, strict=True)}
+
+
+def _cut_out(levels: Int32[np.ndarray, "l h w"]) -> tuple[list[int], Masks]:
+    """Return the ids that have pixels, each cut out of the first level that has it."""
+    cutouts: dict[int, tuple[tuple[int, ...], np.ndarray]] = {}
+    for ids in levels:
+        for number, place in enumerate(find_objects(ids + 1)):
+            if place is not None and number not in cutouts:
+                y, x = place
+                cutouts[number] = ((x.start, y.start, x.stop, y.stop), ids[place] == number)
+    rows = sorted(cutouts)
+    boxes = np.array([cutouts[row][0] for row in rows], np.int32).reshape(-1, 4)
+    parts = tuple(cutouts[row][1] for row in rows)
+    return rows, Masks(levels.shape[1], levels.shape[2], boxes, parts, np.ones(len(rows), np.float32))

@@ -1,0 +1,31 @@
+"""Recovery when a device's memory is full: smaller batches, then a clear error."""
+
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any, TypeVar
+
+from ...errors import DrSplatError
+
+Answer = TypeVar("Answer")
+
+
+def fitting(compute: Callable[[Any], Answer], items: Any, what: str) -> list[Answer]:
+    """Compute all items at once, or in halves, recursively, where the memory is full; return the results in order.
+
+    items: anything with a length that can be sliced. what: the items' name in the plural, for the error.
+
+    Raises: DrSplatError: not even one fits.
+    """
+    torch = import_module("torch")
+    try:
+        return [compute(items)]
+    except torch.cuda.OutOfMemoryError as error:
+        full = str(error)
+    torch.cuda.empty_cache()  # outside of `except`, which would hold the tensors
+    half = len(items) // 2
+    if half == 0:
+        raise DrSplatError(
+            f"the GPU's memory is full, {what} do not fit even one at a time: close what else uses the GPU, take a "
+            f"smaller model, or compute on device 'cpu'. {full}"
+        )
+    return [*fitting(compute, items[:half], what), *fitting(compute, items[half:], what)]

@@ -1,0 +1,115 @@
+"""Encoder of words and crops to unit vectors in one space."""
+
+import hashlib
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ....base.arrays import Float32, PilImage, UInt8
+from ....errors import InputError, did_you_mean
+from ....formats.tensors import map_tensors
+from ....scene.encoders import EncoderIdentity
+from .lexicon import COLORS, NAMES, PAINTS, STRUCTURES, WORDS, colors_in, only_colors, words_of
+from .network import SIDE, embed_images
+
+DIM = 512
+BATCH = 64  # crops, whose layers take some 20 MiB
+_ROWS = {word: row for row, word in enumerate(WORDS)}
+
+
+class MiniEncoder:
+    """Encoder that knows the objects, colours and materials of `lexicon`, and nothing else.
+
+    A text is the sum of its words; one that asks for a colour alone has vectors that were fitted to photos.
+    nouns: what queries are contrasted with. least_share: share of the cosine that the nouns reach in a scene which a
+    query has to reach, too: "blue mug" fits a red one better than any other name does, but not well. least_fit: cosine
+    of the best noun that half of a scene's features reach where it looks like the rooms of the training. threshold:
+    fixed cosine that finds most in rooms of the training split; queries follow the scene instead. threads: of the
+    network, 0 for all cores; no bit depends on them.
+    """
+
+    name = "drsplat-mini"
+    threshold = 0.2
+    nouns = (*NAMES, *STRUCTURES)
+    least_share = 0.42
+    least_fit = 0.29
+
+    def __init__(self, *, threads: int = 0) -> None:
+        file = Path(__file__).with_name("mini.safetensors")
+        self.threads = threads
+        self._weights = {name: array.astype(np.float32) for name, array in map_tensors(file)[0].items()}
+        # A file of its own, not part of the identity: it changes queries and not the embeddings of masks, so older
+        # fields stay valid.
+        self._photo_colors: np.ndarray = map_tensors(file.with_name("photo_colors.safetensors"))[0]["photo_colors"]
+        weights = hashlib.blake2b(file.read_bytes(), digest_size=8).hexdigest()
+        self.identity = EncoderIdentity(self.name, DIM, weights, f"square {SIDE} px")
+
+    def on_one_thread(self) -> "MiniEncoder":
+        """Return the same encoder on one thread, for several threads to call at once."""
+        return MiniEncoder(threads=1)
+
+    def encode_texts(self, texts: Sequence[str]) -> Float32[np.ndarray, "t d"]:
+        """Return unit vectors of texts. Raises: InputError: an unknown word, or no word."""
+        return np.stack([self._text(text) for text in texts])
+
+    def encode_images(self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "n d"]:
+        """Return unit vectors of square crops on black; other images get black borders."""
+        rows = [
+            embed_images(_pixels(images[at : at + BATCH]), self._weights, threads=self.threads)
+            for at in range(0, len(images), BATCH)
+        ]
+        return np.concatenate(rows) if rows else np.empty((0, DIM), np.float32)
+
+    def rivals(self, text: str) -> Float32[np.ndarray, "r d"] | None:
+        """Return the vectors that replace the nouns for a text: all colours, for a colour alone; else None.
+
+        A colour is judged against other colours, on photos too, where no noun fits and any of them may fit better.
+        """
+        return self._photo_colors if only_colors(text) else None
+
+    @property
+    def taught_colors(self) -> Float32[np.ndarray, "11 d"]:
+        """Vectors of `COLORS` that were trained with the nouns, from made-up rooms only."""
+        rows = self._weights["words"][[_ROWS[paint] for paint in PAINTS]]
+        return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True), np.float32)
+
+    def _text(self, text: str) -> Float32[np.ndarray, " d"]:
+        words = words_of(text)
+        strange = [word for word in words if word not in _ROWS]
+        if strange or not words:
+            raise InputError(_unknown(text, strange))
+        if only_colors(text):  # "a red thing" is something red
+            total = self._photo_colors[[COLORS.index(color) for color in colors_in(text)]].sum(0)
+        else:
+            total = self._weights["words"][[_ROWS[word] for word in words]].sum(0)
+        return np.asarray(total / np.linalg.norm(total), np.float32)
+
+
+def _unknown(text: str, strange: Sequence[str]) -> str:
+    if not strange:
+        return f"{text!r} has no word to look for: name an object, e.g. 'red mug'"
+    meant = "".join(did_you_mean(word, WORDS, 2) for word in strange)
+    return (
+        f"the built-in encoder was not taught {', '.join(map(repr, strange))}.{meant} It knows these English words: "
+        f"{', '.join(NAMES)}; {', '.join(COLORS)}. For all others embed the photos with CLIP (`drsplat embed "
+        "CAPTURE`), then register"
+    )
+
+
+def _pixels(images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "n s s 3"]:
+    scaled = [np.asarray(_square(image)) for image in images]
+    return np.stack(scaled).astype(np.float32) / 127.5 - 1
+
+
+def _square(image: UInt8[np.ndarray, "_ _ 3"]) -> PilImage:
+    from PIL import Image
+
+    h, w = image.shape[:2]
+    side = max(h, w)
+    picture = Image.fromarray(image)
+    if h != w:
+        square = Image.new("RGB", (side, side))
+        square.paste(picture, ((side - w) // 2, (side - h) // 2))
+        picture = square
+    return picture.resize((SIDE, SIDE), Image.Resampling.BILINEAR)

@@ -1,0 +1,171 @@
+"""Mask decoder of a SAM that computes what all points share once: half the time of transformers', same answers.
+
+Every point begins with the same image, so the first layer's projections of it are common. Encodings of places are
+projected once instead of added to the image for every point. Tokens stay in one order until the masks are finished,
+where transformers copies them between layouts. Weights and modules are those of the model.
+
+Source: Kirillov et al. 2023 Sec. A (the two-way decoder); the names of modules in transformers 5.23.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...base.arrays import Float32
+
+
+class Projection(NamedTuple):
+    """Linear map of image tokens, (n, d) -> (n, k). offset, (n, k): its bias, and its result for position encodings."""
+
+    weight: Any
+    offset: Any
+
+    def __call__(self, tokens: Any) -> Any:
+        from torch.nn.functional import linear
+
+        return linear(tokens, self.weight).add_(self.offset)
+
+
+class SharedImage(NamedTuple):
+    """Data that all points of an image share.
+
+    tokens: (1, n, d), row by row. layers: keys, queries and values of each layer. last: keys and values of the last
+    attention. upscaling: the two doublings of the side.
+    """
+
+    tokens: Any
+    layers: tuple[Projection, ...]
+    last: Projection
+    upscaling: tuple[Projection, Projection]
+
+
+class PointDecoder:
+    """Decoder of points with the modules of a SamModel, Sam2Model, Sam3TrackerModel or EdgeTamModel, on its device."""
+
+    def __init__(self, model: Any):
+        self._model, self._decoder = model, model.mask_decoder
+
+    def share(self, features: Any) -> SharedImage:
+        """Prepare an image from get_image_embeddings: one tensor, or three from fine to coarse."""
+        *fine, coarse = features if isinstance(features, list | tuple) else [features]
+        nothing = self._model.prompt_encoder.no_mask_embed.weight.reshape(-1, 1, 1)
+        tokens, side = (coarse[0] + nothing).flatten(1).T.contiguous(), coarse.shape[-1]
+        places = self._model.get_image_wide_positional_embeddings()[0].flatten(1).T
+        transformer, decoder = self._decoder.transformer, self._decoder
+        layers = tuple(_of_layer(layer, places) for layer in transformer.layers)
+        last = transformer.final_attn_token_to_image
+        finest, finer = fine or (None, None)
+        upscaling = (
+            _doubling(decoder.upscale_conv1, finer, side, 1),
+            _doubling(decoder.upscale_conv2, finest, side, 2),
+        )
+        return SharedImage(tokens[None], layers, _stacked([last.k_proj], [last.v_proj], places), upscaling)
+
+    def answers(self, image: SharedImage, points: Float32[np.ndarray, "p 2"]) -> tuple[Any, Any]:
+        """Return three masks' logits for each point, (p, 3, h, w), and their predicted IoU, (p, 3).
+
+        points: x, y in pixels of the model's square.
+        """
+        first = self._tokens(points, image.tokens.device)
+        queries, tokens = first, image.tokens
+        for layer, projection in zip(self._decoder.transformer.layers, image.layers, strict=True):
+            queries, tokens = _through(layer, projection, queries, tokens, first)
+        last = self._decoder.transformer.final_attn_token_to_image
+        keys, values = image.last(tokens).chunk(2, -1)
+        queries = queries + _output(last, _attend(last, last.q_proj(queries + first), keys, values))
+        queries = self._decoder.transformer.layer_norm_final_attn(queries)
+        *_, iou, _, small, medium, large = queries[:, : self._num_outputs].unbind(1)
+        scores = self._decoder.iou_prediction_head(iou)[:, 1:]
+        return self._masks(image, tokens, (small, medium, large)), scores
+
+    @property
+    def _outputs(self) -> list[Any]:
+        """Weights of the output tokens; the masks are the last four, of which the first is not used."""
+        decoder = self._decoder
+        ahead = [decoder.obj_score_token.weight] if hasattr(decoder, "obj_score_token") else []
+        return [*ahead, decoder.iou_token.weight, decoder.mask_tokens.weight]
+
+    @property
+    def _num_outputs(self) -> int:
+        return sum(map(len, self._outputs))
+
+    def _tokens(self, points: Float32[np.ndarray, "p 2"], device: Any) -> Any:
+        """Return (p, t, d): the output tokens, then the tokens of each point."""
+        import torch
+
+        prompt_points = torch.from_numpy(points).to(device)[None, :, None]
+        labels = torch.ones(prompt_points.shape[:3], dtype=torch.int64, device=device)
+        prompts, _ = self._model.prompt_encoder(
+            input_points=prompt_points, input_labels=labels, input_boxes=None, input_masks=None
+        )
+        return torch.cat([torch.cat(self._outputs).expand(len(points), -1, -1), prompts[0]], 1)
+
+    def _masks(self, image: SharedImage, tokens: Any, chosen: tuple[Any, ...]) -> Any:
+        """Upscale the image twice and multiply it with the weights that the tokens of three masks give."""
+        import torch
+        from torch.nn.functional import gelu, layer_norm
+
+        norm, networks = self._decoder.upscale_layer_norm, self._decoder.output_hypernetworks_mlps
+        parts = image.upscaling[0](tokens).unflatten(-1, (4, -1))  # of each token, its 2 x 2 halves
+        parts = gelu(layer_norm(parts, parts.shape[-1:], norm.weight, norm.bias, norm.eps)).flatten(1, 2)
+        parts = gelu(image.upscaling[1](parts).unflatten(-1, (4, -1))).flatten(1, 2)
+        weights = torch.stack([network(token) for network, token in zip(networks[1:], chosen, strict=True)], 1)
+        side = int(tokens.shape[1] ** 0.5)
+        masks = (weights @ parts.transpose(1, 2)).view(len(parts), 3, side, side, 2, 2, 2, 2)
+        return masks.permute(0, 1, 2, 4, 6, 3, 5, 7).reshape(len(parts), 3, 4 * side, 4 * side)
+
+
+def _through(layer: Any, projection: Projection, queries: Any, tokens: Any, first: Any) -> tuple[Any, Any]:
+    """Run one layer: self-attention of the tokens, to the image, MLP, and attention of the image to the tokens."""
+    own, there, back = layer.self_attn, layer.cross_attn_token_to_image, layer.cross_attn_image_to_token
+    asking = queries if layer.skip_first_layer_pe else queries + first
+    mixed = _output(own, _attend(own, own.q_proj(asking), own.k_proj(asking), own.v_proj(queries)))
+    queries = layer.layer_norm1(mixed if layer.skip_first_layer_pe else queries + mixed)
+    keys, image_queries, values = projection(tokens).chunk(3, -1)
+    queries = layer.layer_norm2(queries + _output(there, _attend(there, there.q_proj(queries + first), keys, values)))
+    queries = layer.layer_norm3(queries + layer.mlp(queries))
+    seen = _attend(back, image_queries, back.k_proj(queries + first), back.v_proj(queries))
+    return queries, layer.layer_norm4(_output(back, seen).add_(tokens))
+
+
+def _attend(block: Any, queries: Any, keys: Any, values: Any) -> Any:
+    """Compute attention of projected (p, n, d) tokens. The image's are (1, n, d) while all points share it."""
+    from torch.nn.functional import scaled_dot_product_attention
+
+    points, count = max(len(queries), len(keys)), queries.shape[1]
+    if len(keys) == 1:  # queries of all points in one pass over the keys that they share
+        queries = queries.reshape(1, -1, queries.shape[-1])
+    queries = queries.expand(len(keys), -1, -1)
+    heads = [rows.unflatten(-1, (block.num_attention_heads, -1)).transpose(1, 2) for rows in (queries, keys, values)]
+    return scaled_dot_product_attention(*heads).transpose(1, 2).reshape(points, count, -1)
+
+
+def _output(block: Any, rows: Any) -> Any:
+    """Apply the last projection of an attention, whose name differs between SAM and its successors."""
+    return (block.o_proj if hasattr(block, "o_proj") else block.out_proj)(rows)
+
+
+def _of_layer(layer: Any, places: Any) -> Projection:
+    there, back = layer.cross_attn_token_to_image, layer.cross_attn_image_to_token
+    return _stacked([there.k_proj, back.q_proj], [there.v_proj], places)
+
+
+def _stacked(placed: list[Any], plain: list[Any], places: Any) -> Projection:
+    """Stack linear layers to one map of image tokens; those of `placed` see tokens plus position encodings."""
+    import torch
+
+    offsets = [layer(places) for layer in placed] + [layer.bias.expand(len(places), -1) for layer in plain]
+    return Projection(torch.cat([layer.weight for layer in (*placed, *plain)]), torch.cat(offsets, 1))
+
+
+def _doubling(conv: Any, finer: Any | None, side: int, level: int) -> Projection:
+    """Return a transposed convolution of 2 x 2 as a map of tokens to four parts, plus finer features (1, c, h, w).
+
+    level: how often the tokens' grid was doubled with it.
+    """
+    weight = conv.weight.permute(2, 3, 1, 0).flatten(0, 2).contiguous()
+    if finer is None:
+        return Projection(weight, conv.bias.repeat(4))
+    parts = finer[0].reshape(-1, side, *[2] * level, side, *[2] * level)
+    order = [axis for n in range(level + 1) for axis in (1 + n, 2 + level + n)]
+    return Projection(weight, (parts.permute(*order, 0) + conv.bias).reshape(-1, len(weight)).contiguous())

@@ -1,0 +1,260 @@
+"""Masks of everything in an image, from a model that answers points.
+
+Source: the automatic mask generator of segment-anything, in the form of LangSplat's fork, which keeps
+the three masks that a point has (part, object, group) apart as levels.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from ...base.arrays import Bool, Float32, Float64, Int64, UInt8
+from ...errors import InputError
+from ...scene.masks.masks import LEVELS, Masks, tight_box
+from ...scene.masks.selection import mask_nms
+from .mask_geometry import Box, box_nms, crop_boxes, cut_by_crop, open_points, spread, without_small_regions
+
+_MIDDLE, _LARGE = 1, 2
+_OUTPUTS = {"default": (0, 1, 2), "small": (0,), "medium": (1,), "large": (2,)}
+
+
+@dataclass(frozen=True)
+class PointMaskSettings:
+    """Numbers of the paper: those of LangSplat's preprocess.py, otherwise segment-anything's defaults.
+
+    Raises: InputError: a number out of its range, an unknown level.
+    """
+
+    points_per_side: int = 32  # LangSplat
+    first_points_per_side: int | None = None  # a coarser grid to begin with; None: the whole grid, as LangSplat has it
+    most_points: int | None = None  # of a crop, all rounds together; where there are more, evenly spread ones
+    min_predicted_iou: float = 0.7  # LangSplat; kept if above
+    min_stability: float = 0.85  # LangSplat; kept if not below
+    stability_offset: float = 1.0  # segment-anything; logits above and below the mask's edge
+    max_box_iou: float = 0.7  # LangSplat; box NMS within a crop, by predicted IoU
+    crop_layers: int = 1  # LangSplat; layer n has 4**n crops
+    crop_points_divisor: int = 1  # LangSplat; layer n has points_per_side // divisor**n
+    crop_overlap: float = 512 / 1500  # segment-anything; of the shorter side of the image
+    max_crop_box_iou: float = 0.7  # segment-anything; box NMS between crops, smaller crops first
+    min_region: int = 100  # LangSplat; pixels, see without_small_regions
+    mask_iou: float = 0.8  # LangSplat; mask NMS
+    mask_score: float = 0.7  # LangSplat; mask NMS
+    mask_inner: float = 0.5  # LangSplat; mask NMS; 0 keeps what lies in a larger mask, and paints larger ones first
+    levels: tuple[str, ...] = LEVELS  # LangSplat; Dr. Splat and OpenGaussian use large alone
+    points_per_batch: int = 64  # segment-anything; of memory only
+
+    def __post_init__(self) -> None:
+        for name in (
+            "points_per_side",
+            "first_points_per_side",
+            "most_points",
+            "crop_points_divisor",
+            "points_per_batch",
+        ):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise InputError(f"{name}: expected at least 1, got {value}")
+        if not 0 <= self.crop_layers <= 4 or self.min_region < 0:
+            raise InputError("crop_layers: expected 0 to 4, and min_region: 0 or more")
+        if not 0 <= self.crop_overlap < 1:
+            raise InputError(f"crop_overlap: expected 0 to below 1, got {self.crop_overlap}")
+        if not self.levels or not set(self.levels) <= set(LEVELS):
+            raise InputError(f"levels: expected some of {', '.join(LEVELS)}, got {self.levels}")
+
+    @property
+    def outputs(self) -> tuple[int, ...]:
+        """Indices of the three masks of a point that the levels need."""
+        return tuple(sorted({output for level in self.levels for output in _OUTPUTS[level]}))
+
+    @property
+    def looked_at(self) -> tuple[int, ...]:
+        """Indices of masks to look at: in rounds also the middle one, which tells an object from its group."""
+        in_rounds = self.first_points_per_side is not None
+        return (_MIDDLE, _LARGE) if in_rounds and self.outputs == (_LARGE,) else self.outputs
+
+    def sides(self, layer: int) -> Iterator[int]:
+        """Yield the points per side of each round on a crop of this layer; each round doubles it."""
+        last = max(1, self.points_per_side // self.crop_points_divisor**layer)
+        side = last if self.first_points_per_side is None else self.first_points_per_side
+        while side < last:
+            yield side
+            side *= 2
+        yield last
+
+
+class PointMasks(NamedTuple):
+    """Masks of a batch of points, at the size of their crop.
+
+    output: index of each mask among the three of its point. stability: area at a stricter threshold over area at a
+    laxer one. point: number of its point in the call.
+    """
+
+    masks: Bool[np.ndarray, "n h w"]
+    predicted_iou: Float32[np.ndarray, " n"]
+    stability: Float32[np.ndarray, " n"]
+    output: Int64[np.ndarray, " n"]
+    point: Int64[np.ndarray, " n"]
+
+
+@runtime_checkable
+class PointPredictor(Protocol):
+    """Model that has a mask or three for a point."""
+
+    identity: Mapping[str, object]
+
+    def find(
+        self, crop: UInt8[np.ndarray, "h w 3"], points: Float64[np.ndarray, "p 2"], settings: PointMaskSettings
+    ) -> Iterator[PointMasks]:
+        """Yield masks at points (x, y in pixels of the crop), by point, then by output, a few at a time.
+
+        Masks of outputs outside settings.looked_at, with a predicted IoU not above min_predicted_iou or a stability
+        below min_stability, may be left out: they are dropped anyway.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """Mask that passed the thresholds. bits: its box's pixels, eight to a byte."""
+
+    box: Box
+    bits: UInt8[np.ndarray, " b"]
+    predicted_iou: float
+    stability: float
+    output: int
+    crop_area: int
+
+    @property
+    def part(self) -> Bool[np.ndarray, "h w"]:
+        height, width = self.box[3] - self.box[1], self.box[2] - self.box[0]
+        return np.unpackbits(self.bits, count=height * width).reshape(height, width).astype(bool)
+
+
+class PointSegmenter:
+    """Segmenter that prompts a model with a grid of points and keeps the good, distinct masks.
+
+    Memory: the bits of the masks of one crop that pass the thresholds, and what the predictor needs.
+    """
+
+    def __init__(self, predictor: PointPredictor, settings: PointMaskSettings | None = None):
+        self.predictor, self.settings = predictor, settings or PointMaskSettings()
+        self.identity: Mapping[str, object] = {**predictor.identity, "settings": asdict(self.settings)}
+
+    def segment(self, image: UInt8[np.ndarray, "h w 3"]) -> dict[str, Masks]:
+        """Return masks by level, in painting order. Raises: InputError: an image without pixels."""
+        height, width = image.shape[:2]
+        if 0 in (height, width):
+            raise InputError(f"an image of {width}x{height} pixels: expected at least 1x1")
+        by_level: dict[str, list[_Candidate]] = {level: [] for level in self.settings.levels}
+        crops = crop_boxes(height, width, self.settings.crop_layers, self.settings.crop_overlap)
+        for layer, crop in crops:
+            passing = self._in_crop(image, crop, layer)
+            for level, candidates in by_level.items():
+                candidates += _distinct_in_crop(passing, _OUTPUTS[level], self.settings.max_box_iou)
+        cleaned: dict[int, tuple[Box, Bool[np.ndarray, "_ _"], bool]] = {}
+        return {
+            level: self._level(candidates, (height, width), len(crops) > 1, cleaned)
+            for level, candidates in by_level.items()
+        }
+
+    def _in_crop(self, image: UInt8[np.ndarray, "h w 3"], crop: Box, layer: int) -> list[_Candidate]:
+        """Return the passing masks of a crop, from rounds of finer grids where no mask explains the pixels yet.
+
+        A pixel is explained by a mask of the finest output wanted. For the large output only the part that the point's
+        good middle mask also has is explained: the rest of a group gets points of its own.
+        """
+        x0, y0, x1, y1 = crop
+        pixels = np.ascontiguousarray(image[y0:y1, x0:x1])
+        explained = np.zeros(pixels.shape[:2], np.bool_)
+        passing: list[_Candidate] = []
+        for points in self._rounds(layer, explained):
+            middle: dict[int, Bool[np.ndarray, "h w"]] = {}
+            for batch in self.predictor.find(pixels, points, self.settings):
+                passing += self._passing(batch, crop, image.shape[:2])
+                self._explain(explained, batch, middle)
+        return passing
+
+    def _explain(
+        self, explained: Bool[np.ndarray, "h w"], batch: PointMasks, middle: dict[int, Bool[np.ndarray, "h w"]]
+    ) -> None:
+        """Mark the pixels that masks explain. middle: last good middle mask by point, maybe of the batch before."""
+        finest = self.settings.outputs[0]
+        for i in np.flatnonzero(self._good(batch)):
+            if batch.output[i] == finest:
+                explained |= batch.masks[i] & middle.pop(int(batch.point[i]), True)
+            elif batch.output[i] == _MIDDLE and finest == _LARGE:
+                middle.clear()
+                middle[int(batch.point[i])] = batch.masks[i]
+
+    def _rounds(self, layer: int, explained: Bool[np.ndarray, "h w"]) -> Iterator[Float64[np.ndarray, "p 2"]]:
+        """Yield the points of each round, from the pixels explained when it begins."""
+        left = self.settings.most_points
+        for side in self.settings.sides(layer):
+            points = spread(open_points(side, explained), left)
+            left = None if left is None else left - len(points)
+            if len(points):
+                yield points
+
+    def _good(self, batch: PointMasks) -> Bool[np.ndarray, " n"]:
+        s = self.settings
+        return np.asarray((batch.predicted_iou > s.min_predicted_iou) & (batch.stability >= s.min_stability))
+
+    def _passing(self, batch: PointMasks, crop: Box, size: tuple[int, int]) -> Iterator[_Candidate]:
+        left, top, right, bottom = crop
+        for i in np.flatnonzero(self._good(batch) & np.isin(batch.output, self.settings.outputs)):
+            tight = tight_box(batch.masks[i])
+            if tight is None:
+                continue
+            x0, y0, x1, y1 = tight
+            box = (x0 + left, y0 + top, x1 + left, y1 + top)
+            if not cut_by_crop(box, crop, size):
+                yield _Candidate(
+                    box,
+                    np.packbits(batch.masks[i, y0:y1, x0:x1]),
+                    float(batch.predicted_iou[i]),
+                    float(batch.stability[i]),
+                    int(batch.output[i]),
+                    (right - left) * (bottom - top),
+                )
+
+    def _level(
+        self,
+        candidates: list[_Candidate],
+        size: tuple[int, int],
+        has_crops: bool,
+        cleaned: dict[int, tuple[Box, Bool[np.ndarray, "_ _"], bool]],
+    ) -> Masks:
+        """Return the masks of a level. cleaned: results of without_small_regions, shared between levels."""
+        s = self.settings
+        if has_crops:
+            sharpness = [1 / candidate.crop_area for candidate in candidates]
+            chosen = box_nms([c.box for c in candidates], sharpness, s.max_crop_box_iou)
+            candidates = [candidates[i] for i in chosen]
+        for c in candidates:
+            if id(c) not in cleaned:
+                cleaned[id(c)] = without_small_regions(c.box, c.part, size, s.min_region)
+        pieces = [cleaned[id(c)] for c in candidates]
+        if s.min_region:
+            unchanged = [float(not changed) for _, _, changed in pieces]
+            limit = max(s.max_box_iou, s.max_crop_box_iou)
+            chosen = box_nms([box for box, _, _ in pieces], unchanged, limit)
+            pieces, candidates = [pieces[i] for i in chosen], [candidates[i] for i in chosen]
+        masks = Masks(
+            *size,
+            np.array([box for box, _, _ in pieces], np.int32).reshape(-1, 4),
+            tuple(part for _, part, _ in pieces),
+            np.array([c.predicted_iou * c.stability for c in candidates], np.float32),
+        )
+        stay = mask_nms(masks, s.mask_iou, s.mask_score, s.mask_inner)
+        if not s.mask_inner:
+            stay = stay[np.argsort([-masks.parts[i].sum() for i in stay], kind="stable")]
+        return masks.subset(stay)
+
+
+def _distinct_in_crop(candidates: Sequence[_Candidate], outputs: tuple[int, ...], max_iou: float) -> list[_Candidate]:
+    """Return the candidates of these outputs that survive box NMS by predicted IoU."""
+    of_outputs = [candidate for candidate in candidates if candidate.output in outputs]
+    chosen = box_nms([c.box for c in of_outputs], [c.predicted_iou for c in of_outputs], max_iou)
+    return [of_outputs[i] for i in chosen]

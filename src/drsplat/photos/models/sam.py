@@ -1,0 +1,268 @@
+"""Segmenters by name; SAM, SAM 2, SAM 3 and EdgeTAM of transformers without their processors."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from PIL import Image
+
+from ...base.arrays import Bool, Float32, Float64, Int64, UInt8
+from ...errors import FormatError, InputError, MissingExtraError
+from ...formats.json_files import as_vector, read_json, shown
+from .devices import chosen_device
+from .graph import GraphSegmenter
+from .libraries import models_library
+from .memory import fitting
+from .point_decoder import PointDecoder, SharedImage
+from .point_masks import PointMasks, PointMaskSettings, PointSegmenter
+from .pretrained import load_model, model_folder, model_type, weight_files, weights_hash
+
+DEFAULT_SEGMENTER = "facebook/sam-vit-huge"
+"""The paper's segmenter. Source: LangSplat preprocess.py (sam_vit_h_4b8939)."""
+CPU_SEGMENTER = "facebook/sam2.1-hiera-tiny"
+"""The segmenter to take without a GPU."""
+
+Colors = tuple[tuple[float, ...], tuple[float, ...]]
+"""Mean and standard deviation per channel, of values from 0 to 1."""
+_IMAGENET = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+_HALF = (0.5,) * 3, (0.5,) * 3
+
+
+class Architecture(NamedTuple):
+    """Architecture of a segmenter.
+
+    stretched: see ModelFrame. colors: of its published preprocessing. packages: that its image encoder needs beside
+    transformers.
+    """
+
+    class_name: str
+    stretched: bool = True
+    colors: Colors = _IMAGENET
+    packages: tuple[str, ...] = ()
+
+
+_SAM2 = Architecture("Sam2Model")
+_SAM3 = Architecture("Sam3TrackerModel", colors=_HALF)
+_EDGETAM = Architecture("EdgeTamModel", packages=("timm", "torchvision"))
+ARCHITECTURES = {
+    "sam": Architecture("SamModel", stretched=False),
+    "sam2": _SAM2,
+    "sam2_video": _SAM2,  # in Meta's SAM 2 checkpoints, which hold both
+    "sam3_tracker": _SAM3,
+    "sam3_video": _SAM3,  # likewise facebook/sam3, which holds a detector too
+    "edgetam": _EDGETAM,
+    "edgetam_video": _EDGETAM,
+}
+"""Architectures by model_type of config.json. Source: the processors and configurations of transformers 5.23."""
+_CHUNK_FLOATS = 1 << 24  # of enlarged masks at a time: 64 MiB
+
+
+@dataclass(frozen=True)
+class ModelFrame:
+    """Map from an image to what the model sees, a square of `side` pixels, and from its masks back.
+
+    stretched: SAM 2 and its successors stretch the image to the square. SAM scales the longer side to it and fills
+    the rest, right and below, with zeros after normalising. Scaled by Pillow, bilinear, as bytes.
+
+    Source: segment-anything utils/transforms.py and modeling/sam.py; sam2 utils/transforms.py,
+    which scales floats in torch, so up to 1/255 differs before normalising.
+    """
+
+    side: int
+    stretched: bool
+    mean: tuple[float, ...] = _IMAGENET[0]
+    std: tuple[float, ...] = _IMAGENET[1]
+
+    def scaled_size(self, height: int, width: int) -> tuple[int, int]:
+        """Return height and width of the image within the square."""
+        if self.stretched:
+            return self.side, self.side
+        scale = self.side / max(height, width)
+        return max(1, int(height * scale + 0.5)), max(1, int(width * scale + 0.5))
+
+    def pixel_values(self, image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "3 s s"]:
+        height, width = self.scaled_size(*image.shape[:2])
+        scaled = Image.fromarray(image).resize((width, height), Image.Resampling.BILINEAR)
+        pixels = np.asarray(scaled, np.float64) / 255
+        values = np.zeros((3, self.side, self.side), np.float32)
+        values[:, :height, :width] = ((pixels - self.mean) / self.std).transpose(2, 0, 1)
+        return values
+
+    def scaled_points(self, points: Float64[np.ndarray, "p 2"], height: int, width: int) -> Float32[np.ndarray, "p 2"]:
+        """Map points (x, y) from pixels of the image to pixels of the square."""
+        new_height, new_width = self.scaled_size(height, width)
+        scaled = points * (new_width / width, new_height / height)
+        return np.asarray(scaled, np.float32)
+
+    def enlarged(self, logits: Any, height: int, width: int) -> Any:
+        """Resize logits of masks, (n, h, w) over the square, to the size of the image, as tensors."""
+        from torch.nn.functional import interpolate
+
+        rows = logits[:, None].float()
+        if not self.stretched:
+            used_height, used_width = self.scaled_size(height, width)
+            rows = interpolate(rows, (self.side, self.side), mode="bilinear", align_corners=False)
+            rows = rows[..., :used_height, :used_width]
+        rows = interpolate(rows, (height, width), mode="bilinear", align_corners=False)
+        return rows[:, 0]
+
+
+class SamPredictor:
+    """SAM of any generation on one device, in float32. identity: name and hash of the weights."""
+
+    def __init__(self, model: Any, frame: ModelFrame, device: str, identity: Mapping[str, object]):
+        self.model, self.frame, self.device = model.to(device), frame, device
+        self._decoder = PointDecoder(self.model)
+        self.identity: Mapping[str, object] = dict(identity)
+        self._last: tuple[np.ndarray | None, Any] = None, None
+
+    def find(
+        self, crop: UInt8[np.ndarray, "h w 3"], points: Float64[np.ndarray, "p 2"], settings: PointMaskSettings
+    ) -> Iterator[PointMasks]:
+        """Yield masks at points; see PointPredictor. The last image's encoding is reused; points go in batches."""
+        size = crop.shape[:2]
+        if self._last[0] is not crop:
+            self._last = crop, fitting(self._features, [crop], "photos")[0]
+        features = self._last[1]
+        scaled = self.frame.scaled_points(points, *size)
+        for start in range(0, len(scaled), settings.points_per_batch):
+            batch, first = scaled[start : start + settings.points_per_batch], start
+            for logits, iou in fitting(partial(self._answers, features), batch, "points"):
+                # before masks are enlarged, which costs time and memory
+                wanted = np.isin(np.arange(3), settings.looked_at) & (iou > settings.min_predicted_iou)
+                for masks in self._enlarged(logits, iou, np.argwhere(wanted), size, settings):
+                    yield masks._replace(point=first + masks.point)
+                first += len(iou)
+
+    def _features(self, crops: list[UInt8[np.ndarray, "h w 3"]]) -> SharedImage:
+        """Run the image encoder on the single crop of this batch."""
+        import torch
+
+        with torch.inference_mode():  # never across a yield: it would hold in the caller
+            pixels = torch.from_numpy(self.frame.pixel_values(crops[0]))[None].to(self.device)
+            return self._decoder.share(self.model.get_image_embeddings(pixels))
+
+    def _answers(
+        self, image: SharedImage, points: Float32[np.ndarray, "p 2"]
+    ) -> tuple[Any, Float32[np.ndarray, "p 3"]]:
+        """Return logits of three masks per point, (p, 3, h, w) over the square, and their predicted IoU."""
+        import torch
+
+        with torch.inference_mode():
+            masks, iou = self._decoder.answers(image, points)
+            return masks, _array(iou)
+
+    def _enlarged(
+        self,
+        logits: Any,
+        iou: Float32[np.ndarray, "p 3"],
+        wanted: Int64[np.ndarray, "n 2"],
+        size: tuple[int, ...],
+        settings: PointMaskSettings,
+    ) -> Iterator[PointMasks]:
+        """Yield the stable masks at the size of the crop. wanted: point and output of each mask."""
+        chunk = max(1, _CHUNK_FLOATS // max(size[0] * size[1], self.frame.side**2))
+        for start in range(0, len(wanted), chunk):
+            points, outputs = wanted[start : start + chunk].T
+            good, masks, stability = self._stable(logits[points, outputs], size, settings)
+            yield PointMasks(masks, iou[points, outputs][good], stability, outputs[good], points[good])
+
+    def _stable(
+        self, logits: Any, size: tuple[int, ...], settings: PointMaskSettings
+    ) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, "g h w"], Float32[np.ndarray, " g"]]:
+        """Return which masks are stable enough, and those at the size of the crop with their stability."""
+        import torch
+
+        with torch.inference_mode():
+            enlarged = self.frame.enlarged(logits, size[0], size[1])
+            strict = (enlarged > settings.stability_offset).flatten(1).sum(1)
+            lax = (enlarged > -settings.stability_offset).flatten(1).sum(1)
+            stability = strict / lax.clamp(min=1)  # nothing above the laxer bound: 0
+            good = stability >= settings.min_stability
+            return good.cpu().numpy(), (enlarged[good] > 0).cpu().numpy(), _array(stability[good])
+
+
+def load_segmenter(
+    name: str = DEFAULT_SEGMENTER, device: str = "auto", settings: PointMaskSettings | None = None, *, threads: int = 0
+) -> PointSegmenter | GraphSegmenter:
+    """Load the built-in `graph`, or SAM, SAM 2 (also 2.1), SAM 3 or EdgeTAM with a grid of points.
+
+    name: "graph", which has neither device nor settings; a folder as `save_pretrained` writes it, or an id of the
+    Hugging Face hub, which is downloaded unless it is cached; without a GPU take CPU_SEGMENTER. Only safetensors are
+    loaded, never pickles. device: auto, cpu, cuda or mps. threads: of `graph`, 0 for all cores.
+
+    identity of SAM: name, architecture, the BLAKE2b hash of the weights' files, mean and deviation of
+    pixels, and the settings. The device is not part of it, although it may change single pixels.
+
+    Raises: InputError: no such model, a gated one, another architecture, no weights; settings for
+    `graph`. FormatError: damaged or incomplete ones. MissingExtraError: torch, transformers, the
+    device, or timm for EdgeTAM is absent. DrSplatError: no network.
+    """
+    if name == GraphSegmenter.name:
+        if settings is not None:
+            raise InputError("the segmenter graph has no point grid: load it without settings")
+        return GraphSegmenter(threads=threads)
+    models_library()
+    device = chosen_device(device)
+    folder = model_folder(name)
+    architecture = _architecture(name, folder)
+    files = weight_files(folder)
+    model = load_model(architecture.class_name, folder)
+    mean, std = read_normalization(folder, architecture.colors)
+    side = int(model.config.prompt_encoder_config.image_size)  # in which points are placed
+    frame = ModelFrame(side, architecture.stretched, mean, std)
+    called = folder.resolve().name if Path(name).expanduser().is_dir() else name
+    identity = {
+        "name": called, "architecture": architecture.class_name, "weights": weights_hash(files),
+        "side": side, "mean": list(mean), "std": list(std),
+    }  # fmt: skip
+    return PointSegmenter(SamPredictor(model, frame, device, identity), settings)
+
+
+def _architecture(name: str, folder: Path) -> Architecture:
+    """Return a folder's architecture.
+
+    Raises: InputError: no segmenter. MissingExtraError: packages that it needs are not installed.
+    """
+    kind = model_type(folder)
+    if kind not in ARCHITECTURES:
+        raise InputError(
+            f"{name}: is a '{kind}', expected SAM, SAM 2, SAM 3 or EdgeTAM ({', '.join(ARCHITECTURES)}), such as "
+            f"{DEFAULT_SEGMENTER} or, without a GPU, {CPU_SEGMENTER}"
+        )
+    architecture = ARCHITECTURES[kind]
+    absent = [package for package in architecture.packages if find_spec(package) is None]
+    if absent:
+        raise MissingExtraError(
+            f"{name}: its image encoder needs {' and '.join(absent)}, not installed: pip install {' '.join(absent)} "
+            f"(the torchvision of the installed torch); {CPU_SEGMENTER} needs neither"
+        )
+    return architecture
+
+
+def read_normalization(folder: Path, default: Colors = _IMAGENET) -> Colors:
+    """Read mean and standard deviation per channel (of 0 to 1) from the model's folder, else the default.
+
+    Raises: FormatError: the file has other than three numbers, or deviations that are not positive.
+    """
+    path = folder / "preprocessor_config.json"
+    settings = read_json(path) if path.is_file() else {}
+    if not path.is_file() and (folder / "processor_config.json").is_file():
+        path = folder / "processor_config.json"
+        whole = read_json(path)
+        settings = whole.get("image_processor", {}) if isinstance(whole, dict) else whole
+    if not isinstance(settings, dict):
+        raise FormatError(f"{path}: expected an object, got {shown(settings)}")
+    mean = as_vector(settings.get("image_mean", list(default[0])), 3, f"{path}: image_mean")
+    std = as_vector(settings.get("image_std", list(default[1])), 3, f"{path}: image_std")
+    if min(std) <= 0:
+        raise FormatError(f"{path}: image_std: expected positive numbers, got {std.tolist()}")
+    return tuple(mean.tolist()), tuple(std.tolist())
+
+
+def _array(tensor: Any) -> Float32[np.ndarray, "*shape"]:
+    return np.asarray(tensor.float().cpu().numpy())

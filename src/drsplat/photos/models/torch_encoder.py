@@ -1,0 +1,119 @@
+"""Encoders that compute with torch: batches, cached texts, unit vectors. Subclasses run a model."""
+
+from abc import ABC, abstractmethod
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+
+from ...base.arrays import Float32, UInt8
+from ...errors import FormatError, InputError
+from ...scene.encoders import EncoderIdentity
+from .memory import fitting
+from .preprocessing import Preprocessing
+
+BATCH_BYTES = {"cpu": 5 << 20, "mps": 20 << 20, "cuda": 80 << 20}
+"""Input bytes per pass by device: 8 images of 224 pixels on a CPU, where more do not fit its caches."""
+TEXT_BATCH, MAX_CACHED_TEXTS = 64, 4096
+
+
+class TorchEncoder(ABC):
+    """Encoder of images and texts to unit vectors; see `loading.load_encoder`.
+
+    identity: name as asked for, hash of the weights, preprocessing. device, dtype: where and in what precision images
+    are computed; texts always in float32. batch: images per pass, reduced when the device's memory was full.
+    The last MAX_CACHED_TEXTS texts are cached.
+    """
+
+    def __init__(self, identity: EncoderIdentity, preprocessing: Preprocessing, device: str, dtype: str) -> None:
+        self.identity, self.preprocessing, self.device, self.dtype = identity, preprocessing, device, dtype
+        self.batch = max(1, BATCH_BYTES[device] // (12 * preprocessing.side**2))
+        self._texts: OrderedDict[str, np.ndarray] = OrderedDict()
+
+    def encode_images(self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "n d"]:
+        """Return unit vectors of images of any size, in their order; one batch at a time is in memory.
+
+        Raises: InputError: an image without pixels. FormatError: a vector without direction. DrSplatError: not even
+        one image fits into the device's memory.
+        """
+        rows: list[np.ndarray] = []
+        done = 0
+        while done < len(images):
+            fits = fitting(self._image_rows, images[done : done + self.batch], "images")
+            done += sum(map(len, fits))
+            rows += fits
+            self.batch = max(1, self.batch // len(fits))
+        return self._unit(rows, "image")
+
+    def encode_texts(self, texts: Sequence[str]) -> Float32[np.ndarray, "t d"]:
+        """Return unit vectors of the texts as they are: no prompt is put around them.
+
+        Raises: InputError: a model without texts, a text that is empty or too long, no tokenizer.
+        FormatError: a vector without direction.
+        """
+        self._check_texts(texts)
+        new = [text for text in dict.fromkeys(texts) if text not in self._texts]
+        for block in _blocks(len(new), TEXT_BATCH):
+            rows = self._unit([self._text_rows(new[block])], "text")
+            self._texts.update(zip(new[block], rows, strict=True))
+        for text in texts:
+            self._texts.move_to_end(text)
+        vectors = [self._texts[text] for text in texts]
+        while len(self._texts) > MAX_CACHED_TEXTS:
+            self._texts.popitem(last=False)
+        return np.stack(vectors) if vectors else np.empty((0, self.identity.dim), np.float32)
+
+    @abstractmethod
+    def _features(self, values: Any) -> np.ndarray:
+        """Run the model on (b, 3, side, side) scaled images, a tensor in `dtype` on `device`; one row for each."""
+
+    @abstractmethod
+    def _text_rows(self, texts: Sequence[str]) -> np.ndarray:
+        """Run the model on texts. Raises: InputError: one is too long."""
+
+    def _image_rows(self, images: Sequence[np.ndarray]) -> np.ndarray:
+        with import_module("torch").inference_mode():
+            return self._features(self._scaled(images))
+
+    def _scaled(self, images: Sequence[np.ndarray]) -> Any:
+        torch = import_module("torch")
+        with ThreadPoolExecutor(torch.get_num_threads()) as pool:  # a GPU would wait for one core's scaling
+            scaled = list(pool.map(self.preprocessing.pixel_values, images))
+        return torch.from_numpy(np.stack(scaled)).to(getattr(torch, self.dtype)).to(self.device)
+
+    def _check_texts(self, texts: Sequence[str]) -> None:
+        if isinstance(texts, str):
+            raise InputError(f"texts: expected a list of texts, got the single text {texts!r}")
+        empty = [text for text in texts if not text.strip()]
+        if empty:
+            raise InputError(f"{empty[0]!r} is empty: name an object, e.g. 'a red mug'")
+
+    def _check_lengths(self, texts: Sequence[str], lengths: Sequence[int], most: int) -> None:
+        """Check the numbers of tokens. Raises: InputError: a text has more than the model reads."""
+        if max(lengths) > most:
+            text = texts[int(np.argmax(lengths))]
+            raise InputError(f"{text[:60]!r} has {max(lengths)} tokens, {self.identity.name} reads {most}: shorten it")
+
+    def _unit(self, blocks: Sequence[np.ndarray], what: str) -> Float32[np.ndarray, "n d"]:
+        rows = np.concatenate([np.empty((0, self.identity.dim), np.float32), *blocks])
+        norms = np.linalg.norm(rows.astype(np.float64), axis=1, keepdims=True)
+        bad = np.flatnonzero(~(np.isfinite(norms) & (norms > 0)))
+        if len(bad):
+            raise FormatError(
+                f"{self.identity.name}: the vector of {what} {bad[0]} of {len(rows)} has no direction (zero or not "
+                f"finite): the weights are damaged, or {self.dtype} is too coarse for them: try dtype 'float32'"
+            )
+        return np.asarray(rows / norms, np.float32)
+
+
+def as_rows(tensor: Any) -> np.ndarray:
+    """Return a tensor as float32 on the host."""
+    rows: np.ndarray = tensor.float().cpu().numpy()
+    return rows
+
+
+def _blocks(count: int, size: int) -> Iterator[slice]:
+    return (slice(start, start + size) for start in range(0, count, size))

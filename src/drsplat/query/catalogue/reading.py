@@ -1,0 +1,114 @@
+"""Rows of the table to entries, checked on the way: the files may come from anybody."""
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...errors import DrSplatError, FormatError, InputError
+from ...field.objects.agreed import agreed
+from ...formats.field_folder import read_manifest
+from .. import Query
+from ..opening import scene_files
+from ..ranking import Ranked
+from .agreeing import SceneRules
+from .conditions import of_scene
+from .entries import Entry, Listed, Position, checked_jpeg
+from .table import CURE, ROW_ID, Snapshot
+
+NUMBERS = ("x", "y", "z", "sure", "num_gaussians", "num_views", "object_id", "tile")
+
+
+def entries_of(
+    snapshot: Snapshot, nearest: Any, ranked: Ranked, query: Query, rules: SceneRules, top: int
+) -> list[Entry]:
+    """Return the best objects that a query selects here and in their scenes; equal ones by scene and number.
+
+    Raises: FormatError: rows that are no objects, or a damaged scene.
+    """
+    heads = [nearest[name].to_pylist() for name in ("scene", "tile", "object_id")]
+    selected = sorted(
+        np.flatnonzero(ranked.selected).tolist(), key=lambda at: (-float(ranked.values[at]), *(h[at] for h in heads))
+    )
+    keys = [(heads[0][at], heads[2][at]) for at in selected]
+    chosen = [selected[place] for place in rules.first(query, keys, top)]
+    rows = nearest.take(chosen).drop_columns(["descriptors"]).to_pylist() if chosen else []
+    thumbnails = snapshot.thumbnails([row[ROW_ID] for row in rows])
+    scores = ranked.values[chosen].tolist()
+    return [
+        _entry(snapshot.path, row, score, thumbnails.get(row[ROW_ID])) for row, score in zip(rows, scores, strict=True)
+    ]
+
+
+def thumbnail_of(snapshot: Snapshot, scene: str, object_id: int, tile: int) -> bytes:
+    """Return an object's JPEG. Raises: InputError: no such object, or it has none. FormatError: it is no JPEG."""
+    where = f"{of_scene(scene)} AND object_id = {int(object_id)} AND tile = {int(tile)} AND object_id >= 0"
+    rows = snapshot.rows(where, ["thumbnail"])["thumbnail"].to_pylist()
+    if not rows:
+        raise InputError(f"there is no object {object_id} of a scene {scene!r:.80} here")
+    if rows[0] is None:
+        raise InputError(f"object {object_id} of {scene!r:.80} has no thumbnail: its scene was added without photos")
+    try:
+        return checked_jpeg(rows[0])
+    except FormatError as error:
+        raise FormatError(
+            f"the thumbnail of object {object_id} of {scene!r:.80} {error}: add the scene again"
+        ) from error
+
+
+def listed_of(snapshot: Snapshot) -> list[Listed]:
+    """Return all scenes, by name. Raises: FormatError: damaged."""
+    objects = snapshot.rows("object_id >= 0", ["scene", "sure", "num_views", "label"])
+    counts = Counter(objects["scene"].to_pylist())
+    agreed = num_agreed(*(objects[name].to_pylist() for name in ("scene", "sure", "num_views", "label")))
+    rows = snapshot.rows("object_id = -1", ["scene", "added", "field", "folder"]).to_pylist()
+    if any(row[key] is None for row in rows for key in ("scene", "added", "field")):
+        raise FormatError(f"{snapshot.path}: {CURE}")
+    listed = [_listed(row, counts[row["scene"]], agreed[row["scene"]]) for row in rows]
+    return sorted(listed, key=lambda entry: entry.scene)
+
+
+def num_agreed(
+    scenes: Sequence[str], sure: Sequence[float | None], num_views: Sequence[int | None], labels: Sequence[str | None]
+) -> Counter[str]:
+    """Count the objects of each scene that photos agree on, or people named, from columns of the table."""
+    is_agreed = agreed(
+        np.array([value or 0 for value in sure], np.float32), np.array([value or 0 for value in num_views], np.int64)
+    )
+    is_listed = is_agreed | np.array([bool(label) for label in labels], np.bool_)
+    return Counter(scene for scene, listed in zip(scenes, is_listed.tolist(), strict=True) if listed)
+
+
+def _listed(row: dict[str, Any], num_objects: int, num_agreed: int) -> Listed:
+    folder = row["folder"] or ""
+    state = state_of(folder, row["field"], num_objects) if folder else "unknown"
+    return Listed(row["scene"], num_objects, num_agreed, row["added"], row["field"], folder, state)
+
+
+def state_of(folder: str, field: str, num_objects: int) -> str:
+    """Return whether the field in the folder is still the one that was added, by its manifest."""
+    try:
+        manifest = read_manifest(scene_files(Path(folder)).field)
+    except (DrSplatError, OSError):
+        return "missing"
+    return "current" if (manifest.get("field"), manifest.get("objects")) == (field, num_objects) else "changed"
+
+
+def _entry(path: Path, row: dict[str, Any], score: float, thumbnail: bytes | None) -> Entry:
+    numbers = [row[name] for name in NUMBERS]
+    lists = [row["axes"], row["extent"]]
+    texts = [row["scene"], row["field"], row["added"]]
+    if any(value is None for value in (*numbers, *lists, *texts)):
+        raise FormatError(f"{path}: an object without a box, a number or a scene: {CURE}")
+    box = np.array([*lists[0], *lists[1], row["x"], row["y"], row["z"], row["sure"]], np.float64)
+    if not np.isfinite(box).all():
+        raise FormatError(f"{path}: object {row['object_id']} of {row['scene']!r:.80} has no finite box: {CURE}")
+    place = [row[name] for name in Position._fields]
+    return Entry(
+        row["scene"], row["tile"], row["object_id"], score, box[12:15], box[:9].reshape(3, 3), box[9:12],
+        None if None in place else Position(*place),
+        row["num_gaussians"], row["num_views"], row["sure"], row["label"], row["name"], row["photo"], row["mask"],
+        row["added"], row["field"], thumbnail,
+    )  # fmt: skip

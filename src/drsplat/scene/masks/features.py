@@ -1,0 +1,50 @@
+"""Masks of one photo and their embeddings."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...base.arrays import Float32, Int32
+from ...base.terminal import counted
+from ...errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class ViewFeatures:
+    """Masks of one view and their embeddings.
+
+    mask_ids: per pixel the mask that covers it, or -1; a value indexes a row of `embeddings`.
+    embeddings: one unit vector per mask.
+
+    Raises: InputError: a mask id without an embedding, a row that is not finite or has no direction.
+    """
+
+    mask_ids: Int32[np.ndarray, "h w"]
+    embeddings: Float32[np.ndarray, "s d"]
+
+    def __post_init__(self) -> None:
+        if self.mask_ids.ndim != 2 or self.mask_ids.dtype != np.int32:
+            raise InputError(f"mask_ids: expected int32 (H, W), got {self.mask_ids.dtype} {self.mask_ids.shape}")
+        if self.embeddings.ndim != 2 or self.embeddings.dtype != np.float32:
+            raise InputError(
+                f"embeddings: expected float32 (S, D), got {self.embeddings.dtype} {self.embeddings.shape}"
+            )
+        largest = int(self.mask_ids.max(initial=-1))
+        if largest >= len(self.embeddings):
+            raise InputError(f"mask id {largest} has no embedding: there are {len(self.embeddings)}")
+        norms = np.linalg.norm(self.embeddings, axis=1)
+        if not (np.abs(norms - 1) < 1e-3).all():
+            raise InputError("embeddings must be finite unit vectors: divide each row by its L2 norm")
+
+    def __repr__(self) -> str:
+        (count, dim), (height, width) = self.embeddings.shape, self.mask_ids.shape
+        return f"{type(self).__name__}({counted(count, 'mask')} on {width}x{height}, {dim}-d)"
+
+    def resized(self, width: int, height: int) -> "ViewFeatures":
+        """Return the map on another raster, by nearest pixel centre."""
+        h, w = self.mask_ids.shape
+        if (w, h) == (width, height):
+            return self
+        rows = ((np.arange(height) + 0.5) * h / height).astype(np.intp)
+        columns = ((np.arange(width) + 0.5) * w / width).astype(np.intp)
+        return ViewFeatures(np.ascontiguousarray(self.mask_ids[rows[:, None], columns]), self.embeddings)

@@ -1,4 +1,0 @@
-"""Huge scenes: tiles on disk, registered a photo at a time by any number of processes, in the memory of a few tiles.
-
-Imports `codes`, `evidence`, `field`, `formats`, `kernels`, `masks`, `registration` and `scene`.
-"""

@@ -1,7 +1,0 @@
-"""Seeing a scene answer: what is shown, picked, painted and saved, apart from how a browser shows it.
-
-`live` is what a browser talks to. Source: Dr. Splat Sec. F "Broader application".
-
-Imports `catalogue`, `encoders`, `scene`, `formats`, `kernels`, `codes`, `evidence`, `field`, `models`, `drawing`,
-`query`, `editing`, `exporting`, `filming` and `serving`.
-"""
