@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from command_line import error_of
-from drsplat import system
+from drsplat.base import system
 from drsplat.errors import InputError
 from drsplat.formats.claiming import claimed_folder, claimed_output
 
@@ -65,7 +65,7 @@ def test_it_is_let_go_of_when_the_block_ends_badly(kind, claim, lock, tmp_path):
 
 def test_a_lock_that_was_removed_is_not_held(tmp_path, monkeypatch):
     """Who waited for a file that its owner has unlinked would hold nothing."""
-    from drsplat import system
+    from drsplat.base import system
 
     original, times = system.fcntl.flock, []
 

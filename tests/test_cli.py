@@ -512,7 +512,7 @@ def test_progress_is_silent_where_nobody_looks(capsys: Capture) -> None:
 
 
 def test_progress_shows_after_a_while(capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
-    from drsplat import progress
+    from drsplat.base import progress
 
     monkeypatch.setattr(progress, "PATIENCE_S", -1.0)
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)

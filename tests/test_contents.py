@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drsplat import contents, load_field, read_gaussians, read_views
+from drsplat import load_field, read_gaussians, read_views
+from drsplat.base import contents
 from drsplat.base.contents import file_bytes, pieces, release
 from drsplat.errors import DrSplatError, FormatError, InputError
 from drsplat.formats.json_files import read_json

@@ -17,7 +17,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from safetensors.numpy import load_file, save_file
 from scipy.sparse import csr_array
 
-from drsplat import contents
+from drsplat.base import contents
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.field import LanguageField, build_field, load_field, relevancy_from_scores
 from drsplat.field.codes import Codebook, Mixture, train_codebook

@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parent.parent
 GLOSSARY = ROOT / "docs" / "glossary.md"
 # `docs/evaluation.md` is generated; README.md quotes commands.
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), ROOT / "world/README.md"])
-KEYED = ("commands", "demo", "serving", "evaluation")  # what makes JSON that people read
+KEYED = ("fronts/commands", "evaluation/demo", "fronts/serving", "evaluation")  # what makes JSON that people read
 THEIRS = {
     "info", "objects", "things",  # files of LERF-OVS
     "asked",  # what a worker is sent, between two processes of ours

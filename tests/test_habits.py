@@ -255,7 +255,7 @@ def test_ctrl_c_in_embed_says_how_to_go_on_and_it_does(
     argv = ["embed", room / "capture", "--segmenter", "graph", "--encoder", "drsplat-mini", "-o", tmp_path / "made"]
     if overwrite:
         answer_of(capsys, *argv)
-    said = stopped("embedding.embed", "_store", *argv, *overwrite)
+    said = stopped("photos.embedding.embed", "_store", *argv, *overwrite)
     again = "again, without --overwrite, to" if overwrite else "again to"
     assert said.endswith(f"are kept in {tmp_path / 'made'}: give the same command {again} go on\n")
     answer = answer_of(capsys, *argv)  # both photos that were finished, none that is older
@@ -265,7 +265,7 @@ def test_ctrl_c_in_embed_says_how_to_go_on_and_it_does(
 def test_ctrl_c_in_register_says_how_to_go_on(room: Path, tmp_path: Path) -> None:
     argv = ["register", room / "scene.ply", room / "capture", "--features", room / "capture/language_features"]
     argv += ["--encoder-name", "drsplat-words", "-o", tmp_path / "a.field"]
-    said = stopped("evidence.aggregation.sampling", "view_weights", *argv)
+    said = stopped("field.evidence.aggregation.sampling", "view_weights", *argv)
     assert said.endswith(f"are kept in {tmp_path / 'a.field.parts'}: give the same command again to go on\n")
     assert len(list((tmp_path / "a.field.parts").glob("*.columns.safetensors"))) == 2
 

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from PIL import Image
 from scipy import integrate
 
-from drsplat import TrainingSettings, View, progress
+from drsplat import TrainingSettings, View
+from drsplat.base import progress
 from drsplat.errors import InputError
 from drsplat.formats.activation import sigmoid
 from drsplat.formats.captures import SparsePoints

@@ -11,7 +11,7 @@ from drsplat.cli import main
 from toy_capture import write_toy_capture
 
 HOME = Path(drsplat.__file__).parent
-AROUND = {"kinds", "errors", "terminal", "progress"}  # hands on, and says
+AROUND = {"base/kinds", "errors", "base/terminal", "base/progress"}  # hands on, and says
 PLAIN = {"__init__", "__post_init__", "__len__", "__iter__", "__getattr__"}  # makes or counts a value
 OPTIMISED = 0x1  # the bodies of modules and classes are not
 Stop = tuple[str, str]
@@ -56,7 +56,7 @@ def way(argv: list[str], kernel: str) -> list[Stop]:
         sys.setprofile(None)
     assert code == 0
     called = [(stop(above), at) for above, at in calls if any(above is one for one in ending)]
-    verb = f"commands/{argv[0]}"  # before it runs, all verbs add their options
+    verb = f"fronts/commands/{argv[0]}"  # before it runs, all verbs add their options
     first = next(number for number, (_, at) in enumerate(called) if at == (verb, "run"))
     return list(dict.fromkeys(at for above, at in called[first:] if above and above[0] != at[0]))
 

@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PACKAGE, SUITE = ROOT / "src" / "drsplat", ROOT / "benchmarks" / "suite"
 
 REGISTERED = (  # masks, their embeddings, and what they say of Gaussians
-    *(PACKAGE / name for name in ("codes", "encoders.py", "evidence", "kernels", "masks", "models", "scene")),
+    *(PACKAGE / name for name in ("field/codes", "field/evidence", "kernels", "photos/models", "scene")),
     *(ROOT / "native" / name for name in ("host", "kernels")),
 )
 ASKED = (PACKAGE / "field", PACKAGE / "query")
@@ -21,7 +21,7 @@ FEATURES = (PACKAGE / "query" / "thresholds.py", *SCORED)  # how systems are sco
 
 METHODS = (*REGISTERED, *ASKED, *SCORED, SUITE / "aggregators", SUITE / "methods.py")
 """What decides how an aggregator does in a made room."""
-OBJECTS = (*METHODS, PACKAGE / "objects")
+OBJECTS = METHODS
 """The same of answers in whole objects."""
 RENDERED = (*REGISTERED, *FEATURES, SUITE / "rendered.py")
 """The same of features that are fitted to renderings."""
@@ -30,7 +30,6 @@ FITTED = (*FEATURES, SUITE / "rivals")
 ANSWERS = (
     *REGISTERED,
     *ASKED,
-    PACKAGE / "objects",
     ROOT / "benchmarks" / "drawn_embeddings.py",
     *(
         SUITE / f"{name}.py"
