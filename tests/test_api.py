@@ -63,7 +63,7 @@ WINGS: dict[str, tuple[str, ...]] = {
     "scene": (),
     "formats": (),
     "kernels": (),
-    "field": ("codes", "evidence", "", "objects", "registration", "tiles", "growing"),
+    "field": ("codes", "evidence", "", "objects", "registration", "method", "tiles", "growing"),
     "photos": ("capture", "models", "embedding"),
     "drawing": (),
     "query": ("", "catalogue"),
