@@ -30,7 +30,7 @@ from drawn_embeddings import CLIP, Drawn
 from machine import arguments
 
 from drsplat import DrSplatWarning, Query
-from drsplat.query.catalogue import Catalogue, Where, table
+from drsplat.query.catalogue import Catalogue, Conditions, table
 from drsplat.query.sketch import Sketch
 
 KINDS, AT_ONCE, TOP = 5000, 25, 10
@@ -136,7 +136,7 @@ def told(path: Path, catalogue: Catalogue) -> None:
     )  # fmt: skip
 
 
-def measured(catalogue: Catalogue, queries: np.ndarray, exact: bool, where: Where, said: str) -> list[list[tuple]]:
+def measured(catalogue: Catalogue, queries: np.ndarray, exact: bool, where: Conditions, said: str) -> list[list[tuple]]:
     """What is found first, and the times of it."""
     found, seconds, cpu = [], [], time.process_time()
     catalogue.answer(Query(vector=queries[0], threshold=-1.0), where, top=TOP, exact=exact)  # opens and warms
@@ -236,15 +236,15 @@ def main() -> None:
         with timed("fill"):
             catalogue = filled(path, simulated, given.scenes)
         told(path, catalogue)
-        queries, everywhere = simulated.queries(given.queries), Where()
+        queries, everywhere = simulated.queries(given.queries), Conditions()
         exact = measured(catalogue, queries, True, everywhere, "all compared")
-        measured(catalogue, queries[:50], True, Where(scenes=("scene 00001",)), "one scene, all compared")
+        measured(catalogue, queries[:50], True, Conditions(scenes=("scene 00001",)), "one scene, all compared")
         with timed("index"):
             print(f"{catalogue.build_index():,} partitions")
         told(path, catalogue)
         found = measured(catalogue, queries, False, everywhere, "by the index")
         print(recall(found, exact))
-        measured(catalogue, queries[:50], False, Where(scenes=("scene 00001",)), "one scene, by the index")
+        measured(catalogue, queries[:50], False, Conditions(scenes=("scene 00001",)), "one scene, by the index")
         under_load(path, catalogue, given.clients, given.seconds)
     finally:
         if given.keep is None:

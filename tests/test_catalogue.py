@@ -34,11 +34,11 @@ from known_objects import CENTERS, EACH, known_scene
 
 pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
 
-from drsplat.query.catalogue import Catalogue, Where, record, table
+from drsplat.query.catalogue import Catalogue, Conditions, record, table
 from drsplat.query.catalogue.conditions import quoted
 from drsplat.query.catalogue.thumbnails import MAX_BYTES, thumbnail
 
-ANYWHERE = Where()
+ANYWHERE = Conditions()
 WORDS = {"kitchen": ("red mug", "wooden table", "green plant"), "o'hara": ("blue mug", "red chair", "white lamp")}
 
 
@@ -58,7 +58,9 @@ def filled(scenes: Path, tmp_path_factory: pytest.TempPathFactory) -> Catalogue:
     return catalogue
 
 
-def found(catalogue: Catalogue, query: Query | str, where: Where = ANYWHERE, **options: Any) -> list[tuple[str, int]]:
+def found(
+    catalogue: Catalogue, query: Query | str, where: Conditions = ANYWHERE, **options: Any
+) -> list[tuple[str, int]]:
     return [(entry.scene, entry.object_id) for entry in catalogue.ask(query, where, **options)]
 
 
@@ -129,13 +131,13 @@ def test_what_means_nothing_across_scenes_is_refused(filled: Catalogue) -> None:
 
 
 def test_filters(filled: Catalogue) -> None:
-    assert found(filled, "mug", Where(scenes=("o'hara",))) == [("o'hara", 0)]
-    assert found(filled, "mug", Where(scenes=("nobody",))) == []
-    assert found(filled, "mug", Where(box=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0))) == [("kitchen", 0)]
+    assert found(filled, "mug", Conditions(scenes=("o'hara",))) == [("o'hara", 0)]
+    assert found(filled, "mug", Conditions(scenes=("nobody",))) == []
+    assert found(filled, "mug", Conditions(box=(-1.0, -1.0, -1.0, 1.0, 1.0, 1.0))) == [("kitchen", 0)]
     now = datetime.now(UTC)
-    assert found(filled, "mug", Where(since=now + timedelta(hours=1))) == []
-    assert len(found(filled, "mug", Where(since=now - timedelta(hours=1)))) == 2
-    assert found(filled, "mug", Where(area=(-180.0, -90.0, 180.0, 90.0))) == []  # none has a georeference
+    assert found(filled, "mug", Conditions(since=now + timedelta(hours=1))) == []
+    assert len(found(filled, "mug", Conditions(since=now - timedelta(hours=1)))) == 2
+    assert found(filled, "mug", Conditions(area=(-180.0, -90.0, 180.0, 90.0))) == []  # none has a georeference
 
 
 def test_an_answer_says_what_it_is(filled: Catalogue, scenes: Path) -> None:
@@ -192,7 +194,7 @@ def test_an_index_finds_nearly_all_and_says_that_it_was_used(tmp_path: Path) -> 
     table.replace_scene(tmp_path / "c", "two", rows_of("two", unit(rng, 2, 32), encoder), encoder)
     later = catalogue.scenes()
     assert [one.num_objects for one in later] == [600, 1]
-    answer = catalogue.answer(Query(vector=centers[0], threshold=-1.0), Where(scenes=("two",)))
+    answer = catalogue.answer(Query(vector=centers[0], threshold=-1.0), Conditions(scenes=("two",)))
     assert ([(entry.scene, entry.object_id) for entry in answer.entries], answer.exact) == ([("two", 0)], True)
 
 
@@ -200,7 +202,7 @@ def test_an_index_finds_nearly_all_and_says_that_it_was_used(tmp_path: Path) -> 
 @given(text=st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\0"), min_size=1, max_size=40))
 def test_names_are_texts_and_never_conditions(filled: Catalogue, text: str) -> None:
     name = f"x' OR 1 = 1 OR scene = '{text}"
-    assert found(filled, "mug", Where(scenes=(text, name))) == []
+    assert found(filled, "mug", Conditions(scenes=(text, name))) == []
     with pytest.raises(InputError, match="no object 0"):
         filled.thumbnail(name, 0)
     with pytest.raises(InputError, match="no scene"):
@@ -219,17 +221,17 @@ def test_a_quoted_text_is_one_text(text: str) -> None:
 @pytest.mark.parametrize("name", ["", "a" * 201, "a\0b", "\ud800"])
 def test_names_that_are_none(filled: Catalogue, name: str) -> None:
     with pytest.raises(InputError, match="a scene's name"):
-        Where(scenes=(name,))
+        Conditions(scenes=(name,))
 
 
 def test_boxes_and_times_that_are_none() -> None:
     with pytest.raises(InputError, match="expected a list of names"):
-        Where("kitchen")
+        Conditions("kitchen")
     for wrong in ({"box": (1.0, 0.0, 0.0, 0.0, 1.0, 1.0)}, {"box": (0.0, 0.0, 0.0, 1.0, 1.0, float("nan"))},
                   {"area": (0.0, 5.0, 1.0, 4.0)}, {"area": (0.0, 0.0, 181.0, 4.0)},
                   {"since": datetime(2026, 1, 1)}):  # fmt: skip
         with pytest.raises(InputError, match=r"box|area|since"):
-            Where(**wrong)
+            Conditions(**wrong)
 
 
 def test_places_on_the_earth(tmp_path: Path) -> None:
@@ -244,10 +246,12 @@ def test_places_on_the_earth(tmp_path: Path) -> None:
     assert entry.position is not None
     np.testing.assert_allclose(entry.position[:2], (13.4 + 30 / 67_900, 52.5), atol=5e-6)
     assert entry.position.height == pytest.approx(80, abs=0.02)
-    east = Where(area=(13.4002, 52.4, 13.5, 52.6))
+    east = Conditions(area=(13.4002, 52.4, 13.5, 52.6))
     assert found(catalogue, "green plant", east) == [("roof", 2)]
     assert found(catalogue, "red mug", east) == []
-    assert found(catalogue, "red mug", Where(area=(179.0, 52.4, 13.40001, 52.6))) == [("roof", 0)]  # round the back
+    assert found(catalogue, "red mug", Conditions(area=(179.0, 52.4, 13.40001, 52.6))) == [
+        ("roof", 0)
+    ]  # round the back
 
 
 # --- adding and removing ---

@@ -87,13 +87,13 @@ def test_a_click_takes_the_place_of_the_query_and_can_be_named(session: Session,
         opened(page, address)
         page.locator("#query").fill(";")
         page.locator("#ask").click()
-        wait_for(page, "document.querySelector('#said').className === 'fault'")
+        wait_for(page, "document.querySelector('#message').className === 'fault'")
         page.evaluate("() => { const o = drsplat.header.objects[0]; drsplat.camera.stand(o.eye, o.center); }")
         settled(page)
         x, y, _ = page.evaluate("() => drsplat.camera.project(drsplat.header.objects[0].center)")
         page.mouse.click(PANEL + x, y)
         wait_for(page, "drsplat.state.chosen !== null")
-        assert page.locator("#said").is_hidden()  # what was said of the query is gone with it
+        assert page.locator("#message").is_hidden()  # what was said of the query is gone with it
         assert page.locator("#query").input_value() == page.evaluate("() => drsplat.state.chosen.name")
         page.get_by_label("Name of this object").fill("my ball")
         page.get_by_role("button", name="Keep").click()

@@ -156,10 +156,10 @@ def test_words_follow():
 def test_a_view_that_is_there_is_left_alone_until_it_is_to_be_compared():
     field = at_once(NAMES, PQ(4))
     same = add_views(field, scene(), views(), features(1))
-    assert same.is_none
+    assert same.is_empty
     assert same.field is field
-    assert same.known == NAMES
-    assert add_views(field, scene(), views(), features(), renew=True).is_none
+    assert same.unchanged == NAMES
+    assert add_views(field, scene(), views(), features(), renew=True).is_empty
     mixed = dict(features()) | {NAMES[2]: features(1)[NAMES[2]]}
     masks = mixed[NAMES[4]].mask_ids.copy()
     masks[:9] = -1
@@ -168,7 +168,7 @@ def test_a_view_that_is_there_is_left_alone_until_it_is_to_be_compared():
              for view in views()]  # fmt: skip
     change = add_views(field, scene(), moved, mixed, renew=True)
     assert change.replaced == (NAMES[2], NAMES[4], NAMES[5])
-    assert change.known == (NAMES[0], NAMES[1], NAMES[3], NAMES[6])
+    assert change.unchanged == (NAMES[0], NAMES[1], NAMES[3], NAMES[6])
     assert change.field.equals(register(scene(), moved, mixed, Sampling(6)).to_field(PQ(4)))
 
 
@@ -181,7 +181,7 @@ def test_all_views_may_be_replaced():
 def test_views_that_were_left_out_on_purpose_stay_out():
     field = replace(at_once(NAMES[:3], PQ(4)), left_out=(NAMES[3],))
     change = added(field, *NAMES[2:5])
-    assert (change.added, change.left_out, change.known) == ((NAMES[4],), (NAMES[3],), (NAMES[2],))
+    assert (change.added, change.left_out, change.unchanged) == ((NAMES[4],), (NAMES[3],), (NAMES[2],))
     assert change.field.left_out == (NAMES[3],)
 
 
@@ -189,7 +189,7 @@ def test_views_that_were_removed_stay_out_until_they_are_asked_back():
     whole = at_once(NAMES, PQ(4))
     field = remove_views(whole, scene(), NAMES[1:3]).field
     change = added(field, *NAMES)
-    assert (change.is_none, change.left_out) == (True, NAMES[1:3])
+    assert (change.is_empty, change.left_out) == (True, NAMES[1:3])
     change = added(field, *NAMES, back=NAMES[1:2])
     assert (change.added, change.left_out, change.field.growth.removed) == (NAMES[1:2], NAMES[2:3], NAMES[2:3])
     assert added(change.field, NAMES[2], back=NAMES[2:3]).field.equals(whole)

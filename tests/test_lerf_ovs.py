@@ -15,7 +15,7 @@ from drsplat.errors import DrSplatError, FormatError, InputError, MismatchError
 from drsplat.evaluation import lerf_ovs, metrics
 from drsplat.evaluation.lerf_ovs import LerfScene, predict, read_lerf_scene, score
 from drsplat.evaluation.predictions import mask_path, write_mask
-from drsplat.evaluation.report import shown
+from drsplat.evaluation.report import cell_text
 from drsplat.evaluation.scorers import Scorer
 from drsplat.evaluation.tables import tables_of
 from drsplat.formats.cameras_json import write_cameras_json
@@ -153,7 +153,7 @@ def test_predictions_without_what_is_seen_have_no_such_number(room: LerfScene, t
     assert result["columns"]["tuned on test"]["scene_macro"]["seen"] > 0.5
     selection = tables_of([result])[0]
     place = selection.columns.index("seen")
-    assert [shown(row[place]) == "" for row in selection.rows[:4]] == [True, True, False, False]
+    assert [cell_text(row[place]) == "" for row in selection.rows[:4]] == [True, True, False, False]
 
 
 def test_a_good_scorer_scores_well(room: LerfScene, tmp_path: Path) -> None:

@@ -226,7 +226,7 @@ def test_an_answer_has_boxes_and_a_threshold(viewer: Viewer) -> None:
     np.testing.assert_allclose(match["axes"], own.axes, atol=1e-5)
     assert match["place"] == "1.20, 0.00, 0.30"
     assert match["gaussians"] == EACH
-    assert result["said"] == f"tall lamp: 1 match, {EACH} Gaussians"
+    assert result["summary"] == f"tall lamp: 1 match, {EACH} Gaussians"
     assert (result["num_matches"], result["exact"]) == (1, False)
     assert result["limits"][0] <= result["threshold"] == result["automatic"] <= result["limits"][1]
     assert result["accent"] == [255, 170, 30]
@@ -243,7 +243,7 @@ def test_a_threshold_moves_the_selection_and_its_own_stays(viewer: Viewer) -> No
 
 def test_nothing_found_and_words_that_are_not_known_are_said(viewer: Viewer) -> None:
     state = viewer.do("ask", text="elephant")
-    assert state["said"] == "No match for 'elephant'."
+    assert state["message"] == "No match for 'elephant'."
     assert state["selection"] == 0
     assert "one to 8" in viewer.refused("ask", text=";".join("abcdefghi"))
     assert viewer.state()["results"] == state["results"]
@@ -295,7 +295,7 @@ def test_a_click_says_what_is_there_and_more_of_it_is_found(viewer: Viewer) -> N
     np.testing.assert_array_equal(things_with(viewer, "owner"), [np.arange(2 * EACH, 3 * EACH)])
     state = viewer.do("click", origin=[0, 0, 50], direction=[0, 0, 1])
     assert state["clicked"] is None
-    assert "Nothing with a feature" in state["said"]
+    assert "Nothing with a feature" in state["message"]
     assert "direction" in viewer.refused("click", origin=[0, 0, 0], direction=[0, 0, 0])
 
 
@@ -501,14 +501,14 @@ def test_a_scene_without_a_field_is_seen_outlined_and_edited_but_not_asked(tmp_p
         assert not header["can"]["ask"]
         assert header["can"]["edit"]
         assert "no field" in header["about"]
-        assert "no field" in state["said"]
+        assert "no field" in state["message"]
         assert "no field" in viewer.refused("ask", text="mug")
         everything = [[-9, -9], [999, -9], [999, 999], [-9, 999]]
         seen = viewer.do("lasso", polygon=everything, camera=camera(viewer))["selection"]
         assert seen > 10
         viewer.do("edit", change="isolate")
         assert (viewer.arrays("/view/splats")["opacity"] > 0).sum() >= seen
-        assert "Nothing with a feature" in viewer.do("click", origin=[0, 0, -9], direction=[0, 0, 1])["said"]
+        assert "Nothing with a feature" in viewer.do("click", origin=[0, 0, -9], direction=[0, 0, 1])["message"]
         assert viewer.do("restore")["edits"][0]["done"] is False
 
 

@@ -54,7 +54,7 @@ def test_answers_have_thumbnails(viewer: Viewer) -> None:
             assert (opened.format, opened.size) == ("JPEG", (240, 180))
     assert "no entry 2" in refusal_of(viewer.get("/view/catalogue-picture", number=2), 422)
     assert scenes_of(viewer, "elephant") == []
-    assert "0 matches" in viewer.state()["said"]
+    assert "0 matches" in viewer.state()["message"]
     refusal_of(viewer.post("/view/catalogue", {"text": "point, not"}), 422)
 
 
@@ -66,7 +66,7 @@ def test_an_entry_opens_its_scene_at_the_object(viewer: Viewer) -> None:
     assert session.scene.name == "o'hara"
     np.testing.assert_array_equal(session.selection, session.scene.objects[0].gaussian_ids)
     assert state["chosen"]["number"] == 0
-    assert "o'hara" in state["said"]
+    assert "o'hara" in state["message"]
     again = viewer.do("open_entry", number=1)
     assert viewer.session is session  # it is there already
     assert again["scene"] == state["scene"]
@@ -81,7 +81,7 @@ def test_a_scene_that_changed_or_went_is_told_without_its_folder(viewer: Viewer,
     scenes_of(viewer, "red mug")
     boxes_of(("red bowl", "red rug", "red sofa"), gaussians).save(folder / "kitchen/a.field", overwrite=True)
     try:
-        assert "has changed since" in viewer.do("open_entry", number=0)["said"]
+        assert "has changed since" in viewer.do("open_entry", number=0)["message"]
         (folder / "kitchen").rename(folder / "gone")
         assert viewer.shared.shelf is not None
         viewer.shared.shelf.opened, stage = ("", ""), viewer.shared._stage

@@ -228,7 +228,7 @@ def test_a_scene_that_is_sent_is_shown_in_place_of_the_one_before(viewer: Viewer
     state = viewer.post("/view/open?name=sent.ply", (tmp_path / "sent.ply").read_bytes()).json()
     assert state["scene"] == before["scene"] + 1
     assert state["results"] == []
-    assert "sent" in state["said"]
+    assert "sent" in state["message"]
     assert not state["kept"]
     assert viewer.get("/view/header").json()["title"] == "sent"
     assert len(viewer.arrays("/view/splats")["opacity"]) == 70
@@ -246,7 +246,7 @@ def test_a_folder_that_is_sent_file_by_file_answers_words(viewer: Viewer, room: 
             answer = viewer.post(f"/view/upload?batch=b1&name={name}", path.read_bytes())
             assert answer.status_code == 200, answer.text
     state = viewer.do("open", batch="b1")
-    assert state["said"].startswith("opened room")
+    assert state["message"].startswith("opened room")
     assert viewer.do("ask", text="red mug")["selection"] > 0
     assert viewer.get("/view/header").json()["can"]["objects"]
     assert "sent before" in viewer.refused("open", batch="b1")

@@ -613,8 +613,8 @@ def test_a_fault_of_the_system_is_said_without_a_path(viewer: Viewer, monkeypatc
 
 def test_errors_are_told_to_whoever_asked_and_to_nobody_else(viewer: Viewer) -> None:
     assert "nothing is selected" in viewer.refused("edit", change="remove")
-    assert viewer.state()["said"] == ""
-    assert viewer.do("ask", text="tall lamp")["said"].startswith("tall lamp: 1 match")
+    assert viewer.state()["message"] == ""
+    assert viewer.do("ask", text="tall lamp")["message"].startswith("tall lamp: 1 match")
 
 
 def test_no_text_of_a_stranger_is_more_than_text(viewer: Viewer) -> None:

@@ -72,7 +72,7 @@ def test_all_verbs_say_so(tmp_path: Path, capsys: Capture) -> None:
 
 def test_servers_and_viewer_say_so() -> None:
     pytest.importorskip("pydantic")
-    from drsplat.fronts.serving.conversation import Conversation, told
+    from drsplat.fronts.serving.conversation import Conversation, tool_answer
     from drsplat.fronts.serving.limits import Limits
     from drsplat.fronts.serving.models import measured
     from drsplat.fronts.serving.requests import Tool
@@ -81,6 +81,7 @@ def test_servers_and_viewer_say_so() -> None:
     scene = Scene(*made(FAINT), encoder=MINI)
     answer = scene.ask("clock")
     assert "made-up rooms" in measured(answer).doubt
-    assert "made-up rooms" in result_of(scene, "clock", answer).said
+    assert "made-up rooms" in result_of(scene, "clock", answer).summary
     assert "made-up rooms" not in Conversation(scene, "a").count("clock").advice
-    assert "made-up rooms" in told(scene, Tool(name="a", tool="count", arguments={"text": "clock"}), Limits()).advice
+    counted = tool_answer(scene, Tool(name="a", tool="count", arguments={"text": "clock"}), Limits())
+    assert "made-up rooms" in counted.advice

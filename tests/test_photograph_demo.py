@@ -29,7 +29,7 @@ def test_renderings_answer_what_photos_answer(
     story = household_story
     asked = Scene(load_field(field), story.gaussians)
     judge = _Judge(asked, story.splats, read_household(household_folder), story.held_out)
-    verdicts = judge.verdicts([judge.asked(probe) for probe in PROBES])
+    verdicts = judge.verdicts([judge.verdict_of(probe) for probe in PROBES])
     right, with_photos = sum(one.is_right for one in verdicts), sum(one.is_right for one in story.verdicts)
     assert right >= with_photos - AS_MANY
 

@@ -42,7 +42,7 @@ def test_within_the_budget_everything_is_shown_and_nothing_is_said() -> None:
     scene = random_gaussians(200)
     all_of_it = shown.shown_of(scene, 200)
     np.testing.assert_array_equal(all_of_it.ids, np.arange(200))
-    assert all_of_it.said == ""
+    assert all_of_it.summary == ""
 
 
 def test_above_the_budget_the_most_significant_are_shown_and_it_is_said() -> None:
@@ -52,8 +52,8 @@ def test_above_the_budget_the_most_significant_are_shown_and_it_is_said() -> Non
     rest = np.setdiff1d(np.arange(500), part.ids)
     assert len(part) == 100
     assert weight[part.ids].min() >= weight[rest].max()
-    assert "100" in part.said
-    assert "500" in part.said
+    assert "100" in part.summary
+    assert "500" in part.summary
 
 
 @settings(max_examples=20, deadline=None)

@@ -64,7 +64,7 @@ def test_a_click_selects_the_thing_that_asking_finds_there(session: Session) -> 
         np.testing.assert_array_equal(session.selection, rows(number))
         np.testing.assert_array_equal(session.selection, asked.gaussian_ids)
         assert session.mode is Mode.ANSWER
-        assert session.said == f"object {number}: 1 match, {len(rows(number))} Gaussians"
+        assert session.summary == f"object {number}: 1 match, {len(rows(number))} Gaussians"
         assert [match.object_id for match in session.results[0].matches] == [number]
 
 

@@ -95,7 +95,7 @@ def test_a_large_film_is_thinned_or_refused(scene: Scene, monkeypatch: pytest.Mo
     found = times_of_page(Session(scene))
     assert found is not None
     assert found.times.tolist() == pytest.approx([0, 0.4, 1])
-    assert found.said == "100 of them move, at 3 of 6 times."
+    assert found.summary == "100 of them move, at 3 of 6 times."
     monkeypatch.setattr(page_times, "MOST_MOVED", 250)
     with pytest.raises(InputError, match=r"100 of the 300 Gaussians shown move.*room for 83 at 3 times.*max_gaussians"):
         export_page(tmp_path / "page.html", scene, ["red car"], up=UP)

@@ -92,7 +92,7 @@ export class LiveBackend implements Backend, Live {
     return (await this.sent("/view/load-path", await file.text(), "application/json")).json() as Promise<{ keys: KeyFrame[]; seconds: number | null }>;
   }
 
-  catalogue(text: string): Promise<{ said: string; entries: { number: number; title: string; scene: string; score: number }[] }> { return this.json("/view/catalogue", { text }); }
+  catalogue(text: string): Promise<{ summary: string; entries: { number: number; title: string; scene: string; score: number }[] }> { return this.json("/view/catalogue", { text }); }
 
   private async json<T>(path: string, body?: unknown): Promise<T> {
     const reply = body === undefined ? await checked(await fetch(path)) : await this.sent(path, JSON.stringify(body), "application/json");
@@ -140,6 +140,6 @@ function firstOf({ count, centers, covariances, rgb, opacity }: Splats): Splats 
 /** Return the reply. Throws an Error with the service's own sentence where it refuses. */
 async function checked(reply: Response): Promise<Response> {
   if (reply.ok) return reply;
-  const said = await reply.json().then((body: { error?: string }) => body.error, () => undefined);
-  throw new Error(said ?? `the viewer answered with ${reply.status}`);
+  const refusal = await reply.json().then((body: { error?: string }) => body.error, () => undefined);
+  throw new Error(refusal ?? `the viewer answered with ${reply.status}`);
 }

@@ -30,7 +30,7 @@ async function start(): Promise<void> {
 
 start().catch((error: unknown) => {
   document.body.classList.remove("loading");
-  const line = byId("said");
+  const line = byId("message");
   line.hidden = false;
   line.className = "fault";
   line.textContent = `This scene cannot be shown: ${error instanceof Error ? error.message : String(error)}`;

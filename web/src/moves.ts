@@ -30,7 +30,7 @@ export class Moves {
   }
 
   /** Return the time that is shown, for people. */
-  get said(): string {
+  get summary(): string {
     const { at } = this.clock, place = this.share * (at.length - 1), low = Math.min(Math.floor(place), at.length - 2), t = place - low;
     return Number((at[low] * (1 - t) + at[low + 1] * t).toPrecision(4)).toString();
   }
@@ -51,7 +51,7 @@ export class Moves {
     app.stage.move(count);
     app.repaint();
     const now = document.getElementById("now"), slider = document.getElementById("time") as HTMLInputElement | null;
-    if (now) now.textContent = this.said;
+    if (now) now.textContent = this.summary;
     if (slider) slider.value = String(Math.round(1000 * this.share));
   }
 

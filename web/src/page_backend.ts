@@ -30,7 +30,7 @@ export class PageBackend implements Backend {
     this.results = file.answers;
     const mode: Mode = file.answers.length && !file.plays ? "answer" : "as it is";
     this.now = {
-      revision: 0, scene: 0, header: 0, geometry: 0, paint: 0, mode, said: "", selection: 0, results: file.answers.slice(0, 1), clicked: null, chosen: null,
+      revision: 0, scene: 0, header: 0, geometry: 0, paint: 0, mode, message: "", selection: 0, results: file.answers.slice(0, 1), clicked: null, chosen: null,
       classes: null, edits: [], can_undo: false, can_redo: false, annotations: file.annotations, time: null, kept: false,
     };
   }
@@ -80,7 +80,7 @@ export class PageBackend implements Backend {
       case "mode": return { mode: act.mode as Mode };
       case "clear":
         this.object = -1;
-        return { results: [], mode: "as it is", clicked: null, chosen: null, said: "" };
+        return { results: [], mode: "as it is", clicked: null, chosen: null, message: "" };
       default: throw new Error("This page was made to look at: open the scene with drsplat view to change it.");
     }
   }
@@ -98,7 +98,7 @@ export class PageBackend implements Backend {
       }
     }
     this.object = -1;
-    return { results, mode: "answer", clicked: null, chosen: null, said: results.map((result) => result.said).join(" ") };
+    return { results, mode: "answer", clicked: null, chosen: null, message: results.map((result) => result.summary).join(" ") };
   }
 
   private choose(index: number): Partial<State> {
@@ -107,10 +107,10 @@ export class PageBackend implements Backend {
     this.object = index;
     const match = { ...object, score: 1, place: "" };
     const result: Result = {
-      text: object.name, said: "", doubt: "", accent: [255, 170, 30], matches: [match], num_matches: 1, threshold: 0, automatic: 0, limits: [0, 1], measure: "", rule: "", exact: true,
+      text: object.name, summary: "", doubt: "", accent: [255, 170, 30], matches: [match], num_matches: 1, threshold: 0, automatic: 0, limits: [0, 1], measure: "", rule: "", exact: true,
     };
     const chosen = { name: object.name, number: object.number, smaller: false, larger: false, gaussians: object.gaussians, photos: 0, label: false };
-    return { results: [result], mode: "answer", chosen, said: object.name };
+    return { results: [result], mode: "answer", chosen, message: object.name };
   }
 
   private async click(eye: Vec, direction: Vec): Promise<Partial<State>> {

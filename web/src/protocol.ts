@@ -13,7 +13,7 @@ export interface Place extends Box { eye: Vec; boxes?: (number[] | null)[]; gone
 export interface Match extends Place { score: number; size: string; place: string; gaussians: number; name: string }
 
 export interface Result {
-  text: string; said: string; doubt: string; accent: Color; matches: Match[]; num_matches: number;
+  text: string; summary: string; doubt: string; accent: Color; matches: Match[]; num_matches: number;
   threshold: number; automatic: number; limits: [number, number]; measure: string; rule: string; exact: boolean;
 }
 
@@ -54,7 +54,7 @@ export interface Chosen {
 }
 
 export interface State {
-  revision: number; scene: number; header: number; geometry: number; paint: number; mode: Mode; said: string; selection: number;
+  revision: number; scene: number; header: number; geometry: number; paint: number; mode: Mode; message: string; selection: number;
   results: Result[]; clicked: Clicked | null; chosen: Chosen | null;
   classes: { name: string; count: number; color: Color }[] | null;
   edits: { number: number; what: string; target: string; done: boolean }[]; can_undo: boolean; can_redo: boolean;
@@ -103,7 +103,7 @@ export interface Live {
   /** Return how many pictures of a film are drawn, of how many; 0 of 0 while it waits. */
   filmProgress(job: string): Promise<{ done: number; count: number }>;
   loadPath(file: File): Promise<{ keys: KeyFrame[]; seconds: number | null }>;
-  catalogue(text: string): Promise<{ said: string; entries: { number: number; title: string; scene: string; score: number }[] }>;
+  catalogue(text: string): Promise<{ summary: string; entries: { number: number; title: string; scene: string; score: number }[] }>;
   cataloguePicture(number: number): string;
 }
 

@@ -25,7 +25,7 @@ from ..base.arrays import Bool, Float32, Int64
 from ..errors import FormatError, InputError, MismatchError
 from ..field.codes import Track, untracked
 from ..formats.captures import read_views
-from ..formats.json_files import as_vector, read_json, shown
+from ..formats.json_files import as_vector, excerpt, read_json
 from ..formats.lerf_ovs import LabelledFrame, read_lerf_labels
 from ..formats.replacing import replacing
 from ..kernels import SplatArrays, render_channels, splat_arrays
@@ -315,7 +315,7 @@ def _peak_hits(scene: LerfScene, folder: Path) -> list[float]:
     path = folder / scene.name / PEAKS
     document = read_json(path) if path.is_file() else {}
     if not isinstance(document, dict):
-        raise FormatError(f"{path}: expected a JSON object, got {shown(document)}")
+        raise FormatError(f"{path}: expected a JSON object, got {excerpt(document)}")
     hits = []
     for frame, category in scene.pairs:
         of_frame = document.get(frame.name, {})

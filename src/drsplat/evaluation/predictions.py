@@ -18,7 +18,7 @@ from PIL import Image
 
 from ..base.arrays import Bool, Float32
 from ..errors import FormatError, InputError, MismatchError
-from ..formats.json_files import read_json, shown
+from ..formats.json_files import excerpt, read_json
 from ..formats.replacing import replacing
 
 MANIFEST = "predictions.json"
@@ -63,20 +63,20 @@ def read_manifest(folder: Path, scene: str, protocols: Sequence[str]) -> Manifes
         raise InputError(f"{path}: there are no predictions of '{scene}': predict before scoring")
     document = read_json(path)
     if not isinstance(document, dict):
-        raise FormatError(f"{path}: expected a JSON object, got {shown(document)}")
+        raise FormatError(f"{path}: expected a JSON object, got {excerpt(document)}")
     if document.get("protocol") not in protocols or document.get("scene") != scene:
         raise MismatchError(
             f"{path}: expected predictions of {' or '.join(protocols)} for '{scene}', got "
-            f"{shown(document.get('protocol'))} for {shown(document.get('scene'))}"
+            f"{excerpt(document.get('protocol'))} for {excerpt(document.get('scene'))}"
         )
     columns, leaked = document.get("columns"), document.get("leaked")
     if not isinstance(columns, dict) or not all(isinstance(how, str) for how in columns.values()):
-        raise FormatError(f"{path}: columns: expected texts by name, got {shown(columns)}")
+        raise FormatError(f"{path}: columns: expected texts by name, got {excerpt(columns)}")
     outside = [name for name in columns if set(name) & set("/\\\0") or name.startswith(".")]
     if outside:
-        raise FormatError(f"{path}: columns: {shown(outside[0])} cannot name a folder")
+        raise FormatError(f"{path}: columns: {excerpt(outside[0])} cannot name a folder")
     if leaked is not None and not isinstance(leaked, list):
-        raise FormatError(f"{path}: leaked: expected a list or null, got {shown(leaked)}")
+        raise FormatError(f"{path}: leaked: expected a list or null, got {excerpt(leaked)}")
     inputs = document.get("inputs")
     return Manifest(
         str(document["protocol"]), str(document.get("method")), scene, columns,

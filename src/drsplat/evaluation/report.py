@@ -137,7 +137,7 @@ def _tiles(results: Sequence[Mapping[str, Any]]) -> str:
 def _table(table: Table) -> str:
     head = "".join(f"<th>{escape(name)}</th>" for name in table.columns)
     rows = "".join(
-        "<tr>" + "".join(f"<td>{escape(shown(cell))}</td>" for cell in row) + "</tr>\n" for row in table.rows
+        "<tr>" + "".join(f"<td>{escape(cell_text(cell))}</td>" for cell in row) + "</tr>\n" for row in table.rows
     )
     note = f'<p class="note">{escape(table.note)}</p>' if table.note else ""
     return (
@@ -146,10 +146,10 @@ def _table(table: Table) -> str:
     )
 
 
-def shown(cell: str | float | None) -> str:
+def cell_text(cell: str | float | None) -> str:
     """Format a number with two digits after the point, a whole one without.
 
-    >>> shown(43.577), shown(4.0), shown(None), shown(float("nan"))
+    >>> cell_text(43.577), cell_text(4.0), cell_text(None), cell_text(float("nan"))
     ('43.58', '4', '', '')
     """
     if cell is None or isinstance(cell, str):

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..base.arrays import Int32, Sparse, UInt32
 from ..errors import FormatError, InputError
-from ..formats.json_files import is_text, shown
+from ..formats.json_files import excerpt, is_text
 from ..formats.tensors import check_tensors
 from .codes import PQ, Code, CodeSpecification, Mixture, PQCode, Smaller
 from .codes.mixture import MixtureCode, SceneAtoms, quantised
@@ -126,13 +126,13 @@ def growth_from_tensors(
     if has_scene:
         check_tensors(tensors, _SCENE_ARRAYS, where)
     if not isinstance(document, dict):
-        raise FormatError(f"{where}: growth: expected an object in the manifest, got {shown(document)}")
+        raise FormatError(f"{where}: growth: expected an object in the manifest, got {excerpt(document)}")
     isa, level, removed = (document.get(key) for key in ("isa", "level", "removed"))
     if not is_text(isa) or not (level is None or is_text(level)):
         raise FormatError(f"{where}: growth: expected an instruction set, and a level or null")
     removed = [] if removed is None else removed
     if not isinstance(removed, list) or not all(map(is_text, removed)):
-        raise FormatError(f"{where}: growth: removed: expected a list of photos' names, got {shown(removed)}")
+        raise FormatError(f"{where}: growth: removed: expected a list of photos' names, got {excerpt(removed)}")
     try:
         provenance = Provenance(tensors["axes"], tensors["keys"], str(isa), level, tensors.get("cameras"))
         atoms, places = _scene(tensors) if has_scene else (None, None)
@@ -191,4 +191,4 @@ def _code_from_json(document: object) -> PQ | Mixture | Smaller | None:
         return PQ(subvectors)
     if kind in ("mixture", "auto") and type(atoms) is int and atoms > 0:
         return Mixture(atoms) if kind == "mixture" else Smaller(atoms)
-    raise InputError(f"growth: expected a code as 'pq', 'mixture', 'auto' or '{GIVEN}', got {shown(document)}")
+    raise InputError(f"growth: expected a code as 'pq', 'mixture', 'auto' or '{GIVEN}', got {excerpt(document)}")

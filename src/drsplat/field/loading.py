@@ -11,7 +11,7 @@ from ..base.arrays import Float64
 from ..errors import FormatError, InputError, MismatchError
 from ..formats.checksums import DOCUMENT, check_checksums, check_document, check_seal
 from ..formats.field_folder import MANIFEST, read_manifest
-from ..formats.json_files import as_vector, is_text, shown
+from ..formats.json_files import as_vector, excerpt, is_text
 from ..formats.recognising import Kind, mistaken
 from ..formats.runs import MAX_GAUSSIANS
 from ..formats.tensors import check_tensors, map_tensors, read_tensors
@@ -160,7 +160,7 @@ def _up(document: object, path: Path) -> Float64[np.ndarray, " 3"] | None:
 def _left_out(document: object, path: Path) -> tuple[str, ...]:
     """Fields of older versions do not say."""
     if not isinstance(document, list) or not all(map(is_text, document)):
-        raise FormatError(f"{path}: left_out: expected a list of photos' names, got {shown(document)}")
+        raise FormatError(f"{path}: left_out: expected a list of photos' names, got {excerpt(document)}")
     return tuple(document)
 
 

@@ -15,7 +15,7 @@ from typing import Any
 from ..errors import FormatError, InputError
 from ..scene.annotations import Annotation, Outline
 from .claiming import claimed_output
-from .json_files import as_matrix, as_vector, read_json, shown
+from .json_files import as_matrix, as_vector, excerpt, read_json
 from .replacing import replacing
 from .scenes import companion
 
@@ -97,7 +97,7 @@ def annotations_of(document: object, where: str) -> Annotations:
     if not isinstance(document, dict) or document.get("type") != KIND or document.get("format", FORMAT) != FORMAT:
         raise FormatError(f"{where}: expected a GeoJSON {KIND} of annotations")
     if document.get("version", VERSION) != VERSION:
-        raise FormatError(f"{where}: version {shown(document.get('version'))}; this drsplat reads {VERSION}")
+        raise FormatError(f"{where}: version {excerpt(document.get('version'))}; this drsplat reads {VERSION}")
     features = document.get("features")
     if not isinstance(features, list) or len(features) > MOST:
         raise FormatError(f"{where}: expected a list of up to {MOST:,} features")
@@ -107,10 +107,10 @@ def annotations_of(document: object, where: str) -> Annotations:
 def _annotation(feature: object, where: str) -> Annotation:
     geometry, properties = (_part(feature, name, where) for name in ("geometry", "properties"))
     if geometry.get("type") != "Point":
-        raise FormatError(f"{where}: expected a Point, got {shown(geometry.get('type'))}")
+        raise FormatError(f"{where}: expected a Point, got {excerpt(geometry.get('type'))}")
     text = properties.get("text")
     if not isinstance(text, str):
-        raise FormatError(f"{where}: expected a text, got {shown(text)}")
+        raise FormatError(f"{where}: expected a text, got {excerpt(text)}")
     center = as_vector(geometry.get("coordinates"), 3, f"{where}: coordinates")
     try:
         return Annotation(text, center, _outline(properties, where))

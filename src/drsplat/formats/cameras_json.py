@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import DrSplatWarning, FormatError
 from ..scene.views import View
-from .json_files import as_count, as_matrix, as_number, as_vector, read_json, shown
+from .json_files import as_count, as_matrix, as_number, as_vector, excerpt, read_json
 from .photo_files import listed, safe_name
 from .poses import inverse_pose, nearest_rotation, pinhole, posed_view
 from .replacing import replacing
@@ -27,7 +27,7 @@ def read_cameras_json(path: Path) -> list[View]:
     """
     document = read_json(path)
     if not isinstance(document, list) or not document:
-        raise FormatError(f"{path}: expected a JSON list of cameras, got {shown(document)}")
+        raise FormatError(f"{path}: expected a JSON list of cameras, got {excerpt(document)}")
     return [_view(entry, f"{path}, camera {index}") for index, entry in enumerate(document)]
 
 
@@ -61,9 +61,9 @@ def write_cameras_json(path: str | Path, views: Sequence[View], overwrite: bool 
 
 def _view(entry: object, where: str) -> View:
     if not isinstance(entry, dict) or not entry.keys() >= set(KEYS):
-        raise FormatError(f"{where}: expected an object with {', '.join(KEYS)}, got {shown(entry)}")
+        raise FormatError(f"{where}: expected an object with {', '.join(KEYS)}, got {excerpt(entry)}")
     if not isinstance(entry["img_name"], str):
-        raise FormatError(f"{where}: expected img_name to be text, got {shown(entry['img_name'])}")
+        raise FormatError(f"{where}: expected img_name to be text, got {excerpt(entry['img_name'])}")
     name = safe_name(entry["img_name"], where)
     where = f"{where} ({name!a})"
     size = (as_count(entry["width"], f"{where}: width"), as_count(entry["height"], f"{where}: height"))

@@ -14,7 +14,7 @@ from ..scene.encoders import EncoderIdentity
 from .checksums import DOCUMENT, check_document, check_seal, hash_file, sealed
 from .feature_files import COMPACT, EMBEDDINGS, MAPS, Form, stems
 from .journal import Journal, changes_to
-from .json_files import is_text, read_json, shown
+from .json_files import excerpt, is_text, read_json
 from .photo_files import listed
 from .replacing import replacing
 
@@ -246,7 +246,7 @@ def _read(path: Path) -> tuple[dict[str, object], dict[str, Finished]]:
         entries = {stem: _entry(value) for stem, value in photos.items()}
         return settings, {stem: entry for stem, entry in entries.items() if entry is not None}
     raise FormatError(
-        f"{path}: expected '{FORMAT}' with settings and photos, got {shown(parts.get('format'))}: "
+        f"{path}: expected '{FORMAT}' with settings and photos, got {excerpt(parts.get('format'))}: "
         f"damaged, or of another version. {_CURE}"
     )
 

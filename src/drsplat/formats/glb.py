@@ -46,7 +46,7 @@ from .glb_layout import (
 from .glb_names import ObjectName, object_names, object_numbers
 from .glb_nodes import placed_meshes
 from .gltf import Entry, Gltf, gltf_in, inner, listed, whole
-from .json_files import shown
+from .json_files import excerpt
 from .spz import parse_spz
 
 UNDERSTOOD = (SPLATTING, SPZ, FEATURES, METADATA, "KHR_mesh_quantization", "KHR_materials_unlit")
@@ -103,7 +103,7 @@ def _gaussians(gltf: Gltf) -> Gaussians:
 def _refuse_unknown(gltf: Gltf) -> None:
     unknown = [name for name in gltf.entries("extensionsRequired") if name not in UNDERSTOOD]
     if unknown:
-        raise FormatError(f"glTF needs the extension {shown(unknown[0])}, which is not read: export it without")
+        raise FormatError(f"glTF needs the extension {excerpt(unknown[0])}, which is not read: export it without")
 
 
 @dataclass
@@ -152,16 +152,16 @@ def _is_antialiased(gltf: Gltf) -> bool:
 def _check_meaning(primitive: Entry, extension: Entry) -> None:
     mode, kernel, space = primitive.get("mode"), extension.get("kernel", KERNEL), extension.get("colorSpace")
     if mode != POINTS:
-        raise FormatError(f"glTF: a primitive of splats has the mode {shown(mode)}: expected {POINTS}, points")
+        raise FormatError(f"glTF: a primitive of splats has the mode {excerpt(mode)}: expected {POINTS}, points")
     if kernel != KERNEL:
-        raise FormatError(f"glTF: splats of the kernel {shown(kernel)}; '{KERNEL}' can be read")
+        raise FormatError(f"glTF: splats of the kernel {excerpt(kernel)}; '{KERNEL}' can be read")
     if space == LINEAR_COLOR_SPACE:
         raise FormatError(
             f"glTF: splats whose colours are of linear light ({LINEAR_COLOR_SPACE}) blend otherwise than those of "
             f"photos, and no colours of ours look like them: train or export it in {COLOR_SPACE}"
         )
     if space not in (COLOR_SPACE, None):
-        raise FormatError(f"glTF: colours of {shown(space)}; {COLOR_SPACE} can be read")
+        raise FormatError(f"glTF: colours of {excerpt(space)}; {COLOR_SPACE} can be read")
 
 
 def _of_spz(gltf: Gltf, compressed: Entry, budget: _Budget) -> Gaussians:

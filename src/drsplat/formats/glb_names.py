@@ -10,7 +10,7 @@ from ..errors import FormatError
 from .glb_layout import METADATA
 from .glb_tables import NAME, NUMBER
 from .gltf import Entry, Gltf, inner, listed, whole
-from .json_files import shown
+from .json_files import excerpt
 
 OFFSETS = {"UINT8": "<u1", "UINT16": "<u2", "UINT32": "<u4", "UINT64": "<u8"}
 
@@ -72,7 +72,7 @@ def _numbers(gltf: Gltf, view: object, dtype: str, count: int) -> np.ndarray:
 def _texts(gltf: Gltf, column: Entry, count: int) -> list[str]:
     kind = column.get("stringOffsetType", "UINT32")
     if kind not in OFFSETS:
-        raise FormatError(f"glTF: offsets of names of the type {shown(kind)}: expected {', '.join(OFFSETS)}")
+        raise FormatError(f"glTF: offsets of names of the type {excerpt(kind)}: expected {', '.join(OFFSETS)}")
     offsets = _numbers(gltf, column.get("stringOffsets"), OFFSETS[kind], count + 1).tolist()
     raw = bytes(gltf.view(column.get("values")))
     pairs = list(pairwise(offsets))

@@ -16,7 +16,7 @@ import numpy as np
 from ..base.contents import file_bytes
 from ..errors import FormatError
 from .glb_layout import BINARY_CHUNK, CHUNK, COMPONENTS, HEADER, JSON_CHUNK, MAGIC, VERSION, WIDTHS
-from .json_files import document_in, shown
+from .json_files import document_in, excerpt
 from .photo_files import safe_name
 
 DATA_URI = "data:"
@@ -47,7 +47,7 @@ class Gltf:
         place = whole(number, f"a number of {name}", len(entries))
         entry = entries[place]
         if not isinstance(entry, dict):
-            raise FormatError(f"{name}[{place}]: expected an object, got {shown(entry)}")
+            raise FormatError(f"{name}[{place}]: expected an object, got {excerpt(entry)}")
         return entry
 
     @property
@@ -79,7 +79,7 @@ class Gltf:
         if entry.get("type") != kind or component not in components:
             raise FormatError(
                 f"{what}: expected {kind} of the types {', '.join(map(str, components))}, got "
-                f"{shown(entry.get('type'))} of {shown(component)}"
+                f"{excerpt(entry.get('type'))} of {excerpt(component)}"
             )
         if "sparse" in entry or "bufferView" not in entry:
             raise FormatError(f"{what}: sparse accessors and those without data cannot be read: write it whole")
@@ -126,14 +126,14 @@ class Gltf:
         if uri is None and place == 0 and self.binary is not None:
             return self.binary
         if not isinstance(uri, str):
-            raise FormatError(f"buffers[{place}]: expected the binary chunk of a GLB or a uri, got {shown(uri)}")
+            raise FormatError(f"buffers[{place}]: expected the binary chunk of a GLB or a uri, got {excerpt(uri)}")
         if uri.startswith(DATA_URI):
             return _base64(uri, place)
         name = unquote(uri)
         if self.folder is None or ":" in name or "/" in name or "\\" in name:
             raise FormatError(
-                f"buffers[{place}]: {shown(uri)}: only files right beside the document are read: put it there, or pack "
-                "both into one .glb"
+                f"buffers[{place}]: {excerpt(uri)}: only files right beside the document are read: put it there, or "
+                "pack both into one .glb"
             )
         path = self.folder / safe_name(name, f"buffers[{place}]")
         return file_bytes(path).data
@@ -155,7 +155,7 @@ def gltf_in(buffer: memoryview, folder: Path | None = None) -> Gltf:
         raise FormatError("glTF: expected an object with 'asset'")
     version = document["asset"].get("version")
     if not isinstance(version, str) or not version.startswith("2."):
-        raise FormatError(f"glTF of version {shown(version)}; version 2.0 can be read: export it again")
+        raise FormatError(f"glTF of version {excerpt(version)}; version 2.0 can be read: export it again")
     return Gltf(document, binary, folder)
 
 
@@ -182,7 +182,7 @@ def _chunks(buffer: memoryview) -> tuple[memoryview, memoryview | None]:
 def _base64(uri: str, place: int) -> memoryview:
     head, _, body = uri.partition(",")
     if not head.endswith(";base64"):
-        raise FormatError(f"buffers[{place}]: expected a data uri in base64, got {shown(head)}")
+        raise FormatError(f"buffers[{place}]: expected a data uri in base64, got {excerpt(head)}")
     try:
         return memoryview(base64.b64decode(body, validate=True))
     except (binascii.Error, ValueError) as error:
@@ -193,7 +193,7 @@ def listed(entry: object, name: str, where: str) -> list[Any]:
     """Return a list of an object, [] where there is none. Raises: FormatError: it is no list."""
     value = entry.get(name, []) if isinstance(entry, dict) else []
     if not isinstance(value, list):
-        raise FormatError(f"{where}: {name}: expected a list, got {shown(value)}")
+        raise FormatError(f"{where}: {name}: expected a list, got {excerpt(value)}")
     return value
 
 
@@ -207,5 +207,5 @@ def inner(entry: object, *names: str) -> Entry:
 def whole(value: object, where: str, below: int = 1 << 62) -> int:
     """Return a whole number of 0 or more. Raises: FormatError: it is none, or not below `below`."""
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < below:
-        raise FormatError(f"glTF: {where}: expected a whole number from 0 to {below - 1}, got {shown(value)}")
+        raise FormatError(f"glTF: {where}: expected a whole number from 0 to {below - 1}, got {excerpt(value)}")
     return value

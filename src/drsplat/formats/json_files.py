@@ -62,7 +62,7 @@ def unique_names(pairs: list[tuple[str, object]]) -> dict[str, object]:
     if len(entries) < len(pairs):
         names = [name for name, _ in pairs]
         twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"{shown(twice)} is given twice")
+        raise ValueError(f"{excerpt(twice)} is given twice")
     return entries
 
 
@@ -72,13 +72,13 @@ def as_number(value: object, where: str) -> float:
     Raises: FormatError: not a number, not finite, or beyond `LARGEST`.
     """
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise FormatError(f"{where}: expected a number, got {shown(value)}")
+        raise FormatError(f"{where}: expected a number, got {excerpt(value)}")
     try:
         number = float(value)
     except OverflowError:
         number = math.inf
     if not abs(number) <= LARGEST:
-        raise FormatError(f"{where}: expected a finite number up to {LARGEST:g}, got {shown(value)}")
+        raise FormatError(f"{where}: expected a finite number up to {LARGEST:g}, got {excerpt(value)}")
     return number
 
 
@@ -86,25 +86,25 @@ def as_count(value: object, where: str) -> int:
     """Return a value as a whole number; files also write them as 1080.0."""
     number = as_number(value, where)
     if number != int(number):
-        raise FormatError(f"{where}: expected a whole number, got {shown(value)}")
+        raise FormatError(f"{where}: expected a whole number, got {excerpt(value)}")
     return int(number)
 
 
 def as_vector(value: object, length: int, where: str) -> Float64[np.ndarray, " n"]:
     """`length` finite numbers."""
     if not isinstance(value, list) or len(value) != length:
-        raise FormatError(f"{where}: expected {length} numbers, got {shown(value)}")
+        raise FormatError(f"{where}: expected {length} numbers, got {excerpt(value)}")
     return np.array([as_number(item, where) for item in value])
 
 
 def as_matrix(value: object, rows: int, columns: int, where: str) -> Float64[np.ndarray, "r c"]:
     """`rows` lists of `columns` finite numbers."""
     if not isinstance(value, list) or len(value) != rows:
-        raise FormatError(f"{where}: expected {rows} rows of {columns} numbers, got {shown(value)}")
+        raise FormatError(f"{where}: expected {rows} rows of {columns} numbers, got {excerpt(value)}")
     return np.stack([as_vector(row, columns, where) for row in value])
 
 
-def shown(value: object) -> str:
+def excerpt(value: object) -> str:
     """Format a value, short enough for an error message."""
     if isinstance(value, int) and value.bit_length() > 256:
         return "a huge integer"  # str() of it may be refused by Python itself

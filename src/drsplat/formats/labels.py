@@ -10,7 +10,7 @@ from typing import Any
 
 from ..errors import FormatError
 from ..scene.labelled import LabelledScene, Thing
-from .json_files import as_count, as_matrix, as_number, as_vector, is_text, shown
+from .json_files import as_count, as_matrix, as_number, as_vector, excerpt, is_text
 
 FORMAT, VERSION = "drsplat objects", 1
 NO_GROUP = -1
@@ -49,10 +49,10 @@ def parse_labels(content: bytes, where: str) -> Labels:
     except (ValueError, RecursionError) as error:
         raise FormatError(f"{where}: expected JSON: {error}") from None
     if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
-        raise FormatError(f"{where}: expected '{FORMAT}' of version {VERSION}, got {shown(document)}")
+        raise FormatError(f"{where}: expected '{FORMAT}' of version {VERSION}, got {excerpt(document)}")
     query = document.get("query", "")
     if not is_text(query) and query != "":
-        raise FormatError(f"{where}: query: expected a text, got {shown(query)}")
+        raise FormatError(f"{where}: query: expected a text, got {excerpt(query)}")
     groups = _things(document.get("groups", []), f"{where}: groups", 0)
     return Labels(_things(document.get("objects"), f"{where}: objects", len(groups)), groups, str(query))
 
@@ -71,13 +71,13 @@ def _entry(thing: Thing) -> dict[str, object]:
 
 def _things(entries: object, where: str, groups: int) -> tuple[Thing, ...]:
     if not isinstance(entries, list):
-        raise FormatError(f"{where}: expected a list, got {shown(entries)}")
+        raise FormatError(f"{where}: expected a list, got {excerpt(entries)}")
     return tuple(_thing(entry, f"{where}: {number}", groups) for number, entry in enumerate(entries))
 
 
 def _thing(entry: Any, where: str, groups: int) -> Thing:
     if not isinstance(entry, dict) or not isinstance(entry.get("name"), str):
-        raise FormatError(f"{where}: expected an object with a name, got {shown(entry)}")
+        raise FormatError(f"{where}: expected an object with a name, got {excerpt(entry)}")
     parent = as_count(entry.get("parent", NO_GROUP), f"{where}: parent")
     if not NO_GROUP <= parent < max(groups, 0):
         raise FormatError(f"{where}: parent: expected -1 to {groups - 1}, got {parent}")

@@ -20,7 +20,7 @@ from ..base.contents import file_bytes
 from ..errors import FormatError
 from ..scene.gaussians import Gaussians, concatenated
 from ..scene.similarity import similarity_of
-from .json_files import as_count, is_text, read_json, shown
+from .json_files import as_count, excerpt, is_text, read_json
 from .sog import parse_sog
 from .sog_files import beside
 from .spz import parse_spz
@@ -54,14 +54,14 @@ def _index(document: Any, path: Path) -> tuple[dict[str, Any], list[str], str]:
     """Return the root of the tree, the names of the chunks and their suffix."""
     root = document.get("root") if isinstance(document, dict) else None
     if not isinstance(root, dict):
-        raise FormatError(f"{path}: expected an LCC2 index with a root, got {shown(document)}")
+        raise FormatError(f"{path}: expected an LCC2 index with a root, got {excerpt(document)}")
     is_old = "splatFiles" not in root
     names = root.get("files" if is_old else "splatFiles")
     if not isinstance(names, list) or not all(map(is_text, names)):
-        raise FormatError(f"{path}: root: splatFiles: expected a list of names, got {shown(names)}")
+        raise FormatError(f"{path}: root: splatFiles: expected a list of names, got {excerpt(names)}")
     kind = document.get("splatType", ".sog")
     if not isinstance(kind, str) or kind not in PARSERS:
-        raise FormatError(f"{path}: splatType: expected .sog or .spz, got {shown(kind)}")
+        raise FormatError(f"{path}: splatType: expected .sog or .spz, got {excerpt(kind)}")
     return root, [_current(name) for name in names] if is_old else names, kind
 
 
@@ -82,7 +82,7 @@ def _leaves(root: dict[str, Any], where: str) -> Iterator[dict[str, Any]]:
     while waiting:
         node, depth = waiting.pop()
         if not isinstance(node, dict) or depth > DEEPEST:
-            raise FormatError(f"{where}: expected nodes, at most {DEEPEST} deep, got {shown(node)}")
+            raise FormatError(f"{where}: expected nodes, at most {DEEPEST} deep, got {excerpt(node)}")
         children = _children(node, where)
         if not children:
             yield node
@@ -92,7 +92,7 @@ def _leaves(root: dict[str, Any], where: str) -> Iterator[dict[str, Any]]:
 def _children(node: dict[str, Any], where: str) -> list[Any]:
     found = node.get("child") or []
     if not isinstance(found, list | dict):
-        raise FormatError(f"{where}: child: expected a list or an object of nodes, got {shown(found)}")
+        raise FormatError(f"{where}: child: expected a list or an object of nodes, got {excerpt(found)}")
     return list(found.values()) if isinstance(found, dict) else found
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from ..base.arrays import Bool, Float64, Int64
 from ..errors import FormatError, InputError
-from .json_files import as_count, as_vector, read_json, shown
+from .json_files import as_count, as_vector, excerpt, read_json
 from .photo_files import safe_name
 
 MAX_SIDE = 16384
@@ -76,9 +76,9 @@ def read_lerf_frame(path: Path) -> LabelledFrame:
     width, height = (_side(info.get(key), f"{path}: info.{key}") for key in ("width", "height"))
     name = info.get("name", path.name)
     if not isinstance(name, str) or Path(safe_name(name, f"{path}: info.name")).stem != path.stem:
-        raise FormatError(f"{path}: info.name: expected '{path.stem}', got {shown(name)}")
+        raise FormatError(f"{path}: info.name: expected '{path.stem}', got {excerpt(name)}")
     if not isinstance(objects, list):
-        raise FormatError(f"{path}: objects: expected a list, got {shown(objects)}")
+        raise FormatError(f"{path}: objects: expected a list, got {excerpt(objects)}")
     read = [_object(entry, (width, height), f"{path}: object {index}") for index, entry in enumerate(objects)]
     return LabelledFrame(
         path.stem,
@@ -141,10 +141,10 @@ def _side(value: object, where: str) -> int:
 
 def _object(entry: object, size: tuple[int, int], where: str) -> tuple[str, Polygon, Box]:
     if not isinstance(entry, dict):
-        raise FormatError(f"{where}: expected an object, got {shown(entry)}")
+        raise FormatError(f"{where}: expected an object, got {excerpt(entry)}")
     category = entry.get("category")
     if not isinstance(category, str) or not category.strip() or not category.isprintable():
-        raise FormatError(f"{where}: category: expected a text, got {shown(category)}")
+        raise FormatError(f"{where}: category: expected a text, got {excerpt(category)}")
     where = f"{where} ({category[:60]!a})"
     polygon = _polygon(entry.get("segmentation"), size, f"{where}: segmentation")
     if "bbox" not in entry:
@@ -155,7 +155,7 @@ def _object(entry: object, size: tuple[int, int], where: str) -> tuple[str, Poly
 
 def _polygon(value: object, size: tuple[int, int], where: str) -> Polygon:
     if not isinstance(value, list) or not 3 <= len(value) <= MAX_CORNERS:
-        raise FormatError(f"{where}: expected three or more corners [x, y], got {shown(value)}")
+        raise FormatError(f"{where}: expected three or more corners [x, y], got {excerpt(value)}")
     corners = np.stack([as_vector(corner, 2, where) for corner in value])
     if (corners < -np.array(size)).any() or (corners > 2 * np.array(size)).any():
         raise FormatError(f"{where}: corners far outside of the {size[0]}x{size[1]} frame")

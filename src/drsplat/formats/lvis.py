@@ -15,7 +15,7 @@ import numpy as np
 from ..base.arrays import Bool, Float64, Int64
 from ..base.contents import file_text
 from ..errors import FormatError, InputError
-from .json_files import as_count, as_number, shown
+from .json_files import as_count, as_number, excerpt
 from .photo_files import safe_name
 from .rle import decode_runs, fill_polygon, unpack_counts
 
@@ -119,7 +119,7 @@ def _document(path: Path) -> dict[str, list[object]]:
     ):
         raise FormatError(
             f"{path}: expected an object with the lists images, annotations and categories, as LVIS "
-            f"and COCO have, got {shown(document)}"
+            f"and COCO have, got {excerpt(document)}"
         )
     return document
 
@@ -148,7 +148,7 @@ def _by_id(entries: list[object], what: str, parse: Callable[[dict[str, object],
     found: dict[int, T] = {}
     for place, entry in enumerate(entries):
         if not isinstance(entry, dict):
-            raise FormatError(f"{what} at place {place}: expected an object, got {shown(entry)}")
+            raise FormatError(f"{what} at place {place}: expected an object, got {excerpt(entry)}")
         number = as_count(entry.get("id"), f"{what} at place {place}: id")
         if number in found:
             raise FormatError(f"{what} {number}: the id occurs twice")
@@ -180,7 +180,7 @@ def _photo_name(entry: dict[str, object], where: str) -> str:
 def _category(entry: dict[str, object], number: int, where: str) -> str:
     name = entry.get("name")
     if not isinstance(name, str):
-        raise FormatError(f"{where}: name: expected text, got {shown(name)}")
+        raise FormatError(f"{where}: name: expected text, got {excerpt(name)}")
     return name
 
 
@@ -196,10 +196,10 @@ def _segmentation(value: object, where: str) -> Polygons | Runs:
     if isinstance(value, dict):
         return _runs(value, where)
     if not isinstance(value, list):
-        raise FormatError(f"{where}: expected polygons or run lengths, got {shown(value)}")
+        raise FormatError(f"{where}: expected polygons or run lengths, got {excerpt(value)}")
     for polygon in value:
         if not isinstance(polygon, np.ndarray) or len(polygon) % 2:
-            raise FormatError(f"{where}: expected polygons, lists of x and y in turns; got {shown(polygon)}")
+            raise FormatError(f"{where}: expected polygons, lists of x and y in turns; got {excerpt(polygon)}")
         if not (np.abs(polygon) <= _MAX_COORDINATE).all():  # false for NaN
             raise FormatError(f"{where}: a polygon has a coordinate that no photo has")
     return tuple(value)
@@ -208,10 +208,10 @@ def _segmentation(value: object, where: str) -> Polygons | Runs:
 def _runs(value: dict[str, object], where: str) -> Runs:
     counts, size = value.get("counts"), value.get("size")
     if not isinstance(size, list) or len(size) != 2:
-        raise FormatError(f"{where}: size: expected [height, width], got {shown(size)}")
+        raise FormatError(f"{where}: size: expected [height, width], got {excerpt(size)}")
     height, width = (as_count(side, f"{where}: size") for side in size)
     if not isinstance(counts, str | np.ndarray):
-        raise FormatError(f"{where}: counts: expected whole numbers or compressed text, got {shown(counts)}")
+        raise FormatError(f"{where}: counts: expected whole numbers or compressed text, got {excerpt(counts)}")
     return Runs(counts, height, width)
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from ..errors import FormatError
 from ..scene.views import View
 from .checksums import check_seal, sealed
-from .json_files import is_text, read_json, shown
+from .json_files import excerpt, is_text, read_json
 from .photo_files import capture_folder
 from .replacing import replacing
 
@@ -53,7 +53,7 @@ def rendered_from(record: Mapping[str, object], where: str) -> str:
     scene = record.get("scene")
     name, fingerprint = (scene.get(key) for key in ("name", "fingerprint")) if isinstance(scene, dict) else (None, None)
     if not is_text(name) or not is_text(fingerprint):
-        raise FormatError(f"{where}: expected the scene's name and fingerprint, got {shown(scene)}. {CURE}")
+        raise FormatError(f"{where}: expected the scene's name and fingerprint, got {excerpt(scene)}. {CURE}")
     return f"{name} ({fingerprint})"
 
 
@@ -71,5 +71,5 @@ def with_renderings(views: list[View], capture: Path) -> list[View]:
     where = str(folder / RECORD)
     source, time = rendered_from(record, where), record.get("time")
     if not (time is None or isinstance(time, float)):
-        raise FormatError(f"{where}: time: expected a number or null, got {shown(time)}. {CURE}")
+        raise FormatError(f"{where}: time: expected a number or null, got {excerpt(time)}. {CURE}")
     return [replace(view, rendered_from=source, time=view.time if time is None else time) for view in views]

@@ -17,7 +17,7 @@ import numpy as np
 from ..base.arrays import Float32, Int32
 from ..base.contents import file_bytes, file_text
 from ..errors import FormatError, InputError, MismatchError
-from .json_files import read_json, shown
+from .json_files import excerpt, read_json
 from .ply import gather, read_elements
 from .ply_header import read_header
 
@@ -174,10 +174,10 @@ def _segment_ids(path: Path) -> np.ndarray:
 
 def _group(group: object, where: str) -> tuple[str, np.ndarray]:
     if not isinstance(group, dict):
-        raise FormatError(f"{where}: expected an object, got {shown(group)}")
+        raise FormatError(f"{where}: expected an object, got {excerpt(group)}")
     name, members = group.get("label"), group.get("segments")
     if not isinstance(name, str):
-        raise FormatError(f"{where}: label: expected a text, got {shown(name)}")
+        raise FormatError(f"{where}: label: expected a text, got {excerpt(name)}")
     if not isinstance(members, list) or not all(type(item) is int and abs(item) < 1 << 62 for item in members):
         raise FormatError(f"{where} ({name[:60]!a}): segments: expected a list of whole numbers")
     return name, np.array(members, np.int64)

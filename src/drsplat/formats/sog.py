@@ -27,7 +27,7 @@ from ..base.contents import file_bytes
 from ..errors import FormatError
 from ..scene.gaussians import Gaussians, flat
 from .activation import checked, exp, from_smallest_three, sigmoid
-from .json_files import as_count, as_number, as_vector, shown
+from .json_files import as_count, as_number, as_vector, excerpt
 from .labels import Labels, parse_labels
 from .sog_files import META, Member, folder_member, webp_pixels, webp_size, zip_member
 from .spz_streams import refuse_implausible
@@ -72,7 +72,7 @@ class _Sog:
         self.meta = _document(member(META))
         version = self.meta.get("version")
         if version not in (None, 2) or isinstance(version, bool):
-            raise FormatError(f"SOG version {shown(version)}; 1 and 2 can be read: export it again")
+            raise FormatError(f"SOG version {excerpt(version)}; 1 and 2 can be read: export it again")
         if version is None:
             shape = _part(self.meta, "means").get("shape")
             count = shape[0] if isinstance(shape, list) and shape else None
@@ -98,7 +98,7 @@ class _Sog:
         if name is None:
             return Labels()
         if not isinstance(name, str):
-            raise FormatError(f"{META}: {OWN}: labels: expected the name of a file, got {shown(name)}")
+            raise FormatError(f"{META}: {OWN}: labels: expected the name of a file, got {excerpt(name)}")
         return parse_labels(self.member(name), name)
 
     def _own_columns(self) -> dict[str, np.ndarray]:
@@ -206,7 +206,7 @@ class _Sog:
         part = _part(self.meta, "shN")
         bands = as_count(part.get("bands"), f"{META}: shN: bands")
         if not 1 <= bands <= 3:
-            raise FormatError(f"{META}: shN: expected 1 to 3 bands, got {shown(bands)}")
+            raise FormatError(f"{META}: shN: expected 1 to 3 bands, got {excerpt(bands)}")
         size = as_count(part.get("count"), f"{META}: shN: count")
         if not 1 <= size <= LARGEST_PALETTE:
             raise FormatError(f"{META}: shN: expected 1 to {LARGEST_PALETTE} entries, got {size}")
@@ -233,14 +233,14 @@ def is_sog_meta(document: object) -> bool:
 def _part(meta: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     found = meta.get(name)
     if not isinstance(found, dict):
-        raise FormatError(f"{META}: {name}: expected an object, got {shown(found)}")
+        raise FormatError(f"{META}: {name}: expected an object, got {excerpt(found)}")
     return found
 
 
 def _file(meta: Mapping[str, Any], part: str, place: int) -> str:
     files = _part(meta, part).get("files")
     if not isinstance(files, list) or not all(isinstance(name, str) for name in files):
-        raise FormatError(f"{META}: {part}: files: expected a list of names, got {shown(files)}")
+        raise FormatError(f"{META}: {part}: files: expected a list of names, got {excerpt(files)}")
     if place >= len(files):
         raise FormatError(f"{META}: {part}: expected {place + 1} files, got {len(files)}")
     return str(files[place])

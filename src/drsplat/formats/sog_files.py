@@ -16,7 +16,7 @@ import numpy as np
 
 from ..base.arrays import UInt8
 from ..errors import FormatError
-from .json_files import shown
+from .json_files import excerpt
 
 META = "meta.json"
 META_BYTES = 1 << 20
@@ -56,7 +56,7 @@ def beside(document: Path, name: object) -> Path:
         PurePosixPath(name) if isinstance(name, str) and "\\" not in name and "\0" not in name else PurePosixPath("/")
     )
     if path.is_absolute() or ".." in path.parts or not path.name:
-        raise FormatError(f"{document}: expected the path of a file in this folder, got {shown(name)}")
+        raise FormatError(f"{document}: expected the path of a file in this folder, got {excerpt(name)}")
     return document.parent / path
 
 
@@ -100,7 +100,7 @@ def zip_member(buffer: memoryview) -> Member:
 
 def _bare(name: str) -> str:
     if set(name) & set("/\\:\0") or name in ("", ".", ".."):
-        raise FormatError(f"expected the name of a file beside {META}, got {shown(name)}")
+        raise FormatError(f"expected the name of a file beside {META}, got {excerpt(name)}")
     return name
 
 

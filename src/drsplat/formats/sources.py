@@ -14,7 +14,7 @@ from ..scene.gaussians import Gaussians
 from ..scene.similarity import IDENTITY, Similarity, similarity_of
 from .compressed_ply import is_compressed
 from .gaussian_ply import MEANS, SCALES, drawn_as_marked, gaussian_rows, gaussians_of
-from .json_files import as_matrix, as_vector, is_text, read_json, shown
+from .json_files import as_matrix, as_vector, excerpt, is_text, read_json
 from .ply import Records
 from .ply_header import Header, read_header
 from .scenes import read_gaussians, scene_file
@@ -136,14 +136,14 @@ def read_blocks(path: Path) -> list[Block]:
     """
     document = read_json(path)
     if not isinstance(document, list) or not document:
-        raise FormatError(f"{path}: expected a list of blocks, got {shown(document)}")
+        raise FormatError(f"{path}: expected a list of blocks, got {excerpt(document)}")
     return [block for number, entry in enumerate(document) for block in _blocks(entry, path, f"{path}: block {number}")]
 
 
 def _blocks(entry: object, path: Path, where: str) -> list[Block]:
     known = {"file", "transform", "keep"}
     if not isinstance(entry, dict) or not entry.keys() <= known or not is_text(entry.get("file")):
-        raise FormatError(f"{where}: expected an object with file, and maybe transform and keep, got {shown(entry)}")
+        raise FormatError(f"{where}: expected an object with file, and maybe transform and keep, got {excerpt(entry)}")
     place = IDENTITY
     if "transform" in entry:
         try:
@@ -154,10 +154,10 @@ def _blocks(entry: object, path: Path, where: str) -> list[Block]:
     if "keep" in entry:
         box = entry["keep"]
         if not isinstance(box, dict) or box.keys() != {"low", "high"}:
-            raise FormatError(f"{where}: keep: expected low and high, got {shown(box)}")
+            raise FormatError(f"{where}: keep: expected low and high, got {excerpt(box)}")
         keep = Keep(*(as_vector(box[end], 3, f"{where}: keep: {end}") for end in ("low", "high")))
         if not (keep.low < keep.high).all():
-            raise FormatError(f"{where}: keep: expected low below high, got {shown(box)}")
+            raise FormatError(f"{where}: keep: expected low below high, got {excerpt(box)}")
     return [Block(source, place, keep) for source in sources_of(path.parent / str(entry["file"]))]
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 from ..errors import FormatError
 from ..scene.gaussians import Gaussians, concatenated
-from .json_files import as_count, is_text, read_json, shown
+from .json_files import as_count, excerpt, is_text, read_json
 from .labels import Labels, parse_labels
 from .sog import OWN, read_unpacked_sog
 from .sog_files import META, beside, folder_member
@@ -64,7 +64,7 @@ def chunks_of(lod_meta: Path, level: int = 0) -> list[Path]:
     document = _document(lod_meta)
     names = document.get("filenames")
     if not isinstance(names, list) or not all(map(is_text, names)):
-        raise FormatError(f"{lod_meta}: filenames: expected a list of names, got {shown(names)}")
+        raise FormatError(f"{lod_meta}: filenames: expected a list of names, got {excerpt(names)}")
     named = [
         (name, _number(run, "file", str(lod_meta)))
         for leaf in _leaves(document.get("tree"), str(lod_meta))
@@ -87,7 +87,7 @@ def _document(lod_meta: Path) -> dict[str, Any]:
     document = read_json(lod_meta)
     if not isinstance(document, dict) or document.get("version") != 1 or isinstance(document.get("version"), bool):
         version = document.get("version") if isinstance(document, dict) else None
-        raise FormatError(f"{lod_meta}: expected version 1 of a streamed SOG, got {shown(version)}: export it again")
+        raise FormatError(f"{lod_meta}: expected version 1 of a streamed SOG, got {excerpt(version)}: export it again")
     return document
 
 
@@ -97,14 +97,14 @@ def _leaves(root: object, where: str) -> Iterator[dict[str, Any]]:
     while waiting:
         node, depth = waiting.pop()
         if not isinstance(node, dict) or depth > DEEPEST:
-            raise FormatError(f"{where}: tree: expected nodes, at most {DEEPEST} deep, got {shown(node)}")
+            raise FormatError(f"{where}: tree: expected nodes, at most {DEEPEST} deep, got {excerpt(node)}")
         levels: Any = node.get("lods", {})
         if not isinstance(levels, dict):
-            raise FormatError(f"{where}: tree: lods: expected an object, got {shown(levels)}")
+            raise FormatError(f"{where}: tree: lods: expected an object, got {excerpt(levels)}")
         yield levels
         children: Any = node.get("children", [])
         if not isinstance(children, list):
-            raise FormatError(f"{where}: tree: children: expected a list, got {shown(children)}")
+            raise FormatError(f"{where}: tree: children: expected a list, got {excerpt(children)}")
         waiting += [(child, depth + 1) for child in reversed(children)]
 
 
@@ -117,12 +117,12 @@ def _number(run: object, key: str, where: str) -> int:
 
 def _level(name: str, lod_meta: Path) -> int:
     if not name.isdecimal() or len(name) > 3 or int(name) >= MOST_LEVELS:
-        raise FormatError(f"{lod_meta}: tree: lods: expected levels from 0 to {MOST_LEVELS - 1}, got {shown(name)}")
+        raise FormatError(f"{lod_meta}: tree: lods: expected levels from 0 to {MOST_LEVELS - 1}, got {excerpt(name)}")
     return int(name)
 
 
 def _inside(lod_meta: Path, name: object) -> Path:
     path = beside(lod_meta, name)
     if path.name != META:
-        raise FormatError(f"{lod_meta}: expected the path of a chunk's {META} in this folder, got {shown(name)}")
+        raise FormatError(f"{lod_meta}: expected the path of a chunk's {META} in this folder, got {excerpt(name)}")
     return path

@@ -19,7 +19,7 @@ from ..scene.gaussians import Gaussians, ShapesDigest, drawn_alike, filled
 from ..scene.placing import near_plane
 from .checksums import DOCUMENT, check_document, check_seal, header_checksum, sealed
 from .field_folder import read_manifest, replacing_folder
-from .json_files import as_count, as_number, as_vector, is_text, shown
+from .json_files import as_count, as_number, as_vector, excerpt, is_text
 from .replacing import replacing
 from .tensors import check_tensors, read_tensors, write_tensors
 
@@ -140,7 +140,7 @@ def read_tiles(path: Path) -> Tiles:
     where = str(path / TILES)
     document = read_manifest(path, TILES, "tiled scene", MOST_BYTES)
     if document.get("format") != FORMAT or document.get("version") != VERSION:
-        raise FormatError(f"{where}: expected '{FORMAT}' of version {VERSION}, got {shown(document.get('version'))}")
+        raise FormatError(f"{where}: expected '{FORMAT}' of version {VERSION}, got {excerpt(document.get('version'))}")
     check_seal(document, where, cure=CURE)
     listed, sources = document.get("tiles"), document.get("sources")
     if not isinstance(listed, list) or not listed or not isinstance(sources, list) or not all(map(is_text, sources)):
@@ -157,17 +157,17 @@ def read_tiles(path: Path) -> Tiles:
 
 def _tile(entry: object, first: int, where: str) -> Tile:
     if not isinstance(entry, dict):
-        raise FormatError(f"{where}: expected a tile, got {shown(entry)}")
+        raise FormatError(f"{where}: expected a tile, got {excerpt(entry)}")
     name = entry.get("name")
     if not isinstance(name, str) or not name.isalnum():
-        raise FormatError(f"{where}: expected a tile's name of letters and digits, got {shown(name)}")
+        raise FormatError(f"{where}: expected a tile's name of letters and digits, got {excerpt(name)}")
     count = as_count(entry.get("count"), f"{where}: count")
     if not 0 < count <= MOST_ROWS - first:
         raise FormatError(f"{where}: tile {name}: expected 1 to {MOST_ROWS:,} rows in all, got {count}")
     low, high = (as_vector(entry.get(end), 3, f"{where}: {end}") for end in ("low", "high"))
     sums = entry.get(DOCUMENT, {})
     if not isinstance(sums, dict) or not all(map(is_text, sums.values())):
-        raise FormatError(f"{where}: tile {name}: expected the checksums of its files, got {shown(sums)}")
+        raise FormatError(f"{where}: tile {name}: expected the checksums of its files, got {excerpt(sums)}")
     return Tile(name, first, count, low, high, as_number(entry.get("largest"), f"{where}: largest"), sums)
 
 

@@ -14,7 +14,7 @@ from ..base.arrays import Float64
 from ..errors import DrSplatWarning, FormatError, InputError
 from ..scene.views import View
 from .dataparser import SceneFrame, scene_frame
-from .json_files import as_count, as_matrix, as_number, read_json, shown
+from .json_files import as_count, as_matrix, as_number, excerpt, read_json
 from .mask_files import IMAGE_FOLDER
 from .photo_files import find_photo, listed, on_photo, safe_name
 from .poses import inverse_pose, nearest_rotation, pinhole, posed_view
@@ -76,7 +76,7 @@ def point_file(path: Path) -> Path | None:
     if named is None:
         return None
     if not isinstance(named, str):
-        raise FormatError(f"{path}: ply_file_path: expected a file's name, got {shown(named)}")
+        raise FormatError(f"{path}: ply_file_path: expected a file's name, got {excerpt(named)}")
     if _is_absolute(named):
         return Path(named)
     return path.parent / safe_name(named, f"{path}: ply_file_path")
@@ -148,7 +148,7 @@ def _refuse_other_lenses(entry: Entry, where: str) -> None:
     model = entry.get("camera_model", "OPENCV")
     higher_terms = any(_number(entry, key, where, 0.0) for key in ("k3", "k4", "k5", "k6"))
     if model not in CAMERA_MODELS or entry.get("is_fisheye") or higher_terms:
-        lens = f"camera_model {shown(model)}" + (" with terms beyond k2" if higher_terms else "")
+        lens = f"camera_model {excerpt(model)}" + (" with terms beyond k2" if higher_terms else "")
         raise FormatError(
             f"{where}: {lens} is not supported (supported: {', '.join(CAMERA_MODELS)} with k1, k2, p1, p2): undistort "
             "the photos first, with `colmap image_undistorter`"
@@ -157,7 +157,7 @@ def _refuse_other_lenses(entry: Entry, where: str) -> None:
 
 def _file_path(frame: object, where: str) -> str:
     if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
-        raise FormatError(f"{where}: expected an object with a file_path, got {shown(frame)}")
+        raise FormatError(f"{where}: expected an object with a file_path, got {excerpt(frame)}")
     path: str = frame["file_path"]
     return path
 
@@ -200,7 +200,7 @@ def _mask(frame: Mapping[str, object], base: Path, where: str) -> Path | None:
     if named is None:
         return None
     if not isinstance(named, str):
-        raise FormatError(f"{where}: mask_path: expected a file's name, got {shown(named)}")
+        raise FormatError(f"{where}: mask_path: expected a file's name, got {excerpt(named)}")
     mask = Path(named) if _is_absolute(named) else base / safe_name(named, f"{where}: mask_path")
     if not mask.is_file():
         raise InputError(f"{where}: its mask_path, {mask}, is missing: put the mask there, or take the name out")

@@ -10,7 +10,7 @@ from ..base.arrays import Float32
 from ..errors import FormatError, InputError, did_you_mean
 from ..scene.encoders import EncoderIdentity
 from .checksums import check_checksums
-from .json_files import as_vector, is_text, parsed, read_json, shown
+from .json_files import as_vector, excerpt, is_text, parsed, read_json
 from .sog import is_sog_meta
 from .tensors import map_tensors, write_tensors
 
@@ -82,7 +82,7 @@ def write_vocabulary(path: str | Path, encoder: VocabularyEncoder, overwrite: bo
 def _read_json(path: Path) -> tuple[list[str], np.ndarray]:
     document = read_json(path)
     if not isinstance(document, dict) or not document:
-        raise FormatError(f"{path}: expected a JSON object {{text: [numbers, ...]}}, got {shown(document)}")
+        raise FormatError(f"{path}: expected a JSON object {{text: [numbers, ...]}}, got {excerpt(document)}")
     if is_sog_meta(document):
         raise FormatError(
             f"{path}: this is the meta.json of an unpacked SOG, a scene, and no vocabulary: name it where "
@@ -92,9 +92,9 @@ def _read_json(path: Path) -> tuple[list[str], np.ndarray]:
     dim = len(first) if isinstance(first, list) else 0
     if dim < 1:
         raise FormatError(
-            f"{path}: expected a vocabulary, a list of numbers for each text; the first has {shown(first)}"
+            f"{path}: expected a vocabulary, a list of numbers for each text; the first has {excerpt(first)}"
         )
-    vectors = [as_vector(value, dim, f"{path}: {shown(text)}") for text, value in document.items()]
+    vectors = [as_vector(value, dim, f"{path}: {excerpt(text)}") for text, value in document.items()]
     return list(document), np.stack(vectors)
 
 
@@ -111,7 +111,9 @@ def _read_safetensors(path: Path) -> tuple[list[str], np.ndarray, Mapping[str, s
     if not is_text(metadata.get("name", "")) or not is_text(metadata.get("weights", "")):
         raise FormatError(f"{path}: expected the encoder's name and weights as text in its metadata")
     if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts) or len(set(texts)) < len(texts):
-        raise FormatError(f"{path}: expected metadata 'texts' to be a JSON list of different texts, got {shown(texts)}")
+        raise FormatError(
+            f"{path}: expected metadata 'texts' to be a JSON list of different texts, got {excerpt(texts)}"
+        )
     if vectors.ndim != 2 or 0 in vectors.shape or vectors.dtype.kind != "f" or len(vectors) != len(texts):
         raise FormatError(f"{path}: expected floats ({len(texts)}, D), got {vectors.dtype} {vectors.shape}")
     return texts, vectors, metadata
@@ -123,6 +125,6 @@ def _unit(texts: Sequence[str], vectors: np.ndarray, path: Path) -> Float32[np.n
         norms = np.sqrt((wide**2).sum(1))
     bad = np.flatnonzero(~(np.isfinite(norms) & (norms > 0)))
     if len(bad):
-        raise FormatError(f"{path}: the vector of {shown(texts[bad[0]])} has no direction (zero or not finite)")
+        raise FormatError(f"{path}: the vector of {excerpt(texts[bad[0]])} has no direction (zero or not finite)")
     unit: np.ndarray = (wide / norms[:, None]).astype(np.float32)
     return unit

@@ -71,7 +71,7 @@ class DevicePhotos:
         self._photos, self._xp, self._room = photos, engine.xp, engine.free_bytes() // PHOTO_SHARE
         self._kept: dict[tuple[int, int, int], DevicePhoto] = {}
 
-    def seen(self, index: int, view: View) -> DevicePhoto:
+    def photo_on(self, index: int, view: View) -> DevicePhoto:
         """Return a photo on the raster of a view, which may be coarser than its own."""
         key = (index, view.width, view.height)
         if key not in self._kept:
@@ -122,7 +122,7 @@ class DeviceRun(Run):
 
     def _seen_and_compared(self, index: int, threads: int) -> tuple[Outcome, Slopes]:
         view = self._view(index)
-        target = self.targets.seen(index, view)
+        target = self.targets.photo_on(index, view)
         self._lap("photo")
         drawn = forward(
             self.engine, self.optimizer.parameters, self._camera(index, view),

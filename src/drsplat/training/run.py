@@ -79,7 +79,7 @@ class Run:
 
     def _seen_and_compared(self, index: int, threads: int) -> tuple[Outcome, Slopes]:
         """Draw a photo's view and compare. Raises: DrSplatError: the loss is no longer a number."""
-        view, photo = self._seen(index)
+        view, photo = self._view_and_photo(index)
         target = photo.colors()
         self._lap("photo")
         drawn = self._drawn(view, threads)
@@ -90,7 +90,7 @@ class Run:
         self._lap("backward")
         return Outcome(loss.value, partial(_psnr, drawn.image, target, photo)), gradients
 
-    def _seen(self, index: int) -> tuple[View, Photo]:
+    def _view_and_photo(self, index: int) -> tuple[View, Photo]:
         """Return a view and its photo, on the raster of this iteration."""
         photo, view = self.photos[index], self._view(index)
         return view, photo if view is self.views[index] else photo.smaller(view.width, view.height)

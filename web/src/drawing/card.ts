@@ -9,8 +9,8 @@ const ACROSS = 1024; // Gaussians in a row of a texture
 
 /** Return whether a context is drawn by a processor: a card's programs are then slower than ours. */
 export function isSoftware(gl: WebGL2RenderingContext): boolean {
-  const names = gl.getExtension("WEBGL_debug_renderer_info"), said = names ? String(gl.getParameter(names.UNMASKED_RENDERER_WEBGL)) : String(gl.getParameter(gl.RENDERER));
-  return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(said);
+  const names = gl.getExtension("WEBGL_debug_renderer_info"), renderer = names ? String(gl.getParameter(names.UNMASKED_RENDERER_WEBGL)) : String(gl.getParameter(gl.RENDERER));
+  return /swiftshader|llvmpipe|softpipe|software|basic render/i.test(renderer);
 }
 
 export class Card {

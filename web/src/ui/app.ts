@@ -194,7 +194,7 @@ export class App {
 
   /** Say something until the next act. */
   say(text: string, isFault = false): void {
-    const line = byId("said");
+    const line = byId("message");
     line.textContent = text;
     line.classList.toggle("fault", isFault);
     line.hidden = !text;

@@ -37,10 +37,10 @@ export class AskTab implements Tab {
   private result(result: Result, number: number): Node {
     const { matches, accent, text, num_matches, doubt } = result, chosen = this.app.state.chosen;
     const title = h("h2", {}, h("span", { class: "dot", style: `background:rgb(${accent.join(",")})` }), chosen ? chosen.name : text);
-    const said = matches.length ? counted(num_matches, "match", "matches") : `No match for “${text}”.`;
+    const summary = matches.length ? counted(num_matches, "match", "matches") : `No match for “${text}”.`;
     const shown = matches.slice(0, LISTED).map((match, k) => this.match(match, k, matches.length));
     const more = matches.slice(LISTED).map((match, k) => this.match(match, k + LISTED, matches.length));
-    return h("section", { class: "result" }, title, chosen ? about(this.app) : h("p", { class: "faint" }, doubt ? `${said} ${doubt}` : said),
+    return h("section", { class: "result" }, title, chosen ? about(this.app) : h("p", { class: "faint" }, doubt ? `${summary} ${doubt}` : summary),
       h("div", { class: "matches" }, ...shown), more.length ? drawer(`${counted(more.length, "more match", "more matches")} of ${text}`, h("div", { class: "matches" }, ...more)) : null,
       this.app.backend.live && !result.exact ? this.threshold(result, number) : null);
   }

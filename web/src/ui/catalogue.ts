@@ -7,7 +7,7 @@ export class CatalogueTab implements Tab {
   readonly name = "catalogue";
   readonly label = "All scenes";
   private text = "";
-  private said = "Search the objects of all scenes.";
+  private summary = "Search the objects of all scenes.";
   private entries: { number: number; title: string; scene: string; score: number }[] = [];
 
   constructor(private readonly app: App) {}
@@ -16,7 +16,7 @@ export class CatalogueTab implements Tab {
     const { live } = this.app.backend, input = h("input", { type: "text", value: this.text, placeholder: "Search all scenes", "aria-label": "Search all scenes", oninput: () => { this.text = input.value; } });
     const form = h("form", { class: "line", onsubmit: (event: Event) => { event.preventDefault(); void this.search(); } }, input, h("button", { class: "primary" }, "Search"));
     const open = (number: number) => () => void this.app.act({ act: "open_entry", number });
-    return [form, h("p", { class: "faint", id: "catalogue-said" }, this.said), h("div", { class: "things" }, ...this.entries.map((one) =>
+    return [form, h("p", { class: "faint", id: "catalogue-summary" }, this.summary), h("div", { class: "things" }, ...this.entries.map((one) =>
       h("button", { type: "button", class: "thing", onclick: open(one.number) }, live ? h("img", { src: live.cataloguePicture(one.number), alt: "" }) : null, h("span", {}, `${one.title} · ${one.scene} · ${one.score.toFixed(2)}`))))];
   }
 
@@ -24,9 +24,9 @@ export class CatalogueTab implements Tab {
     const { live } = this.app.backend;
     if (!live || !this.text.trim()) return;
     try {
-      const { said, entries } = await live.catalogue(this.text.trim());
-      Object.assign(this, { said, entries });
-    } catch (error) { this.said = error instanceof Error ? error.message : String(error); }
+      const { summary, entries } = await live.catalogue(this.text.trim());
+      Object.assign(this, { summary, entries });
+    } catch (error) { this.summary = error instanceof Error ? error.message : String(error); }
     this.app.render();
   }
 }

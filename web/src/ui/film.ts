@@ -40,7 +40,7 @@ export class FilmTab implements Tab {
     if (app.moves) {
       const { moves } = app, slider = h("input", { type: "range", id: "time", min: 0, max: 1000, value: Math.round(1000 * moves.share), "aria-label": "Time" });
       slider.addEventListener("input", () => { moves.run(false); moves.stand(Number(slider.value) / 1000); });
-      return [h("h2", {}, "Time ", h("span", { id: "now" }, moves.said)), h("div", { class: "line" }, button(moves.isRunning ? "Stop" : "Play time", () => { moves.run(!moves.isRunning); app.render(); }, { id: "run" }), slider)];
+      return [h("h2", {}, "Time ", h("span", { id: "now" }, moves.summary)), h("div", { class: "line" }, button(moves.isRunning ? "Stop" : "Play time", () => { moves.run(!moves.isRunning); app.render(); }, { id: "run" }), slider)];
     }
     if (!times || !app.state.time) return [];
     const slider = h("input", { type: "range", id: "time", min: times.first, max: times.last, step: "any", value: app.state.time.at, "aria-label": "Time" });

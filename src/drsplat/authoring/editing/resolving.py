@@ -38,15 +38,15 @@ def label_rows(scene: Scene, name: str) -> Rows:
     return Rows.of(whole(scene, ids), "label", name)
 
 
-def query_rows(scene: Scene, query: Query | str, said: str = "") -> Rows:
+def query_rows(scene: Scene, query: Query | str, words: str = "") -> Rows:
     """Return the rows of all matches of a query together. Raises: InputError: it has none."""
-    said = said or (query if isinstance(query, str) else query.text or "")
+    words = words or (query if isinstance(query, str) else query.text or "")
     answer = scene.ask(query)
     matches = scene.locate(answer)
     if not matches:
-        raise InputError(f"no match for “{said}”: `drsplat locate` prints how near it was")
+        raise InputError(f"no match for “{words}”: `drsplat locate` prints how near it was")
     ids = np.concatenate([match.gaussian_ids for match in matches])
-    return Rows.of(completed(scene.gaussians, ids, *_objects(scene, answer.field)), "query", said)
+    return Rows.of(completed(scene.gaussians, ids, *_objects(scene, answer.field)), "query", words)
 
 
 def whole(scene: Scene, ids: Integer[np.ndarray, " k"]) -> Ids:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...errors import DrSplatError, FormatError, InputError, MismatchError
 from ...formats.claiming import claimed_output
-from ...formats.json_files import as_count, as_matrix, as_number, as_vector, read_json, shown
+from ...formats.json_files import as_count, as_matrix, as_number, as_vector, excerpt, read_json
 from ...formats.replacing import replacing
 from ...formats.runs import runs_of, spans_of_runs
 from ...formats.scenes import companion, read_gaussians
@@ -51,7 +51,7 @@ class EditFile:
             return EditList(scene.fingerprint)
         if listed.scene != scene.fingerprint:
             raise MismatchError(
-                f"{self.path}: these edits are of another scene, {shown(listed.scene)}; this one is "
+                f"{self.path}: these edits are of another scene, {excerpt(listed.scene)}; this one is "
                 f"{scene.fingerprint}. Move the file away to edit this one"
             )
         return listed
@@ -114,7 +114,7 @@ def edits_of(document: object, where: str) -> EditList:
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise FormatError(f"{where}: expected '{FORMAT}'")
     if document.get("version") != VERSION:
-        raise FormatError(f"{where}: version {shown(document.get('version'))}; this drsplat reads {VERSION}")
+        raise FormatError(f"{where}: version {excerpt(document.get('version'))}; this drsplat reads {VERSION}")
     _only(document, ("format", "version", "scene", "done", "edits"), where)
     scene, edits = document.get("scene"), document.get("edits")
     if not isinstance(scene, str) or not isinstance(edits, list) or len(edits) > MOST:
@@ -128,10 +128,10 @@ def edits_of(document: object, where: str) -> EditList:
 
 def _edit(entry: object, where: str) -> Edit:
     if not isinstance(entry, dict):
-        raise FormatError(f"{where}: expected an object, got {shown(entry)}")
+        raise FormatError(f"{where}: expected an object, got {excerpt(entry)}")
     kind = entry.get("do")
     if not isinstance(kind, str) or kind not in _CHANGES:
-        raise FormatError(f"{where}: do: expected one of {', '.join(_CHANGES)}; got {shown(kind)}")
+        raise FormatError(f"{where}: do: expected one of {', '.join(_CHANGES)}; got {excerpt(kind)}")
     made, readers = _CHANGES[kind]
     values = _EARLIER.get(kind, {}) | {name: value for name, value in entry.items() if name not in ("of", "do")}
     _only(values, readers, where)
@@ -151,7 +151,7 @@ def _edit(entry: object, where: str) -> Edit:
 def _only(entry: Mapping[str, object], known: Mapping[str, object] | tuple[str, ...], where: str) -> None:
     unknown = [name for name in entry if name not in known]
     if unknown:
-        raise FormatError(f"{where}: {shown(unknown[0])} is not known; expected {', '.join(known) or 'nothing more'}")
+        raise FormatError(f"{where}: {excerpt(unknown[0])} is not known; expected {', '.join(known) or 'nothing more'}")
 
 
 # --- what an edit is done to ---
@@ -159,10 +159,10 @@ def _only(entry: Mapping[str, object], known: Mapping[str, object] | tuple[str, 
 
 def _target(entry: object, where: str) -> Target:
     if not isinstance(entry, dict):
-        raise FormatError(f"{where}: of: expected an object, got {shown(entry)}")
+        raise FormatError(f"{where}: of: expected an object, got {excerpt(entry)}")
     kind = entry.get("kind")
     if not isinstance(kind, str) or kind not in _TARGETS:
-        raise FormatError(f"{where}: of: expected a kind, one of {', '.join(_TARGETS)}; got {shown(kind)}")
+        raise FormatError(f"{where}: of: expected a kind, one of {', '.join(_TARGETS)}; got {excerpt(kind)}")
     keys, made = _TARGETS[kind]
     _only(entry, ("kind", *keys), f"{where}: of")
     return made(entry, f"{where}: of")
@@ -171,7 +171,7 @@ def _target(entry: object, where: str) -> Target:
 def _rows(entry: dict[str, object], where: str) -> Rows:
     name: Any = entry.get("name", "")
     if not isinstance(name, str):
-        raise FormatError(f"{where}: name: expected a text, got {shown(name)}")
+        raise FormatError(f"{where}: name: expected a text, got {excerpt(name)}")
     return Rows(entry["kind"], name, spans_of_runs(entry.get("runs"), f"{where}: runs"))  # type: ignore[arg-type]
 
 
@@ -218,19 +218,19 @@ def _square(side: int) -> Read:
 
 def _colors(value: object, where: str) -> tuple[tuple[float, ...], ...]:
     if not isinstance(value, list):
-        raise FormatError(f"{where}: expected a list of colours, got {shown(value)}")
+        raise FormatError(f"{where}: expected a list of colours, got {excerpt(value)}")
     return tuple(_triple(color, where) for color in value)
 
 
 def _text(value: object, where: str) -> str:
     if not isinstance(value, str):
-        raise FormatError(f"{where}: expected a text, got {shown(value)}")
+        raise FormatError(f"{where}: expected a text, got {excerpt(value)}")
     return value
 
 
 def _record(value: object, where: str) -> FillRecord:
     if not isinstance(value, dict) or not isinstance(value.get("clones"), list):
-        raise FormatError(f"{where}: expected an object with removed and a list of clones, got {shown(value)}")
+        raise FormatError(f"{where}: expected an object with removed and a list of clones, got {excerpt(value)}")
     _only(value, ("removed", "clones"), where)
     clones = (_clones(entry, f"{where}: clones {number}") for number, entry in enumerate(value["clones"], start=1))
     return FillRecord(spans_of_runs(value.get("removed"), f"{where}: removed"), tuple(clones))
@@ -238,7 +238,7 @@ def _record(value: object, where: str) -> FillRecord:
 
 def _clones(entry: object, where: str) -> Clones:
     if not isinstance(entry, dict):
-        raise FormatError(f"{where}: expected an object with runs and by, got {shown(entry)}")
+        raise FormatError(f"{where}: expected an object with runs and by, got {excerpt(entry)}")
     _only(entry, ("runs", "by"), where)
     return Clones(spans_of_runs(entry.get("runs"), f"{where}: runs"), _point(entry.get("by"), f"{where}: by"))
 

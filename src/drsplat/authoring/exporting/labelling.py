@@ -34,12 +34,12 @@ RELEVANCY, ONLY = "relevancy", "drsplat_only"  # columns that go along with the 
 
 
 @dataclass(frozen=True, eq=False)
-class _Found:
-    """The answer to a query and its matches. said: the query in words."""
+class _QueryMatches:
+    """The answer to a query and its matches. words: the query in words."""
 
     answer: Answer
     matches: list[Match]
-    said: str
+    words: str
 
     @property
     def numbered(self) -> list[tuple[int, Match]]:
@@ -55,7 +55,7 @@ def labelled(
     edits: KeptEdits = "kept",
     embeddings: bool = False,
     photos: bool = False,
-    said: str = "",
+    words: str = "",
 ) -> LabelledScene:
     """Bring together what is known of a scene, as it is after the edits that are kept beside it.
 
@@ -68,12 +68,12 @@ def labelled(
         edits: "none" leaves out the edits that are kept beside the scene.
         embeddings: whether objects take their descriptors along.
         photos: whether the photos and their cameras go along.
-        said: the query in words, where it has none.
+        words: the query in words, where it has none.
 
     Raises: InputError: nothing is left, a scene that moves without a time, no Gaussians; as `Scene.ask`.
     """
     standing = _standing(scene, time)
-    found = None if query is None else _found(standing, query, said)
+    found = None if query is None else _matches_of(standing, query, words)
     columns = _columns(standing, found, _chosen(standing, only, found))
     own = replace(standing.gaussians, extra={**standing.gaussians.extra, **columns})
     listed = kept_edits(scene.path, scene.gaussians, edits)
@@ -88,7 +88,7 @@ def labelled(
         tuple(things),
         groups_of(scene),
         None if owners is None else rows_of(things, owners),
-        "" if found is None else found.said,
+        "" if found is None else found.words,
         None if found is None else after.everything.extra[RELEVANCY][kept],
         () if found is None else placing.matches(found.matches, [match_thing(scene, *one) for one in found.numbered]),
         annotations_of(scene.path),
@@ -176,25 +176,25 @@ def _standing(scene: Scene, time: float | None) -> Scene:
     return scene.at(time)
 
 
-def _found(scene: Scene, query: Query | str, said: str) -> _Found:
+def _matches_of(scene: Scene, query: Query | str, words: str) -> _QueryMatches:
     answer = scene.ask(query)
     text = query if isinstance(query, str) else query.text
-    return _Found(answer, scene.locate(answer), said or text or "query")
+    return _QueryMatches(answer, scene.locate(answer), words or text or "query")
 
 
-def _chosen(scene: Scene, only: Only, found: _Found | None) -> Rows | None:
+def _chosen(scene: Scene, only: Only, found: _QueryMatches | None) -> Rows | None:
     """Return the rows that stay, None for all. Raises: InputError: nothing matches, or nothing was asked."""
     if only != MATCHES:
         return only if isinstance(only, Rows) else None
     if found is None:
         raise InputError("only: 'matches' are of a query: give one")
     if not found.matches:
-        raise InputError(f"no match for “{found.said}”, so nothing to export: `drsplat locate` prints how near it was")
+        raise InputError(f"no match for “{found.words}”, so nothing to export: `drsplat locate` prints how near it was")
     ids = np.concatenate([match.gaussian_ids for match in found.matches])
-    return Rows.of(whole(scene, ids), "query", found.said)
+    return Rows.of(whole(scene, ids), "query", found.words)
 
 
-def _columns(scene: Scene, found: _Found | None, chosen: Rows | None) -> dict[str, np.ndarray]:
+def _columns(scene: Scene, found: _QueryMatches | None, chosen: Rows | None) -> dict[str, np.ndarray]:
     columns: dict[str, np.ndarray] = {}
     if scene.field.objects is not None:
         columns[OBJECT_ID] = scene.object_ids()

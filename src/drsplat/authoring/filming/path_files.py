@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FormatError, InputError
-from ...formats.json_files import as_count, as_number, as_vector, read_json, shown
+from ...formats.json_files import as_count, as_number, as_vector, excerpt, read_json
 from ...formats.poses import MAX_COORDINATE, nearest_rotation
 from ...formats.replacing import replacing
 from .looking import FOV_DEGREES, looking_at
@@ -89,8 +89,8 @@ def _checked_path(where: str, read: Callable[[], CameraPath]) -> CameraPath:
 def _of_ours(document: Entry, where: str) -> CameraPath:
     if document.get("format") != KIND or document.get("version") != VERSION:
         raise FormatError(
-            f'{where}: expected "format": "{KIND}" of version {VERSION}, got {shown(document.get("format"))} of '
-            f"{shown(document.get('version'))}"
+            f'{where}: expected "format": "{KIND}" of version {VERSION}, got {excerpt(document.get("format"))} of '
+            f"{excerpt(document.get('version'))}"
         )
     keys = [_key(entry, f"{where}, key frame {i}") for i, entry in enumerate(_entries(document, "key_frames", where))]
     size = document.get("size")
@@ -103,7 +103,7 @@ def _of_ours(document: Entry, where: str) -> CameraPath:
 
 def _key(entry: object, where: str) -> KeyFrame:
     if not isinstance(entry, dict):
-        raise FormatError(f"{where}: expected an object, got {shown(entry)}")
+        raise FormatError(f"{where}: expected an object, got {excerpt(entry)}")
     eye, target = (_place(entry.get(name), f"{where}: {name}") for name in ("eye", "target"))
     up = _place(entry.get("up"), f"{where}: up")
     fov = as_number(entry.get("fov_degrees", FOV_DEGREES), f"{where}: fov_degrees")
@@ -120,7 +120,7 @@ def _key(entry: object, where: str) -> KeyFrame:
 def _of_nerfstudio(document: Entry, where: str) -> CameraPath:
     lens = document.get("camera_type", "perspective")
     if lens != "perspective":
-        raise FormatError(f"{where}: camera_type {shown(lens)} is not supported: expected 'perspective'")
+        raise FormatError(f"{where}: camera_type {excerpt(lens)} is not supported: expected 'perspective'")
     entries = _entries(document, "camera_path", where)
     keys = [_nerfstudio_key(entry, f"{where}, camera {i}") for i, entry in enumerate(entries)]
     sides = [document.get(f"render_{side}") for side in ("width", "height")]
@@ -132,7 +132,7 @@ def _of_nerfstudio(document: Entry, where: str) -> CameraPath:
 
 def _nerfstudio_key(entry: object, where: str) -> KeyFrame:
     if not isinstance(entry, dict):
-        raise FormatError(f"{where}: expected an object, got {shown(entry)}")
+        raise FormatError(f"{where}: expected an object, got {excerpt(entry)}")
     numbers = as_vector(entry.get("camera_to_world"), 16, f"{where}: camera_to_world").reshape(4, 4)
     if np.abs(numbers[3] - (0, 0, 0, 1)).max() > 1e-6:
         raise FormatError(
@@ -150,7 +150,7 @@ def _nerfstudio_key(entry: object, where: str) -> KeyFrame:
 def _entries(document: Entry, name: str, where: str) -> list[object]:
     entries = document[name]
     if not isinstance(entries, list) or not 1 <= len(entries) <= MOST_KEYS:
-        raise FormatError(f"{where}: expected a list of 1 to {MOST_KEYS:,} {name}, got {shown(entries)}")
+        raise FormatError(f"{where}: expected a list of 1 to {MOST_KEYS:,} {name}, got {excerpt(entries)}")
     return entries
 
 
@@ -167,7 +167,7 @@ def _near(place: np.ndarray, where: str) -> np.ndarray:
 def _flag(document: Entry, name: str, where: str) -> bool:
     value = document.get(name, False)
     if not isinstance(value, bool):
-        raise FormatError(f"{where}: {name}: expected true or false, got {shown(value)}")
+        raise FormatError(f"{where}: {name}: expected true or false, got {excerpt(value)}")
     return value
 
 

@@ -107,7 +107,7 @@ def tell(
     field, splats = load_field(folder / FIELD), splat_arrays(gaussians)
     watch.lap("objects")
     judge = _Judge(Scene(field, gaussians, threads=threads), splats, household, held_out)
-    verdicts = judge.verdicts([judge.asked(probe) for probe in track(probes, "asking")])
+    verdicts = judge.verdicts([judge.verdict_of(probe) for probe in track(probes, "asking")])
     watch.lap("query")
     size = len(registration.embeddings), int(registration.weights.nnz)
     return Story(gaussians, splats, used, held_out, field, verdicts, watch.seconds, *size)
@@ -122,7 +122,7 @@ class _Judge:
     household: Household
     held_out: list[View]
 
-    def asked(self, probe: Probe) -> Verdict:
+    def verdict_of(self, probe: Probe) -> Verdict:
         """Ask the scene; the answer is not yet compared with the truth."""
         start = time.perf_counter()
         answer = self.scene.ask(probe.text)

@@ -32,8 +32,8 @@ CURE = "register its photos once more with `drsplat register`, and it can grow"
 class Change:
     """Result of adding or removing views.
 
-    field: after the change. added, replaced, removed: names of views, sorted. known: views that were in it already and
-    stayed. left_out: views that were removed or kept from it on purpose, and were not added. num_touched: Gaussians
+    field: after the change. added, replaced, removed: names of views, sorted. unchanged: views that were in it already
+    and stayed. left_out: views that were removed or kept from it on purpose, and were not added. num_touched: Gaussians
     seen by masks of changed views. num_coded: Gaussians whose features were coded again. seconds: by stage.
     """
 
@@ -41,14 +41,14 @@ class Change:
     added: tuple[str, ...] = ()
     replaced: tuple[str, ...] = ()
     removed: tuple[str, ...] = ()
-    known: tuple[str, ...] = ()
+    unchanged: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
     num_touched: int = 0
     num_coded: int = 0
     seconds: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     @property
-    def is_none(self) -> bool:
+    def is_empty(self) -> bool:
         return not (self.added or self.replaced or self.removed)
 
 
@@ -83,7 +83,7 @@ def add_views(
     others = Comparison(before, scene).changed(present, features, track) if renew and present else []
     change = _planned(field, [view.name for view, _ in chosen], {view.name for view in others}, set(back))
     watch.lap("read")
-    if change.is_none:
+    if change.is_empty:
         return replace(change, seconds=watch.seconds)
     new = [view for view, _ in chosen if view.name in {*change.added, *change.replaced}]
     assert before.sampling is not None
@@ -106,7 +106,7 @@ def _planned(field: LanguageField, given: Sequence[str], others: set[str], back:
         field,
         added=tuple(name for name in given if name not in names | left_out),
         replaced=tuple(name for name in given if name in others),
-        known=tuple(name for name in given if name in names - others),
+        unchanged=tuple(name for name in given if name in names - others),
         left_out=tuple(name for name in given if name in left_out - names),
     )
 
@@ -138,11 +138,11 @@ def remove_views(
     gone = set(names) & set(field.growth.removed) - set(before.masks.view_names)
     names = set(names) - gone
     if gone and not names:
-        return Change(field, known=before.masks.view_names, left_out=tuple(sorted(gone)), seconds=watch.seconds)
+        return Change(field, unchanged=before.masks.view_names, left_out=tuple(sorted(gone)), seconds=watch.seconds)
     after = before.without(names)
     watch.lap("weights")
     left_out = tuple(sorted(gone))
-    change = Change(field, removed=tuple(sorted(names)), known=after.masks.view_names, left_out=left_out)
+    change = Change(field, removed=tuple(sorted(names)), unchanged=after.masks.view_names, left_out=left_out)
     return _changed(change, before, after, how, canonical_of(scene), watch=watch, threads=threads, track=track)
 
 

@@ -42,7 +42,7 @@ def change_field(
         watch.lap("load")
         done = change(field)
         seconds = {**watch.seconds, **done.seconds}
-        if not done.is_none:
+        if not done.is_empty:
             watch = Stopwatch()
             new = done.field
             if field.objects is not None:

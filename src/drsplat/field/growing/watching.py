@@ -67,7 +67,7 @@ def together(changes: Sequence[Change], path: str | os.PathLike[str]) -> Change:
     if not changes:
         field = load_field(path)
         known = field.evidence.masks.view_names if field.evidence else ()
-        return Change(field, known=known)
+        return Change(field, unchanged=known)
     seconds: dict[str, float] = {}
     for change in changes:
         for stage, spent in change.seconds.items():
@@ -75,7 +75,7 @@ def together(changes: Sequence[Change], path: str | os.PathLike[str]) -> Change:
     added = tuple(sorted(name for change in changes for name in change.added))
     last = changes[-1]
     touched, coded = (sum(getattr(change, name) for change in changes) for name in ("num_touched", "num_coded"))
-    return Change(last.field, added, known=last.known, num_touched=touched, num_coded=coded, seconds=seconds)
+    return Change(last.field, added, unchanged=last.unchanged, num_touched=touched, num_coded=coded, seconds=seconds)
 
 
 def _stamp(view: View, files: Sequence[Path]) -> object:

@@ -118,10 +118,10 @@ def _added(
         parts = parts_beside(path)
         back = [view.name for view in views] if arguments.views else ()
         done = add_views(field, scene, views, features, renew=arguments.replace, back=back, parts=parts, **shared)
-        return done if done.is_none else replace(done, field=with_words(done.field, arguments.features))
+        return done if done.is_empty else replace(done, field=with_words(done.field, arguments.features))
 
     done = change_field(path, scene, change, threads=arguments.threads)
-    remove_parts(parts_beside(path), [*done.added, *done.replaced, *done.known])
+    remove_parts(parts_beside(path), [*done.added, *done.replaced, *done.unchanged])
     return done
 
 
@@ -147,7 +147,7 @@ def _watched(arguments: argparse.Namespace, path: Path, scene: Gaussians | Movin
 
 
 def _print_change(arguments: argparse.Namespace, change: Change) -> None:
-    if not change.is_none:
+    if not change.is_empty:
         views = len(change.field.evidence.masks.view_names) if change.field.evidence else 0
         seconds = sum(change.seconds.values())
         _say(arguments, f"+{len(change.added)}: {views} views, {change.num_touched:,} Gaussians seen, {seconds:.1f} s")

@@ -132,16 +132,16 @@ def interrupted(arguments: argparse.Namespace) -> str:
 
 
 def show(answer: dict[str, Any]) -> None:
-    from .tables import said, show_facts, show_table, size_text
+    from .tables import show_facts, show_table, size_text, text_of
 
     registered, photos = answer["num_registered"], answer["num_photos"]
     residual = answer["gps_residual_m"]
     show_facts(
         f"capture: {answer['capture']}",
         {
-            "posed": f"{said(registered)} of {said(photos)} photos",
+            "posed": f"{text_of(registered)} of {text_of(photos)} photos",
             **({} if answer["video"] is None else {"frames": _frames_text(answer["video"])}),
-            "points": f"{said(answer['num_points'])}, {answer['reprojection_error_px']:.2f} px on average",
+            "points": f"{text_of(answer['num_points'])}, {answer['reprojection_error_px']:.2f} px on average",
             "lengths": "in metres, from " + answer["scale_from"] if answer["unit"] == "m" else "in units of no length",
             "up": f"+z, from {answer['up_from']}" if answer["up"] else "unknown",
             "GPS": "not used" if residual is None else f"{residual:.2f} m from the cameras (median)",
@@ -154,9 +154,9 @@ def show(answer: dict[str, Any]) -> None:
 
 
 def _frames_text(counts: dict[str, int]) -> str:
-    from .tables import said
+    from .tables import text_of
 
     return (
-        f"{said(counts['num_chosen'])} of {said(counts['num_frames'])} became photos, "
-        f"{said(counts['num_blurred'])} were blurred, {said(counts['num_still'])} showed nothing new"
+        f"{text_of(counts['num_chosen'])} of {text_of(counts['num_frames'])} became photos, "
+        f"{text_of(counts['num_blurred'])} were blurred, {text_of(counts['num_still'])} showed nothing new"
     )

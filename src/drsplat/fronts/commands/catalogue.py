@@ -139,11 +139,11 @@ def _index(_: argparse.Namespace, catalogue: Catalogue) -> dict[str, Any]:
 def _ask(arguments: argparse.Namespace, catalogue: Catalogue) -> dict[str, Any]:
     from ...base.terminal import counted
     from ...drawing.pictures import write_picture
-    from ...query.catalogue import Where
+    from ...query.catalogue import Conditions
     from ...query.catalogue.sheets import entry_sheet
 
     asked = " ".join(arguments.given) or arguments.image or arguments.vector
-    where = Where(tuple(arguments.scene), box(arguments.box), area(arguments.area), moment(arguments.since))
+    where = Conditions(tuple(arguments.scene), box(arguments.box), area(arguments.area), moment(arguments.since))
     answer = catalogue.answer(_query(arguments), where, top=arguments.top)
     drawn = arguments.picture if answer.entries else None
     if drawn:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from ...base.terminal import counted
-from .tables import said, show_table
+from .tables import show_table, text_of
 
 STATES = {
     "current": "", "changed": "its field is another now: add it again", "missing": "nothing is there any more",
@@ -16,7 +16,9 @@ STATES = {
 
 def _show_add(answer: dict[str, Any]) -> None:
     for one in answer["scenes"]:
-        agreed = f", {said(one['num_agreed'])} that photos agree on" if one["num_agreed"] < one["num_objects"] else ""
+        agreed = (
+            f", {text_of(one['num_agreed'])} that photos agree on" if one["num_agreed"] < one["num_objects"] else ""
+        )
         print(f"added '{one['scene']}': {counted(one['num_objects'], 'object')}{agreed}")
     print(f"{answer['catalogue']} has {counted(answer['num_objects'], 'object')}")
     if answer["wants_index"]:
@@ -38,8 +40,8 @@ def _show_list(answer: dict[str, Any]) -> None:
     rows = [
         (
             one["scene"],
-            said(one["num_objects"]),
-            said(one["num_agreed"]),
+            text_of(one["num_objects"]),
+            text_of(one["num_agreed"]),
             one["added"],
             STATES[one["state"]],
             one["folder"],

@@ -51,7 +51,7 @@ def answer_of(change: Change, path: Path) -> dict[str, Any]:
         "replaced": list(change.replaced),
         "removed": list(change.removed),
         "left_out": list(change.left_out),
-        "num_views_known": len(change.known),
+        "num_views_known": len(change.unchanged),
         "num_views": len(evidence.masks.view_names),
         "num_masks": len(evidence.masks),
         "num_weights": int(evidence.weights.nnz),
@@ -69,21 +69,23 @@ def answer_of(change: Change, path: Path) -> dict[str, Any]:
 
 
 def show_change(answer: dict[str, Any], title: str) -> None:
-    from .tables import said, show_facts, size_text
+    from .tables import show_facts, size_text, text_of
 
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in answer["stage_seconds"].items())
     facts = {name: _listed(answer[name]) for name in ("added", "replaced", "removed", "left_out") if answer[name]}
     if facts.keys() - {"left_out"}:
-        facts["Gaussians seen by them"] = f"{said(answer['num_touched'])}; {said(answer['num_coded'])} coded again"
+        facts["Gaussians seen by them"] = (
+            f"{text_of(answer['num_touched'])}; {text_of(answer['num_coded'])} coded again"
+        )
     facts |= {
-        "views": said(answer["num_views"]),
-        "masks": said(answer["num_masks"]),
-        "Gaussians": f"{said(answer['num_registered'])} of {said(answer['num_gaussians'])}",
+        "views": text_of(answer["num_views"]),
+        "masks": text_of(answer["num_masks"]),
+        "Gaussians": f"{text_of(answer['num_registered'])} of {text_of(answer['num_gaussians'])}",
         "field": size_text(answer["field_bytes"]),
         "time": f"{answer['seconds']:.1f} s ({stages})",
     }
     if answer["num_objects"] is not None:
-        facts["objects"] = f"{said(answer['num_objects'])}, found again" if answer["num_touched"] else "as before"
+        facts["objects"] = f"{text_of(answer['num_objects'])}, found again" if answer["num_touched"] else "as before"
     show_facts(title, facts)
     for name in answer["labels_of_none"]:
         print(f"the label '{name}' names nothing in this field; it is kept")

@@ -100,20 +100,20 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def show(answer: dict[str, Any]) -> None:
     from ...base.terminal import counted
-    from .tables import said, show_facts, size_text
+    from .tables import show_facts, size_text, text_of
 
     held_out = answer["num_held_out"]
     facts = {
         "encoder": f"{answer['encoder']} ({answer['dim']}-d)",
         "codes": f"{answer['num_subvectors']} bytes",
-        "embeddings": said(answer["num_embeddings"]),
+        "embeddings": text_of(answer["num_embeddings"]),
         "cosine": f"{answer['held_out_cosine']:.4f} on average, {answer['held_out_cosine_worst']:.4f} at worst, of "
-        f"{said(held_out)} held out" if held_out else "not measured: one embedding",
+        f"{text_of(held_out)} held out" if held_out else "not measured: one embedding",
         "time": ", ".join(f"{name} {s:.1f} s" for name, s in answer["stage_seconds"].items()),
         "peak memory": size_text(answer["peak_memory_bytes"]),
     }  # fmt: skip
     if "num_photos" in answer:
-        facts["photos"] = f"{said(answer['num_photos'])} ({said(answer['num_missing_photos'])} missing)"
+        facts["photos"] = f"{text_of(answer['num_photos'])} ({text_of(answer['num_missing_photos'])} missing)"
         facts["left out"] = counted(answer["num_left_out"], "patch", "patches")
     show_facts(f"trained: {answer['codebook']}{COMPLETE if answer['was_complete'] else ''}", facts)
 

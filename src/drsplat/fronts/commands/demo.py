@@ -79,10 +79,10 @@ def _run_story(arguments: argparse.Namespace, folder: Path) -> dict[str, Any]:
 def show(answer: dict[str, Any]) -> None:
     from rich.console import Console
 
-    from .tables import said, show_table, size_text
+    from .tables import show_table, size_text, text_of
 
     photos, masks = answer["num_photos"], answer["num_masks"]
-    title = f"{said(answer['num_gaussians'])} Gaussians, {photos} photos, {said(masks)} masks"
+    title = f"{text_of(answer['num_gaussians'])} Gaussians, {photos} photos, {text_of(masks)} masks"
     columns = ("query", "", "", "IoU", "Gaussians", "centre (m)", "ms")
     show_table(title, columns, [_row(query) for query in answer["queries"]])
     seconds, memory = answer["seconds"], size_text(answer["peak_memory_bytes"])

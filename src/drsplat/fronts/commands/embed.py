@@ -243,18 +243,18 @@ def interrupted(arguments: argparse.Namespace) -> str:
 
 def show(answer: dict[str, Any]) -> None:
     from ...base.terminal import counted
-    from .tables import said, show_facts, size_text
+    from .tables import show_facts, size_text, text_of
 
-    made, reused = answer["num_photos"] - answer["num_photos_reused"], said(answer["num_photos_reused"])
-    anew = f", {said(answer['num_photos_redone'])} over older files" if answer["num_photos_redone"] else ""
+    made, reused = answer["num_photos"] - answer["num_photos_reused"], text_of(answer["num_photos_reused"])
+    anew = f", {text_of(answer['num_photos_redone'])} over older files" if answer["num_photos_redone"] else ""
     show_facts(
         f"embedded: {answer['output']}",
         {
-            answer["pictures"]: f"{said(answer['num_photos'])} ({reused} from an earlier run{anew})",
+            answer["pictures"]: f"{text_of(answer['num_photos'])} ({reused} from an earlier run{anew})",
             "not chosen": _not_chosen(answer),
-            "masks": f"{said(answer['num_masks'])} ({said(answer['masks_per_level'])})",
-            "embedded crops": said(answer["num_crops"]),
-            "empty masks": said(answer["num_empty_masks"]),
+            "masks": f"{text_of(answer['num_masks'])} ({text_of(answer['masks_per_level'])})",
+            "embedded crops": text_of(answer["num_crops"]),
+            "empty masks": text_of(answer["num_empty_masks"]),
             "encoder": f"{answer['encoder']} ({answer['dim']}-d)",
             "time": f"{answer['seconds']:.1f} s for {counted(made, 'photo')}",
             "peak memory": size_text(answer["peak_memory_bytes"]),

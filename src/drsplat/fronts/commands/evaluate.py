@@ -119,12 +119,12 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def show(answer: dict[str, Any]) -> None:
-    from ...evaluation.report import shown
+    from ...evaluation.report import cell_text
     from ...evaluation.tables import pictures_note, tables_of
     from .tables import show_table
 
     for table in (table for table in tables_of([answer]) if not table.aside):
-        rows = [tuple(map(shown, row)) for row in table.rows]
+        rows = [tuple(map(cell_text, row)) for row in table.rows]
         show_table(table.title, table.columns, rows)
         if table.note:
             print(f"{table.note}\n")

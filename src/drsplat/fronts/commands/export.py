@@ -223,7 +223,7 @@ def _labelled(arguments: argparse.Namespace, output: Path) -> LabelledScene:
         edits=arguments.edits or "kept",
         embeddings=arguments.embeddings,
         photos=arguments.photos,
-        said="" if query is None else query_text(arguments),
+        words="" if query is None else query_text(arguments),
     )
     return replace(carried, motion=motion)
 

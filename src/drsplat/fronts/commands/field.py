@@ -70,14 +70,14 @@ def _carry(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
 
 
 def show(answer: dict[str, Any]) -> None:
-    from .tables import said, show_facts
+    from .tables import show_facts, text_of
 
     facts = {
-        "Gaussians": f"{said(answer['num_registered'])} with a feature of {said(answer['num_gaussians'])}",
-        "lost": said(answer["num_lost"]),
+        "Gaussians": f"{text_of(answer['num_registered'])} with a feature of {text_of(answer['num_gaussians'])}",
+        "lost": text_of(answer["num_lost"]),
         "moved": f"{answer['median_distance']:.3g} units in the median, {answer['largest_distance']:.3g} at most, of "
         f"{answer['reach']:.3g} allowed",
-        "objects": "none" if answer["num_objects"] is None else said(answer["num_objects"]),
+        "objects": "none" if answer["num_objects"] is None else text_of(answer["num_objects"]),
         "names": ", ".join(answer["labels"]) or "none",
     }
     show_facts(f"carried over: {answer['field']}", facts)

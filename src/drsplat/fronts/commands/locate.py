@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def show(answer: dict[str, Any]) -> None:
     from ...base.terminal import counted
-    from .tables import said, show_table
+    from .tables import show_table, text_of
 
     measured = measured_text(answer)
     if not (answer["num_selected"] if answer["matches"] is None else answer["matches"]):
@@ -82,7 +82,7 @@ def show(answer: dict[str, Any]) -> None:
             print(f"{above} above the threshold, too few or too scattered for a match.")
         return
     of = counted(answer["num_registered"], "Gaussian")
-    print(f"{said(answer['num_selected'])} of {of} selected\n{measured}")
+    print(f"{text_of(answer['num_selected'])} of {of} selected\n{measured}")
     if answer["matches"] is None:
         print("For places, pass --scene SCENE.")
         return

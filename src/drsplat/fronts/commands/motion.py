@@ -45,14 +45,14 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def show(answer: dict[str, Any]) -> None:
-    from .tables import said, show_facts
+    from .tables import show_facts, text_of
 
     start, end = answer["times"]
     show_facts(
         f"moving scene: {answer['scene']}",
         {
-            "Gaussians": said(answer["num_gaussians"]),
-            "times": f"{said(answer['num_times'])}, from {start:g} to {end:g}",
+            "Gaussians": text_of(answer["num_gaussians"]),
+            "times": f"{text_of(answer['num_times'])}, from {start:g} to {end:g}",
             "written to": answer["output"] or "nothing: pass --output",
         },
     )

@@ -97,10 +97,13 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def show(answer: dict[str, Any]) -> None:
     from ...base.terminal import counted
-    from .tables import said, show_table
+    from .tables import show_table, text_of
 
     listed = _listed(answer["objects"], answer["all"])
-    inside, every = said(sum(one["num_gaussians"] for one in listed)), counted(answer["num_registered"], "Gaussian")
+    inside, every = (
+        text_of(sum(one["num_gaussians"] for one in listed)),
+        counted(answer["num_registered"], "Gaussian"),
+    )
     unsure = answer["num_objects"] - len(listed)
     pictures = answer["pictures"]
     photos_agree = f" that {pictures} agree on" if unsure else ""

@@ -140,21 +140,21 @@ def _settings(arguments: argparse.Namespace, path: CameraPath | None) -> Photogr
 
 
 def show(answer: dict[str, Any]) -> None:
-    from .tables import said, show_facts, size_text
+    from .tables import show_facts, size_text, text_of
 
     width, height = answer["settings"]["size"]
     cover = answer["coverage"]
     guess = ", as the scene's shape suggests: --up says otherwise" if answer["up_from"] == "scene" else ""
-    chosen = f", chosen from {said(answer['num_candidates'])} poses" if answer["kind"] != "path" else ""
+    chosen = f", chosen from {text_of(answer['num_candidates'])} poses" if answer["kind"] != "path" else ""
     show_facts(
         f"capture: {answer['capture']}",
         {
-            "pictures": f"{said(answer['num_pictures'])} renderings of {width}x{height}{chosen}",
-            "of": f"{answer['scene']['name']}, {said(answer['scene']['num_gaussians'])} Gaussians",
+            "pictures": f"{text_of(answer['num_pictures'])} renderings of {width}x{height}{chosen}",
+            "of": f"{answer['scene']['name']}, {text_of(answer['scene']['num_gaussians'])} Gaussians",
             "poses": _KINDS[answer["kind"]],
             "up": f"{answer['up']}{guess}",
-            "coverage": f"{cover['often']:.1%} of {said(cover['significant'])} Gaussians that matter are seen in three "
-            f"pictures, {cover['once']:.1%} in one; all poses together show {cover['reachable']:.1%} in three",
+            "coverage": f"{cover['often']:.1%} of {text_of(cover['significant'])} Gaussians that matter are seen in "
+            f"three pictures, {cover['once']:.1%} in one; all poses together show {cover['reachable']:.1%} in three",
             "seconds": f"{answer['seconds']:.1f}",
             "peak memory": size_text(answer["peak_memory_bytes"]),
         },

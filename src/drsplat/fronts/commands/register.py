@@ -282,19 +282,19 @@ def _code(arguments: argparse.Namespace, codebook: "Codebook | None") -> "CodeSp
 
 
 def show(answer: dict[str, Any]) -> None:
-    from .tables import said, show_facts, size_text
+    from .tables import show_facts, size_text, text_of
 
     reused = f" ({answer['num_views_reused']} from an earlier run)" if answer["num_views_reused"] else ""
-    out = f", {said(len(answer['left_out']))} left out" if answer["left_out"] else ""
+    out = f", {text_of(len(answer['left_out']))} left out" if answer["left_out"] else ""
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in answer["stage_seconds"].items())
     share = answer["num_registered"] / max(1, answer["num_gaussians"])
     show_facts(
         f"registered: {answer['field']}{COMPLETE if answer['was_complete'] else ''}",
         {
-            "Gaussians": f"{said(answer['num_registered'])} of {said(answer['num_gaussians'])} ({share:.1%})",
-            "views": f"{said(answer['num_views'])} {answer['pictures']}{_at_times(answer)}{reused}{out}",
-            "masks": f"{said(answer['num_masks'])}, embedded by {answer['encoder']} ({answer['dim']}-d)",
-            "weights": said(answer["num_weights"]),
+            "Gaussians": f"{text_of(answer['num_registered'])} of {text_of(answer['num_gaussians'])} ({share:.1%})",
+            "views": f"{text_of(answer['num_views'])} {answer['pictures']}{_at_times(answer)}{reused}{out}",
+            "masks": f"{text_of(answer['num_masks'])}, embedded by {answer['encoder']} ({answer['dim']}-d)",
+            "weights": text_of(answer["num_weights"]),
             "codes": f"{answer['bytes_per_gaussian']} bytes per Gaussian",
             "field": size_text(answer["field_bytes"]),
             "time": f"{answer['seconds']:.1f} s ({stages})",

@@ -123,18 +123,18 @@ def notes(states: Mapping[str, Any]) -> list[str]:
 
 def show_answer(answer: Mapping[str, Any]) -> None:
     """Print what a scan has made, for people."""
-    from .tables import said, show_facts, show_table, size_text
+    from .tables import show_facts, show_table, size_text, text_of
 
     psnr = answer["psnr_test"]
     seconds = ", ".join(f"{verb} {spent:.0f}" for verb, spent in answer["stage_seconds"].items())
     show_facts(
         f"scanned: {answer['output']}",
         {
-            "posed": f"{said(answer['num_registered'])} of {said(answer['num_photos'])} {answer['pictures']}",
+            "posed": f"{text_of(answer['num_registered'])} of {text_of(answer['num_photos'])} {answer['pictures']}",
             "held out": "nothing" if psnr is None else f"PSNR {psnr:.2f} dB",
-            "Gaussians": said(answer["num_gaussians"]),
-            "masks": said(answer["num_masks"]),
-            "objects": f"{said(answer['num_objects'])}, and {said(answer['num_unsure_objects'])} less sure",
+            "Gaussians": text_of(answer["num_gaussians"]),
+            "masks": text_of(answer["num_masks"]),
+            "objects": f"{text_of(answer['num_objects'])}, and {text_of(answer['num_unsure_objects'])} less sure",
             "time": f"{answer['seconds']:.0f} s ({seconds})",
             "peak memory": size_text(answer["peak_memory_bytes"]),
         },

@@ -75,15 +75,15 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def show(answer: dict[str, Any]) -> None:
     from ...base.terminal import counted
-    from .tables import said, show_table
+    from .tables import show_table, text_of
 
     total = max(answer["num_registered"], 1)
     none = answer["num_registered"] - answer["num_labelled"]
     rows = [
-        (one["name"], said(one["num_gaussians"]), f"{one['share']:.1%}", f"{one['threshold']:.3f}")
+        (one["name"], text_of(one["num_gaussians"]), f"{one['share']:.1%}", f"{one['threshold']:.3f}")
         for one in answer["classes"]
     ]
-    rows.append(("none of these", said(none), f"{none / total:.1%}", ""))
+    rows.append(("none of these", text_of(none), f"{none / total:.1%}", ""))
     columns = ("class", "Gaussians", "share", f"{answer['measure']} above")
     show_table(f"{counted(answer['num_registered'], 'Gaussian')} with a feature", columns, rows)
     if answer["doubt"]:

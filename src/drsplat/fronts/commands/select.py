@@ -50,9 +50,9 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def show(answer: dict[str, Any]) -> None:
     from ...base.terminal import counted
-    from .tables import said
+    from .tables import text_of
 
-    selected, registered = (said(answer["num_selected"]), counted(answer["num_registered"], "Gaussian"))
+    selected, registered = (text_of(answer["num_selected"]), counted(answer["num_registered"], "Gaussian"))
     print(f"{selected} of {registered} selected for '{answer['query']}', {answer['share']:.2%}")
     print(measured_text(answer))
     if answer["saved"]:

@@ -11,7 +11,9 @@ BOUNDLESS = 100_000  # columns
 
 def show_facts(title: str, facts: Mapping[str, object]) -> None:
     """Names and values, one to a line."""
-    show_table(title, ("", ""), [(name.replace("_", " "), said(value)) for name, value in facts.items()], headed=False)
+    show_table(
+        title, ("", ""), [(name.replace("_", " "), text_of(value)) for name, value in facts.items()], headed=False
+    )
 
 
 def show_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]], *, headed: bool = True) -> None:
@@ -41,12 +43,12 @@ def _console(width: int | None) -> "Console":
     return Console(width=width, height=height, highlight=False, markup=False, emoji=False)
 
 
-def said(value: object) -> str:
+def text_of(value: object) -> str:
     """Format a value for people: 1,234; 0.123; a, b."""
     if value is None:
         return "none"
     if hasattr(value, "tolist"):
-        return said(value.tolist())
+        return text_of(value.tolist())
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, int):
@@ -54,9 +56,9 @@ def said(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, Mapping):
-        return ", ".join(f"{name} {said(part)}" for name, part in value.items()) or "none"
+        return ", ".join(f"{name} {text_of(part)}" for name, part in value.items()) or "none"
     if isinstance(value, list | tuple):
-        shown = ", ".join(said(part) for part in value[:8])
+        shown = ", ".join(text_of(part) for part in value[:8])
         return (shown + (f" and {len(value) - 8} more" if len(value) > 8 else "")) or "none"
     return str(value)
 

@@ -60,13 +60,13 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def show(answer: dict[str, Any]) -> None:
     from ...base.terminal import counted
-    from .tables import said, show_facts, size_text
+    from .tables import show_facts, size_text, text_of
 
     show_facts(
         f"cut: {answer['tiles']}",
         {
-            "Gaussians": f"{said(answer['num_gaussians'])} of {counted(len(answer['sources']), 'file')}",
-            "tiles": f"{said(answer['num_tiles'])}, {size_text(answer['bytes'])}",
+            "Gaussians": f"{text_of(answer['num_gaussians'])} of {counted(len(answer['sources']), 'file')}",
+            "tiles": f"{text_of(answer['num_tiles'])}, {size_text(answer['bytes'])}",
             "time": f"{answer['seconds']:.1f} s",
             "peak memory": size_text(answer["peak_memory_bytes"]),
         },

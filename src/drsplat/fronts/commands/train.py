@@ -165,7 +165,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def show(answer: dict[str, Any]) -> None:
     from ...base.terminal import counted
-    from .tables import said, show_facts, size_text
+    from .tables import show_facts, size_text, text_of
 
     seconds, count = answer["seconds"], max(answer["iterations"], 1)
     stages = answer["stage_seconds"].items()
@@ -178,7 +178,7 @@ def show(answer: dict[str, Any]) -> None:
         {
             "held out": tested,
             "trained on": f"PSNR {answer['psnr_train']:.2f} dB",
-            "Gaussians": said(answer["num_gaussians"]),
+            "Gaussians": text_of(answer["num_gaussians"]),
             "started from": " and ".join(f"{n:,} {STARTS[kind]} points" for kind, n in answer["start"].items() if n),
             "photos": f"{answer['num_views']}, {answer['width']}x{answer['height']}"
             + (f", {answer['num_masked_views']} with masks" if answer["num_masked_views"] else ""),

@@ -129,7 +129,7 @@ def _export(arguments: argparse.Namespace) -> dict[str, Any]:
         "num_shown": len(page.shown),
         "num_left_out": page.shown.num_left_out,
         "num_edits": page.num_edits,
-        "moving": None if page.times is None else page.times.said,
+        "moving": None if page.times is None else page.times.summary,
         "queries": [{"text": answer.text, "num_matches": len(answer.matches)} for answer in page.answers],
     }
 
@@ -144,7 +144,7 @@ def _serve(arguments: argparse.Namespace) -> NoReturn:
     up, shown = _up(arguments, scene), session.shown
     with _service(arguments) as service:
         service.show(session, up, arguments.ask)
-        _print_address(arguments.json, service.address, {"num_shown": len(shown)}, shown.said)
+        _print_address(arguments.json, service.address, {"num_shown": len(shown)}, shown.summary)
         service.run()
     raise SystemExit(0)  # all has been said
 

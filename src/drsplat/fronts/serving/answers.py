@@ -14,7 +14,7 @@ from ...query import Match, Query, Scene
 from ...query.objects import match_of, objects_of
 from ...query.sheets import object_picture
 from . import models
-from .conversation import told
+from .conversation import tool_answer
 from .files import exported
 from .limits import Limits
 from .models import (
@@ -203,7 +203,7 @@ ANSWERS: Mapping[str, Answering] = {
     "what-is": Answering(WhatIs, named),
     "picture": Answering(Picture, picture),
     "export": Answering(Export, exported),
-    "tool": Answering(Tool, told),
+    "tool": Answering(Tool, tool_answer),
 }
 
 

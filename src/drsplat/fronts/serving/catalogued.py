@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field
 
 from ... import query as engine
 from ...errors import InputError
-from ...query.catalogue import Catalogue, Entry, Where
+from ...query.catalogue import Catalogue, Conditions, Entry
 from .limits import Limits
 from .models import Body, Vector, significant
 from .pictures import from_base64
@@ -162,10 +162,10 @@ def _query(asked: AskCatalogue, limits: Limits) -> engine.Query:
     )
 
 
-def _where(asked: AskCatalogue) -> Where:
+def _where(asked: AskCatalogue) -> Conditions:
     """Return the conditions of a request. Raises: InputError: a box or an area that is none, or no time."""
     box, area = (None if given is None else tuple(given) for given in (asked.box, asked.area))
-    return Where(tuple(asked.scenes), box, area, None if asked.since is None else _time(asked.since))  # type: ignore[arg-type]
+    return Conditions(tuple(asked.scenes), box, area, None if asked.since is None else _time(asked.since))  # type: ignore[arg-type]
 
 
 def _time(text: str) -> datetime:

@@ -342,7 +342,7 @@ _TOOLS: Mapping[str, Callable[..., Body]] = {
 }
 
 
-def told(scene: engine.Scene, asked: Tool, _: Limits) -> Body:
+def tool_answer(scene: engine.Scene, asked: Tool, _: Limits) -> Body:
     """Return a tool's answer with the reason not to rely on names in its scene, if there is one."""
     answer = _TOOLS[asked.tool](Conversation(scene, asked.name), **asked.arguments)
     advice = [getattr(answer, "advice", None), scene.doubt]

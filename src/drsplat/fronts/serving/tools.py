@@ -107,7 +107,7 @@ class _Asking:
         advice = "" if listed.scenes else "there is no scene: ask the user to add a folder with a field"
         return listed.model_copy(update={"advice": advice})
 
-    async def told(self, model: type[T], tool: str, scene: str, **arguments: Any) -> T:
+    async def tool_answer(self, model: type[T], tool: str, scene: str, **arguments: Any) -> T:
         """Return what a tool of `Conversation` answers about a scene; "" is the only one."""
         name = scene or self.scene_folder.only()
         if not name:
@@ -165,7 +165,7 @@ def _add_scenes(server: MCPServer, asking: _Asking) -> None:
     @server.tool(title="About a scene", annotations=READS)
     async def about_scene(scene: SceneName = "") -> About:
         """How large a scene is, where it lies, which way is up, the unit of lengths, and some of its photos."""
-        return await asking.told(About, "about_scene", scene)
+        return await asking.tool_answer(About, "about_scene", scene)
 
 
 def _add_matches(server: MCPServer, asking: _Asking) -> None:
@@ -186,28 +186,28 @@ def _add_matches(server: MCPServer, asking: _Asking) -> None:
     ) -> Located:
         """All matches of a text, best first: centre, oriented box, score and supporting photos."""
         asked = {"text": text, "on": on, "top": top, "box": box, "during": during, "tracks": tracks}
-        return await asking.told(Located, "locate", scene, **asked, objects=objects)
+        return await asking.tool_answer(Located, "locate", scene, **asked, objects=objects)
 
     @server.tool(title="Count matches", annotations=READS)
     async def count(
         text: Text, on: On = None, scene: SceneName = "", during: During = None, objects: WithObjects = "auto"
     ) -> Count:
         """How many matches a text has, in the scene or standing on something."""
-        return await asking.told(Count, "count", scene, text=text, on=on, during=during, objects=objects)
+        return await asking.tool_answer(Count, "count", scene, text=text, on=on, during=during, objects=objects)
 
     @server.tool(title="Where is it", annotations=READS)
     async def where_is(
         text: Text, scene: SceneName = "", during: During = None, objects: WithObjects = "auto"
     ) -> Place:
         """Find the best match of a text: where it is, how large it is, and the photo that shows it best."""
-        return await asking.told(Place, "where_is", scene, text=text, during=during, objects=objects)
+        return await asking.tool_answer(Place, "where_is", scene, text=text, during=during, objects=objects)
 
     @server.tool(title="How far apart", annotations=READS)
     async def how_far_apart(
         first: Text, second: Text, scene: SceneName = "", objects: WithObjects = "auto"
     ) -> Distance:
         """Distance between the best matches of two texts: centre to centre, and between their nearest parts."""
-        return await asking.told(Distance, "how_far_apart", scene, first=first, second=second, objects=objects)
+        return await asking.tool_answer(Distance, "how_far_apart", scene, first=first, second=second, objects=objects)
 
 
 def _add_places(server: MCPServer, asking: _Asking) -> None:
@@ -218,7 +218,7 @@ def _add_places(server: MCPServer, asking: _Asking) -> None:
         names: Names = None,
     ) -> Here:
         """Name what is at a point of the scene, best words first."""
-        return await asking.told(Here, "what_is_at", scene, point=point, names=names)
+        return await asking.tool_answer(Here, "what_is_at", scene, point=point, names=names)
 
     @server.tool(title="What is at a pixel", annotations=READS)
     async def what_is_at_pixel(
@@ -229,7 +229,7 @@ def _add_places(server: MCPServer, asking: _Asking) -> None:
         names: Names = None,
     ) -> Here:
         """Name what a pixel of a photo shows, and tell where that is in the scene."""
-        return await asking.told(Here, "what_is_at_pixel", scene, view=view, x=x, y=y, names=names)
+        return await asking.tool_answer(Here, "what_is_at_pixel", scene, view=view, x=x, y=y, names=names)
 
     @server.tool(title="Describe a region", annotations=READS)
     async def describe_region(
@@ -239,7 +239,7 @@ def _add_places(server: MCPServer, asking: _Asking) -> None:
         names: Names = None,
     ) -> Region:
         """Name what lies within a radius of a point: names, how much of the region each is, and where."""
-        return await asking.told(Region, "describe_region", scene, center=center, radius=radius, names=names)
+        return await asking.tool_answer(Region, "describe_region", scene, center=center, radius=radius, names=names)
 
 
 def _add_objects(server: MCPServer, asking: _Asking) -> None:
@@ -250,7 +250,7 @@ def _add_objects(server: MCPServer, asking: _Asking) -> None:
         unsure: Annotated[bool, Field(description="list also what photos agree less on, most of it scraps")] = False,
     ) -> ObjectList:
         """List what is in a scene, largest first, without words for it: number, name if known, box, photos."""
-        return await asking.told(ObjectList, "list_objects", scene, top=top, unsure=unsure)
+        return await asking.tool_answer(ObjectList, "list_objects", scene, top=top, unsure=unsure)
 
     @server.tool(title="How objects lie", annotations=READS)
     async def relations(
@@ -260,7 +260,7 @@ def _add_objects(server: MCPServer, asking: _Asking) -> None:
         scene: SceneName = "",
     ) -> Related:
         """Find the objects on, in, next to or above one, or between two, such as what lies on the table."""
-        return await asking.told(Related, "relations", scene, relation=relation, to=to, and_to=and_to)
+        return await asking.tool_answer(Related, "relations", scene, relation=relation, to=to, and_to=and_to)
 
 
 def _add_times(server: MCPServer, asking: _Asking) -> None:
@@ -277,7 +277,7 @@ def _add_times(server: MCPServer, asking: _Asking) -> None:
     ) -> When:
         """In which spans of time one match stands in a relation to another, in a scene that moves."""
         asked = {"one": one, "relation": relation, "other": other, "view": view, "objects": objects}
-        return await asking.told(When, "when", scene, **asked)
+        return await asking.tool_answer(When, "when", scene, **asked)
 
 
 def _add_pictures(server: MCPServer, asking: _Asking) -> None:
@@ -289,7 +289,7 @@ def _add_pictures(server: MCPServer, asking: _Asking) -> None:
         objects: WithObjects = "auto",
     ) -> Annotated[CallToolResult, Shown]:
         """Render a picture (PNG) of the scene, optionally with the matches of a text kept in colour."""
-        found = await asking.told(Pictured, "show", scene, text=text, view=view, objects=objects)
+        found = await asking.tool_answer(Pictured, "show", scene, text=text, view=view, objects=objects)
         picture = ImageContent(type="image", data=found.png, mime_type="image/png")
         content: Any = [TextContent(type="text", text=found.shown.model_dump_json()), picture]
         return CallToolResult(content=content, structured_content=found.shown.model_dump())

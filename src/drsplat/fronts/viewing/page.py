@@ -178,8 +178,8 @@ def _can(page: Page) -> dict[str, Any]:
 
 
 def _about(page: Page) -> str:
-    moves = "" if page.times is None else page.times.said
-    return " ".join(f"{len(page.shown):,} Gaussians. {moves} {page.shown.said}".split())
+    moves = "" if page.times is None else page.times.summary
+    return " ".join(f"{len(page.shown):,} Gaussians. {moves} {page.shown.summary}".split())
 
 
 def film_document(frame: Frame, path: CameraPath, target: Float64[np.ndarray, " 3"]) -> dict[str, Any]:
@@ -208,7 +208,7 @@ def _answer(frame: Frame, number: int, answer: PageAnswer) -> dict[str, Any]:
     ]
     text = printable(answer.text)
     return {
-        "text": text, "said": "", "doubt": answer.doubt, "accent": painting.accent(number), "matches": matches,
+        "text": text, "summary": "", "doubt": answer.doubt, "accent": painting.accent(number), "matches": matches,
         "num_matches": len(matches), "threshold": 0, "automatic": 0, "limits": [0, 1], "measure": "", "rule": "",
         "exact": True,
     }  # fmt: skip

@@ -44,7 +44,7 @@ class PageTimes:
     num_known: int
 
     @property
-    def said(self) -> str:
+    def summary(self) -> str:
         """For people."""
         of = f" of {self.num_known:,}" if len(self.times) < self.num_known else ""
         return f"{self.places.shape[1]:,} of them move, at {len(self.times):,}{of} times."

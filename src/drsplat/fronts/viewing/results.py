@@ -44,7 +44,7 @@ class Result:
         return low, high if high > low else low + 1e-3
 
     @property
-    def said(self) -> str:
+    def summary(self) -> str:
         """Sentence with the number of matches, and the reason not to rely on them, if there is one."""
         doubt = f" ({self.answer.doubt})" if self.answer.doubt else ""
         if not self.matches:

@@ -140,11 +140,11 @@ class Session:
         texts = results.split_queries(text)
         if not 1 <= len(texts) <= MOST_QUERIES:
             raise InputError(f"expected one to {MOST_QUERIES} queries with ';' between them")
-        said = self._answered(
+        summary = self._answered(
             [results.result_of(self.scene, one, self.scene.ask(Query(one, during=self.during))) for one in texts]
         )
         self.asked = tuple(texts)
-        return said
+        return summary
 
     def ask_picture(self, picture: UInt8[np.ndarray, "_ _ 3"], name: str) -> str:
         """To what a picture shows. Raises: InputError: an encoder that sees no images."""
@@ -166,7 +166,7 @@ class Session:
             raise InputError(f"there is no query {number} of {len(self.results)}")
         changed = results.cut_at(self.scene, self.results[number], threshold)
         self.results = (*self.results[:number], changed, *self.results[number + 1 :])
-        return self.said
+        return self.summary
 
     def classify(self, texts: Sequence[str]) -> Segmentation:
         """Each Gaussian as the best of some classes, and show them.
@@ -184,12 +184,12 @@ class Session:
         return self.results if fits else ()
 
     @property
-    def said(self) -> str:
-        return " \n".join(result.said for result in self.results)
+    def summary(self) -> str:
+        return " \n".join(result.summary for result in self.results)
 
     def _answered(self, answers: list[Result]) -> str:
         self.results, self.mode, self.chosen, self.asked = tuple(answers), Mode.ANSWER, None, ()
-        return self.said
+        return self.summary
 
     def clear(self) -> None:
         """Show the scene as it is, with nothing found, clicked or selected."""

@@ -52,7 +52,7 @@ class Shown:
         return len(self.ids)
 
     @property
-    def said(self) -> str:
+    def summary(self) -> str:
         """Sentence about what is left out, empty where nothing is."""
         if not self.num_left_out:
             return ""

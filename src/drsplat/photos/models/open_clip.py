@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ...errors import FormatError, InputError
-from ...formats.json_files import shown
+from ...formats.json_files import excerpt
 from .libraries import model_class
 from .open_clip_settings import config_arguments
 from .pretrained import load_model, model_errors, model_type
@@ -74,7 +74,7 @@ def tensors(config: Any) -> Iterator[Tensor]:
     if not all(isinstance(n, int) and n > 0 for n in (side, vision.image_size)):
         raise FormatError(
             "vision_config: expected one number each as image_size and patch_size, got "
-            f"{shown(vision.image_size)} and {shown(side)}"
+            f"{excerpt(vision.image_size)} and {excerpt(side)}"
         )
     vision_embeddings = "vision_model.embeddings."
     places = (vision.image_size // side) ** 2 + 1

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import FormatError, InputError
-from ...formats.json_files import as_count, as_number, read_json, shown
+from ...formats.json_files import as_count, as_number, excerpt, read_json
 from .preprocessing import Preprocessing, preprocessing_of
 from .weight_names import OPEN_CLIP_CONFIG
 
@@ -74,7 +74,7 @@ def _with_defaults(settings: dict[str, Any], defaults: dict[str, Any], where: st
         harmless = name in _WITHOUT_EFFECT or not value or (name, value) in _PLAIN
         if name not in defaults and not harmless:
             raise InputError(
-                f"{where}.{name}: {shown(value)} makes a model that transformers' CLIP is not: put open_clip: before "
+                f"{where}.{name}: {excerpt(value)} makes a model that transformers' CLIP is not: put open_clip: before "
                 "its name, which loads it by open_clip's own library, or choose a plain CLIP with a ViT"
             )
     return defaults | {name: settings[name] for name in defaults if name in settings}
@@ -92,7 +92,7 @@ def open_clip_preprocessing(folder: Path, default: Preprocessing) -> Preprocessi
     fit, interpolation = settings.get("resize_mode", "shortest"), settings.get("interpolation", "bicubic")
     if fit not in ("shortest", "squash") or interpolation not in ("bicubic", "bilinear"):
         raise InputError(
-            f"{path}: images are scaled by resize_mode {shown(fit)}, interpolation {shown(interpolation)}; "
+            f"{path}: images are scaled by resize_mode {excerpt(fit)}, interpolation {excerpt(interpolation)}; "
             "drsplat knows shortest and squash, bicubic and bilinear"
         )
     names = {"mean": "image_mean", "std": "image_std"}
@@ -105,14 +105,14 @@ def open_clip_preprocessing(folder: Path, default: Preprocessing) -> Preprocessi
 def _settings_file(path: Path) -> dict[str, Any]:
     document = read_json(path)
     if not isinstance(document, dict):
-        raise FormatError(f"{path}: expected an object, got {shown(document)}")
+        raise FormatError(f"{path}: expected an object, got {excerpt(document)}")
     return document
 
 
 def _object(document: dict[str, Any], key: str, where: str) -> dict[str, Any]:
     value = document.get(key) or {}
     if not isinstance(value, dict):
-        raise FormatError(f"{where}: {key}: expected an object, got {shown(value)}")
+        raise FormatError(f"{where}: {key}: expected an object, got {excerpt(value)}")
     return value
 
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 from ...base.arrays import Float32, UInt8
 from ...errors import FormatError, InputError
-from ...formats.json_files import as_count, as_number, as_vector, read_json, shown
+from ...formats.json_files import as_count, as_number, as_vector, excerpt, read_json
 
 Triple = tuple[float, float, float]
 
@@ -109,7 +109,7 @@ def _settings(folder: Path) -> tuple[Path, dict[str, Any] | None]:
         if key and settings is None:
             continue
         if not isinstance(settings, dict):
-            raise FormatError(f"{path}: expected an object, got {shown(settings)}")
+            raise FormatError(f"{path}: expected an object, got {excerpt(settings)}")
         return path, {name: value for name, value in settings.items() if value is not None}
     return folder, None
 
@@ -119,7 +119,7 @@ def _side(size: object, where: str) -> int:
     if isinstance(size, dict):
         sides = {as_count(size[key], where) for key in ("shortest_edge", "height", "width") if size.get(key)}
         if len(sides) != 1:
-            raise FormatError(f"{where}: expected one side of a square, got {shown(str(size))}")
+            raise FormatError(f"{where}: expected one side of a square, got {excerpt(str(size))}")
         size = sides.pop()
     side = as_count(size, where)
     if not 1 <= side <= 4096:
@@ -139,5 +139,5 @@ def _filter(resample: object, where: str) -> str:
 def _triple(value: object, where: str) -> Triple:
     red, green, blue = as_vector(value, 3, where).tolist()
     if where.endswith("std") and min(red, green, blue) <= 0:
-        raise FormatError(f"{where}: expected positive numbers, got {shown(str(value))}")
+        raise FormatError(f"{where}: expected positive numbers, got {excerpt(str(value))}")
     return red, green, blue

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import DrSplatError, FormatError, InputError, MissingExtraError
-from ...formats.json_files import read_json, shown
+from ...formats.json_files import excerpt, read_json
 from .libraries import INSTALL, model_class, models_library
 from .weight_names import INDEX, OPEN_CLIP, OPEN_CLIP_CONFIG, WEIGHTS, no_weights
 
@@ -67,7 +67,7 @@ def model_type(folder: Path) -> str:
     config = read_json(folder / "config.json")
     name = config.get("model_type") if isinstance(config, dict) else None
     if not isinstance(name, str):
-        raise FormatError(f"{folder / 'config.json'}: expected a model_type, got {shown(name)}")
+        raise FormatError(f"{folder / 'config.json'}: expected a model_type, got {excerpt(name)}")
     return name
 
 
@@ -202,13 +202,13 @@ def _shards(folder: Path) -> list[Path]:
     index = read_json(folder / INDEX)
     places = index.get("weight_map") if isinstance(index, dict) else None
     if not isinstance(places, dict) or not places:
-        raise FormatError(f"{folder / INDEX}: expected a weight_map, got {shown(places)}")
+        raise FormatError(f"{folder / INDEX}: expected a weight_map, got {excerpt(places)}")
     names = sorted({str(name) for name in places.values()})
     strange = [name for name in names if Path(name).name != name]
     missing = [name for name in names if not (folder / name).is_file()]
     if strange or missing:
         raise FormatError(
-            f"{folder / INDEX}: names {shown((strange or missing)[0])}, which is not there: download the model again"
+            f"{folder / INDEX}: names {excerpt((strange or missing)[0])}, which is not there: download the model again"
         )
     return [folder / name for name in names]
 

@@ -12,7 +12,7 @@ from PIL import Image
 
 from ...base.arrays import Bool, Float32, Float64, Int64, UInt8
 from ...errors import FormatError, InputError, MissingExtraError
-from ...formats.json_files import as_vector, read_json, shown
+from ...formats.json_files import as_vector, excerpt, read_json
 from .devices import chosen_device
 from .graph import GraphSegmenter
 from .libraries import models_library
@@ -256,7 +256,7 @@ def read_normalization(folder: Path, default: Colors = _IMAGENET) -> Colors:
         whole = read_json(path)
         settings = whole.get("image_processor", {}) if isinstance(whole, dict) else whole
     if not isinstance(settings, dict):
-        raise FormatError(f"{path}: expected an object, got {shown(settings)}")
+        raise FormatError(f"{path}: expected an object, got {excerpt(settings)}")
     mean = as_vector(settings.get("image_mean", list(default[0])), 3, f"{path}: image_mean")
     std = as_vector(settings.get("image_std", list(default[1])), 3, f"{path}: image_std")
     if min(std) <= 0:

@@ -4,7 +4,7 @@ Only `table` uses LanceDB and Arrow, both of the extra `catalogue`; they are imp
 """
 
 from .catalogue import Catalogue
-from .conditions import Where
-from .entries import CatalogueAnswer, Entry, Listed
+from .conditions import Conditions
+from .entries import CatalogueAnswer, Entry, SceneEntry
 
-__all__ = ["Catalogue", "CatalogueAnswer", "Entry", "Listed", "Where"]
+__all__ = ["Catalogue", "CatalogueAnswer", "Conditions", "Entry", "SceneEntry"]

@@ -24,8 +24,8 @@ from ..opening import SceneFiles, scene_files
 from ..ranking import Described, Surroundings
 from . import table
 from .agreeing import SceneRules
-from .conditions import Where, checked_name, of_scene
-from .entries import CatalogueAnswer, Entry, Listed
+from .conditions import Conditions, checked_name, of_scene
+from .entries import CatalogueAnswer, Entry, SceneEntry
 from .reading import entries_of, listed_of, thumbnail_of
 from .rows import SceneRows, rows_of
 from .table import Snapshot
@@ -36,7 +36,7 @@ MOST_TOP = 1000
 MIN_CANDIDATES = 256  # objects of the highest cosines, to compare in full
 USUAL_SAMPLE = 4096  # descriptors from which scores are calibrated
 MAX_CHANGES, MIN_ROWS_PER_CHANGED_ROW = 100, 100  # of a large table until the sample is drawn anew
-ANYWHERE = Where()
+ANYWHERE = Conditions()
 
 
 @dataclass(eq=False)
@@ -100,7 +100,7 @@ class Catalogue:
 
     def add(
         self, scene: str | os.PathLike[str] | SceneFiles | Scene, *, name: str | None = None, track: Track = untracked
-    ) -> Listed:
+    ) -> SceneEntry:
         """Add the objects of a scene, or replace those that it had, in one version of the table.
 
         scene: opened, or what `open_scene` takes. name: in the catalogue, None for the scene's own.
@@ -127,7 +127,9 @@ class Catalogue:
             warnings.warn(
                 f"{called}: no thumbnails: they need the scene's Gaussians and its photos", DrSplatWarning, stacklevel=2
             )
-        return Listed(called, len(rows), int(opened.agreed.sum()), added, opened.field.fingerprint, folder, "current")
+        return SceneEntry(
+            called, len(rows), int(opened.agreed.sum()), added, opened.field.fingerprint, folder, "current"
+        )
 
     def remove(self, name: str) -> int | None:
         """Remove a scene; return how many objects it had, None if it was removed before.
@@ -145,7 +147,7 @@ class Catalogue:
         table.tidy(self.path)
         return int(listed) - 1
 
-    def scenes(self) -> list[Listed]:
+    def scenes(self) -> list[SceneEntry]:
         """Return the scenes by name, and whether their fields have changed. Raises: FormatError: damaged."""
         snapshot = table.opened(self.path)
         return [] if snapshot is None else listed_of(snapshot)
@@ -187,7 +189,9 @@ class Catalogue:
 
     # --- asking ---
 
-    def ask(self, query: Query | str, where: Where = ANYWHERE, *, top: int = 10, exact: bool = False) -> list[Entry]:
+    def ask(
+        self, query: Query | str, where: Conditions = ANYWHERE, *, top: int = 10, exact: bool = False
+    ) -> list[Entry]:
         """Return the objects that a query means, best first, up to `top`; [] if nothing is like it.
 
         The 256 objects of the highest cosines (4 `top`, if that is more) are measured and cut as objects of one scene
@@ -199,7 +203,7 @@ class Catalogue:
         return self.answer(query, where, top=top, exact=exact).entries
 
     def answer(
-        self, query: Query | str, where: Where = ANYWHERE, *, top: int = 10, exact: bool = False
+        self, query: Query | str, where: Conditions = ANYWHERE, *, top: int = 10, exact: bool = False
     ) -> CatalogueAnswer:
         """Return what `ask` returns, with how it was measured and cut. Raises: as `ask`."""
         if not 1 <= top <= MOST_TOP:
@@ -293,7 +297,7 @@ class _Calibration(NamedTuple):
         return changes <= allowed and abs(snapshot.num_rows - self.num_rows) * MIN_ROWS_PER_CHANGED_ROW <= self.num_rows
 
 
-def _are_few(snapshot: Snapshot, where: Where) -> bool:
+def _are_few(snapshot: Snapshot, where: Conditions) -> bool:
     """Return whether so few objects are looked at that comparing them all is quicker than the index."""
     return bool(where.sql) and snapshot.count(where.sql) <= LARGE_ROWS
 

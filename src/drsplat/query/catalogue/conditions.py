@@ -37,7 +37,7 @@ def of_scene(name: str) -> str:
 
 
 @dataclass(frozen=True)
-class Where:
+class Conditions:
     """Conditions that objects have to meet.
 
     scenes: names, () for all. box: the lowest and the highest corner of a box that centres lie in, in the world of

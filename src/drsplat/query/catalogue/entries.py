@@ -113,7 +113,7 @@ class CatalogueAnswer:
 
 
 @dataclass(frozen=True)
-class Listed:
+class SceneEntry:
     """Scene of a catalogue.
 
     num_agreed: number of its objects that photos agree on or that have a label. folder: where it was added from, "" if

@@ -15,7 +15,7 @@ from ..opening import scene_files
 from ..ranking import Ranked
 from .agreeing import SceneRules
 from .conditions import of_scene
-from .entries import Entry, Listed, Position, checked_jpeg
+from .entries import Entry, Position, SceneEntry, checked_jpeg
 from .table import CURE, ROW_ID, Snapshot
 
 NUMBERS = ("x", "y", "z", "sure", "num_gaussians", "num_views", "object_id", "tile")
@@ -58,7 +58,7 @@ def thumbnail_of(snapshot: Snapshot, scene: str, object_id: int, tile: int) -> b
         ) from error
 
 
-def listed_of(snapshot: Snapshot) -> list[Listed]:
+def listed_of(snapshot: Snapshot) -> list[SceneEntry]:
     """Return all scenes, by name. Raises: FormatError: damaged."""
     objects = snapshot.rows("object_id >= 0", ["scene", "sure", "num_views", "label"])
     counts = Counter(objects["scene"].to_pylist())
@@ -81,10 +81,10 @@ def num_agreed(
     return Counter(scene for scene, listed in zip(scenes, is_listed.tolist(), strict=True) if listed)
 
 
-def _listed(row: dict[str, Any], num_objects: int, num_agreed: int) -> Listed:
+def _listed(row: dict[str, Any], num_objects: int, num_agreed: int) -> SceneEntry:
     folder = row["folder"] or ""
     state = state_of(folder, row["field"], num_objects) if folder else "unknown"
-    return Listed(row["scene"], num_objects, num_agreed, row["added"], row["field"], folder, state)
+    return SceneEntry(row["scene"], num_objects, num_agreed, row["added"], row["field"], folder, state)
 
 
 def state_of(folder: str, field: str, num_objects: int) -> str:

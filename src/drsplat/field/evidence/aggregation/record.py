@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
 
 from ....errors import FormatError, InputError
-from ....formats.json_files import as_number, shown
+from ....formats.json_files import as_number, excerpt
 from .sampling import Sampling
 
 
@@ -33,11 +33,11 @@ def record_from_json(document: object, where: str) -> AggregatorRecord:
     if document is None:
         return MEAN_RECORD
     if not isinstance(document, dict):
-        raise FormatError(f"{where}: aggregator: expected an object, got {shown(document)}")
+        raise FormatError(f"{where}: aggregator: expected an object, got {excerpt(document)}")
     name, parameters = document.get("name"), document.get("parameters")
     if not isinstance(name, str) or not isinstance(parameters, dict):
         raise FormatError(f"{where}: aggregator: expected a name and parameters")
-    numbers = {key: as_number(value, f"{where}: aggregator: {shown(key)}") for key, value in parameters.items()}
+    numbers = {key: as_number(value, f"{where}: aggregator: {excerpt(key)}") for key, value in parameters.items()}
     return AggregatorRecord(name, numbers, _sampling(document.get("sampling"), where))
 
 
@@ -45,7 +45,7 @@ def _sampling(document: object, where: str) -> Sampling | None:
     if document is None:
         return None
     if not isinstance(document, dict):
-        raise FormatError(f"{where}: sampling: expected an object, got {shown(document)}")
+        raise FormatError(f"{where}: sampling: expected an object, got {excerpt(document)}")
     topk, first_hits, pixels, near = (document.get(field.name) for field in fields(Sampling))
     counted = all(count is None or type(count) is int for count in (topk, first_hits))
     if not counted or pixels not in ("all", "centre"):

@@ -54,12 +54,12 @@ class Shared:
     words: Sequence[str] | None = None
     shelf: Shelf | None = None
     uploads: Uploads = field(default_factory=Uploads)
-    said: str = ""
+    message: str = ""
     tell: Callable[[], None] = lambda: None
     _stage: Stage | None = None
     _counters: Counters = field(default_factory=Counters)
     _seen: tuple[Any, ...] = (None, None, None)
-    _told: tuple[int, dict[str, Any]] | None = None
+    _sent_state: tuple[int, dict[str, Any]] | None = None
     _rows: dict[str, tuple[object, Rows]] = field(default_factory=dict)
 
     @property
@@ -83,9 +83,9 @@ class Shared:
 
     def say(self, text: str | None) -> None:
         """Say something to all, safe to show; None: what the session says of its answers."""
-        own = "" if self._stage is None else self._stage.session.said
+        own = "" if self._stage is None else self._stage.session.summary
         lines = (own if text is None else text).splitlines()
-        self.said = "\n".join(printable(line.strip(), LONGEST) for line in lines)
+        self.message = "\n".join(printable(line.strip(), LONGEST) for line in lines)
 
     def without_folders(self, message: str) -> str:
         """Return a message for others than the one who started the viewer: it names no folder of this machine."""
@@ -110,7 +110,7 @@ class Shared:
     def search(self, text: str) -> dict[str, Any]:
         """Search the catalogue. Raises: InputError: there is none; as `Shelf.ask`."""
         answer = self.needed_shelf.ask(text)
-        self.say(answer["said"])
+        self.say(answer["summary"])
         self.note()
         return answer
 
@@ -160,10 +160,10 @@ class Shared:
     def state(self) -> dict[str, Any]:
         """Return the state, made once after each change: all pages ask for it then."""
         revision = self._counters.revision
-        if self._told is None or self._told[0] != revision:
+        if self._sent_state is None or self._sent_state[0] != revision:
             state = CLOSED if self._stage is None else state_of(self._stage)
-            self._told = revision, vars(self._counters) | {"said": self.said, "fault": None} | state
-        return self._told[1]
+            self._sent_state = revision, vars(self._counters) | {"message": self.message, "fault": None} | state
+        return self._sent_state[1]
 
     def _can(self) -> dict[str, Any]:
         session = None if self._stage is None else self._stage.session

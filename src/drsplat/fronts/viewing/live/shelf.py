@@ -26,7 +26,7 @@ class Shelf:
         self.entries = answer.entries
         matches = counted(len(self.entries), "match", "matches")
         return {
-            "said": f"{matches} by {answer.measure}, threshold {answer.threshold:.3g}",
+            "summary": f"{matches} by {answer.measure}, threshold {answer.threshold:.3g}",
             "entries": [_entry(number, entry) for number, entry in enumerate(self.entries)],
         }
 

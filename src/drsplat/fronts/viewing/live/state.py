@@ -70,7 +70,7 @@ def about(session: Session) -> str:
     scene = session.scene
     none = "" if session.is_askable else f" {NO_FIELD}"
     counts = f"{len(scene.gaussians):,} Gaussians, {len(scene.field):,} with a feature."
-    return f"{counts} {session.shown.said}".strip() + none
+    return f"{counts} {session.shown.summary}".strip() + none
 
 
 def _words(stage: Stage) -> list[str]:
@@ -143,7 +143,7 @@ def _result(stage: Stage, number: int, result: Result) -> Document:
     answer = result.answer
     return {
         "text": printable(result.label),
-        "said": printable(result.said, LONGEST),
+        "summary": printable(result.summary, LONGEST),
         "doubt": printable(answer.doubt, LONGEST),
         "threshold": result.threshold,
         "automatic": answer.threshold,
