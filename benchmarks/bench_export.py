@@ -8,7 +8,8 @@ with the objects, where the format holds them. CPU seconds and the largest memor
 process, start and reading included; "read" reads the PLY and writes nothing. splat-transform runs on the processor;
 its SOG is left out unless --theirs names it, as without a graphics card it takes minutes for 100,000 Gaussians.
 
---tiles: 3D Tiles of scenes of so many Gaussians that are cut into tiles first. Memory must not grow with the scene.
+--tiles: 3D Tiles and streamed SOG of scenes of so many Gaussians that are cut into tiles first. Memory must not grow
+with the scene. `--only --theirs --tiles COUNT` prints nothing else.
 """
 
 import os
@@ -28,10 +29,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 
 from benchmarks.machine import arguments
 
+TILED = ("tiles3d", "streamed")
 OURS = ("read", "ply", "glb", "spz", "spz4", "sog", "usda", "usdc", "rrd", "tiles3d")
 SIDE = 100.0  # of the made-up scene, in its units
 BLOCK_ROWS = 1 << 19  # of a scene that is made at once
-CHILD, MAKE = "--child", "--make"
+CHILD, CHILD_OF_TILES, MAKE = "--child", "--child-of-tiles", "--make"
 
 
 class Measured(NamedTuple):
@@ -61,13 +63,9 @@ def write(source: Path, output: Path, kind: str, num_objects: int) -> None:
     """Read a PLY and write it in a format, with so many objects, which are runs of its rows."""
     import drsplat as ds
     from drsplat.authoring.exporting.writers import write_scene
-    from drsplat.formats.tiles import TILES, read_tiles
     from drsplat.formats.tiles3d_writing import write_tiles3d
     from drsplat.scene.labelled import LabelledScene, Thing
 
-    if (source / TILES).is_file():
-        write_tiles3d(output, read_tiles(source))
-        return
     gaussians = ds.read_gaussians(source)
     box = {"axes": np.eye(3), "extent": np.ones(3)}
     things = tuple(
@@ -79,6 +77,19 @@ def write(source: Path, output: Path, kind: str, num_objects: int) -> None:
         write_tiles3d(output, scene)
     elif kind != "read":
         write_scene(output, scene, spz_version=4 if kind == "spz4" else 3)
+
+
+def write_tiled(source: Path, output: Path, kind: str) -> None:
+    """Write a folder of tiles in a format that is made from a few tiles at a time."""
+    from drsplat.exporting.streamed_sog_writing import write_streamed_sog
+
+    from drsplat.formats.tiles import read_tiles
+    from drsplat.formats.tiles3d_writing import write_tiles3d
+
+    if kind == "tiles3d":
+        write_tiles3d(output, read_tiles(source))
+    else:
+        write_streamed_sog(output / "lod-meta.json", read_tiles(source))
 
 
 def make(path: Path, count: int, degree: int, seed: int = 0) -> None:
@@ -111,10 +122,10 @@ def row(name: str, program: str, result: Measured, output: Path) -> None:
     output.unlink(missing_ok=True)
 
 
-def ours(source: Path, folder: Path, kind: str, num_objects: int, name: str = "") -> None:
+def ours(source: Path, folder: Path, kind: str, num_objects: int) -> None:
     output = folder / f"ours.{kind.removesuffix('4')}"
     command = [sys.executable, __file__, CHILD, source, output, kind, num_objects]
-    row(name or kind, "drsplat", measured(command), output)
+    row(kind, "drsplat", measured(command), output)
 
 
 def theirs(source: Path, folder: Path, kind: str) -> None:
@@ -127,14 +138,17 @@ def theirs(source: Path, folder: Path, kind: str) -> None:
 
 
 def tiles(folder: Path, count: int, degree: int) -> None:
-    """Cut a scene of so many Gaussians, half a million at a time, and write its tiles."""
+    """Cut a scene of so many Gaussians, half a million at a time, and write its tiles in each format."""
     paths = [folder / f"block_{number}.ply" for number in range(-(-count // BLOCK_ROWS))]
     for number, path in enumerate(paths):
         make(path, min(BLOCK_ROWS, count - number * BLOCK_ROWS), degree, number)
     measured([sys.executable, "-m", "drsplat", "tile", *paths, "--output", folder / "cut.tiles"])
     for path in paths:
         path.unlink()
-    ours(folder / "cut.tiles", folder, "tiles3d", 0, f"tiles3d of {count:,} in tiles")
+    for kind in TILED:
+        output = folder / f"ours.{kind}"
+        command = [sys.executable, __file__, CHILD_OF_TILES, folder / "cut.tiles", output, kind]
+        row(f"{kind} of {count:,} in tiles", "drsplat", measured(command), output)
     shutil.rmtree(folder / "cut.tiles")
 
 
@@ -149,7 +163,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         source = folder / "scene.ply"
-        make(source, given.gaussians, given.degree)
+        if given.only or given.theirs:
+            make(source, given.gaussians, given.degree)
         for kind in given.only:
             ours(source, folder, kind, given.objects)
             if kind in given.theirs:
@@ -157,7 +172,7 @@ def main() -> None:
         for kind in given.theirs:
             if kind not in given.only:
                 theirs(source, folder, kind)
-        source.unlink()
+        source.unlink(missing_ok=True)
         for count in given.tiles:
             tiles(folder, count, given.degree)
 
@@ -165,6 +180,8 @@ def main() -> None:
 if __name__ == "__main__":
     if sys.argv[1:2] == [CHILD]:
         write(Path(sys.argv[2]), Path(sys.argv[3]), sys.argv[4], int(sys.argv[5]))
+    elif sys.argv[1:2] == [CHILD_OF_TILES]:
+        write_tiled(Path(sys.argv[2]), Path(sys.argv[3]), sys.argv[4])
     elif sys.argv[1:2] == [MAKE]:
         from drsplat import write_gaussians
 

@@ -24,6 +24,7 @@ def leaf(chunk: int, coarse: int, count: int) -> dict[str, object]:
     return {
         "bound": BOX,
         "lods": {"0": {"file": chunk, "offset": 0, "count": count}, "1": {"file": coarse, "offset": 0, "count": 5}},
+        "errors": [0, 0.25],  # of levels, which splat-transform writes with --lod-errors
     }
 
 
@@ -38,7 +39,7 @@ def write_streamed(folder: Path, has_environment: bool = True, **change: object)
     tree = {"bound": BOX, "children": [leaf(0, 3, 40), {"bound": BOX, "children": [leaf(1, 3, 41), leaf(2, 3, 42)]}]}
     meta = {
         "version": 1, "asset": {"generator": "a test"}, "count": 128, "counts": [123, 5], "lodLevels": 2,
-        "filenames": [f"{name}/meta.json" for name in names[:4]], "tree": tree,
+        "lodErrors": True, "filenames": [f"{name}/meta.json" for name in names[:4]], "tree": tree,
     }  # fmt: skip
     meta |= {"environment": "env/meta.json"} if has_environment else {}
     (folder / LOD_META).write_text(json.dumps(meta | change))

@@ -55,7 +55,7 @@ def layer_of(path: Path) -> UsdPrim:
     if start.startswith(TEXT):
         return parse_usda(content.data)
     if start == CRATE:
-        return library_layer(path)
+        return library_layer(path, content)
     raise FormatError(f"no USD begins with {start[:5]!r}: expected text (#usda), binary (PXR-USDC) or a .usdz")
 
 
@@ -73,7 +73,7 @@ def _first_layer(path: Path) -> UsdPrim:
         raise FormatError(f"the package is damaged: {error}") from None
     if content.startswith(TEXT):
         return parse_usda(memoryview(content))
-    return library_layer(path)
+    return library_layer(path, np.frombuffer(content, np.uint8))
 
 
 def scene_of(layer: UsdPrim) -> LabelledScene:

@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import UInt8
 from ..errors import FormatError, MissingExtraError
 from ..scene.labelled import LabelledScene
 from .replacing import replacing
+from .usd_crate import refuse_false_counts
 from .usd_text import MAX_DEPTH, TIME_SAMPLES, UsdPrim, Value, is_wanted
 from .usd_writing import ROOT, SPLAT, Column, columns_of, layer_text
 
@@ -58,28 +60,43 @@ def write_usdz(path: Path, scene: LabelledScene, overwrite: bool = False) -> Non
         _move(package, path, overwrite)
 
 
-def library_layer(path: Path) -> UsdPrim:
-    """Return the layer of a binary file or a package, as `parse_usda` does that of a text.
+def library_layer(path: Path, content: UInt8[np.ndarray, " n"]) -> UsdPrim:
+    """Return the layer of a binary file or a package, as `parse_usda` does that of a text. content: of the layer.
 
     Raises: MissingExtraError: no library. FormatError: damaged.
     """
     pxr = openusd()
+    if content[:8].tobytes() == MARK:
+        refuse_false_counts(content)
     try:
-        layer = pxr.Sdf.Layer.OpenAsAnonymous(str(path))
-    except pxr.Tf.ErrorException as error:
-        raise FormatError(f"OpenUSD does not read it: {str(error).strip()[:200]}") from None
+        return _layer(pxr, path)
+    except pxr.Tf.ErrorException as error:  # also of a value that is unpacked only when somebody asks for it
+        raise FormatError(f"OpenUSD does not read it: {_message(error)}") from None
+    except (UnicodeDecodeError, MemoryError) as error:
+        raise FormatError(f"OpenUSD reads what is no text, or has no end: {error}") from None
+
+
+def _layer(pxr: Any, path: Path) -> UsdPrim:
+    layer = pxr.Sdf.Layer.OpenAsAnonymous(str(path))
     if layer is None:
         raise FormatError("OpenUSD does not read it")
     root = UsdPrim("", "")
     waiting = [(root, spec, 1) for spec in layer.rootPrims]
     while waiting:
         parent, spec, depth = waiting.pop(0)
+        if spec is None:
+            raise FormatError(f"prim '{parent.name}' names a child that is not there")
         prim = _prim(pxr, spec)
         parent.children.append(prim)
         if depth > MAX_DEPTH:
             raise FormatError(f"expected prims in prims up to {MAX_DEPTH} deep")
         waiting += [(prim, child, depth + 1) for child in spec.nameChildren]
     return root
+
+
+def _message(error: Exception) -> str:
+    """Return what an error of OpenUSD says, without the place in its source code."""
+    return str(error).rsplit(" : ", 1)[-1].strip("'\n\t ")[:200]
 
 
 def _library_layer_of(pxr: Any, scene: LabelledScene) -> Any:
