@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import UInt8
+from ..base.arrays import UInt8
 from ..errors import FormatError, MissingExtraError
 from ..scene.labelled import LabelledScene
 from .replacing import replacing

@@ -1,5 +1,6 @@
 """The planes that something stands on or before: ground and walls, from the Gaussians around it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ LARGEST_SHARE_BEHIND = 0.15  # of what stands there: roots of training, and what
 SIDES = 4  # of eight directions from its middle in which the plane goes on
 NEAR, BESIDE = 1.6, 0.01  # there: up to so many times its own reach; with such a share of the plane's Gaussians
 ALIKE = 0.9  # cosine of the normals of planes that are one surface, taken twice
+BEHIND, MOST_BEHIND = 2.0, 0.5  # tolerances; of all points: beyond floors and walls, and below a table, there are fewer
 MOST, LOOKS = 3, 12
 Points = Float64[np.ndarray, "n 3"]
 Thing = Float64[np.ndarray, "t 3"]
@@ -41,8 +43,20 @@ class Plane:
         return np.asarray(np.abs(self.heights(points)) <= self.tolerance)
 
 
-def planes_around(thing: Thing, around: Points) -> list[Plane]:
-    """Up to three planes among points around a thing that it touches and stands before, the largest first."""
+def surfaces_around(thing: Thing, around: Points) -> list[Plane]:
+    """Return the planes around a thing that do not lie across several others: most points are on its side of each."""
+    return planes_around(thing, around, lambda plane: _share_behind(plane, around) <= MOST_BEHIND)
+
+
+def _share_behind(plane: Plane, points: Points) -> float:
+    return float((plane.heights(points) < -BEHIND * plane.tolerance).mean())
+
+
+def planes_around(thing: Thing, around: Points, fits: Callable[[Plane], bool] = lambda _: True) -> list[Plane]:
+    """Up to three planes among points around a thing that it touches and stands before, the largest first.
+
+    fits: what else is asked of each.
+    """
     rng, rest = np.random.default_rng(0), around
     tolerance = TOLERANCE * float(np.linalg.norm(np.ptp(thing, axis=0)))
     least = max(FEWEST, int(SHARE * len(around)))
@@ -54,7 +68,8 @@ def planes_around(thing: Thing, around: Points) -> list[Plane]:
         inside = plane.holds(rest)
         if np.count_nonzero(inside) < least:
             break
-        if _stands_on(plane, thing, rest[inside]) and not any(_are_one(plane, other) for other in planes):
+        stands = _stands_on(plane, thing, rest[inside]) and fits(plane)
+        if stands and not any(_are_one(plane, other) for other in planes):
             planes.append(plane)
         rest = rest[~inside]
     return planes[:MOST]
