@@ -7,7 +7,7 @@ from known_parts import divide, search_parts
 
 
 def test_parts_of_the_shipped_scene_are_found_again() -> None:
-    folder = Path(ds.__file__).parent / "demo" / "scene"
+    folder = Path(ds.__file__).parent / "evaluation/demo/scene"
     gaussians = ds.read_gaussians(folder / "scene.compressed.ply")
     views = [view.resized(240, 180) for view in ds.read_views(folder)[::2]]
     parts = divide(gaussians, 12)

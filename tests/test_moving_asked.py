@@ -316,7 +316,7 @@ def test_services_ask_of_a_span() -> None:
 def test_language_models_ask_when() -> None:
     pytest.importorskip("pydantic")
     from drsplat.fronts.serving.conversation import Conversation, When
-    from drsplat.fronts.serving.conversation import told as answered
+    from drsplat.fronts.serving.conversation import tool_answer as answered
     from drsplat.fronts.serving.limits import Limits
     from drsplat.fronts.serving.requests import Tool
 
