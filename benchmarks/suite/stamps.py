@@ -21,7 +21,7 @@ FEATURES = (PACKAGE / "query" / "thresholds.py", *SCORED)  # how systems are sco
 
 METHODS = (*REGISTERED, *ASKED, *SCORED, SUITE / "aggregators", SUITE / "methods.py")
 """What decides how an aggregator does in a made room."""
-OBJECTS = METHODS
+OBJECTS = METHODS  # of which objects are a room
 """The same of answers in whole objects."""
 RENDERED = (*REGISTERED, *FEATURES, SUITE / "rendered.py")
 """The same of features that are fitted to renderings."""

@@ -172,10 +172,10 @@ def _spread(ascending: Float64[np.ndarray, " n"], weights: Float64[np.ndarray, "
 
 
 def sizes(logs: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-    """Return what errors of logarithms of scales weigh.
+    """Return what squared errors of logarithms of scales weigh: the scale.
 
-    It lies between what a picture sees of them, whose edges move by the error times the scale, squared, and the
-    logarithm alone: the demo's room has 60.6 dB, 60.2 by the square, and no scale of it is off by more than a fifth.
+    It lies between the logarithm alone, which weighs 1, and what a picture sees: edges move by the error times the
+    scale, squared, which would leave thin Gaussians with hardly a code.
     """
     weights: np.ndarray = np.exp(logs)
     return weights
