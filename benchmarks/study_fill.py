@@ -33,7 +33,7 @@ from benchmarks.study_loose_parts import _pixels, true_owners
 from drsplat import Scene, View, open_scene, render
 from drsplat.authoring.editing import Edit, Fill, Remove, Rows, edited
 from drsplat.authoring.editing.draft import OBJECT_ID
-from drsplat.authoring.editing.resolving import whole
+from drsplat.authoring.editing.resolving import complete_rows
 from drsplat.drawing.pictures import OtherPixels, as_pixels, contact_sheet, titled, write_picture
 from drsplat.errors import DrSplatWarning, InputError
 
@@ -82,7 +82,7 @@ def exposure(folder: Path, room: Room, views: list[View], kept: Path) -> float:
 
 def after(scene: Scene, ids: np.ndarray, view: View) -> list[np.ndarray]:
     """Return what is seen with the thing removed, and with the hole filled."""
-    rows, pictures = Rows.of(whole(scene, ids)), []
+    rows, pictures = Rows.of(complete_rows(scene, ids)), []
     gaussians = replace(scene.gaussians, extra={OBJECT_ID: scene.object_ids()})
     for more in ([], [Edit(rows, Fill())]):
         try:

@@ -45,7 +45,7 @@ from .glb_layout import (
 )
 from .glb_names import ObjectName, object_names, object_numbers
 from .glb_nodes import placed_meshes
-from .gltf import Entry, Gltf, gltf_in, inner, listed, whole
+from .gltf import Entry, Gltf, gltf_in, inner, listed, whole_number
 from .json_files import excerpt
 from .spz import parse_spz
 
@@ -165,7 +165,7 @@ def _check_meaning(primitive: Entry, extension: Entry) -> None:
 
 
 def _of_spz(gltf: Gltf, compressed: Entry, budget: _Budget) -> Gaussians:
-    view = whole(compressed.get("bufferView"), f"{SPZ}: bufferView")
+    view = whole_number(compressed.get("bufferView"), f"{SPZ}: bufferView")
     budget.use(view)
     gaussians = parse_spz(gltf.view(view))
     budget.add_unfolded(len(gaussians))
@@ -176,7 +176,7 @@ def _of_attributes(gltf: Gltf, attributes: Entry, budget: _Budget) -> Gaussians:
     missing = [name for name in (POSITION, ROTATION, SCALE, OPACITY, HARMONICS[0]) if name not in attributes]
     if missing:
         raise FormatError(f"glTF: splats without {', '.join(missing)}: export it again with a newer program")
-    budget.add_plain(whole(gltf.entry("accessors", attributes[POSITION]).get("count"), "count"))
+    budget.add_plain(whole_number(gltf.entry("accessors", attributes[POSITION]).get("count"), "count"))
     floats = (FLOAT,)
     means = gltf.values(attributes[POSITION], "VEC3", POSITION)
     quats = gltf.values(attributes[ROTATION], "VEC4", ROTATION, (FLOAT, BYTE, SHORT))[:, [3, 0, 1, 2]]

@@ -9,7 +9,7 @@ from ..base.arrays import Int32
 from ..errors import FormatError
 from .glb_layout import METADATA
 from .glb_tables import NAME, NUMBER
-from .gltf import Entry, Gltf, inner, listed, whole
+from .gltf import Entry, Gltf, inner, listed, whole_number
 from .json_files import excerpt
 
 OFFSETS = {"UINT8": "<u1", "UINT16": "<u2", "UINT32": "<u4", "UINT64": "<u8"}
@@ -34,7 +34,7 @@ def object_names(gltf: Gltf) -> list[ObjectName]:
     column = inner(table, "properties", NAME)
     if not column or inner(_class(gltf, table), NAME).get("type") != "STRING":
         return []
-    count = whole(table.get("count"), "a table: count")
+    count = whole_number(table.get("count"), "a table: count")
     numbers = object_numbers(gltf)
     names = _texts(gltf, column, count)
     return [ObjectName(row if numbers is None else int(numbers[row]), name) for row, name in enumerate(names)]
@@ -46,7 +46,7 @@ def object_numbers(gltf: Gltf) -> Int32[np.ndarray, " t"] | None:
     column, described = inner(table, "properties", NUMBER), inner(_class(gltf, table), NUMBER)
     if not column or described.get("componentType") != "INT32" or described.get("type") != "SCALAR":
         return None
-    count = whole(table.get("count"), "a table: count")
+    count = whole_number(table.get("count"), "a table: count")
     return np.asarray(_numbers(gltf, column.get("values"), "<i4", count), np.int32)
 
 

@@ -9,7 +9,7 @@ from ..errors import FormatError
 from ..scene.rotations import rotation_matrices
 from .axes import HALF_TURN, standing_up
 from .glb_layout import OURS
-from .gltf import Entry, Gltf, inner, listed, whole
+from .gltf import Entry, Gltf, inner, listed, whole_number
 from .json_files import as_vector
 
 TURN_ABOUT_Z = np.diag([-1.0, -1.0, 1.0])
@@ -36,7 +36,7 @@ def placed_meshes(gltf: Gltf) -> Iterator[tuple[int, Matrix]]:
         if not np.isfinite(here).all():
             raise FormatError(f"glTF: node {number} stands beyond all numbers: damaged")
         if "mesh" in node:
-            yield whole(node["mesh"], "mesh", len(gltf.entries("meshes"))), here
+            yield whole_number(node["mesh"], "mesh", len(gltf.entries("meshes"))), here
         waiting += [(child, here) for child in reversed(_numbers(gltf, node, "children"))]
 
 
@@ -88,4 +88,4 @@ def _roots(gltf: Gltf) -> list[int]:
 
 def _numbers(gltf: Gltf, entry: object, name: str) -> list[int]:
     count = len(gltf.entries("nodes"))
-    return [whole(number, name, count) for number in listed(entry, name, "glTF")]
+    return [whole_number(number, name, count) for number in listed(entry, name, "glTF")]

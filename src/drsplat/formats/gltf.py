@@ -44,7 +44,7 @@ class Gltf:
     def entry(self, name: str, number: object) -> Entry:
         """Return one object of such a list. Raises: FormatError: there is no object of that number."""
         entries = self.entries(name)
-        place = whole(number, f"a number of {name}", len(entries))
+        place = whole_number(number, f"a number of {name}", len(entries))
         entry = entries[place]
         if not isinstance(entry, dict):
             raise FormatError(f"{name}[{place}]: expected an object, got {excerpt(entry)}")
@@ -59,8 +59,8 @@ class Gltf:
         """Return the bytes of a buffer view. Raises: FormatError: they are not all there."""
         entry = self.entry("bufferViews", number)
         buffer = self._buffer(entry.get("buffer"))
-        begin = whole(entry.get("byteOffset", 0), "byteOffset")
-        end = begin + whole(entry.get("byteLength"), "byteLength")
+        begin = whole_number(entry.get("byteOffset", 0), "byteOffset")
+        end = begin + whole_number(entry.get("byteLength"), "byteLength")
         if end > len(buffer):
             raise FormatError(f"bufferViews[{number}] ends at byte {end} of a buffer of {len(buffer)}: truncated")
         return buffer[begin:end]
@@ -84,13 +84,16 @@ class Gltf:
         if "sparse" in entry or "bufferView" not in entry:
             raise FormatError(f"{what}: sparse accessors and those without data cannot be read: write it whole")
         dtype, width = np.dtype(COMPONENTS[component]), WIDTHS[kind]
-        count, offset = whole(entry.get("count"), f"{what}: count"), whole(entry.get("byteOffset", 0), "byteOffset")
+        count, offset = (
+            whole_number(entry.get("count"), f"{what}: count"),
+            whole_number(entry.get("byteOffset", 0), "byteOffset"),
+        )
         return self._strided(entry, count, offset, dtype, width, what)
 
     def _strided(self, entry: Entry, count: int, offset: int, dtype: np.dtype, width: int, what: str) -> np.ndarray:
         view, row_bytes = self.view(entry["bufferView"]), width * dtype.itemsize
         stride = self.entry("bufferViews", entry["bufferView"]).get("byteStride", row_bytes)
-        stride = whole(stride, f"{what}: byteStride", MOST_STRIDE + 1)
+        stride = whole_number(stride, f"{what}: byteStride", MOST_STRIDE + 1)
         if stride < row_bytes:
             raise FormatError(f"{what}: rows of {row_bytes} bytes in steps of {stride}")
         if count and offset + (count - 1) * stride + row_bytes > len(view):
@@ -112,11 +115,11 @@ class Gltf:
         return result
 
     def _buffer(self, number: object) -> memoryview:
-        place = whole(number, "buffer", len(self.entries("buffers")))
+        place = whole_number(number, "buffer", len(self.entries("buffers")))
         if place not in self._buffers:
             entry = self.entry("buffers", place)
             content = self._content(entry.get("uri"), place)
-            length = whole(entry.get("byteLength"), f"buffers[{place}]: byteLength")
+            length = whole_number(entry.get("byteLength"), f"buffers[{place}]: byteLength")
             if length > len(content):
                 raise FormatError(f"buffers[{place}]: expected {length} bytes, got {len(content)}: truncated")
             self._buffers[place] = content[:length]
@@ -204,7 +207,7 @@ def inner(entry: object, *names: str) -> Entry:
     return entry if isinstance(entry, dict) else {}
 
 
-def whole(value: object, where: str, below: int = 1 << 62) -> int:
+def whole_number(value: object, where: str, below: int = 1 << 62) -> int:
     """Return a whole number of 0 or more. Raises: FormatError: it is none, or not below `below`."""
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < below:
         raise FormatError(f"glTF: {where}: expected a whole number from 0 to {below - 1}, got {excerpt(value)}")

@@ -206,13 +206,13 @@ class Measuring:
     def _contrasted(
         self, known: Contrast, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]
     ) -> Float32[np.ndarray, " r"] | None:
-        """Return relevancies, `whole` where the texts of an encoder are sums of words; None where nothing compares.
+        """Return relevancies, None where there is nothing to compare with.
 
-        See `least_peak`. A colour has no halves.
+        They are those of `lower_partial_fits` where the texts of an encoder are sums of words. A colour has no halves.
         """
         values = known.relevancy(query, scores)
         is_sum = np.isfinite(self.background.least_peak) and not known.of_kind
-        return whole(scores, values) if values is not None and is_sum else values
+        return lower_partial_fits(scores, values) if values is not None and is_sum else values
 
     def _measured(
         self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"], default: _Default
@@ -263,15 +263,15 @@ def own_threshold(encoder: Encoder) -> float | None:
 
 
 def least_peak(encoder: Encoder, known: Contrast | None, peak: int = PEAK) -> float:
-    """Cosine that the best rows exceed: the encoder's share of what the list reaches, of encoders that have one."""
+    """Return the cosine that the best rows exceed: a share of what the list reaches, for encoders that have one."""
     share = getattr(encoder, "least_share", None)
     return -np.inf if share is None or known is None else float(share * known.height(peak))
 
 
-def whole(
+def lower_partial_fits(
     scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"], peak: int = PEAK
 ) -> Float32[np.ndarray, " r"]:
-    """Relevancies, those of rows that fit half of the query lowered where others fit all of it.
+    """Return relevancies, those of rows that fit half of the query lowered where others fit all of it.
 
     "Red vase" is not asking for a red shelf.
     """

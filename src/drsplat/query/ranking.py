@@ -19,7 +19,7 @@ from ..scene.encoders import Encoder, identity_text
 from .contrast import Contrast, contrast_of, relevancy_threshold
 from .defaults import AUTO, COSINE, DEFAULT, ENCODER, GIVEN, LIST, RELEVANCY, RELEVANCY_THRESHOLD
 from .encoding import Embedded
-from .measuring import embedded_image, least_peak, own_threshold, whole
+from .measuring import embedded_image, least_peak, lower_partial_fits, own_threshold
 from .query import Query
 from .search import NEGATIVES, embed_query, split_negation
 from .thresholds import automatic_threshold, threshold_above
@@ -149,7 +149,7 @@ class Surroundings:
             return None
         values = objects.best(values)
         is_sum = np.isfinite(least_peak(self.encoder, known, MIN_OBJECTS)) and not known.of_kind
-        return whole(cosines, values, MIN_OBJECTS) if is_sum else values
+        return lower_partial_fits(cosines, values, MIN_OBJECTS) if is_sum else values
 
     def _list_threshold(
         self, known: Contrast, cosines: Float32[np.ndarray, " o"], values: Float32[np.ndarray, " o"]

@@ -17,7 +17,7 @@ from ..field.forest import THING, Objects
 from ..field.labels import same_name
 from ..kernels.mixture import nearest_centres
 from ..photos.models.word_list import list_vectors
-from ..scene.boxes import HAZE
+from ..scene.boxes import HAZE_OPACITY
 from ..scene.encoders import Encoder, EncoderIdentity
 from .contrast import Contrast, contrast_of, usual_pictures
 from .defaults import MIN_GAUSSIANS, RELEVANCY
@@ -91,7 +91,7 @@ def sketch_of(scene: Scene) -> Sketch:
     fewer = np.minimum(counts, np.maximum(PEAK, counts / thinned)).astype(np.int32)
     solid = np.ones(len(field), np.bool_)
     if scene.has_gaussians:
-        solid = scene.gaussians.opacities[field.gaussian_ids] >= HAZE
+        solid = scene.gaussians.opacities[field.gaussian_ids] >= HAZE_OPACITY
     return Sketch(
         features, fewer, numbers, usual_pictures(field, MOST_PICTURES),
         np.empty((0, field.encoder.dim), np.float32) if field.contrast is None else field.contrast.embeddings,

@@ -8,7 +8,7 @@ from ..base.arrays import Float32, Float64, Int32, Int64
 from ..errors import InputError
 from ..field import LanguageField
 from ..kernels.boxes import box_of
-from ..scene.boxes import HAZE, solid
+from ..scene.boxes import HAZE_OPACITY, solid
 from ..scene.gaussians import Gaussians
 from .answer import Answer, Match
 from .defaults import MIN_GAUSSIANS
@@ -45,7 +45,7 @@ def locate(
     places = _places(answer, gaussians, link_distance)
     order = np.argsort(places, kind="stable")
     members = np.split(ids[order], np.flatnonzero(np.diff(places[order])) + 1)
-    visible = gaussians.opacities >= HAZE
+    visible = gaussians.opacities >= HAZE_OPACITY
     found = [
         _match(gaussians, by_id, group, up, int(place))
         for place, group in zip(np.unique(places), members, strict=True)

@@ -12,7 +12,7 @@ from ..field import LanguageField
 from ..field.objects.describing import objects_during
 from ..field.spans import field_during
 from ..kernels.boxes import box_of
-from ..scene.boxes import HAZE, solid
+from ..scene.boxes import HAZE_OPACITY, solid
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Moving, Span, canonical_of
 from ..scene.views import View
@@ -40,7 +40,7 @@ def tracks(moving: Moving, field: LanguageField, matches: Sequence[Match], up: U
         gaussians = moving.at(time)
         for row, match in enumerate(matches):
             ids = match.gaussian_ids
-            counts[row, column] = np.count_nonzero(gaussians.opacities[ids] >= HAZE)
+            counts[row, column] = np.count_nonzero(gaussians.opacities[ids] >= HAZE_OPACITY)
             boxes[row].append(tuple(box_of(gaussians, solid(gaussians, ids), up)))
     there = counts >= THERE * counts.max(axis=1, keepdims=True, initial=1)
     there |= (counts.max(axis=1, initial=0) == 0)[:, None]  # haze at all times: it is what there is

@@ -13,7 +13,7 @@ from .views import View
 BoxKind = Literal["upright", "free"]
 KINDS: tuple[BoxKind, ...] = get_args(BoxKind)
 
-HAZE = 0.1  # fainter Gaussians do not make an object, as in OpenGaussian's protocol
+HAZE_OPACITY = 0.1  # fainter Gaussians do not make an object, as in OpenGaussian's protocol
 MIN_LEVEL_SPREAD = 0.1  # of the cameras' horizontals, to tell which way is up
 
 
@@ -70,5 +70,5 @@ def up_of(views: Sequence[View]) -> Float64[np.ndarray, " 3"] | None:
 
 def solid(gaussians: Gaussians, ids: Integer[np.ndarray, " m"]) -> Integer[np.ndarray, " s"]:
     """Return the ids of the Gaussians opaque enough to be seen; all ids if none is."""
-    visible: np.ndarray = ids[gaussians.opacities[ids] >= HAZE]
+    visible: np.ndarray = ids[gaussians.opacities[ids] >= HAZE_OPACITY]
     return visible if len(visible) else ids

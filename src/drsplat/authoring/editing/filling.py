@@ -9,7 +9,7 @@ from scipy import ndimage
 from ...base.arrays import Bool, Float64, Int64
 from ...errors import DrSplatWarning, InputError
 from ...formats.runs import spans_of
-from ...scene.boxes import HAZE
+from ...scene.boxes import HAZE_OPACITY
 from .draft import Draft
 from .earlier_fills import EarlierGround, closed_as_earlier
 from .fill_record import Clones, FillRecord
@@ -74,13 +74,13 @@ class Fill:
         return replace(self, record=self._computed(draft, ids))
 
     def _computed(self, draft: Draft, ids: Ids) -> FillRecord:
-        seen = ids[draft.opacities[ids] >= HAZE]
+        seen = ids[draft.opacities[ids] >= HAZE_OPACITY]
         if len(seen) < FEWEST:
             raise InputError(f"fill: {len(seen)} Gaussians that can be seen leave no hole: {FEWEST} are the fewest")
         thing = draft.homes[seen].astype(np.float64)
         near = _near(draft, ids, thing)
         scene = draft.part(near)
-        around = scene.means[scene.opacities >= HAZE].astype(np.float64)
+        around = scene.means[scene.opacities >= HAZE_OPACITY].astype(np.float64)
         early = self.version < FIRST_RECORDED
         planes = (planes_around if early else surfaces_around)(thing, around)
         if not planes:

@@ -8,7 +8,7 @@ from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from ...base.arrays import Bool, Float64, Int64, Integer
-from ...scene.boxes import HAZE
+from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import SH_C0, Gaussians
 from .draft import OBJECT_ID
 from .plane_grid import Cells, PlaneGrid
@@ -170,7 +170,7 @@ class Ground:
         some = np.isin(self.owners, flat) & (self.heights > STANDS * self.plane.tolerance) & (self.heights <= top)
         rows = np.flatnonzero(some)
         rows = rows[self.grid.among(self.shadow, self.places[rows])]
-        others = self.places[(self.owners >= 0) & ~np.isin(self.owners, flat) & (self.scene.opacities >= HAZE)]
+        others = self.places[(self.owners >= 0) & ~np.isin(self.owners, flat) & (self.scene.opacities >= HAZE_OPACITY)]
         places = self.places[rows]
         return np.asarray(rows[_distances(places, self.thing) < _distances(places, others)])
 

@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from ...base.arrays import Bool, Float64, Int64
-from ...scene.boxes import HAZE
+from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import Gaussians
 from .planes import FEWEST, LARGEST_SHARE_BEHIND, Plane, largest_plane, num_sides
 
@@ -91,7 +91,7 @@ def _plane_of(gaussians: Gaussians, rows: Mask, thing: Thing, is_wide: Callable[
 
     What lies behind it does not count: below a glossy table training leaves what it mirrors.
     """
-    rows = rows & (gaussians.opacities >= HAZE)
+    rows = rows & (gaussians.opacities >= HAZE_OPACITY)
     points = gaussians.means[rows].astype(np.float64)
     plane = largest_plane(points, thing) if len(points) >= FEWEST else None
     if plane is None:
@@ -122,4 +122,4 @@ def _nearest_along_paths(gaussians: Gaussians, inside: Mask, others: Mask, loose
 
 
 def _solid(gaussians: Gaussians, rows: Mask) -> Thing:
-    return np.asarray(gaussians.means[rows & (gaussians.opacities >= HAZE)].astype(np.float64))
+    return np.asarray(gaussians.means[rows & (gaussians.opacities >= HAZE_OPACITY)].astype(np.float64))

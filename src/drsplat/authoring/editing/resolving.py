@@ -8,7 +8,7 @@ from ...errors import InputError
 from ...field import LanguageField
 from ...query import Query, Scene
 from ...query.objects import match_of, objects_of
-from ...scene.boxes import HAZE
+from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import Gaussians
 from .loose_parts import loose_parts
 from .targets import Rows
@@ -25,7 +25,7 @@ PASSES = 2
 def object_rows(scene: Scene, number: int) -> Rows:
     """Return the rows of an object of the field. Raises: InputError: no such number, or a field without objects."""
     match = match_of(scene.field, objects_of(scene.field).thing(number))
-    return Rows.of(whole(scene, match.gaussian_ids), "object", str(number))
+    return Rows.of(complete_rows(scene, match.gaussian_ids), "object", str(number))
 
 
 def label_rows(scene: Scene, name: str) -> Rows:
@@ -35,7 +35,7 @@ def label_rows(scene: Scene, name: str) -> Rows:
         known = ", ".join(sorted({label.name for label in scene.labels.by_node.values()})) or "none"
         raise InputError(f"nothing has the label '{name}'; labels here: {known}")
     ids = np.concatenate([match_of(scene.field, node).gaussian_ids for node in nodes])
-    return Rows.of(whole(scene, ids), "label", name)
+    return Rows.of(complete_rows(scene, ids), "label", name)
 
 
 def query_rows(scene: Scene, query: Query | str, words: str = "") -> Rows:
@@ -49,7 +49,7 @@ def query_rows(scene: Scene, query: Query | str, words: str = "") -> Rows:
     return Rows.of(completed(scene.gaussians, ids, *_objects(scene, answer.field)), "query", words)
 
 
-def whole(scene: Scene, ids: Integer[np.ndarray, " k"]) -> Ids:
+def complete_rows(scene: Scene, ids: Integer[np.ndarray, " k"]) -> Ids:
     """Return rows of a scene with what nobody can tell apart from them; see `completed`."""
     return completed(scene.gaussians, ids, *_objects(scene, scene.field))
 
@@ -106,7 +106,7 @@ def rests(
 
 def enclosed(gaussians: Gaussians, inside: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Other Gaussians that have those of a thing around them in nearly all directions."""
-    thing = gaussians.means[inside & (gaussians.opacities >= HAZE)].astype(np.float64)
+    thing = gaussians.means[inside & (gaussians.opacities >= HAZE_OPACITY)].astype(np.float64)
     found = np.zeros(len(gaussians), bool)
     if len(thing) < DIRECTIONS:
         return found

@@ -22,7 +22,7 @@ from ...scene.views import View
 from ..editing import EditFile, EditList, Rows
 from ..editing.draft import OBJECT_ID
 from ..editing.kept import KeptEdits
-from ..editing.resolving import whole
+from ..editing.resolving import complete_rows
 from .after import After, after_edits
 from .choosing import only_used, rows_of
 from .placing import Placing
@@ -191,7 +191,7 @@ def _chosen(scene: Scene, only: Only, found: _QueryMatches | None) -> Rows | Non
     if not found.matches:
         raise InputError(f"no match for “{found.words}”, so nothing to export: `drsplat locate` prints how near it was")
     ids = np.concatenate([match.gaussian_ids for match in found.matches])
-    return Rows.of(whole(scene, ids), "query", found.words)
+    return Rows.of(complete_rows(scene, ids), "query", found.words)
 
 
 def _columns(scene: Scene, found: _QueryMatches | None, chosen: Rows | None) -> dict[str, np.ndarray]:

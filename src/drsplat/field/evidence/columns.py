@@ -130,9 +130,9 @@ class ColumnMaker:
 
         Raises: MismatchError: the map has another shape than the photo.
         """
-        return self.made(view, features)[0]
+        return self.load_or_compute(view, features)[0]
 
-    def made(self, view: View, features: ViewFeatures) -> tuple[Columns, bool]:
+    def load_or_compute(self, view: View, features: ViewFeatures) -> tuple[Columns, bool]:
         """Return the view's columns, and whether they were computed now; see `columns`."""
         mask_ids = _mask_ids(view, features)
         key = self._key(view, mask_ids)

@@ -12,7 +12,7 @@ from scipy.sparse import csr_array
 from ...base.arrays import Float32, Float64, Int32, Int64
 from ...errors import InputError
 from ...kernels.boxes import Boxes, boxes_of
-from ...scene.boxes import HAZE
+from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import Gaussians
 from .. import LanguageField
 from ..evidence.evidence import Evidence
@@ -112,7 +112,7 @@ def _boxes(
     starts, rows = _rows(inside, node_of)
     nodes = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
     ids = field.gaussian_ids[rows].astype(np.int64)
-    seen = gaussians.opacities[ids] >= HAZE
+    seen = gaussians.opacities[ids] >= HAZE_OPACITY
     seen |= (np.bincount(nodes[seen], minlength=len(starts) - 1) == 0)[nodes]
     counts = np.bincount(nodes[seen], minlength=len(starts) - 1)
     return boxes_of(gaussians, np.append(0, np.cumsum(counts)), ids[seen], field.up, threads=threads)

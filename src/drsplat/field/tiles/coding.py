@@ -18,7 +18,7 @@ from ...kernels import default_isa, weighted_rows
 from ...kernels.mixture import ADDRESSABLE, Encoded
 from ..building import AT_ONCE, encode_features
 from ..codes import Codebook, Codes, Track, untracked
-from ..codes.mixture import Mixed, SceneAtoms, assembled, atoms_by_use, encode_rows, left_in, plan_of
+from ..codes.mixture import Mixed, SceneAtoms, assemble, atoms_by_use, encode_rows, left_in, plan_of
 from ..evidence.aggregation import Aggregated
 from ..evidence.columns import is_finished
 from ..evidence.evidence import Evidence
@@ -157,7 +157,7 @@ class TileCoder:
         plan = plan_of(self.evidence.embeddings, columns, scene)
         number = np.append(plan.positions, np.arange(len(scene) if scene else 0, dtype=np.int32) + len(columns))
         placed = encoded._replace(ids=np.maximum(number[encoded.ids], 0).astype(np.int32))
-        return assembled(placed, plan, columns, atoms_by_use(placed))
+        return assemble(placed, plan, columns, atoms_by_use(placed))
 
     def quantised(
         self, features: Aggregated, seen: Int64[np.ndarray, " s"], codebook: Codebook, threads: int, track: Track

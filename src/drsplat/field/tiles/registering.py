@@ -75,7 +75,7 @@ class ColumnTask:
         features = self.features[given] if isinstance(given, str) else given
         name = part_name(view.name)
         self.store.bring(name)
-        columns, is_new = replace(self.maker, folder=self.store.folder).made(view, features)
+        columns, is_new = replace(self.maker, folder=self.store.folder).load_or_compute(view, features)
         write_tensors(embeddings_file(columns.path), {"embeddings": features.embeddings}, overwrite=True)
         self.store.send(embeddings_file(columns.path).name)
         if is_new or not self.store.has(name):  # who made it may have been killed before it was sent

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...authoring.editing import Edit, Isolate, Recolour, Remove, Rows
 from ...authoring.editing.edits import Change
-from ...authoring.editing.resolving import whole
+from ...authoring.editing.resolving import complete_rows
 from ...authoring.editing.targets import LONGEST
 from ...base.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
 from ...base.terminal import counted
@@ -320,7 +320,7 @@ class Session:
     @property
     def target(self) -> Rows:
         """The selection, as edits name it. Raises: InputError: nothing is selected."""
-        ids, chosen = whole(self.scene, self._needed()), self.chosen
+        ids, chosen = complete_rows(self.scene, self._needed()), self.chosen
         objects = self.scene.field.objects
         number = -1 if chosen is None or objects is None else int(objects.number_of[chosen.node])
         if number >= 0 and objects is not None and objects.thing(number) == chosen.node:  # type: ignore[union-attr]

@@ -10,7 +10,7 @@ from .encoding import (
     DEFAULT_ATOMS,
     Mixed,
     MixtureSource,
-    assembled,
+    assemble,
     atoms_by_use,
     encode_mixture,
     encode_rows,
@@ -23,7 +23,7 @@ from .growing import fits_at_once, regrown_mixture
 from .scene_atoms import SceneAtoms, train_scene_atoms
 
 __all__ = [
-    "DEFAULT_ATOMS", "AtomTable", "Mixed", "MixtureCode", "MixtureSource", "Part", "SceneAtoms", "assembled",
+    "DEFAULT_ATOMS", "AtomTable", "Mixed", "MixtureCode", "MixtureSource", "Part", "SceneAtoms", "assemble",
     "atoms_by_use", "encode_mixture", "encode_rows", "encode_with", "fits_at_once", "learn_scene_atoms", "left_in",
     "mixture_from_tensors", "plan_of", "quantised", "recoded", "regrown_mixture", "train_scene_atoms",
 ]  # fmt: skip

@@ -90,7 +90,7 @@ def encode_with(
         encoded = encode_rows(source, plan, atoms_per_row, threads=threads, track=track)
         used = atoms_by_use(encoded)
         if len(used) <= ADDRESSABLE:
-            return assembled(encoded, plan, columns, used)
+            return assemble(encoded, plan, columns, used)
         columns = columns[left_in(used, plan.first_scene, scene)]
 
 
@@ -169,7 +169,7 @@ def atoms_by_use(encoded: Encoded) -> Int64[np.ndarray, " u"]:
     return np.asarray(order[uses[order] > 0])
 
 
-def assembled(encoded: Encoded, plan: Plan, columns: Int32[np.ndarray, " c"], used: Int64[np.ndarray, " u"]) -> Mixed:
+def assemble(encoded: Encoded, plan: Plan, columns: Int32[np.ndarray, " c"], used: Int64[np.ndarray, " u"]) -> Mixed:
     """Return the code of the rows with the atoms that they use; parts without weight name the first atom."""
     kept = used if len(used) else np.zeros(1, np.int64)  # no row has a direction
     is_mask = kept < plan.first_scene

@@ -8,7 +8,7 @@ from ....base.arrays import Bool, Int32, Int64, Integer
 from ....kernels.mixture import ADDRESSABLE, Encoded
 from ..kmeans import Track, untracked
 from .dictionary import SCENE_ATOM
-from .encoding import Mixed, MixtureSource, assembled, atoms_by_use, encode_rows, plan_of
+from .encoding import Mixed, MixtureSource, assemble, atoms_by_use, encode_rows, plan_of
 from .scene_atoms import SceneAtoms
 
 
@@ -49,7 +49,7 @@ def regrown_mixture(
     order = np.argsort(keys, kind="stable")
     places = order[rows[order]]
     encoded = Encoded(*(np.concatenate(pair)[places] for pair in zip(old, new, strict=True)))
-    return Regrown(assembled(encoded, plan, every, atoms_by_use(encoded)), directed)
+    return Regrown(assemble(encoded, plan, every, atoms_by_use(encoded)), directed)
 
 
 def _planned(
