@@ -5,8 +5,9 @@
 
 PAGE.html: a page of SCENE.ply, as `drsplat view --export` writes it. Each picture is of all Gaussians, 900 x 640
 pixels, while the camera turns: Spark on WebGL in software, the client's own shaders there, and its rasteriser, which is
-what it takes where no card is found. Then the rasteriser as it is while somebody moves: coarser, least significant
-Gaussians left out. Needs playwright and a Chromium.
+what it takes where no card is found. Then what each draws while somebody moves: Spark by its own levels of detail, of
+as many splats as the client draws then, and the client's rasteriser, coarser and with the least significant Gaussians
+left out. Needs playwright and a Chromium.
 """
 
 import argparse
@@ -26,6 +27,7 @@ from playwright.sync_api import sync_playwright
 
 ROOT = Path(__file__).resolve().parent.parent
 SIZE, PANEL, PATIENCE_MS = (900, 640), 372, 300_000
+MOVING_SPLATS = 20_000  # what the client's rasteriser draws of 100,000 while the camera moves
 SOFTWARE = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 CARD = (
     "WebGL2RenderingContext.prototype.getExtension = () => null; const own = WebGL2RenderingContext.prototype;"
@@ -46,7 +48,9 @@ import { SparkRenderer, SplatMesh } from "@sparkjsdev/spark"; import * as THREE 
 const renderer = new THREE.WebGLRenderer({ antialias: false }), scene = new THREE.Scene();
 renderer.setSize(innerWidth, innerHeight); document.body.append(renderer.domElement);
 const camera = new THREE.PerspectiveCamera(55, innerWidth / innerHeight, 0.05, 100); camera.up.set(0, 0, 1);
-const splats = new SplatMesh({ url: "/scene.ply" }); scene.add(new SparkRenderer({ renderer }), splats);
+const count = Number(new URLSearchParams(location.search).get("lod")) || undefined;
+const splats = new SplatMesh({ url: "/scene.ply", lod: count !== undefined });
+scene.add(new SparkRenderer({ renderer, lodSplatCount: count }), splats);
 await splats.initialized; window.frames_ = 0; let turn = 0;
 renderer.setAnimationLoop(() => { turn += 0.02; camera.position.set(2 * Math.cos(turn), 2 * Math.sin(turn), 1.6);
 camera.lookAt(0, 0, 0.6); renderer.render(scene, camera); window.frames_ += 1; });
@@ -61,10 +65,11 @@ class Files(http.server.SimpleHTTPRequestHandler):
 
     def do_GET(self) -> None:
         own = {"/scene.ply": self.scene, "/page.html": self.page}
-        if self.path == "/spark.html" or self.path in own:
-            body = SPARK.encode() if self.path == "/spark.html" else own[self.path].read_bytes()
+        is_spark = self.path.partition("?")[0] == "/spark.html"
+        if is_spark or self.path in own:
+            body = SPARK.encode() if is_spark else own[self.path].read_bytes()
             self.send_response(200)
-            self.send_header("content-type", "text/html" if self.path.endswith("html") else "application/octet-stream")
+            self.send_header("content-type", "text/html" if "html" in self.path else "application/octet-stream")
             self.end_headers()
             self.wfile.write(body)
         else:
@@ -110,10 +115,10 @@ def client(opened: Any, address: str, seconds: float, card: bool, every: bool) -
     return found
 
 
-def spark(opened: Any, address: str, seconds: float) -> float:
+def spark(opened: Any, address: str, seconds: float, splats: int = 0) -> float:
     page = opened.new_page(viewport={"width": SIZE[0], "height": SIZE[1]})
     page.set_default_timeout(PATIENCE_MS)
-    page.goto(f"{address}/spark.html")
+    page.goto(f"{address}/spark.html?lod={splats}")
     found = rate(page, "(window.frames_ ?? 0)", seconds)
     page.close()
     return found
@@ -135,6 +140,7 @@ def main() -> None:
                 "Spark, WebGL in software": lambda: spark(opened, address, given.seconds),
                 "client's shaders, WebGL in software": lambda: client(opened, address, given.seconds, True, True),
                 "client's rasteriser": lambda: client(opened, address, given.seconds, False, True),
+                "Spark's levels of detail": lambda: spark(opened, address, given.seconds, MOVING_SPLATS),
                 "client's rasteriser, while moved": lambda: client(opened, address, given.seconds, False, False),
             }.items():
                 rates.setdefault(name, []).append(run())
