@@ -52,10 +52,10 @@ def center(demo: Story, text: str) -> np.ndarray:
     return next(one.center for one in demo.verdicts if one.probe.text == text)
 
 
-def test_there_are_ten_and_the_readme_links_them_all() -> None:
+def test_there_are_ten_and_the_tour_links_them_all() -> None:
     assert list(EXAMPLES) == [f"{number:02}" for number in range(1, 11)]
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    assert re.findall(r"\(examples/(\w+\.py)\)", readme) == [p.name for p in EXAMPLES.values()]
+    tour = (ROOT / "docs/tour.md").read_text(encoding="utf-8")
+    assert re.findall(r"\(\.\./examples/(\w+\.py)\)", tour) == [p.name for p in EXAMPLES.values()]
 
 
 @pytest.mark.parametrize("path", EXAMPLES.values(), ids=lambda path: path.stem)

@@ -1,4 +1,4 @@
-"""Every line of the README, in its order, in one folder: with toy models and data under the very names.
+"""Every line of docs/tour.md and of the README, in one folder: with toy models and data under the very names.
 
 The CLIP is real code with random weights; colours stand in for SAM. What is asserted is that a newcomer who
 types the lines one after another meets no error, and that identities hold from embedding to question.
@@ -29,17 +29,18 @@ pytest.importorskip("mcp", reason="the extra drsplat[mcp] is not installed")
 
 from toured import DIM, commands_of, write_tour
 
-README = Path(__file__).resolve().parent.parent / "README.md"
+ROOT = Path(__file__).resolve().parent.parent
+TOUR, README = ROOT / "docs/tour.md", ROOT / "README.md"
 CLIP = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 LASTING = ("view", "serve", "mcp")
 
 
 def tour() -> list[list[str]]:
     """The lines of the tour, then the commands in the text around it; no line is left out."""
-    text = README.read_text(encoding="utf-8")
+    text = TOUR.read_text(encoding="utf-8") + README.read_text(encoding="utf-8")
     inline = re.findall(r"`(drsplat [^`]+)`", re.sub(r"```.*?```", "", text, flags=re.DOTALL))
     whole = [line for line in inline if len(line.split()) > 2]  # others are names of verbs
-    return [*commands_of(README), *(shlex.split(line)[1:] for line in whole)]
+    return [*commands_of(TOUR), *commands_of(README), *(shlex.split(line)[1:] for line in whole)]
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +57,7 @@ def test_every_line_runs(place: Path, monkeypatch: pytest.MonkeyPatch, capsys: p
     monkeypatch.chdir(place)
     monkeypatch.setattr(sam, "load_segmenter", lambda *_, **__: ColorSegmenter())
     for line in tour():
-        short = {"scene.sog": "scene.ply"}  # we write no SOG
+        short = {"scene.sog": "scene.ply"}  # the toy has no SOG
         command = [short.get(word, word) for word in line]
         if command[0] in ("when", "edit"):  # which need a match: a toy's encoder knows no mug from a plate
             command += ["--threshold", "-1"]
