@@ -256,7 +256,7 @@ def _print_json(answer: object) -> None:
 
 
 def _as_json(value: object) -> object:
-    """NumPy's numbers and arrays, paths: as JSON has them."""
+    """Return NumPy's numbers and arrays, and paths, as JSON has them."""
     return value.tolist() if hasattr(value, "tolist") else str(value)
 
 

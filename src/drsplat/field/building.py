@@ -172,7 +172,7 @@ def _coded(
 def encode_features(
     rows: Features, codebook: Codebook, threads: int, track: Track
 ) -> tuple[Codes, Bool[np.ndarray, " r"]]:
-    """Codes of all rows, and which of them have a direction."""
+    """Return the codes of all rows, and which of them have a direction."""
     count = len(rows)
     codes = np.empty((count, codebook.num_subvectors), np.uint8)
     coarse_ids = None if codebook.coarse is None else np.empty(count, np.uint16)

@@ -85,7 +85,7 @@ class Objects:
         return rows_html(repr(self), names, rows, len(self))
 
     def __len__(self) -> int:
-        """How many things there are."""
+        """Return how many things there are."""
         return len(self.things)
 
     @property
@@ -106,7 +106,7 @@ class Objects:
         return self._handed_down(numbers)
 
     def thing_of(self) -> Int32[np.ndarray, " R"]:
-        """Per row of the field the number of the thing that it belongs to, -1 for none."""
+        """Return per row of the field the number of the thing that it belongs to, -1 for none."""
         return self._by_row(self.number_of, np.int32(-1))
 
     def piece_of(self) -> Int32[np.ndarray, " R"]:
@@ -132,7 +132,7 @@ class Objects:
         return self._by_row(self._handed_down(nodes), np.int32(-1))
 
     def rows(self, node: int) -> Int64[np.ndarray, " r"]:
-        """Rows of the field in a node and in all below it, ascending.
+        """Return the rows of the field in a node and in all below it, ascending.
 
         Raises: InputError: no such node.
         """
@@ -149,7 +149,7 @@ class Objects:
         return order, np.searchsorted(self.node_of[order], np.arange(self.num_nodes + 1))
 
     def counts(self, rows: Integer[np.ndarray, " r"]) -> Int64[np.ndarray, " T"]:
-        """Per node how many of some rows belong to it or to a node below it."""
+        """Return per node how many of some rows belong to it or to a node below it."""
         nodes = self.node_of[rows]
         counts: list[int] = np.bincount(nodes[nodes >= 0], minlength=self.num_nodes).tolist()
         for node, parent in enumerate(self.parents.tolist()):
@@ -196,7 +196,7 @@ class Objects:
         return int(self.things[number])
 
     def masks_of(self, node: int) -> tuple[Int32[np.ndarray, " m"], Float32[np.ndarray, " m"]]:
-        """Columns of the evidence that speak for a node, and their shares. Raises: InputError: no such node."""
+        """Return the evidence's columns that speak for a node, with their shares. Raises: InputError: no such node."""
         part = slice(*self.mask_starts[self._checked(node) :][:2])
         return self.masks[part], self.shares[part]
 
@@ -205,7 +205,7 @@ class Objects:
         return self.descriptors[slice(*self.descriptor_starts[self._checked(node) :][:2])]
 
     def tensors(self) -> dict[str, np.ndarray]:
-        """Its arrays by name, as they are written to files."""
+        """Return its arrays by name, as they are written to files."""
         return {name: getattr(self, name) for name in ARRAYS}
 
     def check_field(self, rows: int, dim: int, masks: int | None) -> None:
@@ -226,7 +226,7 @@ class Objects:
         return node
 
     def _handed_down(self, values: Int32[np.ndarray, " T"]) -> Int32[np.ndarray, " T"]:
-        """Values of nodes, -1 replaced by that of the nearest node above that has one."""
+        """Return the values of nodes, -1 replaced by that of the nearest node above that has one."""
         values, above = values.copy(), self.parents
         while True:
             missing = (values < 0) & (above >= 0)

@@ -91,7 +91,7 @@ class Growth:
             raise InputError(f"growth: scene atoms of {self.scene_atoms.vectors.shape[1]} numbers, not {code.dim}")
 
     def tensors(self) -> dict[str, np.ndarray]:
-        """Its arrays by name, as they are written to files; `json` and `metadata` hold the rest."""
+        """Return its arrays by name, as they are written to files; `json` and `metadata` hold the rest."""
         come, rest = self.provenance, self.rest
         arrays = {
             "axes": come.axes, "keys": come.keys, "rest_ids": self.rest_ids,
@@ -109,7 +109,7 @@ class Growth:
         return {"learnt_from": json.dumps(self.learnt_from)}
 
     def json(self) -> dict[str, object]:
-        """For the manifest."""
+        """Return what the manifest has of it."""
         come = self.provenance
         return {"code": _code_json(self.code), "isa": come.isa, "level": come.level, "removed": list(self.removed)}
 

@@ -54,7 +54,7 @@ class Label:
             raise InputError(f"label '{self.name}': expected ascending rows of a scene, one or more")
 
     def __len__(self) -> int:
-        """How many Gaussians it names."""
+        """Return how many Gaussians it names."""
         return int((self.spans[:, 1] - self.spans[:, 0]).sum())
 
     def is_of(self, field: LanguageField) -> bool:
@@ -62,7 +62,7 @@ class Label:
         return self.scene == field.scene and int(self.spans[-1, 1]) <= field.num_gaussians
 
     def gaussian_ids(self, field: LanguageField) -> Int64[np.ndarray, " m"]:
-        """Rows of the field's scene, ascending; none where it is of another one."""
+        """Return the rows of the field's scene, ascending; none where it is of another one."""
         if not self.is_of(field):
             return np.empty(0, np.int64)
         return ids_of(self.spans)
@@ -91,7 +91,7 @@ class LabelFile:
         return cls(folder.with_name(f"{name}.labels.json"))
 
     def read(self) -> tuple[Label, ...]:
-        """All of them, of whatever scene; () where there is no file.
+        """Read all of them, of whatever scene; () where there is no file.
 
         Raises: FormatError: the file is damaged, or written by a newer version.
         """
@@ -151,7 +151,7 @@ class Matched:
 
 
 def matched(labels: Sequence[Label], field: LanguageField) -> Matched:
-    """Each label with the node that shares most Gaussians with it, from an IoU of 0.5 on.
+    """Return each label with the node that shares most Gaussians with it, from an IoU of 0.5 on.
 
     A node has one label and a label one node, the largest overlaps first; of equal ones a thing comes before its
     only part or group. Labels of other scenes are orphans, and all are where the field has no objects.

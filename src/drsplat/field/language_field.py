@@ -32,7 +32,7 @@ FEW = 16  # negatives scored at once, exactly
 def relevancy_from_scores(
     scores: Float32[np.ndarray, " r"], negative_maxima: Float32[np.ndarray, " r"]
 ) -> Float32[np.ndarray, " r"]:
-    """sigmoid(10 (s - max_n s_n)): equal to LERF's minimum over negatives of a two-way softmax."""
+    """Return sigmoid(10 (s - max_n s_n)): equal to LERF's minimum over negatives of a two-way softmax."""
     return np.asarray(1 / (1 + np.exp(np.float32(-TEMPERATURE) * (scores - negative_maxima))))
 
 
@@ -175,7 +175,7 @@ class LanguageField:
         return digest.hexdigest()
 
     def scores(self, query: Float32[np.ndarray, "*c D"], *, threads: int = 0) -> Float32[np.ndarray, "*c r"]:
-        """Cosine of a query, of any length, with each feature; of several queries, a row for each.
+        """Return the cosine of a query, of any length, with each feature; of several queries, a row for each.
 
         The query is never quantised. Several at once take less time than one by one, and give the same
         bits.
@@ -188,7 +188,7 @@ class LanguageField:
         return scores if query.ndim == 2 else scores[0]
 
     def select(self, query: Float32[np.ndarray, " D"], threshold: float, *, threads: int = 0) -> Hits:
-        """Rows whose cosine with the query exceeds the threshold, ascending: one scan, and no other array.
+        """Return the rows whose cosine with the query exceeds the threshold, ascending: one scan, and no other array.
 
         Raises: as `scores`.
         Source: Dr. Splat Sec. B "3D object selection".
@@ -196,7 +196,7 @@ class LanguageField:
         return self.code.select(self._unit(query), threshold, threads=threads)
 
     def select_relevant(self, query: Float32[np.ndarray, " D"], threshold: float = 0.5, *, threads: int = 0) -> Hits:
-        """Rows whose relevancy exceeds the threshold, ascending, with their cosines; one scan.
+        """Return the rows whose relevancy exceeds the threshold, ascending, with their cosines; one scan.
 
         relevancy > t where score - max_n <n, f> > log(t / (1 - t)) / 10.
 
@@ -215,7 +215,7 @@ class LanguageField:
         return self.code.top(self._unit(query), count, threads=threads)
 
     def best(self, queries: Float32[np.ndarray, "c D"], *, threads: int = 0) -> Best:
-        """Which of several queries fits each row best, and how well; one scan for all of them.
+        """Return which of several queries fits each row best, and how well; one scan for all of them.
 
         Raises: as `scores`; InputError: no queries.
         Source: Dr. Splat Sec. B "Open-vocabulary 3D semantic segmentation".
@@ -225,7 +225,7 @@ class LanguageField:
     def relevancy(
         self, query: Float32[np.ndarray, " D"], negatives: Float32[np.ndarray, "n D"] | None = None, *, threads: int = 0
     ) -> Float32[np.ndarray, " r"]:
-        """How much better the query fits than any negative, in (0, 1); one scan if they are cached.
+        """Return how much better the query fits than any negative, in (0, 1); one scan if they are cached.
 
         min over n of softmax(10 [<q, f>, <n, f>])_0, which is sigmoid(10 (<q, f> - max_n <n, f>)).
         negatives None: those of `with_negatives`.
@@ -243,7 +243,7 @@ class LanguageField:
     def score_negatives(
         self, embeddings: Float32[np.ndarray, "n D"], texts: tuple[str, ...] = (), *, threads: int = 0
     ) -> Negatives:
-        """Each row's best score among some negatives. Raises: InputError: no embeddings, or not one per text."""
+        """Return each row's best score among some negatives. Raises: InputError: no embeddings, or not one per text."""
         if not len(embeddings) or (texts and len(texts) != len(embeddings)):
             raise InputError(
                 f"expected one or more negatives, one per text; got {len(embeddings)} and {len(texts)} texts"
@@ -265,7 +265,7 @@ class LanguageField:
         return replace(self, negatives=self.score_negatives(embeddings, texts, threads=threads))
 
     def with_words_of(self, other: "LanguageField", *, threads: int = 0) -> "LanguageField":
-        """With the negatives of another field of the same encoder, scored anew, and the words of its contrast."""
+        """Take the negatives of another field of the same encoder, scored anew, and the words of its contrast."""
         old = other.negatives
         negatives = old and replace(old, maxima=self._maxima(old.embeddings, threads))
         return replace(self, negatives=negatives, contrast=other.contrast)
@@ -286,7 +286,7 @@ class LanguageField:
         return replace(self, objects=objects)
 
     def dense(self, scores: Float32[np.ndarray, " r"], fill: float | int = -1.0) -> Float32[np.ndarray, " N"]:
-        """Per-row values as one per Gaussian of the scene; `fill` where it has no feature."""
+        """Return per-row values as one per Gaussian of the scene; `fill` where it has no feature."""
         values = np.full(self.num_gaussians, fill, np.float32)
         values[self.gaussian_ids] = scores
         return values

@@ -39,7 +39,7 @@ def learn(
 
 
 def learning_views(evidence: Evidence) -> tuple[str, ...]:
-    """Up to LEARNT_FROM of the views that see anything, by a hash of their names; sorted.
+    """Return up to LEARNT_FROM of the views that see anything, by a hash of their names; sorted.
 
     One view more changes them with a probability of LEARNT_FROM / V, whenever it comes.
     """
@@ -61,7 +61,7 @@ def drawn(name: str) -> bytes:
 
 
 def _of_views(features: Aggregated, views: tuple[str, ...]) -> Aggregated:
-    """Features as these views alone make them."""
+    """Return the features as these views alone make them."""
     evidence = features.evidence
     kept = np.isin(evidence.masks.view_names, views)[evidence.masks.views]
     if kept.all():

@@ -153,12 +153,12 @@ def _compare(file: _File, evidence: Evidence | None, _: StoredField | None = Non
 
 
 def _up(document: object, path: Path) -> Float64[np.ndarray, " 3"] | None:
-    """Fields of older versions have none."""
+    """Return the upward direction; fields of older versions have none."""
     return None if document is None else as_vector(document, 3, f"{path}: up")
 
 
 def _left_out(document: object, path: Path) -> tuple[str, ...]:
-    """Fields of older versions do not say."""
+    """Return the views that were left out, none for fields of older versions."""
     if not isinstance(document, list) or not all(map(is_text, document)):
         raise FormatError(f"{path}: left_out: expected a list of photos' names, got {excerpt(document)}")
     return tuple(document)
@@ -208,7 +208,7 @@ def _names(manifest: dict[str, object]) -> list[str]:
 
 
 def _tied(path: Path, name: str, manifest: dict[str, object]) -> _File:
-    """One file, if it was written together with the manifest."""
+    """Return one file, if it was written together with the manifest."""
     try:
         tensors, metadata = map_tensors(path / name)
     except InputError as error:

@@ -125,7 +125,7 @@ def _coded_again(
     threads: int,
     track: Track,
 ) -> Coded:
-    """Old codes of some rows and new ones of the evidence `some`, in the order of their ids."""
+    """Return old codes of some rows and new ones of the evidence `some`, in the order of their ids."""
     if isinstance(field.code, MixtureCode):
         assert field.growth is not None
         places, scene = field.growth.scene_places, field.growth.scene_atoms

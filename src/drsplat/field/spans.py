@@ -41,7 +41,7 @@ def field_during(
 
 
 def views_during(field: LanguageField, during: Span) -> Bool[np.ndarray, " v"]:
-    """Which views of a field were taken in a span of time. Raises: InputError: as `field_during`."""
+    """Return which views of a field were taken in a span of time. Raises: InputError: as `field_during`."""
     if field.evidence is None:
         raise InputError("during: this field holds no evidence of what the photos of that time have shown")
     if field.times is None:

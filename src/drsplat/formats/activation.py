@@ -23,13 +23,13 @@ SMALLEST_THREE = np.array([[3, 0, 1, 2], [0, 3, 1, 2], [0, 1, 3, 2], [0, 1, 2, 3
 
 
 def sigmoid(logits: Float32[Anywhere, " n"]) -> Float32[Anywhere, " n"]:
-    """1 / (1 + exp(-x)); plus and minus infinity, which SuperSplat writes, are exactly 1 and 0."""
+    """Return 1 / (1 + exp(-x)); plus and minus infinity, which SuperSplat writes, are exactly 1 and 0."""
     wide: Anywhere = 1 / (1 + np.exp(-logits.astype(np.float64)))
     return wide.astype(np.float32)
 
 
 def logit(opacities: Float32[np.ndarray, " n"]) -> Float32[np.ndarray, " n"]:
-    """Inverse of `sigmoid`, finite: 0 and 1 become the logits that come back as exactly 0 and 1."""
+    """Return the inverse of `sigmoid`, finite: 0 and 1 become the logits that come back as exactly 0 and 1."""
     wide = opacities.astype(np.float64)
     with np.errstate(divide="ignore"):
         finite: np.ndarray = np.clip(np.log(wide) - np.log1p(-wide), -105, 18)
@@ -37,7 +37,7 @@ def logit(opacities: Float32[np.ndarray, " n"]) -> Float32[np.ndarray, " n"]:
 
 
 def exp(log_scales: Float32[np.ndarray, "n k"]) -> Float32[np.ndarray, "n k"]:
-    """Natural exponential in place; what overflows is left infinite for `checked` to report."""
+    """Take the natural exponential in place; what overflows is left infinite for `checked` to report."""
     np.exp(log_scales, out=log_scales)
     return log_scales
 

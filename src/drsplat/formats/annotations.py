@@ -37,7 +37,7 @@ class AnnotationFile:
         return cls(companion(scene, "annotations"))
 
     def read(self) -> Annotations:
-        """All of them; () where there is no file. Raises: FormatError: it is damaged, or of a newer version."""
+        """Read all of them; () where there is no file. Raises: FormatError: it is damaged, or of a newer version."""
         return annotations_of(read_json(self.path), str(self.path)) if self.path.exists() else ()
 
     def add(self, annotations: Sequence[Annotation]) -> Annotations:
@@ -46,7 +46,7 @@ class AnnotationFile:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Nobody else writes it while the block runs. Raises: InputError: another process does."""
+        """Keep others from writing it while the block runs. Raises: InputError: another process does."""
         with claimed_output(self.path, PATIENCE):
             yield
 
@@ -59,7 +59,7 @@ class AnnotationFile:
             file.write(f"{text}\n".encode())
 
     def drop(self, number: int) -> Annotations:
-        """Without one, counted from 1; returns the others. Raises: as `read`; InputError: no such annotation."""
+        """Drop one, counted from 1; returns the others. Raises: as `read`; InputError: no such annotation."""
         return self._change(lambda known: without(known, number))
 
     def _change(self, change: Callable[[Annotations], Annotations]) -> Annotations:
@@ -70,7 +70,7 @@ class AnnotationFile:
 
 
 def without(known: Annotations, number: int) -> Annotations:
-    """All but one, counted from 1. Raises: InputError: there is no such annotation."""
+    """Return all but one, counted from 1. Raises: InputError: there is no such annotation."""
     if not 1 <= number <= len(known):
         raise InputError(f"there is no annotation {number} of {len(known)}")
     return (*known[: number - 1], *known[number:])

@@ -110,7 +110,7 @@ def read_sparse_points(
 
 
 def _points_of(source: _Source) -> tuple[np.ndarray, np.ndarray] | None:
-    """In the frame of the camera file."""
+    """Return the points in the frame of the camera file."""
     if source.kind == "colmap" and has_points(source.path):
         return read_points(source.path)
     named = point_file(source.path) if source.kind == "transforms" else None

@@ -18,7 +18,7 @@ def cameras(path: Path) -> Iterator[CameraRecord]:
 
 
 def images(path: Path) -> Iterator[ImageRecord]:
-    """Image lines alternate with lines of 2D points, which may be empty but must be there."""
+    """Yield images, whose lines alternate with lines of 2D points, which may be empty but must be there."""
     lines = _lines(path)
     for where, line in lines:
         if line and not line.startswith("#"):

@@ -37,7 +37,7 @@ class CompactFile:
     maps: tuple[np.ndarray, ...]
 
     def ids(self, level: int) -> Int64[np.ndarray, "h w"]:
-        """Row of `embeddings` by pixel, -1 for none. Raises: FormatError: damaged, or an id without a row."""
+        """Return the row of `embeddings` by pixel, -1: none. Raises: FormatError: damaged, or an id without a row."""
         height, width = self.size
         dtype = _dtype(len(self.embeddings))
         raw = _decompressed(
@@ -117,7 +117,7 @@ def _counts(text: str | None, where: str) -> tuple[int, ...]:
 
 
 def _decompressed(data: np.ndarray, path: Path, size: int) -> bytes:
-    """Exactly `size` bytes; memory grows with what is there, not with what is promised."""
+    """Return exactly `size` bytes; memory grows with what is there, not with what is promised."""
     raw = bytearray()
     try:
         with zstandard.ZstdDecompressor().stream_reader(data.tobytes()) as stream:

@@ -33,7 +33,7 @@ def is_compressed(header: Header) -> bool:
 
 
 def parse_compressed_ply(buffer: memoryview, header: Header) -> Gaussians:
-    """Gaussians of a compressed PLY; further properties of `vertex` are kept in `extra`.
+    """Return the Gaussians of a compressed PLY; further properties of `vertex` are kept in `extra`.
 
     Raises: FormatError: properties missing, elements whose counts do not fit, or rows that are no Gaussians.
     """
@@ -68,7 +68,7 @@ def _require(header: Header, element: str, names: tuple[str, ...], code: str) ->
 
 
 def _rest_names(header: Header) -> list[str]:
-    """Names of the coefficients in the memory order of Gaussians.sh, without the constant one."""
+    """Return the names of the coefficients in the memory order of Gaussians.sh, without the constant one."""
     if "sh" not in header.elements:
         return []
     element = header.elements["sh"]
@@ -90,7 +90,7 @@ def _packed(vertex: Records, which: int) -> UInt32[np.ndarray, " n"]:
 def _unpack(
     packed: UInt32[np.ndarray, " n"], shifts: tuple[int, ...], bits: tuple[int, ...]
 ) -> Float32[np.ndarray, "n c"]:
-    """Bit fields as fractions of their range."""
+    """Return bit fields as fractions of their range."""
     result = np.empty((len(packed), len(shifts)), np.float32)
     for column, (shift, width) in enumerate(zip(shifts, bits, strict=True)):
         limit = (1 << width) - 1
@@ -113,7 +113,7 @@ def _rotations(vertex: Records) -> Float32[np.ndarray, "n 4"]:
 
 
 def _decode_rest(table: Records, names: list[str], into: Float32[np.ndarray, "n k 3"]) -> None:
-    """Bytes to [-4, 4]: 0 and 255 are the ends of it, all others the middle of their step."""
+    """Turn bytes into [-4, 4]: 0 and 255 are the ends of it, all others the middle of their step."""
     steps = (np.arange(256, dtype=np.float32) + np.float32(0.5)) / 32 - 4
     steps[[0, 255]] = -4, 4
     for place, name in enumerate(names):

@@ -26,7 +26,7 @@ class SceneFrame:
         return SceneFrame(self.transform @ np.linalg.inv(applied.transform), self.scale / applied.scale)
 
     def points(self, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-        """World positions in the scene."""
+        """Return the world positions in the scene."""
         moved: np.ndarray = points @ self.transform[:3, :3].T + self.transform[:3, 3]
         return self.scale * moved
 

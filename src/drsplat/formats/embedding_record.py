@@ -65,7 +65,7 @@ class EmbeddingRecord:
         return any((self.folder / f"{stem}{ending}").is_file() for ending in (MAPS, COMPACT))
 
     def unfinished(self) -> list[str]:
-        """Stems that have files but no entry."""
+        """Return the stems that have files but no entry."""
         return [stem for stem in _listed_stems(self.folder) if stem not in self.finished]
 
     def make_room(self, stem: str) -> None:
@@ -80,7 +80,7 @@ class EmbeddingRecord:
             (self.folder / f"{stem}{ending}").unlink(missing_ok=True)
 
     def add(self, stem: str, photo: str, masks: Mapping[str, int], empty_masks: int, form: Form) -> None:
-        """After the files are written."""
+        """Add an entry, once the files are written."""
         compact, maps, rows = (self.folder / f"{stem}{e}" for e in (COMPACT, MAPS, EMBEDDINGS))
         digest = hash_file(compact if form == "compact" else rows)
         size = None if form == "compact" else maps.stat().st_size
@@ -252,7 +252,7 @@ def _read(path: Path) -> tuple[dict[str, object], dict[str, Finished]]:
 
 
 def _entry(value: object) -> Finished | None:
-    """None for what no entry looks like: its photo is then embedded again."""
+    """Return an entry, None for what looks like none: its photo is then embedded again."""
     try:
         entry = Finished(**value)  # type: ignore[arg-type]
         counts = [entry.empty_masks, entry.map_bytes or 0, *entry.masks.values()]
@@ -289,7 +289,7 @@ def _as_json(settings: Mapping[str, object]) -> dict[str, object]:
 
 
 def _changed(before: object, now: object, name: str = "") -> Iterator[str]:
-    """Each setting that differs, what it was and what it is."""
+    """Return each setting that differs, what it was and what it is."""
     if isinstance(before, dict) and isinstance(now, dict):
         for key in [*before, *(key for key in now if key not in before)]:
             yield from _changed(before.get(key), now.get(key), f"{name}.{key}" if name else key)

@@ -93,7 +93,7 @@ def _index_header(source: _Bytes) -> int:
 
 
 def _inverted_file(source: _Bytes, path: Path) -> tuple[int, Float32[np.ndarray, "C D"] | None]:
-    """Dimension and coarse centroids; None where codes are of the vectors themselves."""
+    """Return the dimension and coarse centroids; None where codes are of the vectors themselves."""
     dim = _index_header(source)
     lists = source.number(8)
     source.take(8)  # nprobe

@@ -38,7 +38,7 @@ REQUIRED = (*MEANS, *DC, "opacity", *SCALES, *QUATS)
 
 
 def parse_gaussian_ply(buffer: memoryview, header: Header) -> Gaussians:
-    """Gaussians of the element `vertex`.
+    """Return the Gaussians of the element `vertex`.
 
     Further scalar properties are kept in `extra` with their types; so are normals, unless all are
     zero (trainers write zeros there for want of anything to say).
@@ -101,7 +101,7 @@ def _scales(rows: Records) -> Float32[np.ndarray, "n 3"]:
 
 
 def _means(rows: Records) -> tuple[Float32[np.ndarray, "n 3"], Float64[np.ndarray, " 3"]]:
-    """Positions and what they are counted from: doubles far from zero would lose as float32."""
+    """Return the positions and what they are counted from: doubles far from zero would lose as float32."""
     if not any(rows.dtype[name].base == np.float64 for name in MEANS):
         return gather(rows, MEANS), np.zeros(3)
     positions = np.stack([rows[name] for name in MEANS], 1).astype(np.float64)
@@ -110,7 +110,7 @@ def _means(rows: Records) -> tuple[Float32[np.ndarray, "n 3"], Float64[np.ndarra
 
 
 def _sh_names(names: list[str]) -> list[str]:
-    """Property names in the memory order of Gaussians.sh: by coefficient, channels innermost."""
+    """Return the property names in the memory order of Gaussians.sh: by coefficient, channels innermost."""
     count = sum(name.startswith("f_rest_") for name in names)
     per_channel = count // 3
     rest = [f"f_rest_{channel * per_channel + c}" for c in range(per_channel) for channel in range(3)]

@@ -32,7 +32,7 @@ class Georeference:
     scale: float
 
     def positions(self, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
-        """Longitude and latitude in degrees and height in metres of points of the world."""
+        """Return the longitude and latitude in degrees and height in metres of points of the world."""
         offsets = self.scale * points @ self.enu_from_world.T
         return geodetic((self.longitude, self.latitude, self.height), offsets)
 

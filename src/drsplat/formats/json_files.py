@@ -52,12 +52,12 @@ def parsed(text: str | bytes) -> object:
 
 
 def is_text(value: object) -> bool:
-    """Text that can be written: no half of a character, which JSON can hold."""
+    """Return whether a text can be written: JSON can hold half of a character, which no file can."""
     return isinstance(value, str) and value == value.encode(errors="ignore").decode()
 
 
 def unique_names(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    """For json.loads, which takes the last of two. Raises: ValueError: a name is given twice."""
+    """Refuse names that are given twice, of which json.loads takes the last. Raises: ValueError."""
     entries = dict(pairs)
     if len(entries) < len(pairs):
         names = [name for name, _ in pairs]
@@ -91,14 +91,14 @@ def as_count(value: object, where: str) -> int:
 
 
 def as_vector(value: object, length: int, where: str) -> Float64[np.ndarray, " n"]:
-    """`length` finite numbers."""
+    """Return `length` finite numbers."""
     if not isinstance(value, list) or len(value) != length:
         raise FormatError(f"{where}: expected {length} numbers, got {excerpt(value)}")
     return np.array([as_number(item, where) for item in value])
 
 
 def as_matrix(value: object, rows: int, columns: int, where: str) -> Float64[np.ndarray, "r c"]:
-    """`rows` lists of `columns` finite numbers."""
+    """Return `rows` lists of `columns` finite numbers."""
     if not isinstance(value, list) or len(value) != rows:
         raise FormatError(f"{where}: expected {rows} rows of {columns} numbers, got {excerpt(value)}")
     return np.stack([as_vector(row, columns, where) for row in value])

@@ -82,7 +82,7 @@ SECTION = np.dtype(
 
 
 def parse_ksplat(buffer: memoryview) -> Gaussians:
-    """Gaussians of a KSPLAT, SH degree 0 to 2: the highest of its sections, with zeros in the others.
+    """Return the Gaussians of a KSPLAT, SH degree 0 to 2: the highest of its sections, with zeros in the others.
 
     Raises: FormatError: another version; counts, buckets and sizes that do not fit each other and the file;
     rows that are no Gaussians.
@@ -165,7 +165,7 @@ def _require_buckets(buffer: memoryview, section: _Section, at: int, index: int)
 
 
 def _lengths(buffer: memoryview, section: _Section, at: int) -> np.ndarray:
-    """Rows of the buckets that are not full."""
+    """Return the rows of the buckets that are not full."""
     return np.frombuffer(buffer, "<u4", section.partial, at)
 
 

@@ -97,7 +97,7 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
         return features
 
     def stored(self, name: str) -> tuple[Int32[np.ndarray, "*levels h w"], Float32[np.ndarray, "n d"]]:
-        """All levels of a photo and its embeddings as they are in its files: what `write_features` takes.
+        """Return all levels of a photo and its embeddings as they are in its files: what `write_features` takes.
 
         Raises: as indexing does.
         """
@@ -166,7 +166,7 @@ def read_features(
 
 
 def level_index(level: str | int) -> int:
-    """0..3 of a level's name or number."""
+    """Return 0..3 of a level's name or number."""
     if isinstance(level, str) and level in LEVELS:
         return LEVELS.index(level)
     if isinstance(level, int) and 0 <= level < len(LEVELS):

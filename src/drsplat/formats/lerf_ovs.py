@@ -46,7 +46,7 @@ class LabelledFrame:
         return tuple(sorted(self.polygons))
 
     def mask(self, category: str) -> Bool[np.ndarray, "h w"]:
-        """All objects of the category in one."""
+        """Return all objects of the category in one."""
         united = np.zeros((self.height, self.width), bool)
         for polygon in self.polygons[category]:
             united |= fill_polygon(polygon, self.width, self.height)
@@ -65,7 +65,7 @@ def read_lerf_labels(folder: Path) -> list[LabelledFrame]:
 
 
 def read_lerf_frame(path: Path) -> LabelledFrame:
-    """One file of labels.
+    """Return one file of labels.
 
     Raises: InputError: there is no such file. FormatError: damaged; the message names file, object and field.
     """
@@ -90,7 +90,7 @@ def read_lerf_frame(path: Path) -> LabelledFrame:
 
 
 def fill_polygon(polygon: Polygon, width: int, height: int) -> Bool[np.ndarray, "h w"]:
-    """Pixels inside (even-odd) or on the edge of a polygon of whole corners.
+    """Return the pixels inside (even-odd) or on the edge of a polygon of whole corners.
 
     The same pixels as OpenCV 5.0's `fillPoly` for corners within the frame; 4.10 draws edges a little
     otherwise (0.02 % of the pixels of large polygons), and both cut edges that leave the frame.
@@ -110,7 +110,7 @@ def fill_polygon(polygon: Polygon, width: int, height: int) -> Bool[np.ndarray, 
 
 
 def _fill_row(line: Bool[np.ndarray, " w"], row: int, starts: Polygon, ends: Polygon) -> None:
-    """Between each two crossings; an edge has its upper end and not its lower one."""
+    """Fill between each two crossings; an edge has its upper end and not its lower one."""
     low, high = np.minimum(starts[:, 1], ends[:, 1]), np.maximum(starts[:, 1], ends[:, 1])
     crossed = (low <= row) & (row < high)
     (x1, y1), (x2, y2) = starts[crossed].T, ends[crossed].T
@@ -120,7 +120,7 @@ def _fill_row(line: Bool[np.ndarray, " w"], row: int, starts: Polygon, ends: Pol
 
 
 def _line(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bresenham's pixels from left to right."""
+    """Return Bresenham's pixels from left to right."""
     if end[0] < start[0]:
         start, end = end, start
     dx, dy = (int(v) for v in end - start)

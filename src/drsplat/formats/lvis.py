@@ -107,7 +107,7 @@ def read_annotations(path: str | Path) -> Annotations:
 
 
 def _document(path: Path) -> dict[str, list[object]]:
-    """LVIS's training set is 1.1 GB of text: outlines become arrays while it is parsed."""
+    """Read LVIS's training set: outlines become arrays while its 1.1 GB of text are parsed."""
     try:
         document = json.loads(file_text(path), object_hook=_compacted)
     except FileNotFoundError:

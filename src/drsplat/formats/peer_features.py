@@ -99,7 +99,7 @@ class Decoded:
 
 
 def read_peer_features(path: Path, decoder: Path | None = None) -> Rows:
-    """Features of another system, a row per Gaussian.
+    """Return the features of another system, a row per Gaussian.
 
     decoder: LangSplat's autoencoder, whose codes are in `path`.
 

@@ -15,7 +15,7 @@ _MODEL_FOLDERS = re.compile(r"(^|/)(colmap/)?sparse(/\d+)?$")
 
 
 def safe_name(name: str, where: str) -> str:
-    """`name` with forward slashes and without "." parts: a path that stays inside its folder.
+    """Return `name` with forward slashes and without "." parts: a path that stays inside its folder.
 
     Raises: FormatError: an absolute path, "..", control characters, or an impossible length.
     """

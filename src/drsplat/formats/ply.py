@@ -119,7 +119,7 @@ def _ascii_rows(rows: Iterator[bytes], element: Element) -> Records:
 
 
 def gather(records: Records, names: Sequence[str]) -> Float32[np.ndarray, "n c"]:
-    """Columns `names` of a structured array side by side as float32, whatever their type.
+    """Return the columns `names` of a structured array side by side as float32, whatever their type.
 
     A value that float32 cannot hold becomes infinite: judging it is the caller's.
     """
@@ -138,7 +138,7 @@ def gather(records: Records, names: Sequence[str]) -> Float32[np.ndarray, "n c"]
 
 
 def _float32_words(record: np.dtype, names: Sequence[str]) -> list[int] | None:
-    """Positions of the columns in a record seen as float32 words; None if it cannot be so seen."""
+    """Return the positions of the columns in a record seen as float32 words; None if it cannot be so seen."""
     fields = [record.fields[name] for name in names] if record.fields else []
     if record.itemsize % 4 or any(f[0] != np.float32 or f[1] % 4 for f in fields):
         return None

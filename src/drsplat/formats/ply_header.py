@@ -50,7 +50,7 @@ class Element:
         return [p.name for p in self.properties]
 
     def record(self, order: str) -> np.dtype:
-        """One row as a packed NumPy record."""
+        """Return one row as a packed NumPy record."""
         return np.dtype([(p.name, order + p.code) for p in self.properties])
 
 

@@ -41,7 +41,7 @@ def frames_of(folder: Path) -> dict[int, Path]:
 
 
 def read_ply_sequence(folder: Path, times: tuple[float, float] | None = None) -> Moving:
-    """Frames are read when they are needed, and two are held.
+    """Read frames when they are needed, and hold two.
 
     times: of the first and the last frame, and the others evenly between them; None: the frames' numbers.
 
@@ -63,7 +63,7 @@ def read_ply_sequence(folder: Path, times: tuple[float, float] | None = None) ->
 
 
 def write_ply_sequence(folder: Path, moving: Moving, overwrite: bool = False) -> None:
-    """frame0000.ply and so on, one for each of `moving.times`, all or none.
+    """Write frame0000.ply and so on, one for each of `moving.times`, all or none.
 
     Raises: InputError: as `replacing_folder`.
     """

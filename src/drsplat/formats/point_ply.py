@@ -16,7 +16,7 @@ GREY = 128  # of points without colour
 
 
 def read_point_ply(path: str | PathLike[str]) -> tuple[Float64[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
-    """Positions and RGB of the element `vertex`, in file order; other elements and properties are left out.
+    """Return the positions and RGB of the element `vertex`, in file order; other elements and properties are left out.
 
     red, green and blue are whole numbers up to 255, or fractions up to 1; without them points are grey.
 

@@ -20,7 +20,7 @@ RIGID_TOLERANCE = 1e-3
 
 
 def pinhole(fx: float, fy: float, cx: float, cy: float) -> Matrix3:
-    """K of focal lengths and principal point, all in pixels."""
+    """Return K of focal lengths and principal point, all in pixels."""
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
@@ -33,7 +33,7 @@ def pose(rotation: Matrix3, translation: Vector3) -> Matrix4:
 
 
 def inverse_pose(rotation: Matrix3, center: Vector3) -> Matrix4:
-    """cam_from_world of a camera-to-world rotation and the camera's centre."""
+    """Return cam_from_world of a camera-to-world rotation and the camera's centre."""
     return pose(rotation.T, -rotation.T @ center)
 
 

@@ -75,7 +75,7 @@ def replacing(path: str | os.PathLike[str], overwrite: bool = False) -> Iterator
 
 @contextmanager
 def together() -> Iterator[None]:
-    """Files that are written in the block take their names at its end, one right after the other.
+    """Let files that are written in the block take their names at its end, one right after the other.
 
     A process that is killed leaves none of them, so that the same command can be given again; if the block fails,
     none appears.
@@ -103,7 +103,7 @@ def _holding(raw: io.FileIO) -> int | None:
 
 @contextmanager
 def at_once() -> Iterator[None]:
-    """Files that are written in the block take their names as they are written: of a folder that waits as a whole."""
+    """Let files of the block take their names as they are written: of a folder that waits as a whole."""
     token = _WAITING.set(None)
     try:
         yield

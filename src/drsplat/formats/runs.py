@@ -32,7 +32,7 @@ def ids_of(spans: Spans) -> Int64[np.ndarray, " m"]:
 
 
 def runs_of(spans: Spans) -> list[int]:
-    """Lengths in turns: rows that are left out, rows that are in it, and so on."""
+    """Return lengths in turns: rows that are left out, rows that are in it, and so on."""
     runs: list[int] = np.diff(spans.ravel(), prepend=0).tolist()
     return runs
 

@@ -46,7 +46,7 @@ class Instances:
 
 
 def scene_file(scene: Path, ending: str) -> Path:
-    """SCENE/SCENE_ending or the only file of that ending.
+    """Return SCENE/SCENE_ending or the only file of that ending.
 
     Raises: InputError: there is none, or several and none is named after the folder.
     """
@@ -97,7 +97,7 @@ def read_scannet_instances(segments: Path, aggregation: Path) -> Instances:
 
 
 def read_label_table(path: Path) -> dict[str, int]:
-    """Category id of each raw category of `scannetv2-labels.combined.tsv`.
+    """Return the category id of each raw category of `scannetv2-labels.combined.tsv`.
 
     Raises: InputError: there is no such file. FormatError: no such table; the message names the line.
     """

@@ -88,7 +88,7 @@ def local(gaussians: Gaussians, where: str) -> Gaussians:
 
 @np.errstate(all="ignore")  # what damaged floats do on the way is judged at its end, row by row
 def parse_gaussians(buffer: memoryview, suffix: str = "") -> Gaussians:
-    """`read_gaussians` for bytes in memory; `suffix` (".splat") decides only where no mark does.
+    """Parse bytes in memory as `read_gaussians` does; `suffix` (".splat") decides only where no mark does.
 
     Raises: FormatError: as `read_gaussians`.
     """
@@ -190,7 +190,7 @@ def was_edited(path: Path) -> bool:
 
 
 def _filled(gaussians: Gaussians, sh_degree: int) -> Gaussians:
-    """With zeros for the harmonics up to a degree."""
+    """Fill in zeros for the harmonics up to a degree."""
     if not gaussians.sh_degree <= sh_degree < len(SH_COEFFICIENTS):
         raise InputError(f"sh_degree: expected {gaussians.sh_degree}, which the Gaussians have, to 3; got {sh_degree}")
     return replace(gaussians, sh=filled(gaussians.sh, SH_COEFFICIENTS[sh_degree]))

@@ -131,7 +131,7 @@ class _Sog:
         return webp_pixels(data, name).reshape(-1, 4)[: self.count]
 
     def _between(self, part: str, steps: np.ndarray, most: int) -> Float32[np.ndarray, "n k"]:
-        """`most` steps from mins to maxs."""
+        """Return `most` steps from mins to maxs."""
         mins, maxs = (
             as_vector(_part(self.meta, part).get(end), steps.shape[1], f"{META}: {part}: {end}")
             for end in ("mins", "maxs")
@@ -199,7 +199,7 @@ class _Sog:
         return (low + (high - low) * (pixels / np.float64(255))).astype(np.float32)
 
     def _palette_shape(self, width: int, height: int) -> tuple[int, int]:
-        """Entries and coefficients of each; version 1 says neither but by the picture's size."""
+        """Return the entries and coefficients of each; version 1 says neither but by the picture's size."""
         if self.legacy:
             coefficients = width // PALETTE_ROW
             return PALETTE_ROW * height, coefficients if coefficients in COEFFICIENTS[1:] else 0

@@ -31,7 +31,7 @@ Member = Callable[[str], bytes]
 
 
 def folder_member(folder: Path) -> Member:
-    """Files beside meta.json. Raises: FormatError, when called: a name that leads elsewhere, or of no regular file."""
+    """Return a reader of the files beside meta.json. It raises FormatError: a name that leads elsewhere."""
 
     def read(name: str) -> bytes:
         path = folder / _bare(name)
@@ -61,7 +61,7 @@ def beside(document: Path, name: object) -> Path:
 
 
 def zip_member(buffer: memoryview) -> Member:
-    """Members at the root of a ZIP.
+    """Return the members at the root of a ZIP.
 
     Raises: FormatError, also when called: a damaged archive, too many members or two of one name; one
     that is missing, encrypted or larger than the archive.
@@ -105,7 +105,7 @@ def _bare(name: str) -> str:
 
 
 def _refuse_large_directory(buffer: memoryview) -> None:
-    """Its entries are all read at once, so their bytes are counted first."""
+    """Refuse a directory whose entries, which are all read at once, have too many bytes."""
     tail = bytes(buffer[-(_END.size + _COMMENT_BYTES) :])
     at = tail.rfind(b"PK\x05\x06")
     if at < 0 or at + _END.size > len(tail):
@@ -119,7 +119,7 @@ def _refuse_large_directory(buffer: memoryview) -> None:
 
 
 def webp_size(data: bytes, name: str) -> tuple[int, int]:
-    """Width and height that a lossless WebP declares.
+    """Return the width and height that a lossless WebP declares.
 
     Raises: FormatError: no WebP; a lossy or animated one, whose numbers are not what was stored.
     """
@@ -147,7 +147,7 @@ def webp_size(data: bytes, name: str) -> tuple[int, int]:
 
 
 def webp_pixels(data: bytes, name: str) -> UInt8[np.ndarray, "h w 4"]:
-    """RGBA as stored; only once `webp_size` has been judged.
+    """Return RGBA as stored; only once `webp_size` has been judged.
 
     Raises: FormatError: it cannot be decoded, or is not of the size that it declares.
     """

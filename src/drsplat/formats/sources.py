@@ -126,7 +126,7 @@ def sources_of(path: Path) -> list[Source]:
 
 
 def read_blocks(path: Path) -> list[Block]:
-    """Blocks of a city from JSON: a list of {"file", "transform", "keep"}.
+    """Return the blocks of a city from JSON: a list of {"file", "transform", "keep"}.
 
     file: relative to the document. transform: 4x4, rows first, from the file's coordinates to the world's; left out:
     none. keep: {"low": [x, y, z], "high": [x, y, z]} in the world; Gaussians elsewhere are left out, so that what
@@ -162,7 +162,7 @@ def _blocks(entry: object, path: Path, where: str) -> list[Block]:
 
 
 def blocks_of(paths: Sequence[Path]) -> list[Block]:
-    """Scene files that are in the coordinates of one world already; a .json is one of `read_blocks`."""
+    """Return the scene files that are in the coordinates of one world already; a .json is one of `read_blocks`."""
     listed = [path for path in paths if path.suffix.lower() == ".json" and path.name not in (LOD_META, "meta.json")]
     return [
         block

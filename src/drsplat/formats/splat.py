@@ -17,7 +17,7 @@ RECORD = np.dtype([("means", "<f4", 3), ("scales", "<f4", 3), ("rgba", "u1", 4),
 
 
 def parse_splat(buffer: memoryview) -> Gaussians:
-    """Gaussians of a `.splat` file, SH degree 0.
+    """Return the Gaussians of a `.splat` file, SH degree 0.
 
     Raises: FormatError: a size that is no whole number of records, or rows that are no Gaussians.
     """

@@ -53,13 +53,13 @@ class SpzHeader:
     streams: int
 
     def plane_bytes(self) -> list[int]:
-        """Size of each plane, in order."""
+        """Return the size of each plane, in order."""
         rotation = 3 if self.version == 2 else 4
         return [self.count * size for size in (9, 1, 3, 3, rotation, 3 * REST_COEFFICIENTS[self.degree])]
 
 
 def parse_spz(buffer: memoryview) -> Gaussians:
-    """Gaussians of an SPZ file, in the axes of a PLY (RDF).
+    """Return the Gaussians of an SPZ file, in the axes of a PLY (RDF).
 
     Degree-4 coefficients are left out with a DrSplatWarning.
 
@@ -145,7 +145,7 @@ def _header(raw: bytes) -> SpzHeader:
 
 
 def _concatenated(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], bytes, SpzHeader]:
-    """Versions 2 and 3: the header, all planes and perhaps extensions in one gzip stream."""
+    """Read versions 2 and 3: the header, all planes and perhaps extensions in one gzip stream."""
 
     def payload_bytes(start: bytes) -> int:
         header = _header(start)
@@ -163,7 +163,7 @@ def _concatenated(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], by
 
 
 def _separate(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], bytes, SpzHeader]:
-    """Version 4: header, extensions, table of contents, a zstd stream per plane that has bytes."""
+    """Read version 4: header, extensions, table of contents, a zstd stream per plane that has bytes."""
     if len(buffer) < HEADER_BYTES:
         raise FormatError("SPZ is truncated in its header")
     header = _header(bytes(buffer[: PREFIX.size]))
@@ -192,7 +192,7 @@ def _separate(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], bytes,
 
 
 def _signs(extensions: bytes) -> Float32[np.ndarray, "3"]:
-    """Factors of x, y, z that turn the stored axes into RDF."""
+    """Return the factors of x, y, z that turn the stored axes into RDF."""
     offset = 0
     system = 4  # RUB
     while offset + 8 <= len(extensions):

@@ -56,7 +56,7 @@ def gunzipped(buffer: memoryview, start_bytes: int, payload_bytes: Callable[[byt
 
 
 def unzstd(compressed: memoryview, size: int) -> bytes:
-    """One zstd frame of exactly `size` bytes; no frame for none.
+    """Return one zstd frame of exactly `size` bytes; no frame for none.
 
     Raises: FormatError: damaged, an implausible size, or another size than `size`.
     """

@@ -142,7 +142,7 @@ def _counts(value: object, where: str) -> list[int]:
 
 
 def _span(entry: object, where: str) -> tuple[int, int, np.dtype, list[int]]:  # type: ignore[type-arg]
-    """(begin, end, dtype, shape) of one tensor, consistent with itself."""
+    """Return (begin, end, dtype, shape) of one tensor, consistent with itself."""
     if not isinstance(entry, dict) or set(entry) != {"dtype", "shape", "data_offsets"}:
         raise FormatError(f"{where}: expected dtype, shape and data_offsets")
     name, offsets = entry["dtype"], _counts(entry["data_offsets"], where)
@@ -155,7 +155,7 @@ def _span(entry: object, where: str) -> tuple[int, int, np.dtype, list[int]]:  #
 
 
 def _check_layout(spans: list[tuple[int, int]], size: int, path: Path) -> None:
-    """Tensors follow each other without holes or overlap, to the last byte."""
+    """Check that tensors follow each other without holes or overlap, to the last byte."""
     position = 0
     for begin, end in sorted(spans):
         if begin != position:

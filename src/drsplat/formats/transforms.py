@@ -187,7 +187,7 @@ def _relative(path: str, base: Path, shared: str | None) -> str:
 
 
 def _find(base: Path, images: Path | None, name: str, given: Path | None) -> Path | None:
-    """given: the absolute path that the file may have."""
+    """Find a photo. given: the absolute path that the file may have."""
     if images is not None:
         return find_photo(images, _inner(name)) or find_photo(images, name)
     if given is not None and _is_absolute(str(given)) and (there := find_photo(given.parent, given.name)):

@@ -16,7 +16,7 @@ _NUMBER = r"([0-9]{1,15}(?:\.[0-9]{1,15})?)"
 
 
 def with_times(views: Sequence[View], times: str | Path) -> list[View]:
-    """Every view with its time.
+    """Return every view with its time.
 
     times: the name of a table, NAME.csv, with a line "name,time" first; or a pattern of names such as
     "cam*/frame_{time}.png": {time} stands for the number that is the time, * for anything within a folder's or file's

@@ -48,7 +48,7 @@ class Answer:
 
     @classmethod
     def of_rows(cls, field: LanguageField, rows: Integer[np.ndarray, " s"], rule: str) -> "Answer":
-        """Exactly some rows of the field: 1 there, 0 elsewhere."""
+        """Return exactly some rows of the field: 1 there, 0 elsewhere."""
         values = np.zeros(len(field), np.float32)
         values[rows] = 1
         return cls(field, None, values, COSINE, 0.5, rule, values)
@@ -77,7 +77,7 @@ class Answer:
         return Image.fromarray(self.drawn(view, self, max_side=max_side))
 
     def _picture_html(self) -> str:
-        """Nothing where there is nothing to look at, or from."""
+        """Return the picture as HTML; "" where there is nothing to look at, or from."""
         from ..drawing.pictures import picture_html
 
         try:
@@ -150,7 +150,10 @@ class Word(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """labels: per Gaussian of the scene the number of its class, -1 for none. answers: one of each class."""
+    """Classes of a scene's Gaussians.
+
+    labels: per Gaussian of the scene the number of its class, -1 for none. answers: one of each class.
+    """
 
     names: tuple[str, ...]
     labels: Int32[np.ndarray, " n"]

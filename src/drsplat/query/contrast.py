@@ -72,7 +72,7 @@ class Contrast:
     def relevancy(
         self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]
     ) -> Float32[np.ndarray, " r"] | None:
-        """In (0, 1): above 0.5 where the query fits better than all but one in CROWD of the words.
+        """Return values in (0, 1): above 0.5 where the query fits better than all but one in CROWD of the words.
 
         query: the vector of a text. scores: its cosines. None: no word of the list means anything else.
         """
@@ -104,7 +104,7 @@ class Contrast:
         return np.asarray(same | (texts[:-1] @ texts[-1] / (norms[:-1] * norms[-1]) > NEAR))
 
     def _level(self, near: Bool[np.ndarray, " n"], rank: int) -> Float32[np.ndarray, " r"]:
-        """Per row the score of the `rank`-th best word that is not near, or of the last one kept."""
+        """Return per row the score of the `rank`-th best word that is not near, or of the last one kept."""
         better = np.cumsum(np.take(~near, self.words.T), axis=0, dtype=np.uint16) < rank
         places = np.minimum(better.sum(0, dtype=np.uint16), len(better) - 1)
         return np.asarray(self.scores[np.arange(len(places)), places])
@@ -197,7 +197,7 @@ def _usual(
 def _best_words(
     vectors: Float32[np.ndarray, "n D"], usual: Float32[np.ndarray, " D"], rows: int, score: Score, threads: int = 1
 ) -> tuple[Float32[np.ndarray, "r t"], UInt16[np.ndarray, "r t"]]:
-    """score: the cosines (c, r) of some words with all rows."""
+    """Return the best words. score: the cosines (c, r) of some words with all rows."""
     kept = min(len(vectors), max(1, round(len(vectors) / CROWD)) + SPARE)
     scores = np.full((kept, rows), -np.inf, np.float32)
     words = np.zeros((kept, rows), np.uint16)

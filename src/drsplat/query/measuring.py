@@ -124,14 +124,14 @@ class Measuring:
         return self.of_vector(query.vector)
 
     def of_text(self, text: str) -> Answer:
-        """To a text; "mug, not red" leaves out what "red mug" fits as well.
+        """Answer a text; "mug, not red" leaves out what "red mug" fits as well.
 
         Raises: InputError: the encoder does not know the words. MismatchError: another encoder.
         """
         return next(iter(self.of_texts([text])))
 
     def of_texts(self, texts: Sequence[str]) -> Iterator[Answer]:
-        """To each of several texts, scored several at a time."""
+        """Answer each of several texts, scored several at a time."""
         field, encoder = self._field, self.background.encoder
         for begin in range(0, len(texts), CHUNK):
             split = [split_negation(text) for text in texts[begin : begin + CHUNK]]
@@ -143,11 +143,11 @@ class Measuring:
                 yield self._without(answer, own, wanted, (*unwanted, *self.exclude))
 
     def of_image(self, picture: UInt8[np.ndarray, "_ _ 3"]) -> Answer:
-        """To a picture of a thing. Raises: InputError: an encoder of words only. MismatchError: another encoder."""
+        """Answer a picture of a thing. Raises: InputError: an encoder of words only. MismatchError: another encoder."""
         return self.of_vector(embedded_image(self.background.encoder, picture))
 
     def of_vector(self, vector: Float32[np.ndarray, " D"]) -> Answer:
-        """To a vector of the encoder's space, or a feature of the field itself.
+        """Answer a vector of the encoder's space, or a feature of the field itself.
 
         One that lies where texts do is asked as words are, if the field keeps a list of words.
         """
@@ -230,7 +230,7 @@ class Measuring:
         measure: str,
         default: _Default,
     ) -> Answer:
-        """values: of single Gaussians. They choose the threshold; what objects make of them is compared with it."""
+        """Choose the threshold by values of single Gaussians; what objects make of them is compared with it."""
         answered = by_object(self._field, values)
         threshold, rule = self._threshold(values, answered, default)
         return Answer(self._field, query, answered, measure, threshold, rule, scores)

@@ -69,6 +69,6 @@ def numbered(objects: Objects, node: int) -> str:
 
 
 def things_in(objects: Objects, node: int) -> list[int]:
-    """Numbers of the objects in a node, ascending. Raises: InputError: no such node."""
+    """Return the numbers of the objects in a node, ascending. Raises: InputError: no such node."""
     numbers: Any = np.unique(objects.thing_of()[objects.rows(node)])
     return [number for number in numbers.tolist() if number >= 0]

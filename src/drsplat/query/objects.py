@@ -29,7 +29,7 @@ def most_seen(objects: Objects, rows: Integer[np.ndarray, " h"], weights: Float[
 
 
 def answer_of(field: LanguageField, nodes: Sequence[int], rule: str) -> Answer:
-    """Exactly some nodes, one or more. Raises: InputError: the field has no objects, or no such node."""
+    """Return exactly some nodes, one or more. Raises: InputError: the field has no objects, or no such node."""
     objects = objects_of(field)
     return Answer.of_rows(field, np.concatenate([objects.rows(node) for node in nodes]), rule)
 
@@ -73,7 +73,7 @@ def support_of(field: LanguageField, node: int) -> Iterable[Explanation]:
 
 
 def photos_of(field: LanguageField, node: int) -> list[str]:
-    """Names of the photos that show a node, those that show most of it first, by its masks."""
+    """Return the names of the photos that show a node, those that show most of it first, by its masks."""
     shown: dict[str, float] = {}
     for mask in support_of(field, node):
         shown[mask.view_name] = shown.get(mask.view_name, 0.0) + mask.share

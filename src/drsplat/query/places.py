@@ -15,7 +15,7 @@ NEAREST = 64  # candidates by the distance of centres
 
 @np.errstate(over="ignore", invalid="ignore")  # points beyond all that can be squared
 def nearest_gaussian(gaussians: Gaussians, candidates: Integer[np.ndarray, " r"], point: Point) -> int:
-    """Row of the candidate that covers a point of the world best.
+    """Return the row of the candidate that covers a point of the world best.
 
     Of the 64 candidates with the nearest centres, the one of highest density at the point (opacity times
     the Gaussian's fall-off); where all have fallen off, the nearest centre.
@@ -46,7 +46,7 @@ def nearest_gaussian(gaussians: Gaussians, candidates: Integer[np.ndarray, " r"]
 
 
 def _deviations(gaussians: Gaussians, ids: Integer[np.ndarray, " m"], point: np.ndarray) -> np.ndarray:
-    """Distance of each Gaussian's centre in its own standard deviations."""
+    """Return the distance of each Gaussian's centre in its own standard deviations."""
     few = gaussians.subset(ids)
     xx, xy, xz, yy, yz, zz = few.covariances().T
     matrices = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], 1).reshape(-1, 3, 3)
@@ -60,6 +60,6 @@ def _deviations(gaussians: Gaussians, ids: Integer[np.ndarray, " m"], point: np.
 
 
 def _size(means: np.ndarray) -> float:
-    """Diagonal of the box of the middle 98 %: stray Gaussians do not count."""
+    """Return the diagonal of the box of the middle 98 %: stray Gaussians do not count."""
     low, high = np.quantile(means, (0.01, 0.99), axis=0)
     return float(np.linalg.norm(high - low))

@@ -110,7 +110,7 @@ class Surroundings:
         return _unit(query.vector)
 
     def rank(self, query: Query, vector: Float32[np.ndarray, " D"], objects: Described) -> Ranked:
-        """How well each object answers. vector: the query's. Raises: as `vector`."""
+        """Return how well each object answers. vector: the query's. Raises: as `vector`."""
         cosines = objects.cosines(vector)
         values, measure, threshold, rule = self._measured(query, vector, objects, cosines)
         if query.threshold is not None and query.threshold != AUTO:
@@ -163,12 +163,12 @@ class Surroundings:
         return threshold_above(values, LEAST_OF_OBJECTS, CUT_OF_OBJECTS, peak=MIN_OBJECTS)
 
     def _automatic(self, vector: Float32[np.ndarray, " D"], cosines: Float32[np.ndarray, " o"]) -> float:
-        """Between what objects usually reach and the best."""
+        """Return a threshold between what objects usually reach and the best."""
         known = np.concatenate([self.usual @ vector, cosines])
         return automatic_threshold(known, CUT_OF_OBJECTS, peak=MIN_OBJECTS) if len(known) else 0.0
 
     def _excluded(self, query: Query, objects: Described, cosines: Float32[np.ndarray, " o"]) -> Bool[np.ndarray, " o"]:
-        """Objects that the text with a word of an exclusion before it fits as well: "red mug", of "mug, not red"."""
+        """Return objects that the text with an excluded word before it fits as well: "red mug", of "mug, not red"."""
         out = np.zeros(len(cosines), np.bool_)
         if query.text is not None:
             wanted, unwanted = split_negation(query.text)

@@ -37,7 +37,7 @@ def related(
     and_to: Match | None = None,
     up: Up | None = None,
 ) -> list[Match]:
-    """Those of some objects that stand in a relation to one, or are between two; these themselves left out.
+    """Return the objects that stand in a relation to one, or are between two; these themselves left out.
 
     Raises: InputError: two for "between" and one for all others were expected, or nobody knows what is up.
     """
@@ -139,7 +139,7 @@ def _heights(gaussians: Gaussians, thing: Match, up: Up) -> tuple[float, float]:
 
 
 def _same(one: Match, other: Match) -> bool:
-    """Also of a match that a query found and that is an object in part."""
+    """Return whether two are the same, also of a match that a query found and that is an object in part."""
     if one.object_id is not None and one.object_id == other.object_id:
         return True
     common = np.isin(one.gaussian_ids, other.gaussian_ids, assume_unique=True).sum()

@@ -154,7 +154,7 @@ class Scene:
             return ""
 
     def object_ids(self) -> Int32[np.ndarray, " n"]:
-        """Per Gaussian of the scene the number of its object, -1 for none. Raises: InputError: the field has none."""
+        """Return per Gaussian of the scene its object's number, -1: none. Raises: InputError: the field has none."""
         ids = np.full(self.field.num_gaussians, -1, np.int32)
         ids[self.field.gaussian_ids] = objects_of(self.field).thing_of()
         return ids
@@ -212,7 +212,7 @@ class Scene:
         return picture_html(Image.fromarray(self.picture(max_side=320)))
 
     def ask(self, query: Query | str) -> Answer:
-        """Values of the field for a query, and the threshold. A text stands for `Query(text)`.
+        """Return the values of the field for a query, and the threshold. A text stands for `Query(text)`.
 
         Raises: InputError: words that the encoder does not know, no encoder, no such view, nothing at the
         point. MismatchError: a vector of another dimension.
@@ -319,7 +319,7 @@ class Scene:
 
     @staticmethod
     def _compared(answer: Answer) -> Float32[np.ndarray, " r"]:
-        """By what a class is better than another where it is selected, -inf elsewhere."""
+        """Return values by which classes are compared where this one is selected, -inf elsewhere."""
         values = for_comparing(answer.field, answer.values, answer.vector if answer.measure == COSINE else None)
         return np.where(answer.values > answer.threshold, values, np.float32(-np.inf))
 
@@ -344,7 +344,7 @@ class Scene:
         return feature_of(self.field, self.nearest(place))  # type: ignore[arg-type]
 
     def nearest(self, point: Point) -> int:
-        """Row of the Gaussian nearest to a point of the world among those that have a feature.
+        """Return the row of the Gaussian nearest to a point of the world among those that have a feature.
 
         Nearest is meant in its own standard deviations, and all within one are equal but for opacity.
 
@@ -354,7 +354,7 @@ class Scene:
         return nearest_gaussian(self.gaussians, self.field.gaussian_ids, point)
 
     def point_at(self, click: tuple[str, float, float]) -> Float64[np.ndarray, " 3"]:
-        """Centre of the heaviest Gaussian with a feature at a pixel of a view, in world coordinates.
+        """Return the centre of the heaviest Gaussian with a feature at a pixel of a view, in world coordinates.
 
         Raises: InputError: no such view or pixel, or nothing with a feature there.
         """
@@ -370,7 +370,7 @@ class Scene:
         photo: bool = False,
         max_side: int | None = None,
     ) -> UInt8[np.ndarray, "_ _ 3"]:
-        """RGB of the scene from a view: as it is, or with what was found in colour and the rest grey.
+        """Return the RGB of the scene from a view: as it is, or with what was found in colour and the rest grey.
 
         view: a View, a name, or None for the one that shows most of what is shown. photo: the photo of
         the view, if there is one, instead of a rendering. max_side: pixels of the longer side, at most.
@@ -418,7 +418,7 @@ class Scene:
         return None if label is None else label.name
 
     def _labelled(self, query: Query) -> Answer | None:
-        """Exactly what people have given this name; None where they have not, or something is to be measured."""
+        """Return exactly what people have given this name; None where they have not, or something is to be measured."""
         nodes = self.labels.called(query.text or "")
         exact = bool(nodes) and query.is_default and not query.exclude
         return answer_of(self.field, nodes, LABEL) if exact else None

@@ -57,7 +57,7 @@ def split_negation(text: str) -> tuple[str, tuple[str, ...]]:
 def rival_scores(
     field: LanguageField, encoder: Encoder, text: str, unwanted: Sequence[str], *, threads: int = 0
 ) -> Float32[np.ndarray, " r"]:
-    """Each row's best score for the text with an unwanted word before it: "red mug" for "mug, not red".
+    """Return each row's best score for the text with an unwanted word before it: "red mug" for "mug, not red".
 
     Raises: InputError: nothing is unwanted. MismatchError: another encoder.
     """
@@ -104,7 +104,7 @@ def feature_at(
 def gaussian_at(
     field: LanguageField, gaussians: Gaussians, view: View, xy: tuple[float, float], *, threads: int = 0
 ) -> int:
-    """Row of the Gaussian with the largest blending weight at a pixel among those that have a feature.
+    """Return the row of the Gaussian with the largest blending weight at a pixel among those that have a feature.
 
     Arguments and Raises: as `feature_at`.
     """
@@ -115,7 +115,7 @@ def gaussian_at(
 def seen_at(
     field: LanguageField, gaussians: Gaussians, view: View, xy: tuple[float, float], *, threads: int = 0
 ) -> tuple[Int64[np.ndarray, " m"], Float32[np.ndarray, " m"]]:
-    """Rows of the field that a pixel of a view shows, one or more, and their blending weights there.
+    """Return the rows of the field that a pixel of a view shows, one or more, and their blending weights there.
 
     Arguments and Raises: as `feature_at`.
     """

@@ -48,7 +48,7 @@ def object_picture(scene: Scene, match: Match, view: View | None = None, size: t
 
 
 def object_views(scene: Scene, matches: Sequence[Match]) -> list[View]:
-    """For each object the view that shows most of it and does not cut it off, of those that its masks are in.
+    """Return for each object the view that shows most of it and does not cut it off, of those that its masks are in.
 
     Raises: InputError: the scene has no views or no Gaussians.
     """
@@ -92,7 +92,7 @@ def _notes(match: Match, view: View) -> list[str]:
 def attribute_row(
     scene: Scene, match: Match, attributes: Sequence[Query | str], view: View | None = None
 ) -> OtherPixels:
-    """One thing as it is, and beside it how well each word fits, as heat: yellow-green at the word's threshold.
+    """Draw one thing as it is, and beside it how well each word fits, as heat: yellow-green at the word's threshold.
 
     Each heat map says how much of the thing, in opacity, is above that. view: None for the one that shows most of it;
     the pictures are of the part of it about the thing.

@@ -19,7 +19,7 @@ REACH = 0.05  # of its size: how far the middle of a thing may stand out of what
 
 
 def gap(gaussians: Gaussians, one: Match, other: Match) -> float:
-    """Distance between the nearest solid Gaussians of two things, centre to centre, in scene units."""
+    """Return the distance between the nearest solid Gaussians of two things, centre to centre, in scene units."""
     first, second = _solid(gaussians, one), _solid(gaussians, other)
     small, large = (first, second) if len(first) < len(second) else (second, first)
     return float(cKDTree(large).query(small)[0].min())
@@ -57,5 +57,5 @@ def is_over(
 
 
 def _solid(gaussians: Gaussians, thing: Match) -> Float64[np.ndarray, "n 3"]:
-    """Centres of what can be seen of a thing."""
+    """Return the centres of what can be seen of a thing."""
     return np.asarray(gaussians.positions[solid(gaussians, thing.gaussian_ids)])

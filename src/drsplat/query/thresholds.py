@@ -25,7 +25,7 @@ def peak_score(scores: Scores, peak: int = PEAK) -> float:
 
 
 def automatic_threshold(scores: Scores, cut: float = CUT, *, peak: int = PEAK) -> float:
-    """`cut` of the way from the median to the peak, the highest score where the peak is no higher than the median.
+    """Return `cut` of the way from the median to the peak, the highest score where the peak is no higher than it.
 
     Raises: InputError: no scores, or some that are not finite.
     """
@@ -39,7 +39,7 @@ def default_threshold(cosines: Scores, least: float | None, cut: float = CUT) ->
 
 
 def threshold_above(scores: Scores, least: float, cut: float = CUT, *, peak: int = PEAK) -> float:
-    """`least`, an encoder's own threshold, or `cut` of the peak where that is higher.
+    """Return `least`, an encoder's own threshold, or `cut` of the peak where that is higher.
 
     For scores of which 0 means "as well as not": what answers half of a query ("red", of "red mug") is left out
     where something answers all of it. No scores: `least`.
@@ -48,7 +48,7 @@ def threshold_above(scores: Scores, least: float, cut: float = CUT, *, peak: int
 
 
 def clear_threshold(scores: Scores, least: float, clear: float, *, peak: int = PEAK) -> float:
-    """`least` where the `peak`-th highest score stands above `clear`, else the highest: nothing is found.
+    """Return `least` where the `peak`-th highest score stands above `clear`, else the highest: nothing is found.
 
     No scores: `least`.
     """

@@ -78,7 +78,7 @@ def seen_during(field: LanguageField, match: Match) -> tuple[tuple[Span, ...], t
 
 
 def runs(times: Float64[np.ndarray, " t"], holds: Bool[np.ndarray, " t"]) -> tuple[Span, ...]:
-    """First and last of times that follow each other where something holds."""
+    """Return the first and last of times that follow each other where something holds."""
     steps = np.diff(np.concatenate([[0], holds.astype(np.int8), [0]]))
     starts, ends = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1) - 1
     return tuple((float(times[start]), float(times[end])) for start, end in zip(starts, ends, strict=True))
@@ -125,7 +125,7 @@ def _holds(
 def when_of(
     scene: Scene, one: Match | Query | str, relation: str, other: Match | Query | str, view: View | str | None
 ) -> tuple[Span, ...]:
-    """`Scene.when`."""
+    """Do what `Scene.when` says."""
     known: dict[str, Relation | Side] = {name: name for name in (*RELATIONS, *SIDES)}
     if relation not in known:
         raise InputError(f"relation: expected one of {', '.join(known)}; got '{relation[:60]}'")
@@ -136,12 +136,12 @@ def when_of(
 
 
 def at_time(scene: Scene, time: float) -> Scene:
-    """`Scene.at`."""
+    """Do what `Scene.at` says."""
     return _cached(scene, ("at", time), lambda: _still(scene, time))
 
 
 def of_span(scene: Scene, span: Span) -> Scene:
-    """`Scene.during`."""
+    """Do what `Scene.during` says."""
     return _cached(scene, ("during", span), lambda: _spanned(scene, span))
 
 
@@ -184,5 +184,5 @@ def _meant(scene: Scene, what: Match | Query | str) -> list[Match]:
 
 
 def spans_text(spans: Iterable[Sequence[float | int]]) -> str:
-    """For people: "0 to 0.5, 1"."""
+    """Return spans as people read them: "0 to 0.5, 1"."""
     return ", ".join(f"{start:.4g}" if start == end else f"{start:.4g} to {end:.4g}" for start, end in spans)

@@ -32,7 +32,7 @@ TEXTS = ("iteration", "iterations", "rng", "seconds", "stage_seconds", "history"
 
 
 def capture_fingerprint(views: Sequence[View], points: SparsePoints | None) -> str:
-    """JSON of hashes: poses and cameras by name, the photos' files, the points that were given, and masks if any.
+    """Hash, as JSON, poses and cameras by name, the photos' files, the points that were given, and masks if any.
 
     Raises: InputError: a photo cannot be read.
     """
@@ -120,7 +120,7 @@ def _settings_text(before: str, run: Run) -> str:
 
 
 def _check_length(path: Path, run: Run, planned: int) -> None:
-    """planned: iterations of the run that the checkpoint is of; `run` may have others, but not fewer than it has done.
+    """Check the planned iterations of a checkpoint: `run` may have others, but not fewer than it has done.
 
     Raises: MismatchError: it has done as many already.
     Warns: DrSplatWarning: a run planned for so many would be another by now.

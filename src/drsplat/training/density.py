@@ -28,7 +28,7 @@ class AdaptiveDensity:
     def __init__(
         self, settings: TrainingSettings, extent: float, count: int, zeros: Callable[..., Anywhere] = np.zeros
     ) -> None:
-        """zeros: of the library whose arrays the gradients are."""
+        """Begin with nothing summed. zeros: of the library whose arrays the gradients are."""
         self.settings, self.extent, self._zeros = settings, extent, zeros
         self._forget(count)
 
@@ -105,7 +105,7 @@ class AdaptiveDensity:
 
 
 def split(parents: SceneParameters, rng: np.random.Generator, shrink: float = 1.6) -> SceneParameters:
-    """Two smaller Gaussians for each: places drawn from the parent's own distribution.
+    """Return two smaller Gaussians for each: places drawn from the parent's own distribution.
 
     Row order: the first child of every parent, then the second of every parent.
     Source: 3DGS Sec. 5.2 (scale divided by phi = 1.6).
@@ -126,7 +126,7 @@ def add_opacity_penalty(optimizer: Optimizer, gradients: Slopes, weight: float) 
 
 
 def reset_opacity(optimizer: Optimizer, ceiling: float) -> None:
-    """Nobody keeps an opacity above `ceiling`; who is needed grows back (3DGS Sec. 5.2)."""
+    """Lower all opacities to `ceiling`; those that are needed grow back (3DGS Sec. 5.2)."""
     logits = np.minimum(optimizer.parameters.logits, np.float32(_logit(ceiling)))
     optimizer.replace_logits(logits)
 

@@ -53,7 +53,7 @@ class DeviceOptimizer(Optimizer):
         return device
 
     def step(self, gradients: Slopes, rates: Rates, step: int, threads: int = 0) -> None:
-        """One step of Adam, in place."""
+        """Take one step of Adam, in place."""
         slopes = cast(DeviceGradients, gradients)
         adam_step(self.engine, self.parameters, self.first, self.second, slopes, rates=rates, step=step)
 

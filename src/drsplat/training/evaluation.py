@@ -36,7 +36,7 @@ class Evaluation:
     views: tuple[ViewScore, ...]
 
     def plain(self) -> dict[str, object]:
-        """For JSON."""
+        """Return it as JSON has it."""
         return asdict(self)
 
 
@@ -93,7 +93,7 @@ def _score(name: str, image: Float32[np.ndarray, "h w 3"], photo: Photo) -> View
 
 
 def side_by_side(image: Float32[np.ndarray, "h w 3"], photo: Photo) -> UInt8[np.ndarray, "h w3 3"]:
-    """Photo, rendering, and four times their difference."""
+    """Draw photo, rendering, and four times their difference."""
     error = np.abs(image - photo.colors()) * np.float32(ERROR_GAIN)
     error.reshape(-1, 3)[photo.unused] = 0
     return np.concatenate([photo.pixels, as_pixels(image), as_pixels(error)], axis=1)

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def deferred_interrupt() -> Iterator[Callable[[], bool]]:
-    """Tells whether Ctrl-C was pressed since the block began; pressed again, it interrupts at once.
+    """Yield whether Ctrl-C was pressed since the block began; pressed again, it interrupts at once.
 
     Where Python's own handler is not in force, as in a thread or in a program that has another one, nothing changes.
     """

@@ -37,7 +37,7 @@ def start_of(
     *,
     threads: int = 0,
 ) -> Start:
-    """`start_points`, or what the run in the folder started from, which need not be found again.
+    """Return `start_points`, or what the run in the folder started from, which need not be found again.
 
     origin: of the frame of `points`, `views` and the answer, in the world, whose coordinates the folder has.
 

@@ -19,7 +19,7 @@ PSNR_EVERY, PSNR_MEMORY = 10, 0.95
 
 
 def train(job: Job) -> Training:
-    """`devices.train` on the CPU, natively; the same bits for any number of threads.
+    """Train as `devices.train` does, on the CPU, natively; the same bits for any number of threads.
 
     Raises: as `devices.train`.
     Source: 3DGS; 3DGS as MCMC.

@@ -30,7 +30,7 @@ class MonteCarlo:
         self.settings, self.extent = settings, extent
 
     def observe(self, gradients: Slopes, iteration: int) -> None:
-        """Chance decides here, not the gradients."""
+        """Observe nothing: chance decides here, not the gradients."""
 
     def penalize(self, optimizer: Optimizer, gradients: Slopes) -> None:
         """Add to the gradients those of lambda_o mean(o) + lambda_Sigma mean(scales)."""
@@ -39,10 +39,10 @@ class MonteCarlo:
         gradients.log_scales[:] += weight * np.exp(optimizer.parameters.log_scales)
 
     def before_step(self, optimizer: Optimizer, iteration: int) -> None:
-        """No opacity is reset."""
+        """Reset no opacity."""
 
     def after_step(self, optimizer: Optimizer, iteration: int, rng: np.random.Generator, rate: float) -> None:
-        """rate: of the positions in this iteration, in scene units."""
+        """Relocate, add and shake Gaussians. rate: of the positions in this iteration, in scene units."""
         if refines(self.settings, iteration):
             relocate(optimizer, rng, self.settings.min_opacity)
             limit = self.settings.max_gaussians or 0
@@ -50,7 +50,7 @@ class MonteCarlo:
         self._shake(optimizer, rng, rate)
 
     def _shake(self, optimizer: Optimizer, rng: np.random.Generator, rate: float) -> None:
-        """Noise in the shape of each Gaussian; none for those that are well visible (Eq. 8)."""
+        """Add noise in the shape of each Gaussian; none for those that are well visible (Eq. 8)."""
         s, p = self.settings, optimizer.parameters
         distance = s.noise_opacity - sigmoid(p.logits)
         strength = sigmoid(np.float32(s.noise_steepness) * distance.astype(np.float32))
@@ -63,7 +63,7 @@ class MonteCarlo:
         return {}
 
     def restore(self, state: Mapping[str, np.ndarray]) -> None:
-        """Nothing but the generator's state, which is the loop's, has to be remembered."""
+        """Restore nothing: the generator's state is all that there is, and the loop restores it."""
 
 
 def relocate(optimizer: Optimizer, rng: np.random.Generator, min_opacity: float) -> None:
@@ -102,7 +102,7 @@ def _share(optimizer: Optimizer, chosen: Integer[Anywhere, " m"], min_opacity: f
 def shared_place(
     opacities: Float64[Anywhere, " n"], sharing: Integer[Anywhere, " n"]
 ) -> tuple[Float64[Anywhere, " n"], Float64[Anywhere, " n"]]:
-    """Opacity of each of N Gaussians on one place, and the factor on their scales (Eq. 9).
+    """Return the opacity of each of N Gaussians on one place, and the factor on their scales (Eq. 9).
 
     N of them in front of each other block as much light at the centre as the one did; the factor
     keeps the integral of the opacity along a line through it.

@@ -15,7 +15,7 @@ Flat = Integer[np.ndarray, " m"] | Bool[np.ndarray, " hw"]
 
 
 def psnr(image: Image, photo: Image, outside: Flat | None = None) -> float:
-    """Peak signal-to-noise ratio in dB, peak 1; infinite for equal pictures.
+    """Return the peak signal-to-noise ratio in dB, peak 1; infinite for equal pictures.
 
     outside: flat indices of pixels that do not count, or a mark for each pixel.
     """
@@ -25,7 +25,7 @@ def psnr(image: Image, photo: Image, outside: Flat | None = None) -> float:
 
 
 def ssim(image: Image, photo: Image, outside: Flat | None = None) -> float:
-    """Mean structural similarity, channel by channel, with a Gaussian window of 11 and zero padding.
+    """Return the mean structural similarity, channel by channel, with a Gaussian window of 11 and zero padding.
 
     Source: Wang et al., "Image quality assessment" (2004); window and padding as 3DGS measures.
     """

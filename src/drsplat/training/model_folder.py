@@ -87,7 +87,7 @@ class ModelFolder:
             (self.path / name).unlink(missing_ok=True)
 
     def _is_fresh(self) -> bool:
-        """Nothing in it but what a run writes before its first checkpoint."""
+        """Return whether nothing is in it but what a run writes before its first checkpoint."""
         early = {"cameras.json", "cfg_args", "settings.json", "input.ply", LOCK}
         return all(file.name in early or _LEFT_BEHIND.fullmatch(file.name) for file in self.path.iterdir())
 
@@ -102,14 +102,14 @@ class ModelFolder:
         shutil.rmtree(self.test_pictures, ignore_errors=True)
 
     def write_start(self, views: Sequence[View], points: SparsePoints) -> None:
-        """cameras.json and input.ply. views: with photos."""
+        """Write cameras.json and input.ply. views: with photos."""
         # trained on photos whose lens was undone, so the cameras have none
         undistorted = [replace(view, distortion=None) for view in views]
         write_cameras_json(self.path / "cameras.json", undistorted, overwrite=True)
         write_vertices(self.start, _point_columns(points), overwrite=True)
 
     def write_settings(self, views: Sequence[View], settings: TrainingSettings) -> None:
-        """settings.json, and cfg_args: the arguments of 3DGS that other tools read back, as it writes them."""
+        """Write settings.json, and cfg_args: the arguments of 3DGS that other tools read back, as it writes them."""
         self.write_json("settings.json", asdict(settings))
         source, images = _source_and_images(views[0])
         arguments = Namespace(

@@ -35,7 +35,7 @@ class Optimizer:
         return len(self.parameters.means)
 
     def step(self, gradients: Slopes, rates: Rates, step: int, threads: int = 0) -> None:
-        """One step of Adam, in place."""
+        """Take one step of Adam, in place."""
         for name in FLOATING:
             parameter, gradient, first, second = (
                 getattr(each, name) for each in (self.parameters, gradients, self.first, self.second)
@@ -55,7 +55,7 @@ class Optimizer:
         return rng.standard_normal((count, 3), np.float32)
 
     def keep(self, rows: Rows) -> None:
-        """Only these Gaussians remain, in this order."""
+        """Keep only these Gaussians, in this order."""
         self.parameters = _rows(self.parameters, rows)
         self.first, self.second = _rows(self.first, rows), _rows(self.second, rows)
 
@@ -72,7 +72,7 @@ class Optimizer:
         self.forget(rows)
 
     def forget(self, rows: Integer[Anywhere, " m"]) -> None:
-        """Zero the moments of some Gaussians."""
+        """Set the moments of some Gaussians to zero."""
         for moment in (self.first, self.second):
             for array in moment:
                 array[rows] = 0
@@ -104,7 +104,7 @@ class Optimizer:
             raise FormatError(f"the optimisation left the finite numbers: {error}") from None
 
     def state(self) -> dict[str, np.ndarray]:
-        """All arrays by name, for a checkpoint."""
+        """Return all arrays by name, for a checkpoint."""
         groups = {"parameters": self.parameters, "first": self.first, "second": self.second}
         return {
             f"{group}.{name}": on_host(getattr(arrays, name)) for group, arrays in groups.items() for name in FLOATING

@@ -25,7 +25,7 @@ def rotated(quats: Float32[Anywhere, "n 4"], vectors: Float32[Anywhere, "n 3"]) 
 def spread(
     quats: Float32[Anywhere, "n 4"], scales: Float32[Anywhere, "n 3"], vectors: Float32[Anywhere, "n 3"]
 ) -> Float32[Anywhere, "n 3"]:
-    """Covariance times vector: R S S^T R^T v."""
+    """Return the covariance times vector: R S S^T R^T v."""
     rows = rotation_rows(unit(quats).T)
     x, y, z = vectors.T
     local = [(rows[0][k] * x + rows[1][k] * y + rows[2][k] * z) * scales[:, k] ** 2 for k in range(3)]

@@ -57,7 +57,7 @@ class Run:
         self._since = time.perf_counter()
 
     def __len__(self) -> int:
-        """Gaussians, now."""
+        """Return the present number of Gaussians."""
         return len(self.optimizer)
 
     def _placed(self, optimizer: Optimizer) -> Optimizer:
@@ -165,7 +165,7 @@ class Run:
         return replace(self.optimizer.gaussians(), origin=self.origin, antialiased=self.settings.antialiased)
 
     def state(self) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-        """Arrays and texts from which `restore` goes on."""
+        """Return the arrays and texts from which `restore` goes on."""
         arrays = self.optimizer.state() | self.density.state() | self.order.state()
         texts = {
             "iteration": str(self.iteration),

@@ -6,7 +6,7 @@ from .settings import TrainingSettings
 
 
 def means_rate(settings: TrainingSettings, iteration: int) -> float:
-    """Rate of the positions, in extents: exponential from the first rate to the last, then constant.
+    """Return the rate of the positions, in extents: exponential from the first rate to the last, then constant.
 
     Source: 3DGS Sec. 7.1 ("standard exponential decay scheduling, similar to Plenoxels").
     """
@@ -18,7 +18,7 @@ def means_rate(settings: TrainingSettings, iteration: int) -> float:
 
 
 def active_sh_degree(settings: TrainingSettings, iteration: int) -> int:
-    """One more every `sh_degree_every` iterations (3DGS Sec. 7.1)."""
+    """Return the degree in use: one more every `sh_degree_every` iterations (3DGS Sec. 7.1)."""
     return min(settings.sh_degree, iteration // settings.sh_degree_every)
 
 

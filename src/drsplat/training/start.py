@@ -112,7 +112,7 @@ def _require_pixels(views: Sequence[View]) -> None:
 
 
 def scene_extent(views: Sequence[View]) -> float:
-    """1.1 x the distance of the farthest camera from the mean of all, in scene units.
+    """Return 1.1 x the distance of the farthest camera from the mean of all, in scene units.
 
     Raises: InputError: all cameras are in one place, so that nothing tells how far things are.
     Source: the published defaults of 3DGS ("cameras_extent").

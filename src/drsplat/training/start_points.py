@@ -28,7 +28,7 @@ class Start(NamedTuple):
     random: int = 0
 
     def plain(self) -> dict[str, int]:
-        """Points by where they come from, for JSON."""
+        """Return the points by where they come from, for JSON."""
         given = len(self.points.positions) - self.triangulated - self.random
         return {"given": given, "triangulated": self.triangulated, "random": self.random}
 
@@ -78,7 +78,7 @@ def _triangulated_start(
 def _random_places(
     views: Sequence[View], known: Float64[np.ndarray, "n 3"], settings: TrainingSettings, rng: np.random.Generator
 ) -> Float64[np.ndarray, "m 3"]:
-    """In the space that several cameras see; where there is none, in the cube about the cameras."""
+    """Draw places in the space that several cameras see; where there is none, in the cube about the cameras."""
     count = settings.random_points
     if settings.max_gaussians is not None:
         count = max(min(count, settings.max_gaussians) - len(known), 0)

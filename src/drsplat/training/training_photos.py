@@ -53,7 +53,7 @@ class Photo(NamedTuple):
         return Photo(pixels, np.empty(0, np.int32), unused)
 
     def colors(self) -> Float32[np.ndarray, "h w 3"]:
-        """In [0, 1]."""
+        """Return colours in [0, 1]."""
         return self.pixels * np.float32(1 / 255)
 
 
@@ -93,7 +93,7 @@ class TrainingPhotos:
         return photo
 
     def _outside_of(self, view: View) -> Integer[np.ndarray, " m"]:
-        """Shared by the views of one camera."""
+        """Return the pixels that the lens does not cover; the views of one camera share them."""
         camera = (view.width, view.height, view.distortion, view.K.tobytes())
         with self._counting:
             if camera not in self._outside:

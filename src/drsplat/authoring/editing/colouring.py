@@ -129,7 +129,7 @@ def check_color(color: Color) -> None:
 
 
 def grouped(colors: Colors, weights: Float64[np.ndarray, " m"], count: int) -> Int64[np.ndarray, " m"]:
-    """Up to `count` groups of like colours, hue before light, by k-means from quantiles of light."""
+    """Return up to `count` groups of like colours, hue before light, by k-means from quantiles of light."""
     total = colors.sum(axis=1, keepdims=True)
     light = np.einsum("nc,c->n", colors, LUMA)
     features = np.column_stack([colors / np.maximum(total, 3 * DARKEST), LUMA_SHARE * light])
@@ -150,7 +150,7 @@ def _colors(sh: Float32[np.ndarray, "m k 3"]) -> Colors:
 
 
 def _map(draft: Draft, ids: Ids, matrix: Float64[np.ndarray, "3 3"], offset: Float64[np.ndarray, " 3"]) -> None:
-    """c -> matrix c + offset, for the colour in every direction."""
+    """Apply c -> matrix c + offset, for the colour in every direction."""
     sh = np.einsum("rc,nkc->nkr", matrix, draft.sh[ids].astype(np.float64))
     sh[:, 0] += (matrix.sum(axis=1) * 0.5 + offset - 0.5) / SH_C0
     draft.sh[ids] = sh.astype(np.float32)

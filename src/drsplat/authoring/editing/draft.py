@@ -75,7 +75,7 @@ class Draft:
         return Gaussians(*columns, extra, self.origin, self.antialiased)
 
     def put(self, ids: Ids, part: Gaussians) -> None:
-        """Rows where and as `part` has them."""
+        """Put rows where and as `part` has them."""
         self.means[ids] = self._means(part)
         self.quats[ids], self.scales[ids], self.sh[ids] = part.quats, part.scales, part.sh
 

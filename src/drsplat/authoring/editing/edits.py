@@ -55,7 +55,7 @@ class EditList:
         return self.edits[: self.done]
 
     def with_edit(self, edit: Edit) -> "EditList":
-        """Done after those that are; what was undone is forgotten."""
+        """Add an edit after those that are done; what was undone is forgotten."""
         return EditList(self.scene, (*self.active, edit), self.done + 1)
 
     def undone(self) -> "EditList":

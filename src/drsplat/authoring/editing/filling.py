@@ -101,7 +101,7 @@ class Fill:
 
 
 def _near(draft: Draft, ids: Ids, thing: Float64[np.ndarray, "t 3"]) -> Int64[np.ndarray, " k"]:
-    """Rows that are there, around what stood there, without itself."""
+    """Return the rows that are there around what stood there, without itself."""
     low, high = np.quantile(thing, (0.01, 0.99), axis=0)
     reach = AROUND * float(np.linalg.norm(high - low))
     near = ((draft.means >= low - reach) & (draft.means <= high + reach)).all(axis=1) & draft.present

@@ -176,7 +176,7 @@ class Ground:
 
 
 def before(planes: list[Plane], places: Places) -> Bool[np.ndarray, " n"]:
-    """Places that are on the side of all of some planes that the object was on: the rest is below floors, in walls."""
+    """Return which places are on the side of all planes that the object was on: the rest is below floors, in walls."""
     result = np.ones(len(places), bool)
     for plane in planes:
         result &= plane.heights(places) > plane.tolerance
@@ -184,7 +184,7 @@ def before(planes: list[Plane], places: Places) -> Bool[np.ndarray, " n"]:
 
 
 def is_flat(scene: Gaussians, plane: Plane) -> Bool[np.ndarray, " n"]:
-    """Those that lie in the plane: needles that stick out of it would do so in the hole."""
+    """Return which Gaussians lie in the plane: needles that stick out of it would do so in the hole."""
     xx, xy, xz, yy, yz, zz = scene.covariances().T
     full = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
     flat = np.einsum("i,nij,j->n", plane.normal, full, plane.normal) <= plane.tolerance**2

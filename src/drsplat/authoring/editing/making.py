@@ -21,7 +21,7 @@ Vector = Float64[np.ndarray, " 3"]
 
 
 def scaled_on_its_foot(part: Gaussians, factor: float, up: Vector | None) -> Scale:
-    """About the middle of where something stands; about its own middle where nothing tells what is up."""
+    """Scale about the middle of where something stands; about its own middle where nothing tells what is up."""
     if up is None or not len(part):
         return Scale(factor)
     box = box_of(part, solid(part, np.arange(len(part))), up)
@@ -32,7 +32,7 @@ def scaled_on_its_foot(part: Gaussians, factor: float, up: Vector | None) -> Sca
 def replaced_by(
     part: Gaussians, up: Vector, other: str | os.PathLike[str], number: int | None, folder: Path
 ) -> Replace:  # fmt: skip
-    """By another scene in the place of `part`, or by an object of the field in a folder. folder: where edits are kept.
+    """Replace `part` by another scene, or by an object of the field in a folder. folder: where edits are kept.
 
     Up is as here in a scene that does not tell. Raises: InputError: no such scene or object; as `read_gaussians`.
     """

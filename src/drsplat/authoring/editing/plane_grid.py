@@ -61,14 +61,14 @@ class PlaneGrid:
         return np.asarray(self.step * (np.array(by, np.float64) @ self.plane.axes))
 
     def shadow(self, places: Float64[np.ndarray, "n 3"]) -> Cells:
-        """Cells below some places, and what they close in."""
+        """Return the cells below some places, and what they close in."""
         distance = cKDTree(self.plane.flat(places)).query(self._flat_middles, distance_upper_bound=1.5 * self.step)[0]
         near = (distance < np.inf).reshape(self.shape)
         closed: Cells = ndimage.binary_closing(near, iterations=3) | near
         return np.asarray(ndimage.binary_fill_holes(closed))
 
     def coverage(self, gaussians: Gaussians) -> Float64[np.ndarray, "h w"]:
-        """Opacity of all Gaussians together in each cell, as a camera far away sees the plane."""
+        """Return the opacity of all Gaussians together in each cell, as a camera far away sees the plane."""
         return np.asarray(self._drawn(gaussians).alpha, np.float64)
 
     def colors(self, gaussians: Gaussians) -> Float64[np.ndarray, "h w 3"]:

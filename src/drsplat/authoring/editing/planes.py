@@ -36,7 +36,7 @@ class Plane:
         return np.asarray(np.einsum("ni,i->n", points, self.normal) - self.offset)
 
     def flat(self, points: Points) -> Float64[np.ndarray, "n 2"]:
-        """Places in the plane, in scene units."""
+        """Return the places in the plane, in scene units."""
         return np.asarray(np.einsum("ni,ai->na", points, self.axes))
 
     def holds(self, points: Points) -> Bool[np.ndarray, " n"]:
@@ -53,7 +53,7 @@ def _share_behind(plane: Plane, points: Points) -> float:
 
 
 def planes_around(thing: Thing, around: Points, fits: Callable[[Plane], bool] = lambda _: True) -> list[Plane]:
-    """Up to three planes among points around a thing that it touches and stands before, the largest first.
+    """Return up to three planes among points around a thing that it touches and stands before, the largest first.
 
     fits: what else is asked of each.
     """
@@ -119,7 +119,7 @@ def _stands_on(plane: Plane, thing: Thing, ground: Points) -> bool:
 
 
 def num_sides(thing: Float64[np.ndarray, "t 2"], ground: Float64[np.ndarray, "m 2"]) -> int:
-    """In how many of eight directions the ground begins where a thing ends."""
+    """Count in how many of eight directions the ground begins where a thing ends."""
     middle = np.median(thing, axis=0)
     (own, reach), (other, distance) = (_polar(points - middle) for points in (thing, ground))
     ends = [float(np.quantile(reach[own == k], 0.95)) if (own == k).any() else 0.0 for k in range(8)]
@@ -129,6 +129,6 @@ def num_sides(thing: Float64[np.ndarray, "t 2"], ground: Float64[np.ndarray, "m 
 
 
 def _polar(away: Float64[np.ndarray, "n 2"]) -> tuple[Int64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Eighths of a turn, and distances."""
+    """Return eighths of a turn, and distances."""
     eighths = np.floor((np.arctan2(away[:, 1], away[:, 0]) + np.pi) / (np.pi / 4)).astype(np.int64) % 8
     return eighths, np.linalg.norm(away, axis=1)

@@ -105,7 +105,7 @@ def rests(
 
 
 def enclosed(gaussians: Gaussians, inside: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Other Gaussians that have those of a thing around them in nearly all directions."""
+    """Return other Gaussians that have those of a thing around them in nearly all directions."""
     thing = gaussians.means[inside & (gaussians.opacities >= HAZE_OPACITY)].astype(np.float64)
     found = np.zeros(len(gaussians), bool)
     if len(thing) < DIRECTIONS:
@@ -127,7 +127,7 @@ def enclosed(gaussians: Gaussians, inside: Bool[np.ndarray, " n"]) -> Bool[np.nd
 def hanging(
     gaussians: Gaussians, inside: Bool[np.ndarray, " n"], loose: Bool[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:  # fmt: skip
-    """Loose Gaussians most of whose neighbours belong to a thing."""
+    """Return loose Gaussians most of whose neighbours belong to a thing."""
     found = np.zeros(len(gaussians), bool)
     among = min(NEIGHBOURS + 1, len(gaussians))
     near = np.flatnonzero(loose)
@@ -140,7 +140,7 @@ def hanging(
 
 
 def _sphere(count: int) -> Float64[np.ndarray, "d 3"]:
-    """Directions evenly spread, along a spiral."""
+    """Return directions evenly spread, along a spiral."""
     z = 1 - (2 * np.arange(count) + 1) / count
     turn = np.pi * (1 + np.sqrt(5)) * np.arange(count)
     flat = np.sqrt(1 - z * z)

@@ -81,7 +81,7 @@ class EditFile:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Nobody else writes it while the block runs. Raises: InputError: another process does."""
+        """Keep others from writing it while the block runs. Raises: InputError: another process does."""
         with claimed_output(self.path, PATIENCE):
             yield
 

@@ -53,7 +53,7 @@ class Rows:
         return int((self.spans[:, 1] - self.spans[:, 0]).sum())
 
     def ids(self, draft: Draft) -> Ids:
-        """Those that are there. Raises: InputError: numbers that no row has."""
+        """Return the rows that are there. Raises: InputError: numbers that no row has."""
         if int(self.spans[-1, 1]) > len(draft):
             raise InputError(f"{self}: has row {self.spans[-1, 1] - 1:,} of a scene of {len(draft):,}")
         return ids_of(self.spans)

@@ -69,7 +69,7 @@ def encode(file: BinaryIO, path: Path, pictures: Iterable[OtherPixels], size: tu
 
 
 def _hand_over(pipe: IO[bytes] | None, pictures: Iterable[OtherPixels]) -> None:
-    """All pictures, or as many as are taken: what went wrong there, the code says."""
+    """Hand over all pictures, or as many as are taken: what went wrong there, the code says."""
     assert pipe is not None
     try:
         for picture in pictures:

@@ -55,7 +55,7 @@ class Film:
         return (width, height) if self.beside is None else (2 * width, height)
 
     def pictures(self, views: Iterable[View] | None = None) -> Iterator[OtherPixels]:
-        """Drawn when they are asked for, one at a time. views: these same, if somebody counts them on their way."""
+        """Yield the pictures, drawn when they are asked for. views: these same, if somebody counts them."""
         right, left = _Side(self, self.scene), None
         if self.beside is not None and self.beside is not self.scene:
             left = _Side(self, self.beside)
@@ -69,7 +69,7 @@ class Film:
                 yield _joined(plain if left is None else left.draw(view, number / last, None, 0.0)[1], picture)
 
     def _share(self, number: int) -> float:
-        """How much of the answer is there."""
+        """Return how much of the answer is there."""
         lasts = len(self.views) / self.fps
         lead, fade = min(LEAD_S, lasts / EARLIEST), min(FADE_S, lasts / EARLIEST)
         part = float(np.clip((number / self.fps - lead) / fade, 0, 1))

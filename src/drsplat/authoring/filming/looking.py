@@ -110,7 +110,7 @@ def radius_of(gaussians: Gaussians) -> float:
 
 
 def swing(eye: Vector, target: Vector, up: Vector, frames: int, turn_degrees: float = 60.0) -> list[Vector]:
-    """Places of a swing around `target` that begins and ends at `eye`: a loop, slow at its turns.
+    """Return the places of a swing around `target` that begins and ends at `eye`: a loop, slow at its turns.
 
     Raises: InputError: fewer than two frames.
     """
@@ -121,6 +121,6 @@ def swing(eye: Vector, target: Vector, up: Vector, frames: int, turn_degrees: fl
 
 
 def _turned(vector: Vector, axis: Vector, angle: float) -> Vector:
-    """Rodrigues' formula; axis: of unit length."""
+    """Turn a vector around an axis of unit length, by Rodrigues' formula."""
     along = (axis @ vector) * axis
     return np.asarray(along + np.cos(angle) * (vector - along) + np.sin(angle) * np.cross(axis, vector))

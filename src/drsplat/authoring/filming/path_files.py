@@ -20,7 +20,7 @@ Entry = Mapping[str, object]
 
 
 def read_path(path: str | PathLike[str]) -> CameraPath:
-    """Key frames of ours, or nerfstudio's camera_path.json, in the frame of the scene.
+    """Read key frames of ours, or nerfstudio's camera_path.json, in the frame of the scene.
 
     Of nerfstudio its pictures are the key frames (`camera_path`: camera_to_world in OpenGL axes, fov in degrees from
     top to bottom), passed in equal times; a film of its own fps and seconds has exactly these.
@@ -47,7 +47,7 @@ def write_path(path: str | PathLike[str], camera_path: CameraPath, overwrite: bo
 
 
 def path_json(camera_path: CameraPath) -> str:
-    """eye, target (a unit ahead) and up of each key frame, in the world; fov from top to bottom."""
+    """Return eye, target (a unit ahead) and up of each key frame, in the world; fov from top to bottom."""
     wished = {"seconds": camera_path.seconds, "fps": camera_path.fps, "size": camera_path.size}
     document = {
         "format": KIND,

@@ -166,7 +166,7 @@ class CameraPath:
         return PchipInterpolator(self._knots, [key.fov_degrees for key in self._around])
 
     def _gaps(self, eyes: Float64[np.ndarray, "k 3"], rotations: Rotation) -> Float64[np.ndarray, " g"]:
-        """How far each is from the next: moving and turning count alike, in shares of all that there is of each."""
+        """Return how far each is from the next: moving and turning count alike, in shares of all of each."""
         moved = np.linalg.norm(np.diff(eyes, axis=0), axis=1)
         turned = (rotations[:-1].inv() * rotations[1:]).magnitude()
         return np.asarray(

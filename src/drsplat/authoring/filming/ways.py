@@ -32,7 +32,7 @@ class Around(NamedTuple):
 
 
 def through_photos(views: Sequence[View], seconds: float | None = None) -> CameraPath:
-    """In the order of the photos, through two of them a second at most, evenly chosen.
+    """Return key frames in the order of the photos, at most two photos a second, evenly chosen.
 
     seconds: of the film; None for half of one for each photo, 4 to 30. Raises: InputError: fewer than two photos.
     """
@@ -79,7 +79,7 @@ def _arc(arms: Sequence[Vector], level: Vector, aside: Vector) -> tuple[float, f
 
 
 def swinging(around: Around, up: Vector, turn_degrees: float = 60.0) -> CameraPath:
-    """To one side, to the other and back, slow at its turns: a loop that keeps to the side it begins at."""
+    """Return key frames to one side, to the other and back, slow at the turns: a loop that keeps to its first side."""
     eyes = np.array(swing(around.eye, around.target, up, SWUNG, turn_degrees))
     return CameraPath(_looking(eyes, around, up), closed=True, even=True, seconds=SWING_SECONDS)
 
@@ -134,5 +134,5 @@ def _extent_of(gaussians: Gaussians) -> tuple[Vector, float]:
 
 
 def _looking(eyes: Float64[np.ndarray, "k 3"], around: Around, up: Vector) -> list[KeyFrame]:
-    """Key frames at some places that look at the target."""
+    """Return key frames at some places that look at the target."""
     return [KeyFrame.of(looking_at(eye, around.target, up, (64, 64), around.fov_degrees)) for eye in eyes]

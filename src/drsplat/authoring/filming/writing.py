@@ -43,7 +43,7 @@ def write_film(path: str | PathLike[str], pictures: Iterable[OtherPixels], fps: 
 
 
 def check_film(path: str | PathLike[str], size: tuple[int, int], fps: float) -> None:
-    """All that can be known to be wrong before the first picture. size: width and height.
+    """Check all that can be known to be wrong before the first picture. size: width and height.
 
     Raises: InputError: another suffix, a size that the suffix cannot have, as `check_fps`, no folder.
     MissingExtraError: there is no ffmpeg.

@@ -67,7 +67,7 @@ def borders(
 
 
 def _summed(keys: Int64[np.ndarray, " k"], counts: Int64[np.ndarray, "k 2"]) -> tuple[np.ndarray, np.ndarray]:
-    """Each key once, its counts together."""
+    """Return each key once, its counts together."""
     once, places = np.unique(keys, return_inverse=True)
     total = np.zeros((len(once), counts.shape[1]), np.int64)
     np.add.at(total, places, counts)
@@ -86,7 +86,7 @@ def _seen(
 def _crossings(
     labels: Labels, depth: Float32[np.ndarray, "h w"], focal: float
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Pairs of neighbouring pixels of two pieces, along rows and then along columns.
+    """Return the pairs of neighbouring pixels of two pieces, along rows and then along columns.
 
     The nearer piece, the further one, and the jump between them in what STRIDE pixels are across there. Of a slanted
     surface depth changes without any jump: both sides are prolonged to the border, and the smaller difference counts.

@@ -55,7 +55,7 @@ def _small_things(
     fits: Float64[np.ndarray, " t"],
     things: Bool[np.ndarray, " t"],
 ) -> Bool[np.ndarray, " t"]:
-    """Nodes strictly within things that are small on them, and that masks of the photos still fit.
+    """Return the nodes strictly within things that are small on them, and that masks of the photos still fit.
 
     A plate that shares masks with the table costs the table little of its fit: weighed by weight the two stay one.
     So nodes within are weighed by a power of their size, which favours small ones, and those that are small and fit
@@ -91,7 +91,7 @@ def best_nodes(parents: Integer[np.ndarray, " t"], worth: Float64[np.ndarray, " 
 
 
 def _owners(parents: Integer[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -> Int64[np.ndarray, " t"]:
-    """For each node itself or the lowest of `nodes` above it, -1 for none."""
+    """Return for each node itself or the lowest of `nodes` above it, -1 for none."""
     up = np.append(np.where(nodes, np.arange(len(parents)), parents), NONE)
     while (up != (further := up[up])).any():
         up = further
@@ -99,7 +99,7 @@ def _owners(parents: Integer[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -
 
 
 def _above(parents: Integer[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -> Int64[np.ndarray, " t"]:
-    """For each node the lowest of `nodes` above it, -1 for none."""
+    """Return for each node the lowest of `nodes` above it, -1 for none."""
     return np.asarray(np.append(_owners(parents, nodes), NONE)[parents])
 
 
@@ -114,7 +114,7 @@ def _parts(
 
 
 def _holding(parents: Int64[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -> Bool[np.ndarray, " t"]:
-    """Those with one of `nodes` below them."""
+    """Return the nodes that have one of `nodes` below them."""
     holding = np.zeros(len(parents), bool)
     at = np.unique(parents[nodes])
     while len(at := at[at >= 0]):
@@ -125,7 +125,7 @@ def _holding(parents: Int64[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) ->
 
 
 def _several_branches(parents: Int64[np.ndarray, " t"], things: Bool[np.ndarray, " t"]) -> Bool[np.ndarray, " t"]:
-    """Nodes with things below two or more of their children."""
+    """Return the nodes with things below two or more of their children."""
     holds = things.tolist()
     branches = [0] * len(holds)
     for node, parent in enumerate(parents.tolist()):
@@ -146,7 +146,7 @@ def _tree_of(forest: Forest, rows: int, nodes: Int64[np.ndarray, " n"], levels: 
 
 
 def _with_rests(tree: Tree, crowded: Bool[np.ndarray, " t"]) -> Tree:
-    """Crowded nodes are groups of the things in them: a thing before each of them has what is in none of these."""
+    """Make crowded nodes groups of the things in them: a thing before each of them has what is in none of these."""
     number = np.append(np.arange(len(crowded)) + np.cumsum(crowded), NONE)  # -1 stays -1
     rest = number - np.append(crowded, False)
     new, count = number[:-1], len(crowded) + int(np.count_nonzero(crowded))

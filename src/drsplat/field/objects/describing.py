@@ -82,7 +82,7 @@ def _members(node_of: Int32[np.ndarray, " R"], parents: Int32[np.ndarray, " T"])
 
 
 def _inside(parents: Int32[np.ndarray, " T"]) -> csr_array:
-    """(T, T): entry (t, s) is 1 where node s is t, or below it."""
+    """Return (T, T): entry (t, s) is 1 where node s is t, or below it."""
     count = len(parents)
     below = above = np.arange(count)
     lower, upper = [below], [above]
@@ -96,7 +96,7 @@ def _inside(parents: Int32[np.ndarray, " T"]) -> csr_array:
 
 
 def _weights(evidence: Evidence, inside: csr_array, node_of: Int32[np.ndarray, " R"]) -> csr_array:
-    """(T, M): the summed weight of all rows of a node in each mask."""
+    """Return (T, M): the summed weight of all rows of a node in each mask."""
     (rows,) = np.nonzero(node_of >= 0)
     own = csr_array((np.ones(len(rows), np.float32), (node_of[rows], rows)), shape=(inside.shape[0], len(node_of)))
     summed = inside @ (own @ evidence.weights).astype(np.float64)
@@ -140,7 +140,7 @@ def _masses(
 
 
 def _num_views(weights: csr_array, evidence: Evidence) -> Int32[np.ndarray, " T"]:
-    """Photos that show more than a sliver of each node."""
+    """Return the photos that show more than a sliver of each node."""
     views, count = evidence.masks.views, len(evidence.masks.view_names)
     of_view = csr_array((np.ones(len(views)), (np.arange(len(views)), views)), shape=(len(views), count))
     shown = csr_array(weights @ of_view)
@@ -159,7 +159,7 @@ def _masks(weights: csr_array) -> tuple[Int64[np.ndarray, " T1"], Int32[np.ndarr
 
 
 def _exclusive(weights: csr_array, evidence: Evidence) -> csr_array:
-    """R_tj q_tj: the weight of node t in mask j, times the share of the mask's weight that lies in the node.
+    """Return R_tj q_tj: the weight of node t in mask j, times the share of the mask's weight that lies in the node.
 
     A mask of the whole table says little of the mug on it.
     """

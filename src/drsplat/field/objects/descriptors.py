@@ -24,7 +24,7 @@ BLOCK = 4096  # entries that are compared at once
 def descriptors(
     weights: csr_array, embeddings: Float32[np.ndarray, "M D"], *, threads: int = 0
 ) -> tuple[Int64[np.ndarray, " T1"], Float32[np.ndarray, "P D"]]:
-    """Up to four unit vectors for each row of `weights` (T, M), as row starts and vectors, the heaviest first.
+    """Return up to four unit vectors for each row of `weights` (T, M), as row starts and vectors, the heaviest first.
 
     The first centre is the weighted mean; a further one starts from the mask that is served worst, weight times
     (1 - cosine), as long as one is unlike all centres. The same bits at any number of threads.
@@ -104,7 +104,7 @@ class _Clusters:
         return found
 
     def centers(self, labels: Int64[np.ndarray, " e"]) -> tuple[Int64[np.ndarray, " T1"], Float32[np.ndarray, "P D"]]:
-        """Row starts and unit means, the heaviest cluster of each row first, without specks."""
+        """Return the row starts and unit means, the heaviest cluster of each row first, without specks."""
         means = self.means(labels)
         shape = means.shape[:2]
         clusters = self.rows * MOST_DESCRIPTORS + labels

@@ -84,7 +84,7 @@ def of_pieces(
 
 
 def cameras_of(field: LanguageField) -> list[View]:
-    """Those that took its photos, without these; none where it keeps none, or where the scene moves between them."""
+    """Return the views of a field's photos, without the photos; none where it keeps none, or where the scene moves."""
     if field.growth is None or field.evidence is None or field.times is not None:
         return []
     return field.growth.provenance.views(field.evidence.masks.view_names)
@@ -118,7 +118,7 @@ def grow(evidence: Evidence, means: Float32[np.ndarray, "r 3"], *, threads: int 
 
 
 def _by_view(evidence: Evidence) -> tuple[csr_array, np.ndarray, np.ndarray]:
-    """Its weights, views and embeddings with the masks in the order of their views."""
+    """Return its weights, views and embeddings with the masks in the order of their views."""
     weights, views, embeddings = evidence.weights, evidence.masks.views, evidence.embeddings
     if (np.diff(views) < 0).any():
         order = np.argsort(views, kind="stable")
@@ -130,7 +130,7 @@ def _by_view(evidence: Evidence) -> tuple[csr_array, np.ndarray, np.ndarray]:
 
 
 def _sights(weights: csr_array, views: Int32[np.ndarray, " m"]) -> int:
-    """In how many views a row has weight, of all rows together."""
+    """Count in how many views a row has weight, of all rows together."""
     seen = views[weights.indices]
     first = np.ones(len(seen), bool)
     first[1:] = seen[1:] != seen[:-1]

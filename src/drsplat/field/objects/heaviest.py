@@ -7,7 +7,7 @@ from ...base.arrays import Float64
 
 
 def heaviest(matrix: csr_array, most: int) -> csr_array:
-    """Up to `most` entries of each row, the heaviest first, of equal ones the first column first."""
+    """Return up to `most` entries of each row, the heaviest first, of equal ones the first column first."""
     rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
     (heavy,) = np.nonzero(matrix.data >= _bars(matrix, most)[rows])  # and more, where some are equal
     order = heavy[np.lexsort((matrix.indices[heavy], -matrix.data[heavy], rows[heavy]))]

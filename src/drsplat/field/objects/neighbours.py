@@ -23,7 +23,7 @@ def along_a_curve(points: Float[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
 
 
 def neighbours(points: Float[np.ndarray, "n 3"], threads: int = 0) -> Int32[np.ndarray, "e 2"]:
-    """Pairs (a, b), a < b, of which one is among the nearest twelve of the other, and not far; ascending."""
+    """Return the pairs (a, b), a < b, of which one is among the nearest twelve of the other, and not far; ascending."""
     count = min(NEIGHBOURS, len(points) - 1)
     if count < 1:
         return np.zeros((0, 2), np.int32)

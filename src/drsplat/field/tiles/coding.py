@@ -109,7 +109,7 @@ class CodeTask:
         return is_new
 
     def name(self, run: Run) -> str:
-        """Rows may be coded twice, with other atoms: the key tells these apart."""
+        """Name the file of rows, which may be coded twice, with other atoms: the key tells these apart."""
         return f"codes/{run.name}.{self.key}.safetensors"
 
     def _rows(self, run: Run) -> Rows:
@@ -151,7 +151,7 @@ class TileCoder:
             coding = Mixing(atoms_per_row, scene, left_in(used, masks, scene))
 
     def _assembled(self, encoded: Encoded, used: Int64[np.ndarray, " u"], scene: SceneAtoms | None) -> Mixed:
-        """With a plan of the columns alone that are used."""
+        """Assemble with a plan of the columns alone that are used."""
         masks = len(self.evidence.masks)
         columns = np.sort(used[used < masks]).astype(np.int32)
         plan = plan_of(self.evidence.embeddings, columns, scene)

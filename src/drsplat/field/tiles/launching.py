@@ -26,7 +26,7 @@ AHEAD = 2  # tasks per worker that wait to be done
 @runtime_checkable
 class Launcher(Protocol):
     def results(self, work: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
-        """work(item) of every item, as they come to an end. `work` and items can be pickled, results are small.
+        """Yield work(item) of every item, as they come to an end. `work` and items can be pickled, results are small.
 
         Raises: what `work` raises; DrSplatError: workers die again and again.
         """
@@ -153,7 +153,7 @@ class Ray:
 
 
 def followed(results: Iterable[R], track: Track, items: Sequence[str], description: str) -> Iterator[R]:
-    """Results as they come, each with a step of the progress."""
+    """Yield results as they come, each with a step of the progress."""
     for result, _ in zip(results, track(items, description), strict=True):
         yield result
 

@@ -22,7 +22,7 @@ NO_ROWS = np.empty(0, np.uint32)
 
 
 def seen_tiles(tiles: Tiles, view: View, near: float) -> Bool[np.ndarray, " t"]:
-    """Tiles that may hold a Gaussian which the kernels draw in a view: never too few.
+    """Return the tiles that may hold a Gaussian which the kernels draw in a view: never too few.
 
     A Gaussian of depth z and largest deviation s reaches at most 3 (s a / z + sqrt(0.3)) pixels from its centre,
     where a / z bounds the norm of the projection's Jacobian. Multiplied by z, that it reaches over a border of the
@@ -40,7 +40,7 @@ def seen_tiles(tiles: Tiles, view: View, near: float) -> Bool[np.ndarray, " t"]:
 
 
 def _borders(view: View) -> list[tuple[Float64[np.ndarray, " 3"], float]]:
-    """Per border of the raster: what is positive inside, as a row of camera coordinates, and what a deviation adds."""
+    """Return what is positive inside of each border of the raster, in camera coordinates, and what a deviation adds."""
     fx, fy, cx, cy = view.K[0, 0], view.K[1, 1], view.K[0, 2], view.K[1, 2]
     slanted = (CLAMP * view.width / (2 * fx)) ** 2 + (CLAMP * view.height / (2 * fy)) ** 2
     steepest = 3 * max(fx, fy) * np.sqrt(1 + slanted)
@@ -76,7 +76,7 @@ class Gallery:
     _held: OrderedDict[str, SplatArrays] = field(default_factory=OrderedDict, repr=False)
 
     def __getstate__(self) -> dict[str, object]:
-        """For other processes, which load their own."""
+        """Return what other processes need, which load their own tiles."""
         return {**self.__dict__, "_held": OrderedDict()}
 
     @property
@@ -87,7 +87,7 @@ class Gallery:
         return f"{self.tiles.digest} {self.near!r}"
 
     def visible_splats(self, view: View) -> VisibleSplats:
-        """All tiles that a view may see. Raises: FormatError: one is damaged or missing."""
+        """Return all tiles that a view may see. Raises: FormatError: one is damaged or missing."""
         tiles = self.tiles.tiles
         chosen = [tiles[number] for number in np.flatnonzero(seen_tiles(self.tiles, view, self.near))]
         parts = [self._splats(tile) for tile in chosen]

@@ -23,10 +23,10 @@ class Store(Protocol):
         """Return the local path of a file, fetching it first if it is in the store."""
 
     def has(self, name: str) -> bool:
-        """Return True if all workers can have a file."""
+        """Return whether all workers can have a file."""
 
     def send(self, name: str) -> None:
-        """Let all workers have a file of `folder`."""
+        """Make a file of `folder` available to all workers."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Remote:
         return place
 
     def __getstate__(self) -> dict[str, str]:
-        """For workers, each with folder and connection of its own."""
+        """Return what workers need, each with folder and connection of its own."""
         return {"url": self.url}
 
     def bring(self, name: str) -> Path:

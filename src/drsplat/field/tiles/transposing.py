@@ -88,7 +88,7 @@ def _held(triples: Triples) -> Callable[[], Triples]:
 
 
 def runs_of(tiles: Sequence[Tile], num_weights: int, held: Sequence[bytes]) -> list[Run]:
-    """Tiles in runs whose weights fit in RUN_BYTES, if they are spread evenly. held: a bit for each tile, by view."""
+    """Return tiles in runs whose weights fit in RUN_BYTES, if spread evenly. held: a bit for each tile, by view."""
     bits = np.frombuffer(b"".join(held), np.uint8).reshape(len(held), -1)
     has = np.unpackbits(bits, axis=1, count=len(tiles)).astype(np.bool_)
     rows = tiles[-1].first + tiles[-1].num_rows
@@ -106,7 +106,7 @@ def rows_name(run: Run) -> str:
 
 
 def joined_rows(runs: Sequence[Run], store: Store, num_masks: int) -> csr_array:
-    """W, all rows one after another, in files that are mapped: memory holds those in use."""
+    """Return W, all rows one after another, in files that are mapped: memory holds those in use."""
     names = [rows_name(run) for run in runs]
     indptr, folder = [np.zeros(1, np.int64)], store.folder / "rows"
 

@@ -40,7 +40,7 @@ class Engine(Protocol):
         """Largest shared memory that a block may ask for."""
 
     def free_bytes(self) -> int:
-        """Memory of the device that is left."""
+        """Return the memory of the device that is left."""
 
     def release(self) -> None:
         """Give back what is held for arrays to come: their sizes have changed."""
@@ -96,7 +96,7 @@ class CudaEngine:
         self.xp.get_default_memory_pool().free_all_blocks()
 
     def free_bytes(self) -> int:
-        """Memory of the device that is left, with what CuPy holds for later."""
+        """Return the memory of the device that is left, with what CuPy holds for later."""
         return int(self.xp.cuda.runtime.memGetInfo()[0]) + int(self.xp.get_default_memory_pool().free_bytes())
 
 

@@ -15,7 +15,7 @@ MOST = 2000  # texts of a vocabulary: more make a first question slow
 
 
 def list_vectors(encoder: Encoder) -> Float32[np.ndarray, "n D"]:
-    """All texts of a vocabulary, the encoder's own nouns, or those that ship."""
+    """Return all texts of a vocabulary, the encoder's own nouns, or those that ship."""
     if isinstance(encoder, VocabularyEncoder):
         return np.asarray(encoder.encode_texts(_of_vocabulary(encoder.texts)), np.float32)
     if encoder not in _EMBEDDED:
@@ -58,7 +58,7 @@ def _if_known(encoder: Encoder, noun: str) -> Sequence[Float32[np.ndarray, " D"]
 
 
 def _of_vocabulary(texts: Sequence[str]) -> Sequence[str]:
-    """All of them, or of a large vocabulary the nouns of the list and others spread over it."""
+    """Return all of them, or of a large vocabulary the nouns of the list and others spread over it."""
     if len(texts) <= MOST:
         return texts
     nouns = [text for text in texts if text in set(NOUNS)]
