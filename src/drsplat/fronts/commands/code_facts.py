@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 def code_facts(code: Code) -> dict[str, Any]:
-    """Kind and bytes of a code, and what it is made of."""
+    """Return kind and bytes of a code, and what it is made of."""
     from ...field.codes import PQCode
     from ...field.codes.mixture import MixtureCode
 
@@ -26,7 +26,7 @@ def code_facts(code: Code) -> dict[str, Any]:
 
 
 def codebook_facts(codebook: Codebook) -> dict[str, Any]:
-    """Its hash, and the sizes of codes."""
+    """Return a codebook's hash, and the sizes of its codes."""
     coarse = codebook.coarse
     return {
         "codebook": codebook.hash,

@@ -143,7 +143,7 @@ def _gpus(facts: dict[str, Any]) -> list[str]:
 
 
 def _no_models(facts: dict[str, Any]) -> tuple[str | None, str | None]:
-    """Why SAM and CLIP cannot run, and the cure."""
+    """Return why SAM and CLIP cannot run, and the cure."""
     from ...photos.models.libraries import INSTALL, NO_TORCHVISION
 
     absent = [name for name in ("torch", "transformers") if not _is_installed(name)]
@@ -174,7 +174,7 @@ def _start_probe() -> subprocess.Popen[str] | None:
 
 
 def _probed(asked: subprocess.Popen[str] | None) -> dict[str, Any]:
-    """Its answer, the last line; a process that died says why in its own last line."""
+    """Return the answer of a process, its last line; one that died says why in its own last line."""
     if asked is None:
         return {}
     try:

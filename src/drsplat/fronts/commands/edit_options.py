@@ -187,7 +187,7 @@ def _note(text: str) -> None:
 
 
 def only_one(arguments: argparse.Namespace, names: Sequence[str]) -> str | None:
-    """Which of some options was given. Raises: InputError: several."""
+    """Return which of some options was given. Raises: InputError: several."""
     from ...errors import InputError
 
     given = [name for name in names if getattr(arguments, name) is not None and getattr(arguments, name) is not False]

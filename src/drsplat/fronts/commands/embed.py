@@ -308,7 +308,7 @@ def image_encoder(arguments: argparse.Namespace) -> ImageEncoder:
 
 
 def point_settings(arguments: argparse.Namespace) -> PointMaskSettings | None:
-    """Those of SAM; None for `graph`. InputError: options of SAM for `graph`."""
+    """Return the settings of SAM; None for `graph`. InputError: options of SAM for `graph`."""
     from ...errors import InputError
     from ...photos.models.graph import GraphSegmenter
     from ...photos.models.point_masks import PointMaskSettings

@@ -132,7 +132,7 @@ def show(answer: dict[str, Any]) -> None:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    """All that can be known to be wrong before any work is done."""
+    """Check all that can be known to be wrong before any work is done."""
     from ...base.terminal import counted
     from ...errors import InputError
 
@@ -169,7 +169,7 @@ def _check_data(arguments: argparse.Namespace) -> None:
 
 
 def _names(arguments: argparse.Namespace) -> list[str]:
-    """Folder names of the scenes. Raises: InputError: none is given, and there is not exactly one."""
+    """Return the folder names of the scenes. Raises: InputError: none is given, and there is not exactly one."""
     from ...errors import InputError
 
     if arguments.name:

@@ -20,7 +20,7 @@ def add_without(parser: argparse._ActionsContainer) -> None:
 
 
 def left_out(names: Sequence[str], without: str | None) -> set[str]:
-    """Those of the photos' names that --without means.
+    """Return those of the photos' names that --without means.
 
     Raises: InputError: no such file, names that no photo has, all photos, or none.
     """

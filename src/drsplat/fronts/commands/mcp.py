@@ -70,4 +70,4 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def show(answer: dict[str, Any]) -> None:
-    """Nothing: stdout belongs to the protocol."""
+    """Show nothing: stdout belongs to the protocol."""

@@ -95,7 +95,7 @@ def add_overwrite(parser: argparse._ActionsContainer) -> None:
 
 
 def add_capture_options(parser: argparse.ArgumentParser) -> None:
-    """--images, --dataparser-transforms, --max-side, --times: how the photos of a capture are read."""
+    """Add --images, --dataparser-transforms, --max-side, --times: how the photos of a capture are read."""
     group = parser.add_argument_group("capture")
     group.add_argument(
         "--images", metavar="DIR", help="folder of the photos, e.g. images_4 (default: CAPTURE/images, else CAPTURE)"

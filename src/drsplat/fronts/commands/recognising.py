@@ -84,7 +84,7 @@ def _tensors_kind(path: Path) -> str:
 
 
 def _json_kind(path: Path) -> str:
-    """cameras.json is a list, transforms.json has frames; a vocabulary may have vectors of that name."""
+    """Return the kind of a JSON file: cameras.json is a list, transforms.json has frames."""
     from ...formats.json_files import read_json
     from ...formats.sog import is_sog_meta
 

@@ -256,7 +256,7 @@ def _facts(registration: "Registration", field: "LanguageField") -> dict[str, An
 
 
 def with_words(field: "LanguageField", features: str) -> "LanguageField":
-    """With the words that queries are contrasted with, where `drsplat embed` embedded them."""
+    """Add the words that queries are contrasted with, where `drsplat embed` embedded them."""
     from ...photos.embedding.embed import recorded_words
 
     words = recorded_words(features)
@@ -335,7 +335,7 @@ def _weights_of(arguments: argparse.Namespace) -> "LanguageField | None":
 
 
 def _written(parts: str | Path) -> dict[str, int]:
-    """Time of writing of each finished view's file."""
+    """Return when each finished view's file was written."""
     return {file.name: file.stat().st_mtime_ns for file in Path(parts).glob("*.columns.safetensors")}
 
 

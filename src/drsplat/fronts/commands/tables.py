@@ -10,7 +10,7 @@ BOUNDLESS = 100_000  # columns
 
 
 def show_facts(title: str, facts: Mapping[str, object]) -> None:
-    """Names and values, one to a line."""
+    """Show names and values, one to a line."""
     show_table(
         title, ("", ""), [(name.replace("_", " "), text_of(value)) for name, value in facts.items()], headed=False
     )

@@ -215,7 +215,7 @@ def _with_photo(arguments: argparse.Namespace) -> Iterable[View]:
 
 
 def _print_triangulation(points: SparsePoints | None, arguments: argparse.Namespace) -> None:
-    """Before the meter begins to move."""
+    """Print what was triangulated, before the meter begins to move."""
     if points is None and not arguments.json:
         text = "the capture has no points: triangulating some from its photos, a fifth of a second each"
         print(f"drsplat: {text}", file=sys.stderr)

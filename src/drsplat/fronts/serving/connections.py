@@ -128,7 +128,7 @@ class Connection(H11Protocol):
 
 
 def room() -> int:
-    """How many connections may be open, once this process may open as many files as it is allowed to."""
+    """Return how many connections may be open, once this process may open as many files as it is allowed to."""
     return max(allow_open_files(MOST + OTHERS) - OTHERS, 16)
 
 

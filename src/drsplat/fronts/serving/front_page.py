@@ -24,7 +24,7 @@ scenes</a> lists what can be asked.</p>
 
 
 def front_page(description: Mapping[str, Any]) -> str:
-    """HTML made of an OpenAPI description."""
+    """Return HTML made of an OpenAPI description."""
     return _PAGE.format(
         version=escape(description["info"]["version"]),
         about=escape(description["info"]["description"]),

@@ -25,7 +25,7 @@ def jpeg(pixels: UInt8[np.ndarray, "h w 3"]) -> bytes:
 
 
 def decoded(data: bytes, most_pixels: int) -> UInt8[np.ndarray, "h w 3"]:
-    """RGB of a picture's bytes, upright, on black where it is transparent.
+    """Return RGB of a picture's bytes, upright, on black where it is transparent.
 
     Raises: InputError: no picture, damaged, or of more pixels, judged by its header before it is decoded.
     """

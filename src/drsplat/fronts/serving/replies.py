@@ -41,7 +41,7 @@ def is_json(content_type: str) -> bool:
 
 
 def problem(status: int, error: str, kind: str) -> Reply:
-    """Why there is no answer. Texts may hold halves of surrogate pairs, which are no UTF-8."""
+    """Return why there is no answer. Texts may hold halves of surrogate pairs, which are no UTF-8."""
     said = error.encode("utf-8", "replace").decode()
     return Reply(json.dumps({"error": said, "kind": kind}).encode(), status=status)
 

@@ -106,7 +106,7 @@ class SceneFolder:
         return {_name(path): path for path in inside if _has_field(path)}
 
     def check_sources(self) -> None:
-        """For whoever starts a service: clients could not tell what is wrong with its files.
+        """Check files for whoever starts a service: clients could not tell what is wrong with them.
 
         Raises: InputError: no such vocabulary, or an encoder beside it. FormatError: a damaged one. MissingExtraError:
         search device "cuda" without CuPy or a GPU.
@@ -127,7 +127,7 @@ class SceneFolder:
             _ = self.catalogue.encoder
 
     def checked(self) -> int:
-        """How many scenes there are, for whoever starts a service. Raises: InputError: none; as `check_sources`."""
+        """Count the scenes, for whoever starts a service. Raises: InputError: none; as `check_sources`."""
         self.check_sources()
         self.check_catalogue()
         number = len(self.folders())
@@ -257,7 +257,7 @@ def _count(value: object) -> int:
 
 
 def _name(folder: Path) -> str:
-    """Names of files are bytes, and need not be UTF-8."""
+    """Return the name of a file, which is bytes and need not be UTF-8."""
     return os.fsencode(folder.name).decode("utf-8", "backslashreplace")
 
 

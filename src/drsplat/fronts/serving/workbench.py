@@ -202,7 +202,7 @@ class _Worker:
             job.leave()
 
     def _lost(self, error: Exception) -> str:
-        """Why the process is no more; the next question starts another."""
+        """Return why the process is no more; the next question starts another."""
         process, self._line = self.started()[0], None
         if self._end is not None:
             self._end()

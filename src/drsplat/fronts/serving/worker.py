@@ -69,7 +69,7 @@ def safe_reply_to(scene_folder: SceneFolder, place: Workplace, **question: Any) 
 
 
 def reply_to(scene_folder: SceneFolder, place: Workplace, act: str, scene: str, asked: dict[str, Any]) -> Reply:
-    """act: "list", "open" (which also loads who embeds words), one of `ANSWERS`, or of a catalogue."""
+    """Answer an act: "list", "open" (which also loads who embeds words), one of `ANSWERS`, or of a catalogue."""
     try:
         if act == "list":
             scenes = [summarized(one) for one in scene_folder.summaries()]

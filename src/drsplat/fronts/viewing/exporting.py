@@ -125,7 +125,7 @@ def _best_look(answers: Sequence[PageAnswer]) -> tuple[Float64[np.ndarray, " 3"]
 
 
 def _shown(session: Session, values: Shaped[np.ndarray, " n"]) -> Shaped[np.ndarray, " m"]:
-    """Values of the scene's rows for those that are shown; 0 for what edits added."""
+    """Return values of the scene's rows for those that are shown; 0 for what edits added."""
     added = np.zeros(len(session.drawn_colors) - len(values), values.dtype)
     return np.asarray(np.concatenate([values, added])[session.drawn.ids])
 

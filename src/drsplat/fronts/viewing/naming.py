@@ -61,7 +61,7 @@ def named(scene: Scene, gaussian_id: int, words: Sequence[str] | None) -> list[W
 
 
 def known_words(scene: Scene, words: Sequence[str] | None) -> tuple[str, ...]:
-    """To name things with: given ones, else as `words_of`; none for a field whose encoder is not at hand."""
+    """Return words to name things with: given ones, else as `words_of`; none where the encoder is not at hand."""
     try:
         return tuple(words or words_of(scene))
     except DrSplatError:

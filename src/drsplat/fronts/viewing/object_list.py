@@ -11,7 +11,7 @@ SIZE = (200, 150)
 
 
 def pictures_of(session: Session, matches: list[Match]) -> list[OtherPixels | None]:
-    """Each cut out of the photo, or the rendering, that shows it best; none of a scene without views."""
+    """Return each cut out of the photo, or the rendering, that shows it best; none of a scene without views."""
     if not session.scene.views:
         return [None] * len(matches)
     views = object_views(session.scene, matches)

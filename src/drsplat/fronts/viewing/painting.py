@@ -58,7 +58,7 @@ def highlighted(rgb: Colors, owners: Int32[np.ndarray, " n"], accents: Sequence[
 
 
 def class_painted(rgb: Colors, labels: Int32[np.ndarray, " n"], palette: UInt8[np.ndarray, "c 3"]) -> Colors:
-    """Classes in their colours, shaded by the scene's own light; dimmed where there is none."""
+    """Paint classes in their colours, shaded by the scene's own light; dimmed where there is none."""
     painted = dimmed(rgb)
     found = labels >= 0
     shade = 0.5 + 0.5 * (rgb[found] @ LUMA)[:, None]

@@ -50,7 +50,7 @@ def hit_by_ray(
 def _near(
     gaussians: Gaussians, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]
 ) -> Int64[np.ndarray, " m"]:
-    """Those whose bounding sphere the ray passes: all that can be met, and few of the scene."""
+    """Return the Gaussians whose bounding sphere the ray passes: all that can be met, and few of the scene."""
     offsets = gaussians.means - origin.astype(np.float32)
     along = offsets @ direction.astype(np.float32)
     apart = np.einsum("ni,ni->n", offsets, offsets) - along**2
@@ -61,7 +61,7 @@ def _near(
 def _met(
     part: Gaussians, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]
 ) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
-    """Depth along the ray of the densest place, and the opacity there."""
+    """Return depth along the ray of the densest place, and the opacity there."""
     axes = part.whitening()
     start = np.einsum("nij,nj->ni", axes, origin - part.means.astype(np.float64))
     step = axes @ direction

@@ -77,12 +77,12 @@ def split_queries(text: str) -> list[str]:
 
 
 def joined(parts: Sequence[Int64[np.ndarray, " _"]]) -> Int64[np.ndarray, " m"]:
-    """All ids in any of the parts, ascending."""
+    """Return all ids in any of the parts, ascending."""
     return np.unique(np.concatenate(parts)) if parts else np.empty(0, np.int64)
 
 
 def heat(results: Sequence[Result], count: int) -> Float32[np.ndarray, " n"]:
-    """Per Gaussian how well it answers, as in `drawing.heat.heat_of`; of several queries the best."""
+    """Return per Gaussian how well it answers, as in `drawing.heat.heat_of`; of several queries the best."""
     warmest = np.zeros(count, np.float32)
     for result in results:
         field, own = result.answer.field, result.answer.values
@@ -93,7 +93,7 @@ def heat(results: Sequence[Result], count: int) -> Float32[np.ndarray, " n"]:
 
 
 def owners(results: Sequence[Result], count: int) -> Int32[np.ndarray, " n"]:
-    """Per Gaussian the number of the query that it matches, of several the first; -1 for none."""
+    """Return per Gaussian the number of the query that it matches, of several the first; -1 for none."""
     owner = np.full(count, -1, np.int32)
     for number in range(len(results) - 1, -1, -1):
         owner[results[number].gaussian_ids] = number
@@ -101,7 +101,7 @@ def owners(results: Sequence[Result], count: int) -> Int32[np.ndarray, " n"]:
 
 
 def match_ids(results: Sequence[Result], count: int) -> Int32[np.ndarray, " n"]:
-    """Per Gaussian the number of the match that it belongs to, counted through all queries; -1 for none."""
+    """Return per Gaussian the number of its match, counted through all queries; -1 for none."""
     ids = np.full(count, -1, np.int32)
     matches = [match for result in results for match in result.matches]
     for number in range(len(matches) - 1, -1, -1):
@@ -110,7 +110,7 @@ def match_ids(results: Sequence[Result], count: int) -> Int32[np.ndarray, " n"]:
 
 
 def relevancy(results: Sequence[Result], count: int) -> Float32[np.ndarray, " n"]:
-    """Per Gaussian the highest value of any query, in its own measure."""
+    """Return per Gaussian the highest value of any query, in its own measure."""
     if not results:
         return np.zeros(count, np.float32)
     return np.asarray(np.max([result.answer.dense for result in results], axis=0))

@@ -64,7 +64,7 @@ def flight_gif(
 
 
 def gif_of(pictures: Sequence[UInt8[np.ndarray, "h w 3"]]) -> bytes:
-    """Frames of one palette, so that colours do not flicker."""
+    """Write frames with one palette, so that colours do not flicker."""
     palette = Image.fromarray(pictures[0]).quantize(COLORS)
     frames = [Image.fromarray(one).quantize(palette=palette) for one in pictures]
     out = io.BytesIO()

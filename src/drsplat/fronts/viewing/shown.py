@@ -103,7 +103,7 @@ def _shown_covariances(part: Gaussians, frame: Frame) -> Float32[np.ndarray, "m 
 
 
 def base_colors(gaussians: Gaussians) -> Float32[np.ndarray, "n 3"]:
-    """Without what depends on the direction of view, in [0, 1]."""
+    """Return colours without what depends on the direction of view, in [0, 1]."""
     return np.clip(0.5 + SH_C0 * gaussians.sh[:, 0], 0, 1).astype(np.float32)
 
 

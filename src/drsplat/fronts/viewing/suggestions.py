@@ -14,7 +14,7 @@ TRIED = 24
 
 
 def suggestions(scene: Scene, words: Sequence[str] | None = None, most: int = 4) -> list[str]:
-    """Up to `most` words that find something: the most frequent things of a sample first, large ones last.
+    """Return up to `most` words that find something: the most frequent of a sample first, large ones last.
 
     words: to choose from; None takes the encoder's own. Nothing where no encoder is known.
     """

@@ -6,7 +6,7 @@ MOST_SHOWN = 200
 
 
 def printable(text: str, most: int = MOST_SHOWN) -> str:
-    """Without what no page can hold or show (halves of surrogate pairs, controls, marks that turn text around)."""
+    """Drop what no page can hold or show (halves of surrogate pairs, controls, marks that turn text around)."""
     cut = text if len(text) <= most else f"{text[: most - 1]}…"
     return "".join(letter if letter.isprintable() else "\ufffd" for letter in cut)
 

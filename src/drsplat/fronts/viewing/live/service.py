@@ -88,7 +88,7 @@ class Service:
 
     @contextmanager
     def running(self) -> Iterator[str]:
-        """While this lasts it answers, in a thread of its own, at the address."""
+        """Answer at the address, in a thread of its own, while the block runs."""
         thread = threading.Thread(target=self._server.run, kwargs={"sockets": [self.listening]}, daemon=True)
         thread.start()
         try:
