@@ -9,6 +9,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ...query.schema import CUT, EXCLUDE, SUBJECTS
 from .edit_options import (
     add_change_options,
     add_kept_edits,
@@ -19,7 +20,7 @@ from .edit_options import (
     only_one,
 )
 from .options import add_capture_options, add_overwrite, add_query_encoders, words
-from .query_options import add_measure_options, add_query_kinds, check_outputs, open_scene, query_of, query_text
+from .query_options import add_fields, check_outputs, open_scene, query_of, query_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -65,8 +66,8 @@ DAILY = (
     "picture",
     "overwrite",
 )
-TARGETS = ("text", "vector", "image", "click", "point", "object", "label", "box", "rows", "copies", "everything")
-QUERIES = ("text", "vector", "image", "click", "point")
+QUERIES = tuple(field.name for field in SUBJECTS)
+TARGETS = (*QUERIES, "object", "label", "box", "rows", "copies", "everything")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -74,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", help="scene to edit, or a folder with a field, its scene and photos")
     parser.add_argument("--field", help="field of the scene, for queries, objects and labels")
     add_target_options(parser)
-    add_query_kinds(parser.add_argument_group("other queries"))
+    add_fields(parser.add_argument_group("other queries"), (*SUBJECTS[1:], EXCLUDE))
     add_change_options(parser)
     add_list_options(parser)
     output = parser.add_argument_group("output")
@@ -90,7 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_overwrite(output)
     add_query_encoders(parser)
-    add_measure_options(parser)
+    add_fields(parser, CUT)
     add_capture_options(parser)
 
 

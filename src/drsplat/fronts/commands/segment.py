@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
+from ...query.schema import CUT
 from .leaving_out import lines_of
 from .options import add_query_encoders, words
 from .query_options import (
     FIELD_HELP,
-    add_measure_options,
+    add_fields,
     add_output_options,
     check_outputs,
     chosen_view,
@@ -39,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--classes-file", metavar="FILE.txt", help="file with a class on each line, instead of --classes"
     )
     add_query_encoders(parser)
-    add_measure_options(parser)
+    add_fields(parser, CUT)
     saved = (
         "write the scene in the colours of the classes, with a column class_id: the number of the class from 0, or -1"
     )

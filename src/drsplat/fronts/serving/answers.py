@@ -11,6 +11,7 @@ from pydantic import BaseModel
 from ...errors import InputError
 from ...formats.scenes import write_gaussians
 from ...query import Match, Query, Scene
+from ...query.documents import answer_document, rounded
 from ...query.objects import match_of, objects_of
 from ...query.sheets import object_picture
 from . import models
@@ -31,13 +32,13 @@ from .models import (
     matches_of,
     measured,
     object_list,
-    rounded,
     significant,
     span_of,
     tracked,
     when_told,
 )
 from .pictures import jpeg, png
+from .query_fields import Request, asks_something, cut_of, query_of, values_of
 from .replies import JPEG, PLY, PNG, Reply
 from .requests import (
     Details,
@@ -47,16 +48,12 @@ from .requests import (
     OneObject,
     Photo,
     Picture,
-    Request,
     Segment,
     Select,
     Tool,
     WhatIs,
     When,
-    asks_something,
-    cut_of,
     place,
-    query_of,
 )
 
 OBJECT_SIZE = (640, 480)
@@ -124,21 +121,21 @@ def _numbered(scene: Scene, asked: OneObject) -> Match:
 
 def selected(scene: Scene, asked: Select, limits: Limits) -> Selected:
     answer = scene.ask(query_of(asked, limits))
-    values = answer.values
     return Selected(
         measured=measured(answer),
-        score_range=[significant(float(values.min(initial=1))), significant(float(values.max(initial=-1)))],
+        score_range=[significant(score) for score in answer_document(answer)["score_range"]],
         gaussian_ids=answer.gaussian_ids.tolist() if asked.ids else None,
         field=scene.field.fingerprint,
     )
 
 
 def located(scene: Scene, asked: Locate, limits: Limits) -> Located:
-    answer = scene.ask(query_of(asked, limits))
+    query = query_of(asked, limits)
+    answer = scene.ask(query)
     found = scene.locate(answer, min_gaussians=asked.min_gaussians, box=asked.box)
     listed = found[: asked.top]
     return Located(
-        query=asked.text or "",
+        query=query.text or "",
         num_matches=len(found),
         matches=tracked(scene, listed, asked.box) if asked.tracks else matches_of(listed, decimals_of(scene)),
         advice="" if found else "no match: try other words, or a lower threshold",
@@ -148,7 +145,7 @@ def located(scene: Scene, asked: Locate, limits: Limits) -> Located:
 
 
 def when(scene: Scene, asked: When, _: Limits) -> models.When:
-    one, other = (Query(text, threshold=asked.threshold, objects=asked.objects) for text in (asked.one, asked.other))
+    one, other = (Query(text, **values_of(vars(asked))) for text in (asked.one, asked.other))
     return when_told(scene, one, asked.relation, other, asked.view)
 
 

@@ -42,7 +42,7 @@ def objects_of_page(
         | {
             "number": number,
             "size": size_text(match.extent),
-            "gaussians": len(match.gaussian_ids),
+            "num_gaussians": len(match),
             "name": printable(names[number], 60),
             "unsure": not agreed[number],
             "picture": picture,

@@ -12,7 +12,9 @@ from pydantic import Field, TypeAdapter
 from ....errors import InputError
 from ....kernels.boxes import box_of
 from ....query import Match
+from ....query.schema import Place
 from ....scene.annotations import Annotation
+from ...serving.query_fields import asking, values_of
 from ..session import Mode, Session
 from .cameras import Body, Camera, Finite, Number, Point, Span, Text, view_of
 from .changes import ChangeRequest
@@ -77,15 +79,17 @@ class EditAct(SlowAct):
         raise NotImplementedError
 
 
+@asking(Place.VIEWER)
 class Ask(Act):
     act: Literal["ask"]
     text: Text
-    during: Span | None = None
 
     def do(self, shared: Shared) -> str | None:
+        asked = values_of(vars(self))
+        during = asked.pop("during", None)
         if "during" in self.model_fields_set:
-            _set_during(shared.session, self.during)
-        return shared.session.ask(self.text)
+            _set_during(shared.session, during)
+        return shared.session.ask(**asked)
 
 
 class MoreLikeThis(Act):

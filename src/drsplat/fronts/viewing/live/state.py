@@ -15,6 +15,7 @@ from ....base.arrays import Float64
 from ....drawing.heat import HEAT
 from ....drawing.palette import class_colors
 from ....query import Match
+from ....query.documents import support_document
 from ....query.nodes import numbered
 from ....query.objects import objects_of
 from ....scene.annotations import Annotation
@@ -22,7 +23,7 @@ from ....scene.views import View
 from .. import painting
 from ..bare import NO_FIELD
 from ..naming import This, best_photo
-from ..places import box_document, match_document, place_text, rounded, size_text
+from ..places import DECIMALS, box_document, match_document, place_text, rounded, size_text
 from ..results import Result
 from ..session import Session
 from ..texts import printable
@@ -95,7 +96,7 @@ def _object(stage: Stage, number: int, match: Match) -> Document:
         "number": number,
         "name": printable(stage.names[number], 60),
         "size": size_text(now.extent),
-        "gaussians": len(match),
+        "num_gaussians": len(match),
     }
 
 
@@ -149,7 +150,7 @@ def _result(stage: Stage, number: int, result: Result) -> Document:
         "automatic": answer.threshold,
         "limits": list(result.limits),
         "measure": answer.measure,
-        "rule": answer.rule,
+        "threshold_rule": answer.rule,
         "exact": answer.is_exact,
         "accent": list(painting.accent(number)),
         "matches": [_match(stage, result, match) for match in result.matches[:MOST_MATCHES]],
@@ -164,15 +165,12 @@ def _match(stage: Stage, result: Result, match: Match) -> Document:
 
 
 def _clicked(session: Session, this: This) -> Document:
-    evidence = [
-        {"photo": one.view_name, "mask": one.mask_id, "share": round(one.share, 4)} for one in this.evidence
-    ]  # fmt: skip
     return {
         "name": printable(this.name, 60),
         "words": [{"text": printable(word.text, 60), "score": round(word.score, 4)} for word in this.words],
         "place": place_text(this.point),
         "center": rounded(session.shown.frame.shown(this.point)),
-        "evidence": evidence,
+        "support": support_document(this.evidence, DECIMALS),
         "photo": best_photo(session.scene, this) is not None,
     }
 
@@ -189,7 +187,7 @@ def _chosen(session: Session) -> Document | None:
         "number": number if number >= 0 and objects.things[number] == node else None,
         "smaller": chosen.smaller(objects) is not None,
         "larger": chosen.larger() is not None,
-        "gaussians": int(objects.sizes[node]),
+        "num_gaussians": int(objects.sizes[node]),
         "photos": int(objects.num_views[node]),
         "sure": round(float(objects.sure[node]), 4),
         "label": node in session.scene.labels.by_node,
