@@ -11,7 +11,7 @@ import numpy as np
 
 from ..base.arrays import Float64, Shaped
 from ..field.evidence.evidence import Explanation
-from .answer import Answer, Match, MatchTrack
+from .answer import Answer, Match, MatchTrack, Segmentation
 from .objects import objects_of, photos_of
 from .scene import Scene
 
@@ -70,6 +70,22 @@ def answer_document(answer: Answer) -> Document:
         "num_registered": len(answer.field),
         "num_selected": len(answer.gaussian_ids),
         "doubt": answer.doubt,
+    }
+
+
+def segmentation_document(segmentation: Segmentation) -> Document:
+    """Return how many Gaussians each class has, and above which threshold."""
+    answers, counts = segmentation.answers, segmentation.counts
+    num_registered = len(answers[0].field)
+    return {
+        "measure": answers[0].measure,
+        "num_registered": num_registered,
+        "num_labelled": sum(counts),
+        "doubt": segmentation.doubt,
+        "classes": [
+            {"name": name, "num_gaussians": count, "share": count / max(num_registered, 1), "threshold": one.threshold}
+            for name, count, one in zip(segmentation.names, counts, answers, strict=True)
+        ],
     }
 
 

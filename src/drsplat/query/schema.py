@@ -71,17 +71,12 @@ SUBJECTS = (
     ),
     QueryField("click", "pixel", "VIEW:X,Y", "pixel of a photo to search for more of; needs no encoder"),
 )  # fmt: skip
-"""What is looked for: a query has exactly one of these."""
+"""Subjects of a query, which has exactly one."""
 
 EXCLUDE = QueryField(
-    "exclude",
-    "texts",
-    "WORDS",
-    "words to exclude, as ', not WORDS' in the text does",
-    (*PROGRAMS, Place.CATALOGUE),
-    (),
-    16,
-)
+    "exclude", "texts", "WORDS", "words to exclude, as ', not WORDS' in the text does", (*PROGRAMS, Place.CATALOGUE),
+    default=(), most=16,
+)  # fmt: skip
 
 CUT = (
     QueryField(

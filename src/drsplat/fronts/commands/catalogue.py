@@ -31,7 +31,7 @@ again, it takes its own place. Needs LanceDB: pip install "drsplat[catalogue]". 
 DAILY = ("name", "top", "exclude", "scene", "picture", "encoder")
 ASKED = fields(Place.COMMAND_LINE, Place.CATALOGUE)
 ACTIONS = ("add", "remove", "list", "ask", "index")
-MOST_TOP = 1000
+MAX_MATCHES = 1000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     adding.add_argument("--views", metavar="CAPTURE", help="posed photos for the thumbnails, if they lie elsewhere")
     asking = parser.add_argument_group("ask")
     asking.add_argument(
-        "--top", type=up_to(MOST_TOP), default=10, metavar="N", help="objects to list, best first (default: 10)"
+        "--top", type=up_to(MAX_MATCHES), default=10, metavar="N", help="objects to list, best first (default: 10)"
     )
     add_fields(asking, ASKED[1:])
     asking.add_argument(
@@ -145,17 +145,7 @@ def _ask(arguments: argparse.Namespace, catalogue: Catalogue) -> dict[str, Any]:
     if drawn:
         heading = f"{counted(len(answer.entries), 'match', 'matches')} for “{asked}”"
         write_picture(drawn, entry_sheet(answer.entries, heading), arguments.overwrite)
-    return {
-        "query": asked,
-        "measure": answer.measure,
-        "threshold": answer.threshold,
-        "threshold_rule": answer.rule,
-        "num_compared": answer.num_compared,
-        "exact": answer.exact,
-        "num_matches": len(answer.entries),
-        "matches": [entry.json() for entry in answer.entries],
-        "picture": drawn,
-    }
+    return {"query": asked, **answer.json(), "matches": [entry.json() for entry in answer.entries], "picture": drawn}
 
 
 def _query(arguments: argparse.Namespace) -> Query:

@@ -55,17 +55,23 @@ def pixel(text: str) -> tuple[str, float, float]:
 
 def point(text: str) -> tuple[float, float, float]:
     """Return the point "0.3,-0.14,1.2". Raises: InputError: not three finite numbers."""
+    x, y, z = numbers("--point", text, 3)
+    return x, y, z
+
+
+def numbers(option: str, text: str, count: int) -> list[float]:
+    """Return the numbers "0.3,-0.14,1.2" of an option. Raises: InputError: not so many finite ones."""
     import math
 
     from ...errors import InputError
 
     try:
-        x, y, z = (float(part) for part in text.split(","))
-        if math.isfinite(x + y + z):
-            return x, y, z
+        given = [float(part) for part in text.split(",")]
     except ValueError:
-        pass
-    raise InputError(f"--point {text}: expected X,Y,Z, three finite numbers, e.g. 0.3,-0.14,1.2")
+        given = []
+    if len(given) != count or not all(math.isfinite(number) for number in given):
+        raise InputError(f"{option} {text}: expected {count} finite numbers with commas between them")
+    return given
 
 
 def negatives(text: str) -> tuple[str, ...] | np.ndarray:

@@ -49,23 +49,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ...formats.replacing import together
+    from ...query.documents import segmentation_document
 
     check_outputs(arguments)
     classes = _classes(arguments)
     scene = open_scene_for_output(arguments)
-    found, registered = scene.segment(classes, cut_of(arguments)), max(len(scene.field), 1)
-    report = {
-        "field": arguments.field,
-        "measure": found.answers[0].measure,
-        "threshold_rule": found.answers[0].rule,
-        "num_registered": len(scene.field),
-        "num_labelled": sum(found.counts),
-        "doubt": found.doubt,
-        "classes": [
-            {"name": name, "num_gaussians": count, "share": count / registered, "threshold": answer.threshold}
-            for name, answer, count in zip(found.names, found.answers, found.counts, strict=True)
-        ],
-    }
+    found = scene.segment(classes, cut_of(arguments))
+    rule = found.answers[0].rule
+    report = {"field": arguments.field, "threshold_rule": rule, **segmentation_document(found)}
     with together():
         if arguments.save:
             _save(arguments, scene, found)

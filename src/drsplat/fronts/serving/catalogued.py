@@ -12,7 +12,7 @@ from ...query.catalogue import Catalogue, Conditions, Entry
 from ...query.schema import Place
 from .limits import Limits
 from .models import Body, Vector, significant
-from .query_fields import MOST, Finite, Request, asking, query_of
+from .query_fields import LIMITS, Finite, Request, asking, query_of
 from .replies import JPEG, Reply
 
 SceneNames = Annotated[list[Annotated[str, Field(min_length=1, max_length=200)]], Field(max_length=64)]
@@ -22,7 +22,7 @@ SceneNames = Annotated[list[Annotated[str, Field(min_length=1, max_length=200)]]
 class AskCatalogue(Request):
     """Exactly one of text, vector and image; and which objects are looked at."""
 
-    top: Annotated[int, Field(ge=1, le=MOST.matches, description="matches to return, best first")] = 10
+    top: Annotated[int, Field(ge=1, le=LIMITS.matches, description="matches to return, best first")] = 10
     scenes: SceneNames = Field([], description="names of scenes to search; none for all")
     box: Annotated[list[Finite], Field(min_length=6, max_length=6)] | None = Field(
         None, description="lowest and highest corner of a box that centres lie in, in the world of each scene"
@@ -113,13 +113,8 @@ def _answered(catalogue: Catalogue, asked: AskCatalogue, limits: Limits) -> Cata
     answer = catalogue.answer(query, _where(asked), top=asked.top)
     return CatalogueAnswer(
         query=query.text or "",
-        num_matches=len(answer.entries),
         matches=[_match(entry) for entry in answer.entries],
-        measure=answer.measure,
-        threshold=significant(answer.threshold),
-        threshold_rule=answer.rule,
-        num_compared=answer.num_compared,
-        exact=answer.exact,
+        **answer.json() | {"threshold": significant(answer.threshold)},
         advice="" if answer.entries else "no match in any scene: try other words, or a lower threshold",
     )
 

@@ -82,29 +82,31 @@ def _tool(title: str, *places: Place) -> Callable[[M], M]:
     return add
 
 
-class Count(Body):
-    query: str
-    count: int
-    of: int = Field(description="how many there are in the whole scene")
-    centers: list[Vector] = Field(description="of the matches counted, best score first")
+class Measurement(Body):
+    """Lengths or positions in a scene, and what to do next."""
+
     units: str = UNITS
     field: Fingerprint = ""
     advice: str = ""
 
 
-class BestMatch(Body):
+class Count(Measurement):
+    query: str
+    count: int
+    of: int = Field(description="how many there are in the whole scene")
+    centers: list[Vector] = Field(description="of the matches counted, best score first")
+
+
+class BestMatch(Measurement):
     """Best match of a query."""
 
     query: str
     best: Match | None = Field(None, description="null where nothing matches")
     others: int = Field(0, description="further matches that fit less well")
     best_view: str | None = Field(None, description="the photo that shows most of it")
-    units: str = UNITS
-    field: Fingerprint = ""
-    advice: str = ""
 
 
-class Distance(Body):
+class Distance(Measurement):
     first: str
     second: str
     center_distance: float = Field(description="between the centres of the two")
@@ -112,19 +114,13 @@ class Distance(Body):
     offset: Vector = Field(description="from the centre of the first to that of the second")
     first_center: Vector
     second_center: Vector
-    units: str = UNITS
-    field: Fingerprint = ""
-    advice: str = ""
 
 
-class PointWords(Body):
+class PointWords(Measurement):
     """Words for what is at a point."""
 
     point: Vector = Field(description="centre of the Gaussian that is there")
     words: list[Word] = Field(description="best first")
-    units: str = UNITS
-    field: Fingerprint = ""
-    advice: str = ""
 
 
 class Part(Body):
@@ -134,16 +130,13 @@ class Part(Body):
     center: Vector
 
 
-class Region(Body):
+class Region(Measurement):
     center: Vector
     radius: float
     parts: list[Part]
-    units: str = UNITS
-    field: Fingerprint = ""
-    advice: str = ""
 
 
-class About(Body):
+class About(Measurement):
     """Frame of a scene: the meaning of its positions and lengths."""
 
     scene: str
@@ -153,9 +146,6 @@ class About(Body):
     times: Annotated[Span | None, Field(description="first and last time of a scene that moves, else null")] = None
     num_photos: int
     some_photos: list[str] = Field(description="names of a few, for show and what_is_at_pixel")
-    units: str = UNITS
-    field: Fingerprint = ""
-    advice: str = ""
 
 
 class Related(ObjectList):

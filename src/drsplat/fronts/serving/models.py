@@ -16,7 +16,7 @@ from ...scene.boxes import BoxKind
 from .scene_folder import Summary
 
 UNITS = "scene units"
-MOST_PHOTOS = 8  # listed of an object
+MAX_PHOTOS_OF_OBJECT = 8
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 Span = Annotated[list[float], Field(min_length=2, max_length=2)]
 
@@ -248,7 +248,7 @@ def object_list(scene: engine.Scene, shown: Sequence[engine.Match], advice: str 
     """Return some objects of a scene, and how many there are."""
     agreed = scene.agreed
     listed = [
-        SceneObject(**document | {"views": document["views"][:MOST_PHOTOS]})
+        SceneObject(**document | {"views": document["views"][:MAX_PHOTOS_OF_OBJECT]})
         for document in object_documents(scene, shown, decimals_of(scene))
     ]
     return ObjectList(

@@ -12,8 +12,8 @@ from ...query.schema import CUT, FIELDS, SUBJECTS, Kind, Place, QueryField, fiel
 from .limits import Limits
 from .pictures import from_base64
 
-MOST = Limits()
-Text = Annotated[str, StringConstraints(min_length=1, max_length=MOST.text)]
+LIMITS = Limits()
+Text = Annotated[str, StringConstraints(min_length=1, max_length=LIMITS.text)]
 Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e12, le=1e12)]
 Point = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 M = TypeVar("M", bound=BaseModel)
@@ -38,7 +38,7 @@ _TYPES: Mapping[Kind, Any] = {
     "texts": list[Text],
     "negatives": Annotated[list[Text], Field(min_length=1)],
     "vector": Annotated[list[Finite], Field(min_length=1, max_length=8192)],
-    "picture": Annotated[str, Field(max_length=MOST.body_bytes)],
+    "picture": Annotated[str, Field(max_length=LIMITS.body_bytes)],
     "point": Point,
     "pixel": Click,
     "threshold": Annotated[float, Field(allow_inf_nan=False, ge=-1, le=1)] | Literal["auto"],
@@ -85,7 +85,7 @@ def asking(*places: Place, of: Sequence[QueryField] = FIELDS) -> Callable[[type[
     return extended
 
 
-def values_of(given: Mapping[str, Any], limits: Limits = MOST, of: Sequence[QueryField] = FIELDS) -> dict[str, Any]:
+def values_of(given: Mapping[str, Any], limits: Limits = LIMITS, of: Sequence[QueryField] = FIELDS) -> dict[str, Any]:
     """Return what a request gives of some fields, as `Query` takes it. Raises: InputError: no picture, or too large."""
     values = {field: given.get(field.name) for field in of}
     return {
@@ -99,7 +99,7 @@ def asks_something(asked: BaseModel) -> bool:
     return any(getattr(asked, field.name, None) is not None for field in SUBJECTS)
 
 
-def query_of(asked: BaseModel, limits: Limits = MOST) -> engine.Query:
+def query_of(asked: BaseModel, limits: Limits = LIMITS) -> engine.Query:
     """Return the engine's query. Raises: InputError: not one of the five, or a picture that is damaged or too large."""
     return engine.Query(**values_of(vars(asked), limits))
 

@@ -9,7 +9,7 @@ from ...query.defaults import MIN_GAUSSIANS
 from ...query.relations import OfTwo
 from ...query.schema import CUT, Place
 from ...scene.boxes import BoxKind
-from .query_fields import MOST, Click, Finite, Point, Request, Text, asking, values_of
+from .query_fields import LIMITS, Click, Finite, Point, Request, Text, asking, values_of
 
 EXAMPLES = ConfigDict(json_schema_extra={"examples": [{"text": "red vase"}, {"point": [0.3, 0.14, 0.82]}]})
 
@@ -20,7 +20,7 @@ class Locate(Request):
 
     model_config = EXAMPLES
 
-    top: Annotated[int, Field(ge=1, le=MOST.matches, description="matches to return, best first")] = 10
+    top: Annotated[int, Field(ge=1, le=LIMITS.matches, description="matches to return, best first")] = 10
     min_gaussians: Annotated[int, Field(ge=2, le=1_000_000)] = MIN_GAUSSIANS
     box: BoxKind = Field(
         "upright",
@@ -92,7 +92,7 @@ class Select(Request):
 
 @asking(Place.HTTP, of=CUT)
 class Segment(Request):
-    classes: Annotated[list[Text], Field(min_length=1, max_length=MOST.classes)]
+    classes: Annotated[list[Text], Field(min_length=1, max_length=LIMITS.classes)]
     labels: bool = Field(False, description="whether to return the class of every Gaussian")
 
     model_config = ConfigDict(json_schema_extra={"examples": [{"classes": ["table", "red vase", "orange sofa"]}]})
@@ -106,7 +106,7 @@ class Picture(Request):
         None, description="a photo's name; left out: the one that shows most of the matches"
     )
     photo: bool = Field(False, description="the photo instead of a rendering")
-    max_side: Annotated[int, Field(ge=16, le=MOST.side)] = 800
+    max_side: Annotated[int, Field(ge=16, le=LIMITS.side)] = 800
 
     model_config = ConfigDict(json_schema_extra={"examples": [{"text": "red vase", "max_side": 320}]})
 
@@ -130,7 +130,7 @@ class WhatIs(Request):
 
     point: Point | None = None
     click: Click | None = None
-    names: Annotated[list[Text], Field(min_length=1, max_length=MOST.classes)] | None = None
+    names: Annotated[list[Text], Field(min_length=1, max_length=LIMITS.classes)] | None = None
 
     model_config = ConfigDict(json_schema_extra={"examples": [{"point": [0.3, 0.14, 0.82]}]})
 

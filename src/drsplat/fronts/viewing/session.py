@@ -33,7 +33,7 @@ from .picking import hit_by_ray
 from .results import Result
 from .shown import Shown, shown_of
 
-MOST_QUERIES = 8  # at once: as many as there are colours
+MAX_QUERIES = 8  # at once: as many as there are colours
 
 
 class Mode(StrEnum):
@@ -139,8 +139,8 @@ class Session:
         Raises: InputError: no words, too many queries, words that the encoder does not know.
         """
         texts = results.split_queries(text)
-        if not 1 <= len(texts) <= MOST_QUERIES:
-            raise InputError(f"expected one to {MOST_QUERIES} queries with ';' between them")
+        if not 1 <= len(texts) <= MAX_QUERIES:
+            raise InputError(f"expected one to {MAX_QUERIES} queries with ';' between them")
         queries = [Query(one, during=self.during, **cut) for one in texts]
         summary = self._answered(
             [results.result_of(self.scene, one.text or "", self.scene.ask(one)) for one in queries]

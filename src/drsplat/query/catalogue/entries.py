@@ -110,6 +110,17 @@ class CatalogueAnswer:
     num_compared: int
     exact: bool
 
+    def json(self) -> dict[str, Any]:
+        """Return the answer as a JSON object, but for its entries."""
+        return {
+            "measure": self.measure,
+            "threshold": self.threshold,
+            "threshold_rule": self.rule,
+            "num_compared": self.num_compared,
+            "exact": self.exact,
+            "num_matches": len(self.entries),
+        }
+
 
 @dataclass(frozen=True)
 class SceneEntry:

@@ -22,7 +22,7 @@ from .opening import open_batch, open_entry
 from .shared import Shared
 from .stage import Stage
 
-LASSO_SIDE = 640  # pixels of the picture in which an outline selects
+LASSO_SIDE_PIXELS = 640
 Corner = tuple[Finite, Finite]
 
 
@@ -207,7 +207,7 @@ class Lasso(Act):
     camera: Camera
 
     def do(self, shared: Shared) -> str | None:
-        view = view_of(shared.stage, self.camera, LASSO_SIDE)
+        view = view_of(shared.stage, self.camera, LASSO_SIDE_PIXELS)
         scale = np.array([view.width / self.camera.width, view.height / self.camera.height])
         return shared.session.lasso(view, np.array(self.polygon, np.float64) * scale)
 
