@@ -127,16 +127,7 @@ def _match(entry: Entry) -> CatalogueMatch:
 
 def _listed(catalogue: Catalogue) -> CatalogueScenes:
     listed = catalogue.scenes()
-    scenes = [
-        CatalogueScene(
-            name=one.scene,
-            num_objects=one.num_objects,
-            num_agreed=one.num_agreed,
-            added=one.added.isoformat(),
-            state=one.state,
-        )
-        for one in listed
-    ]
+    scenes = [CatalogueScene(**vars(one) | {"name": one.scene, "added": one.added.isoformat()}) for one in listed]
     return CatalogueScenes(scenes=scenes, num_objects=sum(one.num_objects for one in listed))
 
 

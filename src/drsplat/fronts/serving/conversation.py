@@ -331,12 +331,7 @@ class Conversation:
         parts = region(self.scene, (center[0], center[1], center[2]), radius, _names(names))
         digits = decimals_of(self.scene)
         listed = [
-            Part(
-                name=one.name,
-                share=round(one.share, 4),
-                num_gaussians=one.num_gaussians,
-                center=rounded(one.center, digits),
-            )
+            Part(**vars(one) | {"share": round(one.share, 4), "center": rounded(one.center, digits)})
             for one in parts[:MAX_MATCHES]
         ]
         advice = "" if listed else "none of these words fits what is there: give other names, or a larger radius"
@@ -359,15 +354,8 @@ class Conversation:
         chosen = self.scene.view(view) if view else self.scene.best_view(ids if count else None)
         pixels = self.scene.picture(chosen, ids, max_side=PICTURE_SIDE_PIXELS)
         height, width = pixels.shape[:2]
-        shown = RenderedView(
-            view=chosen.name,
-            query=text,
-            num_matches=count,
-            width=width,
-            height=height,
-            field=self._field,
-            advice=advice,
-        )
+        sizes = {"num_matches": count, "width": width, "height": height}
+        shown = RenderedView(view=chosen.name, query=text, **sizes, field=self._field, advice=advice)
         return RenderedPicture(view=shown, png=base64.b64encode(png(pixels)).decode())
 
     @property

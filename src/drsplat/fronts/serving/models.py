@@ -13,7 +13,6 @@ from pydantic import BaseModel, ConfigDict, Field
 from ... import query as engine
 from ...query.documents import answer_document, match_document, object_documents, track_document
 from ...scene.boxes import BoxKind
-from .scene_folder import Summary
 
 UNITS = "scene units"
 MAX_PHOTOS_OF_OBJECT = 8
@@ -192,10 +191,6 @@ class When(Body):
     times: Span = Field(description="first and last time of the scene")
     field: Fingerprint = ""
     advice: str = ""
-
-
-def summarized(summary: Summary) -> SceneSummary:
-    return SceneSummary(**vars(summary))
 
 
 def measured(answer: engine.Answer) -> Measured:
