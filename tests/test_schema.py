@@ -95,7 +95,7 @@ def test_a_field_of_one_front_alone_is_noticed() -> None:
     from drsplat.fronts.serving import requests
 
     class Select(requests.Select):
-        colour: str = ""
+        taste: str = ""
 
     with pytest.raises(AssertionError):
         assert_offers(Select, named(Place.HTTP), {"ids"})

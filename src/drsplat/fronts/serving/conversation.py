@@ -331,7 +331,7 @@ class Conversation:
         parts = region(self.scene, (center[0], center[1], center[2]), radius, _names(names))
         digits = decimals_of(self.scene)
         listed = [
-            Part(**vars(one) | {"share": round(one.share, 4), "center": rounded(one.center, digits)})
+            Part(**one._asdict() | {"share": round(one.share, 4), "center": rounded(one.center, digits)})
             for one in parts[:MAX_MATCHES]
         ]
         advice = "" if listed else "none of these words fits what is there: give other names, or a larger radius"
