@@ -233,7 +233,7 @@ def test_language_models_without_objects(room: Scene) -> None:
     told = talk.locate("toys", top=20, objects="never").model_dump()
     same_numbers(told["measured"], room.ask(query), 1e-5)
     same_matches(told["matches"], expected[:20], exactly=False)
-    assert talk.count("toys", objects="never").count == talk.show("toys", objects="never").shown.num_matches
+    assert talk.count("toys", objects="never").count == talk.show("toys", objects="never").view.num_matches
     assert talk.count("toys", objects="never").count == len(expected)
     place = talk.where_is("toys", objects="never").best
     assert place is not None

@@ -66,7 +66,7 @@ def remove(room: Path, field: Path, *views: object) -> tuple[object, ...]:
 def test_the_files_are_those_of_one_registration(more: tuple[str, ...], room: Path, capsys: Capture) -> None:
     field = register(room, capsys, "a.field", *PHOTOS[:2], more=more)
     told = answer_of(capsys, *add(room, field, room / "capture/language_features"))
-    assert (told["added"], told["num_views_known"]) == (["photo_2.png", "photo_3.png"], 2)
+    assert (told["added"], told["num_views_unchanged"]) == (["photo_2.png", "photo_3.png"], 2)
     assert (told["num_views"], told["num_masks"]) == (4, 8)
     assert told["stage_seconds"].keys() == {"load", "read", "register", "weights", "code", "save"}
     assert 0 < told["num_touched"] <= told["num_gaussians"] == 300
@@ -135,7 +135,7 @@ def test_features_that_have_become_others_are_taken_over_when_told_to(room: Path
     assert answer_of(capsys, *add(room, field, features))["replaced"] == []
     assert files_of(field) == before
     told = answer_of(capsys, *add(room, field, features, "--replace"))
-    assert (told["added"], told["replaced"], told["num_views_known"]) == ([], ["photo_1.png"], 3)
+    assert (told["added"], told["replaced"], told["num_views_unchanged"]) == ([], ["photo_1.png"], 3)
     assert files_of(field) == files_of(register(room, capsys, "b.field", *PHOTOS))
     assert answer_of(capsys, *add(room, field, features, "--replace"))["replaced"] == []
 

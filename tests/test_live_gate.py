@@ -602,7 +602,7 @@ def test_errors_tell_no_paths(viewer: Viewer, tmp_path: Path) -> None:
 
 
 def test_a_fault_of_the_system_is_said_without_a_path(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: Any) -> None:
+    def full(*_: Any, **__: Any) -> None:
         raise OSError(28, "No space left on device", "/home/somebody/secret.ply")
 
     monkeypatch.setattr(Session, "ask", full)

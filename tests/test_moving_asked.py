@@ -300,7 +300,8 @@ def test_services_ask_of_a_span() -> None:
 
     from drsplat.fronts.serving.conversation import Conversation
     from drsplat.fronts.serving.limits import Limits
-    from drsplat.fronts.serving.requests import Locate, Segment, cut_of, query_of
+    from drsplat.fronts.serving.query_fields import cut_of, query_of
+    from drsplat.fronts.serving.requests import Locate, Segment
 
     assert query_of(Locate(text="red car", during=[0.0, 0.4]), Limits()).during == (0.0, 0.4)
     assert cut_of(Segment(classes=["red car"], during=[0.0, 0.4])).during == (0.0, 0.4)

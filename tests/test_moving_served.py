@@ -66,7 +66,7 @@ def test_tracks_are_those_of_the_library(folder: Path) -> None:
 
 
 def test_a_model_reads_a_few_times_of_many(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drsplat.fronts.serving.conversation.MOST_TIMES", 3)
+    monkeypatch.setattr("drsplat.fronts.serving.conversation.MAX_TRACK_TIMES", 3)
     (listed,) = tool(folder, "locate", text="red car", tracks=True)["matches"]
     assert listed["track"]["times"] == [0, 2, 5]
     assert len(listed["track"]["centers"]) == len(listed["track"]["views"]) == 3

@@ -21,7 +21,6 @@ from scenes import look_at_view
 
 pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
 
-from drsplat.fronts.commands.object_outputs import listing
 from drsplat.fronts.serving.conversation import Conversation
 from drsplat.fronts.serving.files import exported
 from drsplat.fronts.serving.limits import Limits
@@ -29,6 +28,7 @@ from drsplat.fronts.serving.replies import Reply
 from drsplat.fronts.serving.requests import Export
 from drsplat.fronts.serving.scene_folder import SceneFolder
 from drsplat.fronts.serving.worker import Workplace, reply_to
+from drsplat.query.documents import object_documents
 
 EYES = ((0.5, -4.0, 1.5), (1.5, -4.5, 2.0), (2.5, -4.0, 1.0))
 
@@ -68,7 +68,8 @@ def test_the_same_list_everywhere(folder: Path) -> None:
     of_models = talk_of(folder).list_objects(20).model_dump()
     assert told == of_models
     assert told["num_objects"] == 3
-    for one, expected in zip(told["objects"], listing(open_scene(folder)), strict=True):
+    room = open_scene(folder)
+    for one, expected in zip(told["objects"], object_documents(room, room.objects), strict=True):
         for key in ("id", "label", "name", "num_gaussians", "num_views", "views"):
             assert one[key] == expected[key]
         for key in ("center", "extent", "axes", "sure"):

@@ -21,7 +21,7 @@ from drsplat.cli import main
 from drsplat.errors import FormatError, InputError
 from drsplat.field.codes import Smaller
 from drsplat.field.tiles.cutting import cut
-from drsplat.field.tiles.launching import Here, Processes
+from drsplat.field.tiles.launching import OneProcess, Processes
 from drsplat.field.tiles.registering import Work, register_tiles
 from drsplat.field.tiles.seeing import Gallery, seen_tiles
 from drsplat.field.tiles.store import Remote
@@ -302,7 +302,7 @@ def test_masks_of_photos_leave_out_of_tiles_what_they_leave_out_of_the_whole(toy
     assert made.weights.nnz < ds.register(tiles.gaussians(), [views[0], *views[2:]], features).weights.nnz
 
 
-@pytest.mark.parametrize("launcher", [Here(), Processes(2)], ids=["here", "processes"])
+@pytest.mark.parametrize("launcher", [OneProcess(), Processes(2)], ids=["here", "processes"])
 @pytest.mark.parametrize("code", [ds.PQ(), ds.Mixture()], ids=["pq", "mixture"])
 def test_a_field_of_tiles_is_that_of_the_whole(toy, tmp_path, launcher, code, monkeypatch):
     monkeypatch.setattr("drsplat.field.tiles.transposing.RUN_BYTES", 20_000)  # several runs
@@ -393,7 +393,7 @@ def test_a_damaged_part_is_made_again(toy, tmp_path):
     assert_array_equal(made.weights.toarray(), expected)
 
 
-@pytest.mark.parametrize("launcher", [Here(), Processes(2)], ids=["here", "processes"])
+@pytest.mark.parametrize("launcher", [OneProcess(), Processes(2)], ids=["here", "processes"])
 def test_an_object_store_holds_the_work(toy, tmp_path, launcher, monkeypatch):
     """Of workers that see neither the tiles' folder nor that of the features."""
     pytest.importorskip("fsspec", reason="needs fsspec")

@@ -17,7 +17,7 @@ from drsplat.errors import InputError
 from drsplat.fronts.viewing import painting, picking, results, saving, shown, texts
 from drsplat.fronts.viewing.bare import is_bare, open_bare
 from drsplat.fronts.viewing.naming import photo_of
-from drsplat.fronts.viewing.session import MOST_QUERIES, Mode, Session
+from drsplat.fronts.viewing.session import MAX_QUERIES, Mode, Session
 from drsplat.fronts.viewing.suggestions import suggestions
 from drsplat.query import Scene
 from scenes import look_at_view, random_gaussians
@@ -299,7 +299,7 @@ def test_the_threshold_moves_the_selection_and_its_own_stays_marked(session: Ses
 @pytest.mark.parametrize("text", ["", " ; ", ";".join(f"mug {i}" for i in range(9))])
 def test_no_words_and_too_many_queries_are_refused(session: Session, text: str) -> None:
     session.ask("tall lamp")
-    with pytest.raises(InputError, match=str(MOST_QUERIES)):
+    with pytest.raises(InputError, match=str(MAX_QUERIES)):
         session.ask(text)
     assert session.results[0].label == "tall lamp"  # what was there stays
 

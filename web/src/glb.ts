@@ -62,7 +62,7 @@ function table(file: Parts, objects: SceneObject[], frame: { center: Vec; scale:
       name: "objects", class: "object", count: objects.length, properties: {
         name: { values: file.view(bytes), stringOffsets: file.view(Uint32Array.from(ends)) },
         center: floats((thing) => thing.center.map(own)), extent: floats((thing) => thing.extent.map((x) => x / frame.scale)), axes: floats((thing) => thing.axes.flat()),
-        number: { values: file.view(Int32Array.from(objects, (thing) => thing.number)) }, num_gaussians: { values: file.view(Uint32Array.from(objects, (thing) => thing.gaussians)) },
+        number: { values: file.view(Int32Array.from(objects, (thing) => thing.number)) }, num_gaussians: { values: file.view(Uint32Array.from(objects, (thing) => thing.num_gaussians)) },
       },
     }],
   };

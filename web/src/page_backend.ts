@@ -107,9 +107,9 @@ export class PageBackend implements Backend {
     this.object = index;
     const match = { ...object, score: 1, place: "" };
     const result: Result = {
-      text: object.name, summary: "", doubt: "", accent: [255, 170, 30], matches: [match], num_matches: 1, threshold: 0, automatic: 0, limits: [0, 1], measure: "", rule: "", exact: true,
+      text: object.name, summary: "", doubt: "", accent: [255, 170, 30], matches: [match], num_matches: 1, threshold: 0, automatic: 0, limits: [0, 1], measure: "", threshold_rule: "", exact: true,
     };
-    const chosen = { name: object.name, number: object.number, smaller: false, larger: false, gaussians: object.gaussians, photos: 0, label: false };
+    const chosen = { name: object.name, number: object.number, smaller: false, larger: false, num_gaussians: object.num_gaussians, photos: 0, label: false };
     return { results: [result], mode: "answer", chosen, message: object.name };
   }
 
@@ -117,7 +117,7 @@ export class PageBackend implements Backend {
     const row = pick(await this.scene, eye, direction), words = this.arrays.words, objects = this.arrays.objects;
     if (row < 0) return { clicked: null };
     const word = words && words[row] ? this.file.vocabulary[words[row] - 1] : "", object = objects ? objects[row] - 1 : -1;
-    const clicked = { name: word, words: word ? [{ text: word, score: 0 }] : [], place: "", evidence: [], photo: false };
+    const clicked = { name: word, words: word ? [{ text: word, score: 0 }] : [], place: "", support: [], photo: false };
     const of = this.results.filter((_, k) => (this.arrays[`owner${k}`] as Uint8Array)[row]).map((result) => result.text);
     return { ...(object >= 0 ? this.choose(object) : {}), clicked: { ...clicked, place: of.length ? `match of: ${of.join(", ")}` : "" } };
   }

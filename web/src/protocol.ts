@@ -10,14 +10,14 @@ export interface Box { center: Vec; axes: [Vec, Vec, Vec]; extent: Vec }
 /** A place that can be flown to. `boxes`: where it is at each time of a page's scene that moves, null where it is gone. */
 export interface Place extends Box { eye: Vec; boxes?: (number[] | null)[]; gone?: boolean }
 
-export interface Match extends Place { score: number; size: string; place: string; gaussians: number; name: string }
+export interface Match extends Place { score: number; size: string; place: string; num_gaussians: number; name: string }
 
 export interface Result {
   text: string; summary: string; doubt: string; accent: Color; matches: Match[]; num_matches: number;
-  threshold: number; automatic: number; limits: [number, number]; measure: string; rule: string; exact: boolean;
+  threshold: number; automatic: number; limits: [number, number]; measure: string; threshold_rule: string; exact: boolean;
 }
 
-export interface SceneObject extends Place { number: number; name: string; unsure: boolean; size: string; gaussians: number; picture?: string }
+export interface SceneObject extends Place { number: number; name: string; unsure: boolean; size: string; num_gaussians: number; picture?: string }
 
 export interface Annotation { text: string; center: Vec; eye: Vec; axes?: [Vec, Vec, Vec]; extent?: Vec }
 
@@ -46,11 +46,11 @@ export type Mode = "answer" | "heat map" | "as it is" | "features" | "classes" |
 
 export interface Clicked {
   name: string; words: { text: string; score: number }[]; place: string;
-  evidence: { photo: string; mask: number; share: number }[]; photo: boolean;
+  support: { view: string; mask: number; share: number }[]; photo: boolean;
 }
 
 export interface Chosen {
-  name: string; number: number | null; smaller: boolean; larger: boolean; gaussians: number; photos: number; label: boolean;
+  name: string; number: number | null; smaller: boolean; larger: boolean; num_gaussians: number; photos: number; label: boolean;
 }
 
 export interface State {

@@ -36,6 +36,9 @@ class CompactFile:
     levels: tuple[int, ...]
     maps: tuple[np.ndarray, ...]
 
+    def count_levels(self) -> int:
+        return len(self.levels)
+
     def ids(self, level: int) -> Int64[np.ndarray, "h w"]:
         """Return the row of `embeddings` by pixel, -1: none. Raises: FormatError: damaged, or an id without a row."""
         height, width = self.size

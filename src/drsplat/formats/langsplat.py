@@ -4,10 +4,10 @@ LangSplat's are `<photo>_s.npy`, mask maps, and `<photo>_f.npy`, embeddings; our
 `<photo>.features.safetensors`, which holds the same.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from ..errors import DrSplatError, FormatError, InputError, MismatchError
 from ..scene.encoders import EncoderIdentity
 from ..scene.masks.features import ViewFeatures
 from ..scene.masks.masks import LEVELS
-from .compact_features import CompactFile, read_compact, write_compact
+from .compact_features import read_compact, write_compact
 from .embedding_record import check_finished, embedded_by, finished_photos
 from .feature_files import COMPACT, EMBEDDINGS, MAPS, Form, stems
 from .npy import map_npy, write_npy
@@ -25,8 +25,23 @@ from .photo_files import listed, safe_name
 from .recognising import Kind, mistaken
 
 
+@runtime_checkable
+class FeatureFile(Protocol):
+    """Features of a photo: embeddings (N, D), and at each level the row of each pixel, -1 for none.
+
+    path: the file that errors name.
+    """
+
+    @property
+    def path(self) -> Path: ...
+    @property
+    def embeddings(self) -> np.ndarray: ...
+    def count_levels(self) -> int: ...
+    def ids(self, level: int) -> Int64[np.ndarray, "h w"]: ...
+
+
 class _Pair(NamedTuple):
-    """LangSplat's two files of a photo; `CompactFile` is the other form."""
+    """LangSplat's two files of a photo."""
 
     path: Path
     maps: Path
@@ -35,9 +50,8 @@ class _Pair(NamedTuple):
     def ids(self, level: int) -> Int64[np.ndarray, "h w"]:
         return _level_ids(self.maps, level, len(self.embeddings))
 
-    @property
-    def levels(self) -> tuple[int, ...]:
-        return tuple(range(len(LEVELS))) if map_npy(self.maps).ndim == 3 else (0,)
+    def count_levels(self) -> int:
+        return len(LEVELS) if map_npy(self.maps).ndim == 3 else 1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -107,8 +121,7 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
     def files(self, name: str) -> list[Path]:
         """Return the files that hold the features of a photo. Raises: KeyError: no such photo."""
         key = self._known(name)
-        endings = (COMPACT,) if self._keys[key] == "compact" else (EMBEDDINGS, MAPS)
-        return [self.directory / f"{key}{ending}" for ending in endings]
+        return [self.directory / f"{key}{ending}" for ending in FORMS[self._keys[key]][0]]
 
     def can_read(self, name: str) -> bool:
         """Return True if the features of a photo are there and whole; while they are written they are not."""
@@ -133,8 +146,8 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
             raise KeyError(f"{self.directory} has no features of '{name}'")
         return key
 
-    def _files(self, key: str) -> _Pair | CompactFile:
-        files = _opened(self.directory, key, self._keys[key])
+    def _files(self, key: str) -> FeatureFile:
+        files = FORMS[self._keys[key]][1](self.directory, key)
         if key in self._finished:
             check_finished(self._finished[key], self.directory, key)
         return files
@@ -216,46 +229,53 @@ def write_features(
 
 def has_features(directory: Path) -> bool:
     """Return True if a folder holds features of any form, it or its subfolders."""
-    return any(next(directory.rglob(f"*{ending}"), None) for ending in (MAPS, COMPACT))
+    return any(next(directory.rglob(f"*{ending}"), None) for (ending, *_), _ in FORMS.values())
 
 
-def _listed_keys(directory: Path) -> dict[str, Form]:
-    pairs, compact = stems(directory, MAPS), stems(directory, COMPACT)
-    if not pairs and not compact:
+def _listed_keys(directory: Path) -> dict[str, str]:
+    """Return the form of each photo's features. Raises: FormatError: a file is missing, or there are two forms."""
+    forms: dict[str, str] = {}
+    for name, ((first, *others), _) in FORMS.items():
+        keys = stems(directory, first)
+        for ending in others:
+            if bare := [key for key in keys if not (directory / f"{key}{ending}").is_file()]:
+                raise FormatError(
+                    f"{directory}: {len(bare)} of {len(keys)} photos have {first} but no {ending}: {listed(bare)}"
+                )
+        if twice := [key for key in keys if key in forms]:
+            two = f"{first} and {FORMS[forms[twice[0]]][0][0]}"
+            raise FormatError(
+                f"{directory}: {len(twice)} photos have features in two forms, {two}: remove one: {listed(twice)}"
+            )
+        forms |= dict.fromkeys(keys, name)
+    if not forms:
         raise mistaken(directory, Kind.FEATURES)
-    bare = [key for key in pairs if not (directory / f"{key}{EMBEDDINGS}").is_file()]
-    if bare:
-        raise FormatError(
-            f"{directory}: {len(bare)} of {len(pairs)} photos have {MAPS} but no {EMBEDDINGS}: {listed(bare)}"
-        )
-    twice = sorted(set(pairs) & set(compact))
-    if twice:
-        raise FormatError(
-            f"{directory}: {len(twice)} photos have features in two forms, {COMPACT} and {MAPS}: remove one: "
-            f"{listed(twice)}"
-        )
-    forms: dict[str, Form] = {**dict.fromkeys(pairs, "langsplat"), **dict.fromkeys(compact, "compact")}
     return dict(sorted(forms.items()))
 
 
 def stored_features(
-    directory: Path, stem: str, form: Form
+    directory: Path, stem: str, form: str
 ) -> tuple[Int32[np.ndarray, "*levels h w"], Float32[np.ndarray, "n d"]]:
     """See `FeatureFolder.stored`."""
-    files = _opened(directory, stem, form)
-    maps = np.stack([files.ids(level).astype(np.int32) for level in range(len(files.levels))])
+    files = FORMS[form][1](directory, stem)
+    maps = np.stack([files.ids(level).astype(np.int32) for level in range(files.count_levels())])
     with np.errstate(over="ignore", under="ignore"):
         return maps if len(maps) > 1 else maps[0], np.array(files.embeddings, np.float32)
 
 
-def _opened(directory: Path, stem: str, form: Form) -> _Pair | CompactFile:
-    if form == "compact":
-        return read_compact(directory / f"{stem}{COMPACT}")
+def _open_pair(directory: Path, stem: str) -> _Pair:
     maps, embeddings = (directory / f"{stem}{ending}" for ending in (MAPS, EMBEDDINGS))
     return _Pair(embeddings, maps, _map_embeddings(embeddings))
 
 
-def _one_level(files: _Pair | CompactFile, level: int) -> LevelFeatures:
+FORMS: Mapping[str, tuple[tuple[str, ...], Callable[[Path, str], FeatureFile]]] = {
+    "langsplat": ((MAPS, EMBEDDINGS), _open_pair),
+    "compact": ((COMPACT,), lambda directory, stem: read_compact(directory / f"{stem}{COMPACT}")),
+}
+"""Endings of a photo's files, the first of which says that it has features, and how they are opened."""
+
+
+def _one_level(files: FeatureFile, level: int) -> LevelFeatures:
     rows, ids = files.embeddings, files.ids(level)
     used = np.zeros(len(rows) + 1, bool)  # the last is that of -1
     used[ids] = True

@@ -7,6 +7,7 @@ import numpy as np
 from ..base.arrays import Float32, UInt8
 from ..errors import InputError
 from .defaults import AUTO, NEVER
+from .schema import SUBJECTS
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -80,16 +81,11 @@ class Query(Cut):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = [spelled for name, spelled in KINDS.items() if getattr(self, name) is not None]
+        spelled = {field.name: f"{field.name}={field.value}" for field in SUBJECTS}
+        given = [spelled[name] for name in spelled if getattr(self, name) is not None]
         if len(given) != 1:
             raise InputError(
-                f"expected exactly one of {', '.join(KINDS.values())}; got {' and '.join(given) or 'none'}"
+                f"expected exactly one of {', '.join(spelled.values())}; got {' and '.join(given) or 'none'}"
             )
         if self.exclude and self.text is None:
             raise InputError("exclude=WORDS goes with a query in words")
-
-
-KINDS = {
-    "text": "text=WORDS", "vector": "vector=VECTOR", "image": "image=PICTURE", "point": "point=X,Y,Z",
-    "click": "click=VIEW:X,Y",
-}  # fmt: skip

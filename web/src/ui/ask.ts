@@ -46,7 +46,7 @@ export class AskTab implements Tab {
   }
 
   private match(match: Match, k: number, of: number): Node {
-    const words = [match.size, match.gaussians ? counted(match.gaussians, "Gaussian") : ""].filter(Boolean).join(" · ");
+    const words = [match.size, match.num_gaussians ? counted(match.num_gaussians, "Gaussian") : ""].filter(Boolean).join(" · ");
     const score = this.app.state.chosen ? null : h("span", { class: "score" }, match.score.toFixed(2));
     return h("button", { type: "button", class: "match", onclick: () => this.app.flyTo(match), title: match.place ? `at ${match.place}` : "" },
       h("b", {}, of > 1 ? `${k + 1}` : "Go there"), h("span", { class: "faint" }, words), score);
@@ -64,7 +64,7 @@ export class AskTab implements Tab {
     input.addEventListener("change", cut);
     const own = button("as chosen", () => void this.app.act({ act: "threshold", query: number, value: result.automatic }), { class: "quiet" });
     return drawer(`Threshold of ${result.text}`, h("div", { class: "slider" }, input, h("output", {}, result.threshold.toFixed(3))),
-      h("p", { class: "faint" }, `${result.measure} above which a Gaussian is selected; ${result.rule} chose ${result.automatic.toFixed(3)}.`), own);
+      h("p", { class: "faint" }, `${result.measure} above which a Gaussian is selected; ${result.threshold_rule} chose ${result.automatic.toFixed(3)}.`), own);
   }
 
   private thing(): Node {
@@ -74,7 +74,7 @@ export class AskTab implements Tab {
     return h("section", { class: "result", id: "what" }, h("h2", {}, "What is this?"),
       h("p", {}, h("b", {}, clicked.name || "No word here fits it.")), others ? h("p", { class: "faint" }, `or ${others}`) : null, clicked.place ? h("p", { class: "faint" }, clicked.place) : null,
       clicked.photo && live ? h("img", { class: "photo", src: live.clickedPhoto(), alt: "The photo that shows it best" }) : null,
-      clicked.evidence.length ? drawer("Where it is known from", ...clicked.evidence.map((one) => h("p", { class: "faint" }, `${one.photo}, mask ${one.mask} (${Math.round(100 * one.share)} %)`))) : null,
+      clicked.support.length ? drawer("Where it is known from", ...clicked.support.map((one) => h("p", { class: "faint" }, `${one.view}, mask ${one.mask} (${Math.round(100 * one.share)} %)`))) : null,
       live ? button("More like this", () => void this.app.act({ act: "more_like_this" })) : null);
   }
 

@@ -6,7 +6,7 @@ import { button, counted, h } from "./dom";
 export function about(app: App): Node {
   const { chosen } = app.state, { can } = app.header;
   if (!chosen) return h("p");
-  const facts = [chosen.gaussians ? counted(chosen.gaussians, "Gaussian") : "", chosen.photos ? `seen in ${counted(chosen.photos, "photo")}` : ""].filter(Boolean).join(", ");
+  const facts = [chosen.num_gaussians ? counted(chosen.num_gaussians, "Gaussian") : "", chosen.photos ? `seen in ${counted(chosen.photos, "photo")}` : ""].filter(Boolean).join(", ");
   const act = (what: string) => () => void app.act({ act: what });
   const input = h("input", { type: "text", placeholder: "Name it", "aria-label": "Name of this object", maxlength: 60 });
   const keep = (event: Event) => { event.preventDefault(); if (input.value.trim()) void app.act({ act: "name", text: input.value.trim() }); };

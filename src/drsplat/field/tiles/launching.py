@@ -32,14 +32,14 @@ class Launcher(Protocol):
         """
 
 
-class Here:
-    """In this process, one after another."""
+class OneProcess:
+    """One process, this one, which does a task after another."""
 
     def results(self, work: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
         return map(work, items)
 
 
-HERE = Here()
+ONE_PROCESS = OneProcess()
 
 
 @dataclass(frozen=True)

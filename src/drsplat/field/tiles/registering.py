@@ -37,7 +37,7 @@ from ..registration import (
     with_features,
 )
 from .coding import EMBEDDINGS, TileCoder
-from .launching import HERE, Launcher, followed
+from .launching import ONE_PROCESS, Launcher, followed
 from .seeing import Gallery, with_tiles
 from .store import Shared, Store, store_of
 from .transposing import RowMaker, filed, joined_rows, runs_of
@@ -121,7 +121,7 @@ def register_tiles(
     sampling: Sampling = Sampling(),
     *,
     parts: str | os.PathLike[str],
-    launcher: Launcher = HERE,
+    launcher: Launcher = ONE_PROCESS,
     threads: int = 0,
     track: Track = untracked,
     tell: Callable[[Work], None] = lambda _: None,

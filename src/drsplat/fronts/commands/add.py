@@ -76,7 +76,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
 def show(answer: dict[str, Any]) -> None:
     changed = answer["added"] or answer["replaced"]
     show_change(answer, f"{'added to' if changed else 'nothing to add to'} {answer['field']}")
-    if not changed and answer["num_views_known"]:
+    if not changed and answer["num_views_unchanged"]:
         others = "other " if answer["left_out"] else ""
         print(f"All {others}views with features are in it already; --replace takes over those that have become others.")
     if answer["left_out"]:

@@ -7,11 +7,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ...query.schema import Place, fields
 from .catalogue_inputs import area, box, moment
 from .edit_options import note_own_scenes
 from .options import add_overwrite, add_query_encoders, new_output, tracker, up_to, words
-from .query_inputs import read_picture, read_vector
-from .query_options import threshold
+from .query_options import add_fields, values_of
 
 if TYPE_CHECKING:
     from ...query import Query
@@ -29,8 +29,9 @@ A scene is a folder as `drsplat serve` takes it, with objects (`drsplat objects`
 again, it takes its own place. Needs LanceDB: pip install "drsplat[catalogue]". `index` makes answers about more than
 100,000 objects quick."""
 DAILY = ("name", "top", "exclude", "scene", "picture", "encoder")
+ASKED = fields(Place.COMMAND_LINE, Place.CATALOGUE)
 ACTIONS = ("add", "remove", "list", "ask", "index")
-MOST_TOP = 1000
+MAX_MATCHES = 1000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -45,14 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     adding.add_argument("--views", metavar="CAPTURE", help="posed photos for the thumbnails, if they lie elsewhere")
     asking = parser.add_argument_group("ask")
     asking.add_argument(
-        "--top", type=up_to(MOST_TOP), default=10, metavar="N", help="objects to list, best first (default: 10)"
+        "--top", type=up_to(MAX_MATCHES), default=10, metavar="N", help="objects to list, best first (default: 10)"
     )
-    asking.add_argument("--exclude", type=words, action="append", default=[], metavar="WORDS", help="words to exclude")
-    asking.add_argument("--vector", metavar="FILE.npy", help="embedding to search for instead of words: (D,) floats")
-    asking.add_argument("--image", metavar="PICTURE", help="picture to search for instead of words")
-    asking.add_argument(
-        "--threshold", type=threshold, metavar="T|auto", help="list objects that score above this (default: auto)"
-    )
+    add_fields(asking, ASKED[1:])
     asking.add_argument(
         "--scene", type=words, action="append", default=[], metavar="NAME", help="scene to search; may be repeated"
     )
@@ -149,29 +145,13 @@ def _ask(arguments: argparse.Namespace, catalogue: Catalogue) -> dict[str, Any]:
     if drawn:
         heading = f"{counted(len(answer.entries), 'match', 'matches')} for “{asked}”"
         write_picture(drawn, entry_sheet(answer.entries, heading), arguments.overwrite)
-    return {
-        "query": asked,
-        "measure": answer.measure,
-        "threshold": answer.threshold,
-        "threshold_rule": answer.rule,
-        "num_compared": answer.num_compared,
-        "exact": answer.exact,
-        "num_matches": len(answer.entries),
-        "matches": [entry.json() for entry in answer.entries],
-        "picture": drawn,
-    }
+    return {"query": asked, **answer.json(), "matches": [entry.json() for entry in answer.entries], "picture": drawn}
 
 
 def _query(arguments: argparse.Namespace) -> Query:
     from ...query import Query
 
-    return Query(
-        " ".join(arguments.given) or None,
-        vector=arguments.vector and read_vector(arguments.vector),
-        image=arguments.image and read_picture(arguments.image),
-        exclude=tuple(arguments.exclude),
-        threshold=arguments.threshold,
-    )
+    return Query(" ".join(arguments.given) or None, **values_of(arguments, ASKED))
 
 
 def _scene_json(one: Any) -> dict[str, Any]:

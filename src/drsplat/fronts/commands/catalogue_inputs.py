@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from .query_inputs import numbers
+
 if TYPE_CHECKING:
     from datetime import datetime
 
@@ -14,7 +16,7 @@ def box(text: str | None) -> Corners | None:
     """Return the corners of a box such as "-1,0,0,2,3,1.5". Raises: InputError: not six finite numbers."""
     if text is None:
         return None
-    a, b, c, d, e, f = _numbers("--box", text, 6)
+    a, b, c, d, e, f = numbers("--box", text, 6)
     return a, b, c, d, e, f
 
 
@@ -22,7 +24,7 @@ def area(text: str | None) -> Degrees | None:
     """Return the degrees of an area such as "13.3,52.4,13.5,52.6". Raises: InputError: not four finite numbers."""
     if text is None:
         return None
-    west, south, east, north = _numbers("--area", text, 4)
+    west, south, east, north = numbers("--area", text, 4)
     return west, south, east, north
 
 
@@ -41,17 +43,3 @@ def moment(text: str | None) -> datetime | None:
         return datetime.fromisoformat(text).astimezone()
     except (ValueError, OverflowError, OSError):
         raise InputError(f"--since {text}: expected a time, e.g. 2026-11-22 or 2026-11-22T14:00") from None
-
-
-def _numbers(option: str, text: str, count: int) -> list[float]:
-    import math
-
-    from ...errors import InputError
-
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) != count or not all(math.isfinite(number) for number in numbers):
-        raise InputError(f"{option} {text}: expected {count} finite numbers with commas between them")
-    return numbers

@@ -51,7 +51,7 @@ def answer_of(change: Change, path: Path) -> dict[str, Any]:
         "replaced": list(change.replaced),
         "removed": list(change.removed),
         "left_out": list(change.left_out),
-        "num_views_known": len(change.unchanged),
+        "num_views_unchanged": len(change.unchanged),
         "num_views": len(evidence.masks.view_names),
         "num_masks": len(evidence.masks),
         "num_weights": int(evidence.weights.nnz),

@@ -7,8 +7,9 @@ import shlex
 from contextlib import contextmanager, nullcontext
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+from ...query.schema import CUT, EXCLUDE, SUBJECTS
 from .edit_options import (
     add_change_options,
     add_kept_edits,
@@ -19,7 +20,7 @@ from .edit_options import (
     only_one,
 )
 from .options import add_capture_options, add_overwrite, add_query_encoders, words
-from .query_options import add_measure_options, add_query_kinds, check_outputs, open_scene, query_of, query_text
+from .query_options import add_fields, check_outputs, open_scene, query_of, query_text
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -65,8 +66,8 @@ DAILY = (
     "picture",
     "overwrite",
 )
-TARGETS = ("text", "vector", "image", "click", "point", "object", "label", "box", "rows", "copies", "everything")
-QUERIES = ("text", "vector", "image", "click", "point")
+QUERIES = tuple(field.name for field in SUBJECTS)
+TARGETS = (*QUERIES, "object", "label", "box", "rows", "copies", "everything")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -74,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", help="scene to edit, or a folder with a field, its scene and photos")
     parser.add_argument("--field", help="field of the scene, for queries, objects and labels")
     add_target_options(parser)
-    add_query_kinds(parser.add_argument_group("other queries"))
+    add_fields(parser.add_argument_group("other queries"), (*SUBJECTS[1:], EXCLUDE))
     add_change_options(parser)
     add_list_options(parser)
     output = parser.add_argument_group("output")
@@ -90,12 +91,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_overwrite(output)
     add_query_encoders(parser)
-    add_measure_options(parser)
+    add_fields(parser, CUT)
     add_capture_options(parser)
 
 
+class _Outcome(NamedTuple):
+    """Outcome of a call. num_kept: edits that were kept before. after: the scene, None if nobody needs it."""
+
+    num_kept: int
+    edits: EditList
+    annotations: tuple[Annotation, ...]
+    after: Gaussians | None
+    view: View | None
+
+
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from ...authoring.editing import EditFile, EditList
+    from ...authoring.editing import EditFile
     from ...authoring.editing.kept import without_kept
     from ...formats.annotations import AnnotationFile
     from ...formats.replacing import together
@@ -103,41 +114,49 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     check_outputs(arguments)
     work = _Work(arguments)
     edits, notes = EditFile.beside(work.path), AnnotationFile.beside(work.path)
-    view, after, is_written = None, None, bool(arguments.save or arguments.picture)
     alone = without_kept(arguments.edits, changes=bool(arguments.changes), saves=bool(arguments.save))
     with _held(edits, notes) if work.writes(alone) else nullcontext(), together():
-        known, noted = edits.read(work.gaussians), notes.read()
-        first = EditList(known.scene) if alone else known
-        listed = work.changed(first, edits)
-        annotations = work.annotated(noted, known if alone else listed, edits)
-        if is_written or arguments.changes or arguments.redo:
-            after = edits.edited(work.gaussians, listed)
-        if listed is not first and not alone:
-            edits.write(listed)
-        if annotations is not noted:
-            notes.write(annotations)
-        if arguments.save and after is not None:
-            _save(arguments, after)
-        if arguments.picture and after is not None:
-            view = work.draw(listed, after)
+        outcome = _done(work, edits, notes, alone)
     if alone:
-        note_left_out(known.done)
-    elif is_written:
-        note_applied(known.done if arguments.changes else listed.done)
+        note_left_out(outcome.num_kept)
+    elif arguments.save or arguments.picture:
+        note_applied(outcome.num_kept if arguments.changes else outcome.edits.done)
     return {
         "scene": str(work.path),
         "edits_file": str(edits.path),
         "kept": not alone,
-        "num_edits": listed.done,
-        "num_undone": len(listed.edits) - listed.done,
-        "edits": _edits_json(listed),
-        "annotations": [_annotation_json(one) for one in annotations],
+        "num_edits": outcome.edits.done,
+        "num_undone": len(outcome.edits.edits) - outcome.edits.done,
+        "edits": _edits_json(outcome.edits),
+        "annotations": [_annotation_json(one) for one in outcome.annotations],
         "num_gaussians_before": len(work.gaussians),
-        "num_gaussians": None if after is None else len(after),
+        "num_gaussians": None if outcome.after is None else len(outcome.after),
         "saved": arguments.save,
         "picture": arguments.picture,
-        "view": None if view is None else view.name,
+        "view": None if outcome.view is None else outcome.view.name,
     }
+
+
+def _done(work: _Work, file: EditFile, notes: AnnotationFile, alone: bool) -> _Outcome:
+    """Change the lists as the options say, and write them and the outputs. alone: the kept edits are left out."""
+    from ...authoring.editing import EditList
+
+    arguments, view, after = work.arguments, None, None
+    kept, noted = file.read(work.gaussians), notes.read()
+    first = EditList(kept.scene) if alone else kept
+    edits = work.changed(first, file)
+    annotations = work.annotated(noted, kept if alone else edits, file)
+    if arguments.save or arguments.picture or arguments.changes or arguments.redo:
+        after = file.edited(work.gaussians, edits)
+    if edits is not first and not alone:
+        file.write(edits)
+    if annotations is not noted:
+        notes.write(annotations)
+    if arguments.save and after is not None:
+        _save(arguments, after)
+    if arguments.picture and after is not None:
+        view = work.draw(edits, after)
+    return _Outcome(kept.done, edits, annotations, after, view)
 
 
 @contextmanager

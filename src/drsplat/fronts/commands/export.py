@@ -7,9 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ...query.schema import CUT, EXCLUDE, SUBJECTS
 from .edit_options import add_kept_edits, note_applied, note_left_out, only_one
 from .options import add_capture_options, add_overwrite, add_query_encoders, finite, new_output, views_of, whole, words
-from .query_options import add_measure_options, add_query_kinds, open_scene, query_of, query_text
+from .query_options import add_fields, open_scene, query_of, query_text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -36,7 +37,7 @@ A .glb has a table of the objects (number, name, score, box, group), and of each
 they left out. Objects are those of `drsplat objects`: run it first where the field has none. Edits that are kept beside
 the scene are applied; annotations go along."""
 DAILY = ("output", "field", "scene", "text", "only", "object", "label", "edits", "overwrite")
-QUERIES = ("text", "vector", "image", "click", "point")
+QUERIES = tuple(field.name for field in SUBJECTS)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -72,10 +73,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add_kept_edits(what, "kept")
     add_overwrite(parser)
-    add_query_kinds(parser.add_argument_group("other queries"))
+    add_fields(parser.add_argument_group("other queries"), (*SUBJECTS[1:], EXCLUDE))
     parser.add_argument("--views", metavar="CAPTURE", help="photos and their poses, for --click and to know what is up")
     add_query_encoders(parser)
-    add_measure_options(parser)
+    add_fields(parser, CUT)
     add_capture_options(parser)
 
 

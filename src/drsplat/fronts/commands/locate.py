@@ -10,7 +10,7 @@ from .options import count
 from .query_options import add_output_options, add_query_options, answer_json, ask, draw, measured_text
 
 if TYPE_CHECKING:
-    from ...query import Answer, Match, MatchTrack, Scene
+    from ...query import Answer, Match, Scene
 
 EXAMPLES = """\
   drsplat locate room.field "red mug" --scene scene.ply
@@ -51,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ...formats.replacing import together
+    from ...query.documents import match_document, track_document
 
     scene, answer = ask(arguments)
     report = answer_json(arguments, answer)
@@ -58,10 +59,11 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         return {**report, "num_matches": None, "matches": None}
     matches = scene.locate(answer, min_gaussians=arguments.min_gaussians, box=arguments.box)
     report["num_matches"] = len(matches)
-    report["matches"] = [_json(match) for match in matches[: arguments.top]]
+    listed = matches[: arguments.top]
+    report["matches"] = [match_document(match) for match in listed]
     if arguments.tracks:
-        for told, track in zip(report["matches"], scene.tracks(matches[: arguments.top], arguments.box), strict=True):
-            told["track"] = _track_json(track)
+        for document, track in zip(report["matches"], scene.tracks(listed, arguments.box), strict=True):
+            document["track"] = track_document(track)
     with together():
         if arguments.save:
             _save(arguments, scene, answer, matches)
@@ -101,28 +103,6 @@ def show(answer: dict[str, Any]) -> None:
 def _row(number: int, match: dict[str, Any]) -> tuple[str, ...]:
     places = (" ".join(f"{x:.2f}" for x in match[key]) for key in ("center", "extent"))
     return str(number), f"{match['score']:.3f}", f"{match['num_gaussians']:,}", *places
-
-
-def _json(match: Match) -> dict[str, Any]:
-    return {
-        "score": match.score,
-        "num_gaussians": len(match),
-        "center": match.center,
-        "extent": match.extent,
-        "axes": match.axes,
-        "support": [{"view": one.view_name, "mask": one.mask_id, "share": one.share} for one in match.support],
-    }
-
-
-def _track_json(track: MatchTrack) -> dict[str, Any]:
-    return {
-        "times": track.times,
-        "centers": track.centers,
-        "extents": track.extents,
-        "axes": track.axes,
-        "spans": [list(span) for span in track.spans],
-        "views": list(track.views),
-    }
 
 
 def _track_text(track: dict[str, Any]) -> str:

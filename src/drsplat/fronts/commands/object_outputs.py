@@ -37,33 +37,6 @@ def check(arguments: argparse.Namespace) -> None:
         )
 
 
-def listing(scene: Scene) -> list[dict[str, Any]]:
-    """Return the objects of a scene as JSON has them."""
-    from ...query.objects import objects_of, photos_of
-
-    objects = objects_of(scene.field)
-    nodes = objects.things.tolist()
-    return [
-        {
-            "id": match.object_id,
-            "label": match.label,
-            "name": name,
-            "center": match.center.tolist(),
-            "extent": match.extent.tolist(),
-            "axes": match.axes.tolist(),
-            "num_gaussians": len(match),
-            "mass": float(objects.masses[node]),
-            "num_views": int(objects.num_views[node]),
-            "sure": match.score,
-            "agreed": agreed,
-            "views": photos_of(scene.field, node),
-        }
-        for node, match, name, agreed in zip(
-            nodes, scene.objects, scene.object_names(), scene.agreed.tolist(), strict=True
-        )
-    ]
-
-
 def save(path: str, scene: Scene, listed: list[dict[str, Any]], overwrite: bool) -> None:
     _WAYS[Path(path).suffix.lower()](Path(path), scene, listed, overwrite)
 

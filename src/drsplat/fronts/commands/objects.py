@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from .edit_options import note_own_scene
-from .object_outputs import check, listing, save
+from .object_outputs import check, save
 from .options import add_capture_options, add_overwrite, add_query_encoders, whole, words
 from .query_options import FIELD_HELP, open_scene
 
@@ -62,6 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ...formats.replacing import together
+    from ...query.documents import object_documents
     from ...query.objects import objects_of
     from ...scene.views import pictures_kind, scenes_rendered
 
@@ -69,7 +70,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     scene = _with_objects(arguments)
     if arguments.label is not None:
         scene.label(objects_of(scene.field).thing(arguments.id), arguments.label)
-    every = listing(scene)
+    every = object_documents(scene, scene.objects)
     if arguments.save or arguments.picture:
         note_own_scene(scene.path, scene.gaussians if scene.has_gaussians else None)
     with together():

@@ -1,12 +1,44 @@
-"""Inputs of queries on the command line: pictures, vectors, pixels, points."""
+"""Values of queries on the command line: texts, numbers, pictures, vectors, pixels, points."""
 
 from __future__ import annotations
 
+import argparse
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from ...base.terminal import quoted
+from ...query.defaults import AUTO
+from .options import finite, words
 
 if TYPE_CHECKING:
     import numpy as np
+
+    from ...query.schema import Kind
+
+
+def threshold(text: str) -> float | str:
+    """Return an option's threshold."""
+    if text == AUTO:
+        return text
+    return _fraction(text, f"a number such as 0.5, or {AUTO}")
+
+
+def share(text: str) -> float:
+    """Return an option's share."""
+    number = _fraction(text, "a share above 0, up to 1")
+    if not 0 < number <= 1:
+        raise argparse.ArgumentTypeError(f"expected a share above 0, up to 1; got '{text}'")
+    return number
+
+
+def _fraction(text: str, expected: str) -> float:
+    """Return an option's number. Raises: argparse.ArgumentTypeError: no number; of "50%" it says what to write."""
+    try:
+        return finite(text)
+    except argparse.ArgumentTypeError:
+        cure = ": write 0.5 for 50%" if text.endswith("%") else ""
+        raise argparse.ArgumentTypeError(f"expected {expected}, got {quoted(text)}{cure}") from None
 
 
 def pixel(text: str) -> tuple[str, float, float]:
@@ -23,17 +55,23 @@ def pixel(text: str) -> tuple[str, float, float]:
 
 def point(text: str) -> tuple[float, float, float]:
     """Return the point "0.3,-0.14,1.2". Raises: InputError: not three finite numbers."""
+    x, y, z = numbers("--point", text, 3)
+    return x, y, z
+
+
+def numbers(option: str, text: str, count: int) -> list[float]:
+    """Return the numbers "0.3,-0.14,1.2" of an option. Raises: InputError: not so many finite ones."""
     import math
 
     from ...errors import InputError
 
     try:
-        x, y, z = (float(part) for part in text.split(","))
-        if math.isfinite(x + y + z):
-            return x, y, z
+        given = [float(part) for part in text.split(",")]
     except ValueError:
-        pass
-    raise InputError(f"--point {text}: expected X,Y,Z, three finite numbers, e.g. 0.3,-0.14,1.2")
+        given = []
+    if len(given) != count or not all(math.isfinite(number) for number in given):
+        raise InputError(f"{option} {text}: expected {count} finite numbers with commas between them")
+    return given
 
 
 def negatives(text: str) -> tuple[str, ...] | np.ndarray:
@@ -90,3 +128,33 @@ def read_vectors(path: str) -> np.ndarray:
         raise FormatError(f"{path}: expected floats (D,) or (n, D), got {array.dtype} {array.shape}")
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused with zeros
         return np.ascontiguousarray(array, np.float32)
+
+
+def _same(value: Any) -> Any:
+    return value
+
+
+class Way(NamedTuple):
+    """How the command line takes values of a kind: argparse's options, how they are read, and a note to the help."""
+
+    options: Mapping[str, Any]
+    read: Callable[[Any], Any] = _same
+    note: str = ""
+
+
+WAYS: Mapping[Kind, Way] = {
+    "text": Way({"type": words}),
+    "texts": Way({"type": words, "action": "append", "default": []}, tuple, "; may be repeated"),
+    "negatives": Way(
+        {"type": words, "metavar": "WORDS|FILE.npy"}, negatives, "; commas between texts; FILE.npy: vectors"
+    ),
+    "vector": Way({"metavar": "FILE.npy"}, read_vector, ": (D,) floats"),
+    "picture": Way({}, read_picture, "; embedded by --encoder"),
+    "point": Way({"type": words}, point, ", but --scene"),
+    "pixel": Way({"type": words}, pixel, ", but --views and --scene; e.g. photo_003:210,140"),
+    "threshold": Way({"type": threshold}),
+    "share": Way({"type": share}),
+    "flag": Way({"action": "store_true"}),
+    "span": Way({"type": finite, "nargs": 2, "metavar": ("START", "END")}, tuple),
+    "choice": Way({}),
+}

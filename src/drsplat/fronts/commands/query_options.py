@@ -7,8 +7,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ...base.terminal import quoted
-from ...query.defaults import AUTO, NEVER
+from ...query.schema import CUT, FIELDS, SUBJECTS, Place, QueryField, fields
 from .edit_options import note_own_scene
 from .options import (
     CAPTURE_OPTIONS,
@@ -16,41 +15,18 @@ from .options import (
     add_overwrite,
     add_query_encoders,
     add_search_device,
-    finite,
     new_output,
     words,
 )
-from .query_inputs import negatives, pixel, point, read_picture, read_vector
+from .query_inputs import WAYS
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     import numpy as np
 
     from ...query import Answer, Cut, Query, Scene
     from ...scene.views import View
-
-
-def threshold(text: str) -> float | str:
-    """Return an option's threshold."""
-    if text == AUTO:
-        return text
-    return _fraction(text, f"a number such as 0.5, or {AUTO}")
-
-
-def share(text: str) -> float:
-    """Return an option's share."""
-    number = _fraction(text, "a share above 0, up to 1")
-    if not 0 < number <= 1:
-        raise argparse.ArgumentTypeError(f"expected a share above 0, up to 1; got '{text}'")
-    return number
-
-
-def _fraction(text: str, expected: str) -> float:
-    """Return an option's number. Raises: argparse.ArgumentTypeError: no number; of "50%" it says what to write."""
-    try:
-        return finite(text)
-    except argparse.ArgumentTypeError:
-        cure = ": write 0.5 for 50%" if text.endswith("%") else ""
-        raise argparse.ArgumentTypeError(f"expected {expected}, got {quoted(text)}{cure}") from None
 
 
 WITHOUT_SCENE = (".npy", ".json", ".csv")  # outputs that hold no Gaussians
@@ -60,78 +36,24 @@ FIELD_HELP = "field that `drsplat register` wrote, or a folder with a field, its
 def add_query_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that say what is looked for, who embeds it, and where its scores are cut."""
     parser.add_argument("field", help=FIELD_HELP)
-    parser.add_argument(
-        "text", nargs="?", type=words, metavar="WORDS",
-        help="query in words; 'mug, not red' excludes what 'red mug' fits as well",
-    )  # fmt: skip
-    add_query_kinds(parser)
+    text, *others = fields(Place.COMMAND_LINE)
+    parser.add_argument(text.name, nargs="?", type=words, metavar=text.value, help=text.meaning)
+    add_fields(parser, others)
     add_query_encoders(parser)
     add_search_device(parser)
-    add_measure_options(parser)
 
 
-def add_query_kinds(parser: argparse._ActionsContainer) -> None:
-    """Add the options of queries that are no text."""
-    parser.add_argument(
-        "--exclude", type=words, action="append", default=[], metavar="WORDS",
-        help="words to exclude, as ', not WORDS' in the text does; may be repeated",
-    )  # fmt: skip
-    parser.add_argument("--vector", metavar="FILE.npy", help="embedding to search for instead of words: (D,) floats")
-    parser.add_argument(
-        "--image", metavar="PICTURE",
-        help="picture to search for instead of words, embedded by --encoder; best cut out, on black or "
-        "transparent, as masks are",
-    )  # fmt: skip
-    parser.add_argument(
-        "--click", type=words, metavar="VIEW:X,Y",
-        help="pixel of a photo of --views to search for more of, e.g. photo_003:210,140; needs --scene, no encoder",
-    )  # fmt: skip
-    parser.add_argument(
-        "--point", type=words, metavar="X,Y,Z",
-        help="point of the world to search for more of, in scene units; needs --scene, no encoder",
-    )  # fmt: skip
-
-
-def add_measure_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that say what is measured and where it is cut."""
-    cut = parser.add_mutually_exclusive_group()
-    cut.add_argument(
-        "--threshold", type=threshold, metavar="T|auto",
-        help="select Gaussians that score above this (default: auto, which follows the scene: words of CLIP-like "
-        "encoders have to fit better than a list of words, those of a built-in encoder exceed its own threshold; for "
-        "vectors, pictures and clicks it lies 0.6 of the way from the median cosine to the highest ones)",
-    )  # fmt: skip
-    cut.add_argument(
-        "--top-share", type=share, metavar="S",
-        help="select this share of the Gaussians that have a feature, e.g. 0.02, whatever their scores",
-    )  # fmt: skip
-    parser.add_argument(
-        "--relevancy", action="store_true",
-        help="measure LERF's relevancy instead of cosine: how much better the query fits than any negative; 0.5 is a "
-        "tie",
-    )  # fmt: skip
-    parser.add_argument(
-        "--negatives", type=words, metavar="WORDS|FILE.npy",
-        help="texts or vectors to measure relevancy against, which implies --relevancy (default: those stored in the "
-        "field, else object,things,stuff,texture)",
-    )  # fmt: skip
-    _add_during(parser)
-    add_objects(parser)
-
-
-def _add_during(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--during", type=finite, nargs=2, metavar=("START", "END"),
-        help="span of time of a scene that moves: only what photos of it have shown is asked (default: all times)",
-    )  # fmt: skip
-
-
-def add_objects(parser: argparse._ActionsContainer) -> None:
-    parser.add_argument(
-        "--objects", choices=(AUTO, NEVER), default=AUTO,
-        help="auto: objects answer as wholes, where the field has them; never: every Gaussian answers for itself "
-        "(default: auto)",
-    )  # fmt: skip
+def add_fields(parser: argparse._ActionsContainer, offered: Iterable[QueryField]) -> None:
+    """Add an option for each of some fields of a query."""
+    groups: dict[str, argparse._ActionsContainer] = {"": parser}
+    for field in offered:
+        if field.group not in groups:
+            groups[field.group] = parser.add_mutually_exclusive_group()
+        way, flag = WAYS[field.kind], f"--{field.name.replace('_', '-')}"
+        more: dict[str, Any] = {"choices": field.choices, "default": field.default} if field.choices else {}
+        if not field.choices and field.kind != "flag":
+            more["metavar"] = field.value
+        groups[field.group].add_argument(flag, help=field.meaning + way.note, **{**more, **way.options})
 
 
 def add_output_options(parser: argparse.ArgumentParser, saved: str) -> None:
@@ -217,58 +139,37 @@ def open_scene_for_output(arguments: argparse.Namespace) -> Scene:
     return scene
 
 
+def values_of(arguments: argparse.Namespace, offered: Iterable[QueryField] = FIELDS) -> dict[str, Any]:
+    """Return what the options of some fields give, as `Query` takes it."""
+    given = {field: getattr(arguments, field.name, None) for field in offered}
+    return {field.name: WAYS[field.kind].read(value) for field, value in given.items() if value not in (None, [])}
+
+
 def query_of(arguments: argparse.Namespace) -> Query:
-    """Return the query that the options of `add_query_options` describe."""
+    """Return the query that the options of a verb describe."""
     from ...query import Query
 
-    given: dict[str, Any] = {
-        "vector": arguments.vector and read_vector(arguments.vector),
-        "image": arguments.image and read_picture(arguments.image),
-        "point": arguments.point and point(arguments.point),
-        "click": arguments.click and pixel(arguments.click),
-    }
-    return Query(arguments.text, **given, exclude=tuple(arguments.exclude), **vars(cut_of(arguments)))
+    return Query(**values_of(arguments))
 
 
 def cut_of(arguments: argparse.Namespace) -> Cut:
-    """Return the values of the options of `add_measure_options`."""
+    """Return how the options of a verb measure and cut."""
     from ...query import Cut
 
-    return Cut(
-        threshold=arguments.threshold,
-        top_share=arguments.top_share,
-        relevancy=arguments.relevancy,
-        negatives=arguments.negatives and negatives(arguments.negatives),
-        during=arguments.during and tuple(arguments.during),
-        objects=arguments.objects,
-    )
+    return Cut(**values_of(arguments, CUT))
 
 
 def query_text(arguments: argparse.Namespace) -> str:
     """Return the query in the words of the command line."""
     nots = "".join(f", not {words}" for words in arguments.exclude)
-    text = f"{arguments.text}{nots}" if arguments.text else None
-    return str(text or arguments.image or arguments.vector or arguments.click or arguments.point)
+    return f"{next(getattr(arguments, one.name) for one in SUBJECTS if getattr(arguments, one.name))}{nots}"
 
 
 def answer_json(arguments: argparse.Namespace, answer: Answer) -> dict[str, Any]:
-    """Return what every answer tells of its values; their range is without what a "not" left out."""
-    import numpy as np
+    """Return what every answer says of its values, and what was asked."""
+    from ...query.documents import answer_document
 
-    values = answer.values[answer.values > answer.lowest]
-    values = values if len(values) else np.full(1, answer.lowest, np.float32)
-    return {
-        "field": arguments.field,
-        "query": query_text(arguments),
-        "measure": answer.measure,
-        "threshold": answer.threshold,
-        "threshold_rule": answer.rule,
-        "score_range": [float(values.min()), float(values.max())],
-        "score_p99": float(np.percentile(values, 99)),
-        "num_registered": len(answer.field),
-        "num_selected": len(answer.gaussian_ids),
-        "doubt": answer.doubt,
-    }
+    return {"field": arguments.field, "query": query_text(arguments), **answer_document(answer)}
 
 
 RULES = {

@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ...query.schema import Place, fields
 from .edit_options import add_kept_edits, as_edited, note_own_scene
 from .film import SCENE, add_film_options, film
 from .options import (
@@ -14,13 +15,12 @@ from .options import (
     add_overwrite,
     add_query_encoders,
     device_for_kernels,
-    finite,
     new_output,
     tracker,
     views_of,
     words,
 )
-from .query_options import add_objects, open_scene
+from .query_options import add_fields, open_scene, values_of
 
 if TYPE_CHECKING:
     from ...authoring.filming.highlights import Highlight
@@ -38,6 +38,7 @@ EXAMPLES = """\
   drsplat render scene.ply --views capture --path orbit --field room.field --query "red mug" --boxes --output mug.mp4
   drsplat render scene.ply --path camera_path.json --fps 24 --size 1920x1080 --output flight.webm
   drsplat render scene.ply --views capture --field room.field --query vase --attributes red blue wooden -o vase.png"""
+TEXT_CUT = fields(Place.COMMAND_LINE, Place.WORDS)
 DAILY = ("views", "view", "all", "path", "output_dir", "field", "query", "overwrite", "size", "seconds")
 BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "grey": (0.5, 0.5, 0.5)}
 PICTURES = "renders"
@@ -90,10 +91,7 @@ def _add_answer_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--query", type=words, metavar="WORDS", help="query whose matches stay in colour, the rest grey"
     )
-    parser.add_argument(
-        "--threshold", type=finite, metavar="T", help="threshold of --query (default: as of `drsplat locate`)"
-    )
-    add_objects(parser)
+    add_fields(parser, TEXT_CUT)
     parser.add_argument("--boxes", action="store_true", help="draw the matches of --query with boxes and names")
     parser.add_argument(
         "--heat-map", action="store_true",
@@ -209,7 +207,7 @@ def _answer(arguments: argparse.Namespace) -> tuple[OpenedScene | None, Highligh
     if arguments.query is None:
         return None, None
     opened = open_scene(arguments)
-    query = Query(arguments.query, threshold=arguments.threshold, objects=arguments.objects)
+    query = Query(arguments.query, **values_of(arguments, TEXT_CUT))
     return opened, Highlight.of(opened, query, heat=arguments.heat_map, boxes=arguments.boxes)
 
 

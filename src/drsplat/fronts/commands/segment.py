@@ -5,11 +5,12 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING, Any
 
+from ...query.schema import CUT
 from .leaving_out import lines_of
 from .options import add_query_encoders, words
 from .query_options import (
     FIELD_HELP,
-    add_measure_options,
+    add_fields,
     add_output_options,
     check_outputs,
     chosen_view,
@@ -39,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--classes-file", metavar="FILE.txt", help="file with a class on each line, instead of --classes"
     )
     add_query_encoders(parser)
-    add_measure_options(parser)
+    add_fields(parser, CUT)
     saved = (
         "write the scene in the colours of the classes, with a column class_id: the number of the class from 0, or -1"
     )
@@ -48,23 +49,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ...formats.replacing import together
+    from ...query.documents import segmentation_document
 
     check_outputs(arguments)
     classes = _classes(arguments)
     scene = open_scene_for_output(arguments)
-    found, registered = scene.segment(classes, cut_of(arguments)), max(len(scene.field), 1)
-    report = {
-        "field": arguments.field,
-        "measure": found.answers[0].measure,
-        "threshold_rule": found.answers[0].rule,
-        "num_registered": len(scene.field),
-        "num_labelled": sum(found.counts),
-        "doubt": found.doubt,
-        "classes": [
-            {"name": name, "num_gaussians": count, "share": count / registered, "threshold": answer.threshold}
-            for name, answer, count in zip(found.names, found.answers, found.counts, strict=True)
-        ],
-    }
+    found = scene.segment(classes, cut_of(arguments))
+    rule = found.answers[0].rule
+    report = {"field": arguments.field, "threshold_rule": rule, **segmentation_document(found)}
     with together():
         if arguments.save:
             _save(arguments, scene, found)

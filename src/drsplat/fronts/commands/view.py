@@ -29,7 +29,7 @@ Needs pip install "drsplat[viewer]"; --export needs nothing. The address is only
 0.0.0.0 it has a token, and whoever knows that can look, search and save from elsewhere. A scene without a field can
 only be looked at."""
 DAILY = ("scene", "views", "ask", "encoder", "port", "export", "overwrite")
-BUDGET = 1_000_000
+MAX_GAUSSIANS, MAX_GAUSSIANS_OF_PAGE = 1_000_000, 200_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,12 +54,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--max-gaussians", type=count, metavar="N",
-        help=f"show only the N most significant Gaussians (default: {BUDGET:,}; {200_000:,} in a page)",
+        help=f"show only the N most significant Gaussians (default: {MAX_GAUSSIANS:,}; {MAX_GAUSSIANS_OF_PAGE:,} in a "
+        "page)",
     )  # fmt: skip
     parser.add_argument(
         "--up", type=words, metavar="AXIS",
         help="axis that points up: +x -x +y -y +z or -z (default: as the photos were held)",
     )  # fmt: skip
+    _add_serving(parser.add_argument_group("viewer"))
+    _add_page(parser.add_argument_group("page"))
+    add_kept_edits(parser, "kept")
+    add_overwrite(parser)
+    add_query_encoders(parser)
+
+
+def _add_serving(parser: argparse._ArgumentGroup) -> None:
     parser.add_argument(
         "--host", default="127.0.0.1", metavar="ADDRESS",
         help="address to listen on (default: 127.0.0.1, this machine only)",
@@ -72,6 +81,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--save-dir", metavar="DIR",
         help="folder to save files to, under new names (default: none, the browser downloads them)",
     )  # fmt: skip
+
+
+def _add_page(parser: argparse._ArgumentGroup) -> None:
     parser.add_argument("--export", metavar="PAGE.html", help="write a page with the answers to --ask, and exit")
     parser.add_argument(
         "--path", metavar="orbit|swing|photos|FILE",
@@ -80,9 +92,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--play", action="store_true", help="play the film when the page of --export is opened (default: when asked to)"
     )
-    add_kept_edits(parser, "kept")
-    add_overwrite(parser)
-    add_query_encoders(parser)
 
 
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
@@ -138,7 +147,7 @@ def _serve(arguments: argparse.Namespace) -> NoReturn:
     _require_packages()
     from ..viewing.session import Session
 
-    scene, budget = _scene(arguments), arguments.max_gaussians or BUDGET
+    scene, budget = _scene(arguments), arguments.max_gaussians or MAX_GAUSSIANS
     session = Session(scene, budget, _words(arguments), edits_kept=arguments.edits != "none")
     note_applied(session.edits.listed.done)
     up, shown = _up(arguments, scene), session.shown
@@ -197,7 +206,7 @@ def _service(arguments: argparse.Namespace, catalogue: Catalogue | None = None) 
 
     saves = Saves(None if arguments.save_dir is None else Path(arguments.save_dir))
     shelf = None if catalogue is None else Shelf(catalogue)
-    shared = Shared(saves, opened, arguments.max_gaussians or BUDGET, shelf=shelf)
+    shared = Shared(saves, opened, arguments.max_gaussians or MAX_GAUSSIANS, shelf=shelf)
     with listening_socket(arguments.host, arguments.port) as listening:
         yield Service(shared, listening, arguments.host)
 

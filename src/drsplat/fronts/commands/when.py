@@ -5,9 +5,11 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from .options import add_capture_options, add_query_encoders, finite, words
-from .query_options import FIELD_HELP, add_objects, open_scene
+from ...query.schema import Place, fields
+from .options import add_capture_options, add_query_encoders, words
+from .query_options import FIELD_HELP, add_fields, open_scene, values_of
 
+TEXT_CUT = fields(Place.COMMAND_LINE, Place.WORDS)
 RELATIONS = ("on", "in", "next_to", "above", "left_of", "right_of")
 EXAMPLES = """\
   drsplat when film.field "toy car" next_to "white vase" --scene film.motion
@@ -29,10 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--view", type=words, metavar="NAME", help="photo from whose camera left_of and right_of are judged"
     )
-    parser.add_argument(
-        "--threshold", type=finite, metavar="T", help="threshold of both queries (default: that of `drsplat locate`)"
-    )
-    add_objects(parser)
+    add_fields(parser.add_argument_group("both queries"), TEXT_CUT)
     add_query_encoders(parser)
     add_capture_options(parser)
 
@@ -41,10 +40,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ...query import Query
 
     scene = open_scene(arguments)
-    one, other = (
-        Query(text, threshold=arguments.threshold, objects=arguments.objects)
-        for text in (arguments.one, arguments.other)
-    )
+    one, other = (Query(text, **values_of(arguments, TEXT_CUT)) for text in (arguments.one, arguments.other))
     spans = scene.when(one, arguments.relation, other, arguments.view)
     return {
         "field": arguments.field,

@@ -71,10 +71,10 @@ def in_memory(scene: Gaussians | Moving | Tiles) -> Gaussians | Moving:
 
 def _launcher(arguments: argparse.Namespace) -> Launcher:
     from ...errors import InputError
-    from ...field.tiles.launching import Here, Processes, Ray
+    from ...field.tiles.launching import OneProcess, Processes, Ray
 
     if arguments.workers and arguments.ray:
         raise InputError("--workers and --ray are two ways of working: drop one of them")
     if arguments.ray:
         return Ray(arguments.ray, arguments.threads or 1, (arguments.ray_memory or 0) << 20)
-    return Processes(arguments.workers) if arguments.workers else Here()
+    return Processes(arguments.workers) if arguments.workers else OneProcess()

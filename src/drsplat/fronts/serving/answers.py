@@ -11,53 +11,17 @@ from pydantic import BaseModel
 from ...errors import InputError
 from ...formats.scenes import write_gaussians
 from ...query import Match, Query, Scene
+from ...query.documents import answer_document, rounded, segmentation_document
 from ...query.objects import match_of, objects_of
 from ...query.sheets import object_picture
-from . import models
+from . import models, requests
 from .conversation import tool_answer
 from .files import exported
 from .limits import Limits
-from .models import (
-    ClassCount,
-    Located,
-    ObjectList,
-    SceneDetails,
-    Segmented,
-    Selected,
-    Word,
-    Words,
-    decimals_of,
-    listed_objects,
-    matches_of,
-    measured,
-    object_list,
-    rounded,
-    significant,
-    span_of,
-    tracked,
-    when_told,
-)
+from .models import decimals_of, listed_objects, matches_of, measured, object_list, significant, span_of, tracked
 from .pictures import jpeg, png
+from .query_fields import Request, asks_something, cut_of, query_of, values_of
 from .replies import JPEG, PLY, PNG, Reply
-from .requests import (
-    Details,
-    Export,
-    Locate,
-    Objects,
-    OneObject,
-    Photo,
-    Picture,
-    Request,
-    Segment,
-    Select,
-    Tool,
-    WhatIs,
-    When,
-    asks_something,
-    cut_of,
-    place,
-    query_of,
-)
 
 OBJECT_SIZE = (640, 480)
 
@@ -71,10 +35,10 @@ class Answering(NamedTuple):
     media_type: str = PNG
 
 
-def details(scene: Scene, asked: Details, _: Limits) -> SceneDetails:
+def details(scene: Scene, asked: requests.Details, _: Limits) -> models.SceneDetails:
     low, high = scene.box
     digits = decimals_of(scene)
-    return SceneDetails(
+    return models.SceneDetails(
         name=asked.name,
         num_gaussians=len(scene.gaussians),
         num_registered=len(scene.field),
@@ -90,7 +54,7 @@ def details(scene: Scene, asked: Details, _: Limits) -> SceneDetails:
     )
 
 
-def photo(scene: Scene, asked: Photo, _: Limits) -> bytes:
+def photo(scene: Scene, asked: requests.Photo, _: Limits) -> bytes:
     """Return a photo as PNG. Raises: InputError: no such view, or it has no photo."""
     chosen = scene.view(asked.view)
     if chosen.image_path is None:
@@ -98,7 +62,7 @@ def photo(scene: Scene, asked: Photo, _: Limits) -> bytes:
     return png(scene.picture(chosen, photo=True, max_side=asked.max_side))
 
 
-def objects(scene: Scene, asked: Objects, _: Limits) -> ObjectList:
+def objects(scene: Scene, asked: requests.Objects, _: Limits) -> models.ObjectList:
     shown, unsure = listed_objects(scene, asked.all)
     if not scene.objects:
         return object_list(scene, [], "photos agree on nothing: more of them, or larger masks, may help")
@@ -106,11 +70,11 @@ def objects(scene: Scene, asked: Objects, _: Limits) -> ObjectList:
     return object_list(scene, shown, ". ".join(filter(None, (more, scene.doubt))))
 
 
-def object_photo(scene: Scene, asked: OneObject, _: Limits) -> bytes:
+def object_photo(scene: Scene, asked: requests.OneObject, _: Limits) -> bytes:
     return jpeg(object_picture(scene, _numbered(scene, asked), size=OBJECT_SIZE))
 
 
-def object_ply(scene: Scene, asked: OneObject, _: Limits) -> bytes:
+def object_ply(scene: Scene, asked: requests.OneObject, _: Limits) -> bytes:
     part = scene.gaussians.subset(_numbered(scene, asked).gaussian_ids)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "object.ply"
@@ -118,27 +82,27 @@ def object_ply(scene: Scene, asked: OneObject, _: Limits) -> bytes:
         return path.read_bytes()
 
 
-def _numbered(scene: Scene, asked: OneObject) -> Match:
+def _numbered(scene: Scene, asked: requests.OneObject) -> Match:
     return match_of(scene.field, objects_of(scene.field).thing(asked.number))
 
 
-def selected(scene: Scene, asked: Select, limits: Limits) -> Selected:
+def selected(scene: Scene, asked: requests.Select, limits: Limits) -> models.Selected:
     answer = scene.ask(query_of(asked, limits))
-    values = answer.values
-    return Selected(
+    return models.Selected(
         measured=measured(answer),
-        score_range=[significant(float(values.min(initial=1))), significant(float(values.max(initial=-1)))],
+        score_range=[significant(score) for score in answer_document(answer)["score_range"]],
         gaussian_ids=answer.gaussian_ids.tolist() if asked.ids else None,
         field=scene.field.fingerprint,
     )
 
 
-def located(scene: Scene, asked: Locate, limits: Limits) -> Located:
-    answer = scene.ask(query_of(asked, limits))
+def located(scene: Scene, asked: requests.Locate, limits: Limits) -> models.Located:
+    query = query_of(asked, limits)
+    answer = scene.ask(query)
     found = scene.locate(answer, min_gaussians=asked.min_gaussians, box=asked.box)
     listed = found[: asked.top]
-    return Located(
-        query=asked.text or "",
+    return models.Located(
+        query=query.text or "",
         num_matches=len(found),
         matches=tracked(scene, listed, asked.box) if asked.tracks else matches_of(listed, decimals_of(scene)),
         advice="" if found else "no match: try other words, or a lower threshold",
@@ -147,40 +111,27 @@ def located(scene: Scene, asked: Locate, limits: Limits) -> Located:
     )
 
 
-def when(scene: Scene, asked: When, _: Limits) -> models.When:
-    one, other = (Query(text, threshold=asked.threshold, objects=asked.objects) for text in (asked.one, asked.other))
-    return when_told(scene, one, asked.relation, other, asked.view)
+def when(scene: Scene, asked: requests.When, _: Limits) -> models.When:
+    one, other = (Query(text, **values_of(vars(asked))) for text in (asked.one, asked.other))
+    return models.when_told(scene, one, asked.relation, other, asked.view)
 
 
-def segmented(scene: Scene, asked: Segment, _: Limits) -> Segmented:
+def segmented(scene: Scene, asked: requests.Segment, _: Limits) -> models.Segmented:
     found = scene.segment(asked.classes, cut_of(asked))
-    registered = max(len(scene.field), 1)
-    return Segmented(
-        measure=found.answers[0].measure,
-        num_registered=len(scene.field),
-        num_labelled=sum(found.counts),
-        classes=[
-            ClassCount(
-                name=name,
-                num_gaussians=count,
-                share=significant(count / registered),
-                threshold=significant(answer.threshold),
-            )
-            for name, count, answer in zip(found.names, found.counts, found.answers, strict=True)
-        ],
-        labels=found.labels.tolist() if asked.labels else None,
-        field=scene.field.fingerprint,
-        doubt=found.doubt,
-    )
+    document = segmentation_document(found)
+    for one in document["classes"]:
+        one |= {key: significant(one[key]) for key in ("share", "threshold")}
+    labels = found.labels.tolist() if asked.labels else None
+    return models.Segmented(**document, labels=labels, field=scene.field.fingerprint)
 
 
-def named(scene: Scene, asked: WhatIs, _: Limits) -> Words:
-    words = scene.what_is(place(asked), asked.names)
-    best = [Word(name=word.text, score=round(word.score, 4)) for word in words]
-    return Words(words=best, field=scene.field.fingerprint)
+def named(scene: Scene, asked: requests.WhatIs, _: Limits) -> models.Words:
+    words = scene.what_is(requests.place(asked), asked.names)
+    best = [models.Word(name=word.text, score=round(word.score, 4)) for word in words]
+    return models.Words(words=best, field=scene.field.fingerprint)
 
 
-def picture(scene: Scene, asked: Picture, limits: Limits) -> bytes:
+def picture(scene: Scene, asked: requests.Picture, limits: Limits) -> bytes:
     shown = None
     if asks_something(asked):
         found = scene.locate(query_of(asked, limits))
@@ -191,19 +142,19 @@ def picture(scene: Scene, asked: Picture, limits: Limits) -> bytes:
 
 
 ANSWERS: Mapping[str, Answering] = {
-    "details": Answering(Details, details, words=False),
-    "photo": Answering(Photo, photo, words=False),
-    "objects": Answering(Objects, objects),
-    "object-picture": Answering(OneObject, object_photo, words=False, media_type=JPEG),
-    "object-ply": Answering(OneObject, object_ply, words=False, media_type=PLY),
-    "select": Answering(Select, selected),
-    "locate": Answering(Locate, located),
-    "when": Answering(When, when),
-    "segment": Answering(Segment, segmented),
-    "what-is": Answering(WhatIs, named),
-    "picture": Answering(Picture, picture),
-    "export": Answering(Export, exported),
-    "tool": Answering(Tool, tool_answer),
+    "details": Answering(requests.Details, details, words=False),
+    "photo": Answering(requests.Photo, photo, words=False),
+    "objects": Answering(requests.Objects, objects),
+    "object-picture": Answering(requests.OneObject, object_photo, words=False, media_type=JPEG),
+    "object-ply": Answering(requests.OneObject, object_ply, words=False, media_type=PLY),
+    "select": Answering(requests.Select, selected),
+    "locate": Answering(requests.Locate, located),
+    "when": Answering(requests.When, when),
+    "segment": Answering(requests.Segment, segmented),
+    "what-is": Answering(requests.WhatIs, named),
+    "picture": Answering(requests.Picture, picture),
+    "export": Answering(requests.Export, exported),
+    "tool": Answering(requests.Tool, tool_answer),
 }
 
 

@@ -50,9 +50,9 @@ REFUSALS: dict[int | str, dict[str, Any]] = {
 }
 
 
-def binary(media_type: str) -> dict[int | str, dict[str, Any]]:
+def binary(*media_types: str) -> dict[int | str, dict[str, Any]]:
     """Return the responses of a route that sends bytes."""
-    return {200: {"content": {media_type: {"schema": {"type": "string", "format": "binary"}}}}}
+    return {200: {"content": {media: {"schema": {"type": "string", "format": "binary"}} for media in media_types}}}
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,8 @@ def create_app(settings: Settings) -> FastAPI:
     _add_watching(app, scene_folder, metrics)
     _add_scenes(app, bench)
     _add_objects(app, bench)
-    _add_queries(app, bench)
+    for act, request, answer, about in QUERIES:
+        _add_query(app, bench, act, request, answer, about)
     if settings.catalogue is not None:
         _add_catalogue(app, bench)
     _add_pages(app)
@@ -215,46 +216,25 @@ def _add_objects(app: FastAPI, bench: Workbench) -> None:
         return _sent(await bench.run(Job("object-ply", scene, {"number": number})))
 
 
-def _add_queries(app: FastAPI, bench: Workbench) -> None:
-    async def computed(act: str, scene: str, asked: BaseModel) -> Response:
-        return _sent(await bench.run(Job(act, scene, asked.model_dump(mode="json"))))
+QUERIES: tuple[tuple[str, type[BaseModel], Any, str], ...] = (
+    ("select", Select, Selected, "Select the Gaussians of a text, vector, image, point or click."),
+    ("locate", Locate, Located, "Locate the matches of a query, best first: centre, oriented box, supporting photos."),
+    ("when", When, models.When, "Find the spans of time in which one match stands in a relation to another."),
+    ("segment", Segment, Segmented, "Give each Gaussian the best of some classes."),
+    ("what-is", WhatIs, Words, "Name what is at a point or a pixel, best words first."),
+    ("picture", Picture, (PNG,), "Render a picture as PNG, optionally with the matches of a query kept in colour."),
+    ("export", Export, (GLB, PLY), "Export the scene for other programs: GLB with named objects, PLY or SPZ."),
+)
+"""Route, request, answer or its types of media, and what it does."""
 
-    @app.post("/scenes/{scene}/select", tags=["queries"], response_model=Selected)
-    async def select(scene: Scene, asked: Select) -> Response:
-        """Select the Gaussians of a text, vector, image, point or click."""
-        return await computed("select", scene, asked)
 
-    @app.post("/scenes/{scene}/locate", tags=["queries"], response_model=Located)
-    async def locate(scene: Scene, asked: Locate) -> Response:
-        """Locate the matches of a query, best first: centre, oriented box, supporting photos."""
-        return await computed("locate", scene, asked)
+def _add_query(app: FastAPI, bench: Workbench, act: str, request: type[BaseModel], answer: Any, about: str) -> None:
+    async def computed(scene: Scene, asked: request) -> Response:  # type: ignore[valid-type]
+        return _sent(await bench.run(Job(act, scene, asked.model_dump(mode="json"))))  # type: ignore[attr-defined]
 
-    @app.post("/scenes/{scene}/when", tags=["queries"], response_model=models.When)
-    async def when(scene: Scene, asked: When) -> Response:
-        """In which spans of time one match stands in a relation to another, in a scene that moves."""
-        return await computed("when", scene, asked)
-
-    @app.post("/scenes/{scene}/segment", tags=["queries"], response_model=Segmented)
-    async def segment(scene: Scene, asked: Segment) -> Response:
-        """Give each Gaussian the best of some classes."""
-        return await computed("segment", scene, asked)
-
-    @app.post("/scenes/{scene}/what-is", tags=["queries"], response_model=Words)
-    async def what_is(scene: Scene, asked: WhatIs) -> Response:
-        """Name what is at a point or a pixel, best words first."""
-        return await computed("what-is", scene, asked)
-
-    @app.post("/scenes/{scene}/picture", tags=["queries"], response_class=Response, responses=binary(PNG))
-    async def picture(scene: Scene, asked: Picture) -> Response:
-        """Render a picture as PNG, optionally with the matches of a query kept in colour."""
-        return await computed("picture", scene, asked)
-
-    files = binary(GLB)[200]["content"] | binary(PLY)[200]["content"]
-
-    @app.post("/scenes/{scene}/export", tags=["queries"], response_class=Response, responses={200: {"content": files}})
-    async def export(scene: Scene, asked: Export) -> Response:
-        """Export the scene as a file for other programs: GLB with named objects, PLY or SPZ."""
-        return await computed("export", scene, asked)
+    sends_bytes, name = isinstance(answer, tuple), act.replace("-", "_")
+    sent = {"response_class": Response, "responses": binary(*answer)} if sends_bytes else {"response_model": answer}
+    app.post(f"/scenes/{{scene}}/{act}", tags=["queries"], name=name, description=about, **sent)(computed)
 
 
 def _add_catalogue(app: FastAPI, bench: Workbench) -> None:

@@ -2,35 +2,27 @@
 
 from collections.abc import Mapping
 from datetime import datetime
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 from urllib.parse import urlencode
 
-import numpy as np
 from pydantic import ConfigDict, Field
 
-from ... import query as engine
 from ...errors import InputError
 from ...query.catalogue import Catalogue, Conditions, Entry
+from ...query.schema import Place
 from .limits import Limits
 from .models import Body, Vector, significant
-from .pictures import from_base64
+from .query_fields import LIMITS, Finite, Request, asking, query_of
 from .replies import JPEG, Reply
-from .requests import MOST, Finite, Request, Text, Threshold
 
 SceneNames = Annotated[list[Annotated[str, Field(min_length=1, max_length=200)]], Field(max_length=64)]
 
 
+@asking(Place.HTTP, Place.CATALOGUE)
 class AskCatalogue(Request):
     """Exactly one of text, vector and image; and which objects are looked at."""
 
-    text: Text | None = Field(None, description="words; 'mug, not red' excludes what 'red mug' fits as well")
-    vector: Annotated[list[Finite], Field(min_length=1, max_length=8192)] | None = None
-    image: Annotated[str, Field(max_length=MOST.body_bytes)] | None = Field(
-        None, description="a picture of what to search for, base64 of PNG, JPEG, WebP, TIFF, BMP or PPM"
-    )
-    exclude: Annotated[list[Text], Field(max_length=16)] = Field([])
-    threshold: Threshold | Literal["auto"] | None = None
-    top: Annotated[int, Field(ge=1, le=MOST.matches, description="matches to return, best first")] = 10
+    top: Annotated[int, Field(ge=1, le=LIMITS.matches, description="matches to return, best first")] = 10
     scenes: SceneNames = Field([], description="names of scenes to search; none for all")
     box: Annotated[list[Finite], Field(min_length=6, max_length=6)] | None = Field(
         None, description="lowest and highest corner of a box that centres lie in, in the world of each scene"
@@ -117,16 +109,12 @@ def catalogue_reply(catalogue: Catalogue, act: str, asked: Mapping[str, Any], li
 
 
 def _answered(catalogue: Catalogue, asked: AskCatalogue, limits: Limits) -> CatalogueAnswer:
-    answer = catalogue.answer(_query(asked, limits), _where(asked), top=asked.top)
+    query = query_of(asked, limits)
+    answer = catalogue.answer(query, _where(asked), top=asked.top)
     return CatalogueAnswer(
-        query=asked.text or "",
-        num_matches=len(answer.entries),
+        query=query.text or "",
         matches=[_match(entry) for entry in answer.entries],
-        measure=answer.measure,
-        threshold=significant(answer.threshold),
-        threshold_rule=answer.rule,
-        num_compared=answer.num_compared,
-        exact=answer.exact,
+        **answer.json() | {"threshold": significant(answer.threshold)},
         advice="" if answer.entries else "no match in any scene: try other words, or a lower threshold",
     )
 
@@ -139,27 +127,8 @@ def _match(entry: Entry) -> CatalogueMatch:
 
 def _listed(catalogue: Catalogue) -> CatalogueScenes:
     listed = catalogue.scenes()
-    scenes = [
-        CatalogueScene(
-            name=one.scene,
-            num_objects=one.num_objects,
-            num_agreed=one.num_agreed,
-            added=one.added.isoformat(),
-            state=one.state,
-        )
-        for one in listed
-    ]
+    scenes = [CatalogueScene(**vars(one) | {"name": one.scene, "added": one.added.isoformat()}) for one in listed]
     return CatalogueScenes(scenes=scenes, num_objects=sum(one.num_objects for one in listed))
-
-
-def _query(asked: AskCatalogue, limits: Limits) -> engine.Query:
-    return engine.Query(
-        asked.text,
-        None if asked.vector is None else np.asarray(asked.vector, np.float32),
-        None if asked.image is None else from_base64(asked.image, limits.pixels),
-        exclude=tuple(asked.exclude),
-        threshold=asked.threshold,
-    )
 
 
 def _where(asked: AskCatalogue) -> Conditions:

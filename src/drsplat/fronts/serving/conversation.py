@@ -1,19 +1,20 @@
 """Conversation of a language model with a scene: each method is a tool with a short answer to reason on."""
 
 import base64
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any, NamedTuple, TypeVar
 
 import numpy as np
 from pydantic import Field
 
 from ... import query as engine
 from ...errors import InputError
-from ...query.defaults import AUTO
+from ...query.documents import rounded
 from ...query.objects import object_of, objects_of
 from ...query.regions import region
-from ...query.relations import Relation, related
+from ...query.relations import OfTwo, Relation, related
+from ...query.schema import CUT, Place, QueryField, fields
 from ...query.spatial import gap, standing_on
 from ...scene.boxes import BoxKind
 from .limits import Limits
@@ -33,40 +34,79 @@ from .models import (  # fmt: skip
     matches_of,
     measured,
     object_list,
-    rounded,
     span_of,
     tracked,
     when_told,
 )
 from .pictures import png
+from .query_fields import values_of
 from .requests import Tool
 
-Range = Sequence[float]
-MOST_MATCHES, MOST_OBJECTS, MOST_TEXT, PICTURE_SIDE, FEW = 20, 100, 200, 768, 8
-MOST_TIMES = 12  # of a track: a model reads every number
+MAX_MATCHES, MAX_OBJECTS, MAX_NAMES, MAX_TEXT_LENGTH, MAX_PHOTOS = 20, 100, 100, 200, 8
+MAX_TRACK_TIMES = 12  # a model reads every number
+PICTURE_SIDE_PIXELS = 768
+
+Text = Annotated[str, Field(description="query in a few words, e.g. 'red mug'", max_length=MAX_TEXT_LENGTH)]
+On = Annotated[
+    str | None,
+    Field(description="only those that stand on this, e.g. 'table'", min_length=1, max_length=MAX_TEXT_LENGTH),
+]
+Names = Annotated[
+    list[str] | None, Field(description="words to choose from; may be left out for encoders that know a list")
+]
+WorldPoint = Annotated[list[float], Field(description="[x, y, z], world", min_length=3, max_length=3)]
+Boxes = Annotated[
+    BoxKind, Field(description="upright: the third axis of boxes is up; free: along the match's own axes")
+]
+M = TypeVar("M", bound=Callable[..., Body])
 
 
-class Count(Body):
+class ToolEntry(NamedTuple):
+    """Method of `Conversation` that is a tool. cut: the fields of a query that it takes beside its own arguments."""
+
+    title: str
+    method: Callable[..., Body]
+    cut: list[QueryField]
+
+
+TOOLS: dict[str, ToolEntry] = {}
+
+
+def _tool(title: str, *places: Place) -> Callable[[M], M]:
+    """Make a method a tool. places: sorts of queries whose measuring and cutting its `**cut` takes."""
+
+    def add(method: M) -> M:
+        TOOLS[method.__name__] = ToolEntry(title, method, fields(*places, of=CUT) if places else [])
+        return method
+
+    return add
+
+
+class Measurement(Body):
+    """Lengths or positions in a scene, and what to do next."""
+
+    units: str = UNITS
+    field: Fingerprint = ""
+    advice: str = ""
+
+
+class Count(Measurement):
     query: str
     count: int
     of: int = Field(description="how many there are in the whole scene")
     centers: list[Vector] = Field(description="of the matches counted, best score first")
-    units: str = UNITS
-    field: Fingerprint = ""
-    advice: str = ""
 
 
-class Place(Body):
+class BestMatch(Measurement):
+    """Best match of a query."""
+
     query: str
     best: Match | None = Field(None, description="null where nothing matches")
     others: int = Field(0, description="further matches that fit less well")
     best_view: str | None = Field(None, description="the photo that shows most of it")
-    units: str = UNITS
-    field: Fingerprint = ""
-    advice: str = ""
 
 
-class Distance(Body):
+class Distance(Measurement):
     first: str
     second: str
     center_distance: float = Field(description="between the centres of the two")
@@ -74,17 +114,13 @@ class Distance(Body):
     offset: Vector = Field(description="from the centre of the first to that of the second")
     first_center: Vector
     second_center: Vector
-    units: str = UNITS
-    field: Fingerprint = ""
-    advice: str = ""
 
 
-class Here(Body):
+class PointWords(Measurement):
+    """Words for what is at a point."""
+
     point: Vector = Field(description="centre of the Gaussian that is there")
     words: list[Word] = Field(description="best first")
-    units: str = UNITS
-    field: Fingerprint = ""
-    advice: str = ""
 
 
 class Part(Body):
@@ -94,16 +130,13 @@ class Part(Body):
     center: Vector
 
 
-class Region(Body):
+class Region(Measurement):
     center: Vector
     radius: float
     parts: list[Part]
-    units: str = UNITS
-    field: Fingerprint = ""
-    advice: str = ""
 
 
-class About(Body):
+class About(Measurement):
     """Frame of a scene: the meaning of its positions and lengths."""
 
     scene: str
@@ -113,9 +146,6 @@ class About(Body):
     times: Annotated[Span | None, Field(description="first and last time of a scene that moves, else null")] = None
     num_photos: int
     some_photos: list[str] = Field(description="names of a few, for show and what_is_at_pixel")
-    units: str = UNITS
-    field: Fingerprint = ""
-    advice: str = ""
 
 
 class Related(ObjectList):
@@ -123,7 +153,9 @@ class Related(ObjectList):
     to: list[int | None] = Field(description="the objects that they are related to; null for a place that is none")
 
 
-class Shown(Body):
+class RenderedView(Body):
+    """View of a picture, and what it shows."""
+
     view: str
     query: str | None
     num_matches: int
@@ -133,10 +165,10 @@ class Shown(Body):
     advice: str = ""
 
 
-class Pictured(Body):
-    """png: base64."""
+class RenderedPicture(Body):
+    """Picture with its view. png: base64."""
 
-    shown: Shown
+    view: RenderedView
     png: str
 
 
@@ -147,7 +179,9 @@ class Conversation:
     scene: engine.Scene
     name: str
 
+    @_tool("About a scene")
     def about_scene(self) -> About:
+        """Describe a scene: its size, where it lies, which way is up, the unit of lengths, some of its photos."""
         digits, names = decimals_of(self.scene), [view.name for view in self.scene.views]
         up = None if self.scene.up is None else rounded(self.scene.up, 4)
         low, high = self.scene.box
@@ -158,47 +192,53 @@ class Conversation:
             up=up,
             times=span_of(self.scene),
             num_photos=len(names),
-            some_photos=names[:: max(1, len(names) // FEW)][:FEW],
+            some_photos=names[:: max(1, len(names) // MAX_PHOTOS)][:MAX_PHOTOS],
             field=self._field,
             advice="" if up else "the photos do not tell which way is up: count and locate know no 'on'",
         )
 
+    @_tool("Locate matches", Place.MCP)
     def locate(
-        self, text: str, on: str | None = None, top: int = 5, box: BoxKind = "upright", during: Range | None = None,
-        tracks: bool = False, objects: str = AUTO,
+        self, text: Text, on: On = None, top: Annotated[int, Field(ge=1, le=MAX_MATCHES, description="most matches to "
+        "list")] = 5, box: Boxes = "upright", tracks: Annotated[bool, Field(description="tell where each is over time, "
+        "and when photos see it, of a scene that moves")] = False, **cut: Any,
     ) -> Located:  # fmt: skip
-        answer = self.scene.ask(_query_of(text, during, objects))
+        """List the matches of a text, best first: centre, oriented box, score and supporting photos."""
+        answer = self.scene.ask(_query_of(text, cut))
         every = self.scene.locate(answer, box=box)
-        found = every if on is None else standing_on(self.scene, every, _query_of(on, objects=objects))
+        matches = self._standing_on(on, every, cut)
+        listed, digits = matches[:top], decimals_of(self.scene)
         return Located(
             query=_query(text, on),
-            num_matches=len(found),
-            matches=tracked(self.scene, found[:top], box, MOST_TIMES)
-            if tracks
-            else matches_of(found[:top], decimals_of(self.scene)),
-            advice=_advice(text, every, found, on),
+            num_matches=len(matches),
+            matches=tracked(self.scene, listed, box, MAX_TRACK_TIMES) if tracks else matches_of(listed, digits),
+            advice=_advice(text, every, matches, on),
             measured=measured(answer),
             field=self._field,
         )
 
-    def count(self, text: str, on: str | None = None, during: Range | None = None, objects: str = AUTO) -> Count:
-        every = self.scene.locate(_query_of(text, during, objects))
-        counted = every if on is None else standing_on(self.scene, every, _query_of(on, objects=objects))
+    @_tool("Count matches", Place.MCP)
+    def count(self, text: Text, on: On = None, **cut: Any) -> Count:
+        """Count the matches of a text, in the scene or standing on something."""
+        every = self.scene.locate(_query_of(text, cut))
+        counted = self._standing_on(on, every, cut)
         digits = decimals_of(self.scene)
         return Count(
             query=_query(text, on),
             count=len(counted),
             of=len(every),
-            centers=[rounded(match.center, digits) for match in counted[:MOST_MATCHES]],
+            centers=[rounded(match.center, digits) for match in counted[:MAX_MATCHES]],
             field=self._field,
             advice=_advice(text, every, counted, on),
         )
 
-    def where_is(self, text: str, during: Range | None = None, objects: str = AUTO) -> Place:
-        found = self.scene.locate(_query_of(text, during, objects))
+    @_tool("Where is it", Place.MCP)
+    def where_is(self, text: Text, **cut: Any) -> BestMatch:
+        """Find the best match of a text: where it is, how large it is, and the photo that shows it best."""
+        found = self.scene.locate(_query_of(text, cut))
         if not found:
-            return Place(query=text, best=None, others=0, best_view=None, field=self._field, advice=_absent(text))
-        return Place(
+            return BestMatch(query=text, best=None, others=0, best_view=None, field=self._field, advice=_absent(text))
+        return BestMatch(
             query=text,
             best=matches_of(found[:1], decimals_of(self.scene))[0],
             others=len(found) - 1,
@@ -206,8 +246,10 @@ class Conversation:
             field=self._field,
         )
 
-    def how_far_apart(self, first: str, second: str, objects: str = AUTO) -> Distance:
-        one, other = (self._best(_query_of(text, objects=objects)) for text in (first, second))
+    @_tool("How far apart", Place.MCP)
+    def how_far_apart(self, first: Text, second: Text, **cut: Any) -> Distance:
+        """Measure the distance of the best matches of two texts: centre to centre, and between their nearest parts."""
+        one, other = (self._best(_query_of(text, cut)) for text in (first, second))
         if np.intersect1d(one.gaussian_ids, other.gaussian_ids).size:
             raise InputError(
                 f"'{first}' and '{second}' mean the same place here: describe each more exactly, e.g. by colour"
@@ -224,13 +266,29 @@ class Conversation:
             field=self._field,
         )
 
-    def what_is_at(self, point: Sequence[float], names: list[str] | None = None) -> Here:
-        return self._here((point[0], point[1], point[2]), names)
+    @_tool("What is at a point")
+    def what_is_at(self, point: WorldPoint, names: Names = None) -> PointWords:
+        """Name what is at a point of the scene, best words first."""
+        return self._words_at((point[0], point[1], point[2]), names)
 
-    def what_is_at_pixel(self, view: str, x: float, y: float, names: list[str] | None = None) -> Here:
-        return self._here((view, x, y), names)
+    @_tool("What is at a pixel")
+    def what_is_at_pixel(
+        self,
+        view: Annotated[str, Field(description="a photo's name, as where_is and show return")],
+        x: Annotated[float, Field(description="pixels from the left of the photo")],
+        y: Annotated[float, Field(description="pixels from the top")],
+        names: Names = None,
+    ) -> PointWords:
+        """Name what a pixel of a photo shows, and tell where that is in the scene."""
+        return self._words_at((view, x, y), names)
 
-    def list_objects(self, top: int, unsure: bool = False) -> ObjectList:
+    @_tool("List objects")
+    def list_objects(
+        self,
+        top: Annotated[int, Field(ge=1, le=MAX_OBJECTS, description="most objects to list")] = 20,
+        unsure: Annotated[bool, Field(description="list also what photos agree less on, most of it scraps")] = False,
+    ) -> ObjectList:
+        """List what is in a scene, largest first, without words for it: number, name if known, box, photos."""
         found, left = listed_objects(self.scene, unsure)
         if not found and not left:
             return object_list(self.scene, [], "photos agree on nothing here: use locate")
@@ -238,62 +296,81 @@ class Conversation:
         more = f"{left} more that photos agree less on, most of them scraps: unsure=true lists them" if left else ""
         return object_list(self.scene, found[:top], ". ".join(filter(None, (cut, more))))
 
-    def relations(self, relation: Relation, to: str, and_to: str | None = None) -> Related:
+    @_tool("How objects lie")
+    def relations(
+        self,
+        relation: Relation,
+        to: Annotated[str, Field(description="number from list_objects, or a text", min_length=1, max_length=200)],
+        and_to: Annotated[str | None, Field(description="the second one, for 'between' only", max_length=200)] = None,
+    ) -> Related:
+        """Find the objects on, in, next to or above one, or between two, such as what lies on the table."""
         end = self._object(to)
         other = None if and_to is None else self._object(and_to)
         found = related(self.scene.gaussians, relation, self.scene.objects, end, other, self.scene.up)
         advice = "" if found else "no object is so: list_objects has all"
-        listed = object_list(self.scene, found[:MOST_MATCHES], advice)
+        listed = object_list(self.scene, found[:MAX_MATCHES], advice)
         numbers = [one.object_id for one in (end, other) if one is not None]
         return Related(**listed.model_dump(), relation=relation, to=numbers)
 
-    def when(self, one: str, relation: str, other: str, view: str | None = None, objects: str = AUTO) -> When:
-        first, second = (_query_of(text, objects=objects) for text in (one, other))
+    @_tool("When does it hold", Place.MCP, Place.WORDS)
+    def when(
+        self, one: Text, relation: Annotated[OfTwo, Field(description="relation of the one to the other; left and "
+        "right as seen from view")], other: Text,
+        view: Annotated[str | None, Field(description="a photo's name, for left_of and right_of only")] = None,
+        **cut: Any,
+    ) -> When:  # fmt: skip
+        """Find the spans of time in which one match stands in a relation to another, in a scene that moves."""
+        first, second = (_query_of(text, cut) for text in (one, other))
         return when_told(self.scene, first, relation, second, view)
 
-    def describe_region(self, center: Sequence[float], radius: float, names: list[str] | None = None) -> Region:
+    @_tool("Describe a region")
+    def describe_region(
+        self, center: WorldPoint, radius: Annotated[float, Field(gt=0, description="scene units")], names: Names = None
+    ) -> Region:
+        """Name what lies within a radius of a point: names, how much of the region each is, and where."""
         parts = region(self.scene, (center[0], center[1], center[2]), radius, _names(names))
         digits = decimals_of(self.scene)
         listed = [
-            Part(
-                name=one.name,
-                share=round(one.share, 4),
-                num_gaussians=one.num_gaussians,
-                center=rounded(one.center, digits),
-            )
-            for one in parts[:MOST_MATCHES]
+            Part(**one._asdict() | {"share": round(one.share, 4), "center": rounded(one.center, digits)})
+            for one in parts[:MAX_MATCHES]
         ]
         advice = "" if listed else "none of these words fits what is there: give other names, or a larger radius"
         return Region(center=rounded(center, digits), radius=radius, parts=listed, field=self._field, advice=advice)
 
-    def show(self, text: str | None = None, view: str | None = None, objects: str = AUTO) -> Pictured:
+    @_tool("Show a picture", Place.MCP)
+    def show(
+        self,
+        text: Annotated[str | None, Field(description="kept in colour, the rest grey; left out: all as it is")] = None,
+        view: Annotated[str | None, Field(description="a photo's name; left out: the best one")] = None,
+        **cut: Any,
+    ) -> RenderedPicture:
+        """Render a picture (PNG) of the scene, optionally with the matches of a text kept in colour."""
         ids, advice, count = None, "", 0
         if text:
-            found = self.scene.locate(_query_of(text, objects=objects))
+            found = self.scene.locate(_query_of(text, cut))
             count = len(found)
             ids = np.concatenate([m.gaussian_ids for m in found] or [np.empty(0, np.int64)])
             advice = "" if found else _absent(text)
         chosen = self.scene.view(view) if view else self.scene.best_view(ids if count else None)
-        pixels = self.scene.picture(chosen, ids, max_side=PICTURE_SIDE)
+        pixels = self.scene.picture(chosen, ids, max_side=PICTURE_SIDE_PIXELS)
         height, width = pixels.shape[:2]
-        shown = Shown(
-            view=chosen.name,
-            query=text,
-            num_matches=count,
-            width=width,
-            height=height,
-            field=self._field,
-            advice=advice,
-        )
-        return Pictured(shown=shown, png=base64.b64encode(png(pixels)).decode())
+        sizes = {"num_matches": count, "width": width, "height": height}
+        shown = RenderedView(view=chosen.name, query=text, **sizes, field=self._field, advice=advice)
+        return RenderedPicture(view=shown, png=base64.b64encode(png(pixels)).decode())
 
     @property
     def _field(self) -> str:
         return self.scene.field.fingerprint
 
-    def _here(self, place: tuple[float, float, float] | tuple[str, float, float], names: list[str] | None) -> Here:
+    def _standing_on(self, on: str | None, matches: list[engine.Match], cut: dict[str, Any]) -> list[engine.Match]:
+        """Return the matches that stand on another text's, wherever that is at any time; all for None."""
+        return matches if on is None else standing_on(self.scene, matches, _query_of(on, {**cut, "during": None}))
+
+    def _words_at(
+        self, place: tuple[float, float, float] | tuple[str, float, float], names: list[str] | None
+    ) -> PointWords:
         words = self.scene.what_is(place, _names(names))
-        return Here(
+        return PointWords(
             point=rounded(_point(self.scene, place), decimals_of(self.scene)),
             words=[Word(name=word.text, score=round(word.score, 4)) for word in words],
             field=self._field,
@@ -323,28 +400,9 @@ class Conversation:
         return found[0]
 
 
-_TOOLS: Mapping[str, Callable[..., Body]] = {
-    tool.__name__: tool
-    for tool in (
-        Conversation.about_scene,
-        Conversation.locate,
-        Conversation.count,
-        Conversation.where_is,
-        Conversation.how_far_apart,
-        Conversation.what_is_at,
-        Conversation.what_is_at_pixel,
-        Conversation.list_objects,
-        Conversation.relations,
-        Conversation.when,
-        Conversation.describe_region,
-        Conversation.show,
-    )
-}
-
-
 def tool_answer(scene: engine.Scene, asked: Tool, _: Limits) -> Body:
     """Return a tool's answer with the reason not to rely on names in its scene, if there is one."""
-    answer = _TOOLS[asked.tool](Conversation(scene, asked.name), **asked.arguments)
+    answer = TOOLS[asked.tool].method(Conversation(scene, asked.name), **asked.arguments)
     advice = [getattr(answer, "advice", None), scene.doubt]
     if None in advice or not scene.doubt:
         return answer
@@ -364,22 +422,20 @@ def _advice(text: str, every: list[engine.Match], found: list[engine.Match], on:
 
 
 def _text(text: str) -> str:
-    if not text.strip() or len(text) > MOST_TEXT:
+    if not text.strip() or len(text) > MAX_TEXT_LENGTH:
         raise InputError(
-            f"text: expected a few words that name an object, at most {MOST_TEXT} characters; got {len(text)}"
+            f"text: expected a few words that name an object, at most {MAX_TEXT_LENGTH} characters; got {len(text)}"
         )
     return text
 
 
-def _query_of(text: str, during: Range | None = None, objects: str = AUTO) -> engine.Query:
-    """Return the query of a text, of all times or a span of them."""
-    span = None if during is None else (during[0], during[1])
-    return engine.Query(_text(text), during=span, objects=objects)
+def _query_of(text: str, cut: dict[str, Any]) -> engine.Query:
+    return engine.Query(_text(text), **values_of(cut, of=CUT))
 
 
 def _names(names: list[str] | None) -> list[str] | None:
-    if names is not None and (not 1 <= len(names) <= 100 or any(len(one) > MOST_TEXT for one in names)):
-        raise InputError(f"names: expected 1 to 100 texts of at most {MOST_TEXT} characters")
+    if names is not None and (not 1 <= len(names) <= MAX_NAMES or any(len(one) > MAX_TEXT_LENGTH for one in names)):
+        raise InputError(f"names: expected 1 to {MAX_NAMES} texts of at most {MAX_TEXT_LENGTH} characters")
     return names
 
 

@@ -11,8 +11,9 @@ from ...errors import InputError
 from ...query import Scene
 from ...scene.gaussians import Gaussians
 from .limits import Limits
+from .query_fields import asks_something, query_of
 from .replies import GLB, PLY, Reply
-from .requests import Export, asks_something, query_of
+from .requests import Export
 
 BYTES_BESIDE_HARMONICS = 48  # of a Gaussian: place, rotation, scales, opacity, point's colour
 BYTES_PER_COEFFICIENT = 12

@@ -4,19 +4,18 @@ Coordinates are world coordinates of the scene, in scene units: metres only wher
 """
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from ... import query as engine
-from ...query.objects import objects_of, photos_of
+from ...query.documents import answer_document, match_document, object_documents, track_document
 from ...scene.boxes import BoxKind
-from .scene_folder import Summary
 
 UNITS = "scene units"
-MOST_PHOTOS = 8  # listed of an object
+MAX_PHOTOS_OF_OBJECT = 8
 Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
 Span = Annotated[list[float], Field(min_length=2, max_length=2)]
 
@@ -194,56 +193,22 @@ class When(Body):
     advice: str = ""
 
 
-def summarized(summary: Summary) -> SceneSummary:
-    return SceneSummary(**vars(summary))
-
-
 def measured(answer: engine.Answer) -> Measured:
-    return Measured(
-        measure=answer.measure,
-        threshold=significant(answer.threshold),
-        threshold_rule=answer.rule,
-        num_selected=len(answer.gaussian_ids),
-        num_registered=len(answer.field),
-        doubt=answer.doubt,
-    )
+    return Measured(**answer_document(answer) | {"threshold": significant(answer.threshold)})
 
 
-def matches_of(found: Sequence[engine.Match], decimals: int) -> list[Match]:
-    return [
-        Match(
-            center=rounded(one.center, decimals),
-            extent=rounded(one.extent, decimals),
-            axes=[rounded(axis, 4) for axis in one.axes],
-            score=round(one.score, 4),
-            num_gaussians=len(one),
-            support=[Support(view=s.view_name, mask=s.mask_id, share=round(s.share, 4)) for s in one.support],
-        )
-        for one in found
-    ]
+def matches_of(matches: Sequence[engine.Match], decimals: int) -> list[Match]:
+    return [Match(**match_document(match, decimals)) for match in matches]
 
 
-def tracked(scene: engine.Scene, found: Sequence[engine.Match], box: BoxKind, most: int | None = None) -> list[Match]:
+def tracked(scene: engine.Scene, matches: Sequence[engine.Match], box: BoxKind, most: int | None = None) -> list[Match]:
     """Return matches with their tracks. most: times and photos of each at most, evenly chosen; None: all of them.
 
     Raises: InputError: a scene that stands still.
     """
     digits = decimals_of(scene)
-    told = zip(matches_of(found, digits), scene.tracks(found, box), strict=True)
-    return [match.model_copy(update={"track": _track(track, digits, most)}) for match, track in told]
-
-
-def _track(track: engine.MatchTrack, decimals: int, most: int | None) -> Track:
-    count = len(track)
-    chosen = np.linspace(0, count - 1, min(count, most or count)).round().astype(int).tolist()
-    return Track(
-        times=track.times[chosen].tolist(),
-        centers=[rounded(track.centers[one], decimals) for one in chosen],
-        extents=[rounded(track.extents[one], decimals) for one in chosen],
-        axes=[[rounded(axis, 4) for axis in track.axes[one]] for one in chosen],
-        spans=[list(span) for span in track.spans],
-        views=list(track.views[:most]),
-    )
+    tracks = (track_document(track, digits, most) for track in scene.tracks(matches, box))
+    return [Match(**match_document(one, digits) | {"track": track}) for one, track in zip(matches, tracks, strict=True)]
 
 
 def when_told(
@@ -275,36 +240,18 @@ def listed_objects(scene: engine.Scene, every: bool) -> tuple[list[engine.Match]
 
 
 def object_list(scene: engine.Scene, shown: Sequence[engine.Match], advice: str = "") -> ObjectList:
-    """shown: objects of the scene."""
-    names, agreed, digits = scene.object_names(), scene.agreed, decimals_of(scene)
+    """Return some objects of a scene, and how many there are."""
+    agreed = scene.agreed
+    listed = [
+        SceneObject(**document | {"views": document["views"][:MAX_PHOTOS_OF_OBJECT]})
+        for document in object_documents(scene, shown, decimals_of(scene))
+    ]
     return ObjectList(
-        num_objects=len(names),
+        num_objects=len(agreed),
         num_agreed=int(np.count_nonzero(agreed)),
-        objects=[
-            _object(scene, one, names[one.object_id], bool(agreed[one.object_id]), digits)
-            for one in shown
-            if one.object_id is not None
-        ],
+        objects=listed,
         advice=advice,
         field=scene.field.fingerprint,
-    )
-
-
-def _object(scene: engine.Scene, match: engine.Match, name: str | None, agreed: bool, decimals: int) -> SceneObject:
-    objects, number = objects_of(scene.field), match.object_id
-    node = objects.thing(-1 if number is None else number)
-    return SceneObject(
-        id=objects.number_of[node],
-        label=match.label,
-        name=name,
-        center=rounded(match.center, decimals),
-        extent=rounded(match.extent, decimals),
-        axes=[rounded(axis, 4) for axis in match.axes],
-        num_gaussians=len(match),
-        num_views=objects.num_views[node],
-        sure=round(match.score, 4),
-        agreed=agreed,
-        views=photos_of(scene.field, node)[:MOST_PHOTOS],
     )
 
 
@@ -313,10 +260,6 @@ def decimals_of(scene: engine.Scene) -> int:
     low, high = scene.box
     size = max(float(np.linalg.norm(high - low)), 1e-12)
     return 4 - math.floor(math.log10(size))
-
-
-def rounded(values: Iterable[float], decimals: int) -> list[float]:
-    return [round(float(value), decimals) for value in values]
 
 
 def significant(value: float) -> float:

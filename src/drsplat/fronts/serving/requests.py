@@ -1,75 +1,26 @@
-"""Requests over HTTP, and the queries of the engine that they become."""
+"""Requests over HTTP, except for the fields of queries, which `query_fields` makes."""
 
 from typing import Annotated, Any, Literal
 
-import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import ConfigDict, Field
 
-from ... import query as engine
 from ...errors import InputError
 from ...query.defaults import MIN_GAUSSIANS
 from ...query.relations import OfTwo
+from ...query.schema import CUT, Place
 from ...scene.boxes import BoxKind
-from .limits import Limits
-from .pictures import from_base64
+from .query_fields import LIMITS, Click, Finite, Point, Request, Text, asking, values_of
 
-MOST = Limits()
-Text = Annotated[str, StringConstraints(min_length=1, max_length=MOST.text)]
-Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e12, le=1e12)]
-Threshold = Annotated[float, Field(allow_inf_nan=False, ge=-1, le=1)]
-WithObjects = Annotated[
-    Literal["auto", "never"],
-    Field(description="auto: objects answer as wholes, where the field has them; never: each Gaussian for itself"),
-]
-Share = Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)]
+EXAMPLES = ConfigDict(json_schema_extra={"examples": [{"text": "red vase"}, {"point": [0.3, 0.14, 0.82]}]})
 
 
-class Request(BaseModel):
-    """Unknown keys are refused: a misspelt option would otherwise be ignored in silence."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
-
-
-class Click(Request):
-    """A pixel of a photo, from the left and from the top."""
-
-    view: Annotated[str, Field(min_length=1, max_length=500)]
-    x: Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
-    y: Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
-
-
-class Cut(Request):
-    """How scores are measured and cut; all may be left out."""
-
-    threshold: Threshold | Literal["auto"] | None = None
-    top_share: Share | None = None
-    relevancy: bool = False
-    negatives: Annotated[list[Text], Field(min_length=1, max_length=32)] | None = None
-    during: Annotated[list[Finite], Field(min_length=2, max_length=2)] | None = Field(
-        None, description="start and end of a span of time, of a scene that moves: only what photos of it have shown"
-    )
-    objects: WithObjects = "auto"
-
-
-class Query(Cut):
-    """Exactly one of text, vector, image, point and click."""
-
-    text: Text | None = Field(None, description="words; 'mug, not red' excludes what 'red mug' fits as well")
-    vector: Annotated[list[Finite], Field(min_length=1, max_length=8192)] | None = None
-    image: Annotated[str, Field(max_length=MOST.body_bytes)] | None = Field(
-        None, description="a picture of what to search for, base64 of PNG, JPEG, WebP, TIFF, BMP or PPM"
-    )
-    point: Annotated[list[Finite], Field(min_length=3, max_length=3)] | None = None
-    click: Click | None = None
-    exclude: Annotated[list[Text], Field(max_length=16)] = []
-
-    model_config = ConfigDict(json_schema_extra={"examples": [{"text": "red vase"}, {"point": [0.3, 0.14, 0.82]}]})
-
-
-class Locate(Query):
+@asking(Place.HTTP)
+class Locate(Request):
     """A query, and which of its matches are returned."""
 
-    top: Annotated[int, Field(ge=1, le=MOST.matches, description="matches to return, best first")] = 10
+    model_config = EXAMPLES
+
+    top: Annotated[int, Field(ge=1, le=LIMITS.matches, description="matches to return, best first")] = 10
     min_gaussians: Annotated[int, Field(ge=2, le=1_000_000)] = MIN_GAUSSIANS
     box: BoxKind = Field(
         "upright",
@@ -81,6 +32,7 @@ class Locate(Query):
     )
 
 
+@asking(Place.HTTP, Place.WORDS)
 class When(Request):
     """Two queries in words, of which the sure matches are taken, and a relation of the one to the other."""
 
@@ -90,8 +42,6 @@ class When(Request):
     view: Annotated[str, Field(min_length=1, max_length=500)] | None = Field(
         None, description="a photo's name, for left_of and right_of only"
     )
-    threshold: Threshold | Literal["auto"] | None = Field(None, description="of both queries")
-    objects: WithObjects = "auto"
 
     model_config = ConfigDict(
         json_schema_extra={"examples": [{"one": "red car", "relation": "next_to", "other": "white vase"}]}
@@ -131,32 +81,38 @@ class Tool(Request):
     arguments: dict[str, Any]
 
 
-class Select(Query):
+@asking(Place.HTTP)
+class Select(Request):
     """A query for the Gaussians themselves."""
+
+    model_config = EXAMPLES
 
     ids: bool = Field(False, description="whether to return the rows of the selected Gaussians")
 
 
-class Segment(Cut):
-    classes: Annotated[list[Text], Field(min_length=1, max_length=MOST.classes)]
+@asking(Place.HTTP, of=CUT)
+class Segment(Request):
+    classes: Annotated[list[Text], Field(min_length=1, max_length=LIMITS.classes)]
     labels: bool = Field(False, description="whether to return the class of every Gaussian")
 
     model_config = ConfigDict(json_schema_extra={"examples": [{"classes": ["table", "red vase", "orange sofa"]}]})
 
 
-class Picture(Query):
+@asking(Place.HTTP)
+class Picture(Request):
     """A rendering, with the matches of a query in colour; without a query the scene as it is."""
 
     view: Annotated[str, Field(min_length=1, max_length=500)] | None = Field(
         None, description="a photo's name; left out: the one that shows most of the matches"
     )
     photo: bool = Field(False, description="the photo instead of a rendering")
-    max_side: Annotated[int, Field(ge=16, le=MOST.side)] = 800
+    max_side: Annotated[int, Field(ge=16, le=LIMITS.side)] = 800
 
     model_config = ConfigDict(json_schema_extra={"examples": [{"text": "red vase", "max_side": 320}]})
 
 
-class Export(Query):
+@asking(Place.HTTP)
+class Export(Request):
     """The scene as a file, with the answer to a query where there is one."""
 
     format: Literal["glb", "ply", "spz"] = Field("glb", description="a .glb has names, boxes and matches")
@@ -172,54 +128,16 @@ class Export(Query):
 class WhatIs(Request):
     """Exactly one of point and click."""
 
-    point: Annotated[list[Finite], Field(min_length=3, max_length=3)] | None = None
+    point: Point | None = None
     click: Click | None = None
-    names: Annotated[list[Text], Field(min_length=1, max_length=MOST.classes)] | None = None
+    names: Annotated[list[Text], Field(min_length=1, max_length=LIMITS.classes)] | None = None
 
     model_config = ConfigDict(json_schema_extra={"examples": [{"point": [0.3, 0.14, 0.82]}]})
-
-
-def asks_something(query: Query) -> bool:
-    return any(getattr(query, kind) is not None for kind in engine.query.KINDS)
-
-
-def query_of(given: Query, limits: Limits) -> engine.Query:
-    """Return the engine's query. Raises: InputError: not one of the five, or a picture that is damaged or too large."""
-    return engine.Query(
-        given.text,
-        None if given.vector is None else np.asarray(given.vector, np.float32),
-        None if given.image is None else from_base64(given.image, limits.pixels),
-        None if given.point is None else _point(given.point),
-        None if given.click is None else _pixel(given.click),
-        tuple(given.exclude),
-        **vars(cut_of(given)),
-    )
-
-
-def cut_of(given: Cut) -> engine.Cut:
-    return engine.Cut(
-        threshold=given.threshold,
-        top_share=given.top_share,
-        relevancy=given.relevancy,
-        negatives=None if given.negatives is None else tuple(given.negatives),
-        during=None if given.during is None else (given.during[0], given.during[1]),
-        objects=given.objects,
-    )
 
 
 def place(given: WhatIs) -> tuple[float, float, float] | tuple[str, float, float]:
     """Return the point or the click of a request. Raises: InputError: not exactly one of the two."""
     if (given.point is None) == (given.click is None):
         raise InputError("expected exactly one of point and click")
-    if given.click is not None:
-        return _pixel(given.click)
-    assert given.point is not None
-    return _point(given.point)
-
-
-def _point(given: list[float]) -> tuple[float, float, float]:
-    return given[0], given[1], given[2]
-
-
-def _pixel(click: Click) -> tuple[str, float, float]:
-    return click.view, click.x, click.y
+    (where,) = values_of(vars(given)).values()
+    return where  # type: ignore[no-any-return]

@@ -20,7 +20,7 @@ from ...errors import DrSplatError
 from .answers import ANSWERS, answered
 from .catalogued import catalogue_reply
 from .limits import Limits
-from .models import SceneList, summarized
+from .models import SceneList, SceneSummary
 from .replies import BUG, Reply, packed, problem, refusal
 from .scene_folder import SceneFolder, Sources, without_paths
 
@@ -72,7 +72,7 @@ def reply_to(scene_folder: SceneFolder, place: Workplace, act: str, scene: str, 
     """Answer an act: "list", "open" (which also loads who embeds words), one of `ANSWERS`, or of a catalogue."""
     try:
         if act == "list":
-            scenes = [summarized(one) for one in scene_folder.summaries()]
+            scenes = [SceneSummary(**vars(one)) for one in scene_folder.summaries()]
             return Reply(SceneList(scenes=scenes).model_dump_json().encode())
         if act == "open" and not scene:
             with suppress(DrSplatError):  # told when it is asked

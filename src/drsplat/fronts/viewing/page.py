@@ -209,8 +209,8 @@ def _answer(frame: Frame, number: int, answer: PageAnswer) -> dict[str, Any]:
     text = printable(answer.text)
     return {
         "text": text, "summary": "", "doubt": answer.doubt, "accent": painting.accent(number), "matches": matches,
-        "num_matches": len(matches), "threshold": 0, "automatic": 0, "limits": [0, 1], "measure": "", "rule": "",
-        "exact": True,
+        "num_matches": len(matches), "threshold": 0, "automatic": 0, "limits": [0, 1], "measure": "",
+        "threshold_rule": "", "exact": True,
     }  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from .playing import placed_now
 from .session import Session
 from .texts import printable
 
-POINT = 1.0  # of the browser's units: how large a point is taken to be
+POINT_SIZE = 1.0  # of the browser's units
 MOST_OBJECTS = 60  # listed: the largest that photos agree on; and as many of the others, behind "more"
 PICTURES, PICTURE_SIZE, QUALITY = 24, (112, 84), 70  # some 3 KB each
 
@@ -42,7 +42,7 @@ def objects_of_page(
         | {
             "number": number,
             "size": size_text(match.extent),
-            "gaussians": len(match.gaussian_ids),
+            "num_gaussians": len(match),
             "name": printable(names[number], 60),
             "unsure": not agreed[number],
             "picture": picture,
@@ -84,7 +84,7 @@ def annotations_of_page(session: Session, up: Float64[np.ndarray, " 3"]) -> list
 def _eye(session: Session, one: Annotation, up: Float64[np.ndarray, " 3"]) -> list[float]:
     """Return a place to see an annotation from, as a match of its size is seen."""
     scene, frame = session.scene, session.shown.frame
-    axes, extent = (np.eye(3), np.full(3, POINT / frame.scale)) if one.outline is None else one.outline
+    axes, extent = (np.eye(3), np.full(3, POINT_SIZE / frame.scale)) if one.outline is None else one.outline
     place = Match(one.center, axes, extent, 1.0, np.empty(0, np.int64))
     eye: list[float] = frame.shown(before(place, scene.gaussians, scene.views, up)).tolist()
     return eye

@@ -22,7 +22,7 @@ STILL = 2e-3  # of the browser's units: what moves less stands still
 SAME = 0.02  # of a Gaussian's spread: what turns or grows less does not
 SEEN = 1 / 255
 LEVELS = 65_535  # of a place along an axis
-TIMES_A_SECOND, LEAST_SECONDS, MOST_SECONDS = 15, 2.0, 10.0
+TIMES_PER_SECOND, MIN_SECONDS, MAX_SECONDS = 15, 2.0, 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,8 +89,12 @@ def _collected(
     low, high = seen.min(0).astype(np.float64), seen.max(0).astype(np.float64)
     step = np.maximum((high - low) / LEVELS, 1e-12)
     places = np.clip(np.round((centers - low) / step), 0, LEVELS).astype(np.uint16)
-    seconds = float(np.clip(num_known / TIMES_A_SECOND, LEAST_SECONDS, MOST_SECONDS))
-    return PageTimes(times, order, places, low, step, covariances, opacities, seconds, num_known)
+    return PageTimes(times, order, places, low, step, covariances, opacities, playing_seconds(num_known), num_known)
+
+
+def playing_seconds(num_times: int) -> float:
+    """Return how long a scene that moves is played."""
+    return float(np.clip(num_times / TIMES_PER_SECOND, MIN_SECONDS, MAX_SECONDS))
 
 
 def _moving(session: Session, times: Float64[np.ndarray, " t"]) -> Bool[np.ndarray, " m"]:

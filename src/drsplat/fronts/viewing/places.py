@@ -1,41 +1,42 @@
 """Boxes and matches as documents in the browser's frame, for a page and for a running viewer."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ...base.arrays import Float64, Shaped
-from ...query import Match
+from ...query import Match, documents
 from .shown import Frame
 from .texts import printable
 
 MAX_NAME_LENGTH = 60
+DECIMALS = 5  # a browser's unit is a twentieth of the scene
 
 
 def box_document(
     frame: Frame, center: Float64[np.ndarray, " 3"], axes: Float64[np.ndarray, "3 3"],
     extent: Float64[np.ndarray, " 3"],
 ) -> dict[str, Any]:  # fmt: skip
-    """Return an oriented box: centre, axes as rows, lengths along them."""
-    return {"center": rounded(frame.shown(center)), "axes": rounded(axes), "extent": rounded(extent * frame.scale)}
+    """Return an oriented box of the world in the browser's frame."""
+    return documents.box_document(frame.shown(center), axes, extent * frame.scale, DECIMALS)
 
 
 def match_document(frame: Frame, match: Match, eye: Float64[np.ndarray, " 3"], name: str = "") -> dict[str, Any]:
     """Return a match with its box, a place to see it from, and its numbers in scene units. eye: in the world."""
-    return box_document(frame, match.center, match.axes, match.extent) | {
+    shown = replace(match, center=frame.shown(match.center), extent=match.extent * frame.scale)
+    document = documents.match_document(shown, DECIMALS)
+    del document["support"]  # many masks, which the client does not list
+    return document | {
         "eye": rounded(frame.shown(eye)),
-        "score": round(float(match.score), 4),
         "size": size_text(match.extent),
         "place": place_text(match.center),
-        "gaussians": len(match.gaussian_ids),
         "name": printable(name, MAX_NAME_LENGTH),
     }
 
 
 def rounded(values: Shaped[np.ndarray, "*any"]) -> list[Any]:
-    """Return numbers as lists, to five places: a browser's unit is a twentieth of the scene."""
-    lists: list[Any] = np.round(values.astype(np.float64), 5).tolist()
-    return lists
+    return documents.rounded(values, DECIMALS)
 
 
 def size_text(extent: Float64[np.ndarray, " 3"]) -> str:

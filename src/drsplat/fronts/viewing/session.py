@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +33,7 @@ from .picking import hit_by_ray
 from .results import Result
 from .shown import Shown, shown_of
 
-MOST_QUERIES = 8  # at once: as many as there are colours
+MAX_QUERIES = 8  # at once: as many as there are colours
 
 
 class Mode(StrEnum):
@@ -132,16 +133,17 @@ class Session:
             return (Mode.SCENE,)
         return tuple(mode for mode in Mode if mode is not Mode.OBJECTS or self.has_objects)
 
-    def ask(self, text: str) -> str:
-        """To one query in words, or several with ";" between them; says what was found.
+    def ask(self, text: str, **cut: Any) -> str:
+        """Answer one query in words, or several with ";" between them, and return a summary. cut: more of a `Query`.
 
         Raises: InputError: no words, too many queries, words that the encoder does not know.
         """
         texts = results.split_queries(text)
-        if not 1 <= len(texts) <= MOST_QUERIES:
-            raise InputError(f"expected one to {MOST_QUERIES} queries with ';' between them")
+        if not 1 <= len(texts) <= MAX_QUERIES:
+            raise InputError(f"expected one to {MAX_QUERIES} queries with ';' between them")
+        queries = [Query(one, during=self.during, **cut) for one in texts]
         summary = self._answered(
-            [results.result_of(self.scene, one, self.scene.ask(Query(one, during=self.during))) for one in texts]
+            [results.result_of(self.scene, one.text or "", self.scene.ask(one)) for one in queries]
         )
         self.asked = tuple(texts)
         return summary

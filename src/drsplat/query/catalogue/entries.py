@@ -10,6 +10,7 @@ import numpy as np
 from ...base.arrays import Float64, UInt8
 from ...errors import FormatError, InputError
 from ...scene.photos import decoded_picture
+from ..documents import box_document
 
 JPEG = b"\xff\xd8\xff"
 MAX_PIXELS = MAX_JPEG_BYTES = 1 << 20  # of a thumbnail
@@ -81,9 +82,7 @@ class Entry:
             "label": self.label,
             "name": self.name,
             "score": round(self.score, 4),
-            "center": self.center.tolist(),
-            "extent": self.extent.tolist(),
-            "axes": self.axes.tolist(),
+            **box_document(self.center, self.axes, self.extent),
             "position": None if self.position is None else self.position._asdict(),
             "num_gaussians": self.num_gaussians,
             "num_views": self.num_views,
@@ -110,6 +109,17 @@ class CatalogueAnswer:
     rule: str
     num_compared: int
     exact: bool
+
+    def json(self) -> dict[str, Any]:
+        """Return the answer as a JSON object, but for its entries."""
+        return {
+            "measure": self.measure,
+            "threshold": self.threshold,
+            "threshold_rule": self.rule,
+            "num_compared": self.num_compared,
+            "exact": self.exact,
+            "num_matches": len(self.entries),
+        }
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,9 @@ from pydantic import Field, TypeAdapter
 from ....errors import InputError
 from ....kernels.boxes import box_of
 from ....query import Match
+from ....query.schema import Place
 from ....scene.annotations import Annotation
+from ...serving.query_fields import asking, values_of
 from ..session import Mode, Session
 from .cameras import Body, Camera, Finite, Number, Point, Span, Text, view_of
 from .changes import ChangeRequest
@@ -20,7 +22,7 @@ from .opening import open_batch, open_entry
 from .shared import Shared
 from .stage import Stage
 
-LASSO_SIDE = 640  # pixels of the picture in which an outline selects
+LASSO_SIDE_PIXELS = 640
 Corner = tuple[Finite, Finite]
 
 
@@ -77,15 +79,17 @@ class EditAct(SlowAct):
         raise NotImplementedError
 
 
+@asking(Place.VIEWER)
 class Ask(Act):
     act: Literal["ask"]
     text: Text
-    during: Span | None = None
 
     def do(self, shared: Shared) -> str | None:
+        asked = values_of(vars(self))
+        during = asked.pop("during", None)
         if "during" in self.model_fields_set:
-            _set_during(shared.session, self.during)
-        return shared.session.ask(self.text)
+            _set_during(shared.session, during)
+        return shared.session.ask(**asked)
 
 
 class MoreLikeThis(Act):
@@ -203,7 +207,7 @@ class Lasso(Act):
     camera: Camera
 
     def do(self, shared: Shared) -> str | None:
-        view = view_of(shared.stage, self.camera, LASSO_SIDE)
+        view = view_of(shared.stage, self.camera, LASSO_SIDE_PIXELS)
         scale = np.array([view.width / self.camera.width, view.height / self.camera.height])
         return shared.session.lasso(view, np.array(self.polygon, np.float64) * scale)
 

@@ -17,7 +17,7 @@ from . import arrays
 from .arrays import Packed, Rows
 from .shelf import Shelf
 from .stage import Stage, Vector
-from .state import LONGEST, film_formats, header_of, state_of
+from .state import MAX_SENTENCE_LENGTH, film_formats, header_of, state_of
 from .uploads import Uploads
 
 NOTHING_OPEN = "no scene is open: search the catalogue and open one, or open a file"
@@ -85,7 +85,7 @@ class Shared:
         """Say something to all, safe to show; None: what the session says of its answers."""
         own = "" if self._stage is None else self._stage.session.summary
         lines = (own if text is None else text).splitlines()
-        self.message = "\n".join(printable(line.strip(), LONGEST) for line in lines)
+        self.message = "\n".join(printable(line.strip(), MAX_SENTENCE_LENGTH) for line in lines)
 
     def without_folders(self, message: str) -> str:
         """Return a message for others than the one who started the viewer: it names no folder of this machine."""

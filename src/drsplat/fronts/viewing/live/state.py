@@ -15,6 +15,7 @@ from ....base.arrays import Float64
 from ....drawing.heat import HEAT
 from ....drawing.palette import class_colors
 from ....query import Match
+from ....query.documents import support_document
 from ....query.nodes import numbered
 from ....query.objects import objects_of
 from ....scene.annotations import Annotation
@@ -22,16 +23,16 @@ from ....scene.views import View
 from .. import painting
 from ..bare import NO_FIELD
 from ..naming import This, best_photo
-from ..places import box_document, match_document, place_text, rounded, size_text
+from ..page_parts import POINT_SIZE
+from ..page_times import playing_seconds
+from ..places import DECIMALS, box_document, match_document, place_text, rounded, size_text
 from ..results import Result
 from ..session import Session
 from ..texts import printable
 from .stage import Stage, Vector
 
-MOST_PHOTOS, MOST_OBJECTS, MOST_MATCHES, MOST_LISTED = 200, 500, 100, 100
-LONGEST = 600  # characters of a sentence
-TIMES_A_SECOND, LEAST_SECONDS, MOST_SECONDS = 15, 2.0, 10.0  # that a scene plays
-POINT = 1.0  # of the browser's units: how large a point is taken to be
+MAX_PHOTOS, MAX_OBJECTS, MAX_MATCHES, MAX_LISTED = 200, 500, 100, 100
+MAX_SENTENCE_LENGTH = 600
 FILM_FORMATS = (".mp4", ".webm", ".webp", ".gif")
 Document = dict[str, Any]
 
@@ -61,7 +62,7 @@ def header_of(stage: Stage) -> Document:
         "words": _words(stage),
         "modes": [mode.value for mode in session.modes],
         "objects": _objects(stage),
-        "photos": [_photo(stage, view) for view in _evenly(session.scene.views, MOST_PHOTOS)],
+        "photos": [_photo(stage, view) for view in _evenly(session.scene.views, MAX_PHOTOS)],
         "times": _times(session),
     }
 
@@ -76,7 +77,7 @@ def about(session: Session) -> str:
 def _words(stage: Stage) -> list[str]:
     """Return what one may type: suggestions first, then the names of objects, each once."""
     names = [name for number in stage.listed if (name := stage.names[number].rpartition(" · ")[0])]
-    return list(dict.fromkeys(printable(word, 60) for word in (*stage.words, *names)))[:MOST_LISTED]
+    return list(dict.fromkeys(printable(word, 60) for word in (*stage.words, *names)))[:MAX_LISTED]
 
 
 def _objects(stage: Stage) -> list[Document]:
@@ -85,7 +86,7 @@ def _objects(stage: Stage) -> list[Document]:
     objects, agreed = stage.session.scene.objects, stage.session.scene.agreed
     return [
         _object(stage, number, objects[number]) | {"unsure": not bool(agreed[number])}
-        for number in stage.listed[:MOST_OBJECTS]
+        for number in stage.listed[:MAX_OBJECTS]
     ]
 
 
@@ -95,7 +96,7 @@ def _object(stage: Stage, number: int, match: Match) -> Document:
         "number": number,
         "name": printable(stage.names[number], 60),
         "size": size_text(now.extent),
-        "gaussians": len(match),
+        "num_gaussians": len(match),
     }
 
 
@@ -116,9 +117,8 @@ def _photo(stage: Stage, view: View) -> Document:
 def _times(session: Session) -> Document | None:
     if session.scene.motion is None:
         return None
-    times = session.scene.motion.times
-    seconds = float(np.clip(len(times) / TIMES_A_SECOND, LEAST_SECONDS, MOST_SECONDS))
-    return {"first": float(times[0]), "last": float(times[-1]), "count": len(times), "seconds": seconds}
+    (first, last), count = session.scene.motion.span, len(session.scene.motion.times)
+    return {"first": first, "last": last, "count": count, "seconds": playing_seconds(count)}
 
 
 # --- after each act ---
@@ -133,7 +133,7 @@ def state_of(stage: Stage) -> Document:
         "clicked": None if session.clicked is None else _clicked(session, session.clicked),
         "chosen": _chosen(session),
         "classes": _classes(session),
-        "annotations": [_annotation(stage, one) for one in session.edits.annotations[:MOST_LISTED]],
+        "annotations": [_annotation(stage, one) for one in session.edits.annotations[:MAX_LISTED]],
         "time": None if session.time is None else {"at": session.time, "during": session.during},
         **_edits(session),
     }
@@ -143,16 +143,16 @@ def _result(stage: Stage, number: int, result: Result) -> Document:
     answer = result.answer
     return {
         "text": printable(result.label),
-        "summary": printable(result.summary, LONGEST),
-        "doubt": printable(answer.doubt, LONGEST),
+        "summary": printable(result.summary, MAX_SENTENCE_LENGTH),
+        "doubt": printable(answer.doubt, MAX_SENTENCE_LENGTH),
         "threshold": result.threshold,
         "automatic": answer.threshold,
         "limits": list(result.limits),
         "measure": answer.measure,
-        "rule": answer.rule,
+        "threshold_rule": answer.rule,
         "exact": answer.is_exact,
         "accent": list(painting.accent(number)),
-        "matches": [_match(stage, result, match) for match in result.matches[:MOST_MATCHES]],
+        "matches": [_match(stage, result, match) for match in result.matches[:MAX_MATCHES]],
         "num_matches": len(result.matches),
     }
 
@@ -164,15 +164,12 @@ def _match(stage: Stage, result: Result, match: Match) -> Document:
 
 
 def _clicked(session: Session, this: This) -> Document:
-    evidence = [
-        {"photo": one.view_name, "mask": one.mask_id, "share": round(one.share, 4)} for one in this.evidence
-    ]  # fmt: skip
     return {
         "name": printable(this.name, 60),
         "words": [{"text": printable(word.text, 60), "score": round(word.score, 4)} for word in this.words],
         "place": place_text(this.point),
         "center": rounded(session.shown.frame.shown(this.point)),
-        "evidence": evidence,
+        "support": support_document(this.evidence, DECIMALS),
         "photo": best_photo(session.scene, this) is not None,
     }
 
@@ -189,7 +186,7 @@ def _chosen(session: Session) -> Document | None:
         "number": number if number >= 0 and objects.things[number] == node else None,
         "smaller": chosen.smaller(objects) is not None,
         "larger": chosen.larger() is not None,
-        "gaussians": int(objects.sizes[node]),
+        "num_gaussians": int(objects.sizes[node]),
         "photos": int(objects.num_views[node]),
         "sure": round(float(objects.sure[node]), 4),
         "label": node in session.scene.labels.by_node,
@@ -214,7 +211,7 @@ def _edits(session: Session) -> Document:
         for number, edit in enumerate(listed.edits, start=1)
     ]  # fmt: skip
     return {
-        "edits": shown[-MOST_LISTED:],
+        "edits": shown[-MAX_LISTED:],
         "can_undo": listed.done > 0,
         "can_redo": listed.done < len(listed.edits),
         "kept": session.edits.file is not None,
@@ -226,7 +223,7 @@ def _annotation(stage: Stage, one: Annotation) -> Document:
     if one.outline is not None:
         return text | _box(stage, one.center, one.outline.axes, one.outline.extent)
     frame = stage.session.shown.frame
-    eye = stage.eye_before(one.center, np.full(3, POINT / frame.scale))
+    eye = stage.eye_before(one.center, np.full(3, POINT_SIZE / frame.scale))
     return text | {"center": rounded(frame.shown(one.center)), "eye": rounded(frame.shown(eye))}
 
 

@@ -1,0 +1,108 @@
+"""Fields of a query as JSON has them: models and arguments made of the schema of queries, with a type for each kind."""
+
+from collections.abc import Callable, Mapping, Sequence
+from types import new_class
+from typing import Annotated, Any, Literal, TypeVar
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, create_model
+
+from ... import query as engine
+from ...query.schema import CUT, FIELDS, SUBJECTS, Kind, Place, QueryField, fields
+from .limits import Limits
+from .pictures import from_base64
+
+LIMITS = Limits()
+Text = Annotated[str, StringConstraints(min_length=1, max_length=LIMITS.text)]
+Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e12, le=1e12)]
+Point = Annotated[list[Finite], Field(min_length=3, max_length=3)]
+M = TypeVar("M", bound=BaseModel)
+
+
+class Request(BaseModel):
+    """Unknown keys are refused: a misspelt option would otherwise be ignored in silence."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+
+class Click(Request):
+    """A pixel of a photo, from the left and from the top."""
+
+    view: Annotated[str, Field(min_length=1, max_length=500)]
+    x: Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
+    y: Annotated[float, Field(ge=0, le=1e6, allow_inf_nan=False)]
+
+
+_TYPES: Mapping[Kind, Any] = {
+    "text": Text,
+    "texts": list[Text],
+    "negatives": Annotated[list[Text], Field(min_length=1)],
+    "vector": Annotated[list[Finite], Field(min_length=1, max_length=8192)],
+    "picture": Annotated[str, Field(max_length=LIMITS.body_bytes)],
+    "point": Point,
+    "pixel": Click,
+    "threshold": Annotated[float, Field(allow_inf_nan=False, ge=-1, le=1)] | Literal["auto"],
+    "share": Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)],
+    "flag": bool,
+    "span": Annotated[list[Finite], Field(min_length=2, max_length=2)],
+}
+_NOTES: Mapping[Kind, str] = {"picture": "; base64 of PNG, JPEG, WebP, TIFF, BMP or PPM"}
+_READERS: Mapping[Kind, Callable[[Any, Limits], Any]] = {
+    "texts": lambda texts, _: tuple(texts),
+    "negatives": lambda texts, _: tuple(texts),
+    "vector": lambda numbers, _: np.asarray(numbers, np.float32),
+    "picture": lambda text, limits: from_base64(text, limits.pixels),
+    "point": lambda numbers, _: tuple(numbers),
+    "pixel": lambda click, _: (click.view, click.x, click.y),
+    "span": lambda times, _: tuple(times),
+}
+
+
+def annotation(field: QueryField) -> Any:
+    """Return the type of a field's JSON, with its bounds and its meaning."""
+    kind: Any = Literal[field.choices] if field.choices else _TYPES[field.kind]
+    if field.most > 1:
+        kind = Annotated[kind, Field(max_length=field.most)]
+    about = Field(description=field.meaning + _NOTES.get(field.kind, ""))
+    return Annotated[kind | None if field.default is None else kind, about]
+
+
+def default_of(field: QueryField) -> Any:
+    """Return the JSON of a field that is left out."""
+    return list(field.default) if isinstance(field.default, tuple) else field.default
+
+
+def asking(*places: Place, of: Sequence[QueryField] = FIELDS) -> Callable[[type[M]], type[M]]:
+    """Give a model the fields of a query that are offered in all of some places, but those that it has itself."""
+
+    def extended(model: type[M]) -> type[M]:
+        offered = [field for field in fields(*places, of=of) if field.name not in model.model_fields]
+        more: Any = {field.name: (annotation(field), default_of(field)) for field in offered}
+        base = create_model("QueryFields", **more)
+        about = {"__doc__": model.__doc__, "__module__": model.__module__}
+        return new_class(model.__name__, (model, base), exec_body=lambda body: body.update(about))
+
+    return extended
+
+
+def values_of(given: Mapping[str, Any], limits: Limits = LIMITS, of: Sequence[QueryField] = FIELDS) -> dict[str, Any]:
+    """Return what a request gives of some fields, as `Query` takes it. Raises: InputError: no picture, or too large."""
+    values = {field: given.get(field.name) for field in of}
+    return {
+        field.name: _READERS[field.kind](value, limits) if field.kind in _READERS else value
+        for field, value in values.items()
+        if value is not None
+    }
+
+
+def asks_something(asked: BaseModel) -> bool:
+    return any(getattr(asked, field.name, None) is not None for field in SUBJECTS)
+
+
+def query_of(asked: BaseModel, limits: Limits = LIMITS) -> engine.Query:
+    """Return the engine's query. Raises: InputError: not one of the five, or a picture that is damaged or too large."""
+    return engine.Query(**values_of(vars(asked), limits))
+
+
+def cut_of(asked: BaseModel) -> engine.Cut:
+    return engine.Cut(**values_of(vars(asked), of=CUT))

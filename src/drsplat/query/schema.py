@@ -1,0 +1,121 @@
+"""Schema of queries: each field of a `Query` once, for the command line, HTTP, MCP and the viewer.
+
+Fronts make their options, models, arguments and messages of these rows, and read values by their kind: a front has a
+row for each kind, none for a field. `tests/test_schema.py` holds the fronts and `Query` to it. The command line reads
+this module before NumPy, so it imports nothing heavy.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Literal
+
+from .defaults import AUTO, NEVER
+
+Kind = Literal[
+    "text", "texts", "negatives", "vector", "picture", "point", "pixel", "threshold", "share", "flag", "span", "choice"
+]
+
+
+class Place(StrEnum):
+    """Front, or sort of query, that offers fields.
+
+    CATALOGUE: queries to many scenes. WORDS: queries that are texts beside something else, such as two and a relation.
+    """
+
+    COMMAND_LINE = "command line"
+    HTTP = "http"
+    MCP = "mcp"
+    VIEWER = "viewer"
+    CATALOGUE = "catalogue"
+    WORDS = "words"
+
+
+PROGRAMS = (Place.COMMAND_LINE, Place.HTTP)
+FRONTS = (*PROGRAMS, Place.MCP, Place.VIEWER)
+
+
+@dataclass(frozen=True)
+class QueryField:
+    """Field of a `Query`.
+
+    kind: what its values are. value: a value as messages and help spell it. meaning: the help of every front, without
+    words of one. places: the fronts that offer it, and in which sorts of queries. most: texts at most. choices: all
+    values that there are. group: fields of one group exclude each other. default: value where it is left out.
+    """
+
+    name: str
+    kind: Kind
+    value: str
+    meaning: str
+    places: tuple[Place, ...] = PROGRAMS
+    default: object = None
+    most: int = 1
+    choices: tuple[str, ...] = ()
+    group: str = ""
+
+
+SUBJECTS = (
+    QueryField(
+        "text", "text", "WORDS", "query in words; 'mug, not red' excludes what 'red mug' fits as well",
+        (*FRONTS, Place.CATALOGUE),
+    ),
+    QueryField("vector", "vector", "VECTOR", "embedding to search for instead of words", (*PROGRAMS, Place.CATALOGUE)),
+    QueryField(
+        "image", "picture", "PICTURE",
+        "picture to search for instead of words; best cut out, on black or transparent, as masks are",
+        (*PROGRAMS, Place.CATALOGUE),
+    ),
+    QueryField(
+        "point", "point", "X,Y,Z", "point of the world to search for more of, in scene units; needs no encoder"
+    ),
+    QueryField("click", "pixel", "VIEW:X,Y", "pixel of a photo to search for more of; needs no encoder"),
+)  # fmt: skip
+"""Subjects of a query, which has exactly one."""
+
+EXCLUDE = QueryField(
+    "exclude", "texts", "WORDS", "words to exclude, as ', not WORDS' in the text does", (*PROGRAMS, Place.CATALOGUE),
+    default=(), most=16,
+)  # fmt: skip
+
+CUT = (
+    QueryField(
+        "threshold", "threshold", "T|auto",
+        "select what scores above this (default: auto, which follows the scene: words of CLIP-like encoders have to "
+        "fit better than a list of words, those of a built-in encoder exceed its own threshold; for vectors, pictures "
+        "and clicks it lies 0.6 of the way from the median cosine to the highest ones)",
+        (*PROGRAMS, Place.CATALOGUE, Place.WORDS), group="cut",
+    ),
+    QueryField(
+        "top_share", "share", "S",
+        "select this share of the Gaussians that have a feature, e.g. 0.02, whatever their scores", group="cut",
+    ),
+    QueryField(
+        "relevancy", "flag", "True",
+        "measure LERF's relevancy instead of cosine: how much better the query fits than any negative; 0.5 is a tie",
+        default=False,
+    ),
+    QueryField(
+        "negatives", "negatives", "WORDS",
+        "texts to measure relevancy against, which implies it (default: those stored in the field, else object, "
+        "things, stuff, texture)", most=32,
+    ),
+    QueryField(
+        "during", "span", "START END",
+        "start and end of a span of time of a scene that moves: only what photos of it have shown is asked (default: "
+        "all times)", FRONTS,
+    ),
+    QueryField(
+        "objects", "choice", "auto|never",
+        "auto: objects answer as wholes, where the field has them; never: every Gaussian answers for itself (default: "
+        "auto)", (*PROGRAMS, Place.MCP, Place.WORDS), AUTO, choices=(AUTO, NEVER),
+    ),
+)  # fmt: skip
+"""How scores are measured and cut."""
+
+FIELDS = (*SUBJECTS, EXCLUDE, *CUT)
+
+
+def fields(*places: Place, of: Sequence[QueryField] = FIELDS) -> list[QueryField]:
+    """Return the fields that are offered in all of some places."""
+    return [field for field in of if {*places} <= {*field.places}]
