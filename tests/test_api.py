@@ -197,3 +197,32 @@ def test_docstrings_begin_with_whole_sentences() -> None:
     source = Path(drsplat.__file__).parent
     begins = {path.relative_to(source).as_posix(): half.findall(path.read_text()) for path in source.rglob("*.py")}
     assert {path: words for path, words in begins.items() if words} == {}
+
+
+VERBS = set(
+    """
+    Add Allow Annotate Answer Append Apply Arrange Ask Assemble Become Begin Bring Build Call Cast Change Check
+    Choose Claim Clip Close Code Compare Composite Compute Concatenate Convert Copy Correlate Count Create Cut
+    Decode Decompress Delete Describe Detect Discard Do Draw Drop Embed Encode End Enlarge Evaluate Export Fill Find
+    Fit Forget Format Give Go Grow Hand Hash Identify Import Interpolate Join Judge Keep Label Lay Learn Leave Let
+    List Load Lock Log Look Lower Make Map Mark Match Measure Merge Move Multiply Name Normalise Note Observe Offer
+    Open Optimise Pack Pad Paint Parse Pick Plan Pose Prepare Print Project Put Quantise Quote Read Record Refine
+    Refuse Register Relocate Remove Rename Render Renumber Repeat Replace Report Reset Resize Restore Return Rewrite
+    Rotate Round Run Save Say Scale Score Search See Select Send Set Show Silence Sort Speak Split Stack Start Step
+    Stop Sum Take Tell Tile Train Transform Triangulate Turn Undo Upscale Verify Wait Wake Warn Weigh Wrap Write
+    Yield
+    """.split()  # noqa: SIM905 - a list of them would be 200 lines
+)
+"""What docstrings of functions begin with. A further one belongs here; a noun leaves open what is done with it."""
+
+
+def test_docstrings_of_functions_begin_with_a_verb() -> None:
+    """But those of properties, which say what they are."""
+    assert {path: lines for path in sorted(SOURCE.rglob("*.py")) if (lines := nouns_first(path))} == {}
+
+
+def nouns_first(path: Path) -> list[str]:
+    functions = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.FunctionDef)]
+    actions = [node for node in functions if not any("property" in ast.unparse(d) for d in node.decorator_list)]
+    lines = [text.splitlines()[0] for node in actions if (text := ast.get_docstring(node))]
+    return [line for line in lines if line.split()[0].rstrip(",:;") not in VERBS]

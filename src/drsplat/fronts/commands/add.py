@@ -84,7 +84,7 @@ def show(answer: dict[str, Any]) -> None:
 
 
 def _views_to_add(arguments: argparse.Namespace, views: Sequence[View], features: FeatureFolder) -> Sequence[View]:
-    """All, or those that --views names. Raises: InputError: it names none that has features."""
+    """Return all views, or those that --views names. Raises: InputError: it names none that has features."""
     from ...field.growing.naming import views_named
     from ...field.registration import with_features
 
@@ -126,7 +126,7 @@ def _added(
 
 
 def _watched(arguments: argparse.Namespace, path: Path, scene: Gaussians | Moving) -> dict[str, Any]:
-    """Batch after batch; what is told in the end is of all together."""
+    """Add batch after batch; what is told in the end is of all together."""
     from ... import load_field
     from ...field.growing.changing import kept_out
     from ...field.growing.watching import Watch, together

@@ -81,7 +81,7 @@ def show(answer: dict[str, Any]) -> None:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    """All that can be known to be wrong before any work is done."""
+    """Check all that can be known to be wrong before any work is done."""
     from ...errors import InputError
 
     wanted = {"add": "folders of scenes", "remove": "names of scenes"}.get(arguments.action)

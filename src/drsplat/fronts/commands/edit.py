@@ -229,7 +229,7 @@ class _Work:
         self.gaussians = self._with_objects(gaussians)
 
     def _with_objects(self, gaussians: Gaussians) -> Gaussians:
-        """With the number of each one's object, where the field knows objects."""
+        """Add the number of each one's object, where the field knows objects."""
         from dataclasses import replace
 
         from ...authoring.editing.draft import OBJECT_ID
@@ -386,7 +386,7 @@ class _Work:
         return (*known, *self._boxed(arguments.annotate, drafted(self.gaussians, listed.active, file.other)))
 
     def _boxed(self, text: str, draft: Draft) -> list[Annotation]:
-        """At each match of a query, else at what is edited; where it is after all edits."""
+        """Return boxes at each match of a query, else at what is edited; where it is after all edits."""
         import numpy as np
 
         from ...kernels.boxes import box_of

@@ -21,7 +21,7 @@ BOXES = {"center": 3, "extent": 3, "axes": 9}
 
 
 def check(arguments: argparse.Namespace) -> None:
-    """All that can be known to be wrong before any work is done."""
+    """Check all that can be known to be wrong before any work is done."""
     from ...errors import InputError
 
     if (arguments.label is None) != (arguments.id is None):

@@ -75,7 +75,7 @@ def numbers(option: str, text: str, count: int) -> list[float]:
 
 
 def negatives(text: str) -> tuple[str, ...] | np.ndarray:
-    """Words with commas between them, or the vectors of a .npy file."""
+    """Return words with commas between them, or the vectors of a .npy file."""
     if text.endswith(".npy"):
         return read_vectors(text)
     return tuple(word.strip() for word in text.split(","))
@@ -98,7 +98,7 @@ def read_picture(path: str) -> np.ndarray:
 
 
 def read_vector(path: str) -> np.ndarray:
-    """One vector of a .npy file, (D,) or (1, D).
+    """Read one vector of a .npy file, (D,) or (1, D).
 
     Raises: InputError: there is no such file, or it holds more than one. FormatError: damaged.
     """

@@ -57,7 +57,7 @@ def add_fields(parser: argparse._ActionsContainer, offered: Iterable[QueryField]
 
 
 def add_output_options(parser: argparse.ArgumentParser, saved: str) -> None:
-    """--scene, --save, --picture and the poses for it."""
+    """Add --scene, --save, --picture and the poses for it."""
     parser.add_argument("--scene", help="scene that was registered; needed for places, --save and --picture")
     output = parser.add_argument_group("output")
     output.add_argument("--save", metavar="OUT.ply", help=saved)
@@ -74,7 +74,7 @@ def add_output_options(parser: argparse.ArgumentParser, saved: str) -> None:
 
 
 def check_outputs(arguments: argparse.Namespace, suffixes: tuple[str, ...] = (".ply",)) -> None:
-    """All that can be known to be wrong before any work is done.
+    """Check all that can be known to be wrong before any work is done.
 
     suffixes: those of --save; a .npy needs no scene.
     """

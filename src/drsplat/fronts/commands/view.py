@@ -212,7 +212,7 @@ def _service(arguments: argparse.Namespace, catalogue: Catalogue | None = None) 
 
 
 def _print_address(as_json: bool, address: str, numbers: dict[str, int], said: str) -> None:
-    """At once: who waits for the end never learns the address."""
+    """Print the address at once: who waits for the end never learns it."""
     if as_json:
         print(json.dumps({"address": address, **numbers}), flush=True)
     else:

@@ -110,7 +110,7 @@ def create_app(settings: Settings) -> FastAPI:
 
 
 def _allow(app: FastAPI, origins: Sequence[str]) -> None:
-    """Before the guard: a browser asks without the key whether it may ask with it."""
+    """Allow origins before the guard: a browser asks without the key whether it may ask with it."""
     app.add_middleware(
         CORSMiddleware,
         allow_origins=list(origins),
@@ -170,19 +170,19 @@ def _add_watching(app: FastAPI, scene_folder: SceneFolder, metrics: Metrics) -> 
         responses={200: {"content": {"text/plain": {"schema": {"type": "string"}}}}},
     )
     async def numbers() -> Response:
-        """Counters and times, in Prometheus' text format."""
+        """Return counters and times, in Prometheus' text format."""
         return Response(metrics.text(), media_type=metrics.content_type)
 
 
 def _add_scenes(app: FastAPI, bench: Workbench) -> None:
     @app.get("/scenes", tags=["scenes"], response_model=SceneList)
     async def scenes() -> Response:
-        """All scenes, without opening them."""
+        """List all scenes, without opening them."""
         return _sent(await bench.run(Job("list")))
 
     @app.get("/scenes/{scene}", tags=["scenes"], response_model=SceneDetails)
     async def scene_details(scene: Scene) -> Response:
-        """One scene: its size, its photos, which way is up."""
+        """Describe one scene: its size, its photos, which way is up."""
         return _sent(await bench.run(Job("details", scene, {"name": scene})))
 
     @app.get("/scenes/{scene}/photo", tags=["scenes"], response_class=Response, responses=binary(PNG))

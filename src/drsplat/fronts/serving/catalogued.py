@@ -100,7 +100,7 @@ class CatalogueScenes(Body):
 
 
 def catalogue_reply(catalogue: Catalogue, act: str, asked: Mapping[str, Any], limits: Limits) -> Reply:
-    """act: "catalogue-list", "catalogue-ask" or "catalogue-picture". Raises: DrSplatError."""
+    """Answer an act: "catalogue-list", "catalogue-ask" or "catalogue-picture". Raises: DrSplatError."""
     if act == "catalogue-picture":
         which = CataloguePicture(**asked)
         return Reply(catalogue.thumbnail(which.scene, which.object_id, which.tile), JPEG)

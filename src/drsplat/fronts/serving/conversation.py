@@ -377,7 +377,7 @@ class Conversation:
         )
 
     def _object(self, text: str) -> engine.Match:
-        """By its number, its label, or the largest match of words: as an object, where it is most of one."""
+        """Find it by its number, its label, or the largest match of words: as an object, where it is most of one."""
         every = self.scene.objects
         if text.isascii() and text.isdecimal() and len(text) < 10:
             objects_of(self.scene.field).thing(int(text))  # or the error that says which there are

@@ -228,7 +228,7 @@ def when_told(
 
 
 def span_of(scene: engine.Scene) -> list[float] | None:
-    """First and last time of a scene that moves."""
+    """Return first and last time of a scene that moves."""
     return None if scene.motion is None else list(scene.motion.span)
 
 
@@ -240,7 +240,7 @@ def listed_objects(scene: engine.Scene, every: bool) -> tuple[list[engine.Match]
 
 
 def object_list(scene: engine.Scene, shown: Sequence[engine.Match], advice: str = "") -> ObjectList:
-    """Return some objects of a scene, and how many there are."""
+    """List objects. shown: objects of the scene."""
     agreed = scene.agreed
     listed = [
         SceneObject(**document | {"views": document["views"][:MAX_PHOTOS_OF_OBJECT]})
@@ -263,5 +263,5 @@ def decimals_of(scene: engine.Scene) -> int:
 
 
 def significant(value: float) -> float:
-    """Six digits of a score: as many as single precision holds."""
+    """Return six digits of a score: as many as single precision holds."""
     return float(f"{float(value):.6g}")

@@ -99,7 +99,7 @@ def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False
 
 
 def packed(arrays: Mapping[str, np.ndarray]) -> tuple[list[tuple[str, str, int, int]], bytes]:
-    """Arrays one after the other, little endian: name, kind, offset in bytes and count of each."""
+    """Return arrays one after the other, little endian: name, kind, offset in bytes and count of each."""
     layout, parts, offset = [], [], 0
     for name, array in arrays.items():
         data = np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes()

@@ -62,7 +62,7 @@ def listed_numbers(session: Session) -> list[int]:
 
 
 def object_numbers(session: Session) -> UInt16[np.ndarray, " n"] | None:
-    """Per Gaussian of the scene 0, or 1 for the first object that is listed; None where there are none."""
+    """Return per Gaussian of the scene 0, or 1 for the first object that is listed; None where there are none."""
     if not session.has_objects:
         return None
     numbers = listed_numbers(session)
@@ -72,7 +72,7 @@ def object_numbers(session: Session) -> UInt16[np.ndarray, " n"] | None:
 
 
 def annotations_of_page(session: Session, up: Float64[np.ndarray, " 3"]) -> list[dict[str, Any]]:
-    """Text and place of each, and its box where it has one."""
+    """Return text and place of each, and its box where it has one."""
     frame = session.shown.frame
     return [
         {"text": printable(one.text, 200), "center": frame.shown(one.center).tolist(), "eye": _eye(session, one, up)}

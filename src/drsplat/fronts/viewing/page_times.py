@@ -51,7 +51,7 @@ class PageTimes:
 
 
 def times_of_page(session: Session) -> PageTimes | None:
-    """None where nothing moves. The session is left at its first time.
+    """Return None where nothing moves. The session is left at its first time.
 
     Raises: InputError: so much moves that a page has no room for it at `LEAST_TIMES` times.
     """
@@ -98,7 +98,7 @@ def playing_seconds(num_times: int) -> float:
 
 
 def _moving(session: Session, times: Float64[np.ndarray, " t"]) -> Bool[np.ndarray, " m"]:
-    """Which of the shown rows are not at all times where they are at the first."""
+    """Return which of the shown rows are not at all times where they are at the first."""
     first = session.drawn
     spread = first.covariances[:, [0, 3, 5]].sum(1)
     moves = np.zeros(len(first), bool)
@@ -169,7 +169,7 @@ def arrays_of(times: PageTimes) -> dict[str, np.ndarray]:
 
 
 def _steps(numbers: np.ndarray) -> np.ndarray:
-    """Differences along time, which begin again where they end."""
+    """Return differences along time, which begin again where they end."""
     steps = numbers.copy()
     steps[1:] -= numbers[:-1]
     return steps.ravel()

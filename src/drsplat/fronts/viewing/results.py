@@ -72,7 +72,7 @@ def cut_at(scene: Scene, result: Result, threshold: float) -> Result:
 
 
 def split_queries(text: str) -> list[str]:
-    """ "mug; lamp" is two queries; the same one twice is one."""
+    """Split "mug; lamp" into two queries; the same one twice is one."""
     return list(dict.fromkeys(part.strip() for part in text.split(SEVERAL) if part.strip()))
 
 

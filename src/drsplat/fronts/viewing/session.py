@@ -134,7 +134,7 @@ class Session:
         return tuple(mode for mode in Mode if mode is not Mode.OBJECTS or self.has_objects)
 
     def ask(self, text: str, **cut: Any) -> str:
-        """Answer one query in words, or several with ";" between them, and return a summary. cut: more of a `Query`.
+        """Ask one query in words, or several with ";" between them; says what was found.
 
         Raises: InputError: no words, too many queries, words that the encoder does not know.
         """
@@ -149,12 +149,12 @@ class Session:
         return summary
 
     def ask_picture(self, picture: UInt8[np.ndarray, "_ _ 3"], name: str) -> str:
-        """To what a picture shows. Raises: InputError: an encoder that sees no images."""
+        """Ask by what a picture shows. Raises: InputError: an encoder that sees no images."""
         answer = self.scene.ask(Query(image=picture, during=self.during))
         return self._answered([results.result_of(self.scene, name, answer)])
 
     def more_like_this(self) -> str:
-        """To what was clicked. Raises: InputError: nothing was."""
+        """Ask by what was clicked. Raises: InputError: nothing was."""
         if self.clicked is None:
             raise InputError("click something in the scene first")
         label = f"like this {self.clicked.name}".rstrip()
@@ -171,7 +171,7 @@ class Session:
         return self.summary
 
     def classify(self, texts: Sequence[str]) -> Segmentation:
-        """Each Gaussian as the best of some classes, and show them.
+        """Take each Gaussian as the best of some classes, and show them.
 
         Raises: InputError: no classes, one twice, or words that the encoder does not know.
         """
@@ -279,7 +279,7 @@ class Session:
         self._choose(chosen)
 
     def name_of(self, node: int) -> str:
-        """Its label, else its best word, else its number. Raises: InputError: no such node."""
+        """Return its label, else its best word, else its number. Raises: InputError: no such node."""
         return name_of(self.scene, node, known_words(self.scene, self.words))
 
     def _choose(self, chosen: Chosen | None) -> None:
@@ -334,7 +334,7 @@ class Session:
         self.edit(Remove())
 
     def keep(self) -> None:
-        """Nothing but the selection. Raises: InputError: nothing is selected."""
+        """Keep nothing but the selection. Raises: InputError: nothing is selected."""
         self.edit(Isolate())
 
     def repaint(self, rgb: Sequence[int]) -> None:
@@ -343,7 +343,7 @@ class Session:
         self.edit(Recolour((red, green, blue)))
 
     def restore(self) -> None:
-        """Everything, as it was before all edits, which can be redone."""
+        """Take back everything, as it was before all edits, which can be redone."""
         self.edits.undo(self.edits.listed.done)
 
     def _needed(self) -> Int64[np.ndarray, " m"]:
