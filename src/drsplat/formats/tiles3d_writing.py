@@ -27,13 +27,13 @@ from .field_folder import replacing_folder
 from .georeference import Georeference
 from .glb_layout import SPLATTING, SPZ
 from .leaves import Leaf, Leaves, leaves_of
+from .recognising import TILESET
 from .replacing import replacing
 from .tensors import read_tensors, write_tensors
 from .tiles import Tile, Tiles
 from .tiles3d_content import content_glb
 from .usd_writing import extent_of
 
-TILESET = "tileset.json"
 ROWS = 1 << 16  # of a leaf
 BRANCH = 4  # children of a tile
 ERROR_SHARE = 0.95  # of the merged Gaussians, which are no farther from where they were than the error
