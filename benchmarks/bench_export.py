@@ -1,6 +1,6 @@
 """Seconds, size and memory of every format that `drsplat export` writes, beside splat-transform's.
 
-    python benchmarks/bench_export.py [--gaussians 1000000] [--degree 3] [--objects 500] [--tiles 1000000 4000000]
+    python benchmarks/bench_export.py [--gaussians 1000000] [--degree 3] [--objects 500] [--tiles 2000000 10000000]
         [--theirs ply spz compressed.ply glb] [--only glb sog]
 
 A made-up scene is written as PLY once. Each row is a process of its own that reads the PLY and writes a format; ours
@@ -81,8 +81,7 @@ def write(source: Path, output: Path, kind: str, num_objects: int) -> None:
 
 def write_tiled(source: Path, output: Path, kind: str) -> None:
     """Write a folder of tiles in a format that is made from a few tiles at a time."""
-    from drsplat.exporting.streamed_sog_writing import write_streamed_sog
-
+    from drsplat.authoring.exporting.streamed_sog_writing import write_streamed_sog
     from drsplat.formats.tiles import read_tiles
     from drsplat.formats.tiles3d_writing import write_tiles3d
 
@@ -154,7 +153,7 @@ def tiles(folder: Path, count: int, degree: int) -> None:
 
 def main() -> None:
     given = arguments(
-        __doc__, gaussians=1_000_000, degree=3, objects=500, tiles=[1_000_000, 4_000_000],
+        __doc__, gaussians=1_000_000, degree=3, objects=500, tiles=[2_000_000, 10_000_000],
         theirs=["ply", "spz", "spz4", "compressed.ply", "glb"], only=[*OURS],
     )  # fmt: skip
     print(f"{given.gaussians:,} Gaussians of degree {given.degree}, {given.objects} objects\n")

@@ -1,17 +1,14 @@
-"""What files cost: features in both forms, and comparing a field with its checksums beside loading it; levels of tiles.
+"""What files cost: features in both forms, and comparing a field with its checksums beside loading it.
 
-    python benchmarks/bench_files.py [--gaussians 1000000] [--capture FOLDER ...] [--streamed 500000 2000000]
+    python benchmarks/bench_files.py [--gaussians 1000000] [--capture FOLDER ...]
 
 Features are those of `drsplat embed --segmenter graph --encoder drsplat-mini`, of the photos of each capture.
---streamed writes made-up scenes of so many Gaussians, cut into tiles of 131,072, as streamed SOG, each in a process of
-its own, and prints the peak of its memory.
 """
 
 import argparse
 import contextlib
 import io
 import json
-import subprocess
 import sys
 import tempfile
 import time
@@ -26,16 +23,13 @@ from drsplat.field.codes.mixture.code import packed
 from drsplat.field.codes.mixture.dictionary import AtomTable
 from drsplat.field.evidence.evidence import Evidence, MaskIds
 from drsplat.formats.tensors import read_tensors
-from drsplat.formats.tiles import write_tiles
 from drsplat.kernels.mixture import Dictionary
-from drsplat.scene.gaussians import Gaussians
 
 sys.path.insert(0, str(Path(__file__).parent))
 from machine import describe, interleaved
 
 DIM, MASKS, PER_ROW, PHOTOS = 512, 5_000, 40, 100
 ROUNDS = 9
-TILE_ROWS = 1 << 17
 
 
 def large_field(rows: int) -> LanguageField:
@@ -102,50 +96,16 @@ def show_features(capture: Path, folder: Path) -> None:
     print(f"  compact: maps {maps / 1e6:.1f} MB, embeddings {rows / 1e6:.1f} MB")
 
 
-def write_tiled(rows: int, folder: Path) -> None:
-    """Write a made-up scene as tiles side by side, of which one is made at a time."""
-    rng = np.random.default_rng(0)
-
-    def tile(begin: int) -> Gaussians:
-        count = min(TILE_ROWS, rows - begin)
-        quats = rng.normal(size=(count, 4)).astype(np.float32)
-        return Gaussians(
-            (rng.uniform(0, 30, (count, 3)) + np.array([30 * begin / TILE_ROWS, 0, 0])).astype(np.float32),
-            quats / np.linalg.norm(quats, axis=1, keepdims=True),
-            np.exp(rng.normal(-3.5, 0.7, (count, 3))).astype(np.float32),
-            rng.uniform(0.05, 1, count).astype(np.float32),
-            rng.normal(0, 0.3, (count, 4, 3)).astype(np.float32),
-            {"block": np.zeros(count, np.uint16), "source_row": np.arange(begin, begin + count, dtype=np.uint32)},
-        )
-
-    write_tiles(folder, map(tile, range(0, rows, TILE_ROWS)), np.zeros(3), ["made"], overwrite=False)
-
-
-def show_streamed(rows: int, folder: Path) -> None:
-    tiles, output = folder / f"{rows}.tiles", folder / f"{rows}" / "lod-meta.json"
-    write_tiled(rows, tiles)
-    program = (
-        "import resource; from drsplat import cli; "
-        f"cli.main(['export', {str(tiles)!r}, '--output', {str(output)!r}]); usage = resource.getrusage(0); "
-        "print(f'  peak {usage.ru_maxrss / 1024:,.0f} MiB, {usage.ru_utime + usage.ru_stime:.0f} CPU s')"
-    )
-    print(f"{rows:,} Gaussians in tiles, {bytes_of(tiles) / 1e6:.0f} MB, as streamed SOG")
-    subprocess.run([sys.executable, "-c", program], check=True)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--gaussians", type=int, default=1_000_000)
     parser.add_argument("--capture", type=Path, nargs="*", default=[])
-    parser.add_argument("--streamed", type=int, nargs="*", default=[])
     given = parser.parse_args()
     print(describe())
     with tempfile.TemporaryDirectory() as folder:
         show_checksums(given.gaussians, Path(folder))
         for capture in given.capture:
             show_features(capture, Path(folder))
-        for rows in given.streamed:
-            show_streamed(rows, Path(folder))
 
 
 if __name__ == "__main__":

@@ -10,8 +10,9 @@ DEMO: the output of `drsplat demo`. The scene with its objects is written in eac
    object, and "names": different ones of objects, by readers that are written from the formats' descriptions and use
    nothing of drsplat.
 2. Pictures of a photo's camera in a browser, where the scene is: PSNR of what a viewer shows against our picture of the
-   scene, and against that of the scene with colours in bytes, which most viewers keep; and what the file itself loses:
-   our picture of the file against that of the scene. --pictures keeps them as PNG.
+   scene, and against that of the scene with colours in bytes, which most viewers keep; against the same of Gaussians
+   that are widened as the viewer widens them (`FINER`); and what the file itself loses: our picture of the file against
+   that of the scene. --pictures keeps them as PNG.
 3. The reverse: files that others write of the scene's PLY, as drsplat reads them; of a SOG beside their own decoding.
    An SPZ of gsply, which has the axes of a PLY and does not say so, is turned back.
 
@@ -23,6 +24,7 @@ import argparse
 import io
 import json
 import struct
+import subprocess
 import sys
 import tempfile
 import zipfile
@@ -58,6 +60,7 @@ PLACE = Georeference(8.5, 47.4, 400.0, NORTH_UP, 1.0)
 SAME_PLACE = 1e-3  # scene units: rows are in the same order where all are as near
 SMALLEST = np.exp(-10)  # of a scale: what is thinner SPZ holds as this, and no picture shows
 THERE = 0.01  # opacity of our picture from which a pixel shows the scene
+TOO_LONG = subprocess.TimeoutExpired
 Reader = Callable[[Path], Gaussians]
 
 
@@ -252,6 +255,7 @@ FORMATS = (
     Format("rrd", "room.rrd", {"rerun": by_rerun}, objects_in_rrd),
     Format("3D Tiles", "room.tiles3d", {}, objects_in_tiles, ("tiles3d",)),
 )  # fmt: skip
+FINER = {"playcanvas": 2, "tiles3d": 4}  # pixels for one of ours, by side, in which a viewer widens Gaussians by 0.3
 Y_UP = ("room.spz", "room4.spz")  # that viewers show in their own axes, y up
 
 
@@ -344,17 +348,17 @@ def attempt(run: Callable[[], str], empty: str) -> str:
     """Return what a program says, or why it does not."""
     try:
         return run()
-    except (ImportError, AssertionError, ValueError, RuntimeError, AttributeError, KeyError) as error:
+    except (ImportError, AssertionError, ValueError, RuntimeError, AttributeError, KeyError, TOO_LONG) as error:
         return f"**{type(error).__name__}: {str(error).strip().splitlines()[-1][:90] if str(error) else ''}**{empty}"
 
 
 def pictures(folder: Path, scene: LabelledScene, view: ds.View, kept: Path | None) -> Iterator[str]:
     from playwright.sync_api import Error as PlaywrightError
 
-    yield "| format | shown by | to our picture | to ours of colours in bytes | the file, drawn by us |"
-    yield "|---|---|--:|--:|--:|"
+    yield "| format | shown by | to our picture | with colours in bytes | widened alike | in bytes | the file, by us |"
+    yield "|---|---|--:|--:|--:|--:|--:|"
+    scenes = (scene.gaussians, with_colors_in_bytes(scene.gaussians, view))
     own = ds.render(scene.gaussians, view)
-    in_bytes = ds.render(with_colors_in_bytes(scene.gaussians, view), view).rgb
     there = own.alpha > THERE
     with a_browser() as browser:
         for kind in FORMATS:
@@ -363,15 +367,24 @@ def pictures(folder: Path, scene: LabelledScene, view: ds.View, kept: Path | Non
                 try:
                     shown = pictured(browser, viewer, path, view, where(kind, scene))
                 except PlaywrightError:
-                    yield f"| {kind.title} | {viewer} | **shows nothing** | | |"
+                    yield f"| {kind.title} | {viewer} | **shows nothing** | | | | |"
                     continue
-                near = [psnr(shown, model, there) for model in (own.rgb, in_bytes)]
+                ours = [finely(one, view, times) for times in (1, FINER.get(viewer, 1)) for one in scenes]
+                near = " | ".join(f"{psnr(shown, picture, there):.1f}" for picture in ours)
                 lost = "" if path.is_dir() else f"{psnr(_drawn(path, view), own.rgb, there):.1f}"
-                yield f"| {kind.title} | {viewer} | {near[0]:.1f} | {near[1]:.1f} | {lost} |"
+                yield f"| {kind.title} | {viewer} | {near} | {lost} |"
                 if kept is not None:
                     _save(kept / f"{path.stem}{path.suffix}.{viewer}.png", shown)
     if kept is not None:
         _save(kept / "drsplat.png", np.clip(own.rgb, 0, 1))
+
+
+def finely(gaussians: Gaussians, view: ds.View, times: int) -> np.ndarray:
+    """Return a picture whose Gaussians are widened by 0.3 in so much smaller pixels, at the middles of its own."""
+    K = view.K * [[times], [times], [1]]
+    K[:2, 2] += (1 - times) / 2
+    finer = replace(view, K=K, width=view.width * times, height=view.height * times)
+    return ds.render(gaussians, finer).rgb[::times, ::times]
 
 
 def where(kind: Format, scene: LabelledScene) -> np.ndarray:

@@ -47,6 +47,7 @@ FILES = {
     "heic/IMG_1.HEIC": b"x", "heic/IMG_2.HEIC": b"x", "photo.jpg.1": b"\xff\xd8\xff\xe0", "live": b"\0\0\0\x18ftypheic",
     "photos/.hidden": b"", "hello.ply": b"hello", "mesh.obj": b"v 0 0 0", "notes.txt.gz": b"\x1f\x8b\x08",
     "points.ply": b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n",
+    "earth/tileset.json": b"{}", "earth/0.glb": b"", "room.rrd": b"RRF2",
     "colmap/images/1.jpg": b"", "colmap/database.db": b"SQLite format 3\0",
 }  # fmt: skip
 TRAIN = ("--output-dir", "model")
@@ -73,6 +74,10 @@ MISTAKES: list[tuple[tuple[str, ...], tuple[str, ...]]] = [
     (("inspect", "mesh.obj"), ("got a mesh", "drsplat train")),
     (("inspect", "points.ply"), ("points without Gaussians", "drsplat train")),
     (("inspect", "capture.zip"), ("got an archive", "unpack it")),
+    (("inspect", "earth"), ("got 3D Tiles", "does not read them")),
+    (("inspect", "earth/tileset.json"), ("got 3D Tiles", "does not read them")),
+    (("export", "earth", "--output", "earth.glb"), ("got 3D Tiles", "does not read them")),
+    (("inspect", "room.rrd"), ("got a recording of rerun", "does not read them")),
     (("inspect", "hello.ply"), ("hello.ply", "no scene format")),
     (
         ("locate", "room.field", "red mug", "--scene", "room.field"),

@@ -1,6 +1,7 @@
 """SPZ that we write: read back within the format's own steps, the same bytes each time, refused where it cannot be."""
 
 import contextlib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -88,6 +89,18 @@ def test_version_4_is_version_3_with_objects(degree: int, tmp_path: Path) -> Non
     labels = read_spz_labels(path)
     assert [thing.name for thing in labels.things] == ["<i>a</i>", "🫖", "../b"]
     assert labels.query == "tea"
+
+
+@pytest.mark.parametrize("encode", [lambda one: spz_bytes(one.gaussians), spz4_bytes], ids=["3", "4"])
+def test_columns_that_are_all_alike_are_no_bomb(encode: Callable[[LabelledScene], bytes]) -> None:
+    """Harmonics are zero where a scene has none, and everything may be one object: such bytes are hardly any."""
+    own = scene(300_000, 3, 0)
+    own.sh[:, 1:] = 0
+    things = (Thing("all", 0.5, np.zeros(3), np.eye(3), np.ones(3)),)
+    labelled = LabelledScene(own, things=things, object_of=np.zeros(len(own), np.int32))
+    read = parse_spz(memoryview(encode(labelled)))
+    np.testing.assert_array_equal(read.sh[:, 1:], 0)
+    assert len(read) == len(own)
 
 
 def test_version_4_without_objects_has_no_extension() -> None:

@@ -3,6 +3,7 @@
 import ast
 import json
 import struct
+import weakref
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 
 from drsplat.errors import InputError
 from drsplat.field.tiles.cutting import cut
+from drsplat.formats import tiles3d_writing
 from drsplat.formats.georeference import Georeference
 from drsplat.formats.glb_writing import write_glb
 from drsplat.formats.scenes import parse_gaussians
@@ -155,6 +157,24 @@ def test_a_folder_of_tiles_is_written_tile_by_tile(tmp_path: Path) -> None:
     leaves = [tile for tile in tree if "children" not in tile]
     assert len(leaves) == len(tiles.tiles)
     assert sum(len(gaussians_of(tmp_path / "out" / leaf["content"]["uri"])) for leaf in leaves) == COUNT
+
+
+def test_tiles_wait_on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    alive: weakref.WeakSet[Gaussians] = weakref.WeakSet()
+    numbers = []
+    written = tiles3d_writing._Writer._written
+
+    def counted(self: Any, gaussians: Gaussians, *rest: Any) -> Any:
+        alive.add(gaussians)
+        numbers.append(len(alive))
+        return written(self, gaussians, *rest)
+
+    monkeypatch.setattr(tiles3d_writing._Writer, "_written", counted)
+    write_tiles3d(tmp_path / "out", labelled(), rows=10)
+    assert len(numbers) > 30
+    assert max(numbers) == 1
+    names = {tile["content"]["uri"] for tile in tiles_of(document_of(tmp_path / "out")["root"])}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"tileset.json", *names}
 
 
 @pytest.mark.parametrize("count", [1, ROWS, ROWS + 1])

@@ -16,6 +16,7 @@ from .field_folder import MANIFEST
 from .photo_files import PHOTO_SUFFIXES
 
 TRANSFORMS, TRAIN_TRANSFORMS, CAMERAS = "transforms.json", "transforms_train.json", "cameras.json"
+TILESET = "tileset.json"
 SCENE_SUFFIXES = (
     ".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb", ".gltf", ".usda", ".usdc", ".usdz", ".usd", ".lcc2"
 )  # fmt: skip
@@ -50,6 +51,8 @@ class Kind(Enum):
     DATABASE = "COLMAP's database without a model", "run `colmap mapper`, then name the folder above sparse/0"
     MESH = "a mesh", "Gaussians are made of photos: `drsplat train CAPTURE` makes a scene"
     POINTS = "points without Gaussians", "Gaussians are made of photos: `drsplat train CAPTURE` makes a scene"
+    TILES3D = "3D Tiles", "drsplat writes them and does not read them: name the scene that they are of"
+    RECORDING = "a recording of rerun", "drsplat writes such and does not read them: name the scene that it is of"
     EMPTY = "an empty folder", "name the folder that holds the files"
     OTHER = "something else", "`drsplat inspect PATH` describes what can be read"
 
@@ -77,6 +80,7 @@ _WAYS = {
     "docs/tutorials/from_a_phone.md shows",
     (Kind.FEATURES, Kind.CAPTURE): "`drsplat embed CAPTURE` makes features of them",
 }
+_WRITTEN_ONLY = (Kind.TILES3D, Kind.RECORDING)  # beside which lies what is a part of them, if anything
 _VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm", ".mts", ".mpg", ".insv")
 _UNREAD = (".heic", ".heif", ".avif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raw")
 _SUFFIXES = {
@@ -89,6 +93,8 @@ _SUFFIXES = {
     **dict.fromkeys((".las", ".laz", ".e57", ".pcd", ".xyz"), Kind.POINTS),
     **dict.fromkeys((COMPACT, EMBEDDINGS), Kind.FEATURES),
     ".db": Kind.DATABASE,
+    TILESET: Kind.TILES3D,
+    ".rrd": Kind.RECORDING,
 }
 _HEADS = {
     b"\xff\xd8\xff": Kind.PHOTO, b"\x89PNG": Kind.PHOTO, b"NGSP": Kind.SCENE, b"\x1aE\xdf\xa3": Kind.VIDEO,
@@ -115,7 +121,8 @@ def mistaken(path: Path, wanted: Kind) -> InputError:
     if kind is None:
         return InputError(f"{path}: there is no such file or folder.{_sibling(path)} Expected {EXPECTED[wanted]}")
     expected = EXPECTED[wanted] if kind in (Kind.EMPTY, Kind.OTHER) else wanted.called
-    near = next((other for other in _nearby(path) if _serves(other, wanted)), None)
+    nearby = () if kind in _WRITTEN_ONLY else _nearby(path)
+    near = next((other for other in nearby if _serves(other, wanted)), None)
     way = _WAYS.get((wanted, kind), kind.way) if near is None else f"did you mean {near}?"
     return InputError(f"{path}: expected {expected}, got {kind.called}: {way}")
 
@@ -168,6 +175,8 @@ def _folder_kind(path: Path) -> Kind:
 
     if (path / MANIFEST).is_file():
         return Kind.FIELD
+    if (path / TILESET).is_file():
+        return Kind.TILES3D
     if any((path / mark).exists() for mark in (TILES, MOTION, LOD_META, "point_cloud")):
         return Kind.SCENE
     if find_model(path) or any((path / name).is_file() for name in (TRANSFORMS, TRAIN_TRANSFORMS, CAMERAS)):

@@ -26,7 +26,7 @@ from ..errors import DrSplatWarning, FormatError
 from ..scene.gaussians import Gaussians
 from .activation import checked, exp, from_smallest_three
 from .labels import Labels, parse_labels
-from .spz_streams import gunzipped, unzstd
+from .spz_streams import gunzipped, refuse_implausible, unzstd
 
 MAGIC = b"NGSP"
 PREFIX = struct.Struct("<4sIIBBBB")
@@ -105,6 +105,7 @@ def _objects(extensions: bytes, count: int) -> tuple[dict[str, np.ndarray], byte
     sizes = OBJECT_SIZES.unpack_from(payload)
     if any(size not in (0, 4 * count) for size in sizes[:2]):
         raise FormatError(f"SPZ: expected objects of {count} Gaussians, got {sizes[0]} and {sizes[1]} bytes")
+    refuse_implausible(sizes[2], len(payload))  # the others are as plausible as the count
     content = unzstd(memoryview(payload)[OBJECT_SIZES.size :], sum(sizes))
     ids, relevancy = content[: sizes[0]], content[sizes[0] : sizes[0] + sizes[1]]
     columns = {"object_id": np.frombuffer(ids, "<i4").copy(), "relevancy": np.frombuffer(relevancy, "<f4").copy()}
@@ -176,6 +177,7 @@ def _separate(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], bytes,
             f"SPZ header is damaged: {header.streams} streams for {len(stored)} planes, table of "
             f"contents at byte {contents}"
         )
+    refuse_implausible(sum(sizes), len(buffer))
     planes = []
     # Of bytes: CPython 3.11 crashes when an unfinished iter_unpack of a memoryview is collected in a
     # cycle, as the traceback of an error makes one.

@@ -2,7 +2,8 @@
 
 A size is believed only while it is plausible for the bytes that are there: at most 1 MiB plus 100 times their number.
 (Real scenes compress 1 to 3 times, and five times if all their SH are zero; gzip can reach 1,030 and zstd far more, on
-zeros only.) Nothing is ever decompressed beyond that size.
+zeros only.) That holds for a file, not for each stream of it: all SH of a scene may be zero. Nothing is ever
+decompressed beyond that size.
 
 Source: RFC 1952 (gzip), RFC 8878 (zstd).
 """
@@ -56,13 +57,12 @@ def gunzipped(buffer: memoryview, start_bytes: int, payload_bytes: Callable[[byt
 
 
 def unzstd(compressed: memoryview, size: int) -> bytes:
-    """Return one zstd frame of exactly `size` bytes; no frame for none.
+    """Return one zstd frame of exactly `size` bytes, which the caller finds plausible; no frame for none.
 
-    Raises: FormatError: damaged, an implausible size, or another size than `size`.
+    Raises: FormatError: damaged, or another size than `size`.
     """
     if size == 0:
         return b""
-    refuse_implausible(size, len(compressed))
     import zstandard
 
     try:

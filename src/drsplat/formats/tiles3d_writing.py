@@ -1,13 +1,14 @@
 """Writing 3D Tiles 1.1: a scene as a tree of levels of detail that viewers of globes load as they need them.
 
 Leaves are runs of neighbouring Gaussians; what is above them is merged from four children to as many Gaussians as the
-largest of them has. One leaf and the levels on the way up from it are in memory, so a folder of tiles may be of any
-size. The tileset's axes are those of a PLY turned upright, in metres; the root's transform sets it on the Earth.
+largest of them has. Tiles wait on disk for the one above, so that a few are in memory whatever the size of the scene.
+The tileset's axes are those of a PLY turned upright, in metres; the root's transform sets it on the Earth.
 
 Source: OGC 22-025r4, "3D Tiles Specification 1.1".
 """
 
 import json
+import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -26,15 +27,17 @@ from .field_folder import replacing_folder
 from .georeference import Georeference
 from .glb_layout import SPLATTING, SPZ
 from .leaves import Leaf, Leaves, leaves_of
+from .recognising import TILESET
 from .replacing import replacing
+from .tensors import read_tensors, write_tensors
 from .tiles import Tile, Tiles
 from .tiles3d_content import content_glb
 from .usd_writing import extent_of
 
-TILESET = "tileset.json"
 ROWS = 1 << 16  # of a leaf
 BRANCH = 4  # children of a tile
 ERROR_SHARE = 0.95  # of the merged Gaussians, which are no farther from where they were than the error
+ARRAYS = ("means", "quats", "scales", "opacities", "sh")
 OBJECT = "object_of"  # the column with which numbers of objects go through merging
 
 
@@ -48,10 +51,11 @@ class TiledScene(NamedTuple):
 
 
 class _Node(NamedTuple):
-    """A tile that is written. gaussians: what the one above is merged of. error: metres."""
+    """A tile that is written. waiting: file of its Gaussians, for the tile above. error: metres."""
 
     tile: dict[str, Any]
-    gaussians: Gaussians
+    waiting: Path
+    num_gaussians: int
     error: float
     low: Float64[np.ndarray, " 3"]
     high: Float64[np.ndarray, " 3"]
@@ -82,8 +86,8 @@ def write_tiles3d(
     things = source.things
     scale = 1.0 if georeference is None else georeference.scale
     with replacing_folder(path, overwrite, TILESET) as folder:
-        writer = _Writer(folder, middle, scale, things)
-        root = writer.tree(leaves)
+        with tempfile.TemporaryDirectory(dir=folder) as waiting:
+            root = _Writer(folder, Path(waiting), middle, scale, things).tree(leaves)
         document = _tileset(root, _transform(georeference, middle, source.up))
         with replacing(folder / TILESET) as file:
             file.write(json.dumps(document, separators=(",", ":")).encode())
@@ -110,9 +114,13 @@ def _tile_of(source: TiledScene, tile: Tile) -> Gaussians:
 
 @dataclass
 class _Writer:
-    """A folder that is being filled. middle: of the scene in the world; scale: metres of a unit."""
+    """A folder that is being filled. middle: of the scene in the world; scale: metres of a unit.
+
+    waiting: the folder for Gaussians of tiles until the one above is merged of them.
+    """
 
     folder: Path
+    waiting: Path
     middle: Float64[np.ndarray, " 3"]
     scale: float
     things: tuple[Thing, ...]
@@ -128,8 +136,10 @@ class _Writer:
             size *= BRANCH
         step = max(1, size if len(leaves) > size else size // BRANCH)
         children = [self.tree(leaves[begin : begin + step]) for begin in range(0, len(leaves), step)]
-        everything = concatenated([child.gaussians for child in children])
-        most = max(len(child.gaussians) for child in children)
+        everything = concatenated([_read_aside(child.waiting) for child in children])
+        for child in children:
+            child.waiting.unlink()
+        most = max(child.num_gaussians for child in children)
         level = coarser(everything, most, everything.extra.get(OBJECT))
         moved = everything.positions - level.gaussians.positions[level.group_of]
         error = float(np.quantile(np.linalg.norm(moved, axis=1), ERROR_SHARE))
@@ -161,7 +171,23 @@ class _Writer:
         }
         if children:
             tile |= {"refine": "REPLACE", "children": [child.tile for child in children]}
-        return _Node(tile, gaussians, error, low, high)
+        waiting = self.waiting / name
+        _write_aside(waiting, gaussians)
+        return _Node(tile, waiting, len(gaussians), error, low, high)
+
+
+def _write_aside(path: Path, gaussians: Gaussians) -> None:
+    """Write Gaussians as they are, to be read by `_read_aside`."""
+    arrays = {name: getattr(gaussians, name) for name in ARRAYS} | dict(gaussians.extra)
+    write_tensors(path, arrays | {"origin": gaussians.origin, "antialiased": np.array(gaussians.antialiased)})
+
+
+def _read_aside(path: Path) -> Gaussians:
+    """Return what `_write_aside` wrote."""
+    arrays, _ = read_tensors(path)
+    means, quats, scales, opacities, sh = (arrays[name] for name in ARRAYS)
+    objects = {OBJECT: arrays[OBJECT]} if OBJECT in arrays else {}
+    return Gaussians(means, quats, scales, opacities, sh, objects, arrays["origin"], bool(arrays["antialiased"]))
 
 
 def _box(low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray, " 3"]) -> list[float]:

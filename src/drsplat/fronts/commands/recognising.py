@@ -10,6 +10,7 @@ KINDS = {
     "drsplat annotations": "annotations",
     "drsplat-path": "camera path",
 }
+FOLDERS = {"field.json": "field", "tiles.json": "tiles", "lod-meta.json": "scene", "tileset.json": "scene"}
 MANIFESTS = {"field.json": "field", "tiles.json": "tiles", "checksums.json": "catalogue", "embedding.json": "features"}
 
 
@@ -26,7 +27,7 @@ def kind_of(path: Path) -> str:
         return _file_kind(path)
     if not path.is_dir():
         raise InputError(f"{path}: there is no such file or folder")
-    for manifest, kind in (("field.json", "field"), ("tiles.json", "tiles"), ("lod-meta.json", "scene")):
+    for manifest, kind in FOLDERS.items():
         if (path / manifest).is_file():
             return kind
     if (path / "objects.lance").is_dir():
@@ -63,7 +64,7 @@ def _has_field(path: Path) -> bool:
 def _file_kind(path: Path) -> str:
     from ...formats.faiss_index import is_faiss
 
-    if path.name in ("motion.safetensors", "lod-meta.json"):
+    if path.name in ("motion.safetensors", "lod-meta.json", "tileset.json"):
         return "scene"
     if path.suffix == ".safetensors":
         return _tensors_kind(path)
