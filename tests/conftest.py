@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 import last_skipped
+import slow_tests
 from browsing import a_browser
 from drsplat.evaluation.demo import story as household
 from edited_rooms import write_room
@@ -22,6 +23,7 @@ MAX_PROCESSES = 8  # each makes the costly fixtures of its files anew
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     last_skipped.add_option(parser)
+    slow_tests.add_option(parser)
 
 
 @pytest.hookimpl(tryfirst=True)
@@ -37,6 +39,7 @@ def pytest_cmdline_main(config: pytest.Config) -> None:
 def pytest_configure(config: pytest.Config) -> None:
     """Let tests interrupt the programs they start, also where a shell runs pytest in the background."""
     last_skipped.register(config, whole_suite=not config.option.file_or_dir)
+    slow_tests.register(config, whole_suite=not config.option.file_or_dir)
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -98,6 +98,7 @@ def slow_inliers(evidence: Evidence, row: int, deviations: float, least: float) 
     return {i for i, a in enumerate(agree) if a >= middle - max(least, deviations * spread)}
 
 
+@pytest.mark.slow
 @few
 @given(seeds, st.sampled_from([(3.0, 0.05), (1.0, 0.0), (2.0, 0.3)]))
 def test_the_inliers_are_those_of_the_twin(seed: int, limits: tuple[float, float]) -> None:
@@ -228,6 +229,7 @@ def test_the_mean_is_the_papers_to_the_bit() -> None:
         assert_array_equal(ours.features(3, 50), evidence.features(3, 50))
 
 
+@pytest.mark.slow
 @few
 @given(seeds)
 def test_of_one_view_and_mask_all_are_the_mean(seed: int) -> None:
@@ -264,6 +266,7 @@ def test_canonical_evidence_is_left_alone() -> None:
     assert canonical(evidence) is evidence
 
 
+@pytest.mark.slow
 @few
 @given(seeds)
 def test_no_rule_adds_a_vote(seed: int) -> None:
@@ -290,6 +293,7 @@ def test_any_number_of_threads_gives_the_same_bits(how: Aggregator) -> None:
         assert_array_equal(one.indices, other.indices)
 
 
+@pytest.mark.slow
 @every_weigher
 def test_blocks_do_not_show(how: Aggregator, monkeypatch: pytest.MonkeyPatch) -> None:
     from drsplat.field.evidence.aggregation import entries

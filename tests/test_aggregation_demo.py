@@ -51,6 +51,7 @@ def test_robust_loses_little_where_all_labels_are_right(story, registration: Reg
     assert robust > mean - 0.005  # neighbours across an edge lend a few features wrongly
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "gain"), [(0.2, 0.025), (0.4, 0.08)])
 def test_robust_is_better_the_more_labels_are_wrong(
     share: float, gain: float, story, registration: Registration
@@ -64,6 +65,7 @@ def test_robust_is_better_the_more_labels_are_wrong(
     assert named["trusted"] > named["tempered"] > named["mean"] + gain / 2
 
 
+@pytest.mark.slow
 def test_the_command_takes_an_aggregator_by_name(story, demo_folder: Path, tmp_path, capsys):
     output = tmp_path / "a.field"
     answer = answer_of(

@@ -243,6 +243,7 @@ def imported_files(file: Path) -> Iterator[Path]:
                 yield from (folder / f"{name.name}.py" for name in node.names)
 
 
+@pytest.mark.slow
 def test_finished_parts_of_other_code_are_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     task = running.Task(tmp_path, "true", ("mean",), tmp_path, 1, 0)
     key = running._for("mean", {}, task)
@@ -353,6 +354,7 @@ def test_packed_labels_are_what_the_readers_read(points: int, tmp_path: Path) ->
     assert frame["objects"][0]["category"] == "red mug"
 
 
+@pytest.mark.slow
 @shipped
 @pytest.mark.parametrize("folder", SHIPPED[:2], ids=lambda path: path.name)
 def test_shipped_scenes_are_whole(folder: Path) -> None:
@@ -371,6 +373,7 @@ def test_shipped_scenes_are_whole(folder: Path) -> None:
         np.testing.assert_array_equal(cut.full(index), ids == number)
 
 
+@pytest.mark.slow
 @shipped
 def test_registration_beats_lookup_of_rendered_features(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     task = running.Task(SHIPPED[0], "true", ("mean", rendered.RENDERED), tmp_path, 5, 0)
@@ -385,6 +388,7 @@ def test_registration_beats_lookup_of_rendered_features(tmp_path: Path, monkeypa
     assert "| `mean` |" in page.page(json.loads(path.read_text(encoding="utf-8")))
 
 
+@pytest.mark.slow
 @shipped
 def test_rivals_are_scored_like_all_others(tmp_path: Path) -> None:
     pytest.importorskip("torch")

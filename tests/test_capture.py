@@ -33,6 +33,7 @@ from drsplat.scene.views import View
 from photographed_room import exif_of, jpeg, photographed, room_views, write_room
 
 has_colmap = pytest.mark.skipif(find_spec("pycolmap") is None, reason='needs pip install "drsplat[capture]"')
+pytestmark = pytest.mark.slow
 NUM_GOOD = 10
 ORIENTATION = 0x0112
 

@@ -31,6 +31,7 @@ def with_gripper(pixels: np.ndarray) -> np.ndarray:
     return result
 
 
+@pytest.mark.slow
 @has_colmap
 def test_what_a_robot_holds_before_its_camera_is_left_out(tmp_path: Path) -> None:
     views = room_views(8)
@@ -106,6 +107,7 @@ def test_a_photo_whose_mask_is_black_is_left_out_with_a_reason(tmp_path: Path) -
     assert len(list(folder.iterdir())) == 1
 
 
+@pytest.mark.slow
 @has_colmap
 def test_masks_of_fisheyes_are_undistorted_with_their_photos(tmp_path: Path) -> None:
     """Photos are painted white where their masks leave them out: in the capture both still agree."""

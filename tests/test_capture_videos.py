@@ -81,6 +81,7 @@ def test_long_films_do_not_give_more_photos_than_can_be_matched() -> None:
     assert len(choose(Film(np.full(50_000, 10.0), np.full(50_000, 0.05))).frames) <= 1001
 
 
+@pytest.mark.slow
 @has_colmap
 @has_av
 def test_a_film_of_the_room_is_posed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

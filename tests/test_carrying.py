@@ -222,6 +222,7 @@ def test_two_objects_of_one_name_keep_it(named, tmp_path: Path) -> None:
     assert len(LabelFile.beside(there).read()) == 2
 
 
+@pytest.mark.slow
 def test_a_killed_carry_has_the_names_once_it_has_the_field(named, tmp_path: Path, monkeypatch) -> None:
     whole, there = tmp_path / "whole" / "new.field", tmp_path / "new" / "new.field"
     whole.parent.mkdir()

@@ -198,6 +198,7 @@ def test_an_index_finds_nearly_all_and_says_that_it_was_used(tmp_path: Path) -> 
     assert ([(entry.scene, entry.object_id) for entry in answer.entries], answer.exact) == ([("two", 0)], True)
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(text=st.text(st.characters(exclude_categories=("Cs",), exclude_characters="\0"), min_size=1, max_size=40))
 def test_names_are_texts_and_never_conditions(filled: Catalogue, text: str) -> None:
@@ -470,6 +471,7 @@ def test_what_is_usual_stays_while_a_large_table_hardly_changes(
     assert len(catalogue._surroundings(catalogue._snapshot()).usual) == 150
 
 
+@pytest.mark.slow
 def test_writers_take_turns(scenes: Path, tmp_path: Path) -> None:
     """Two processes add at once, and a thread of this one."""
     code = "import sys; from drsplat.query.catalogue import Catalogue; Catalogue.open(sys.argv[1]).add(sys.argv[2])"
@@ -508,6 +510,7 @@ def adding(*argv: object) -> "subprocess.Popen[str]":
     return process
 
 
+@pytest.mark.slow
 def test_a_killed_writer_leaves_whole_scenes(scenes: Path, tmp_path: Path) -> None:
     path = tmp_path / "c"
     for seconds in (0.05, 0.4):
@@ -779,6 +782,7 @@ Catalogue.open(path).remove("kitchen") if moment == "before the intent" else Cat
 """
 
 
+@pytest.mark.slow
 def test_a_writer_killed_before_its_record(scenes: Path, tmp_path: Path) -> None:
     catalogue = Catalogue.open(tmp_path / "c")
     catalogue.add(scenes / "kitchen")
@@ -809,6 +813,7 @@ Catalogue.open(sys.argv[1]).remove("kitchen")
 """
 
 
+@pytest.mark.slow
 def test_a_killed_removal_that_had_ended_is_given_again(scenes: Path, tmp_path: Path) -> None:
     catalogue = Catalogue.open(tmp_path / "c")
     for name in WORDS:

@@ -13,6 +13,7 @@ pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not insta
 
 from drsplat.query.catalogue import Catalogue
 
+pytestmark = pytest.mark.slow
 WORDS = ("apple", "candle", "plant", "sofa", "table", "toy car", "toy duck", "red vase", "orange sofa", "green toy car")
 MANY = (
     *WORDS, "banana", "book", "bookcase", "bottle", "bowl", "box", "carrot", "chair", "clock", "couch", "cup", "duck",

@@ -51,6 +51,7 @@ def asked(app: Any, method: str, path: str, **given: Any) -> Any:
     return asyncio.run(ask())
 
 
+@pytest.mark.slow
 def test_matches_of_all_scenes_with_their_pictures(app: Any, folder: Path) -> None:
     answer = asked(app, "POST", "/catalogue/ask", json={"text": "mug"}).json()
     assert [one["scene"] for one in answer["matches"]] == ["kitchen", "o'hara"]

@@ -112,6 +112,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("configuring")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", VERBS)
 @settings(max_examples=30, deadline=None)
 @given(data=st.data())
@@ -145,6 +146,7 @@ def rivals(parser: VerbParser, option: argparse.Action) -> dict[str, argparse.Ac
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", VERBS)
 @settings(max_examples=30, deadline=None)
 @given(data=st.data())
@@ -160,6 +162,7 @@ def test_every_option_can_be_set_in_a_file(verb: str, folder: Path, data: st.Dat
     assert parsed(verb, [*base, "--config", file]) == parsed(verb, [*base, *ways[0]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", VERBS)
 @settings(max_examples=30, deadline=None)
 @given(data=st.data())

@@ -58,6 +58,7 @@ def pairs_of(folder, scene, view) -> int:
     return seen[0]
 
 
+@pytest.mark.slow
 def test_bands_give_what_the_whole_view_gives(folder, scene, view):
     values = np.random.default_rng(0).random((len(scene), 2), np.float32)
     masks = np.kron(np.arange(12).reshape(3, 4) - 1, np.ones((24, 24))).astype(np.int32)[: view.height, : view.width]

@@ -67,6 +67,7 @@ def check_everything(engine: Engine, rows: GroupedRows, tables: QueryTables) -> 
         assert_array_equal(theirs, first[matches])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("subvectors", [1, 7, 32, 33, 64, 65, 128, 200])
 @pytest.mark.parametrize(("count", "queries"), [(1, 1), (31, 3), (257, 2)])
 def test_answers_are_those_of_the_scores_and_scores_those_of_the_twin(

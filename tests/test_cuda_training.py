@@ -78,6 +78,7 @@ def with_harmonics(found: there.DeviceGradients, scene: kernels.SceneParameters,
 # --- the image, its gradients, the loss, the step ---------------------------------------------------
 
 
+@pytest.mark.slow
 @every_case
 def test_the_image_is_that_of_the_twin(cuda_engine_on_cpu, case):
     image = device_pass(cuda_engine_on_cpu, case).image
@@ -85,6 +86,7 @@ def test_the_image_is_that_of_the_twin(cuda_engine_on_cpu, case):
     assert_allclose(image[sure], twin_image(case, background_of(case))[sure], rtol=0, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["off-centre", "antialiased"])
 def test_gradients_are_those_of_finite_differences(cuda_engine_on_cpu, case):
     found = device_pass(cuda_engine_on_cpu, case).backward(image_gradient_of(case))
@@ -164,6 +166,7 @@ def device_loss(engine, image: np.ndarray, photo: there.DevicePhoto, weight: flo
     return there.photometric_loss(engine, image, photo, weight, there.loss_window(engine))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(5, 9), (16, 16), (21, 37)])
 @pytest.mark.parametrize("weight", [0.0, 0.2, 1.0])
 def test_the_loss_is_that_of_the_twin_and_of_the_native_kernels(cuda_engine_on_cpu, size, weight):
@@ -191,6 +194,7 @@ def test_unused_pixels_are_their_own_target(cuda_engine_on_cpu):
     assert_allclose(found.gradient, expected.gradient, rtol=1e-4, atol=1e-4 * np.abs(expected.gradient).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_a_step_is_that_of_the_cpu(cuda_engine_on_cpu, degree):
     """Three steps with moments; coefficients beyond the active degree are stored, and rest."""
@@ -256,6 +260,7 @@ def assert_same_losses(device: DeviceRun, here: Run, steps: int, tolerance: floa
         assert len(device) == len(here)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("masked", [False, True], ids=["unmasked", "masked"])
 @pytest.mark.parametrize("distortion", [None, (0.3, 0.0, 0.0, 0.0)], ids=["whole", "with-edges"])
 def test_a_run_is_that_of_the_cpu(cuda_engine_on_cpu, views, points, distortion, masked, tmp_path, monkeypatch):
@@ -274,6 +279,7 @@ def test_a_run_is_that_of_the_cpu(cuda_engine_on_cpu, views, points, distortion,
             assert (np.abs(ours - getattr(device.optimizer.parameters, name)) > 1e-3).mean() < 0.02, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("antialiased", [False, True])
 def test_density_control_is_that_of_the_cpu(cuda_engine_on_cpu, views, points, antialiased):
     """Clones, splits and prunes at 5 and 10, a reset at 9; random places are the CPU's as well."""
@@ -296,11 +302,13 @@ def test_the_chain_is_that_of_the_cpu(cuda_engine_on_cpu, views, points, monkeyp
     assert 60 < len(device) <= 80
 
 
+@pytest.mark.slow
 def test_the_budget_is_never_exceeded(cuda_engine_on_cpu, views, points):
     run = fresh_run(DeviceRun, views, points, replace(BUSY, max_gaussians=71), engine=cuda_engine_on_cpu)
     assert max(run.step() and len(run) for _ in range(11)) == 71
 
 
+@pytest.mark.slow
 def test_gaussians_that_only_left_out_pixels_show_are_not_seen(cuda_engine_on_cpu, views, points, tmp_path):
     """The counts of density control are those of the CPU."""
     counts = []
@@ -315,6 +323,7 @@ def test_gaussians_that_only_left_out_pixels_show_are_not_seen(cuda_engine_on_cp
     assert counts[1] < 0.9 * counts[0]
 
 
+@pytest.mark.slow
 def test_colors_stay_within_bytes(cuda_engine_on_cpu, views, points):
     s = replace(BUSY, colors_in_bytes=True, sh_rate=0.5)
     run = fresh_run(DeviceRun, views, points, s, engine=cuda_engine_on_cpu)
@@ -327,6 +336,7 @@ def test_colors_stay_within_bytes(cuda_engine_on_cpu, views, points):
     assert largest[1] > MAX_CONSTANT
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("s", [BUSY, CHAIN], ids=["default", "mcmc"])
 def test_a_run_goes_on_from_its_checkpoint_to_the_same_bits(cuda_engine_on_cpu, views, points, tmp_path, s):
     whole = fresh_run(DeviceRun, views, points, s, engine=cuda_engine_on_cpu)
@@ -341,6 +351,7 @@ def test_a_run_goes_on_from_its_checkpoint_to_the_same_bits(cuda_engine_on_cpu, 
         assert_array_equal(later.state()[0][name], array, err_msg=name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("s", [BUSY, CHAIN], ids=["default", "mcmc"])
 def test_a_run_may_move_between_devices(cuda_engine_on_cpu, views, points, tmp_path, s):
     """From the CPU to the device and back: each goes on where the other stopped."""
@@ -362,6 +373,7 @@ def test_a_run_may_move_between_devices(cuda_engine_on_cpu, views, points, tmp_p
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("room", [0, 3 * 32 * 24 * 3, 1 << 20])
 def test_photos_that_do_not_fit_are_sent_each_time(views, points, room):
     """Whatever fits into a quarter of what is free: the losses are the same to the bit."""
@@ -377,6 +389,7 @@ def test_photos_that_do_not_fit_are_sent_each_time(views, points, room):
     assert len(run.targets._kept) == min(room // (32 * 24 * 3), 3)
 
 
+@pytest.mark.slow
 def test_the_whole_of_train(cuda_engine_on_cpu, views, points, tmp_path):
     s = replace(BUSY, iterations=14, background="black", reset_every=1000, start_opacity=0.5, scales_rate=0.02)
     reports: list[ds.Status] = []

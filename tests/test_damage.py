@@ -57,6 +57,7 @@ def answers(field: LanguageField) -> list[object]:
     return [array.tobytes() for array in arrays] + [said, names]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mixture", [False, True])
 def test_a_flipped_bit_in_a_field_never_changes_an_answer(mixture: bool, tmp_path: Path) -> None:
     path, rng = saved_field(tmp_path, mixture), np.random.default_rng(3)

@@ -40,6 +40,7 @@ def blocks(document: str, language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("document", WITH_SNIPPETS)
 def test_snippets_run(document, capture, tmp_path, monkeypatch):
     snippets = blocks(document, "python")
@@ -67,6 +68,7 @@ def assert_is_the_mug(matches: list[ds.Match]) -> None:
     assert matches[0].gaussian_ids.max() < PER_THING
 
 
+@pytest.mark.slow
 def test_commands_run(capture, tmp_path, monkeypatch, capsys):
     """Every `drsplat` line of the tour but those that take minutes or models."""
     lines = "".join(blocks("docs/tour.md", "bash")).replace("\\\n", " ").splitlines()

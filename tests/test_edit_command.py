@@ -363,6 +363,7 @@ def test_a_list_is_printed_and_undone_without_being_applied(
     assert answer_of(capsys, "edit", scene, "--undo", 20)["num_undone"] == 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", ["locate", "select", "segment", "objects", "photograph"])
 def test_what_is_saved_of_a_scene_with_kept_edits_says_that_they_are_left_out(
     verb: str, room: Path, capsys: Capture

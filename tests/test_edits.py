@@ -120,6 +120,7 @@ def test_isolate_and_remove_part_the_scene(rows: np.ndarray) -> None:
     assert len(edited(scene, [of(rows, Isolate()), of(rows, Remove())])) == 0
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(some_rows, vectors, st.floats(-180, 180), st.floats(0.2, 5))
 def test_there_and_back_again(rows: np.ndarray, by: tuple, degrees: float, factor: float) -> None:

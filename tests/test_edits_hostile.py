@@ -40,6 +40,7 @@ def write_annotations(path: Path) -> None:
     AnnotationFile(path).add(notes)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("write", "read"), [(write_edits, read_edits), (write_annotations, read_annotations)])
 def test_damaged_files(write: Callable[[Path], None], read: Callable[[Path], object], tmp_path: Path) -> None:
     path = tmp_path / "given.json"

@@ -468,6 +468,7 @@ def wait_for(folder: Path, ending: str, count: int, process: subprocess.Popen[by
         time.sleep(0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", ["langsplat", "compact"])
 def test_a_kill_loses_at_most_one_photo(form, tmp_path):
     views = [replace(view, image_path=None) for view in ring(8)]
@@ -516,6 +517,7 @@ def peak_bytes(folder: Path, count: int) -> int:
     return peak
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_photos(tmp_path):
     """What grows is the record and the views, some kilobytes a photo; one photo takes more than its maps."""
     peak_bytes(tmp_path, 2)  # what is imported on the way is not of photos

@@ -54,6 +54,7 @@ def field(clip: Path) -> LanguageField:
     return field_of(load_encoder(str(clip), "cpu").identity)
 
 
+@pytest.mark.slow
 def test_words_through_the_encoder_of_the_field(clip: Path, field: LanguageField) -> None:
     encoder: Any = load_encoder(str(clip), "cpu")
     expected = encoder.encode_texts(["a red mug"])[0]
@@ -82,6 +83,7 @@ def test_an_image_is_padded_to_a_square_as_masks_are(clip: Path, field: Language
     assert_allclose(answer.vector, encoder.encode_images([square])[0], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_on_the_command_line(
     clip: Path, field: LanguageField, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -112,6 +114,7 @@ def test_another_encoder_is_refused_and_both_are_named(clip: Path, field: Langua
         asked(field, Query("mug"), "drsplat-words")
 
 
+@pytest.mark.slow
 def test_a_field_that_does_not_know_its_encoder_takes_one_that_fits(clip: Path) -> None:
     for dim in (8, 16):
         field = field_of(EncoderIdentity("unknown", dim))

@@ -200,6 +200,7 @@ def evaluate(judged: dict[str, str], *more: str, protocol: str = "lerf-ovs") -> 
     return cli.main(["evaluate", protocol, judged["data"], *given, "--report", judged["report"], *more])
 
 
+@pytest.mark.slow
 def test_command_scores_features_of_others(judged: dict[str, str], capsys) -> None:
     assert evaluate(judged, "--method", "peer", "--threshold", "0.9", "--json") == 0
     answer = json.loads(capsys.readouterr().out)

@@ -114,6 +114,7 @@ def test_a_click_cuts_the_vase_out(demo: Story, capsys: Capture) -> None:
     assert np.linalg.norm(np.median(thing.means, axis=0) - center(demo, "red vase")) < 0.05
 
 
+@pytest.mark.slow
 def test_things_are_counted(demo: Story, capsys: Capture) -> None:
     printed = run("04", capsys)
     counts = re.findall(r"^(\d+) x (.+)$", printed, re.MULTILINE)
@@ -122,6 +123,7 @@ def test_things_are_counted(demo: Story, capsys: Capture) -> None:
     assert run("04", capsys, "drsplat-demo", "teddy bear").splitlines() == ["0 x teddy bear"]
 
 
+@pytest.mark.slow
 def test_features_are_evaluated(demo: Story, tmp_path: Path, capsys: Capture) -> None:
     """Those of the field score as the field does; those of other Gaussians find nothing."""
     own = measured(run("05", capsys))
@@ -140,6 +142,7 @@ def measured(printed: str) -> dict[str, float]:
     return numbers
 
 
+@pytest.mark.slow
 def test_another_encoder_finds_what_is_red(demo: Story, capsys: Capture) -> None:
     run("06", capsys)
     field = ds.load_field("colors.field")
@@ -150,6 +153,7 @@ def test_another_encoder_finds_what_is_red(demo: Story, capsys: Capture) -> None
     assert np.isin(found(demo, "couch"), red).mean() < 0.1  # it is orange
 
 
+@pytest.mark.slow
 def test_new_photos_are_added(demo: Story, capsys: Capture) -> None:
     printed = run("07", capsys)
     assert "of 42 views" in printed
@@ -174,6 +178,7 @@ def test_classes_are_columns_and_colours(demo: Story, capsys: Capture) -> None:
     assert len(np.unique(np.concatenate(colors), axis=0)) == 5
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(find_spec("fastapi") is None, reason="the extra drsplat[serve] is not installed")
 def test_asking_over_http(demo: Story, capsys: Capture) -> None:
     with contextlib.closing(socket.socket()) as free:
@@ -218,6 +223,7 @@ def test_a_busy_service_is_asked_again() -> None:
         server.shutdown()
 
 
+@pytest.mark.slow
 def test_a_page_has_scene_and_answers(demo: Story, capsys: Capture) -> None:
     printed = run("10", capsys)
     assert printed.splitlines()[:3] == ["red vase: 1 found", "couch: 1 found", "laptop: nothing found"]

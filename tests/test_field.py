@@ -335,6 +335,7 @@ KILLED = """
 """
 
 
+@pytest.mark.slow
 def test_a_killed_save_leaves_one_whole_field(tmp_path: Path) -> None:
     path, rng = tmp_path / "a.field", np.random.default_rng(7)
     toy_field(0).save(path)

@@ -122,6 +122,7 @@ def use_field(path: Path) -> None:
             field.explain(int(field.gaussian_ids[0]), query)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "count", "mixture"),
     [
@@ -139,6 +140,7 @@ def test_damaged_fields(name: str, count: int, mixture: bool, tmp_path: Path, bo
     assert 0 < survivors(tmp_path / name, len(name), read, count) < count
 
 
+@pytest.mark.slow
 def test_damaged_objects(tmp_path: Path, bounded_memory: None) -> None:
     for file, content in field_with_objects(False).items():
         (tmp_path / file).write_bytes(content)
@@ -146,6 +148,7 @@ def test_damaged_objects(tmp_path: Path, bounded_memory: None) -> None:
         assert 0 < survivors(tmp_path / "objects.safetensors", 4, use_objects, quota(1000)) < quota(1000)
 
 
+@pytest.mark.slow
 def test_damaged_objects_are_an_error_or_the_same(tmp_path: Path, bounded_memory: None) -> None:
     for file, content in field_with_objects(True).items():
         (tmp_path / file).write_bytes(content)
@@ -162,6 +165,7 @@ def test_damaged_objects_are_an_error_or_the_same(tmp_path: Path, bounded_memory
         assert survivors(tmp_path / "objects.safetensors", 5, read, quota(300)) < quota(300)
 
 
+@pytest.mark.slow
 def test_damaged_tensors(tmp_path: Path, bounded_memory: None) -> None:
     arrays = {"a": np.arange(6.0).reshape(2, 3), "b": np.zeros((0, 3), "u1"), "c": np.ones(3, "f2")}
     write_tensors(tmp_path / "a", arrays, {"key": "value"})
@@ -175,12 +179,14 @@ def test_damaged_tensors(tmp_path: Path, bounded_memory: None) -> None:
     assert 0 < survivors(tmp_path / "a", 1, touch) < MUTANTS
 
 
+@pytest.mark.slow
 def test_damaged_codebooks(tmp_path: Path, bounded_memory: None) -> None:
     save_codebook(tiny_codebook(), tmp_path / "a")
     # the hash notices all damage but to the names of things that are not there
     assert survivors(tmp_path / "a", 2, load_codebook) < MUTANTS / 20
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("residual", [False, True])
 def test_damaged_faiss_indices(residual: bool, tmp_path: Path, bounded_memory: None) -> None:
     path = tmp_path / "a.faiss"

@@ -77,6 +77,7 @@ def test_later_edits_of_the_clones_are_done_too(file: EditFile) -> None:
     np.testing.assert_allclose(high.means[moved] - low.means[moved], [[0, 0, 1]] * moved.sum(), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_earlier_versions_are_computed_each_time(file: EditFile) -> None:
     scene, block, _, _ = a_thing_in_a_hole()
     for version in (1, 2, 3):
@@ -198,6 +199,7 @@ def test_a_record_that_is_none_is_refused_in_words(fill: dict[str, object], said
     assert said in str(error.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("false", "said"),
     [

@@ -190,6 +190,7 @@ write_film(sys.argv[1], pictures(), 12.0)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", suffixes_here())
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_killed_or_interrupted_it_leaves_no_film(suffix: str, how: signal.Signals, tmp_path: Path) -> None:
@@ -225,6 +226,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "darwin", reason="memory is counted otherwise there")
 @pytest.mark.parametrize("suffix", suffixes_here())
 def test_no_more_than_a_few_pictures_are_held(suffix: str, tmp_path: Path) -> None:

@@ -181,6 +181,7 @@ def within_photo(view: View, margin: float) -> np.ndarray:
     return np.asarray(((at >= low) & (at <= high)).all(-1))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "parameters"),
     [

@@ -51,6 +51,7 @@ def test_what_we_write_is_read_to_the_bit(degree: int, tmp_path: Path) -> None:
         assert_array_equal(getattr(ours, name), getattr(theirs, name))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "options", "degree"),
     [

@@ -289,6 +289,7 @@ sixteenths = st.integers(0, 16).map(lambda k: k / 16)
 maps = st.tuples(st.integers(8, 24), st.integers(34, 70)).flatmap(lambda s: arrays(np.float32, s, elements=sixteenths))
 
 
+@pytest.mark.slow
 @few
 @given(maps, st.data())
 def test_localization_is_that_of_langsplat_but_for_window_and_border(tmp_path_factory, relevancy, data) -> None:

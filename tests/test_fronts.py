@@ -196,6 +196,7 @@ def same_matches(told: list[dict[str, Any]], expected: list[Match], exactly: boo
         assert support == [(mask.view_name, mask.mask_id) for mask in match.support]
 
 
+@pytest.mark.slow
 @named(GOOD)
 def test_the_command_line(asked: Asked, room: Scene, files: Path, tmp_path: Path, capsys: Capture) -> None:
     expected = room.ask(Query(**asked.query))
@@ -207,6 +208,7 @@ def test_the_command_line(asked: Asked, room: Scene, files: Path, tmp_path: Path
     same_matches(located["matches"], room.locate(expected), exactly=True)
 
 
+@pytest.mark.slow
 @named(GOOD)
 def test_http(asked: Asked, room: Scene, scene_folder: SceneFolder) -> None:
     expected = room.ask(Query(**asked.query))
@@ -227,6 +229,7 @@ def test_language_models(asked: Asked, room: Scene, scene_folder: SceneFolder) -
     same_matches(told["matches"], room.locate(expected)[:20], exactly=False)
 
 
+@pytest.mark.slow
 def test_language_models_without_objects(room: Scene) -> None:
     talk, query = Conversation(room, "room"), Query("toys", objects="never")
     expected = room.locate(query)
@@ -243,6 +246,7 @@ def test_language_models_without_objects(room: Scene) -> None:
     np.testing.assert_allclose(apart.offset, candle.center - vase.center, atol=2e-4)
 
 
+@pytest.mark.slow
 @named(GOOD)
 def test_the_viewer(asked: Asked, room: Scene) -> None:
     """Words and pictures are asked in its panel; of other answers it shows the same matches."""
@@ -261,6 +265,7 @@ def test_the_viewer(asked: Asked, room: Scene) -> None:
         np.testing.assert_array_equal(shown.center, match.center)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", [{}, {"threshold": 0.6}, {"relevancy": True}, {"objects": "never"}])
 def test_classes(cut: dict[str, Any], room: Scene, scene_folder: SceneFolder, capsys: Capture) -> None:
     names = ["red vase", "laptop", "orange sofa"]

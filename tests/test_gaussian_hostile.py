@@ -97,6 +97,7 @@ def assert_sound(g: Gaussians, size: int) -> None:
     assert (np.abs(np.linalg.norm(g.quats, axis=1) - 1) < 1e-5).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", ["ply", "compressed", "splat", "spz", "sog", "ksplat", "glb"])
 @pytest.mark.usefixtures("bounded_memory")
 def test_mutants(family: str) -> None:
@@ -166,6 +167,7 @@ def list_ply(length: int) -> bytes:
     return scene_files.ply_bytes(columns, "<", struct.pack("<I", length), header)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "data",
     [

@@ -208,6 +208,7 @@ def test_the_mark_of_an_antialiased_scene_comes_back(tmp_path: Path) -> None:
     assert not read_gaussians(tmp_path / "plain.glb").antialiased
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("count", "component"), [(3, 5123), (65_535, 5123), (65_536, 5126), (100_000, 5126)])
 def test_any_number_of_objects_is_told_apart(count: int, component: int, tmp_path: Path) -> None:
     g = made(1000, 0)
@@ -441,6 +442,7 @@ def test_rows_that_are_no_gaussians_are_named() -> None:
         outcome(glb_files.glb_bytes(replace(g, opacities=opacities)))
 
 
+@pytest.mark.slow
 def test_bytes_that_are_named_many_times_over_do_not_unfold() -> None:
     """Three thousand primitives of the same hundred thousand rows, in a file of some hundred kilobytes."""
 

@@ -181,6 +181,7 @@ def activated(case: str) -> Gaussians:
 # --- the image and its gradient -------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @every_case
 @every_isa
 def test_gradients_are_those_of_finite_differences(case, isa):

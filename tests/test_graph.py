@@ -402,6 +402,7 @@ def made_photo(seed: int, times: int = 1) -> Photo:
     return Photo(str(seed), large, owners, np.array([False, False, True, True, True]))
 
 
+@pytest.mark.slow
 def test_a_rule_is_learned_written_and_better_than_none(tmp_path: Path) -> None:
     cases = [case(made_photo(seed), NETWORK) for seed in range(3)]
     rule = learned(cases, cases[:1], rounds=2, hidden=4, steps=60)
@@ -427,6 +428,7 @@ def test_the_shipped_rule_is_of_the_learned_form(tmp_path: Path) -> None:
     }
 
 
+@pytest.mark.slow
 def test_the_network_is_written_as_it_is_read(tmp_path: Path) -> None:
     torch = pytest.importorskip("torch")
     from world.segmenter.sight import learned as learned_network
@@ -484,6 +486,7 @@ def test_the_mean_of_two_rules() -> None:
     assert_allclose(logit(both(blind, seeing), features), mean, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_a_blind_rule_does_not_look_at_what_the_network_sees() -> None:
     cases = [case(made_photo(seed), NETWORK) for seed in range(2)]
     rule = learned(cases, cases[:1], rounds=2, hidden=3, steps=20, blind=True)

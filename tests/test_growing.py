@@ -46,6 +46,7 @@ def forgetful(field: LanguageField, removed: tuple[str, ...] = ()) -> LanguageFi
 steps = st.lists(st.tuples(st.sets(st.sampled_from(NAMES), min_size=1, max_size=3), st.integers(0, 40)), max_size=4)
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None, derandomize=True)
 @given(
     st.sets(st.sampled_from(NAMES), min_size=1),

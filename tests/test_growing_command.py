@@ -62,6 +62,7 @@ def remove(room: Path, field: Path, *views: object) -> tuple[object, ...]:
     return ("remove", field, "--scene", room / "scene.ply", "--views", *views)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [(), ("--code", "pq", "--subvectors", "16"), ("--aggregator", "robust")])
 def test_the_files_are_those_of_one_registration(more: tuple[str, ...], room: Path, capsys: Capture) -> None:
     field = register(room, capsys, "a.field", *PHOTOS[:2], more=more)
@@ -220,6 +221,7 @@ main({argv})
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moment", ["second view", "save"])
 def test_a_killed_run_loses_nothing_and_goes_on(moment: str, room: Path, capsys: Capture) -> None:
     field = register(room, capsys, "a.field", *PHOTOS[:2])
@@ -248,6 +250,7 @@ main({argv})
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", ["add", "remove"])
 def test_a_command_that_was_killed_when_it_had_ended_is_given_again(verb: str, room: Path, capsys: Capture) -> None:
     field = register(room, capsys, "a.field", *PHOTOS[:3])
@@ -280,6 +283,7 @@ sys.exit(main({argv}))
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("limit", [300, 12_000])
 def test_a_full_disk_is_told_and_changes_nothing(limit: int, room: Path, capsys: Capture) -> None:
     """At the first part, and at the field."""

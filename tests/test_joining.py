@@ -286,6 +286,7 @@ def a_mesh(rng: np.random.Generator, count: int) -> Borders:
     return known(pairs, [*rng.integers(250, 5000, count).tolist(), 100_000])
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10_000), st.integers(2, 12))
 def test_sets_are_disjoint_and_follow_the_pieces(seed: int, count: int) -> None:

@@ -90,6 +90,7 @@ def assert_same_triples(native: Triples, twin: reference.Triples, tolerance: flo
     assert_allclose(native.weights, twin.weights, rtol=1e-3, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", KS)
 @every_isa
 @every_scene
@@ -99,6 +100,7 @@ def test_weights_are_those_of_the_twin(scene, isa, k):
     assert_same_triples(native, expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", [10, 40, None])
 @every_scene
 def test_differences_in_the_boundary_band_are_few_and_small(scene, k):
@@ -262,6 +264,7 @@ def sure_contributions(scene: str, k: int) -> tuple[np.ndarray, reference.Contri
     return sure, reference.Contributions(ids[sure].astype(np.int32), weights[sure])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k", [1, 10, 45])
 @every_isa
 @every_scene

@@ -2,10 +2,13 @@
 
 from pathlib import Path
 
+import pytest
+
 import drsplat as ds
 from known_parts import divide, search_parts
 
 
+@pytest.mark.slow
 def test_parts_of_the_shipped_scene_are_found_again() -> None:
     folder = Path(ds.__file__).parent / "evaluation/demo/scene"
     gaussians = ds.read_gaussians(folder / "scene.compressed.ply")

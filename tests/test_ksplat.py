@@ -212,6 +212,7 @@ def test_what_does_not_fit_is_refused(data: bytes, said: str) -> None:
         tracemalloc.stop()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", LEVELS)
 def test_any_number_in_any_field(level: int) -> None:
     """Sound Gaussians or an error, and never the room that a number asks for."""

@@ -24,6 +24,7 @@ SKIPPED_WHOLE = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("processes", [0, 1])
 def test_last_skipped_runs_what_was_skipped(tmp_path: Path, processes: int) -> None:
     for name, text in (("conftest", CONFTEST), ("test_half", HALF_SKIPPED), ("test_whole", SKIPPED_WHOLE)):

@@ -150,6 +150,7 @@ def test_indices_that_lie(index: object, said: str, tmp_path: Path) -> None:
         ds.read_gaussians(write_lcc2(tmp_path, index=index))
 
 
+@pytest.mark.slow
 def test_damaged_files_are_refused_or_read(tmp_path: Path) -> None:
     path, rng = write_lcc2(tmp_path), seeded(51)
     chunk = path.parent / "data" / "3dgs" / "2.sog"

@@ -65,6 +65,7 @@ def test_the_field_knows_which_photos_it_is_made_from(tmp_path: Path, capsys: Ca
     assert "no photo has" in error_of(capsys, *register, "-o", room / "b.field", "--without", _names(room))
 
 
+@pytest.mark.slow
 def test_fields_with_other_photos_left_out_are_told_apart(tmp_path: Path, capsys: Capture) -> None:
     """Even where the photo shows nothing of the scene, so that all features are the same."""
     room = write_toy_capture(tmp_path)

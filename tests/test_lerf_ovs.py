@@ -257,6 +257,7 @@ def test_damaged_manifests_are_named(content, error, message, room: LerfScene, t
         score([room], tmp_path)
 
 
+@pytest.mark.slow
 def test_damaged_predictions(room: LerfScene, tmp_path: Path) -> None:
     """Whatever was written: numbers or one of our own errors."""
     predict(room, balls(), replace(PERFECT, sweep=()), tmp_path)

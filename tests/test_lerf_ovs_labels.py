@@ -146,6 +146,7 @@ def bounded_memory() -> Iterator[None]:
         yield
 
 
+@pytest.mark.slow
 def test_damaged_labels(tmp_path: Path, bounded_memory: None) -> None:
     path = written(tmp_path)
     good, survived = path.read_bytes(), 0

@@ -478,6 +478,7 @@ def forged(draw: st.DrawFn) -> dict[str, Any]:
     return {"act": get_args(kind.model_fields["act"].annotation)[0]} | values
 
 
+@pytest.mark.slow
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.data_too_large])
 @given(st.lists(forged(), min_size=1, max_size=6))
 def test_forged_values_of_every_act_are_no_faults(acts: list[dict[str, Any]]) -> None:

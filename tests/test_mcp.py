@@ -105,6 +105,7 @@ async def refused(client: Client, tool: str, **arguments: Any) -> str:
     return str(result.content[0].text)  # type: ignore[union-attr]
 
 
+@pytest.mark.slow
 def test_ten_calls_tell_what_to_eat_is_on_the_table_and_which_is_nearest_to_the_candle(
     room: Path, truth: dict[str, np.ndarray]
 ) -> None:
@@ -145,6 +146,7 @@ def test_ten_calls_tell_what_to_eat_is_on_the_table_and_which_is_nearest_to_the_
     over_stdio(room, talk)
 
 
+@pytest.mark.slow
 def test_errors_say_what_to_do_next(room: Path) -> None:
     async def talk(client: Client) -> None:
         tools = (await client.list_tools()).tools
@@ -189,6 +191,7 @@ def test_errors_say_what_to_do_next(room: Path) -> None:
     over_stdio(room, talk)
 
 
+@pytest.mark.slow
 def test_find_on_and_about_a_scene(room: Path, truth: dict[str, np.ndarray]) -> None:
     async def talk(client: Client) -> None:
         every = await told(client, "locate", text="something to eat")
@@ -223,6 +226,7 @@ def test_find_on_and_about_a_scene(room: Path, truth: dict[str, np.ndarray]) -> 
     over_stdio(room, talk)
 
 
+@pytest.mark.slow
 def test_malformed_lines_are_answered(tmp_path: Path) -> None:
     lines: list[tuple[bytes, Any, int, str]] = [
         (rb'{"jsonrpc":"2.0","id":5,"method":"tools/call","params":{"name":"\ud800"}}', 5, -32700, "hex escape"),
@@ -256,6 +260,7 @@ def test_malformed_lines_are_answered(tmp_path: Path) -> None:
         ending.cancel()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 0)])
 def test_a_signal_ends_it_while_it_waits_for_a_line(number: signal.Signals, code: int, tmp_path: Path) -> None:
     command = [sys.executable, *COMMAND, str(tmp_path)]
@@ -284,6 +289,7 @@ def test_a_port_that_is_taken_is_told(tmp_path: Path, capsys: Capture) -> None:
         assert f"port {port} of '127.0.0.1' is taken" in error_of(capsys, "mcp", tmp_path, "--http", "--port", port)
 
 
+@pytest.mark.slow
 def test_a_key_is_asked_for(tmp_path: Path) -> None:
     key = tmp_path / "key"
     key.write_text("0123456789abcdef-key")
@@ -296,6 +302,7 @@ def test_a_key_is_asked_for(tmp_path: Path) -> None:
             refused_.value.close()
 
 
+@pytest.mark.slow
 def test_over_streamable_http(room: Path, tmp_path: Path) -> None:
     (tmp_path / "a room").symlink_to(room)
     (tmp_path / "another").symlink_to(room)
@@ -315,6 +322,7 @@ def test_over_streamable_http(room: Path, tmp_path: Path) -> None:
         asyncio.run(talk(url))
 
 
+@pytest.mark.slow
 def test_what_takes_too_long_is_ended_and_the_next_question_is_answered(room: Path) -> None:
     async def talk(url: str) -> None:
         async with Client(url) as client:
@@ -335,6 +343,7 @@ def test_what_takes_too_long_is_ended_and_the_next_question_is_answered(room: Pa
         asyncio.run(talk(url))
 
 
+@pytest.mark.slow
 def test_a_signal_ends_the_process_that_computes_too(room: Path) -> None:
     async def talk(client: Client) -> int:
         await told(client, "list_scenes")

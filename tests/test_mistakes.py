@@ -110,6 +110,7 @@ MISTAKES: list[tuple[tuple[str, ...], tuple[str, ...]]] = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("line", "said"), MISTAKES, ids=lambda part: " ".join(part)[:50])
 def test_the_answer_to_a_mistake_says_the_way_on(
     line: tuple[str, ...], said: tuple[str, ...], things: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture

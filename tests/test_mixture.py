@@ -254,6 +254,7 @@ def test_missing_arrays_are_named() -> None:
             mixture_from_tensors(others, "a")
 
 
+@pytest.mark.slow
 def test_encoding_never_holds_all_features() -> None:
     rng = np.random.default_rng(11)
     large = random_evidence(rng, rows=60_000, columns=50, dim=512)  # 123 MB of features

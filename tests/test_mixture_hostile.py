@@ -113,6 +113,7 @@ def test_extreme_but_legal_numbers_are_searched() -> None:
     use(arrays)
 
 
+@pytest.mark.slow
 def test_damaged_files(tmp_path: Path) -> None:
     path = tmp_path / "a"
     write_tensors(path, tensors())

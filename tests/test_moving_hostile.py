@@ -57,6 +57,7 @@ def test_damaged_spacetime(tmp_path: Path) -> None:
     judged(tmp_path / "film.ply", tmp_path / "film.ply")
 
 
+@pytest.mark.slow
 def test_damaged_frames(tmp_path: Path) -> None:
     write_moving(tmp_path / "frames", drifting(12))
     judged(tmp_path / "frames", tmp_path / "frames" / "frame0002.ply")

@@ -55,6 +55,7 @@ def only_our_warnings() -> Iterator[None]:
         yield
 
 
+@pytest.mark.slow
 @settings(max_examples=15, deadline=None)
 @given(times=st.lists(st.floats(0, 1), min_size=7, max_size=7))
 def test_what_stands_still_is_registered_to_the_bit_as_a_still_scene(times: list[float]) -> None:

@@ -43,6 +43,7 @@ def test_cameras_stand_but_for_one() -> None:
     assert (np.ptp(places, axis=1).max(axis=1) < 1e-9).tolist() == [True] * FIXED + [False]
 
 
+@pytest.mark.slow
 def test_a_moving_car_is_found_where_it_is() -> None:
     """Of every tenth time; the study has all of them."""
     whole = make_film(0)

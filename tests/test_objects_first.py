@@ -126,6 +126,7 @@ def test_crops_are_of_cameras_far_from_each_other():
 # --- features -------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_features_are_what_the_chosen_crops_give(scene, photos, tmp_path):
     encoder = ThumbnailEncoder()
     report = embed_objects(photos, tmp_path / "out", LargeSegmenter(), encoder, scene, parts=tmp_path / "parts")
@@ -145,6 +146,7 @@ def test_features_are_what_the_chosen_crops_give(scene, photos, tmp_path):
     register(scene, photos, made)
 
 
+@pytest.mark.slow
 def test_a_second_run_asks_nothing_and_a_new_photo_asks_for_little(scene, photos, tmp_path):
     paths = {"output_dir": tmp_path / "out", "parts": tmp_path / "parts"}
     segmenter, encoder = LargeSegmenter(), ThumbnailEncoder()
@@ -161,6 +163,7 @@ def test_a_second_run_asks_nothing_and_a_new_photo_asks_for_little(scene, photos
         np.testing.assert_array_equal(again.embeddings, anew.embeddings)
 
 
+@pytest.mark.slow
 def test_overwriting_asks_both_models_anew(scene, photos, tmp_path):
     paths = {"output_dir": tmp_path / "out", "parts": tmp_path / "parts"}
     segmenter, encoder = LargeSegmenter(), ThumbnailEncoder()
@@ -170,6 +173,7 @@ def test_overwriting_asks_both_models_anew(scene, photos, tmp_path):
     assert (segmenter.asked, encoder.asked) == (2 * once[0], 2 * once[1])
 
 
+@pytest.mark.slow
 def test_a_run_that_is_stopped_while_crops_are_embedded_goes_on(scene, photos, tmp_path):
     class Stopped(ThumbnailEncoder):
         def encode_images(self, images):

@@ -197,6 +197,7 @@ def test_a_field_without_evidence_says_what_to_do() -> None:
 SCENE = Path(__file__).parent.parent / "world" / "scenes" / "room_5"
 
 
+@pytest.mark.slow
 def test_the_true_things_of_a_room_are_objects() -> None:
     """With true masks nearly each thing of 60 Gaussians is one object; the number is that of the page, less some."""
     from benchmarks.bench_boxes import owners
@@ -223,6 +224,7 @@ def test_the_true_things_of_a_room_are_objects() -> None:
     assert np.mean(best) > 0.85
 
 
+@pytest.mark.slow
 def test_objects_are_the_same_wherever_and_however_large_a_room_is(tmp_path: Path) -> None:
     """Rounded to float32 at z = 100, Gaussians of nearly one depth would change places."""
     from benchmarks.suite.masks import features_of

@@ -47,6 +47,7 @@ def test_the_file_lies_beside_the_field(tmp_path: Path) -> None:
     assert LabelFile.beside(tmp_path / "none.field").read() == ()
 
 
+@pytest.mark.slow
 @settings(deadline=None)
 @given(st.sets(st.integers(0, 3 * EACH - 1), min_size=1))
 def test_rows_survive_the_file(rows: set[int]) -> None:
@@ -219,6 +220,7 @@ def bounded_memory() -> Iterator[None]:
         yield
 
 
+@pytest.mark.slow
 def test_damaged_labels(labels: LabelFile, field: LanguageField, bounded_memory: None) -> None:
     labels.add(label_of(field, "mug", np.arange(EACH)))
     labels.add(Label.of("of another", "2000000000-00", np.array([1, 5, 7]), ORIGIN))

@@ -138,6 +138,7 @@ def test_long_lists_are_cut(folder: Path) -> None:
     assert told.advice == "the 2 largest of 3"
 
 
+@pytest.mark.slow
 def test_routes(folder: Path) -> None:
     httpx = pytest.importorskip("httpx")
     from drsplat.fronts.serving.app import Settings, create_app

@@ -268,6 +268,7 @@ def test_arrays_that_cannot_be(name: str, index: object, value: float, objects: 
         field.with_objects(replace(objects, **{name: array}))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(ARRAYS))
 def test_files_with_arrays_of_another_shape_or_kind(name: str, tmp_path: Path) -> None:
     with_objects()[0].save(tmp_path / "a.field")

@@ -38,6 +38,7 @@ def relative_error(found: np.ndarray, expected: np.ndarray) -> float:
     return float((np.abs(found - expected) / np.maximum(size, 1e-2 * size.max())).max())
 
 
+@pytest.mark.slow
 @every_isa
 @every_weight
 @pytest.mark.parametrize("size", SIZES)
@@ -138,6 +139,7 @@ def test_fifty_steps_are_those_of_the_twin(shape, isa):
     assert np.abs(twin[0] - start).max() > 5 * rate
 
 
+@pytest.mark.slow
 @pytest.mark.oracle
 @oracle
 def test_fifty_steps_are_those_of_torch():

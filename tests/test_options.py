@@ -179,6 +179,7 @@ def a_run_of(verb: str, room: Path, out: Path) -> list[str]:
     }[verb]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", [verb for verb in cli.VERBS if verb not in LASTING])
 def test_no_value_of_an_option_is_a_traceback(
     verb: str, room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -198,6 +199,7 @@ def test_no_value_of_an_option_is_a_traceback(
     assert tried > 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("argv", [["inspect", "{room}/scene.ply"], ["inspect", "nowhere"]])
 @pytest.mark.parametrize("json", [[], ["--json"]])
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")

@@ -77,6 +77,7 @@ def scene_of(pictures: np.ndarray) -> Scene:
     return Scene(build_field(evidence, SCENE, MINI.identity, Mixture(1)), encoder=MINI)
 
 
+@pytest.mark.slow
 def test_a_colour_has_to_stand_clearly_above_the_others() -> None:
     """What is red and a little pink is red; where its peak is 0.45 to 0.6 spreads above pink's, neither is said."""
     red, pink, blue = MINI.encode_texts([f"something {color}" for color in ("red", "pink", "blue")])

@@ -83,6 +83,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
 # --- the capture ---
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", [room(), thing(), thing(antialiased=True)], ids=["room", "thing", "antialiased"])
 def test_a_pose_that_is_read_again_renders_the_same_picture_to_the_bit(scene: Gaussians, tmp_path: Path) -> None:
     photograph(scene, tmp_path / "capture", SMALL)
@@ -161,6 +162,7 @@ def test_cameras_of_a_room_stand_in_its_free_space(tmp_path: Path) -> None:
         assert view.cam_from_world[1, 2] < 0  # +z is above in the picture
 
 
+@pytest.mark.slow
 def test_cameras_of_a_thing_are_around_it_and_look_at_it(tmp_path: Path) -> None:
     record = photograph(thing(), tmp_path / "capture", replace(SMALL, number=40))
     assert record["kind"] != "room"
@@ -263,6 +265,7 @@ def test_what_cameras_see_is_counted_in_pixels_of_the_pictures() -> None:
     assert seen.coverage([0]).significant == 1
 
 
+@pytest.mark.slow
 def test_more_pictures_cover_more_and_the_numbers_are_those_of_the_capture(tmp_path: Path) -> None:
     scene = room()
     few, many = (photograph(scene, tmp_path / f"{n}", replace(SMALL, number=n)) for n in (4, 40))
@@ -277,6 +280,7 @@ def test_more_pictures_cover_more_and_the_numbers_are_those_of_the_capture(tmp_p
 # --- refusals, and runs that are stopped ---
 
 
+@pytest.mark.slow
 def test_what_is_there_is_refused_and_replaced_only_if_it_is_ours(tmp_path: Path) -> None:
     output = tmp_path / "capture"
     photograph(thing(), output, SMALL)
@@ -295,6 +299,7 @@ def test_what_is_there_is_refused_and_replaced_only_if_it_is_ours(tmp_path: Path
         photograph(thing(), tmp_path / "no/capture", SMALL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_a_run_that_is_stopped_leaves_what_was_there(
     overwrite: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -350,6 +355,7 @@ def test_scenes_that_cannot_be_photographed_are_refused(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", ["fingerprint", '"time"', "num_pictures"])
 def test_a_record_that_was_changed_is_not_believed(part: str, tmp_path: Path) -> None:
     photograph(thing(), tmp_path / "capture", SMALL)
@@ -359,6 +365,7 @@ def test_a_record_that_was_changed_is_not_believed(part: str, tmp_path: Path) ->
         read_views(tmp_path / "capture")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"format": "drsplat photograph", "version": 2}', "\x00"])
 def test_what_is_no_record_is_refused(text: str, tmp_path: Path) -> None:
     photograph(thing(), tmp_path / "capture", SMALL)
@@ -459,6 +466,7 @@ def test_a_field_knows_which_of_its_views_are_renderings(tmp_path: Path) -> None
     assert Registration.from_field(load_field(tmp_path / "c.field")).masks.sources == merged.masks.sources
 
 
+@pytest.mark.slow
 def test_renderings_are_called_so_by_all_that_is_made_of_them(tmp_path: Path, capsys: Capture) -> None:
     scene, capture, field = tmp_path / "room.ply", tmp_path / "capture", tmp_path / "room.field"
     write_gaussians(scene, room())

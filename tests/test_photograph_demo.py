@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from command_line import Capture, answer_of
 from drsplat import Scene, load_field
@@ -14,6 +15,7 @@ from drsplat.scene.placing import size_of
 AS_MANY = 3  # questions that renderings may answer wrongly and photos rightly
 
 
+@pytest.mark.slow
 def test_renderings_answer_what_photos_answer(
     household_story: Story, household_folder: Path, tmp_path: Path, capsys: Capture
 ) -> None:

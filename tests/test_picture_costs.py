@@ -125,6 +125,7 @@ def test_pictures_of_all_modes_are_as_they_were(mode: str) -> None:
     np.testing.assert_array_equal(decoded_picture(buffer), expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [(1, 25_000), (25_000, 1), (3, 5_000_000)])
 def test_a_thin_picture_is_scaled_before_it_is_padded(shape: tuple[int, int]) -> None:
     picture = np.full((*shape, 3), 200, np.uint8)

@@ -95,6 +95,7 @@ def clicks(tmp_path_factory: pytest.TempPathFactory) -> Clicks:
     return Clicks(Scene(replace(field, objects=find_objects(field, gaussians)), gaussians, views), outlines)
 
 
+@pytest.mark.slow
 @pytest.mark.data
 @needs_plush
 def test_a_click_cuts_out_the_quilt_and_a_few_the_doll(clicks):

@@ -104,6 +104,7 @@ def test_classes_are_those_that_are_there(room: Scene) -> None:
             room.segment(bad)
 
 
+@pytest.mark.slow
 def test_a_region_is_what_lies_in_it(room: Scene, centers: dict[str, tuple[float, float, float]]) -> None:
     found = region(room, centers["red vase"], 0.2)
     assert found[0].name == "red vase"

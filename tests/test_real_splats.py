@@ -49,6 +49,7 @@ def ask(field: ds.LanguageField, name: str) -> np.ndarray:
     return np.minimum(answer.scores, answer.values)
 
 
+@pytest.mark.slow
 def test_parts_of_a_real_scene_are_found_again(guitar: ds.Gaussians) -> None:
     views = orbit(guitar, UP, 18, 320)
     parts = divide(guitar, 12)

@@ -85,6 +85,7 @@ def test_what_is_like_two_things_does_not_link_them(implementation: Callable[...
     assert not apart(replace(rule, linked=0.0))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 def test_native_is_the_twin(seed: int) -> None:
     fast = grown(seed)

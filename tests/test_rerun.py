@@ -26,6 +26,7 @@ def printed(path: Path, *arguments: str) -> str:
     return subprocess.run(command, check=True, capture_output=True, text=True).stdout
 
 
+@pytest.mark.slow
 @pytest.mark.oracle
 def test_rerun_reads_what_we_write(tmp_path: Path) -> None:
     pytest.importorskip("rerun")
@@ -42,6 +43,7 @@ def test_rerun_reads_what_we_write(tmp_path: Path) -> None:
         write_rrd(tmp_path / "out.rrd", labelled())
 
 
+@pytest.mark.slow
 @pytest.mark.oracle
 @pytest.mark.parametrize("degree", range(4))
 def test_each_degree_is_written(degree: int, tmp_path: Path) -> None:

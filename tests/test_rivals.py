@@ -60,6 +60,7 @@ def test_gradients_are_those_of_the_blending() -> None:
     assert left == pytest.approx(right, rel=1e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FITTED)
 def test_a_rival_fits_what_it_says_and_tells_two_balls_apart(name: str, two_balls: tuple[ds.Gaussians, Photos]) -> None:
     gaussians, photos = two_balls
@@ -120,6 +121,7 @@ def found_stripes(features: np.ndarray) -> float:
     return float(((found & true).sum(0) / (found | true).sum(0)).mean())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [LANGSPLAT, LEGAUSSIANS])
 def test_fitting_beats_the_mean_where_gaussians_overlap(
     name: str, stripes: tuple[ds.Gaussians, dict[ds.View, ds.ViewFeatures]]
@@ -131,6 +133,7 @@ def test_fitting_beats_the_mean_where_gaussians_overlap(
     assert found_stripes(fitted) > found_stripes(mean) + 0.03
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", FITTED)
 def test_the_same_fit_gives_the_same_bits(name: str, two_balls: tuple[ds.Gaussians, Photos]) -> None:
     first, second = (make(name, *two_balls, 0.001).features for _ in range(2))

@@ -508,6 +508,7 @@ def test_tiny_models_make_masks(folder):
         assert (masks.areas > 0).all()
 
 
+@pytest.mark.slow
 def test_equal_identity_means_equal_masks(folder, library, tmp_path):
     segmenter = sam.load_segmenter(str(folder), "cpu", LOOSE)
     again = sam.load_segmenter(str(folder), "cpu", LOOSE)
@@ -559,6 +560,7 @@ def test_points_that_do_not_fit_into_memory_are_asked_in_parts(folder, monkeypat
         np.testing.assert_array_equal(masks.boxes, expected[level].boxes)
 
 
+@pytest.mark.slow
 def test_an_image_is_encoded_once_for_all_rounds_of_points(folder, monkeypatch):
     segmenter = sam.load_segmenter(str(folder), "cpu", replace(LOOSE, first_points_per_side=1, crop_layers=1))
     encode, encoded = segmenter.predictor._features, []
@@ -684,6 +686,7 @@ def test_pixels_are_normalised_as_the_folder_says(library, tmp_path):
 # --- beside transformers' own ---------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.oracle
 def test_masks_are_those_of_the_pipeline_of_transformers(library, tmp_path):
     """Same masks. With crops its box NMS is another, one over all crops by predicted IoU; that of

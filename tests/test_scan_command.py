@@ -135,6 +135,7 @@ def test_other_queries_make_only_the_page_anew(copy: Path, capture_folder: Path,
     assert {name for name in after if after[name] != before[name]} == {"index.html"}
 
 
+@pytest.mark.slow
 def test_other_options_are_refused_and_made_with_overwrite(copy: Path, capture_folder: Path, capsys: Capture) -> None:
     line = ["scan", capture_folder, "-o", copy, "--iterations", "50", "--threads", "1", *MODELS]
     error = error_of(capsys, *line)
@@ -157,6 +158,7 @@ def test_other_photos_are_refused(copy: Path, capture_folder: Path, tmp_path: Pa
     assert "photos have changed" in error_of(capsys, "scan", other, "-o", copy, *QUICK)
 
 
+@pytest.mark.slow
 def test_a_file_of_options_has_a_table_for_each_verb(
     capture_folder: Path, tmp_path: Path, capsys: Capture
 ) -> None:  # fmt: skip
@@ -202,6 +204,7 @@ def started(line: list[str]) -> "subprocess.Popen[str]":
     return subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
 
 
+@pytest.mark.slow
 def test_a_scan_that_is_killed_in_each_stage_ends_with_the_same_bytes(
     scanned: Path, capture_folder: Path, tmp_path: Path
 ) -> None:
@@ -232,6 +235,7 @@ def test_a_scan_that_is_interrupted_says_how_to_go_on(capture_folder: Path, tmp_
     assert f"what is done is kept in {tmp_path / 'room'}: give the same command again" in said
 
 
+@pytest.mark.slow
 def test_without_a_name_the_output_is_called_after_the_input(
     capture_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capture
 ) -> None:
@@ -240,6 +244,7 @@ def test_without_a_name_the_output_is_called_after_the_input(
     assert (tmp_path / "capture-scan/index.html").is_file()
 
 
+@pytest.mark.slow
 @has_colmap
 def test_photos_without_poses_end_as_a_page(tmp_path: Path, capsys: Capture) -> None:
     write_room(tmp_path / "photos", room_views(10))
@@ -256,6 +261,7 @@ def test_photos_without_poses_end_as_a_page(tmp_path: Path, capsys: Capture) -> 
     assert "photos have changed" in error
 
 
+@pytest.mark.slow
 @has_colmap
 def test_photos_that_come_after_a_scan_that_found_no_poses_are_taken(tmp_path: Path, capsys: Capture) -> None:
     views = room_views(10)

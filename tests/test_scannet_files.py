@@ -175,6 +175,7 @@ def survivors(path: Path, read: Callable[[Path], object]) -> int:
     return survived
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::drsplat.errors.DrSplatWarning")
 def test_damaged_files(scene: Path, bounded_memory: None) -> None:
     segments, groups = (scene_file(scene, end) for end in (".segs.json", ".aggregation.json"))

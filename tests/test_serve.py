@@ -337,6 +337,7 @@ def processes_of(service: Service) -> list[int]:
     return [worker._line[0].pid for worker in workers if worker._line is not None]
 
 
+@pytest.mark.slow
 def test_too_slow_and_too_many(folder: Path) -> None:
     """A stopped process is one that never has done: it is ended, and its place is free for others."""
     busy = Service(folder, limits=Limits(seconds=3.0, workers=1, waiting=2))
@@ -427,6 +428,7 @@ def test_a_killed_process_that_was_idle_costs_nothing(service: Service) -> None:
     told(service("POST", "/scenes/room/select", json=VASE))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["1 / 0", "(_ for _ in ()).throw(type('PanicException', (BaseException,), {})())"])
 def test_no_exception_of_a_request_ends_a_process(
     fault: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
@@ -446,6 +448,7 @@ def test_no_exception_of_a_request_ends_a_process(
     assert "red vase" in logged
 
 
+@pytest.mark.slow
 def test_odd_names_and_pipes_do_not_break_the_list(folder: Path, tmp_path: Path) -> None:
     copied(folder / "room", tmp_path / "good")
     os.mkfifo(copied(folder / "room", tmp_path / "pipe") / "room.field" / "pipe")
@@ -468,6 +471,7 @@ def test_odd_names_and_pipes_do_not_break_the_list(folder: Path, tmp_path: Path)
         told(service("POST", "/scenes/good/select", json=VASE))
 
 
+@pytest.mark.slow
 def test_refusals_tell_no_paths_and_are_not_corrupted(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -489,6 +493,7 @@ def test_refusals_tell_no_paths_and_are_not_corrupted(
             assert "'frame_00001.jpg'" in text
 
 
+@pytest.mark.slow
 def test_a_model_that_is_not_there_is_refused_without_its_path(folder: Path, tmp_path: Path) -> None:
     for library in ("torch", "transformers"):  # without them the answer is another: 503, with what to install
         pytest.importorskip(library)
@@ -550,6 +555,7 @@ def test_a_port_that_is_taken_is_told_before_an_address_is(folder: Path, capsys:
     assert "cannot listen on" in error_of(capsys, "serve", folder, "--host", "127.0.0.300", "--open")
 
 
+@pytest.mark.slow
 def test_metrics_count(folder: Path) -> None:
     counted = Service(folder)
     told(counted("POST", "/scenes/room/select", json={"text": "vase"}))

@@ -90,6 +90,7 @@ def test_no_route_is_left_out(schema: Any) -> None:
     assert described == {*ROUTES, *PLAIN}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("method", "path"), [route for route in (*PLAIN, *ROUTES) if route != UNANSWERED], ids=str)
 def test_answers_are_as_described(schema: Any, method: str, path: str) -> None:
     names = {"scene": "room", "number": 0} if "{number}" in path else {"scene": "room"} if "{scene}" in path else {}
@@ -97,6 +98,7 @@ def test_answers_are_as_described(schema: Any, method: str, path: str) -> None:
     assert case.call_and_validate(checks=CHECKS, timeout=PATIENCE_S).status_code == 200
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "path", "mode"),
     [

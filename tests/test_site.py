@@ -67,6 +67,7 @@ def test_the_site_is_built_and_its_links_lead_somewhere(site: Path) -> None:
     assert "--vocabulary" in (site / "reference/command_line.html").read_text()
 
 
+@pytest.mark.slow
 def test_there_is_no_site_without_a_gallery(tmp_path: Path) -> None:
     pytest.importorskip("mkdocs", reason="needs drsplat[docs]")
     done = built(tmp_path, tmp_path / "site")
@@ -137,6 +138,7 @@ def opened(browser: Any, page: Path, **settings: Any) -> Iterator[Any]:
     context.close()
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_the_search_works_in_a_folder(browser: Any, site: Path) -> None:
     for name in ("index.html", "tutorials/from_a_phone.html"):
@@ -164,6 +166,7 @@ def test_who_wants_no_motion_sees_a_still(browser: Any, site: Path) -> None:
             assert page.evaluate("document.querySelector('.hero img').currentSrc").endswith(name)
 
 
+@pytest.mark.slow
 @needs_chromium
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_texts_differ_from_what_is_behind_them(browser: Any, site: Path, scheme: str) -> None:

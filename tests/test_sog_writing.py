@@ -71,6 +71,7 @@ def test_objects_names_and_relevancy_come_back(tmp_path: Path) -> None:
     assert_allclose(labels.groups[0].extent, [1, 2, 3])
 
 
+@pytest.mark.slow
 def test_100_000_objects_come_back() -> None:
     count = 100_000
     things = tuple(Thing(f"object {number}", 0.5, **BOX) for number in range(count))
@@ -154,6 +155,7 @@ def test_labels_that_are_none_are_refused(change: bytes, said: str) -> None:
         parse_labels(change, "labels")
 
 
+@pytest.mark.slow
 def test_damaged_files_are_refused_or_read() -> None:
     rng, own = seeded(31), labelled(40)
     good, labels = sog_bytes(own), labels_bytes(own)

@@ -35,6 +35,7 @@ def asked_for(path: Path) -> set[str]:
     return found
 
 
+@pytest.mark.slow
 def test_one_module_asks_which_system_it_is() -> None:
     asking = {path.relative_to(SOURCE).as_posix() for path in SOURCE.rglob("*.py") if asked_for(path)}
     assert asking == {"base/system.py"}

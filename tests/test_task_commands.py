@@ -263,6 +263,7 @@ def test_a_legend_of_many_names_has_more_rows() -> None:
     assert legend(320, [], class_colors(0)).shape[1] == 320
 
 
+@pytest.mark.slow
 def test_the_commands_of_the_document_run(
     household_story: household.Story, household_folder: Path, tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch, capsys: Capture,

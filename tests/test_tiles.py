@@ -174,6 +174,7 @@ def test_nothing_left_is_told(tmp_path):
 # --- damaged folders ----------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @given(st.data())
 @settings(max_examples=25, deadline=None)
 def test_damaged_tiles_are_refused(tmp_path_factory, data):
@@ -218,6 +219,7 @@ def test_manifests_that_are_none(tmp_path, change):
 # --- what a camera sees -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @given(
     seed=st.integers(0, 10**6),
     eye=st.tuples(*[st.floats(-25, 25)] * 2, st.floats(-2, 2)),
@@ -302,6 +304,7 @@ def test_masks_of_photos_leave_out_of_tiles_what_they_leave_out_of_the_whole(toy
     assert made.weights.nnz < ds.register(tiles.gaussians(), [views[0], *views[2:]], features).weights.nnz
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("launcher", [OneProcess(), Processes(2)], ids=["here", "processes"])
 @pytest.mark.parametrize("code", [ds.PQ(), ds.Mixture()], ids=["pq", "mixture"])
 def test_a_field_of_tiles_is_that_of_the_whole(toy, tmp_path, launcher, code, monkeypatch):
@@ -335,6 +338,7 @@ def test_codes_that_are_there_are_not_made_again(toy, tmp_path, monkeypatch):
     assert len(list((parts / "codes").iterdir())) == 2 * len(made)
 
 
+@pytest.mark.slow
 def test_atoms_that_cannot_be_addressed_are_left_out_of_tiles_too(toy, tmp_path, monkeypatch):
     monkeypatch.setattr("drsplat.field.tiles.transposing.RUN_BYTES", 20_000)
     monkeypatch.setattr("drsplat.field.codes.mixture.encoding.MOST_SCENE_ATOMS", 1)
@@ -393,6 +397,7 @@ def test_a_damaged_part_is_made_again(toy, tmp_path):
     assert_array_equal(made.weights.toarray(), expected)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("launcher", [OneProcess(), Processes(2)], ids=["here", "processes"])
 def test_an_object_store_holds_the_work(toy, tmp_path, launcher, monkeypatch):
     """Of workers that see neither the tiles' folder nor that of the features."""
@@ -467,6 +472,7 @@ def _fails(item: int) -> None:
     raise InputError(f"bad {item}")
 
 
+@pytest.mark.slow
 def test_work_of_a_killed_process_is_done_again(tmp_path):
     items = [tmp_path / str(number) for number in range(5)]
     for item in items[1:]:
@@ -474,6 +480,7 @@ def test_work_of_a_killed_process_is_done_again(tmp_path):
     assert sorted(Processes(2).results(_dies_once, items)) == ["0", "1", "2", "3", "4"]
 
 
+@pytest.mark.slow
 def test_work_that_kills_is_given_up():
     with pytest.raises(ds.errors.DrSplatError, match="killed 3 times"):
         list(Processes(1).results(_always_dies, [1, 2]))
@@ -491,6 +498,7 @@ def fields_of(folder: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in sorted(folder.glob("*.safetensors"))}
 
 
+@pytest.mark.slow
 def test_a_tiled_scene_from_the_command_line(toy, tmp_path, capsys):
     tiles, plain = tmp_path / "s.tiles", tmp_path / "s.field"
     assert main(["tile", str(toy / "scene.ply"), "-o", str(tiles), "--rows", "60", "--json"]) == 0

@@ -52,6 +52,7 @@ def test_the_tour_has_every_verb() -> None:
     assert {command[0] for command in [*tour(), ["demo"]]} == set(VERBS)
 
 
+@pytest.mark.slow
 def test_every_line_runs(place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """In one go, because each builds on those before."""
     monkeypatch.chdir(place)

@@ -97,6 +97,7 @@ def test_the_chain_learns_within_its_budget(views, points):
     assert len(training.gaussians) == 350
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:held-out photos")
 def test_without_points_it_starts_from_found_and_random_ones_and_still_learns(views):
     settings = ds.TrainingSettings(iterations=150, random_points=2000, sh_degree=0)
@@ -166,6 +167,7 @@ def ply_of(folder: Path, iterations: int = 120) -> bytes:
     return (folder / f"point_cloud/iteration_{iterations}/point_cloud.ply").read_bytes()
 
 
+@pytest.mark.slow
 @both
 def test_any_number_of_threads_gives_the_same_bits(settings, views, points, tmp_path):
     settings = replace(settings, iterations=60)
@@ -221,6 +223,7 @@ ds.train(views, t.KINDS[kind], folder, points=perturbed_points(known_scene()), r
 """
 
 
+@pytest.mark.slow
 @both
 def test_a_killed_run_goes_on_to_the_same_bits(settings, views, points, tmp_path):
     ds.train(views[::2], settings, tmp_path / "whole", points=points, device="cpu")
@@ -305,6 +308,7 @@ def damaged(texts: dict[str, str], arrays: dict[str, np.ndarray], how: str) -> N
         texts[how] = "nonsense"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "how", ["rows", "axis", "view", "beyond", "missing", "type", "version", "rng", "iteration", "cut"]
 )
@@ -534,6 +538,7 @@ def test_the_same_command_on_a_finished_run_gives_the_same_files(views, points, 
     assert json.loads((tmp_path / "results.json").read_text())["psnr_test"] == json.loads(results)["psnr_test"]
 
 
+@pytest.mark.slow
 @both
 def test_a_finished_run_goes_on_as_if_it_had_been_longer(settings, views, points, tmp_path):
     """Refinements of the last iteration included, which a run leaves out when it ends there."""

@@ -30,6 +30,7 @@ def run_snippets(document: str) -> dict[str, object]:
     return names
 
 
+@pytest.mark.slow
 def test_from_a_phone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capsys) -> None:
     pytest.importorskip("transformers", reason="the extra drsplat[models] is not installed")
     from drsplat.photos.models import sam
@@ -61,6 +62,7 @@ def test_scene_and_features(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cap
     assert (tmp_path / "teatime_report/results.json").exists()
 
 
+@pytest.mark.slow
 def test_without_a_model(
     household_story: Story, household_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capsys
 ) -> None:

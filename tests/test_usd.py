@@ -344,6 +344,7 @@ def test_a_splat_that_moves_is_named(tmp_path: Path) -> None:
         read_gaussians(tmp_path / "in.usda")
 
 
+@pytest.mark.slow
 def test_mutants_of_text() -> None:
     """Sound Gaussians or a precise error, with little memory."""
     originals = [("#usda 1.0\n" + SPLAT).encode()]
@@ -363,6 +364,7 @@ def test_mutants_of_text() -> None:
     assert min(outcomes.values()) > MUTANTS // 20
 
 
+@pytest.mark.slow
 def test_mutants_with_objects(tmp_path: Path) -> None:
     from drsplat.formats.usd import scene_of
 
@@ -392,6 +394,7 @@ def test_mutants_of_packages(tmp_path: Path) -> None:
     assert 0 < refused < 300
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "text",
     [
@@ -426,6 +429,7 @@ def read_scene(data: bytes) -> None:
     scene_of(parse_usda(memoryview(data)))
 
 
+@pytest.mark.slow
 def test_numbers_that_text_repeats_cost_what_the_text_costs() -> None:
     """The shortest number is two bytes of text; four bytes each in the end, eight for a piece at a time."""
     data = b'#usda 1.0\ndef X "a" { float[] primvars:x = [' + b"1," * (8 << 20) + b"]}"
@@ -458,6 +462,7 @@ def test_a_hundred_thousand_objects(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-c", HUNDRED_THOUSAND, str(tmp_path / "out.usda")], check=True)
 
 
+@pytest.mark.slow
 def test_writing_takes_the_memory_of_a_block(tmp_path: Path) -> None:
     """Twice the Gaussians take no more than a little more memory: rows are text some thousand at a time."""
     peaks = []

@@ -89,6 +89,7 @@ def positions(size: int, rng: np.random.Generator) -> list[int]:
     return sorted({*edges, *rng.integers(0, size, FLIPS).tolist()})
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*no thumbnails")
 @pytest.mark.parametrize("write", WRITERS)
 def test_a_flipped_bit_in_any_file_is_found_and_the_file_named(write: Callable[[Path], Path], tmp_path: Path) -> None:

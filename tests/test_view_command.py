@@ -147,6 +147,7 @@ def test_a_name_that_is_no_text_is_no_obstacle(folder: Path) -> None:
     assert "<b>" not in text.split("<style>")[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
 def test_a_listening_viewer_says_where_as_one_json_object_at_once(folder: Path, end: signal.Signals) -> None:
     pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")

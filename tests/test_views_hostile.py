@@ -111,6 +111,7 @@ def check_points(capture: Path) -> None:
 # Every family
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("write", [write_colmap_text, write_colmap_binary])
 def test_colmap_models(memory_path, bounded_memory, write):
     write(memory_path, images=IMAGES[:2])
@@ -144,6 +145,7 @@ def test_cameras_json(memory_path, bounded_memory):
     survive([path], lambda: check_views(read_views(path)))
 
 
+@pytest.mark.slow
 def test_feature_files(memory_path, bounded_memory):
     rng = np.random.default_rng(0)
     rows = rng.normal(size=(6, 5)).astype(np.float32)
