@@ -24,6 +24,7 @@ from .defaults import MIN_GAUSSIANS, RELEVANCY
 from .measuring import Background, Measuring
 from .objects import objects_of
 from .query import Query
+from .ranking import Described
 from .scene import Scene
 from .thresholds import PEAK
 
@@ -224,20 +225,20 @@ class _Usual(Background):
 class SketchedScene:
     """A sketch that is asked, with a scene's own rules.
 
-    Args: descriptors: of each object, as of `Objects`. labels: the names that people gave to objects, None for none.
+    Args: described: what each object looks like. labels: the names that people gave to objects, None for none.
     source: makes the encoder of queries.
     """
 
     def __init__(
         self,
         sketch: Sketch,
-        descriptors: Sequence[Float32[np.ndarray, "_ D"]],
+        described: Described,
         labels: Sequence[str | None],
         encoder: EncoderIdentity,
         source: Callable[[], Encoder],
     ) -> None:
         self._solid, self._labels = sketch.solid, labels
-        self._background = _Usual(_field_of(sketch, descriptors, encoder), source, threads=1)
+        self._background = _Usual(_field_of(sketch, described, encoder), source, threads=1)
 
     def answers(self, query: Query) -> Int64[np.ndarray, " a"]:
         """Return the numbers of the objects that the scene answers a text, a vector or a picture with, ascending.
@@ -250,14 +251,12 @@ class SketchedScene:
                 return np.array(named)
         answer = Measuring(self._background, query, query.exclude).of(query)
         least = answer.threshold + (RELEVANCY_ERROR if answer.measure == RELEVANCY else 0.0)
-        numbers = np.unique(objects_of(self._background.field).thing_of()[answer.values > least])
-        numbers = numbers[numbers >= 0]
+        things = objects_of(self._background.field).thing_of()[answer.values > least]
+        numbers = np.flatnonzero(np.bincount(things + 1, minlength=1)[1:])
         return np.asarray(numbers[self._solid[numbers] >= MIN_GAUSSIANS], np.int64)
 
 
-def _field_of(
-    sketch: Sketch, descriptors: Sequence[Float32[np.ndarray, "_ D"]], encoder: EncoderIdentity
-) -> LanguageField:
+def _field_of(sketch: Sketch, described: Described, encoder: EncoderIdentity) -> LanguageField:
     """Return a field with copies of the sketch's vectors as its features."""
     of_row = np.repeat(np.arange(len(sketch.counts)), sketch.counts)
     count, pictures = len(of_row), len(sketch.pictures)
@@ -269,21 +268,18 @@ def _field_of(
         scene="",
         num_gaussians=count,
         evidence=Evidence(csr_array((count, pictures), dtype=np.float32), masks, sketch.pictures),
-        objects=_objects(sketch.numbers[of_row], descriptors, encoder.dim),
+        objects=_objects(sketch.numbers[of_row], described),
     )
     return field.with_contrast(sketch.words, ("",) * len(sketch.words)) if len(sketch.words) else field
 
 
-def _objects(
-    number_of_row: Int32[np.ndarray, " r"], descriptors: Sequence[Float32[np.ndarray, "_ D"]], dim: int
-) -> Objects:
+def _objects(number_of_row: Int32[np.ndarray, " r"], described: Described) -> Objects:
     """Return objects without places: the rows of each and what it looks like."""
-    count = len(descriptors)
+    count = len(described.starts) - 1
     no_places, nothing = np.zeros((count, 3)), np.zeros(count, np.float32)
     return Objects(
         number_of_row, np.full(count, -1, np.int32), np.full(count, THING, np.uint8), nothing,
         no_places, np.broadcast_to(np.eye(3), (count, 3, 3)).copy(), no_places, nothing, np.zeros(count, np.int32),
         np.zeros(count + 1, np.int64), np.empty(0, np.int32), np.empty(0, np.float32),
-        np.append(0, np.cumsum([len(some) for some in descriptors], dtype=np.int64)),
-        np.concatenate([np.empty((0, dim), np.float32), *descriptors]),
+        described.starts, described.descriptors,
     )  # fmt: skip

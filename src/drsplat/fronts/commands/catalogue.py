@@ -129,7 +129,7 @@ def _list(_: argparse.Namespace, catalogue: Catalogue) -> dict[str, Any]:
 
 
 def _index(_: argparse.Namespace, catalogue: Catalogue) -> dict[str, Any]:
-    return {"num_partitions": catalogue.build_index(), "num_objects": len(catalogue)}
+    return {"num_objects": catalogue.build_index()}
 
 
 def _ask(arguments: argparse.Namespace, catalogue: Catalogue) -> dict[str, Any]:

@@ -74,7 +74,7 @@ def _row(one: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _show_index(answer: dict[str, Any]) -> None:
-    print(f"indexed {counted(answer['num_objects'], 'object')} in {counted(answer['num_partitions'], 'partition')}")
+    print(f"indexed {counted(answer['num_objects'], 'object')}")
 
 
 SHOWN: Mapping[str, Callable[[dict[str, Any]], None]] = {

@@ -13,10 +13,11 @@ from ...scene.encoders import Encoder
 from .. import Query
 from ..sketch import Sketch, SketchedScene
 from .conditions import scenes_sql
-from .table import CURE, Snapshot, vectors_of
+from .table import CURE, Snapshot, described_of
 
 MAX_CACHED_SCENES = 64  # sketches in memory
 COLUMNS = ("scene", "object_id", "descriptors", "label", "sketch")
+MISSING = -2  # in place of a number that a damaged row lacks
 
 
 class SceneRules:
@@ -66,20 +67,20 @@ class SceneRules:
 def _read(snapshot: Snapshot, names: Sequence[str], source: Callable[[], Encoder]) -> dict[str, SketchedScene]:
     """Read scenes from the table. Raises: FormatError: one has no sketch, or other objects than its sketch."""
     rows = snapshot.rows(scenes_sql(names), COLUMNS)
-    columns = {name: rows[name].to_pylist() for name in ("scene", "object_id", "label", "sketch")}
-    descriptors = vectors_of(rows["descriptors"], snapshot.path)
+    described = described_of(rows["descriptors"], snapshot.path)
+    scene_of_row = np.asarray(rows["scene"].to_pylist(), np.object_)
+    numbers = np.asarray(rows["object_id"].fill_null(MISSING))
     scenes = {}
     for name in names:
-        at = {columns["object_id"][row]: row for row in range(len(descriptors)) if columns["scene"][row] == name}
-        own, count = at.pop(-1, None), len(at)
-        data = None if own is None else columns["sketch"][own]
-        if data is None or set(at) != set(range(count)):
+        own = np.flatnonzero(scene_of_row == name)
+        own = own[np.argsort(numbers[own], kind="stable")]  # -1 first: the scene's own row
+        data = rows["sketch"][int(own[0])].as_py() if len(own) else None
+        if data is None or not np.array_equal(numbers[own], np.arange(-1, len(own) - 1)):
             raise FormatError(f"{snapshot.path}: the rows of scene {name!r:.80} are not whole: {CURE}")
         try:
-            sketch = Sketch.from_bytes(data, snapshot.encoder.dim, count)
+            sketch = Sketch.from_bytes(data, snapshot.encoder.dim, len(own) - 1)
         except FormatError as error:
             raise FormatError(f"{snapshot.path}: scene {name!r:.80} has {error}: {CURE}") from error
-        places = [at[number] for number in range(count)]
-        labels = [columns["label"][place] for place in places]
-        scenes[name] = SketchedScene(sketch, [descriptors[place] for place in places], labels, snapshot.encoder, source)
+        labels = rows["label"].take(own[1:]).to_pylist()
+        scenes[name] = SketchedScene(sketch, described.rows(own[1:]), labels, snapshot.encoder, source)
     return scenes

@@ -21,11 +21,14 @@ from ...scene.encoders import Encoder, EncoderIdentity
 from .. import Query, Scene, encoder_for, open_scene
 from ..encoding import Load
 from ..opening import SceneFiles, scene_files
-from ..ranking import Described, Surroundings
+from ..ranking import Surroundings
 from . import table
 from .agreeing import SceneRules
+from .codes import CodeReader, has_codebook
+from .codes import verify as verify_codes
 from .conditions import Conditions, checked_name, of_scene
 from .entries import CatalogueAnswer, Entry, SceneEntry
+from .nearest import Search, nearest_objects
 from .reading import entries_of, listed_of, thumbnail_of
 from .rows import SceneRows, rows_of
 from .table import Snapshot
@@ -59,7 +62,13 @@ class Catalogue:
     _encoder: Encoder | None = field(default=None, repr=False)
     _usual: "_Calibration | None" = field(default=None, repr=False)
     _rules: SceneRules | None = field(default=None, repr=False)
+    _codes: CodeReader = field(init=False, repr=False)
+    _current: tuple[object, Snapshot] | None = field(default=None, repr=False)
+    _opening: Lock = field(default_factory=Lock, repr=False)
     _lock: Lock = field(default_factory=Lock, repr=False)
+
+    def __post_init__(self) -> None:
+        self._codes = CodeReader(self.path)
 
     @classmethod
     def open(
@@ -143,7 +152,7 @@ class Catalogue:
                 return None
             if not listed:
                 raise InputError(f"{self.path}: there is no scene {name!r}; `drsplat catalogue list` tells all")
-            table.remove_scene(self.path, snapshot.table, name)
+            table.remove_scene(self.path, name)
         table.tidy(self.path)
         return int(listed) - 1
 
@@ -167,12 +176,12 @@ class Catalogue:
     def wants_index(self) -> bool:
         """True where the table has no index and is so large that every answer takes long."""
         snapshot = table.opened(self.path)
-        return snapshot is not None and snapshot.num_rows > LARGE_ROWS and not snapshot.has_index
+        return snapshot is not None and snapshot.num_rows > LARGE_ROWS and not has_codebook(self.path)
 
     def build_index(self) -> int:
-        """Build an index, which makes answers about 100,000 objects and more quick; return its number of partitions.
+        """Build an index, which makes answers about 100,000 objects and more quick; return the number of objects.
 
-        Later rows are compared one by one until `add` takes them into the index. Reading and writing go on meanwhile.
+        `add` takes later objects into it. Reading and writing go on meanwhile.
 
         Raises: InputError: fewer than 256 objects, which no index can be trained on; files are being put together.
         """
@@ -185,7 +194,7 @@ class Catalogue:
                     "without"
                 )
             table.index(snapshot)
-        return table.partitions_for(snapshot.num_rows)
+        return objects
 
     # --- asking ---
 
@@ -210,12 +219,13 @@ class Catalogue:
             raise InputError(f"top: expected 1 to {MOST_TOP:,}, got {top}")
         query, snapshot = Query(query) if isinstance(query, str) else query, self._snapshot()
         surroundings = self._surroundings(snapshot)
-        vector, exact = surroundings.vector(query), exact or not snapshot.has_index or _are_few(snapshot, where)
-        nearest = snapshot.nearest(vector, where.sql, max(MIN_CANDIDATES, 4 * top), exact)
-        objects = Described.of(table.vectors_of(nearest["descriptors"], self.path), snapshot.encoder.dim)
-        ranked = surroundings.rank(query, vector, objects)
-        entries = entries_of(snapshot, nearest, ranked, query, self._scene_rules(snapshot), top)
-        return CatalogueAnswer(entries, ranked.measure, ranked.threshold, ranked.rule, len(nearest), exact)
+        vector, codes = surroundings.vector(query), None if exact else self._codes.of(snapshot)
+        search = Search(vector, where.sql, max(MIN_CANDIDATES, 4 * top), self.threads)
+        nearest = nearest_objects(snapshot, codes, search)
+        ranked = surroundings.rank(query, vector, nearest.described)
+        entries = entries_of(snapshot, nearest.rows, ranked, query, self._scene_rules(snapshot), top)
+        count = nearest.rows.num_rows
+        return CatalogueAnswer(entries, ranked.measure, ranked.threshold, ranked.rule, count, nearest.is_exact)
 
     def thumbnail(self, scene: str, object_id: int, tile: int = 0) -> bytes:
         """Return the JPEG of one object. Raises: InputError: no such object, or it has none. FormatError: damaged."""
@@ -226,15 +236,22 @@ class Catalogue:
 
         Raises: FormatError: damage.
         """
-        return table.verify(self.path)
+        return [*table.verify(self.path), *verify_codes(self.path)]
 
     # --- private ---
 
     def _snapshot(self) -> Snapshot:
-        snapshot = table.opened(self.path)
-        if snapshot is None:
-            raise InputError(f"{self.path}: no catalogue is here: `drsplat catalogue add {self.path} SCENE` makes one")
-        return snapshot
+        """Return the current version, opened once by one thread: every query needs it."""
+        with self._opening:
+            state = table.state_of(self.path)
+            if self._current is None or self._current[0] != state:
+                snapshot = table.opened(self.path)
+                if snapshot is None:
+                    raise InputError(
+                        f"{self.path}: no catalogue is here: `drsplat catalogue add {self.path} SCENE` makes one"
+                    )
+                self._current = (state, snapshot)
+            return self._current[1]
 
     def _opened(self, files: SceneFiles) -> Scene:
         return open_scene(
@@ -297,15 +314,11 @@ class _Calibration(NamedTuple):
         return changes <= allowed and abs(snapshot.num_rows - self.num_rows) * MIN_ROWS_PER_CHANGED_ROW <= self.num_rows
 
 
-def _are_few(snapshot: Snapshot, where: Conditions) -> bool:
-    """Return whether so few objects are looked at that comparing them all is quicker than the index."""
-    return bool(where.sql) and snapshot.count(where.sql) <= LARGE_ROWS
-
-
 def _sample(snapshot: Snapshot) -> Float32[np.ndarray, "s D"]:
     """Return the first descriptors of objects spread over the table."""
-    parts = table.vectors_of(snapshot.spread(USUAL_SAMPLE)["descriptors"], snapshot.path)
-    return np.concatenate([np.empty((0, snapshot.encoder.dim), np.float32), *(part[:1] for part in parts)])
+    described = snapshot.spread(USUAL_SAMPLE)
+    firsts = described.starts[:-1][np.diff(described.starts) > 0]
+    return np.asarray(described.descriptors[firsts])
 
 
 def _folder_of(files: SceneFiles) -> str:

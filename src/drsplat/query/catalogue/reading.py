@@ -18,7 +18,9 @@ from .conditions import of_scene
 from .entries import Entry, Position, SceneEntry, checked_jpeg
 from .table import CURE, ROW_ID, Snapshot
 
+TEXTS = ("scene", "field", "added", "label", "name", "photo", "mask", "thumbnail")
 NUMBERS = ("x", "y", "z", "sure", "num_gaussians", "num_views", "object_id", "tile")
+SHOWN = (*TEXTS, *NUMBERS, *Position._fields, "axes", "extent")
 
 
 def entries_of(
@@ -34,12 +36,10 @@ def entries_of(
     )
     keys = [(heads[0][at], heads[2][at]) for at in selected]
     chosen = [selected[place] for place in rules.first(query, keys, top)]
-    rows = nearest.take(chosen).drop_columns(["descriptors"]).to_pylist() if chosen else []
-    thumbnails = snapshot.thumbnails([row[ROW_ID] for row in rows])
-    scores = ranked.values[chosen].tolist()
-    return [
-        _entry(snapshot.path, row, score, thumbnails.get(row[ROW_ID])) for row, score in zip(rows, scores, strict=True)
-    ]
+    row_ids = np.asarray(nearest[ROW_ID]).astype(np.int64)[chosen]
+    rows = {row[ROW_ID]: row for row in snapshot.take(row_ids, SHOWN).to_pylist()}
+    scores = zip(row_ids.tolist(), ranked.values[chosen].tolist(), strict=True)
+    return [_entry(snapshot.path, rows[row_id], score) for row_id, score in scores]
 
 
 def thumbnail_of(snapshot: Snapshot, scene: str, object_id: int, tile: int) -> bytes:
@@ -96,7 +96,7 @@ def state_of(folder: str, field: str, num_objects: int) -> str:
     return "current" if (manifest.get("field"), manifest.get("objects")) == (field, num_objects) else "changed"
 
 
-def _entry(path: Path, row: dict[str, Any], score: float, thumbnail: bytes | None) -> Entry:
+def _entry(path: Path, row: dict[str, Any], score: float) -> Entry:
     numbers = [row[name] for name in NUMBERS]
     lists = [row["axes"], row["extent"]]
     texts = [row["scene"], row["field"], row["added"]]
@@ -110,5 +110,5 @@ def _entry(path: Path, row: dict[str, Any], score: float, thumbnail: bytes | Non
         row["scene"], row["tile"], row["object_id"], score, box[12:15], box[:9].reshape(3, 3), box[9:12],
         None if None in place else Position(*place),
         row["num_gaussians"], row["num_views"], row["sure"], row["label"], row["name"], row["photo"], row["mask"],
-        row["added"], row["field"], thumbnail,
+        row["added"], row["field"], row["thumbnail"],
     )  # fmt: skip

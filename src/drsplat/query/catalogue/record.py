@@ -19,12 +19,12 @@ from ...errors import FormatError
 from ...formats.checksums import check_document, check_seal, file_checksum, sealed
 from ...formats.json_files import is_text, read_json
 from ...formats.replacing import replacing
+from .manifest import manifest_of
 
 RECORD, FORMAT, VERSION = "checksums.json", "drsplat catalogue checksums", 1
 HINT = "_versions/latest_version_hint.json"
 SMALL_BYTES = 64 << 20  # tables up to this size are compared whole whenever they are opened
 SETTLED_S = 2.0  # file clocks are coarse: a change within this time may leave a file's time as it is
-NEWEST_FIRST = (1 << 64) - 1  # LanceDB names the manifest of version v NEWEST_FIRST - v, formerly v
 CURE = (
     "Restore the folder from a copy, or remove it and add its scenes again; where the table itself is what you want, "
     f"remove {RECORD}, which the next `drsplat catalogue add` writes anew"
@@ -189,11 +189,10 @@ def _finished(table: Path) -> Iterator[str]:
 
 
 def _manifest(table: Path, version: int) -> Path:
-    for number in (NEWEST_FIRST - version, version):
-        path = table / "_versions" / f"{number}.manifest"
-        if path.exists():
-            return path
-    raise FormatError(f"{table}: the manifest of version {version} is missing. {CURE}")
+    path = manifest_of(table, version)
+    if path is None:
+        raise FormatError(f"{table}: the manifest of version {version} is missing. {CURE}")
+    return path
 
 
 def _named_by(manifest: Path) -> set[str]:

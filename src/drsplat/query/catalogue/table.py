@@ -6,6 +6,7 @@ and readers see one version: never half of a change.
 
 import json
 import math
+import os
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
@@ -17,20 +18,21 @@ from typing import Any
 
 import numpy as np
 
-from ...base.arrays import Float32
+from ...base.arrays import Float32, Int64
 from ...errors import DrSplatError, DrSplatWarning, FormatError, InputError, MismatchError, MissingExtraError
 from ...formats.claiming import claimed_output
 from ...scene.encoders import EncoderIdentity, identity_json, identity_text
+from ..ranking import Described
+from . import codes
 from .conditions import of_scene
-from .record import read_record, verify_record, write_record
+from .manifest import Fragment, fragments_of, manifest_of
+from .record import RECORD, read_record, verify_record, write_record
 
 NAME, KEY = "objects", b"drsplat catalogue"
 VERSION = 2
 MAX_DIM = 1 << 16
-INDEX = "descriptors_idx"
-SAMPLES_PER_PARTITION = 64  # a quarter of LanceDB's, and of its time
-MAX_PARTITIONS, MIN_PROBES = 512, 64  # of an index; half are searched, as words are far from all
-REFINE_FACTOR = 2  # candidates compared exactly, per wanted object
+FORMER_INDEX = "descriptors_idx"  # of LanceDB, that earlier versions have built
+ADDED_ROWS = 65_536  # of files whose codes are written with them; those of larger ones by `tidy`
 MAX_FRAGMENTS = 24  # small files of rows until they are merged; more in large tables
 CONFLICT = "Retryable commit conflict"  # LanceDB's message where another change was quicker
 PANICS = ("PanicException", "RustPanic")  # of Rust, on unexpected contents
@@ -39,6 +41,8 @@ OF_OBJECTS = "object_id >= 0"
 PATIENCE_S = 60.0  # that one writer waits for another
 INDEX_CACHE, METADATA_CACHE = 512 << 20, 256 << 20  # bytes
 HEAD = ("scene", "tile", "object_id")  # key of a row
+COMPARED = (*HEAD, "descriptors")  # columns that a search reads of every object that it compares
+ALL_ROWS = 1 << 32  # more than a file has
 ROW_ID = "_rowid"
 
 
@@ -121,47 +125,62 @@ class Snapshot:
         with reading(self.path):
             return int(self.table.count_rows(where))
 
-    @property
-    def has_index(self) -> bool:
-        with reading(self.path):
-            return any(index.name == INDEX for index in self.table.list_indices())
+    @cached_property
+    def fragments(self) -> list[Fragment] | None:
+        """Fragments of this version; None if its row ids are no addresses in them. Raises: FormatError."""
+        manifest = manifest_of(_folder(self.path), self.version)
+        if manifest is None:
+            raise FormatError(f"{self.path}: {CURE} (a manifest is missing)")
+        return fragments_of(manifest)
 
-    def nearest(self, vector: Float32[np.ndarray, " D"], where: str, count: int, exact: bool) -> Any:
-        """Return the objects whose descriptors have the highest cosines with a unit vector, without thumbnails.
+    def nearest(self, vector: Float32[np.ndarray, " D"], where: str, count: int) -> Any:
+        """Return the objects whose descriptors have the highest cosines with a unit vector, all compared.
 
-        where: SQL that they meet, "" for all. exact: compare all of them, though there is an index.
+        where: SQL that they meet, "" for all.
         """
-        columns = [name for name in schema_of(self.encoder).names if name not in ("thumbnail", "folder", "sketch")]
         with reading(self.path):
             search = self.table.search(vector, vector_column_name="descriptors", query_type="vector")
             # Rows of scenes have no descriptor, so the search skips them; filtering first takes as long as the search.
             search = search.where(f"{OF_OBJECTS} AND {where}" if where else OF_OBJECTS, prefilter=bool(where))
-            search = search.distance_type("cosine").limit(count)
-            search = (
-                search.bypass_vector_index() if exact else search.nprobes(self._probes).refine_factor(REFINE_FACTOR)
-            )
-            return search.select([*columns, "_distance"]).with_row_id(True).to_arrow()
+            search = search.distance_type("cosine").limit(count).bypass_vector_index()
+            found = search.select([*COMPARED, "_distance"]).with_row_id(True).to_arrow()
+            return found.select([*COMPARED, ROW_ID])
 
-    @property
-    def _probes(self) -> int:
-        return max(MIN_PROBES, partitions_for(self.num_rows) // 2)
+    def row_ids(self, where: str) -> Int64[np.ndarray, " r"]:
+        """Return the ids of the objects that meet a condition, ascending."""
+        with reading(self.path):
+            search = self.table.search().where(f"{OF_OBJECTS} AND {where}").select(["object_id"])
+            return np.sort(np.asarray(search.with_row_id(True).to_arrow()[ROW_ID]).astype(np.int64))
 
-    def spread(self, count: int) -> Any:
+    def take(self, row_ids: Int64[np.ndarray, " r"], columns: Sequence[str] = COMPARED) -> Any:
+        """Return some columns of rows, and their ids, ascending; those that were deleted are left out."""
+        with reading(self.path):
+            if not len(row_ids):
+                return self.table.search().where("false").select(list(columns)).with_row_id(True).to_arrow()
+            return self.table.take_row_ids(row_ids.tolist()).select(list(columns)).with_row_id().to_arrow()
+
+    def heads(self, fragments: Sequence[Fragment]) -> tuple[Int64[np.ndarray, " r"], Any]:
+        """Return the ids of the rows of some fragments, ascending, and their keys."""
+        with reading(self.path):
+            search = self.table.search().where(" OR ".join(one.sql for one in fragments)).select(list(HEAD))
+            found = search.with_row_id(True).to_arrow().sort_by(ROW_ID)
+            return np.asarray(found[ROW_ID]).astype(np.int64), found.select(list(HEAD))
+
+    def described(self, row_ids: Int64[np.ndarray, " r"]) -> tuple[Int64[np.ndarray, " t"], Described]:
+        """Return the descriptors of rows, and the ids of those that were not deleted."""
+        taken = self.take(row_ids, ["descriptors"])
+        return np.asarray(taken[ROW_ID]).astype(np.int64), described_of(taken["descriptors"], self.path)
+
+    def spread(self, count: int) -> Described:
         """Return the descriptors of some rows, evenly spread over the table."""
         at = np.unique(np.linspace(0, self.num_rows - 1, min(count, self.num_rows)).astype(np.int64))
         with reading(self.path):
-            return self.table.take_offsets(at.tolist()).select(["descriptors"]).to_arrow()
+            taken = self.table.take_offsets(at.tolist()).select(["descriptors"]).to_arrow()
+        return described_of(taken["descriptors"], self.path)
 
     def rows(self, where: str, columns: Sequence[str]) -> Any:
         with reading(self.path):
             return self.table.search().where(where).select(list(columns)).to_arrow()
-
-    def thumbnails(self, row_ids: Sequence[int]) -> dict[int, bytes | None]:
-        if not row_ids:
-            return {}
-        with reading(self.path):
-            taken = self.table.take_row_ids(list(row_ids)).select(["thumbnail"]).with_row_id().to_arrow()
-            return dict(zip(taken[ROW_ID].to_pylist(), taken["thumbnail"].to_pylist(), strict=True))
 
 
 def opened(path: Path) -> Snapshot | None:
@@ -185,6 +204,21 @@ def opened(path: Path) -> Snapshot | None:
                 raise
             continue  # another version was written meanwhile, and files of this one were deleted
         return snapshot
+
+
+def state_of(path: Path) -> object:
+    """Return what differs after every change of a catalogue, of its record or of its codebook; quick."""
+    versions = _folder(path) / "_versions"
+    names = sorted(os.listdir(versions)) if versions.is_dir() else []
+    return names, [_identity_of(file) for file in (path / RECORD, path / codes.FOLDER / codes.CODEBOOK)]
+
+
+def _identity_of(file: Path) -> tuple[int, ...]:
+    try:
+        status = file.stat()
+    except OSError:
+        return ()
+    return status.st_ino, status.st_size, status.st_mtime_ns
 
 
 def verify(path: Path) -> list[str]:
@@ -246,26 +280,39 @@ def replace_scene(path: Path, name: str, rows: Any, encoder: EncoderIdentity) ->
         else:
             merge = snapshot.table.merge_insert(list(HEAD)).when_matched_update_all().when_not_matched_insert_all()
             merge.when_not_matched_by_source_delete(of_scene(name)).execute(rows)
+    _write_codes(path, ADDED_ROWS)
     record(path, added=name)
 
 
-def remove_scene(path: Path, table: Any, name: str) -> None:
+def _write_codes(path: Path, most_rows: int, before: Snapshot | None = None) -> None:
+    """Write the codes that the latest version lacks, if there is an index. before: has codes of moved rows."""
+    snapshot = _opened(path)
+    if snapshot is not None and codes.has_codebook(path):
+        codebook = codes.codebook_of(path, snapshot)
+        if before is not None:
+            codes.carry(before, snapshot, codebook)
+        codes.write_missing(snapshot, codebook, most_rows)
+
+
+def remove_scene(path: Path, name: str) -> None:
     """Delete all rows of a scene. The name is recorded first, so that a kill at any moment does not lose it."""
     record(path, removed=name)
+    snapshot = _opened(path)
+    assert snapshot is not None
     with writing(path):
-        table.delete(of_scene(name))
+        snapshot.table.delete(of_scene(name))
     record(path, removed=name)
 
 
 def tidy(path: Path) -> None:
-    """Merge small files of rows, take new rows into the index, and delete old versions, when due.
+    """Merge small files of rows, write codes that are missing, and delete old versions, when due.
 
     It rewrites up to a million rows, so it is due once in every root of the rows / 4 changes. No writer waits for it: a
     change that is made meanwhile is kept, and where both have the same rows this is left to the next one. Other
     failures are warnings: the change before it has been made.
     """
     snapshot = opened(path)
-    if snapshot is None or not _is_scattered(snapshot):
+    if snapshot is None or (not _is_scattered(snapshot) and codes.is_whole(snapshot)):
         return
     with ExitStack() as stack:
         try:
@@ -273,8 +320,13 @@ def tidy(path: Path) -> None:
         except InputError:  # another process does it
             return
         try:
-            _put_together(snapshot)
+            before = _opened(path)  # the other one goes on to later versions
+            if _is_scattered(snapshot):
+                _put_together(snapshot)
+            _write_codes(path, ALL_ROWS, before)
             _record_arranged(path)
+            if codes.has_codebook(path):
+                codes.sweep(path, codes.codebook_of(path, snapshot), _folder(path) / "data")
         except InputError as error:
             warnings.warn(f"files were not put together: {error}", DrSplatWarning, stacklevel=3)
 
@@ -308,24 +360,35 @@ def _put_together(snapshot: Snapshot) -> None:
             raise
 
 
-def partitions_for(rows: int) -> int:
-    """Return the number of partitions of an index; more would take a time that grows faster than the rows."""
-    return min(math.isqrt(rows), MAX_PARTITIONS)
-
-
 def index(snapshot: Snapshot) -> None:
-    """Build the index of this version's descriptors, a byte for each of their numbers, and that of scenes' names."""
-    from lancedb.index import BTree, IvfSq
+    """Write codes of all descriptors by a new codebook, and build the index of scenes' names; others write meanwhile.
 
-    partitions = partitions_for(snapshot.num_rows)
-    kind = IvfSq(distance_type="cosine", num_partitions=partitions, sample_rate=SAMPLES_PER_PARTITION)
-    with writing(snapshot.path):
+    What they have written is coded in their turn, before the codebook takes the place of a former one.
+    """
+    path, codebook = snapshot.path, codes.trained(snapshot)
+    codes.write_missing(snapshot, codebook, ALL_ROWS, anew=True)
+    _index_names(path)
+    with claimed_output(path, PATIENCE_S):
+        latest = _opened(path)
+        assert latest is not None
+        codes.write_missing(latest, codebook, ALL_ROWS)
+        codes.publish(path, codebook)
+        record(path)
+    codes.sweep(path, codebook, _folder(path) / "data")
+
+
+def _index_names(path: Path) -> None:
+    from lancedb.index import BTree
+
+    snapshot = _opened(path)
+    assert snapshot is not None
+    with writing(path):
         snapshot.table.create_index("scene", config=BTree(), replace=True)
-        snapshot.table.create_index("descriptors", config=kind, name=INDEX, replace=True)
-    _record_arranged(snapshot.path)
+        if any(index.name == FORMER_INDEX for index in snapshot.table.list_indices()):
+            snapshot.table.drop_index(FORMER_INDEX)
 
 
-def vectors_of(column: Any, path: Path) -> list[Float32[np.ndarray, "k D"]]:
+def described_of(column: Any, path: Path) -> Described:
     """Return the descriptors of each row, of unit length.
 
     Raises: FormatError: some that are not finite, or have no length.
@@ -337,7 +400,7 @@ def vectors_of(column: Any, path: Path) -> list[Float32[np.ndarray, "k D"]]:
     norms = np.linalg.norm(flat, axis=1, keepdims=True)
     if len(flat) != lengths.sum() or not (np.isfinite(norms) & (norms > 0.5) & (norms < 2)).all():
         raise FormatError(f"{path}: descriptors that are no unit vectors: {CURE}")
-    return np.split(flat / norms, np.cumsum(lengths)[:-1]) if len(lengths) else []
+    return Described(flat / norms, np.append(0, np.cumsum(lengths)))
 
 
 CURE = "the table is damaged: restore it from a copy, or remove the folder and add its scenes again"
