@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Gaussians, Scene, open_scene, read_gaussians, write_gaussians
-from drsplat.authoring.editing import Duplicate, Edit, EditFile, Move, Remove
+from drsplat.authoring.editing import Duplicate, Edit, EditFile, Move, Remove, Rows
 from drsplat.authoring.editing.resolving import object_rows
 from drsplat.authoring.exporting import export, labelled
 from drsplat.authoring.exporting.choosing import only_used
@@ -321,6 +321,33 @@ def test_names_come_back_from_every_format_that_holds_them(
     assert told["num_gaussians"] == len(read)
     assert set(read.extra["object_id"].tolist()) <= {1, -1}
     assert (read.extra["object_id"] == 1).sum() == (scene.object_ids() == 1).sum()
+
+
+def test_a_file_with_objects_is_exported_with_them_again(room: Path, capsys: Capture) -> None:
+    """From format to format, without the field; after an edit the boxes are where the Gaussians are."""
+    answer_of(capsys, "export", room / "scene.ply", "--field", room / "room.field", "-o", room / "0.glb")
+    chain = (("1.sog", ()), ("2.spz", ("--spz-version", 4)), ("3.usda", ()), ("4.glb", ()))
+    for place, (name, more) in enumerate(chain):
+        source = room / ("0.glb" if not place else chain[place - 1][0])
+        assert answer_of(capsys, "export", source, *more, "-o", room / name)["lacks"] == []
+    first, last = read(room / "0.glb").table(0), read(room / "4.glb").table(0)
+    for column in ("name", "number", "center", "extent", "axes", "score", "num_gaussians"):
+        assert_array_equal(first[column], last[column])
+    file, scene = EditFile.beside(room / "4.glb"), read_gaussians(room / "4.glb")
+    moved = Rows.of(np.flatnonzero(scene.extra["object_id"] == 0))
+    file.change(scene, lambda listed: listed.with_edit(Edit(moved, Move((0.0, 0.0, 2.0)))))
+    assert answer_of(capsys, "export", room / "4.glb", "-o", room / "5.glb")["num_edits"] == 1
+    assert_allclose(read(room / "5.glb").table(0)["center"][0], np.add(last["center"][0], [0, 0, 2]), atol=2e-2)
+
+
+def test_labels_of_numbers_that_no_gaussian_has_are_refused(room: Path, capsys: Capture) -> None:
+    answer_of(capsys, "export", room / "scene.ply", "--field", room / "room.field", "-o", room / "a.usda")
+    text = (room / "a.usda").read_text()
+    for lie in ("int drsplat:number = 4294967295", "int drsplat:number = -2"):
+        (room / "b.usda").write_text(text.replace("int drsplat:number = 1", lie))
+        assert (room / "b.usda").read_text() != text
+        assert "and a number from -1 to 2147483647" in error_of(capsys, "export", room / "b.usda", "-o", room / "c.glb")
+    assert not (room / "c.glb").exists()
 
 
 def test_three_d_tiles_by_the_verb_stand_where_the_scene_lies(room: Path, capsys: Capture) -> None:

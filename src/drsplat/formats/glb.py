@@ -43,10 +43,11 @@ from .glb_layout import (
     UNSIGNED_BYTE,
     UNSIGNED_SHORT,
 )
-from .glb_names import ObjectName, object_names, object_numbers
+from .glb_names import ObjectName, labels_of_tables, object_names, object_numbers
 from .glb_nodes import placed_meshes
 from .gltf import Entry, Gltf, gltf_in, inner, listed, whole_number
 from .json_files import excerpt
+from .labels import Labels
 from .spz import parse_spz
 
 UNDERSTOOD = (SPLATTING, SPZ, FEATURES, METADATA, "KHR_mesh_quantization", "KHR_materials_unlit")
@@ -69,6 +70,14 @@ def names_in_glb(path: Path) -> list[ObjectName]:
     Raises: InputError: nothing at `path`. FormatError: it is damaged.
     """
     return object_names(gltf_in(file_bytes(path).data, path.parent))
+
+
+def labels_in_glb(path: Path) -> Labels:
+    """Return the objects and groups that drsplat wrote into a `.glb` or a `.gltf`, with their boxes.
+
+    Raises: InputError: nothing at `path`. FormatError: it is damaged.
+    """
+    return labels_of_tables(gltf_in(file_bytes(path).data, path.parent))
 
 
 def parse_glb(buffer: memoryview) -> Gaussians:

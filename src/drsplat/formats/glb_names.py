@@ -1,4 +1,4 @@
-"""Names of objects out of the tables of a glTF (EXT_structural_metadata), whoever wrote them."""
+"""Objects out of the tables of a glTF (EXT_structural_metadata): names, whoever wrote them, and our boxes."""
 
 from itertools import pairwise
 from typing import NamedTuple
@@ -7,11 +7,14 @@ import numpy as np
 
 from ..base.arrays import Int32
 from ..errors import FormatError
+from ..scene.labelled import Thing
 from .glb_layout import METADATA
-from .glb_tables import NAME, NUMBER
+from .glb_tables import LENGTHS, NAME, NUMBER, PARENT
 from .gltf import Entry, Gltf, inner, listed, whole_number
 from .json_files import excerpt
+from .labels import Labels
 
+BOXES = {"score": "SCALAR", "center": "VEC3", "extent": "VEC3", "axes": "MAT3"}  # columns of 32-bit floats
 OFFSETS = {"UINT8": "<u1", "UINT16": "<u2", "UINT32": "<u4", "UINT64": "<u8"}
 
 
@@ -50,8 +53,48 @@ def object_numbers(gltf: Gltf) -> Int32[np.ndarray, " t"] | None:
     return np.asarray(_numbers(gltf, column.get("values"), "<i4", count), np.int32)
 
 
+def labels_of_tables(gltf: Gltf) -> Labels:
+    """Return the objects and groups with their boxes, as drsplat writes them; none out of other tables.
+
+    Raises: FormatError: a table is damaged.
+    """
+    tables = [inner(table) for table in _tables(gltf)[:2]]
+    groups = _things(gltf, tables[1], 1 << 31) if len(tables) > 1 else ()
+    things = _things(gltf, tables[0], len(groups)) if tables else ()
+    return Labels(things, groups)
+
+
+def _things(gltf: Gltf, table: Entry, num_groups: int) -> tuple[Thing, ...]:
+    described = _class(gltf, table)
+    kinds = {name: inner(described, name).get("type") for name in BOXES}
+    if kinds != BOXES or any(inner(described, name).get("componentType") != "FLOAT32" for name in BOXES):
+        return ()
+    count = whole_number(table.get("count"), "a table: count")
+    columns = {name: _values(gltf, table, name, "<f4", count * LENGTHS[kind]) for name, kind in BOXES.items()}
+    names = _texts(gltf, inner(table, "properties", NAME), count)
+    boxes = [columns[name].astype(np.float64).reshape(count, -1) for name in BOXES]
+    none = np.full(count, -1)
+    parents = _values(gltf, table, PARENT, "<i4", count) if PARENT in described else none
+    numbers = _values(gltf, table, NUMBER, "<i4", count) if NUMBER in described else none
+    if not (all(np.isfinite(box).all() for box in boxes) and (parents >= -1).all() and (parents < num_groups).all()):
+        raise FormatError("glTF: boxes of objects that are not finite, or groups that are not there: damaged")
+    rows = zip(names, *boxes, parents.tolist(), numbers.tolist(), strict=True)
+    return tuple(
+        Thing(name, float(score[0]), center, axes.reshape(3, 3), extent, parent, number=number)
+        for name, score, center, extent, axes, parent, number in rows
+    )
+
+
+def _values(gltf: Gltf, table: Entry, name: str, dtype: str, count: int) -> np.ndarray:
+    return _numbers(gltf, inner(table, "properties", name).get("values"), dtype, count)
+
+
+def _tables(gltf: Gltf) -> list[object]:
+    return listed(inner(gltf.document, "extensions", METADATA), "propertyTables", METADATA)
+
+
 def _table(gltf: Gltf) -> Entry:
-    tables = listed(inner(gltf.document, "extensions", METADATA), "propertyTables", METADATA)
+    tables = _tables(gltf)
     return inner(tables[0]) if tables else {}
 
 

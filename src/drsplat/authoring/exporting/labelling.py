@@ -1,6 +1,6 @@
 """Content of a file of an opened scene: Gaussians as edited, objects, matches, annotations."""
 
-from collections.abc import Mapping
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -10,13 +10,15 @@ import numpy as np
 from ...base.arrays import Bool
 from ...errors import InputError
 from ...formats.annotations import AnnotationFile
+from ...formats.labels import Labels
+from ...formats.named import read_labels
 from ...formats.runs import ids_of
 from ...formats.tiles import Tiles
 from ...formats.tiles3d_writing import TiledScene
 from ...query import Answer, Match, Query, Scene
 from ...scene.annotations import Annotation
 from ...scene.gaussians import Gaussians
-from ...scene.labelled import PLY_UP, LabelledScene
+from ...scene.labelled import PLY_UP, LabelledScene, numbers_of, places_of
 from ...scene.moving import Moving, canonical_of
 from ...scene.views import View
 from ..editing import EditFile, EditList, Rows
@@ -125,15 +127,35 @@ def tiled(tiles: Tiles, scene: Scene | None = None) -> TiledScene:
 def labelled_alone(
     gaussians: Gaussians | Moving, path: Path | None = None, *, time: float | None = None, edits: KeptEdits = "kept"
 ) -> LabelledScene:
-    """Bring together what is known of a scene without a field. path: its file, beside which edits and annotations are.
+    """Bring together what is known of a scene without a field: what its file says of objects, too.
 
-    Raises: InputError: a scene that moves without a time, nothing is left after its edits.
+    path: its file, beside which edits and annotations are.
+
+    Raises: InputError: a scene that moves without a time, nothing is left after its edits. FormatError: as
+    `read_labels`.
     """
+    own, labels = _at(gaussians, time), Labels() if path is None else read_labels(path)
     listed = kept_edits(path, canonical_of(gaussians), edits)
-    after = after_edits(_at(gaussians, time), path, listed)
-    title = "scene" if path is None else path.resolve().stem
-    notes = annotations_of(path)
-    return LabelledScene(_rows(after.everything, _kept_rows(after)), title, annotations=notes, num_edits=listed.done)
+    after = after_edits(own, path, listed)
+    kept = _kept_rows(after)
+    rows = _rows(after.everything, kept)
+    title, notes = "scene" if path is None else path.resolve().stem, annotations_of(path)
+    if not labels.things or OBJECT_ID not in rows.extra:
+        return LabelledScene(rows, title, annotations=notes, num_edits=listed.done)
+    numbers = zip(labels.things, numbers_of(labels.things), strict=True)
+    things = tuple(Placing(own, after, None).objects([replace(thing, number=number) for thing, number in numbers]))
+    relevancy = rows.extra.get(RELEVANCY)
+    return LabelledScene(
+        _without(rows, (OBJECT_ID, RELEVANCY)),
+        title,
+        things,
+        labels.groups,
+        places_of(rows.extra[OBJECT_ID], things),
+        labels.query or ("query" if relevancy is not None else ""),
+        relevancy,
+        annotations=notes,
+        num_edits=listed.done,
+    )
 
 
 def kept_edits(path: Path | None, gaussians: Gaussians, edits: KeptEdits) -> EditList:
@@ -222,6 +244,6 @@ def _rows(gaussians: Gaussians, kept: Bool[np.ndarray, " n"]) -> Gaussians:
     return gaussians if kept.all() else gaussians.subset(kept)
 
 
-def _without(gaussians: Gaussians, columns: Mapping[str, np.ndarray]) -> Gaussians:
+def _without(gaussians: Gaussians, columns: Collection[str]) -> Gaussians:
     """Return Gaussians without the columns that a labelled scene has in places of their own."""
     return replace(gaussians, extra={name: own for name, own in gaussians.extra.items() if name not in columns})

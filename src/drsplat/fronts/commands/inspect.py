@@ -105,23 +105,14 @@ def _levels(path: Path) -> dict[str, Any]:
 def _named_objects(path: Path) -> dict[str, Any]:
     """Describe the objects that a file has with their names; nothing where it has none."""
     from ...formats.glb import names_in_glb
-    from ...formats.sog import read_sog_labels
-    from ...formats.sog_files import META
-    from ...formats.spz import read_spz_labels
-    from ...formats.streamed_sog import LOD_META, read_streamed_labels
-    from ...formats.usd import SUFFIXES as USD_SUFFIXES
-    from ...formats.usd import read_usd
+    from ...formats.named import read_labels
+    from ...scene.labelled import numbers_of
 
     if path.suffix.lower() in (".glb", ".gltf"):
         names = [(one.number, one.name) for one in names_in_glb(path)]
-    elif path.suffix.lower() in USD_SUFFIXES:
-        names = [(thing.number, thing.name) for thing in read_usd(path).things]
     else:
-        path = path / LOD_META if (path / LOD_META).is_file() else path
-        by_name = {LOD_META: read_streamed_labels, META: read_sog_labels}
-        reader = by_name.get(path.name) or {".sog": read_sog_labels, ".spz": read_spz_labels}.get(path.suffix.lower())
-        things = () if reader is None else reader(path).things
-        names = [(place if thing.number < 0 else thing.number, thing.name) for place, thing in enumerate(things)]
+        things = read_labels(path).things
+        names = list(zip(numbers_of(things), (thing.name for thing in things), strict=True))
     if not names:
         return {}
     return {"num_objects": len(names), "objects": [{"id": number, "name": name} for number, name in names]}
