@@ -21,7 +21,7 @@ def test_the_version_stands_in_one_place() -> None:
     number = check_release.version()
     assert version("drsplat") == number == check_release.cited()
     _, text = check_release.notes(number)
-    assert "### Added" in text
+    assert "### Fields and answers" in text
     tree = [path for folder in ("src", "native", "scripts") for path in (ROOT / folder).rglob("*.*")]
     named = [path for path in tree if path.suffix in (".py", ".h", ".cpp") and f'"{number}"' in path.read_text()]
     assert not named

@@ -119,7 +119,7 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
         return stored_features(self.directory, key, self._keys[key])
 
     def files(self, name: str) -> list[Path]:
-        """Return the files that hold the features of a photo. Raises: KeyError: no such photo."""
+        """Return the files with the features of a photo, first that of its masks. Raises: KeyError: no such photo."""
         key = self._known(name)
         return [self.directory / f"{key}{ending}" for ending in FORMS[self._keys[key]][0]]
 
@@ -272,7 +272,7 @@ FORMS: Mapping[str, tuple[tuple[str, ...], Callable[[Path, str], FeatureFile]]] 
     "langsplat": ((MAPS, EMBEDDINGS), _open_pair),
     "compact": ((COMPACT,), lambda directory, stem: read_compact(directory / f"{stem}{COMPACT}")),
 }
-"""Endings of a photo's files, the first of which says that it has features, and how they are opened."""
+"""Endings of a photo's files, of which the first holds its masks, and how they are opened."""
 
 
 def _one_level(files: FeatureFile, level: int) -> LevelFeatures:

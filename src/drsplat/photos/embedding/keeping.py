@@ -55,7 +55,7 @@ def kept_identity(folder: FeatureFolder) -> dict[str, object]:
 
 def masks_hash(folder: FeatureFolder, stem: str) -> str:
     """Return a hash of the file that holds a photo's masks, and of which of them are chosen."""
-    digest = hash_file(folder.files(stem)[-1])
+    digest = hash_file(folder.files(stem)[0])
     if isinstance(folder, ChosenMasks):
         return f"{digest} {','.join(map(str, folder.chosen[stem].tolist()))}"
     return digest
