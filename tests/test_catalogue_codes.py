@@ -171,6 +171,7 @@ Catalogue.open(sys.argv[1]).build_index()
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "at"), [("write_tensors", 1), ("write_tensors", 3), ("publish", 1), ("sweep", 1)])
 def test_a_kill_while_codes_are_written_leaves_the_old_ones(
     coded: tuple[Catalogue, np.ndarray, np.ndarray], name: str, at: int

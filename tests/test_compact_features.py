@@ -162,6 +162,7 @@ def squeezed(data: bytes) -> np.ndarray:
     return np.frombuffer(zstandard.ZstdCompressor().compress(data), np.uint8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "changes",
     [

@@ -70,6 +70,7 @@ def assert_sorted(engine, keys: np.ndarray, key_bits: int) -> None:
 # --- sorts and sums -------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key_bits", [1, 9, 32])
 @pytest.mark.parametrize("count", COUNTS)
 def test_a_sort_is_that_of_numpy(cuda_engine_on_cpu, count, key_bits):
@@ -225,6 +226,7 @@ def one_pixel(opacities: list[float]) -> tuple[SplatArrays, View]:
     return SplatArrays(means, covariances, np.array(opacities, np.float32)), view
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [None, 0])
 def test_of_equal_weights_the_nearer_stay(cuda_engine_on_cpu, seed):
     """Opacities 1/20, 1/19, ... one behind the other: weights of 1/20, many equal to the bit, some a rounding away."""

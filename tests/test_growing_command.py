@@ -299,6 +299,7 @@ def test_a_full_disk_is_told_and_changes_nothing(limit: int, room: Path, capsys:
     assert len(answer_of(capsys, *argv)["added"]) == 2
 
 
+@pytest.mark.slow
 def test_a_capture_that_grows_is_followed(room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch) -> None:
     """Poses come first, then features view by view, file by file."""
     from drsplat.field.growing import watching

@@ -29,6 +29,7 @@ def check(annotations: Annotations) -> None:
             assert annotations.mask(instance).shape == (photo.height, photo.width)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [0, 1, 2], ids=["polygon", "runs", "text"])
 def test_annotations(memory_path: Path, bounded_memory: None, first: int) -> None:  # noqa: F811
     """Those of one kind each: mutations of text go to the first 4 KiB."""
@@ -54,6 +55,7 @@ def test_text_of_runs(bounded_memory: None) -> None:  # noqa: F811
     assert sound > 100
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "counts",
     [

@@ -94,6 +94,7 @@ def test_a_row_of_few_atoms_is_found_again(isa: str, dim: int) -> None:
     assert_allclose(np.linalg.norm(decoded(found, dictionary), axis=1), 1, atol=1e-5)
 
 
+@pytest.mark.slow
 @every_isa
 @pytest.mark.parametrize(("per_row", "further"), [(1, 0), (2, 3), (4, 16), (8, 5), (16, 0)])
 def test_encoding_is_that_of_the_twin(isa: str, per_row: int, further: int) -> None:

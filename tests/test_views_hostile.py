@@ -224,6 +224,7 @@ def test_path_tricks_in_every_kind_of_capture(tmp_path):
             read_views(tmp_path / kind)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stem", ["cameras", "images", "points3D"])
 @pytest.mark.parametrize("count", [2**63, 2**64 - 1, 10**12, 3])
 def test_counts_are_checked_before_anything_is_read(tmp_path, bounded_memory, stem, count):
@@ -315,6 +316,7 @@ def npy(header: str, content: bytes = b"\0" * 64, version: bytes = b"\x01\x00") 
     return b"\x93NUMPY" + version + struct.pack("<H", len(header)) + header.encode() + content
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "header",
     [
