@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +102,13 @@ def test_columns_that_are_all_alike_are_no_bomb(encode: Callable[[LabelledScene]
     read = parse_spz(memoryview(encode(labelled)))
     np.testing.assert_array_equal(read.sh[:, 1:], 0)
     assert len(read) == len(own)
+
+
+def test_names_that_would_be_taken_for_a_bomb_are_refused() -> None:
+    own = labelled(30, 0)
+    long = [replace(thing, name=thing.name + "a" * 2_000_000) for thing in own.things]
+    with pytest.raises(InputError, match=r"long and alike.*shorten them, or write GLB"):
+        spz4_bytes(replace(own, things=tuple(long)))
 
 
 def test_version_4_without_objects_has_no_extension() -> None:

@@ -16,11 +16,12 @@ import struct
 import numpy as np
 
 from ..base.arrays import Float32, UInt8
-from ..errors import InputError
+from ..errors import FormatError, InputError
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians
 from ..scene.labelled import LabelledScene
 from .labels import has_labels, labels_bytes
 from .spz import ANTIALIASED, COLOUR_SCALE, HAS_EXTENSIONS, HEADER_BYTES, MAGIC, OBJECTS, PARITIES, PREFIX
+from .spz_streams import refuse_implausible
 
 VERSION, VERSION_4 = 3, 4
 ZSTD_LEVEL = 12
@@ -66,7 +67,10 @@ def spz4_bytes(scene: LabelledScene) -> bytes:
 
 
 def _extension(scene: LabelledScene) -> bytes:
-    """Encode objects as a record of drsplat's: sizes of three parts, and these, in a zstd stream."""
+    """Encode objects as a record of drsplat's: sizes of three parts, and these, in a zstd stream.
+
+    Raises: InputError: names that are so long and alike that a reader would take them for a decompression bomb.
+    """
     import zstandard
 
     parts = [
@@ -75,6 +79,13 @@ def _extension(scene: LabelledScene) -> bytes:
         labels_bytes(scene),
     ]
     payload = struct.pack("<3Q", *map(len, parts)) + zstandard.ZstdCompressor(ZSTD_LEVEL).compress(b"".join(parts))
+    try:
+        refuse_implausible(len(parts[-1]), len(payload))
+    except FormatError:
+        raise InputError(
+            f"the names of {len(scene.things):,} objects are long and alike, {len(parts[-1]):,} bytes: files of such "
+            "cannot be told from damaged ones; shorten them, or write GLB"
+        ) from None
     return struct.pack("<II", OBJECTS, len(payload)) + payload
 
 
