@@ -340,6 +340,19 @@ def test_a_file_with_objects_is_exported_with_them_again(room: Path, capsys: Cap
     assert_allclose(read(room / "5.glb").table(0)["center"][0], np.add(last["center"][0], [0, 0, 2]), atol=2e-2)
 
 
+def test_a_copy_in_a_file_of_one_object_is_named_after_it(room: Path, capsys: Capture) -> None:
+    """Its number is not its place in the table."""
+    given = ("--field", room / "room.field", "--object", 1)
+    answer_of(capsys, "export", room / "scene.ply", *given, "-o", room / "part.glb")
+    (name,) = read(room / "part.glb").table(0)["name"]
+    file, scene = EditFile.beside(room / "part.glb"), read_gaussians(room / "part.glb")
+    owned = Rows.of(np.flatnonzero(scene.extra["object_id"] == 1))
+    file.change(scene, lambda listed: listed.with_edit(Edit(owned, Duplicate((3.0, 0.0, 0.0)))))
+    answer_of(capsys, "export", room / "part.glb", "-o", room / "two.glb")
+    table = read(room / "two.glb").table(0)
+    assert (table["number"], table["name"]) == ([1, 2], [name, f"copy of {name}"])
+
+
 def test_labels_of_numbers_that_no_gaussian_has_are_refused(room: Path, capsys: Capture) -> None:
     answer_of(capsys, "export", room / "scene.ply", "--field", room / "room.field", "-o", room / "a.usda")
     text = (room / "a.usda").read_text()

@@ -41,10 +41,10 @@ class Placing:
         return tuple(self._placed(thing, ids) for thing, ids in zip(things, left, strict=True) if len(ids))
 
     def _copy(self, number: int, things: Sequence[Thing]) -> Thing:
-        source = self.after.copies[number]
-        name = f"copy of {things[source].name}" if 0 <= source < len(things) else f"object {number}"
-        thing = replace(things[max(source, 0)], name=name, number=number)
-        return self._boxed(thing if source >= 0 else replace(thing, parent=-1, embedding=None), self._owned(number))
+        source = next((thing for thing in things if thing.number == self.after.copies[number]), None)
+        like = replace(things[0], parent=-1, embedding=None) if source is None else source
+        name = f"object {number}" if source is None else f"copy of {source.name}"
+        return self._boxed(replace(like, name=name, number=number), self._owned(number))
 
     def _placed(self, thing: Thing, ids: Ids) -> Thing:
         return self._boxed(thing, ids) if len(ids) and self._moved[ids].any() else thing
