@@ -18,7 +18,7 @@ class WithoutSlow:
     def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
         slow = [item for item in items if item.get_closest_marker("slow")]
         config.hook.pytest_deselected(items=slow)
-        items[:] = [item for item in items if item not in set(slow)]
+        items[:] = [item for item in items if not item.get_closest_marker("slow")]
 
 
 def register(config: pytest.Config, whole_suite: bool) -> None:
