@@ -49,20 +49,28 @@ class Film:
         turns = [start + np.radians(AROUND_DEGREES) * share for share in (0, 1 / 3, 2 / 3, 1)]
         near = [thing + np.array([NEAR * np.cos(turn), NEAR * np.sin(turn), ABOVE]) for turn in turns]
         keys = [
-            (np.array([-1.5, 0.35, 1.55]), room, 46, 0.0), (np.array([-1.28, -0.05, 1.5]), room, 44, 2.9),
-            *((eye, thing, 34, 5.4 + 1.6 * number) for number, eye in enumerate(near)),
+            (np.array([-1.5, 0.35, 1.55]), room, 46.0, 0.0), (np.array([-1.28, -0.05, 1.5]), room, 44.0, 2.9),
+            *((eye, thing, 34.0, 5.4 + 1.6 * number) for number, eye in enumerate(near)),
         ]  # fmt: skip
         views = [(looking_at(eye, target, up, SIZE, fov), seconds) for eye, target, fov, seconds in keys]
         return CameraPath([KeyFrame.of(view, seconds) for view, seconds in views])
 
     def pictures(self) -> Iterator[Image.Image]:
-        first = None
-        for number, view in enumerate(self.path.views(round(SECONDS * FPS), (FINER * SIZE[0], FINER * SIZE[1]))):
-            second = number / FPS
-            picture = Image.fromarray(self.room(view, second)).reduce(FINER)
-            first = first or picture
-            picture = Image.blend(picture, first, share_of(second, AGAIN_S))
-            yield with_words(picture, second)
+        first = self.picture(0)
+        for number in range(round(SECONDS * FPS)):
+            picture = Image.blend(self.picture(number), first, share_of(number / FPS, AGAIN_S))
+            yield with_words(picture, number / FPS)
+
+    def still(self) -> Image.Image:
+        """One picture for all: the thing, from near."""
+        return with_words(self.picture(round(STILL_AT_S * FPS)), STILL_AT_S)
+
+    def picture(self, number: int) -> Image.Image:
+        return Image.fromarray(self.room(self.views[number], number / FPS)).reduce(FINER)
+
+    @cached_property
+    def views(self) -> list[ds.View]:
+        return list(self.path.views(round(SECONDS * FPS), (FINER * SIZE[0], FINER * SIZE[1])))
 
     def room(self, view: ds.View, second: float) -> np.ndarray:
         """What the camera sees: the room, the answer over it, and in the end nothing else."""
@@ -78,7 +86,7 @@ class Film:
     def drawn(self, view: ds.View, ids: np.ndarray | None) -> object:
         scene = self.scene
         values = None if ids is not None else self.answer.values
-        return render(scene.gaussians, view, select=ids, values=values, background=(1, 1, 1), splats=scene.splats)
+        return render(scene.gaussians, view, select=ids, values=values, background=(1.0, 1.0, 1.0), splats=scene.splats)
 
 
 def share_of(second: float, span: tuple[float, float]) -> float:
@@ -119,13 +127,14 @@ def with_words(picture: Image.Image, second: float) -> Image.Image:
 def main(arguments: list[str]) -> int:
     scene = ds.open_scene(arguments[0])
     folder = Path(arguments[1]) if len(arguments) > 1 else ROOT / "docs/images"
-    pictures = list(Film(scene, Highlight.of(scene, ds.Query(WORDS), boxes=True)).pictures())
+    the_film = Film(scene, Highlight.of(scene, ds.Query(WORDS), boxes=True))
+    pictures = list(the_film.pictures())
     film = folder / "tour.webp"
     pictures[0].save(
         film, save_all=True, append_images=pictures[1:], duration=round(1000 / FPS), loop=0, quality=QUALITY, method=6,
         kmin=0, kmax=1,  # every picture for itself: differences leave traces of what was there before
     )  # fmt: skip
-    pictures[round(STILL_AT_S * FPS)].save(folder / "tour.jpg", quality=STILL_QUALITY, optimize=True)
+    the_film.still().save(folder / "tour.jpg", quality=STILL_QUALITY, optimize=True)
     print(f"{film}: {len(pictures)} pictures, {film.stat().st_size / 1e6:.2f} MB")
     return 0
 

@@ -8,6 +8,7 @@ import hashlib
 from functools import cache
 from pathlib import Path
 
+SOURCE_SUFFIXES = (".py", ".cpp", ".h", ".ts", ".css", ".html")
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE, SUITE = ROOT / "src" / "drsplat", ROOT / "benchmarks" / "suite"
 
@@ -54,15 +55,14 @@ def stamp(paths: tuple[Path, ...]) -> str:
     """Return 12 hexadecimal digits for files, and for all source files in folders."""
     digest = hashlib.blake2b(digest_size=6)
     for path in paths:
-        files = [path] if path.is_file() else [p for p in sorted(path.rglob("*")) if p.suffix in (".py", ".cpp", ".h")]
+        files = [path] if path.is_file() else [p for p in sorted(path.rglob("*")) if p.suffix in SOURCE_SUFFIXES]
         for file in files:
-            digest.update(f"{file.relative_to(ROOT).as_posix()}\n{_code(file)}\n".encode())
+            digest.update(f"{file.relative_to(ROOT).as_posix()}\n".encode() + _code(file) + b"\n")
     return digest.hexdigest()
 
 
-def _code(file: Path) -> str:
-    text = file.read_text(encoding="utf-8")
-    return without_words(text) if file.suffix == ".py" else text
+def _code(file: Path) -> bytes:
+    return without_words(file.read_text(encoding="utf-8")).encode() if file.suffix == ".py" else file.read_bytes()
 
 
 def without_words(source: str) -> str:

@@ -1,0 +1,102 @@
+"""Whether pictures of the documents are older than what they show.
+
+usage: python -m scripts.pictures            names those that are, and the command that makes each
+       python -m scripts.pictures NAME...    notes that these were made again, or looked at and found to be as they were
+
+These pictures need a browser, another program, captures or hours. docs/images/made.json has a hash of what each was
+made from, without comments and docstrings. Pictures of the demo are not among them: the tests draw those again.
+"""
+
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+from benchmarks.suite.stamps import PACKAGE, ROOT, stamp
+
+IMAGES = ROOT / "docs" / "images"
+STAMPS = IMAGES / "made.json"
+MODELS = PACKAGE / "photos" / "models"
+
+
+@dataclass(frozen=True)
+class Made:
+    """How a picture is made. inputs: files and folders that decide how it looks."""
+
+    command: str
+    inputs: tuple[Path, ...]
+
+    @property
+    def stamp(self) -> str:
+        return stamp(self.inputs)
+
+
+def _viewer() -> Made:
+    written = PACKAGE / "fronts" / "viewing"
+    inputs = ROOT / "web" / "src", written / "client.css", written / "client.html"
+    return Made("python benchmarks/study_viewer.py DEMO FOLDER", (*inputs, ROOT / "benchmarks" / "study_viewer.py"))
+
+
+MADE: dict[str, Made] = {
+    "viewer.jpg": _viewer(),
+    "viewer_objects.jpg": _viewer(),
+    "viewer_page.jpg": _viewer(),
+    "viewer_phone.jpg": _viewer(),
+    "export_viewers.jpg": Made(
+        "python scripts/make_export_pictures.py",
+        (ROOT / "scripts" / "make_export_pictures.py", *sorted((ROOT / "tests" / "foreign").glob("*.html"))),
+    ),
+    "export_earth.jpg": Made(
+        "python scripts/make_export_pictures.py",
+        (ROOT / "scripts" / "make_export_pictures.py", ROOT / "tests" / "foreign" / "cesium.html"),
+    ),
+    "blender.jpg": Made("integrations/blender/picture.py in Blender", (ROOT / "integrations" / "blender",)),
+    "supersplat.jpg": Made("docs/integrations.md, in SuperSplat's window", (ROOT / "integrations" / "supersplat",)),
+    "graph_masks.jpg": Made(
+        "python -m world.segmenter.measuring TEST_SCENE... --plain --picture docs/images/graph_masks.jpg",
+        (MODELS / "graph" / "network.safetensors", MODELS / "graph" / "rule.safetensors"),
+    ),
+    "mini_confusion.png": Made(
+        "python -m world.mini.measuring --test test.npz --picture docs/images/mini_confusion.png",
+        (MODELS / "mini" / "mini.safetensors",),
+    ),
+    "worst_answers.jpg": Made(
+        "python benchmarks/study_worst.py, three of its pictures",
+        (ROOT / "docs" / "answers.json", ROOT / "benchmarks" / "study_worst.py"),
+    ),
+    "fill.jpg": Made(
+        "python benchmarks/study_fill.py FOLDER... --kept FOLDER --picture docs/images/fill.jpg",
+        (PACKAGE / "authoring" / "editing" / "filling.py", ROOT / "benchmarks" / "study_fill.py"),
+    ),
+}
+
+
+def older() -> dict[str, str]:
+    """For each picture that is older than what it was made from, the command that makes it."""
+    stamps = json.loads(STAMPS.read_text(encoding="utf-8"))
+    return {name: made.command for name, made in MADE.items() if stamps.get(name) != made.stamp}
+
+
+def note(names: list[str]) -> None:
+    """Note that pictures are as new as what they show. Raises: KeyError: no such picture is made here."""
+    stamps = json.loads(STAMPS.read_text(encoding="utf-8")) if STAMPS.exists() else {}
+    stamps |= {name: MADE[name].stamp for name in names}
+    text = json.dumps({name: stamps[name] for name in sorted(MADE) if name in stamps}, indent=1)
+    STAMPS.write_text(text + "\n", encoding="utf-8")
+
+
+def main(names: list[str]) -> int:
+    unknown = sorted(set(names) - set(MADE))
+    if unknown:
+        print(f"expected names of pictures ({', '.join(MADE)}), got {', '.join(unknown)}", file=sys.stderr)
+        return 2
+    if names:
+        note(names)
+        return 0
+    for name, command in older().items():
+        print(f"{name} is older than what it shows: {command}")
+    return 1 if older() else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
