@@ -357,6 +357,7 @@ def test_thumbnails_are_small_whatever_they_show() -> None:
 # --- many at once ---
 
 
+@pytest.mark.slow
 def test_whoever_asks_sees_all_of_a_change_or_nothing(tmp_path: Path) -> None:
     """Scenes come, are replaced and go; one stays, and each answer has all of it and whole others."""
     rng, encoder, path = np.random.default_rng(3), EncoderIdentity("test", 16), tmp_path / "c"
@@ -543,6 +544,7 @@ def test_a_catalogue_that_lost_its_versions_is_damaged(scenes: Path, tmp_path: P
         Catalogue.open(tmp_path / "c")
 
 
+@pytest.mark.slow
 def test_a_full_disk_changes_nothing(scenes: Path, tmp_path: Path) -> None:
     path = tmp_path / "c"
     Catalogue.open(path).add(scenes / "kitchen")

@@ -189,6 +189,7 @@ def test_a_kill_while_codes_are_written_leaves_the_old_ones(
     again.verify()
 
 
+@pytest.mark.slow
 def test_damaged_codes_are_told_and_written_anew(coded: tuple[Catalogue, np.ndarray, np.ndarray]) -> None:
     catalogue, _, words = coded
     expected, rng = answer(catalogue, words[0]), np.random.default_rng(1)
@@ -275,6 +276,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_another_process_sees_every_change_whole(coded: tuple[Catalogue, np.ndarray, np.ndarray]) -> None:
     catalogue, _, words = coded
     vector = -words[0]

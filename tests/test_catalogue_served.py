@@ -138,6 +138,7 @@ def test_a_catalogue_that_is_none_is_told_at_the_start(folder: Path, capsys: Cap
     assert "expected a catalogue" in error_of(capsys, "serve", scenes, "--catalogue", scenes)
 
 
+@pytest.mark.slow
 def test_language_models_search_all_scenes(folder: Path) -> None:
     pytest.importorskip("mcp", reason="the extra drsplat[mcp] is not installed")
     from drsplat.fronts.serving.limits import Limits

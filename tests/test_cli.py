@@ -247,6 +247,7 @@ def test_register_reports_and_refuses_to_overwrite(room: Path, tmp_path: Path, c
     assert again["encoder"] == "unknown"
 
 
+@pytest.mark.slow
 def test_register_takes_the_smaller_code(room: Path, story: Story, tmp_path: Path, capsys: Capture) -> None:
     output, named = tmp_path / "a.field", ("--encoder-name", "drsplat-words")
     report = answer_of(capsys, *registering(room, output), *named)
@@ -264,6 +265,7 @@ def test_register_takes_the_smaller_code(room: Path, story: Story, tmp_path: Pat
         assert "drop one of them" in error_of(capsys, *argv)
 
 
+@pytest.mark.slow
 def test_register_takes_the_names_that_others_use(room: Path, tmp_path: Path, capsys: Capture) -> None:
     options = ["--feature-level", "3", "--topk", "all", "--subvectors", "32", "--max-side", "160"]
     report = answer_of(capsys, *registering(room, tmp_path / "b.field"), *options, "--threads", "1")
@@ -304,6 +306,7 @@ def test_a_killed_registration_goes_on_to_the_same_field(
     assert not parts.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kept", [12, 3], ids=["none is removed", "some are"])
 def test_a_registration_killed_while_its_parts_are_removed_is_complete(
     kept: int, room: Path, codebook: Path, tmp_path: Path, capsys: Capture
@@ -322,6 +325,7 @@ def test_a_registration_killed_while_its_parts_are_removed_is_complete(
     assert "exists already" in error_of(capsys, *argv)
 
 
+@pytest.mark.slow
 def test_parts_of_other_settings_are_not_used(room: Path, codebook: Path, tmp_path: Path, capsys: Capture) -> None:
     parts = ["--parts", tmp_path / "parts", "--overwrite"]
     argv = [*registering(room, tmp_path / "a.field", codebook), *parts]

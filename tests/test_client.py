@@ -131,6 +131,7 @@ def test_a_page_gives_its_scene_as_glb_with_named_objects(room: Path, tmp_path: 
     np.testing.assert_array_equal(read.extra["object_id"][nearest], scene.object_ids())
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_a_picture_with_little_room_has_what_looks_most_significant_there(exported: Path, chromium: Any) -> None:
     """Of what a camera does not see nothing is drawn, so that there is room for all that it does see."""

@@ -239,6 +239,7 @@ DEEP = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", DEEP.values(), ids=DEEP.keys())
 def test_a_hostile_file_is_one_error(text: str, tmp_path: Path, capsys: Capture) -> None:
     (tmp_path / "c.toml").write_text(text)

@@ -75,6 +75,7 @@ def answered(port: int) -> bool:
         return one.recv(15) == b"HTTP/1.1 200 OK"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", SLOW)
 def test_who_never_ends_a_request_is_closed(stage: Stage) -> None:
     assert SECONDS.keys() == QUICK.keys()
@@ -93,6 +94,7 @@ def test_a_byte_now_and_then_does_not_help() -> None:
         assert answered(port)
 
 
+@pytest.mark.slow
 def test_an_answer_that_nobody_reads_is_dropped_and_a_kept_connection_goes_on() -> None:
     with serving() as port:
         with closing(connected(port, REQUEST.replace(b"/ ", b"/large ", 1))) as one:

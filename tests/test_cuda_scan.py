@@ -80,6 +80,7 @@ def test_more_rows_than_blocks_score_at_once(engine: Engine) -> None:
     check_everything(engine, *drawn(1, 5000, 128, 1, coarse=3))
 
 
+@pytest.mark.slow
 @given(st.integers(0, 2**32 - 1), st.integers(1, 150), st.integers(1, 700), st.integers(1, 3))
 @settings(deadline=None, max_examples=15)
 def test_laws(engine: Engine, seed: int, subvectors: int, count: int, queries: int) -> None:

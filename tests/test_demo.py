@@ -142,6 +142,7 @@ class Sources(HTMLParser):
         self.misses += tag == "figure" and given.get("class") == "miss"
 
 
+@pytest.mark.slow
 def test_album_and_page_show_every_answer(household_story: Story, tmp_path: Path) -> None:
     paths = write_album(tmp_path, household_story)
     assert [path.name for path in paths[:2]] == ["overview.png", "yellow_apple.png"]

@@ -105,6 +105,7 @@ def test_other_encoders_get_crops(tmp_path: Path) -> None:
     assert_allclose(mask_rows(PHOTO, masks, encoder), encoder.encode_images(crops(PHOTO, masks)))
 
 
+@pytest.mark.slow
 def test_texts_are_those_of_the_model_called_by_hand(folder: Path) -> None:
     """One by one without padding; in a batch the shorter ones are padded and masked."""
     import torch

@@ -64,6 +64,7 @@ def test_extras_that_are_missing_have_their_cure(installed: set[str], name: str)
     assert doctor.abilities(FINE)[name]["ready"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not has_torch, reason="needs torch")
 def test_torch_is_imported_by_another_process_only() -> None:
     code = "import sys; from drsplat.cli import main; main(['doctor']); print('torch' in sys.modules)"
@@ -147,6 +148,7 @@ def test_a_gpu_is_what_the_kernels_find(installed: set[str], monkeypatch: pytest
     assert doctor._gpus({}) == ["GPU 0", "GPU 1"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not has_torch, reason="needs torch")
 def test_a_broken_torchvision_is_found_by_importing_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "torchvision").mkdir()

@@ -64,6 +64,7 @@ def of_pixels(drawn: Gaussians, truth: Gaussians, rows: np.ndarray) -> list[floa
     return found
 
 
+@pytest.mark.slow
 def test_a_moved_and_turned_object_is_the_world_with_it_moved() -> None:
     scene, rows, at = room()
     truth, same_rows, _ = room(BY, TURN)
@@ -78,6 +79,7 @@ def test_a_moved_and_turned_object_is_the_world_with_it_moved() -> None:
     assert np.mean(still) < 20  # so this can fail
 
 
+@pytest.mark.slow
 def test_harmonics_have_to_turn_with_it() -> None:
     """The same with the colours left as they were: the highlight is then on the wrong side."""
     scene, rows, at = room()
@@ -92,6 +94,7 @@ def test_harmonics_have_to_turn_with_it() -> None:
     assert np.mean(with_them) > np.mean(without) + 5
 
 
+@pytest.mark.slow
 def test_the_floor_is_whole_again() -> None:
     """The rug and the floor below the teddy were there all along: without it and with its hole filled it looks so."""
     scene, rows, _ = room()

@@ -147,6 +147,7 @@ def test_batches_are_bounded_by_bytes(folders: dict[str, Path]) -> None:
     assert encoder.batch == (5 << 20) // (3 * 4 * SIDE**2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_half_precision_is_close_to_single(kind: str, folders: dict[str, Path]) -> None:
     encoder, single = tiny(folders[kind], "bfloat16"), tiny(folders[kind])

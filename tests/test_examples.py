@@ -68,6 +68,7 @@ def test_an_example_is_short_and_says_how_it_is_run(path: Path) -> None:
     assert f"python examples/{path.name} [" in docstring
 
 
+@pytest.mark.slow
 def test_registering_gives_the_field_of_the_demo(demo: Story, capsys: Capture) -> None:
     run("01", capsys)
     assert ds.load_field("registered.field").fingerprint == demo.field.fingerprint

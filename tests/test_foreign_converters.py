@@ -120,6 +120,7 @@ def test_the_cure_that_a_message_names_works(tmp_path: Path) -> None:
     assert_array_equal(read_gaussians(mended).means, np.delete(scene.means, [3, 200], axis=0))
 
 
+@pytest.mark.slow
 def test_what_gsply_compresses_is_decoded_as_they_do(tmp_path: Path) -> None:
     """Its columns of integers are no floats, which gsply 0.4.6 takes all rows for: it gets a PLY without any."""
     gsply = pytest.importorskip("gsply")

@@ -373,6 +373,7 @@ def autograd(scene, view, sh_degree, background, image_gradient, antialiased) ->
 oracle = pytest.mark.skipif(importlib.util.find_spec("torch") is None, reason="the oracle needs torch")
 
 
+@pytest.mark.slow
 @pytest.mark.oracle
 @oracle
 @every_case

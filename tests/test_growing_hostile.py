@@ -40,6 +40,7 @@ def write(folder: Path, mixture: bool) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mixture", [False, True])
 def test_mutants_are_refused_or_used(mixture: bool, tmp_path: Path) -> None:
     path = write(tmp_path, mixture)

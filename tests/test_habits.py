@@ -182,6 +182,7 @@ def test_the_last_log_counts(tmp_path: Path, capsys: Capture) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["last.log"]
 
 
+@pytest.mark.slow
 def test_without_a_terminal_nothing_is_coloured(room: Path) -> None:
     for environment in ({}, {"NO_COLOR": "1", "FORCE_COLOR": "1"}):
         done = subprocess.run(
@@ -248,6 +249,7 @@ def stopped(module: str, name: str, *argv: object) -> str:
     return done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("overwrite", [[], ["--overwrite"]])
 def test_ctrl_c_in_embed_says_how_to_go_on_and_it_does(
     room: Path, tmp_path: Path, overwrite: list[str], capsys: Capture

@@ -243,6 +243,7 @@ def overcast() -> tuple[SplatArrays, np.ndarray, reference.Triples]:
     return arrays, *masked(twin, segments_of("outside"), 45)
 
 
+@pytest.mark.slow
 @every_isa
 def test_gaussians_that_cover_the_screen(isa):
     arrays, mask_ids, expected = overcast()

@@ -47,11 +47,13 @@ def judged(folder: Path, file: Path) -> None:
     assert bad > MUTANTS / 4
 
 
+@pytest.mark.slow
 def test_damaged_motion(tmp_path: Path) -> None:
     write_moving(tmp_path / "a.motion", drifting(12))
     judged(tmp_path / "a.motion", tmp_path / "a.motion" / MOTION)
 
 
+@pytest.mark.slow
 def test_damaged_spacetime(tmp_path: Path) -> None:
     write_spacetime(str(tmp_path / "film.ply"), spacetime_columns(12))
     judged(tmp_path / "film.ply", tmp_path / "film.ply")

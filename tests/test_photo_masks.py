@@ -175,6 +175,7 @@ def crowded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[ds.Vie
     return folder, views, scene
 
 
+@pytest.mark.slow
 def test_a_person_who_is_masked_does_not_harm_the_scene(crowded: tuple[Path, list[ds.View], ds.Gaussians]) -> None:
     folder, views, scene = crowded
     settings = ds.TrainingSettings(iterations=300, sh_degree=0)

@@ -139,6 +139,7 @@ def test_colmaps_own_package_reads_the_model(tmp_path: Path) -> None:
         np.testing.assert_allclose(image.projection_center(), view.center, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_same_bytes_at_any_number_of_threads(tmp_path: Path) -> None:
     for threads in (1, 2, 3):
         photograph(room(), tmp_path / f"{threads}", SMALL, threads=threads)
@@ -512,6 +513,7 @@ def test_the_report_of_an_evaluation_says_that_a_field_is_of_renderings(tmp_path
     assert pictures_note({"method": "cosine"}) == ""
 
 
+@pytest.mark.slow
 def test_the_record_says_of_which_scene_by_what(tmp_path: Path) -> None:
     photograph(thing(), tmp_path / "a", SMALL, name="thing.spz")
     record = read_rendering_record(tmp_path / "a")

@@ -68,6 +68,7 @@ def views(gaussians: Gaussians) -> list[View]:
     return capture()[0]
 
 
+@pytest.mark.slow
 @laws
 @given(st.integers(1, 30))
 def test_a_unit_of_a_power_of_two_changes_no_bit(gaussians, views, halvings) -> None:

@@ -140,6 +140,7 @@ def test_the_same_fit_gives_the_same_bits(name: str, two_balls: tuple[ds.Gaussia
     np.testing.assert_array_equal(first, second)
 
 
+@pytest.mark.slow
 def test_more_steps_fit_better(two_balls: tuple[ds.Gaussians, Photos]) -> None:
     few, many = (langsplat.fit(two_balls[1], langsplat.Settings(2, 20, steps=n)).losses[-1] for n in (20, 400))
     assert many < few

@@ -373,6 +373,7 @@ def renamed(scene: Path) -> LanguageField:
     return replace(field, code=replace(field.code, codebook=book), encoder=other)
 
 
+@pytest.mark.slow
 def test_a_replaced_scene_gives_new_answers_and_a_damaged_one_ends_nothing(folder: Path, tmp_path: Path) -> None:
     scene = copied(folder / "room", tmp_path / "one")
     (tmp_path / "other").symlink_to(folder / "room")
@@ -400,6 +401,7 @@ def test_a_replaced_scene_gives_new_answers_and_a_damaged_one_ends_nothing(folde
         assert {told(answer)["field"] for answer in answers("one")} == {other.fingerprint}
 
 
+@pytest.mark.slow
 def test_a_scene_cut_short_while_it_is_mapped_costs_one_answer(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -57,6 +57,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "site"
 
 
+@pytest.mark.slow
 def test_the_site_is_built_and_its_links_lead_somewhere(site: Path) -> None:
     assert check_links.dead(site) == []
     pages = {path.relative_to(site).as_posix() for path in site.rglob("*.html")}
@@ -75,6 +76,7 @@ def test_there_is_no_site_without_a_gallery(tmp_path: Path) -> None:
     assert "has no page of the demo: run scripts/site" in done.stderr
 
 
+@pytest.mark.slow
 def test_the_front_page_has_the_numbers_of_the_evaluation(site: Path) -> None:
     page = (site / "index.html").read_text()
     shown = re.findall(r"<b>([\d ]+%)[^<]*</b>", page)
@@ -82,6 +84,7 @@ def test_the_front_page_has_the_numbers_of_the_evaluation(site: Path) -> None:
     assert shown[:2] == re.findall(r"\d+ %", sentence)
 
 
+@pytest.mark.slow
 def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
     for path in site.rglob("*.html"):
         text = path.read_text()
@@ -91,6 +94,7 @@ def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
         )
 
 
+@pytest.mark.slow
 def test_links_are_shown_with_a_card(site: Path) -> None:
     page = (site / "tasks.html").read_text()
     names = re.search(r'property="?og:image"? content="?([^">\s]+)', page)
@@ -151,6 +155,7 @@ def test_the_search_works_in_a_folder(browser: Any, site: Path) -> None:
             page.wait_for_url("**/tasks.html*")
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_the_demo_starts_when_it_is_asked_for(browser: Any, site: Path) -> None:
     with opened(browser, site / "index.html") as page:
@@ -159,6 +164,7 @@ def test_the_demo_starts_when_it_is_asked_for(browser: Any, site: Path) -> None:
         page.frame_locator(".live iframe").locator("canvas").first.wait_for()
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_who_wants_no_motion_sees_a_still(browser: Any, site: Path) -> None:
     for motion, name in (("reduce", "tour.jpg"), ("no-preference", "tour.webp")):
@@ -190,6 +196,7 @@ def test_faint_texts_are_found(browser: Any, tmp_path: Path) -> None:
     assert [fault[-2] for fault in found["faults"]] == ["a", "d", "e"]  # 4.48, 2.99 and 2.6 to 1
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_it_is_read_on_a_phone(browser: Any, site: Path) -> None:
     for name in ("index", "overview", "evaluation", "gallery", "formats", "404"):

@@ -555,6 +555,7 @@ def test_penalties_are_the_slopes_of_mean_opacity_and_mean_scale():
 # --- photos and measures ---
 
 
+@pytest.mark.slow
 def test_photos_beyond_the_budget_are_read_again(tmp_path, monkeypatch):
     path = tmp_path / "photo.png"
     Image.fromarray(np.full((112, 160, 3), 51, np.uint8)).save(path)

@@ -110,6 +110,7 @@ def test_two_photos_are_enough(views, surface):
     assert median_off(surface, found.positions) < 0.05
 
 
+@pytest.mark.slow
 def test_photos_of_a_lens_are_understood_by_it(views, surface, tmp_path):
     curved = bent(views[:3], tmp_path)
     found = triangulate(curved)

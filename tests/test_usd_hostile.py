@@ -49,6 +49,7 @@ def written(path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".usdc", ".usdz"])
 def test_damaged_files_are_refused_or_sound(suffix: str, tmp_path: Path) -> None:
     """The file that the process read last is left where it does not come to its end."""

@@ -121,6 +121,7 @@ def test_colmap_models(memory_path, bounded_memory, write):
     survive([points], lambda: check_points(memory_path), quota(1500))
 
 
+@pytest.mark.slow
 def test_transforms_json(memory_path, bounded_memory):
     document = transforms_document(images=IMAGES[:2])
     document |= {"applied_transform": np.eye(4)[:3].tolist(), "camera_angle_x": 1.0, "k1": 0.01}
@@ -139,6 +140,7 @@ def test_dataparser_transforms(memory_path, bounded_memory):
     survive([path], lambda: check_views(read_views(memory_path)), quota(1000))
 
 
+@pytest.mark.slow
 def test_cameras_json(memory_path, bounded_memory):
     path = write_json(memory_path / "cameras.json", cameras_json_document())
     write_photos(memory_path, IMAGES[:2])

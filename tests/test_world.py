@@ -203,6 +203,7 @@ def test_the_same_seed_makes_the_same_room() -> None:
     assert [o.position for o in a.objects] != [o.position for o in c.objects]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(2))
 def test_cameras_stand_free_and_see_things(seed: int) -> None:
     made = room(seed)
