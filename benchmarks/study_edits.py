@@ -121,12 +121,12 @@ def _object(scene: Scene, words: str) -> int:
     return int(np.bincount(owners[owners >= 0]).argmax())
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path)
     parser.add_argument("output", type=Path)
     parser.add_argument("--side", type=int, default=480)
-    given = parser.parse_args()
+    given = parser.parse_args(arguments)
     study = Study(given.folder)
     tiles: list[OtherPixels] = []
     for words, edits in cases(study):

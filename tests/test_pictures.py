@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmarks import study_edits
 from benchmarks.suite import stamps
 from PIL import Image
 from scripts import pictures
@@ -25,7 +26,7 @@ DRAWN_AGAIN = {
     "use_find.jpg", "use_list.jpg", "use_change.jpg", "card.png", "demo.jpg", "objects.jpg", "attributes.jpg",
     "film.jpg", "tour.jpg",
 }  # fmt: skip
-WITH_ANOTHER = {"tour.webp": "tour.jpg", "edits.jpg": None}  # the film of that still; a slow test
+SLOWLY, WITH_ITS_STILL = {"edits.jpg"}, {"tour.webp"}
 MOST_LEVELS = 1.0  # of 255, in the mean; another answer makes several
 
 
@@ -55,13 +56,19 @@ def test_pictures_of_the_demo_are_drawn_again_alike(demo: Path, tmp_path: Path) 
     assert not older, f"{older}: make them again with scripts/make_pictures.py DEMO and scripts/make_film.py DEMO"
 
 
+@pytest.mark.slow
+def test_pictures_of_edits_are_drawn_again_alike(demo: Path, tmp_path: Path) -> None:
+    study_edits.main([str(demo), str(tmp_path / "edits.jpg"), "--side", "165"])
+    assert mean_difference(IMAGES / "edits.jpg", tmp_path / "edits.jpg") < MOST_LEVELS
+
+
 def test_other_pictures_are_as_new_as_what_they_show() -> None:
     assert pictures.older() == {}, "make them again, or look at them; then `python -m scripts.pictures NAME...`"
 
 
 def test_each_picture_is_held_in_one_way() -> None:
     there = {path.name for path in IMAGES.iterdir() if path.suffix in (".jpg", ".png", ".webp")}
-    ways = [DRAWN_AGAIN, set(WITH_ANOTHER), set(pictures.MADE)]
+    ways = [DRAWN_AGAIN, SLOWLY, WITH_ITS_STILL, set(pictures.MADE)]
     assert there == set().union(*ways)
     assert sum(map(len, ways)) == len(there)
     assert all(path.exists() for made in pictures.MADE.values() for path in made.inputs)

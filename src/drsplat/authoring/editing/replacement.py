@@ -82,7 +82,7 @@ def fitted(goes: Box, comes: Box) -> Float64[np.ndarray, "4 4"]:
 
 
 def placed_in(
-    scene: Gaussians, ids: Ids, up: Vector, other: Gaussians, others: Ids, up_there: Vector
+    scene: Gaussians, ids: Ids, up: Vector, other: Gaussians, others: Int64[np.ndarray, " k"], up_there: Vector
 ) -> Float64[np.ndarray, "4 4"]:  # fmt: skip
     """Return `fitted` for the boxes of rows of this scene and of another. up: unit directions in each of them."""
     goes, comes = box_of(scene, solid(scene, ids), up), box_of(other, solid(other, others), up_there)
