@@ -105,45 +105,76 @@ async def refused(client: Client, tool: str, **arguments: Any) -> str:
     return str(result.content[0].text)  # type: ignore[union-attr]
 
 
+FOOD, ON, NEAR_TO = "something to eat", "table", "candle"
+
+
+def at(point: Any) -> str:
+    return "({:.2f}, {:.2f}, {:.2f})".format(*point)
+
+
+async def answers(client: Client) -> dict[str, dict[str, Any]]:
+    """What is said of the demo's room: what there is to eat on the table, and which is nearer to the candle."""
+    (scene,) = (await told(client, "list_scenes"))["scenes"]
+    on_table = await told(client, "count", text=FOOD, on=ON)
+    candle = await told(client, "where_is", text=NEAR_TO)
+    names = [(await told(client, "what_is_at", point=place))["words"][0]["name"] for place in on_table["centers"]]
+    return {
+        "scene": scene,
+        "located": await told(client, "locate", text=FOOD),
+        "on_table": on_table,
+        "candle": candle,
+        "names": dict(zip(names, on_table["centers"], strict=True)),
+        "apart": {name: await told(client, "how_far_apart", first=name, second=NEAR_TO) for name in names},
+        "region": await told(client, "describe_region", center=candle["best"]["center"], radius=0.35),
+    }
+
+
 @pytest.mark.slow
-def test_ten_calls_tell_what_to_eat_is_on_the_table_and_which_is_nearest_to_the_candle(
+def test_what_there_is_to_eat_on_the_table_and_which_is_nearest_to_the_candle(
     room: Path, truth: dict[str, np.ndarray]
 ) -> None:
-    apple, carrot, candle = (truth[n] for n in ("yellow apple", "orange carrot", "blue candle"))
+    """The same that docs/serve.md quotes, number by number, so that nothing else stands there."""
+    shown: list[Any] = []
 
-    async def talk(client: Client) -> None:
-        (scene,) = (await told(client, "list_scenes"))["scenes"]
-        name = scene["name"]
-        assert scene["num_gaussians"] > scene["num_registered"] > 90_000
-        food = await told(client, "locate", text="something to eat", scene=name)
-        assert food["num_matches"] == 2
-        on_table = await told(client, "count", text="something to eat", on="table", scene=name)
-        assert (on_table["count"], on_table["of"]) == (2, 2)
-        near = [np.linalg.norm(np.array(on_table["centers"]) - at, axis=1).min() for at in (apple, carrot)]
-        assert max(near) < 0.06
-        where = await told(client, "where_is", text="candle", scene=name)
-        assert np.linalg.norm(np.array(where["best"]["center"]) - candle) < 0.03
-        first, second = on_table["centers"]
-        names = [(await told(client, "what_is_at", point=at, scene=name))["words"][0]["name"] for at in (first, second)]
-        names.sort(reverse=True)
-        assert names == ["yellow apple", "orange carrot"]
-        distances = [await told(client, "how_far_apart", first=one, second="candle", scene=name) for one in names]
-        for told_, at in zip(distances, (apple, carrot), strict=True):
-            assert told_["center_distance"] == pytest.approx(np.linalg.norm(at - candle), abs=0.06)
-            assert 0 < told_["gap"] < told_["center_distance"]
-            assert told_["units"] == "scene units"
-        assert distances[1]["center_distance"] < distances[0]["center_distance"]
-        region = await told(client, "describe_region", center=where["best"]["center"], radius=0.35)
-        present = {part["name"] for part in region["parts"]}
-        assert {"table", "candle"} <= present
-        assert present & {"green toy duck", "toy duck"}
-        shown = await client.call_tool("show", {"text": "toy duck", "scene": name})
-        picture = Image.open(io.BytesIO(base64.b64decode(shown.content[1].data)))  # type: ignore[union-attr]
-        assert (picture.format, picture.size) == ("PNG", (640, 480))
-        colourful = np.ptp(np.asarray(picture.convert("RGB"), int), axis=-1) > 60
-        assert 0.001 < colourful.mean() < 0.2
+    async def talk(client: Client) -> dict[str, dict[str, Any]]:
+        shown.append((await client.call_tool("show", {"text": FOOD})).content[1].data)  # type: ignore[union-attr]
+        return await answers(client)
 
-    over_stdio(room, talk)
+    said = over_stdio(room, talk)
+    picture = Image.open(io.BytesIO(base64.b64decode(shown[0])))
+    assert (picture.format, picture.size) == ("PNG", (640, 480))
+    assert 0.001 < (np.ptp(np.asarray(picture.convert("RGB"), int), axis=-1) > 60).mean() < 0.2
+    assert said["scene"]["num_gaussians"] > said["scene"]["num_registered"] > 90_000
+    assert (said["on_table"]["count"], said["on_table"]["of"], said["located"]["num_matches"]) == (2, 2, 2)
+    candle = truth["blue candle"]
+    assert np.linalg.norm(np.array(said["candle"]["best"]["center"]) - candle) < 0.03
+    assert sorted(said["names"]) == ["orange carrot", "yellow apple"]
+    for name, apart in said["apart"].items():
+        assert np.linalg.norm(said["names"][name] - truth[name]) < 0.06
+        assert apart["center_distance"] == pytest.approx(np.linalg.norm(truth[name] - candle), abs=0.06)
+        assert 0 < apart["gap"] < apart["center_distance"]
+        assert apart["units"] == "scene units"
+    distances = {name: apart["center_distance"] for name, apart in said["apart"].items()}
+    present = [part["name"] for part in said["region"]["parts"]]
+    assert {"table", "candle"} <= set(present)
+    quoted = [
+        ("`list_scenes`", f"one scene, {said['scene']['num_gaussians']:,} Gaussians", ""),
+        (f"`locate` {FOOD}", "2", "2"),
+        (f"`count` {FOOD} `on` {ON}", "2", "2"),
+        (f"`where_is` {NEAR_TO}", at(said["candle"]["best"]["center"]), at(candle)),
+        *((f"`what_is_at` {at(place)}", name, name) for name, place in said["names"].items()),
+        *(
+            (f"`how_far_apart` {name}, {NEAR_TO}", f"{length:.2f}", f"{np.linalg.norm(truth[name] - candle):.2f}")
+            for name, length in distances.items()
+        ),
+        (f"`describe_region` 0.35 about the {NEAR_TO}", ", ".join(present[:4]) + ", ...", ""),
+        (f"`show` {FOOD}", "a picture", ""),
+    ]
+    rows = "".join(f"| {' | '.join(row)} |\n".replace("|  |", "| |") for row in quoted)
+    document = (Path(__file__).parent.parent / "docs/serve.md").read_text(encoding="utf-8")
+    assert rows in document, f"docs/serve.md quotes other answers than these:\n{rows}"
+    nearest = min(distances, key=lambda name: distances[name])
+    assert f"So: two, and the {nearest.split()[1]} is nearer." in document
 
 
 @pytest.mark.slow
