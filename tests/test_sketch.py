@@ -10,7 +10,6 @@ from safetensors.numpy import load, save
 from catalogued import boxes_of
 from drsplat import Query, Scene, WordEncoder
 from drsplat.errors import FormatError
-from drsplat.query.ranking import Described
 from drsplat.query.sketch import Sketch, SketchedScene, _Copies, sketch_of
 from known_objects import known_scene
 
@@ -29,11 +28,7 @@ def sketch(scene: Scene) -> Sketch:
 
 
 def sketched(scene: Scene, sketch: Sketch, labels: tuple[str | None, ...] = (None, None, None)) -> SketchedScene:
-    objects = scene.field.objects
-    assert objects is not None
-    descriptors = [objects.descriptors_of(node) for node in objects.things.tolist()]
-    described = Described.of(descriptors, scene.field.encoder.dim)
-    return SketchedScene(sketch, described, labels, scene.field.encoder, WordEncoder)
+    return SketchedScene(sketch, labels, scene.field.encoder, WordEncoder)
 
 
 @pytest.mark.parametrize(

@@ -24,7 +24,6 @@ from .defaults import MIN_GAUSSIANS, RELEVANCY
 from .measuring import Background, Measuring
 from .objects import objects_of
 from .query import Query
-from .ranking import Described
 from .scene import Scene
 from .thresholds import PEAK
 
@@ -128,10 +127,10 @@ def _vectors(data: Int8[np.ndarray, "p D"], steps: Float32[np.ndarray, " D"], di
 
 def _unit(vectors: Float32[np.ndarray, "p D"]) -> Float32[np.ndarray, "p D"]:
     """Bring rounded unit vectors back to unit length. Raises: ValueError: they are far from unit."""
-    lengths = np.linalg.norm(vectors, axis=1, keepdims=True)
+    lengths = np.sqrt(np.einsum("pd,pd->p", vectors, vectors))
     if (np.abs(lengths - 1) > 0.5).any():
         raise ValueError("vectors that are not of unit length")
-    return np.asarray(vectors / lengths, np.float32)
+    return np.asarray(vectors / lengths[:, None], np.float32)
 
 
 def _check(
@@ -225,20 +224,14 @@ class _Usual(Background):
 class SketchedScene:
     """A sketch that is asked, with a scene's own rules.
 
-    Args: described: what each object looks like. labels: the names that people gave to objects, None for none.
-    source: makes the encoder of queries.
+    Args: labels: the names that people gave to objects, None for none. source: makes the encoder of queries.
     """
 
     def __init__(
-        self,
-        sketch: Sketch,
-        described: Described,
-        labels: Sequence[str | None],
-        encoder: EncoderIdentity,
-        source: Callable[[], Encoder],
+        self, sketch: Sketch, labels: Sequence[str | None], encoder: EncoderIdentity, source: Callable[[], Encoder]
     ) -> None:
         self._solid, self._labels = sketch.solid, labels
-        self._background = _Usual(_field_of(sketch, described, encoder), source, threads=1)
+        self._background = _Usual(_field_of(sketch, encoder), source, threads=1)
 
     def answers(self, query: Query) -> Int64[np.ndarray, " a"]:
         """Return the numbers of the objects that the scene answers a text, a vector or a picture with, ascending.
@@ -256,7 +249,7 @@ class SketchedScene:
         return np.asarray(numbers[self._solid[numbers] >= MIN_GAUSSIANS], np.int64)
 
 
-def _field_of(sketch: Sketch, described: Described, encoder: EncoderIdentity) -> LanguageField:
+def _field_of(sketch: Sketch, encoder: EncoderIdentity) -> LanguageField:
     """Return a field with copies of the sketch's vectors as its features."""
     of_row = np.repeat(np.arange(len(sketch.counts)), sketch.counts)
     count, pictures = len(of_row), len(sketch.pictures)
@@ -268,18 +261,17 @@ def _field_of(sketch: Sketch, described: Described, encoder: EncoderIdentity) ->
         scene="",
         num_gaussians=count,
         evidence=Evidence(csr_array((count, pictures), dtype=np.float32), masks, sketch.pictures),
-        objects=_objects(sketch.numbers[of_row], described),
+        objects=_objects(sketch.numbers[of_row], len(sketch.solid)),
     )
     return field.with_contrast(sketch.words, ("",) * len(sketch.words)) if len(sketch.words) else field
 
 
-def _objects(number_of_row: Int32[np.ndarray, " r"], described: Described) -> Objects:
-    """Return objects without places: the rows of each and what it looks like."""
-    count = len(described.starts) - 1
+def _objects(number_of_row: Int32[np.ndarray, " r"], count: int) -> Objects:
+    """Return objects without places and descriptors: the rows of each."""
     no_places, nothing = np.zeros((count, 3)), np.zeros(count, np.float32)
     return Objects(
         number_of_row, np.full(count, -1, np.int32), np.full(count, THING, np.uint8), nothing,
         no_places, np.broadcast_to(np.eye(3), (count, 3, 3)).copy(), no_places, nothing, np.zeros(count, np.int32),
         np.zeros(count + 1, np.int64), np.empty(0, np.int32), np.empty(0, np.float32),
-        described.starts, described.descriptors,
+        np.zeros(count + 1, np.int64), np.empty((0, 1), np.float32),
     )  # fmt: skip

@@ -29,7 +29,8 @@ def with_objects(
     well by chance hides a thing.
     """
     spoken = highest_share(values, things)
-    spoken = np.where(pieces >= 0, np.maximum(spoken, highest_share(values, pieces)), spoken)
+    if (pieces >= 0).any():
+        spoken = np.where(pieces >= 0, np.maximum(spoken, highest_share(values, pieces)), spoken)
     whole = np.float32(1 - TRUST) * values + np.float32(TRUST) * spoken
     return np.where(things >= 0, whole, values)
 

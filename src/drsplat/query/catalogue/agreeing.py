@@ -13,10 +13,10 @@ from ...scene.encoders import Encoder
 from .. import Query
 from ..sketch import Sketch, SketchedScene
 from .conditions import scenes_sql
-from .table import CURE, Snapshot, described_of
+from .table import CURE, Snapshot
 
 MAX_CACHED_SCENES = 64  # sketches in memory
-COLUMNS = ("scene", "object_id", "descriptors", "label", "sketch")
+COLUMNS = ("scene", "object_id", "label", "sketch")
 MISSING = -2  # in place of a number that a damaged row lacks
 
 
@@ -67,7 +67,6 @@ class SceneRules:
 def _read(snapshot: Snapshot, names: Sequence[str], source: Callable[[], Encoder]) -> dict[str, SketchedScene]:
     """Read scenes from the table. Raises: FormatError: one has no sketch, or other objects than its sketch."""
     rows = snapshot.rows(scenes_sql(names), COLUMNS)
-    described = described_of(rows["descriptors"], snapshot.path)
     scene_of_row = np.asarray(rows["scene"].to_pylist(), np.object_)
     numbers = np.asarray(rows["object_id"].fill_null(MISSING))
     scenes = {}
@@ -82,5 +81,5 @@ def _read(snapshot: Snapshot, names: Sequence[str], source: Callable[[], Encoder
         except FormatError as error:
             raise FormatError(f"{snapshot.path}: scene {name!r:.80} has {error}: {CURE}") from error
         labels = rows["label"].take(own[1:]).to_pylist()
-        scenes[name] = SketchedScene(sketch, described.rows(own[1:]), labels, snapshot.encoder, source)
+        scenes[name] = SketchedScene(sketch, labels, snapshot.encoder, source)
     return scenes

@@ -9,7 +9,7 @@ from ..ranking import Described
 from .codes import Coded
 from .table import ROW_ID, Snapshot, described_of, libraries
 
-REFINE_FACTOR = 2  # candidates compared exactly, per wanted object
+REFINE_FACTOR = 4  # candidates compared exactly, per wanted object
 FEW_ROWS = 20_000  # that meet a condition: comparing them all is quicker than the codes of all
 
 
@@ -45,7 +45,7 @@ def nearest_objects(snapshot: Snapshot, codes: Coded | None, search: Search) -> 
 
 
 def _by_codes(snapshot: Snapshot, codes: Coded, search: Search, allowed: Int64[np.ndarray, " a"] | None) -> Any:
-    """Return the rows of the best codes, twice as many as are wanted; codes of deleted ones are passed over."""
+    """Return the rows of the best codes, four times as many as are wanted; codes of deleted ones are passed over."""
     least = count = REFINE_FACTOR * search.wanted
     while True:
         found = codes.nearest(search.vector, count, allowed, search.threads)

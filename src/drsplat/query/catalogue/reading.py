@@ -1,7 +1,5 @@
 """Rows of the table to entries, checked on the way: the files may come from anybody."""
 
-from collections import Counter
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +14,7 @@ from ..ranking import Ranked
 from .agreeing import SceneRules
 from .conditions import of_scene
 from .entries import Entry, Position, SceneEntry, checked_jpeg
-from .table import CURE, ROW_ID, Snapshot
+from .table import CURE, ROW_ID, Snapshot, libraries
 
 TEXTS = ("scene", "field", "added", "label", "name", "photo", "mask", "thumbnail")
 NUMBERS = ("x", "y", "z", "sure", "num_gaussians", "num_views", "object_id", "tile")
@@ -61,24 +59,26 @@ def thumbnail_of(snapshot: Snapshot, scene: str, object_id: int, tile: int) -> b
 def listed_of(snapshot: Snapshot) -> list[SceneEntry]:
     """Return all scenes, by name. Raises: FormatError: damaged."""
     objects = snapshot.rows("object_id >= 0", ["scene", "sure", "num_views", "label"])
-    counts = Counter(objects["scene"].to_pylist())
-    agreed = num_agreed(*(objects[name].to_pylist() for name in ("scene", "sure", "num_views", "label")))
+    counts, listed_counts = _counts(objects["scene"]), _counts(objects["scene"].filter(_is_listed(objects)))
     rows = snapshot.rows("object_id = -1", ["scene", "added", "field", "folder"]).to_pylist()
     if any(row[key] is None for row in rows for key in ("scene", "added", "field")):
         raise FormatError(f"{snapshot.path}: {CURE}")
-    listed = [_listed(row, counts[row["scene"]], agreed[row["scene"]]) for row in rows]
+    listed = [_listed(row, counts.get(row["scene"], 0), listed_counts.get(row["scene"], 0)) for row in rows]
     return sorted(listed, key=lambda entry: entry.scene)
 
 
-def num_agreed(
-    scenes: Sequence[str], sure: Sequence[float | None], num_views: Sequence[int | None], labels: Sequence[str | None]
-) -> Counter[str]:
-    """Count the objects of each scene that photos agree on, or people named, from columns of the table."""
-    is_agreed = agreed(
-        np.array([value or 0 for value in sure], np.float32), np.array([value or 0 for value in num_views], np.int64)
-    )
-    is_listed = is_agreed | np.array([bool(label) for label in labels], np.bool_)
-    return Counter(scene for scene, listed in zip(scenes, is_listed.tolist(), strict=True) if listed)
+def _is_listed(objects: Any) -> Any:
+    """Return the mask, of Arrow, of the objects that photos agree on or people named."""
+    _, pa = libraries()
+    sure, num_views = (np.asarray(objects[name].fill_null(0)) for name in ("sure", "num_views"))
+    has_name = np.asarray(objects["label"].fill_null("")) != ""
+    return pa.array(agreed(sure.astype(np.float32), num_views.astype(np.int64)) | has_name)
+
+
+def _counts(scenes: Any) -> dict[str, int]:
+    """Return how often each name stands in a column."""
+    counts = scenes.value_counts()
+    return dict(zip(counts.field("values").to_pylist(), counts.field("counts").to_pylist(), strict=True))
 
 
 def _listed(row: dict[str, Any], num_objects: int, num_agreed: int) -> SceneEntry:

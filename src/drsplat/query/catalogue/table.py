@@ -397,10 +397,10 @@ def described_of(column: Any, path: Path) -> Described:
     lengths = np.asarray(lists.value_lengths().fill_null(0), np.int64)
     vectors = lists.flatten()
     flat = np.asarray(vectors.flatten(), np.float16).astype(np.float32).reshape(-1, vectors.type.list_size)
-    norms = np.linalg.norm(flat, axis=1, keepdims=True)
+    norms = np.sqrt(np.einsum("pd,pd->p", flat, flat))
     if len(flat) != lengths.sum() or not (np.isfinite(norms) & (norms > 0.5) & (norms < 2)).all():
         raise FormatError(f"{path}: descriptors that are no unit vectors: {CURE}")
-    return Described(flat / norms, np.append(0, np.cumsum(lengths)))
+    return Described(flat / norms[:, None], np.append(0, np.cumsum(lengths)))
 
 
 CURE = "the table is damaged: restore it from a copy, or remove the folder and add its scenes again"
