@@ -243,7 +243,7 @@ def test_numbers_that_are_none_are_refused(name: str, tmp_path: Path) -> None:
 def test_what_is_too_large_for_the_format_is_refused_before_it_is_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(glb_writing, "MOST_BYTES", 10_000)
+    monkeypatch.setattr(glb_writing, "MAX_FILE_BYTES", 10_000)
     with pytest.raises(InputError, match=r"scene\.glb would have .* GB, and a GLB holds up to"):
         write_scene(tmp_path / "scene.glb", LabelledScene(made(100)))
     assert not list(tmp_path.iterdir())

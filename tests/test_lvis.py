@@ -124,7 +124,7 @@ def test_large_polygons_are_filled_in_pieces(monkeypatch):
 
     points = np.random.default_rng(0).uniform(0, 40, (30, 2))
     whole = fill_polygon(points, 37, 41)
-    monkeypatch.setattr(rle, "_CROSSINGS", 1)
+    monkeypatch.setattr(rle, "_BLOCK_CROSSINGS", 1)
     np.testing.assert_array_equal(fill_polygon(points, 37, 41), whole)
     assert 0 < whole.sum() < whole.size
 

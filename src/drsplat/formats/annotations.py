@@ -20,8 +20,8 @@ from .replacing import replacing
 from .scenes import companion
 
 KIND, FORMAT, VERSION = "FeatureCollection", "drsplat annotations", 1
-MOST = 10_000  # annotations of a file
-PATIENCE = 10.0  # seconds for another process that writes
+MAX_ANNOTATIONS = 10_000  # of a file
+PATIENCE_SECONDS = 10.0  # for another process that writes
 Annotations = tuple[Annotation, ...]
 
 
@@ -47,13 +47,15 @@ class AnnotationFile:
     @contextmanager
     def held(self) -> Iterator[None]:
         """Keep others from writing it while the block runs. Raises: InputError: another process does."""
-        with claimed_output(self.path, PATIENCE):
+        with claimed_output(self.path, PATIENCE_SECONDS):
             yield
 
     def write(self, annotations: Annotations) -> None:
         """Write the annotations; the caller must hold the file. Raises: InputError: too many, or no place to write."""
-        if len(annotations) > MOST:
-            raise InputError(f"{self.path}: would have {len(annotations):,} annotations, the most are {MOST:,}")
+        if len(annotations) > MAX_ANNOTATIONS:
+            raise InputError(
+                f"{self.path}: would have {len(annotations):,} annotations, the most are {MAX_ANNOTATIONS:,}"
+            )
         text = json.dumps(document_of(annotations), ensure_ascii=False, indent=1)
         with replacing(self.path, overwrite=True) as file:
             file.write(f"{text}\n".encode())
@@ -99,8 +101,8 @@ def annotations_of(document: object, where: str) -> Annotations:
     if document.get("version", VERSION) != VERSION:
         raise FormatError(f"{where}: version {excerpt(document.get('version'))}; this drsplat reads {VERSION}")
     features = document.get("features")
-    if not isinstance(features, list) or len(features) > MOST:
-        raise FormatError(f"{where}: expected a list of up to {MOST:,} features")
+    if not isinstance(features, list) or len(features) > MAX_ANNOTATIONS:
+        raise FormatError(f"{where}: expected a list of up to {MAX_ANNOTATIONS:,} features")
     return tuple(_annotation(one, f"{where}: feature {number}") for number, one in enumerate(features, start=1))
 
 

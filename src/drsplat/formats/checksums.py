@@ -18,9 +18,10 @@ from ..errors import FormatError
 from .json_files import document_in
 
 TENSORS, HEADER, DOCUMENT, ROWS = "crc32", "crc32_header", "crc32", "crc32_rows"
-LARGE, AT_ONCE = 1 << 22, 4  # bytes from which a thread is worth its start; threads
+MIN_THREADED_BYTES = 1 << 22  # of an array whose checksum is worth a thread's start
+MAX_THREADS = 4
 READ_BYTES = 1 << 20
-INDENTS = (1, 2)  # that we write JSON documents with
+JSON_INDENTS = (1, 2)  # those that we write documents with
 
 
 def hash_file(path: Path) -> str:
@@ -134,7 +135,7 @@ def check_document(path: Path) -> None:
         content = file.read()
     document = document_in(content, str(path))
     check_seal(document if isinstance(document, dict) else {}, str(path))
-    if content.removesuffix(b"\n") not in {json.dumps(document, indent=indent).encode() for indent in INDENTS}:
+    if content.removesuffix(b"\n") not in {json.dumps(document, indent=indent).encode() for indent in JSON_INDENTS}:
         raise FormatError(f"{path}: damaged or edited: it is not what was written")
 
 
@@ -161,9 +162,9 @@ def _of_json(document: object) -> str:
 
 def _sums(tensors: Mapping[str, np.ndarray]) -> dict[str, str]:
     """Return the checksum of each tensor; large ones are hashed in parallel."""
-    if max((array.nbytes for array in tensors.values()), default=0) < LARGE:
+    if max((array.nbytes for array in tensors.values()), default=0) < MIN_THREADED_BYTES:
         return {name: _hex(pieces(array)) for name, array in tensors.items()}
-    with ThreadPoolExecutor(AT_ONCE) as pool:
+    with ThreadPoolExecutor(MAX_THREADS) as pool:
         return dict(zip(tensors, pool.map(lambda array: _hex(pieces(array)), tensors.values()), strict=True))
 
 

@@ -21,7 +21,7 @@ IMAGE = struct.Struct("<I7dI")  # id, quaternion, translation, camera id; then n
 POINT = struct.Struct("<Q3d3BdQ")  # id, xyz, rgb, error, length of the track; then the track
 _OBSERVATION_BYTES = 24
 _TRACK_BYTES = 8
-_MAX_NAME = 4096
+_MAX_NAME_BYTES = 4096
 
 
 class _Cursor:
@@ -46,7 +46,7 @@ class _Cursor:
         return int(count)
 
     def name(self) -> str:
-        end = self._content.find(b"\0", self._at, self._at + _MAX_NAME)
+        end = self._content.find(b"\0", self._at, self._at + _MAX_NAME_BYTES)
         if end < 0:
             raise FormatError(f"{self.path}: an image name at byte {self._at} does not end")
         raw, self._at = self._content[self._at : end], end + 1

@@ -15,11 +15,11 @@ from ..errors import FormatError, InputError
 from .tensors import check_tensors, read_tensors, write_tensors
 
 FORMAT = "drsplat features 1"
-MOST_PIXELS = 1 << 27
+MAX_PIXELS = 1 << 27
 """Most pixels of a map, beyond any photo; it bounds what a file decompresses to."""
-_WIDE = 1 << 16  # embeddings, from which on ids are kept in 32 bits
-_STRENGTH = 12  # of zstd: a third smaller than its default, and still far quicker than embedding
-_CHUNK = 1 << 20
+_MIN_WIDE_EMBEDDINGS = 1 << 16  # from this number on, ids take 32 bits
+_ZSTD_LEVEL = 12  # a third smaller than at its default, and still far quicker than embedding
+_CHUNK_BYTES = 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,12 +64,12 @@ def write_compact(
     """
     planes = mask_ids.reshape(-1, *mask_ids.shape[-2:])
     height, width = planes.shape[1:]
-    if not 0 < height * width <= MOST_PIXELS:
-        raise InputError(f"mask_ids: expected 1 to {MOST_PIXELS:,} pixels, got {width}x{height}")
+    if not 0 < height * width <= MAX_PIXELS:
+        raise InputError(f"mask_ids: expected 1 to {MAX_PIXELS:,} pixels, got {width}x{height}")
     levels = [next(i for i, one in enumerate(planes) if np.array_equal(one, plane)) for plane in planes]
     kept = sorted(set(levels))
     dtype = _dtype(len(embeddings))
-    squeeze = zstandard.ZstdCompressor(level=_STRENGTH, write_content_size=False).compress
+    squeeze = zstandard.ZstdCompressor(level=_ZSTD_LEVEL, write_content_size=False).compress
     tensors = {
         f"map_{number}": np.frombuffer(squeeze((planes[index] + 1).astype(dtype).tobytes()), np.uint8)
         for number, index in enumerate(kept)
@@ -93,8 +93,8 @@ def read_compact(path: Path) -> CompactFile:
     size, levels = (_counts(about.get(name), f"{path}: {name}") for name in ("size", "levels"))
     names = [f"map_{number}" for number in range(len(set(levels)))]
     check_tensors(tensors, {"embeddings": ("float32", "n d")} | {name: ("uint8", name) for name in names}, str(path))
-    if len(size) != 2 or not 0 < size[0] * size[1] <= MOST_PIXELS or not tensors["embeddings"].shape[1]:
-        raise FormatError(f"{path}: expected maps of 1 to {MOST_PIXELS:,} pixels and embeddings, got {list(size)}")
+    if len(size) != 2 or not 0 < size[0] * size[1] <= MAX_PIXELS or not tensors["embeddings"].shape[1]:
+        raise FormatError(f"{path}: expected maps of 1 to {MAX_PIXELS:,} pixels and embeddings, got {list(size)}")
     if len(levels) not in (1, 4) or set(levels) != set(range(len(names))):
         raise FormatError(f"{path}: expected a map for each of four levels, or one, got {list(levels)}")
     return CompactFile(path, tensors["embeddings"], (size[0], size[1]), levels, tuple(tensors[name] for name in names))
@@ -102,7 +102,7 @@ def read_compact(path: Path) -> CompactFile:
 
 def _dtype(num_embeddings: int) -> np.dtype[np.unsignedinteger]:
     """Return the type of ids, which count from 1; 0 is none."""
-    return np.dtype("<u2" if num_embeddings < _WIDE else "<u4")
+    return np.dtype("<u2" if num_embeddings < _MIN_WIDE_EMBEDDINGS else "<u4")
 
 
 def _counts(text: str | None, where: str) -> tuple[int, ...]:
@@ -113,7 +113,7 @@ def _counts(text: str | None, where: str) -> tuple[int, ...]:
     if (
         not isinstance(numbers, list)
         or len(numbers) > 4
-        or not all(type(n) is int and 0 <= n <= MOST_PIXELS for n in numbers)
+        or not all(type(n) is int and 0 <= n <= MAX_PIXELS for n in numbers)
     ):
         raise FormatError(f"{where}: expected a short list of counts")
     return tuple(numbers)
@@ -124,7 +124,7 @@ def _decompressed(data: np.ndarray, path: Path, size: int) -> bytes:
     raw = bytearray()
     try:
         with zstandard.ZstdDecompressor().stream_reader(data.tobytes()) as stream:
-            while len(raw) <= size and (chunk := stream.read(_CHUNK)):
+            while len(raw) <= size and (chunk := stream.read(_CHUNK_BYTES)):
                 raw += chunk
     except zstandard.ZstdError as error:
         raise FormatError(f"{path}: damaged: {error}") from None

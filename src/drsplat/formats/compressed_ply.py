@@ -20,7 +20,7 @@ from .ply import Records, gather, read_elements
 from .ply_header import Header
 
 CHUNK_ROWS = 256
-CHUNKS = 64  # taken at once
+BLOCK_CHUNKS = 64  # that are unpacked at once
 PACKED = ("packed_position", "packed_rotation", "packed_scale", "packed_color")
 POSITION_BOUNDS = ("min_x", "min_y", "min_z", "max_x", "max_y", "max_z")
 SCALE_BOUNDS = ("min_scale_x", "min_scale_y", "min_scale_z", "max_scale_x", "max_scale_y", "max_scale_z")
@@ -100,9 +100,9 @@ def _unpack(
 
 def _within_chunks(fractions: Float32[np.ndarray, "n 3"], bounds: Float32[np.ndarray, "c 6"]) -> None:
     """Replace each fraction by the point it marks between the bounds of its row's chunk."""
-    for start in range(0, len(bounds), CHUNKS):
-        block = fractions[start * CHUNK_ROWS : (start + CHUNKS) * CHUNK_ROWS]
-        of_rows = np.repeat(bounds[start : start + CHUNKS], CHUNK_ROWS, axis=0)[: len(block)]
+    for start in range(0, len(bounds), BLOCK_CHUNKS):
+        block = fractions[start * CHUNK_ROWS : (start + BLOCK_CHUNKS) * CHUNK_ROWS]
+        of_rows = np.repeat(bounds[start : start + BLOCK_CHUNKS], CHUNK_ROWS, axis=0)[: len(block)]
         block[:] = of_rows[:, :3] * (1 - block) + of_rows[:, 3:] * block
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from ..base.contents import file_text
 from ..errors import FormatError, InputError
 
-MOST_ROWS = 1_000_000
+MAX_ROWS = 1_000_000
 
 
 def read_rows(path: Path, columns: tuple[str, ...], each: str) -> list[list[str]]:
@@ -13,7 +13,7 @@ def read_rows(path: Path, columns: tuple[str, ...], each: str) -> list[list[str]
 
     each: what a row holds, for messages.
 
-    Raises: InputError: there is no such file. FormatError: no table of these columns, or more than `MOST_ROWS`.
+    Raises: InputError: there is no such file. FormatError: no table of these columns, or more than `MAX_ROWS`.
     """
     import csv
 
@@ -23,6 +23,6 @@ def read_rows(path: Path, columns: tuple[str, ...], each: str) -> list[list[str]
         raise InputError(f"{path}: there is no such file") from None
     except (UnicodeDecodeError, csv.Error) as error:
         raise FormatError(f"{path}: expected a table in UTF-8: {error}") from None
-    if not rows or tuple(cell.strip() for cell in rows[0]) != columns or len(rows) > MOST_ROWS:
+    if not rows or tuple(cell.strip() for cell in rows[0]) != columns or len(rows) > MAX_ROWS:
         raise FormatError(f"{path}: expected the line '{','.join(columns)}', and then {each} in each")
     return rows[1:]

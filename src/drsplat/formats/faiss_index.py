@@ -18,7 +18,7 @@ from ..errors import FormatError, InputError
 _PLAIN = {b"IxPq", b"IxPQ"}
 _FLAT = {b"IxFI", b"IxF2", b"IxFl"}
 MARKS = (b"Ix", b"Iw", b"IB", b"IH")  # first bytes of the names of FAISS's kinds
-_MAX_FILE = 1 << 31
+_MAX_FILE_BYTES = 1 << 31
 
 
 class FaissQuantizer(NamedTuple):
@@ -65,7 +65,7 @@ def read_faiss_quantizer(path: str | os.PathLike[str]) -> FaissQuantizer:
     """
     path = Path(path)
     try:
-        if path.stat().st_size > _MAX_FILE:
+        if path.stat().st_size > _MAX_FILE_BYTES:
             raise FormatError(f"{path}: no product quantiser is that large")
         source = _Bytes(file_bytes(path).tobytes(), path)
     except FileNotFoundError:

@@ -33,7 +33,7 @@ from .replacing import (
 from .tensors import write_tensors
 
 MANIFEST = "field.json"
-_MAX_MANIFEST = 1 << 20
+_MAX_MANIFEST_BYTES = 1 << 20
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 
 
@@ -130,7 +130,7 @@ def refuse_to_replace_others(path: Path, mark: str = MANIFEST) -> None:
 
 
 def read_manifest(
-    path: Path, name: str = MANIFEST, what: str = "field", most: int = _MAX_MANIFEST
+    path: Path, name: str = MANIFEST, what: str = "field", most: int = _MAX_MANIFEST_BYTES
 ) -> dict[str, object]:
     """Read the JSON object of a folder. name: of its file, of at most so many bytes; what: is in the folder.
 

@@ -29,7 +29,7 @@ MEANS = ("x", "y", "z")
 NORMALS = ("nx", "ny", "nz")
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 SCALES = ("scale_0", "scale_1", "scale_2")
-THICKNESS = SCALES[2]  # which surfels have none of
+THICKNESS_PROPERTY = SCALES[2]  # surfels lack it
 QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
 ANTIALIASED, SURFELS = "SplatRenderMode: mip", "SplatRenderMode: 2dgs"  # as Brush writes it
 DRAWN_ANTIALIASED = ("splatrendermode: mip", "antialiased 1")
@@ -70,7 +70,7 @@ def gaussian_rows(buffer: memoryview, header: Header) -> Records:
     """
     names = header.elements["vertex"].names() if "vertex" in header.elements else []
     missing = [name for name in REQUIRED if name not in names]
-    if missing and missing != [THICKNESS]:
+    if missing and missing != [THICKNESS_PROPERTY]:
         raise FormatError(
             f"no 3DGS PLY: vertex has no {', '.join(missing)}; it has {', '.join(names[:12]) or 'nothing'}. Point "
             "clouds and meshes have to be trained into Gaussians first"
@@ -95,7 +95,7 @@ def gaussians_of(rows: Records) -> Gaussians:
 
 
 def _scales(rows: Records) -> Float32[np.ndarray, "n 3"]:
-    if THICKNESS in (rows.dtype.names or ()):
+    if THICKNESS_PROPERTY in (rows.dtype.names or ()):
         return exp(gather(rows, SCALES))
     return flat(exp(gather(rows, SCALES[:2])))
 

@@ -15,7 +15,7 @@ from .replacing import replacing
 
 NAME = "georeference.json"
 FORMAT, VERSION = "drsplat georeference", 1
-SQUARE = 1e-4  # how far rows of the rotation may be from unit length and right angles
+ROTATION_TOLERANCE = 1e-4  # of the rows' lengths and right angles
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ def _read(path: Path) -> Georeference:
     }
     rotation = as_matrix(document.get("enu_from_world"), 3, 3, f"{path}: enu_from_world")
     with np.errstate(over="ignore", invalid="ignore"):
-        square = np.abs(rotation @ rotation.T - np.eye(3)).max() <= SQUARE
+        square = np.abs(rotation @ rotation.T - np.eye(3)).max() <= ROTATION_TOLERANCE
     if not square or np.linalg.det(rotation) < 0:
         raise FormatError(f"{path}: enu_from_world: expected a rotation, rows east, north and up")
     if abs(numbers["longitude"]) > 180 or abs(numbers["latitude"]) > 90 or not 1e-9 <= numbers["scale"] <= 1e9:

@@ -32,7 +32,7 @@ from .glb_layout import (
     METADATA,
     OPACITY,
     OURS,
-    POINTS,
+    POINTS_MODE,
     POSITION,
     RELEVANCY,
     ROTATION,
@@ -51,8 +51,8 @@ from .labels import Labels
 from .spz import parse_spz
 
 UNDERSTOOD = (SPLATTING, SPZ, FEATURES, METADATA, "KHR_mesh_quantization", "KHR_materials_unlit")
-BYTES_OF_A_ROW = 3  # at least, of its position
-SPZ_ROWS = 100_000  # that any SPZ may unfold to, and so many for each byte of the file:
+MIN_ROW_BYTES = 3  # of its position
+FREE_SPZ_ROWS = 100_000  # that any SPZ may unfold to, besides the following for each byte of the file
 SPZ_ROWS_PER_BYTE = 12
 
 
@@ -127,7 +127,7 @@ class _Budget:
     def add_plain(self, rows: int) -> None:
         """Count rows of plain numbers. Raises: FormatError: more than the bytes can hold."""
         self.plain += rows
-        if self.plain * BYTES_OF_A_ROW > self.size:
+        if self.plain * MIN_ROW_BYTES > self.size:
             raise FormatError(f"glTF: {self.plain:,} Gaussians do not fit into {self.size:,} bytes: damaged")
 
     def use(self, view: int) -> None:
@@ -139,7 +139,7 @@ class _Budget:
     def add_unfolded(self, rows: int) -> None:
         """Count rows of an SPZ. Raises: FormatError: more than are plausible of the bytes."""
         self.unfolded += rows
-        if self.unfolded > SPZ_ROWS + SPZ_ROWS_PER_BYTE * self.size:
+        if self.unfolded > FREE_SPZ_ROWS + SPZ_ROWS_PER_BYTE * self.size:
             raise FormatError(f"glTF: {self.unfolded:,} Gaussians of {self.size:,} bytes of SPZ: damaged")
 
 
@@ -160,8 +160,8 @@ def _is_antialiased(gltf: Gltf) -> bool:
 
 def _check_meaning(primitive: Entry, extension: Entry) -> None:
     mode, kernel, space = primitive.get("mode"), extension.get("kernel", KERNEL), extension.get("colorSpace")
-    if mode != POINTS:
-        raise FormatError(f"glTF: a primitive of splats has the mode {excerpt(mode)}: expected {POINTS}, points")
+    if mode != POINTS_MODE:
+        raise FormatError(f"glTF: a primitive of splats has the mode {excerpt(mode)}: expected {POINTS_MODE}, points")
     if kernel != KERNEL:
         raise FormatError(f"glTF: splats of the kernel {excerpt(kernel)}; '{KERNEL}' can be read")
     if space == LINEAR_COLOR_SPACE:

@@ -14,12 +14,12 @@ MAGIC, VERSION = b"glTF", 2
 HEADER = struct.Struct("<4sII")  # magic, version, bytes of the file
 CHUNK = struct.Struct("<I4s")  # bytes of the chunk, its kind
 JSON_CHUNK, BINARY_CHUNK = b"JSON", b"BIN\x00"
-MOST_BYTES = 2**32 - 1  # that a header can say
+MAX_FILE_BYTES = 2**32 - 1  # a header's limit
 
 SPLATTING, SPZ = "KHR_gaussian_splatting", "KHR_gaussian_splatting_compression_spz_2"
 FEATURES, METADATA = "EXT_mesh_features", "EXT_structural_metadata"
 KERNEL, COLOR_SPACE, LINEAR_COLOR_SPACE = "ellipse", "srgb_rec709_display", "lin_rec709_display"
-POINTS = 0  # mode of a primitive
+POINTS_MODE = 0  # of a primitive
 POSITION, COLOR = "POSITION", "COLOR_0"
 ROTATION, SCALE, OPACITY = (f"{SPLATTING}:{name}" for name in ("ROTATION", "SCALE", "OPACITY"))
 HARMONICS = tuple(f"{SPLATTING}:SH_DEGREE_{degree}_COEF_{n}" for degree in range(4) for n in range(2 * degree + 1))
@@ -27,7 +27,7 @@ FEATURE_ID, RELEVANCY = "_FEATURE_ID_0", "_RELEVANCY"
 
 BYTE, UNSIGNED_BYTE, SHORT, UNSIGNED_SHORT, UNSIGNED_INT, FLOAT = 5120, 5121, 5122, 5123, 5125, 5126
 COMPONENTS = {BYTE: "<i1", UNSIGNED_BYTE: "<u1", SHORT: "<i2", UNSIGNED_SHORT: "<u2", UNSIGNED_INT: "<u4", FLOAT: "<f4"}
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT3": 9, "MAT4": 16}
+NUMBERS_OF_TYPE = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT3": 9, "MAT4": 16}
 
 OURS = "drsplat"  # the name under which `extras` of the root node say what glTF has no place for
 

@@ -9,7 +9,7 @@ from ..base.arrays import Int32
 from ..errors import FormatError
 from ..scene.labelled import Thing
 from .glb_layout import METADATA
-from .glb_tables import LENGTHS, NAME, NUMBER, PARENT
+from .glb_tables import NAME, NUMBER, NUMBERS_OF_TYPE, PARENT
 from .gltf import Entry, Gltf, inner, listed, whole_number
 from .json_files import excerpt
 from .labels import Labels
@@ -70,7 +70,7 @@ def _things(gltf: Gltf, table: Entry, num_groups: int) -> tuple[Thing, ...]:
     if kinds != BOXES or any(inner(described, name).get("componentType") != "FLOAT32" for name in BOXES):
         return ()
     count = whole_number(table.get("count"), "a table: count")
-    columns = {name: _values(gltf, table, name, "<f4", count * LENGTHS[kind]) for name, kind in BOXES.items()}
+    columns = {name: _values(gltf, table, name, "<f4", count * NUMBERS_OF_TYPE[kind]) for name, kind in BOXES.items()}
     names = _texts(gltf, inner(table, "properties", NAME), count)
     boxes = [columns[name].astype(np.float64).reshape(count, -1) for name in BOXES]
     none = np.full(count, -1)

@@ -13,7 +13,7 @@ from .gltf import Entry, Gltf, inner, listed, whole_number
 from .json_files import as_vector
 
 TURN_ABOUT_Z = np.diag([-1.0, -1.0, 1.0])
-SAME = 1e-6  # how far a rotation that was written may be from the one that is computed
+SAME_ROTATION_TOLERANCE = 1e-6  # between the entries of a rotation as stored and as computed
 Matrix = Float64[np.ndarray, "4 4"]
 
 
@@ -58,7 +58,7 @@ def is_world(node: Entry) -> bool:
     except FormatError:
         return False
     length = float(np.linalg.norm(direction))
-    return 1e-6 < length < 1e6 and bool(np.abs(given - standing_up(direction)).max() < SAME)
+    return 1e-6 < length < 1e6 and bool(np.abs(given - standing_up(direction)).max() < SAME_ROTATION_TOLERANCE)
 
 
 def local_matrix(node: Entry, number: int) -> Matrix:

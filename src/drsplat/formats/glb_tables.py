@@ -9,7 +9,7 @@ from ..errors import InputError
 from ..scene.labelled import LabelledScene, Thing, numbers_of
 
 NAME, NUMBER, PARENT, EMBEDDING = "name", "number", "parent", "embedding"
-LENGTHS = {"SCALAR": 1, "VEC3": 3, "MAT3": 9}
+NUMBERS_OF_TYPE = {"SCALAR": 1, "VEC3": 3, "MAT3": 9}
 _FLOAT = {"componentType": "FLOAT32", "required": True}
 _PARENT = {"type": "SCALAR", "componentType": "INT32", "noData": -1}
 

@@ -36,11 +36,12 @@ from .glb_layout import (
     JSON_CHUNK,
     KERNEL,
     MAGIC,
+    MAX_FILE_BYTES,
     METADATA,
-    MOST_BYTES,
+    NUMBERS_OF_TYPE,
     OPACITY,
     OURS,
-    POINTS,
+    POINTS_MODE,
     POSITION,
     RELEVANCY,
     ROTATION,
@@ -49,16 +50,15 @@ from .glb_layout import (
     UNSIGNED_BYTE,
     UNSIGNED_SHORT,
     VERSION,
-    WIDTHS,
     rotation_xyzw,
 )
 from .glb_tables import Table, tables_of
 from .replacing import replacing
 
-BLOCK = 1 << 14  # rows that are converted at once
+BLOCK_ROWS = 1 << 14  # that are converted at once
 ARRAY_BUFFER = 34962
 NO_OBJECT_SHORT, NO_OBJECT_FLOAT = 2**16 - 1, 2**24 - 1  # the last numbers that both can hold
-ALIGNMENT = 8  # of parts of the file, so that tables of 64-bit numbers may follow
+ALIGNMENT_BYTES = 8  # of parts of the file, so that tables of 64-bit numbers may follow
 Rows = Callable[[slice], np.ndarray]
 
 
@@ -74,8 +74,8 @@ class Part(NamedTuple):
         return self.num_rows * self.row_bytes
 
     def blocks(self) -> Iterator[bytes]:
-        for begin in range(0, self.num_rows, BLOCK):
-            yield np.ascontiguousarray(self.rows(slice(begin, begin + BLOCK))).tobytes()
+        for begin in range(0, self.num_rows, BLOCK_ROWS):
+            yield np.ascontiguousarray(self.rows(slice(begin, begin + BLOCK_ROWS))).tobytes()
 
 
 @dataclass
@@ -91,12 +91,12 @@ class Binary:
         """Append a part; returns the number of its view."""
         self.views.append({"buffer": 0, "byteOffset": self.size, "byteLength": part.size, **more})
         self.parts.append(part)
-        self.size += -(-part.size // ALIGNMENT) * ALIGNMENT
+        self.size += -(-part.size // ALIGNMENT_BYTES) * ALIGNMENT_BYTES
         return len(self.views) - 1
 
     def attribute(self, count: int, kind: str, component: int, rows: Rows, **more: Any) -> int:
         """Append a value per Gaussian, padded to whole words; returns the number of its accessor."""
-        dtype, width = np.dtype(COMPONENTS[component]), WIDTHS[kind]
+        dtype, width = np.dtype(COMPONENTS[component]), NUMBERS_OF_TYPE[kind]
         words = -(-width * dtype.itemsize // 4) * (4 // dtype.itemsize)
 
         def padded(block: slice) -> np.ndarray:
@@ -119,7 +119,7 @@ class Binary:
         """Yield the chunk, a block of rows at a time."""
         for part in self.parts:
             yield from part.blocks()
-            yield bytes(-part.size % ALIGNMENT)
+            yield bytes(-part.size % ALIGNMENT_BYTES)
 
 
 def write_glb(path: Path, scene: LabelledScene, overwrite: bool = False) -> None:
@@ -131,10 +131,10 @@ def write_glb(path: Path, scene: LabelledScene, overwrite: bool = False) -> None
     document = _document(scene, binary)
     head = head_of(document, binary.size)
     size = len(head) + binary.size
-    if size > MOST_BYTES:
+    if size > MAX_FILE_BYTES:
         raise InputError(
-            f"{path.name} would have {size / 1e9:.1f} GB, and a GLB holds up to {MOST_BYTES / 1e9:.2f}: write it as "
-            "PLY, SPZ or SOG, cut it into 3D Tiles, or export a part of it"
+            f"{path.name} would have {size / 1e9:.1f} GB, and a GLB holds up to {MAX_FILE_BYTES / 1e9:.2f}: write it "
+            "as PLY, SPZ or SOG, cut it into 3D Tiles, or export a part of it"
         )
     with replacing(path, overwrite) as file:
         file.write(head)
@@ -143,12 +143,12 @@ def write_glb(path: Path, scene: LabelledScene, overwrite: bool = False) -> None
 
 
 def head_of(document: dict[str, Any], binary_size: int) -> bytes:
-    """Return a GLB up to its binary chunk, which begins at a multiple of `ALIGNMENT`."""
+    """Return a GLB up to its binary chunk, which begins at a multiple of `ALIGNMENT_BYTES`."""
     text = json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode(errors="replace")
-    text += b" " * (-(HEADER.size + 2 * CHUNK.size + len(text)) % ALIGNMENT)
+    text += b" " * (-(HEADER.size + 2 * CHUNK.size + len(text)) % ALIGNMENT_BYTES)
     size = HEADER.size + 2 * CHUNK.size + len(text) + binary_size
-    length = min(size, MOST_BYTES)  # a longer one is refused before it is written
-    chunks = CHUNK.pack(len(text), JSON_CHUNK) + text + CHUNK.pack(min(binary_size, MOST_BYTES), BINARY_CHUNK)
+    length = min(size, MAX_FILE_BYTES)  # a longer one is refused before it is written
+    chunks = CHUNK.pack(len(text), JSON_CHUNK) + text + CHUNK.pack(min(binary_size, MAX_FILE_BYTES), BINARY_CHUNK)
     return HEADER.pack(MAGIC, VERSION, length) + chunks
 
 
@@ -188,7 +188,7 @@ def _primitive(scene: LabelledScene, binary: Binary) -> dict[str, Any]:
         relevancy, count = scene.relevancy, len(scene.gaussians)
         attributes[RELEVANCY] = binary.attribute(count, "SCALAR", FLOAT, lambda rows: relevancy[rows])
         extensions[METADATA] = {"propertyAttributes": [0]}
-    return {"attributes": attributes, "mode": POINTS, "extensions": extensions}
+    return {"attributes": attributes, "mode": POINTS_MODE, "extensions": extensions}
 
 
 def _splat_attributes(gaussians: Gaussians, binary: Binary) -> dict[str, int]:

@@ -15,12 +15,12 @@ import numpy as np
 
 from ..base.contents import file_bytes
 from ..errors import FormatError
-from .glb_layout import BINARY_CHUNK, CHUNK, COMPONENTS, HEADER, JSON_CHUNK, MAGIC, VERSION, WIDTHS
+from .glb_layout import BINARY_CHUNK, CHUNK, COMPONENTS, HEADER, JSON_CHUNK, MAGIC, NUMBERS_OF_TYPE, VERSION
 from .json_files import document_in, excerpt
 from .photo_files import safe_name
 
 DATA_URI = "data:"
-MOST_STRIDE = 252
+MAX_STRIDE_BYTES = 252
 Entry = dict[str, Any]
 
 
@@ -83,7 +83,7 @@ class Gltf:
             )
         if "sparse" in entry or "bufferView" not in entry:
             raise FormatError(f"{what}: sparse accessors and those without data cannot be read: write it whole")
-        dtype, width = np.dtype(COMPONENTS[component]), WIDTHS[kind]
+        dtype, width = np.dtype(COMPONENTS[component]), NUMBERS_OF_TYPE[kind]
         count, offset = (
             whole_number(entry.get("count"), f"{what}: count"),
             whole_number(entry.get("byteOffset", 0), "byteOffset"),
@@ -93,7 +93,7 @@ class Gltf:
     def _strided(self, entry: Entry, count: int, offset: int, dtype: np.dtype, width: int, what: str) -> np.ndarray:
         view, row_bytes = self.view(entry["bufferView"]), width * dtype.itemsize
         stride = self.entry("bufferViews", entry["bufferView"]).get("byteStride", row_bytes)
-        stride = whole_number(stride, f"{what}: byteStride", MOST_STRIDE + 1)
+        stride = whole_number(stride, f"{what}: byteStride", MAX_STRIDE_BYTES + 1)
         if stride < row_bytes:
             raise FormatError(f"{what}: rows of {row_bytes} bytes in steps of {stride}")
         if count and offset + (count - 1) * stride + row_bytes > len(view):

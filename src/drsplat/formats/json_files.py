@@ -10,7 +10,7 @@ from ..base.arrays import Float64
 from ..base.contents import file_text
 from ..errors import FormatError, InputError
 
-LARGEST = 1e100  # of any number: three multiplied are still finite
+MAX_NUMBER = 1e100  # the product of three is still finite
 
 
 def read_json(path: Path) -> object:
@@ -69,7 +69,7 @@ def unique_names(pairs: list[tuple[str, object]]) -> dict[str, object]:
 def as_number(value: object, where: str) -> float:
     """Return a finite float; `where` names the value in the error.
 
-    Raises: FormatError: not a number, not finite, or beyond `LARGEST`.
+    Raises: FormatError: not a number, not finite, or beyond `MAX_NUMBER`.
     """
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise FormatError(f"{where}: expected a number, got {excerpt(value)}")
@@ -77,8 +77,8 @@ def as_number(value: object, where: str) -> float:
         number = float(value)
     except OverflowError:
         number = math.inf
-    if not abs(number) <= LARGEST:
-        raise FormatError(f"{where}: expected a finite number up to {LARGEST:g}, got {excerpt(value)}")
+    if not abs(number) <= MAX_NUMBER:
+        raise FormatError(f"{where}: expected a finite number up to {MAX_NUMBER:g}, got {excerpt(value)}")
     return number
 
 

@@ -27,10 +27,10 @@ from .activation import checked
 
 MAGIC = b"\0\1\0\0"  # the version, and two bytes without a use
 CENTRE_BYTES = 12
-HALF_STEPS = 32767  # from the centre of a bucket to its side, where the header says 0
-HARMONIC_BOUNDS = (-1.5, 1.5)  # likewise
-SMALLEST_SCALE = 2.0**-25  # for 0 in half floats, which is all that is below their 2^-24
-BANDS = ((0, 1, 4), (9, 4, 9))  # first number in a row, first and last coefficient
+DEFAULT_HALF_STEPS = 32767  # from the centre of a bucket to its side, where the header has 0
+DEFAULT_HARMONIC_BOUNDS = (-1.5, 1.5)  # where the header has 0
+MIN_SCALE = 2.0**-25  # in place of 0 in half floats, which stands for all below their 2^-24
+HARMONIC_BANDS = ((0, 1, 4), (9, 4, 9))  # first number in a row, first and last coefficient
 
 
 class _Header(NamedTuple):
@@ -100,7 +100,7 @@ def parse_ksplat(buffer: memoryview) -> Gaussians:
         scales[rows], quats[rows], rgba[rows] = table["scales"], table["quats"], table["rgba"]
         _fill_further(sh[rows], table["rest"], header)
     if header.level:
-        scales[scales == 0] = SMALLEST_SCALE
+        scales[scales == 0] = MIN_SCALE
     rgba /= 255
     sh[:, 0] = (rgba[:, :3] - np.float32(0.5)) / np.float32(SH_C0)
     return checked(means, quats, scales, rgba[:, 3].copy(), sh)
@@ -187,17 +187,17 @@ def _positions(buffer: memoryview, place: _Place, table: np.ndarray) -> Float64[
     centres = np.frombuffer(buffer, "<f4", 3 * section.buckets, at + 4 * section.partial)
     full = np.full(section.full, section.bucket_rows, np.int64)
     counts = np.concatenate([full, _lengths(buffer, section, at)])
-    half = section.half_steps or HALF_STEPS
+    half = section.half_steps or DEFAULT_HALF_STEPS
     steps = table["means"].astype(np.float64) - half
     return np.asarray(steps * (section.block / 2 / half) + centres.reshape(-1, 3).repeat(counts, axis=0))
 
 
 def _fill_further(sh: Float32[np.ndarray, "n k 3"], rest: np.ndarray, header: _Header) -> None:
     """Fill in the coefficients that a row has beyond the constant one."""
-    lowest, highest = header.low or HARMONIC_BOUNDS[0], header.high or HARMONIC_BOUNDS[1]
+    lowest, highest = header.low or DEFAULT_HARMONIC_BOUNDS[0], header.high or DEFAULT_HARMONIC_BOUNDS[1]
     of_bytes = (lowest + (highest - lowest) * (np.arange(256) / 255)).astype(np.float32)
     values = of_bytes[rest] if header.level == 2 else rest
-    for start, low, high in BANDS:
+    for start, low, high in HARMONIC_BANDS:
         end = start + 3 * (high - low)
         if rest.shape[1] >= end:
             by_channel = values[:, start:end].reshape(-1, 3, high - low)

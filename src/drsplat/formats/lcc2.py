@@ -26,7 +26,7 @@ from .sog_files import beside
 from .spz import parse_spz
 
 SUFFIX = ".lcc2"
-DEEPEST = 64
+MAX_TREE_DEPTH = 64
 PARSERS = {".sog": parse_sog, ".spz": parse_spz}
 PLY_FROM_LCC = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
 
@@ -81,8 +81,8 @@ def _leaves(root: dict[str, Any], where: str) -> Iterator[dict[str, Any]]:
     waiting = [(child, 1) for child in _children(root, where)]
     while waiting:
         node, depth = waiting.pop()
-        if not isinstance(node, dict) or depth > DEEPEST:
-            raise FormatError(f"{where}: expected nodes, at most {DEEPEST} deep, got {excerpt(node)}")
+        if not isinstance(node, dict) or depth > MAX_TREE_DEPTH:
+            raise FormatError(f"{where}: expected nodes, at most {MAX_TREE_DEPTH} deep, got {excerpt(node)}")
         children = _children(node, where)
         if not children:
             yield node

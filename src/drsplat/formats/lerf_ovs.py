@@ -20,7 +20,7 @@ from ..errors import FormatError, InputError
 from .json_files import as_count, as_vector, excerpt, read_json
 from .photo_files import safe_name
 
-MAX_SIDE = 16384
+MAX_SIDE_PIXELS = 16384
 MAX_CORNERS = 1 << 16
 Polygon = Int64[np.ndarray, "_ 2"]
 Box = Float64[np.ndarray, "4"]
@@ -134,8 +134,8 @@ def _line(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _side(value: object, where: str) -> int:
     side = as_count(value, where)
-    if not 1 <= side <= MAX_SIDE:
-        raise FormatError(f"{where}: expected 1 to {MAX_SIDE} pixels, got {side}")
+    if not 1 <= side <= MAX_SIDE_PIXELS:
+        raise FormatError(f"{where}: expected 1 to {MAX_SIDE_PIXELS} pixels, got {side}")
     return side
 
 

@@ -20,7 +20,7 @@ from .photo_files import safe_name
 from .rle import decode_runs, fill_polygon, unpack_counts
 
 T = TypeVar("T")
-MAX_SIDE = 1 << 16
+MAX_SIDE_PIXELS = 1 << 16
 _MAX_COORDINATE = 1 << 20
 
 
@@ -158,7 +158,7 @@ def _by_id(entries: list[object], what: str, parse: Callable[[dict[str, object],
 
 def _photo(entry: dict[str, object], number: int, where: str) -> AnnotatedPhoto:
     height, width = (as_count(entry.get(key), f"{where}: {key}") for key in ("height", "width"))
-    if not (1 <= height <= MAX_SIDE and 1 <= width <= MAX_SIDE):
+    if not (1 <= height <= MAX_SIDE_PIXELS and 1 <= width <= MAX_SIDE_PIXELS):
         raise FormatError(f"{where}: height, width: no photo has {width}x{height} pixels")
     return AnnotatedPhoto(number, _photo_name(entry, where), height, width)
 

@@ -12,7 +12,7 @@ from .streamed_sog import LOD_META, read_streamed_labels
 from .usd import SUFFIXES as USD_SUFFIXES
 from .usd import read_usd
 
-LARGEST_NUMBER = (1 << 31) - 1  # of an object: Gaussians have them as int32
+MAX_OBJECT_NUMBER = (1 << 31) - 1  # Gaussians store it as int32
 _BY_NAME = {LOD_META: read_streamed_labels, META: read_sog_labels}
 _BY_SUFFIX = {".sog": read_sog_labels, ".spz": read_spz_labels, ".glb": labels_in_glb, ".gltf": labels_in_glb}
 
@@ -35,9 +35,9 @@ def read_labels(path: Path) -> Labels:
 def _checked(labels: Labels, path: Path) -> Labels:
     """Return labels. Raises: FormatError: a group that is not there, or a number that no Gaussian can have."""
     for thing in (*labels.things, *labels.groups):
-        if not (-1 <= thing.parent < len(labels.groups) and -1 <= thing.number <= LARGEST_NUMBER):
+        if not (-1 <= thing.parent < len(labels.groups) and -1 <= thing.number <= MAX_OBJECT_NUMBER):
             raise FormatError(
                 f"{path}: '{thing.name:.40}': expected a group from -1 to {len(labels.groups) - 1} and a number from "
-                f"-1 to {LARGEST_NUMBER}, got {thing.parent} and {thing.number}: damaged"
+                f"-1 to {MAX_OBJECT_NUMBER}, got {thing.parent} and {thing.number}: damaged"
             )
     return labels

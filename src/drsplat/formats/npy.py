@@ -21,7 +21,7 @@ _MAGIC = b"\x93NUMPY"
 _DESCR = re.compile(rb"""['"]descr['"]\s*:\s*['"]([<>|=]?[iuf][1248])['"]""")
 _ORDER = re.compile(rb"""['"]fortran_order['"]\s*:\s*(True|False)""")
 _SHAPE = re.compile(rb"""['"]shape['"]\s*:\s*\(([\d\s,]{0,200})\)""")
-_MAX_BYTES = 1 << 62  # beyond any file, within what NumPy can count
+_MAX_ARRAY_BYTES = 1 << 62  # beyond any file, within what NumPy can count
 
 
 def map_npy(path: Path) -> np.ndarray:
@@ -76,7 +76,7 @@ def _header(file: BinaryIO | BytesIO, path: Path | str) -> tuple[np.dtype[Any], 
     if len(header) < length or descr is None or order is None or shape is None:
         raise FormatError(f"{path}: expected a header of an array of integers or floats, got {header[:120]!a}")
     numbers = tuple(int(number) for number in re.findall(rb"\d+", shape[1]))
-    if not 1 <= len(numbers) <= 8 or math.prod(max(number, 1) for number in numbers) * 8 > _MAX_BYTES:
+    if not 1 <= len(numbers) <= 8 or math.prod(max(number, 1) for number in numbers) * 8 > _MAX_ARRAY_BYTES:
         raise FormatError(f"{path}: no array has the shape ({ascii(shape[1])[2:-1]})")
     try:
         return np.dtype(descr[1].decode()), numbers, "F" if order[1] == b"True" else "C"

@@ -26,9 +26,9 @@ from .tensors import map_tensors
 
 TORCH = (".pth", ".pt", ".ckpt")
 FLOATS = (np.float16, np.float32)
-MOST_DEPTH = 4  # of lists and dictionaries that a tensor may lie in
+MAX_NESTING = 4  # lists and dictionaries around a tensor
 _LAYER = re.compile(r"(?:module\.)?decoder\.(\d+)\.weight")
-CODES = 3  # numbers of LangSplat per Gaussian
+CODE_DIM = 3  # of LangSplat's codes, one a Gaussian
 
 
 @runtime_checkable
@@ -113,7 +113,7 @@ def read_peer_features(path: Path, decoder: Path | None = None) -> Rows:
         )
     if decoder is not None:
         return Decoded(np.asarray(found[:]), _layers(decoder, found.shape[1]))
-    if found.shape[1] == CODES:
+    if found.shape[1] == CODE_DIM:
         raise InputError(
             f"{path}: three numbers a Gaussian are codes of LangSplat's autoencoder: pass its checkpoint, decoder=FILE"
         )
@@ -173,10 +173,10 @@ def _torch(path: Path) -> Mapping[str, np.ndarray]:
 def _tensors(value: Any, name: str, tensor: type, depth: int = 0) -> Iterator[tuple[str, Any]]:
     if isinstance(value, tensor):
         yield name, value
-    elif depth < MOST_DEPTH and isinstance(value, Mapping):
+    elif depth < MAX_NESTING and isinstance(value, Mapping):
         for key, part in value.items():
             yield from _tensors(part, f"{name}.{key}".lstrip("."), tensor, depth + 1)
-    elif depth < MOST_DEPTH and isinstance(value, Sequence) and not isinstance(value, str | bytes):
+    elif depth < MAX_NESTING and isinstance(value, Sequence) and not isinstance(value, str | bytes):
         for number, part in enumerate(value):
             yield from _tensors(part, f"{name}.{number}".lstrip("."), tensor, depth + 1)
 
@@ -190,7 +190,7 @@ def _only(arrays: Mapping[str, np.ndarray], path: Path) -> np.ndarray:
     if len(wide) == 1:
         return next(iter(wide.values()))
     checkpoint = wide.get("0.7")
-    if checkpoint is not None and checkpoint.shape[1] == CODES and "0.1" in wide:
+    if checkpoint is not None and checkpoint.shape[1] == CODE_DIM and "0.1" in wide:
         return checkpoint  # (parameters, iteration) as 3DGS saves them: position is 0.1, LangSplat's codes are 0.7
     listed = ", ".join(f"{name or 'it'} {array.shape}" for name, array in list(wide.items())[:6]) or "none"
     raise InputError(f"{path}: expected one array of (N, D) floats, or one whose name has 'feature'; found {listed}")

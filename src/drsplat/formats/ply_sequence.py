@@ -17,8 +17,8 @@ from .ply_header import read_header
 from .scenes import read_gaussians, write_gaussians
 
 NUMBERED = re.compile(r"(.*?)(\d{1,12})\.ply", re.IGNORECASE)
-HEAD = 1 << 16  # bytes that a header is looked for in
-MOST = 100_000  # frames
+MAX_HEADER_BYTES = 1 << 16
+MAX_FRAMES = 100_000
 
 
 def frames_of(folder: Path) -> dict[int, Path]:
@@ -49,8 +49,10 @@ def read_ply_sequence(folder: Path, times: tuple[float, float] | None = None) ->
     different numbers of rows, or of no 3DGS.
     """
     found = frames_of(folder)
-    if not found or len(found) > MOST:
-        raise InputError(f"{folder}: expected 2 to {MOST:,} numbered PLY files (frame0001.ply), got {len(found):,}")
+    if not found or len(found) > MAX_FRAMES:
+        raise InputError(
+            f"{folder}: expected 2 to {MAX_FRAMES:,} numbered PLY files (frame0001.ply), got {len(found):,}"
+        )
     paths = list(found.values())
     _check_counts(paths)
     canonical = read_gaussians(paths[0])
@@ -94,7 +96,7 @@ def _check_counts(paths: list[Path]) -> None:
 
 def _count(path: Path) -> int:
     with open_file(path) as file:
-        head = file.read(HEAD)
+        head = file.read(MAX_HEADER_BYTES)
     try:
         header = read_header(memoryview(head))
     except FormatError as error:

@@ -12,7 +12,7 @@ from .ply import Records, read_elements
 from .ply_header import read_header
 
 AXES, COLORS = ("x", "y", "z"), ("red", "green", "blue")
-GREY = 128  # of points without colour
+DEFAULT_GREY = 128  # of points without colour
 
 
 def read_point_ply(path: str | PathLike[str]) -> tuple[Float64[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
@@ -47,7 +47,7 @@ def _points(rows: Records) -> tuple[np.ndarray, np.ndarray]:
     if len(bad):
         raise FormatError(f"{len(bad)} of {len(rows)} points are not finite, the first at index {bad[0]}")
     if not set(COLORS) <= set(names):
-        return positions, np.full(positions.shape, GREY, np.uint8)
+        return positions, np.full(positions.shape, DEFAULT_GREY, np.uint8)
     return positions, _bytes(np.stack([rows[name] for name in COLORS], axis=1))
 
 

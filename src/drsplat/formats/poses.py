@@ -13,9 +13,9 @@ Matrix3 = Float64[np.ndarray, "3 3"]
 Matrix4 = Float64[np.ndarray, "4 4"]
 Vector3 = Float64[np.ndarray, "3"]
 
-MAX_SIDE = 1 << 17  # pixels; larger than any photo, small enough that nobody allocates by a lie
+MAX_SIDE_PIXELS = 1 << 17  # larger than any photo, small enough that a false header allocates little
 MAX_COORDINATE = 1e12
-MIN_FOCAL = 1e-3  # pixels
+MIN_FOCAL_PIXELS = 1e-3
 RIGID_TOLERANCE = 1e-3
 
 
@@ -75,12 +75,14 @@ def posed_view(
 
     Raises: FormatError: an impossible raster, focal length, pose or distortion.
     """
-    if not (1 <= size[0] <= MAX_SIDE and 1 <= size[1] <= MAX_SIDE):
-        raise FormatError(f"{where}: expected a raster of 1 to {MAX_SIDE} pixels a side, got {size[0]}x{size[1]}")
+    if not (1 <= size[0] <= MAX_SIDE_PIXELS and 1 <= size[1] <= MAX_SIDE_PIXELS):
+        raise FormatError(
+            f"{where}: expected a raster of 1 to {MAX_SIDE_PIXELS} pixels a side, got {size[0]}x{size[1]}"
+        )
     numbers = [*intrinsics.flat, *cam_from_world.flat, *distortion]
     if not all(abs(number) <= MAX_COORDINATE for number in numbers):
         raise FormatError(f"{where}: a camera parameter is not finite or beyond {MAX_COORDINATE:g}")
-    if not min(intrinsics[0, 0], intrinsics[1, 1]) >= MIN_FOCAL:
+    if not min(intrinsics[0, 0], intrinsics[1, 1]) >= MIN_FOCAL_PIXELS:
         focal = f"{intrinsics[0, 0]:g}, {intrinsics[1, 1]:g}"
         raise FormatError(f"{where}: expected focal lengths in pixels, got {focal}")
     lens = tuple(distortion) if any(distortion) else None

@@ -21,9 +21,10 @@ SCENE_SUFFIXES = (
     ".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb", ".gltf", ".usda", ".usdc", ".usdz", ".usd", ".lcc2"
 )  # fmt: skip
 FIELD_SUFFIX = ".field"
-_HEAD_BYTES = 4096  # the properties of a PLY are named in them
-_SPLATS, _MOST_NAMES_BYTES = b"KHR_gaussian_splatting", 1 << 20  # of a glTF, whose names may stand anywhere in it
-_MOST_ENTRIES = 2000  # of a folder that are looked at
+_HEAD_BYTES = 4096  # a PLY's header names its properties within them
+_SPLAT_EXTENSION = b"KHR_gaussian_splatting"
+_MAX_GLTF_NAMES_BYTES = 1 << 20  # that are searched: the extension may be named anywhere in them
+_MAX_FOLDER_ENTRIES = 2000  # that are looked at
 _TUTORIAL = "docs/tutorials/from_a_phone.md has the steps"
 
 
@@ -130,7 +131,7 @@ def mistaken(path: Path, wanted: Kind) -> InputError:
 def _sibling(path: Path) -> str:
     """Return the names that are near, of what lies in the same folder."""
     try:
-        return did_you_mean(path.name, [entry.name for entry in islice(path.parent.iterdir(), _MOST_ENTRIES)])
+        return did_you_mean(path.name, [entry.name for entry in islice(path.parent.iterdir(), _MAX_FOLDER_ENTRIES)])
     except OSError:
         return ""
 
@@ -147,14 +148,14 @@ def _nearby(path: Path) -> Iterator[Path]:
     if len(path.parts) > 1:
         yield path.parent
     if path.is_dir():
-        yield from islice(sorted(islice(path.iterdir(), _MOST_ENTRIES)), 50)
+        yield from islice(sorted(islice(path.iterdir(), _MAX_FOLDER_ENTRIES)), 50)
 
 
 def _file_kind(path: Path) -> Kind:
     with open_file(path) as file:
         head = file.read(_HEAD_BYTES)
         if head[:4] == b"glTF" or path.name.lower().endswith(".gltf"):
-            return Kind.SCENE if _SPLATS in head + file.read(_MOST_NAMES_BYTES) else Kind.MESH
+            return Kind.SCENE if _SPLAT_EXTENSION in head + file.read(_MAX_GLTF_NAMES_BYTES) else Kind.MESH
     by_suffix = next((kind for suffix, kind in _SUFFIXES.items() if path.name.lower().endswith(suffix)), Kind.OTHER)
     if head[4:8] == b"ftyp":
         return Kind.UNREAD_PHOTOS if head[8:12] in _STILL_BRANDS else Kind.VIDEO
@@ -186,7 +187,7 @@ def _folder_kind(path: Path) -> Kind:
 
 def _kind_of_most(path: Path) -> Kind:
     """Return the kind of most files, by their names; of those of "images" where there is such a folder."""
-    names = [entry.name.lower() for entry in islice(path.iterdir(), _MOST_ENTRIES)]
+    names = [entry.name.lower() for entry in islice(path.iterdir(), _MAX_FOLDER_ENTRIES)]
     if not names:
         return Kind.EMPTY
     if "images" in names and (path / "images").is_dir():

@@ -25,7 +25,7 @@ from .writable import refuse_unwritable
 
 INSTALL = 'pip install "drsplat[rerun]"'
 TIMELINE = "time"
-MAX_HARMONICS = 15  # of a Gaussian, without the constant one
+MAX_HARMONICS = 15  # of a Gaussian, without the constant term
 
 
 def write_rrd(path: Path, scene: LabelledScene, overwrite: bool = False) -> None:

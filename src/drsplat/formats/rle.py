@@ -10,9 +10,13 @@ import numpy as np
 from ..base.arrays import Bool, Float, Int64, UInt8
 from ..errors import FormatError
 
-_FIRST, _DIGIT, _MORE, _SIGN, _BITS = 48, 0x1F, 0x20, 0x10, 5
+_FIRST_CODE = 48
+_DIGIT_MASK = 0x1F
+_CONTINUATION_BIT = 0x20
+_SIGN_BIT = 0x10
+_DIGIT_BITS = 5
 _MAX_DIGITS = 8  # 40 bits: more pixels than any photo has
-_CROSSINGS = 1 << 18  # worked on at once, so that memory does not grow with a polygon's height
+_BLOCK_CROSSINGS = 1 << 18  # that are worked on at once, so that memory does not grow with a polygon's height
 
 
 def decode_runs(counts: Int64[np.ndarray, " n"], height: int, width: int, where: str) -> Bool[np.ndarray, "h w"]:
@@ -44,15 +48,15 @@ def unpack_counts(text: str, where: str) -> Int64[np.ndarray, " n"]:
     codes = _codes(text, where)
     if len(codes) == 0:
         return np.zeros(0, np.int64)
-    last = (codes & _MORE) == 0
+    last = (codes & _CONTINUATION_BIT) == 0
     ends = np.flatnonzero(last)
     lengths = np.diff(ends, prepend=-1)
     if not last[-1] or lengths.max() > _MAX_DIGITS:
         raise FormatError(f"{where}: expected compressed run lengths, got a number without end")
     place = np.arange(len(codes)) - np.repeat(ends - lengths + 1, lengths)
-    digits = (codes & _DIGIT).astype(np.int64) << (_BITS * place)
+    digits = (codes & _DIGIT_MASK).astype(np.int64) << (_DIGIT_BITS * place)
     numbers = np.add.reduceat(digits, ends - lengths + 1)
-    numbers -= np.where(codes[ends] & _SIGN, np.int64(1) << (_BITS * lengths), 0)
+    numbers -= np.where(codes[ends] & _SIGN_BIT, np.int64(1) << (_DIGIT_BITS * lengths), 0)
     numbers[1::2] = np.cumsum(numbers[1::2])
     numbers[2::2] = np.cumsum(numbers[2::2])
     return np.asarray(numbers)
@@ -60,8 +64,8 @@ def unpack_counts(text: str, where: str) -> Int64[np.ndarray, " n"]:
 
 def _codes(text: str, where: str) -> UInt8[np.ndarray, " c"]:
     raw = np.frombuffer(text.encode("utf-8", "replace"), np.uint8)
-    codes: np.ndarray = raw - np.uint8(_FIRST)  # below 48 wraps to above 63
-    bad = np.flatnonzero(codes > _DIGIT + _MORE)
+    codes: np.ndarray = raw - np.uint8(_FIRST_CODE)  # below 48 wraps to above 63
+    bad = np.flatnonzero(codes > _DIGIT_MASK + _CONTINUATION_BIT)
     if len(bad):
         raise FormatError(
             f"{where}: expected compressed run lengths, characters '0' to 'o'; got byte {raw[bad[0]]} at {bad[0]}"
@@ -81,7 +85,7 @@ def fill_polygon(points: Float[np.ndarray, "v 2"], height: int, width: int) -> B
     begins = points.astype(np.float64)
     top = np.ceil(np.minimum(begins[:, 1], ends[:, 1]) - 0.5).clip(0, height).astype(np.int64)
     bottom = np.ceil(np.maximum(begins[:, 1], ends[:, 1]) - 0.5).clip(0, height).astype(np.int64)
-    block = max(1, _CROSSINGS // max(len(points), width))
+    block = max(1, _BLOCK_CROSSINGS // max(len(points), width))
     for start in range(int(top.min(initial=height)), int(bottom.max(initial=0)), block):
         stop = min(start + block, height)
         spans = top.clip(start, stop), bottom.clip(start, stop)

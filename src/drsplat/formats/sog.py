@@ -32,10 +32,10 @@ from .labels import Labels, parse_labels
 from .sog_files import META, Member, folder_member, webp_pixels, webp_size, zip_member
 from .spz_streams import refuse_implausible
 
-COEFFICIENTS = (0, 3, 8, 15)  # of each channel beyond the constant one, by degree
-PALETTE_ROW = 64
-LARGEST_PALETTE = 1 << 16
-SPARE_ROWS = 8  # writers round both sides of a picture up to fours
+REST_COEFFICIENTS = (0, 3, 8, 15)  # of each channel without the constant one, by degree
+PALETTE_ROW_ENTRIES = 64
+MAX_PALETTE_ENTRIES = 1 << 16
+MAX_SPARE_ROWS = 8  # writers round both sides of a picture up to fours
 _FIRST_TAG = 252
 ANTIALIASED, SURFELS = "antialiased", "2dgs"  # the `model` of meta.json
 OWN = "drsplat"  # key of meta.json: what drsplat writes beside, see `sog_writing`
@@ -123,7 +123,7 @@ class _Sog:
         data = self.member(name)
         width, height = webp_size(data, name)
         needed = -(-self.count // width) * width
-        if not self.count <= width * height <= needed + SPARE_ROWS * width:
+        if not self.count <= width * height <= needed + MAX_SPARE_ROWS * width:
             raise FormatError(f"'{name}' is {width}x{height} pixels for {self.count} Gaussians")
         # The low bytes of positions are noise in any scene; other planes may well be all of one colour.
         noise = len(self.member(_file(self.meta, "means", 0)))
@@ -189,7 +189,10 @@ class _Sog:
         data = self.member(name)
         width, height = webp_size(data, name)
         size, coefficients = self._palette_shape(width, height)
-        if width != PALETTE_ROW * coefficients or not size <= PALETTE_ROW * height <= LARGEST_PALETTE:
+        if (
+            width != PALETTE_ROW_ENTRIES * coefficients
+            or not size <= PALETTE_ROW_ENTRIES * height <= MAX_PALETTE_ENTRIES
+        ):
             raise FormatError(f"'{name}' is {width}x{height} pixels for a palette of {size}")
         pixels = webp_pixels(data, name)[..., :3].reshape(-1, coefficients, 3)[:size]
         if not self.legacy:
@@ -201,16 +204,16 @@ class _Sog:
     def _palette_shape(self, width: int, height: int) -> tuple[int, int]:
         """Return the entries and coefficients of each; version 1 says neither but by the picture's size."""
         if self.legacy:
-            coefficients = width // PALETTE_ROW
-            return PALETTE_ROW * height, coefficients if coefficients in COEFFICIENTS[1:] else 0
+            coefficients = width // PALETTE_ROW_ENTRIES
+            return PALETTE_ROW_ENTRIES * height, coefficients if coefficients in REST_COEFFICIENTS[1:] else 0
         part = _part(self.meta, "shN")
         bands = as_count(part.get("bands"), f"{META}: shN: bands")
         if not 1 <= bands <= 3:
             raise FormatError(f"{META}: shN: expected 1 to 3 bands, got {excerpt(bands)}")
         size = as_count(part.get("count"), f"{META}: shN: count")
-        if not 1 <= size <= LARGEST_PALETTE:
-            raise FormatError(f"{META}: shN: expected 1 to {LARGEST_PALETTE} entries, got {size}")
-        return size, COEFFICIENTS[bands]
+        if not 1 <= size <= MAX_PALETTE_ENTRIES:
+            raise FormatError(f"{META}: shN: expected 1 to {MAX_PALETTE_ENTRIES} entries, got {size}")
+        return size, REST_COEFFICIENTS[bands]
 
 
 def _document(data: bytes) -> dict[str, Any]:

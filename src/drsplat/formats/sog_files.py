@@ -19,12 +19,12 @@ from ..errors import FormatError
 from .json_files import excerpt
 
 META = "meta.json"
-META_BYTES = 1 << 20
-MOST_MEMBERS = 64
-DIRECTORY_BYTES = 1 << 16
+MAX_META_BYTES = 1 << 20
+MAX_MEMBERS = 64
+MAX_DIRECTORY_BYTES = 1 << 16
 ZIP_MAGIC = b"PK\x03\x04"
 _END = struct.Struct("<4s4H2IH")  # of the central directory
-_COMMENT_BYTES = 1 << 16
+_MAX_COMMENT_BYTES = 1 << 16
 
 Member = Callable[[str], bytes]
 """The bytes of a file by its name."""
@@ -37,7 +37,7 @@ def folder_member(folder: Path) -> Member:
         path = folder / _bare(name)
         if not path.is_file():
             raise FormatError(f"{folder}: there is no file '{name}', which {META} names")
-        limit = META_BYTES if name == META else path.stat().st_size
+        limit = MAX_META_BYTES if name == META else path.stat().st_size
         with open(path, "rb") as file:
             content = file.read(limit + 1)
         if len(content) > limit:
@@ -75,17 +75,17 @@ def zip_member(buffer: memoryview) -> Member:
     except Exception as error:  # of damaged archives it raises anything
         raise FormatError(f"SOG archive is damaged: {error}") from None
     members = {info.filename: info for info in found}
-    if len(found) > MOST_MEMBERS or len(members) < len(found):
+    if len(found) > MAX_MEMBERS or len(members) < len(found):
         raise FormatError(
             f"SOG archive of {len(found)} members with {len(members)} names: expected at most "
-            f"{MOST_MEMBERS}, each with its own"
+            f"{MAX_MEMBERS}, each with its own"
         )
 
     def read(name: str) -> bytes:
         info = members.get(_bare(name))
         if info is None:
             raise FormatError(f"SOG archive has no '{name}' at its root")
-        limit = META_BYTES if name == META else len(buffer)
+        limit = MAX_META_BYTES if name == META else len(buffer)
         try:
             with archive.open(info) as file:
                 content = file.read(limit + 1)
@@ -106,15 +106,15 @@ def _bare(name: str) -> str:
 
 def _refuse_large_directory(buffer: memoryview) -> None:
     """Refuse a directory whose entries, which are all read at once, have too many bytes."""
-    tail = bytes(buffer[-(_END.size + _COMMENT_BYTES) :])
+    tail = bytes(buffer[-(_END.size + _MAX_COMMENT_BYTES) :])
     at = tail.rfind(b"PK\x05\x06")
     if at < 0 or at + _END.size > len(tail):
         raise FormatError("SOG archive is truncated: a ZIP ends with its directory")
     _, _, _, _, count, size, start, _ = _END.unpack_from(tail, at)
-    if count > MOST_MEMBERS or size > DIRECTORY_BYTES or start + size > len(buffer):
+    if count > MAX_MEMBERS or size > MAX_DIRECTORY_BYTES or start + size > len(buffer):
         raise FormatError(
             f"SOG archive claims {count} members in a directory of {size} bytes at {start}: expected "
-            f"at most {MOST_MEMBERS} in {DIRECTORY_BYTES}, within its {len(buffer)} bytes"
+            f"at most {MAX_MEMBERS} in {MAX_DIRECTORY_BYTES}, within its {len(buffer)} bytes"
         )
 
 

@@ -20,7 +20,7 @@ from .ply_header import Header, read_header
 from .scenes import read_gaussians, scene_file
 from .streamed_sog import LOD_META, chunks_of
 
-BLOCK = 1 << 18  # rows whose doubles are held beside
+BLOCK_ROWS = 1 << 18  # converted to doubles at once
 
 
 @runtime_checkable
@@ -62,18 +62,18 @@ class _MappedPly:
 
     def positions(self) -> Float64[np.ndarray, "n 3"]:
         result = np.empty((len(self._rows), 3))
-        for begin in range(0, len(result), BLOCK):
-            block = self._rows[begin : begin + BLOCK]
+        for begin in range(0, len(result), BLOCK_ROWS):
+            block = self._rows[begin : begin + BLOCK_ROWS]
             for axis, name in enumerate(MEANS):
-                result[begin : begin + BLOCK, axis] = block[name]
+                result[begin : begin + BLOCK_ROWS, axis] = block[name]
         return result
 
     def sizes(self) -> Float32[np.ndarray, " n"]:
         largest = np.full(len(self._rows), -np.inf, np.float32)
-        for begin in range(0, len(largest), BLOCK):
-            block = self._rows[begin : begin + BLOCK]
+        for begin in range(0, len(largest), BLOCK_ROWS):
+            block = self._rows[begin : begin + BLOCK_ROWS]
             for name in [name for name in SCALES if name in (block.dtype.names or ())]:
-                np.maximum(largest[begin : begin + BLOCK], block[name], out=largest[begin : begin + BLOCK])
+                np.maximum(largest[begin : begin + BLOCK_ROWS], block[name], out=largest[begin : begin + BLOCK_ROWS])
         with np.errstate(over="ignore"):  # rows that are no Gaussians are told when they are read
             return np.exp(largest)
 

@@ -25,7 +25,7 @@ CENTER, WIDTH = "trbf_center", "trbf_scale"
 MOTION = tuple(f"motion_{number}" for number in range(9))
 TURNING = tuple(f"omega_{number}" for number in range(4))
 COLUMNS = (CENTER, WIDTH, *MOTION, *TURNING)
-STEPS = 50  # frames of the published films
+FRAMES = 50  # of the published films
 
 
 def is_spacetime(header: Header) -> bool:
@@ -59,4 +59,4 @@ def read_spacetime(path: Path) -> Moving:
         )
     except (FormatError, InputError) as error:
         raise FormatError(f"{path}: {error}") from None
-    return Moving(motion.canonical, np.linspace(0, 1, STEPS + 1), motion)
+    return Moving(motion.canonical, np.linspace(0, 1, FRAMES + 1), motion)

@@ -13,15 +13,15 @@ from collections.abc import Callable
 
 from ..errors import FormatError
 
-FREE_BYTES = 1 << 20
-LARGEST_RATIO = 100
-EXTENSION_BYTES = 1 << 20
+FREE_UNPACKED_BYTES = 1 << 20
+MAX_COMPRESSION_RATIO = 100
+MAX_EXTENSION_BYTES = 1 << 20
 GZIP_MAGIC = b"\x1f\x8b"
 
 
 def refuse_implausible(size: int, compressed: int) -> None:
     """Check a size. Raises: FormatError: `size` bytes cannot honestly come of `compressed` ones."""
-    limit = FREE_BYTES + LARGEST_RATIO * compressed
+    limit = FREE_UNPACKED_BYTES + MAX_COMPRESSION_RATIO * compressed
     if size > limit:
         raise FormatError(
             f"{compressed} compressed bytes claim to hold {size}, more than the {limit} that are "
@@ -38,8 +38,8 @@ def gunzipped(buffer: memoryview, start_bytes: int, payload_bytes: Callable[[byt
     """
     if bytes(buffer[:2]) != GZIP_MAGIC:
         size = payload_bytes(bytes(buffer[:start_bytes]))
-        raw, tail = (bytes(buffer[: min(size, len(buffer))]), bytes(buffer[size : size + EXTENSION_BYTES + 1]))
-        whole = len(buffer) <= size + EXTENSION_BYTES
+        raw, tail = (bytes(buffer[: min(size, len(buffer))]), bytes(buffer[size : size + MAX_EXTENSION_BYTES + 1]))
+        whole = len(buffer) <= size + MAX_EXTENSION_BYTES
     else:
         stream = zlib.decompressobj(wbits=31)
         try:
@@ -47,7 +47,7 @@ def gunzipped(buffer: memoryview, start_bytes: int, payload_bytes: Callable[[byt
             size = payload_bytes(start)
             refuse_implausible(size, len(buffer))
             raw = start + stream.decompress(stream.unconsumed_tail, max(size - len(start), 1))
-            raw, tail = (raw[:size], raw[size:] + stream.decompress(stream.unconsumed_tail, EXTENSION_BYTES))
+            raw, tail = (raw[:size], raw[size:] + stream.decompress(stream.unconsumed_tail, MAX_EXTENSION_BYTES))
         except zlib.error as error:
             raise FormatError(f"gzip stream is damaged: {error}") from None
         whole = stream.eof and not stream.unused_data

@@ -25,7 +25,7 @@ from .spz_streams import refuse_implausible
 
 VERSION, VERSION_4 = 3, 4
 ZSTD_LEVEL = 12
-LARGEST_FIXED = (1 << 23) - 1  # of a position, in units of 2**-fractional_bits
+MAX_FIXED_POSITION = (1 << 23) - 1  # in units of 2**-fractional_bits
 MAX_FRACTIONAL_BITS = 24
 TO_RUB = np.array([1, -1, -1], np.float32)  # a PLY's axes are right, down, front; SPZ has right, up, back
 
@@ -109,12 +109,12 @@ def _planes(gaussians: Gaussians, degree: int, version: int, flags: int, streams
 def _fractional_bits(means: Float32[np.ndarray, "n 3"]) -> int:
     """Return the number of fractional bits with which the farthest position still fits into 24."""
     farthest = float(np.abs(means).max(initial=0))
-    if not len(means) or farthest > LARGEST_FIXED:
+    if not len(means) or farthest > MAX_FIXED_POSITION:
         raise InputError(
-            f"SPZ holds positions within {LARGEST_FIXED:,} units of the scene's origin, got {len(means):,} Gaussians "
-            f"up to {farthest:,.0f} away: leave out what lies far off"
+            f"SPZ holds positions within {MAX_FIXED_POSITION:,} units of the scene's origin, got {len(means):,} "
+            f"Gaussians up to {farthest:,.0f} away: leave out what lies far off"
         )
-    spare = np.log2(LARGEST_FIXED / farthest) if farthest > 0 else MAX_FRACTIONAL_BITS
+    spare = np.log2(MAX_FIXED_POSITION / farthest) if farthest > 0 else MAX_FRACTIONAL_BITS
     return int(np.clip(np.floor(spare), 0, MAX_FRACTIONAL_BITS))
 
 

@@ -21,8 +21,8 @@ from .sog import OWN, read_unpacked_sog
 from .sog_files import META, beside, folder_member
 
 LOD_META = "lod-meta.json"
-DEEPEST = 64  # of the tree; a million chunks of two branches a node need 20
-MOST_LEVELS = 256
+MAX_TREE_DEPTH = 64  # a million chunks of two branches a node need 20
+MAX_LEVELS = 256
 
 
 def read_streamed_sog(lod_meta: Path, level: int = 0) -> Gaussians:
@@ -96,8 +96,8 @@ def _leaves(root: object, where: str) -> Iterator[dict[str, Any]]:
     waiting: list[tuple[object, int]] = [(root, 0)]
     while waiting:
         node, depth = waiting.pop()
-        if not isinstance(node, dict) or depth > DEEPEST:
-            raise FormatError(f"{where}: tree: expected nodes, at most {DEEPEST} deep, got {excerpt(node)}")
+        if not isinstance(node, dict) or depth > MAX_TREE_DEPTH:
+            raise FormatError(f"{where}: tree: expected nodes, at most {MAX_TREE_DEPTH} deep, got {excerpt(node)}")
         levels: Any = node.get("lods", {})
         if not isinstance(levels, dict):
             raise FormatError(f"{where}: tree: lods: expected an object, got {excerpt(levels)}")
@@ -116,8 +116,8 @@ def _number(run: object, key: str, where: str) -> int:
 
 
 def _level(name: str, lod_meta: Path) -> int:
-    if not name.isdecimal() or len(name) > 3 or int(name) >= MOST_LEVELS:
-        raise FormatError(f"{lod_meta}: tree: lods: expected levels from 0 to {MOST_LEVELS - 1}, got {excerpt(name)}")
+    if not name.isdecimal() or len(name) > 3 or int(name) >= MAX_LEVELS:
+        raise FormatError(f"{lod_meta}: tree: lods: expected levels from 0 to {MAX_LEVELS - 1}, got {excerpt(name)}")
     return int(name)
 
 

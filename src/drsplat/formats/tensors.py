@@ -25,8 +25,8 @@ _DTYPES = {
     "U64": np.dtype("<u8"), "I64": np.dtype("<i8"), "F64": np.dtype("<f8"),
 }  # fmt: skip
 _NAMES = {dtype: name for name, dtype in _DTYPES.items()}
-_MAX_HEADER = 64 << 20
-LINE = 64  # bytes that a processor reads at once
+_MAX_HEADER_BYTES = 64 << 20
+CACHE_LINE_BYTES = 64
 
 
 def write_tensors(
@@ -46,7 +46,9 @@ def write_tensors(
         if array.dtype not in _NAMES:
             raise InputError(f"tensor '{name}': safetensors has no name for {array.dtype}")
     # Those of whole cache lines, which then begin at one, then the widest: so all are aligned to their items.
-    order = sorted(arrays, key=lambda name: (arrays[name].nbytes % LINE != 0, -arrays[name].dtype.itemsize, name))
+    order = sorted(
+        arrays, key=lambda name: (arrays[name].nbytes % CACHE_LINE_BYTES != 0, -arrays[name].dtype.itemsize, name)
+    )
     header: dict[str, object] = {"__metadata__": dict(metadata)} if metadata else {}
     offset = 0
     for name in order:
@@ -55,7 +57,7 @@ def write_tensors(
         offset = end
     summed = with_checksums(header, arrays)
     text = json.dumps(summed, separators=(",", ":")).encode()
-    text += b" " * (-(8 + len(text)) % LINE)
+    text += b" " * (-(8 + len(text)) % CACHE_LINE_BYTES)
     with replacing(path, overwrite) as file:
         file.write(len(text).to_bytes(8, "little") + text)
         for name in order:
@@ -120,7 +122,7 @@ def check_tensors(tensors: Mapping[str, np.ndarray], expected: Mapping[str, tupl
 
 def _header(raw: np.ndarray, path: Path) -> tuple[dict[str, Any], np.ndarray]:
     length = int.from_bytes(raw[:8].tobytes(), "little")
-    if raw.size < 8 or length > min(raw.size - 8, _MAX_HEADER):
+    if raw.size < 8 or length > min(raw.size - 8, _MAX_HEADER_BYTES):
         raise FormatError(f"{path}: expected safetensors: a header of {length} bytes in a file of {raw.size}")
     try:
         header = json.loads(raw[8 : 8 + length].tobytes(), object_pairs_hook=unique_names)

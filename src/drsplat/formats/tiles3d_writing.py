@@ -34,9 +34,9 @@ from .tiles import Tile, Tiles
 from .tiles3d_content import content_glb
 from .usd_writing import extent_of
 
-ROWS = 1 << 16  # of a leaf
-BRANCH = 4  # children of a tile
-ERROR_SHARE = 0.95  # of the merged Gaussians, which are no farther from where they were than the error
+LEAF_ROWS = 1 << 16
+CHILDREN = 4  # of a tile
+ERROR_QUANTILE = 0.95  # of how far merging moves the Gaussians: a tile's geometric error
 ARRAYS = ("means", "quats", "scales", "opacities", "sh")
 OBJECT = "object_of"  # the column with which numbers of objects go through merging
 
@@ -67,7 +67,7 @@ def write_tiles3d(
     *,
     georeference: Georeference | None = None,
     overwrite: bool = False,
-    rows: int = ROWS,
+    rows: int = LEAF_ROWS,
 ) -> None:
     """Write a scene as a folder with a tileset.json and a GLB for each tile; all of it or nothing.
 
@@ -101,7 +101,7 @@ def _bare(scene: LabelledScene) -> Gaussians:
 def _leaves_of_tiles(source: TiledScene) -> Leaves:
     """Take each tile for a leaf, with the objects of its rows."""
     leaves: list[Leaf] = [partial(_tile_of, source, tile) for tile in source.tiles.tiles]
-    return Leaves(leaves, leaves_of(source.tiles, ROWS).middle)
+    return Leaves(leaves, leaves_of(source.tiles, LEAF_ROWS).middle)
 
 
 def _tile_of(source: TiledScene, tile: Tile) -> Gaussians:
@@ -131,10 +131,10 @@ class _Writer:
         if len(leaves) == 1:
             gaussians = self._local(leaves[0]())
             return self._written(gaussians, 0.0, [])
-        size = BRANCH
-        while size * BRANCH < len(leaves):
-            size *= BRANCH
-        step = max(1, size if len(leaves) > size else size // BRANCH)
+        size = CHILDREN
+        while size * CHILDREN < len(leaves):
+            size *= CHILDREN
+        step = max(1, size if len(leaves) > size else size // CHILDREN)
         children = [self.tree(leaves[begin : begin + step]) for begin in range(0, len(leaves), step)]
         everything = concatenated([_read_aside(child.waiting) for child in children])
         for child in children:
@@ -142,7 +142,7 @@ class _Writer:
         most = max(child.num_gaussians for child in children)
         level = coarser(everything, most, everything.extra.get(OBJECT))
         moved = everything.positions - level.gaussians.positions[level.group_of]
-        error = float(np.quantile(np.linalg.norm(moved, axis=1), ERROR_SHARE))
+        error = float(np.quantile(np.linalg.norm(moved, axis=1), ERROR_QUANTILE))
         error = max(child.error for child in children) + max(error, 1e-6)
         return self._written(level.gaussians, error, children)
 

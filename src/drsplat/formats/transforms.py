@@ -20,7 +20,7 @@ from .photo_files import find_photo, listed, on_photo, safe_name
 from .poses import inverse_pose, nearest_rotation, pinhole, posed_view
 
 CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
-_MAX_PATH = 1024  # characters
+_MAX_PATH_CHARACTERS = 1024
 
 _OPENCV_FROM_OPENGL = np.array([1.0, -1.0, -1.0])  # camera axes: y up and z backward become y down and z forward
 
@@ -172,7 +172,7 @@ def _shared_folder(document: Mapping[str, object]) -> str | None:
 
 def _is_absolute(path: object) -> bool:
     """Return True for a plain absolute path, without ".." and short enough for a file system."""
-    if not isinstance(path, str) or not path.isprintable() or len(path) > _MAX_PATH:
+    if not isinstance(path, str) or not path.isprintable() or len(path) > _MAX_PATH_CHARACTERS:
         return False
     return path.startswith("/") and ".." not in path.split("/")
 

@@ -14,8 +14,8 @@ from ..base.arrays import UInt8
 from ..errors import FormatError
 
 HEAD_BYTES, ENTRY_BYTES = 24, 32
-MOST_PER_BYTE = 4 * 255  # integers that a byte unfolds to: four in one of at most 255 that LZ4 makes of it
-FIRST_COMPRESSED = (0, 4)  # version, from which on sections are compressed and begin as they do here
+MAX_INTEGERS_PER_BYTE = 4 * 255  # LZ4 makes at most 255 bytes of one, with four integers in each
+FIRST_COMPRESSED_VERSION = (0, 4)  # the first whose sections are compressed and begin as they do here
 TWO_COUNTS = (b"TOKENS", b"PATHS")
 
 
@@ -29,11 +29,11 @@ def refuse_false_counts(content: UInt8[np.ndarray, " n"]) -> None:
         raise FormatError(f"no table of contents at byte {table:,} of {len(view):,}")
     for place in range(table + 8, table + 8 + ENTRY_BYTES * _number(view, table), ENTRY_BYTES):
         name, start, size = bytes(view[place : place + 16]).rstrip(b"\0"), *struct.unpack_from("<QQ", view, place + 16)
-        counts = 2 if name in TWO_COUNTS and version >= FIRST_COMPRESSED else 1
+        counts = 2 if name in TWO_COUNTS and version >= FIRST_COMPRESSED_VERSION else 1
         if start + size > len(view) or size < 8 * counts:
             raise FormatError(f"section {name!r}: {size:,} bytes at byte {start:,} of {len(view):,}")
         most = max(_number(view, start + 8 * number) for number in range(counts))
-        if most > MOST_PER_BYTE * size:
+        if most > MAX_INTEGERS_PER_BYTE * size:
             raise FormatError(f"section {name!r}: {size:,} bytes hold no {most:,} entries")
 
 

@@ -15,7 +15,7 @@ from ..errors import FormatError, MissingExtraError
 from ..scene.labelled import LabelledScene
 from .replacing import replacing
 from .usd_crate import refuse_false_counts
-from .usd_text import MAX_DEPTH, TIME_SAMPLES, UsdPrim, Value, is_wanted
+from .usd_text import MAX_NESTING, TIME_SAMPLES, UsdPrim, Value, is_wanted
 from .usd_writing import ROOT, SPLAT, Column, columns_of, layer_text
 
 MARK = b"PXR-USDC"
@@ -88,8 +88,8 @@ def _layer(pxr: Any, path: Path) -> UsdPrim:
             raise FormatError(f"prim '{parent.name}' names a child that is not there")
         prim = _prim(pxr, spec)
         parent.children.append(prim)
-        if depth > MAX_DEPTH:
-            raise FormatError(f"expected prims in prims up to {MAX_DEPTH} deep")
+        if depth > MAX_NESTING:
+            raise FormatError(f"expected prims in prims up to {MAX_NESTING} deep")
         waiting += [(prim, child, depth + 1) for child in spec.nameChildren]
     return root
 

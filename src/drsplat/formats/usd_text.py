@@ -16,10 +16,10 @@ import numpy as np
 
 from ..errors import FormatError
 
-MAX_DEPTH = 200  # of prims in prims, and of brackets in a value that is stepped over
-CHUNK_BYTES = 4 << 20  # of an array's text that are numbers at once
+MAX_NESTING = 200  # of prims, and of brackets in a skipped value
+CHUNK_BYTES = 4 << 20  # of an array's text that are parsed at once
 TIME_SAMPLES = ".timeSamples"
-FEW_BYTES = 512  # of text that is split faster than it is handed to numpy
+MIN_NUMPY_BYTES = 512  # of text: less is split faster in Python
 SPECIFIERS = (b"def", b"over", b"class")
 PREFIXES = ("drsplat:", "primvars:")
 ATTRIBUTES = frozenset(
@@ -121,8 +121,8 @@ class _Parser:
             prim = self._prim_head(word)
             inside[-1].children.append(prim)
             inside.append(prim)
-            if len(inside) > MAX_DEPTH:
-                self._fail(f"prims in prims up to {MAX_DEPTH} deep")
+            if len(inside) > MAX_NESTING:
+                self._fail(f"prims in prims up to {MAX_NESTING} deep")
         elif word == b"variantSet":
             self._string()
             self._expect(b"=")
@@ -209,8 +209,8 @@ class _Parser:
             elif start and start in _OPEN:
                 closing.append(_CLOSE[start])
                 self.at += 1
-                if len(closing) > MAX_DEPTH:
-                    self._fail(f"brackets in brackets up to {MAX_DEPTH} deep")
+                if len(closing) > MAX_NESTING:
+                    self._fail(f"brackets in brackets up to {MAX_NESTING} deep")
             elif closing and start == closing[-1]:
                 closing.pop()
                 self.at += 1
@@ -353,7 +353,7 @@ def _numbers_in(text: memoryview, dtype: type) -> np.ndarray:
 
 def _parsed(text: bytes) -> np.ndarray:
     try:
-        if len(text) < FEW_BYTES:  # most of them: a box's
+        if len(text) < MIN_NUMPY_BYTES:  # most of them: a box's
             return np.array([float(number) for number in text.split()])
         with warnings.catch_warnings():
             warnings.simplefilter("error", DeprecationWarning)

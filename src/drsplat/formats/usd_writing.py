@@ -24,9 +24,9 @@ from .json_files import is_text
 from .replacing import replacing
 from .writable import refuse_unwritable
 
-BLOCK_ROWS = 1 << 12  # of an array that are text at once
-SUPPORT = 3.0  # standard deviations up to which the schema's kernel is drawn
-LONGEST_NAME = 64  # characters of a prim's name
+BLOCK_ROWS = 1 << 12  # of an array that are made text at once
+SUPPORT_SIGMAS = 3.0  # of the schema's kernel
+MAX_NAME_CHARACTERS = 64  # of a prim
 ROOT, SPLAT = "scene", "gaussians"
 VERTEX = 'interpolation = "vertex"'
 
@@ -79,7 +79,7 @@ def extent_of(gaussians: Gaussians) -> Float32[np.ndarray, "2 3"]:
     for begin in range(0, len(gaussians), BLOCK_ROWS):
         rows = slice(begin, begin + BLOCK_ROWS)
         variances = covariances_of(gaussians.quats[rows], gaussians.scales[rows])[[0, 3, 5]].T
-        reach = SUPPORT * np.sqrt(np.maximum(variances, 0))
+        reach = SUPPORT_SIGMAS * np.sqrt(np.maximum(variances, 0))
         low = np.minimum(low, (gaussians.means[rows] - reach).min(0))
         high = np.maximum(high, (gaussians.means[rows] + reach).max(0))
     return np.stack([low, high]).astype(np.float32)
@@ -193,7 +193,7 @@ def _prim_text(schema: str, kind: str, number: int, name: str, lines: list[str])
 
 def prim_name(name: str, number: int) -> str:
     """Return an identifier that looks like the name, with the number, by which it differs from its siblings."""
-    letters = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")[:LONGEST_NAME]
+    letters = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")[:MAX_NAME_CHARACTERS]
     return f"{letters or 'thing'}_{number}" if not letters[:1].isdigit() else f"_{letters}_{number}"
 
 

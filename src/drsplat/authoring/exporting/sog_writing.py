@@ -23,7 +23,7 @@ from ...base.arrays import Float32, Float64, Integer, UInt8, UInt16
 from ...errors import InputError
 from ...field.codes.kmeans import train_centroids
 from ...formats.labels import has_labels, labels_bytes
-from ...formats.sog import ANTIALIASED, LARGEST_PALETTE, OWN, PALETTE_ROW, SURFELS
+from ...formats.sog import ANTIALIASED, MAX_PALETTE_ENTRIES, OWN, PALETTE_ROW_ENTRIES, SURFELS
 from ...formats.sog_files import META
 from ...formats.writable import refuse_unwritable
 from ...kernels import pq_encode
@@ -209,7 +209,7 @@ def _further(rest: Float32[np.ndarray, "n k 3"]) -> tuple[dict[str, object], dic
     palette, labels = harmonics_palette(rest.reshape(len(rest), -1))
     book, codes = coded(palette)
     entries = codes.reshape(-1, 3)
-    width = PALETTE_ROW * coefficients
+    width = PALETTE_ROW_ENTRIES * coefficients
     padded = np.zeros((-(-len(entries) // width) * width, 3), np.uint8)
     padded[: len(entries)] = entries
     files = {
@@ -225,11 +225,11 @@ def harmonics_palette(rows: Float32[np.ndarray, "n d"]) -> tuple[Float32[np.ndar
 
     Otherwise 256 cells of 256 entries, k-means of k-means, so that a row is compared with 512 centroids.
     """
-    if len(rows) <= LARGEST_PALETTE:
+    if len(rows) <= MAX_PALETTE_ENTRIES:
         palette, labels = np.unique(rows, axis=0, return_inverse=True)
         return palette, labels.reshape(-1).astype(np.uint16)
     rows = np.ascontiguousarray(rows)
-    cell_of = _nearest(rows, _centroids(rows, LARGEST_PALETTE))
+    cell_of = _nearest(rows, _centroids(rows, MAX_PALETTE_ENTRIES))
     palette, labels = np.empty((0, rows.shape[1]), np.float32), np.empty(len(rows), np.int64)
     parts = []
     start = 0
