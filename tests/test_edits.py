@@ -232,7 +232,7 @@ def block(center: tuple, size: tuple, count: int = 400, seed: int = 0, color: tu
 
 
 def test_edits_make_no_more_rows_than_they_may(scene: Gaussians, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(draft, "ROWS_AT_LEAST", 1000)
+    monkeypatch.setattr(draft, "MIN_ROW_LIMIT", 1000)
     doubled = Edit(Everything(), Duplicate((1.0, 0.0, 0.0)))
     assert len(edited(scene, [doubled] * 4)) == 16 * COUNT
     with pytest.raises(InputError, match=r"edit 5: adds 960 Gaussians to 960, and .* make up to 1,000, removed ones"):
@@ -349,7 +349,7 @@ def test_where_there_is_no_plane_nothing_is_filled() -> None:
 
 
 def test_a_hole_that_is_larger_than_what_is_left_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drsplat.authoring.editing.filling.ROUNDS", 1)
+    monkeypatch.setattr("drsplat.authoring.editing.filling.MAX_SHIFTS", 1)
     scene, thing = on_a_floor()
     near = (np.abs(scene.means[:, :2]) < 0.34).all(axis=1)
     small = scene.subset(near)

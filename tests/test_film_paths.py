@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from drsplat.authoring.filming import path_files, planning, ways
 from drsplat.authoring.filming.looking import looking_at
-from drsplat.authoring.filming.paths import MOST_FRAMES, CameraPath, KeyFrame, frame_count
+from drsplat.authoring.filming.paths import MAX_FRAMES, CameraPath, KeyFrame, frame_count
 from drsplat.errors import DrSplatError, FormatError, InputError
 from drsplat.scene.views import View
 from mutations import mutants
@@ -130,7 +130,7 @@ def test_what_no_path_can_be_made_of() -> None:
 def test_no_number_of_pictures_fills_the_memory(seconds: float, fps: float) -> None:
     with pytest.raises(InputError):
         frame_count(seconds, fps)
-    assert frame_count(MOST_FRAMES / 60, 60.0) == MOST_FRAMES
+    assert frame_count(MAX_FRAMES / 60, 60.0) == MAX_FRAMES
     assert frame_count(0.001, 1.0) == 1
 
 

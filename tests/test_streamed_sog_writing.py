@@ -17,7 +17,7 @@ import drsplat as ds
 from command_line import Capture, answer_of, error_of
 from drsplat.authoring.editing import Edit, EditFile, Remove, Rows
 from drsplat.authoring.exporting import export
-from drsplat.authoring.exporting.streamed_sog_writing import FEWER, LEVELS, write_streamed_sog
+from drsplat.authoring.exporting.streamed_sog_writing import LEVEL_RATIO, LEVELS, write_streamed_sog
 from drsplat.errors import DrSplatError, FormatError, InputError
 from drsplat.field.tiles.cutting import cut
 from drsplat.formats.sog import read_unpacked_sog
@@ -126,7 +126,7 @@ def test_levels_are_coarser_and_in_the_boxes(tmp_path: Path) -> None:
             assert (part.means + reach <= high + 1e-3).all()
             assert set(part.extra["object_id"]) == set(parts[0].extra["object_id"])  # none is merged with another
         for fine, coarse in pairwise(parts):
-            few = max(1, len(fine) // FEWER, len(set(fine.extra["object_id"])))
+            few = max(1, len(fine) // LEVEL_RATIO, len(set(fine.extra["object_id"])))
             assert len(coarse) <= max(few, len(fine) // 2)
 
 
@@ -135,7 +135,7 @@ def test_without_objects_levels_have_a_quarter_each(tmp_path: Path) -> None:
     assert counts_of_levels(path)[0] == 256
     for leaf in leaves_of(document_of(path)["tree"]):
         counts = [leaf["lods"][str(level)]["count"] for level in range(LEVELS)]
-        assert counts == [counts[0], *(max(1, counts[0] // FEWER**level) for level in (1, 2, 3))]
+        assert counts == [counts[0], *(max(1, counts[0] // LEVEL_RATIO**level) for level in (1, 2, 3))]
     assert not list(path.parent.glob("drsplat*"))
     assert read_streamed_labels(path).things == ()
 

@@ -64,9 +64,9 @@ def _triangulated_start(
         return Start(SparsePoints(found.positions, found.colors), count)
     drawn = _random_places(views, found.positions, settings, rng)
     warnings.warn(
-        f"triangulating {found.photos} photos gave {count:,} of the {FEW} points that would do (they show little "
-        f"texture, or little of the same): training starts from {len(drawn):,} random points as well, where several "
-        "cameras look, which takes longer and ends worse. Points of another tool can be given (points=FILE)",
+        f"triangulating {found.photos} photos gave {count:,} of the {FEW} points that would do (they show "
+        f"little texture, or little of the same): training starts from {len(drawn):,} random points as well, where "
+        "several cameras look, which takes longer and ends worse. Points of another tool can be given (points=FILE)",
         DrSplatWarning,
         stacklevel=5,
     )

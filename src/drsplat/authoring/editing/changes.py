@@ -14,7 +14,7 @@ from .draft import Draft
 Ids = Int64[np.ndarray, " m"]
 Number = int | float
 Vector = tuple[Number, Number, Number]
-LARGEST = 1e6  # times larger or smaller
+MAX_FACTOR_OR_DEGREES = 1e6
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Opacity:
     factor: Number
 
     def __post_init__(self) -> None:
-        if not 0 <= self.factor <= LARGEST:
+        if not 0 <= self.factor <= MAX_FACTOR_OR_DEGREES:
             raise InputError(f"opacity: expected a factor of 0 or more, got {self.factor:g}")
 
     def apply(self, draft: Draft, ids: Ids) -> None:
@@ -73,8 +73,10 @@ class Turn:
     def __post_init__(self) -> None:
         if not max(map(abs, self.axis)) > 0:
             raise InputError(f"turn: expected an axis with a direction, got {self.axis}")
-        if not abs(self.degrees) <= LARGEST:
-            raise InputError(f"turn: expected up to {LARGEST:,.0f} degrees either way, got {self.degrees:g}")
+        if not abs(self.degrees) <= MAX_FACTOR_OR_DEGREES:
+            raise InputError(
+                f"turn: expected up to {MAX_FACTOR_OR_DEGREES:,.0f} degrees either way, got {self.degrees:g}"
+            )
 
     def apply(self, draft: Draft, ids: Ids) -> None:
         from scipy.spatial.transform import Rotation
@@ -94,7 +96,7 @@ class Scale:
     about: Vector | None = None
 
     def __post_init__(self) -> None:
-        if not 1 / LARGEST <= self.factor <= LARGEST:
+        if not 1 / MAX_FACTOR_OR_DEGREES <= self.factor <= MAX_FACTOR_OR_DEGREES:
             raise InputError(f"scale: expected a factor above 0, got {self.factor:g}")
 
     def apply(self, draft: Draft, ids: Ids) -> None:

@@ -18,12 +18,14 @@ Ids = Int64[np.ndarray, " m"]
 Number = int | float
 Color = tuple[Number, Number, Number]
 Colors = Float64[np.ndarray, "m 3"]
-LIGHT = 0.9  # quantile of an object's light that gets the colour itself; what is lighter gets lighter
-DARKEST = 0.05  # light that a cluster is taken to have at least
-LUMA_SHARE = 0.3  # of light, against colour, in what is told apart for a palette
-ROUNDS = 20  # of k-means
-MOST_COLORS = 16
-GRAIN = 0.02  # spread that colours are taken to have at least along each direction: noise is not made a pattern
+REFERENCE_LIGHT_QUANTILE = (
+    0.9  # of an object's light: Gaussians at it get the colour itself, lighter ones a lighter one
+)
+MIN_CLUSTER_LIGHT = 0.05
+LUMA_WEIGHT = 0.3  # against chroma, when colours are clustered for a palette
+KMEANS_STEPS = 20
+MAX_COLORS = 16
+MIN_COLOR_SPREAD = 0.02  # along each direction, so that noise is not made a pattern
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class Recolour:
 
     def apply(self, draft: Draft, ids: Ids) -> None:
         light = np.einsum("nc,c->n", _colors(draft.sh[ids]), LUMA)
-        reference = max(float(np.quantile(light, LIGHT)) if len(light) else 1.0, DARKEST)
+        reference = max(float(np.quantile(light, REFERENCE_LIGHT_QUANTILE)) if len(light) else 1.0, MIN_CLUSTER_LIGHT)
         full = np.outer(self.color, LUMA) / reference
         _map(draft, ids, (1 - self.amount) * np.eye(3) + self.amount * full, np.zeros(3))
 
@@ -58,8 +60,8 @@ class Palette:
     colors: tuple[Color, ...]
 
     def __post_init__(self) -> None:
-        if not 1 <= len(self.colors) <= MOST_COLORS:
-            raise InputError(f"palette: expected 1 to {MOST_COLORS} colours, got {len(self.colors)}")
+        if not 1 <= len(self.colors) <= MAX_COLORS:
+            raise InputError(f"palette: expected 1 to {MAX_COLORS} colours, got {len(self.colors)}")
         for color in self.colors:
             check_color(color)
 
@@ -70,7 +72,7 @@ class Palette:
         means = [float(light[groups == k].mean()) if (groups == k).any() else np.inf for k in range(len(self.colors))]
         wanted = sorted(self.colors, key=lambda color: float(np.dot(color, LUMA)))
         for k, color in zip(np.argsort(means, kind="stable").tolist(), wanted, strict=True):
-            _map(draft, ids[groups == k], np.outer(color, LUMA) / max(means[k], DARKEST), np.zeros(3))
+            _map(draft, ids[groups == k], np.outer(color, LUMA) / max(means[k], MIN_CLUSTER_LIGHT), np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,8 +107,8 @@ class MatchPhoto:
             return
         weights = draft.opacities[ids].astype(np.float64) + 1e-6
         mean, covariance = _statistics(_colors(draft.sh[ids]), weights)
-        root = _power(covariance + GRAIN**2 * np.eye(3), 0.5)
-        back = _power(covariance + GRAIN**2 * np.eye(3), -0.5)
+        root = _power(covariance + MIN_COLOR_SPREAD**2 * np.eye(3), 0.5)
+        back = _power(covariance + MIN_COLOR_SPREAD**2 * np.eye(3), -0.5)
         matrix = back @ _power(root @ self.covariance @ root, 0.5) @ back
         _map(draft, ids, matrix, self.mean - matrix @ mean)
 
@@ -132,11 +134,11 @@ def grouped(colors: Colors, weights: Float64[np.ndarray, " m"], count: int) -> I
     """Return up to `count` groups of like colours, hue before light, by k-means from quantiles of light."""
     total = colors.sum(axis=1, keepdims=True)
     light = np.einsum("nc,c->n", colors, LUMA)
-    features = np.column_stack([colors / np.maximum(total, 3 * DARKEST), LUMA_SHARE * light])
+    features = np.column_stack([colors / np.maximum(total, 3 * MIN_CLUSTER_LIGHT), LUMA_WEIGHT * light])
     order = np.argsort(light, kind="stable")
     starts = order[((np.arange(count) + 0.5) / count * len(order)).astype(int)] if len(order) else order
     centers, groups = features[starts], np.zeros(len(colors), np.int64)
-    for _ in range(ROUNDS):
+    for _ in range(KMEANS_STEPS):
         groups = ((features[:, None] - centers[None]) ** 2).sum(axis=2).argmin(axis=1)
         for k in range(len(centers)):
             mine = groups == k

@@ -11,8 +11,9 @@ from ...formats.scenes import read_gaussians
 from ...scene.gaussians import Gaussians, filled
 
 OBJECT_ID = "object_id"  # the column that says whose a row is, -1 for none
-LARGEST = 1e30  # places and sizes: differences of them are still floats of 32 bits
-ROWS_AT_LEAST, ROWS_PER_ROW = 1_000_000, 4  # that edits may make: of any scene, and for each row of a larger one
+MAX_COORDINATE = 1e30  # of positions and sizes: their differences still fit float32
+MIN_ROW_LIMIT = 1_000_000  # rows that edits of any scene may make
+MAX_ROW_GROWTH = 4  # times a larger scene's rows, likewise
 Ids = Int64[np.ndarray, " m"]
 
 
@@ -34,7 +35,7 @@ class Draft:
     origin: Float64[np.ndarray, " 3"]
     present: Bool[np.ndarray, " n"]
     homes: Float32[np.ndarray, "n 3"]
-    most: int = ROWS_AT_LEAST
+    most: int = MIN_ROW_LIMIT
     added: list[tuple[int, int]] = field(default_factory=list)
     read: Callable[[str], Gaussians] = read_gaussians
     antialiased: bool = False
@@ -55,7 +56,9 @@ class Draft:
     def is_sound(self) -> bool:
         """Return whether all rows are still Gaussians, with numbers that can be computed with."""
         finite = all(np.isfinite(column).all() for column in (self.quats, self.sh))
-        near = all((np.abs(column) <= LARGEST).all() for column in (self.means, self.scales))  # NaN is not either
+        near = all(
+            (np.abs(column) <= MAX_COORDINATE).all() for column in (self.means, self.scales)
+        )  # NaN is not either
         return finite and near and bool((self.scales > 0).all())
 
     def gaussians(self) -> Gaussians:
@@ -128,4 +131,4 @@ class Draft:
 
 def most_rows(rows: int) -> int:
     """Return how many rows edits may make where the largest scene that takes part has so many."""
-    return max(ROWS_AT_LEAST, ROWS_PER_ROW * rows)
+    return max(MIN_ROW_LIMIT, MAX_ROW_GROWTH * rows)

@@ -7,11 +7,11 @@ import numpy as np
 from ...base.arrays import Int64, Integer
 from ...formats.runs import spans_of
 from .fill_record import Clones
-from .ground import COVERED, STANDS, Ground
+from .ground import COVERED_OPACITY, MIN_STANDING_TOLERANCES, Ground
 from .plane_grid import Cells
 from .shifts import Surface, best_shift
 
-ROUNDS = 8  # shifts that clones are taken by
+MAX_SHIFTS = 8  # that clones are taken by
 Ids = Int64[np.ndarray, " m"]
 
 
@@ -30,7 +30,9 @@ def closed_as_earlier(
     coverage = ground.grid.coverage(ground.scene.subset(ground.rows))
     hole = ground.hole_in(coverage)
     if version == 1:
-        clones, missing = _clones(near, ground, ground.rows, hole, (coverage >= COVERED) & ~hole & ground.bare, None)
+        clones, missing = _clones(
+            near, ground, ground.rows, hole, (coverage >= COVERED_OPACITY) & ~hole & ground.bare, None
+        )
     else:
         surface = ground.surface(hole)
         clones, missing = _clones(near, ground, ground.own, hole, ground.cloneable(surface.known), surface)
@@ -43,7 +45,7 @@ def _clones(
 ) -> tuple[list[Clones], Cells]:  # fmt: skip
     """Return what is cloned, and the cells of the hole that nothing was found for."""
     missing, clones = hole.copy(), []
-    for _ in range(ROUNDS if hole.any() else 0):
+    for _ in range(MAX_SHIFTS if hole.any() else 0):
         shift, closed = best_shift(missing, good, surface)
         if not closed.any():
             break
@@ -60,5 +62,5 @@ def _clones(
 
 def _about(ground: Ground, hole: Cells) -> Ids:
     """Return the Gaussians about a plane in a hole of it, whosever they are."""
-    low = np.flatnonzero(np.abs(ground.heights) <= STANDS * ground.plane.tolerance)
+    low = np.flatnonzero(np.abs(ground.heights) <= MIN_STANDING_TOLERANCES * ground.plane.tolerance)
     return np.asarray(low[ground.grid.among(hole, ground.places[low])])

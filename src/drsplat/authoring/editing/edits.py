@@ -17,7 +17,7 @@ from .replacement import Replace
 from .targets import Target
 
 Change = Remove | Isolate | Opacity | Move | Turn | Scale | Duplicate | Recolour | Palette | MatchPhoto | Replace | Fill
-MOST = 1000  # edits of a list
+MAX_EDITS = 1000  # of a list
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +46,8 @@ class EditList:
     done: int = 0
 
     def __post_init__(self) -> None:
-        if len(self.edits) > MOST or not 0 <= self.done <= len(self.edits):
-            raise InputError(f"expected up to {MOST:,} edits, {self.done} of {len(self.edits)} done")
+        if len(self.edits) > MAX_EDITS or not 0 <= self.done <= len(self.edits):
+            raise InputError(f"expected up to {MAX_EDITS:,} edits, {self.done} of {len(self.edits)} done")
 
     @property
     def active(self) -> tuple[Edit, ...]:

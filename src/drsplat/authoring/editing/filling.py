@@ -17,15 +17,15 @@ from .ground import Ground
 from .planes import planes_around, surfaces_around
 from .shifts import best_shift
 
-AROUND = 0.8  # sizes of the object: how far around it planes are looked for, and clones are taken from
-ROUNDS = 16  # shifts that clones are taken by
-THICK = 0.8  # opacity of clones that close a cell
-MARGIN = 2  # cells around those that close, whose Gaussians are cloned too: these reach into them
-FEWEST = 10  # Gaussians that can be seen, of something that can leave a hole
-ENOUGH = 0.9  # of a hole: less is told
-LEAST_CLOSED = 0.2  # of a hole: with less it stays as it is, for that would be specks
+SEARCH_MARGIN_SHARE = 0.8  # of the object's size: how far around it planes are fitted and clones are taken
+MAX_SHIFTS = 16  # that clones are taken by
+CLOSED_OPACITY = 0.8  # of a cell's clones, from which on the cell is closed
+CLONE_MARGIN_CELLS = 2  # around cells that close: Gaussians there reach into them and are cloned too
+MIN_VISIBLE_GAUSSIANS = 10  # of an object that can leave a hole
+WARNED_CLOSED_SHARE = 0.9  # of a hole: where less is closed, a warning says so
+MIN_CLOSED_SHARE = 0.2  # of a hole: with less it stays open, for the fill would be specks
 VERSIONS = (1, 2, 3, 4)
-FIRST_RECORDED = 4  # version that is stored with what it did
+FIRST_RECORDED_VERSION = 4  # edits from this version on are stored with their result
 Ids = Int64[np.ndarray, " m"]
 Cells = Bool[np.ndarray, "h w"]
 
@@ -53,13 +53,13 @@ class Fill:
     def __post_init__(self) -> None:
         if self.version not in VERSIONS:
             raise InputError(f"fill: expected version 1 to 4, got {self.version}: a newer drsplat may know it")
-        if self.record is not None and self.version < FIRST_RECORDED:
+        if self.record is not None and self.version < FIRST_RECORDED_VERSION:
             raise InputError(f"fill: version {self.version} has no record: leave it out, or give version 4")
 
     @property
     def lacks_record(self) -> bool:
         """True if this version is stored with a record, and there is none yet."""
-        return self.record is None and self.version >= FIRST_RECORDED
+        return self.record is None and self.version >= FIRST_RECORDED_VERSION
 
     def apply(self, draft: Draft, ids: Ids) -> None:
         """Close the hole that the target leaves. Raises: InputError: as `recorded`, or a record that does not fit."""
@@ -75,13 +75,15 @@ class Fill:
 
     def _computed(self, draft: Draft, ids: Ids) -> FillRecord:
         seen = ids[draft.opacities[ids] >= HAZE_OPACITY]
-        if len(seen) < FEWEST:
-            raise InputError(f"fill: {len(seen)} Gaussians that can be seen leave no hole: {FEWEST} are the fewest")
+        if len(seen) < MIN_VISIBLE_GAUSSIANS:
+            raise InputError(
+                f"fill: {len(seen)} Gaussians that can be seen leave no hole: {MIN_VISIBLE_GAUSSIANS} are the fewest"
+            )
         thing = draft.homes[seen].astype(np.float64)
         near = _near(draft, ids, thing)
         scene = draft.part(near)
         around = scene.means[scene.opacities >= HAZE_OPACITY].astype(np.float64)
-        early = self.version < FIRST_RECORDED
+        early = self.version < FIRST_RECORDED_VERSION
         planes = (planes_around if early else surfaces_around)(thing, around)
         if not planes:
             raise InputError(
@@ -103,7 +105,7 @@ class Fill:
 def _near(draft: Draft, ids: Ids, thing: Float64[np.ndarray, "t 3"]) -> Int64[np.ndarray, " k"]:
     """Return the rows that are there around what stood there, without itself."""
     low, high = np.quantile(thing, (0.01, 0.99), axis=0)
-    reach = AROUND * float(np.linalg.norm(high - low))
+    reach = SEARCH_MARGIN_SHARE * float(np.linalg.norm(high - low))
     near = ((draft.means >= low - reach) & (draft.means <= high + reach)).all(axis=1) & draft.present
     near[ids] = False
     return np.flatnonzero(near)
@@ -116,7 +118,7 @@ def _closed(near: Int64[np.ndarray, " k"], ground: Ground) -> tuple[Ids, list[Cl
     """
     clones, missing = _clones(near, ground) if ground.is_around_hole else ([], ground.hole)
     open_share = missing.sum() / max(1, ground.hole.sum())
-    if open_share > 1 - LEAST_CLOSED:
+    if open_share > 1 - MIN_CLOSED_SHARE:
         return ground.standing, [], 1.0
     return np.union1d(ground.standing, ground.guessed(ground.hole)), clones, float(open_share)
 
@@ -127,7 +129,7 @@ def _clones(near: Int64[np.ndarray, " k"], ground: Ground) -> tuple[list[Clones]
     surface = ground.surface(hole)
     good, missing, seen_through = ground.cloneable(surface.known), hole, np.ones(grid.shape)
     clones = []
-    for _ in range(ROUNDS):
+    for _ in range(MAX_SHIFTS):
         shift, closed = best_shift(missing, good, surface)
         rows = ground.own[grid.among(_margin(closed, shift), ground.places[ground.own])]
         if not closed.any() or not len(rows):
@@ -135,7 +137,7 @@ def _clones(near: Int64[np.ndarray, " k"], ground: Ground) -> tuple[list[Clones]
         clones.append(Clones(spans_of(near[rows]), -grid.shift(shift)))
         means = (scene.means[rows] + clones[-1].by).astype(np.float32)
         seen_through *= 1 - grid.coverage(replace(scene.subset(rows), means=means))
-        missing = hole & (seen_through > 1 - THICK)
+        missing = hole & (seen_through > 1 - CLOSED_OPACITY)
         surface = surface.closed(closed, shift)
     return clones, missing
 
@@ -145,11 +147,11 @@ def _margin(closed: Cells, shift: tuple[int, int]) -> Cells:
     source = np.zeros_like(closed)
     down, across = np.nonzero(closed)
     source[down + shift[0], across + shift[1]] = True
-    return np.asarray(ndimage.binary_dilation(source, iterations=MARGIN))
+    return np.asarray(ndimage.binary_dilation(source, iterations=CLONE_MARGIN_CELLS))
 
 
 def _tell(open_share: float) -> None:
     """Warn where much of a hole stays open."""
-    if open_share > 1 - ENOUGH:
+    if open_share > 1 - WARNED_CLOSED_SHARE:
         told = f"fill: of one plane {1 - open_share:.0%} of the hole could be closed"
         warnings.warn(told, DrSplatWarning, stacklevel=4)

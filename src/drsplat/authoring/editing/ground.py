@@ -15,16 +15,17 @@ from .plane_grid import Cells, PlaneGrid
 from .planes import Plane
 from .shifts import Surface
 
-COVERED, HINT = 0.6, 0.05  # opacity of a plane that hides what is behind it; from which on there is some of it
-FOOT = 0.15  # of an object's height, from its lowest on: below that no photo saw the ground, and training guessed
-STANDS = 1.3  # tolerances above a plane from which on something stands on it
-CLEAR = 0.2  # opacity of what stands on a plane up to which it is taken to be bare
-NEEDLE = 6.0  # times longer than wide: no patch of a surface
-FOOT_CELLS = 3  # around what stands on a plane, where its foot may lie in the plane
-LEAST_SHARE = 0.2  # of the Gaussians in a plane, of an object that the plane is part of
-IN_PLANE = 1 / 3  # of the Gaussians of such an object: it is little else than this plane and others like it
-RING = 12  # cells around a hole, whose objects it goes on
-SURROUNDED = 0.5  # of a hole, by what is left of the plane: it is a hole in this plane, and not beside it
+COVERED_OPACITY = 0.6  # of a plane, from which on it hides what is behind it
+HINT_OPACITY = 0.05  # of a plane, from which on there is some of it in a cell
+FOOT_HEIGHT_SHARE = 0.15  # lowest part of an object: no photo saw the ground below it, and training guessed
+MIN_STANDING_TOLERANCES = 1.3  # above a plane, from which on something stands on it
+MAX_BARE_OPACITY = 0.2  # of what stands on a plane where the plane counts as bare
+MAX_ELONGATION = 6.0  # length over width: what is longer is no patch of a surface
+FOOT_CELLS = 3  # around what stands on a plane: its foot may reach so far into the plane
+MIN_OWNER_SHARE = 0.2  # of the Gaussians in a plane, for an object that the plane is part of
+MIN_IN_PLANE_SHARE = 1 / 3  # of such an object's Gaussians: it consists of this plane and of others like it
+RING_CELLS = 12  # around a hole: objects in the ring may continue into the hole
+MIN_SURROUNDED_SHARE = 0.5  # of a hole, by the rest of the plane: less, and the hole lies beside the plane
 Ids = Int64[np.ndarray, " m"]
 Places = Float64[np.ndarray, "n 3"]
 
@@ -66,8 +67,8 @@ class Ground:
     @cached_property
     def bare(self) -> Cells:
         """Cells that nothing stands on."""
-        above = np.flatnonzero(self.heights > STANDS * self.plane.tolerance)
-        return np.asarray(self.grid.coverage(self.scene.subset(above)) < CLEAR)
+        above = np.flatnonzero(self.heights > MIN_STANDING_TOLERANCES * self.plane.tolerance)
+        return np.asarray(self.grid.coverage(self.scene.subset(above)) < MAX_BARE_OPACITY)
 
     @cached_property
     def in_front(self) -> Cells:
@@ -84,7 +85,7 @@ class Ground:
         """Cells below what of the thing is lowest."""
         heights = self.plane.heights(self.thing)
         low, high = np.quantile(heights, (0.02, 0.98))
-        return self.grid.shadow(self.thing[heights <= float(low + FOOT * (high - low))])
+        return self.grid.shadow(self.thing[heights <= float(low + FOOT_HEIGHT_SHARE * (high - low))])
 
     @cached_property
     def hole(self) -> Cells:
@@ -93,18 +94,18 @@ class Ground:
         Masks give objects what photos see: what is nobody's is what training guessed, unless it is much of the plane.
         """
         some, owners = self.rows, self.owners
-        if owners is not None and np.mean(owners[some] < 0) < LEAST_SHARE:
+        if owners is not None and np.mean(owners[some] < 0) < MIN_OWNER_SHARE:
             some = some[owners[some] >= 0]
         return self.hole_in(self.grid.coverage(self.scene.subset(some)))
 
     def hole_in(self, coverage: Float64[np.ndarray, "h w"]) -> Cells:
         """Return the cells below the thing that are not covered, and those below its foot."""
-        return np.asarray((self.shadow & (coverage < COVERED) | self.foot) & self.in_front)
+        return np.asarray((self.shadow & (coverage < COVERED_OPACITY) | self.foot) & self.in_front)
 
     @cached_property
     def main_owners(self) -> Integer[np.ndarray, " o"]:
         """Objects, -1 for none, that have much of the plane, or of what of it is around the hole."""
-        around = ndimage.binary_dilation(self.hole, iterations=RING) & ~self.hole
+        around = ndimage.binary_dilation(self.hole, iterations=RING_CELLS) & ~self.hole
         beside = self.rows[self.grid.among(around, self.places[self.rows])]
         return np.union1d(self.owners_of(self.rows), self.owners_of(beside))
 
@@ -113,13 +114,13 @@ class Ground:
         if self.owners is None:
             return np.zeros(0, np.int64)
         owners, counts = np.unique(self.owners[rows], return_counts=True)
-        return np.asarray(owners[counts >= LEAST_SHARE * len(rows)])
+        return np.asarray(owners[counts >= MIN_OWNER_SHARE * len(rows)])
 
     @cached_property
     def own(self) -> Ids:
         """Gaussians in the plane that are its own: of its objects, and of the colour that it has around them."""
         part, cells = self.scene.subset(self.rows), self.grid.cells(self.places[self.rows])
-        drawn = Surface(self.grid.colors(part), self.grid.coverage(part) >= COVERED)
+        drawn = Surface(self.grid.colors(part), self.grid.coverage(part) >= COVERED_OPACITY)
         own = drawn.holds(0.5 + SH_C0 * part.sh[:, 0].astype(np.float64), cells)
         if self.owners is not None:
             own &= np.isin(self.owners[self.rows], self.main_owners)
@@ -131,7 +132,7 @@ class Ground:
 
     def surface(self, hole: Cells) -> Surface:
         """Return the plane's own colours, known outside of a hole."""
-        return Surface(self.grid.colors(self.scene.subset(self.own)), (self.own_coverage >= COVERED) & ~hole)
+        return Surface(self.grid.colors(self.scene.subset(self.own)), (self.own_coverage >= COVERED_OPACITY) & ~hole)
 
     def cloneable(self, known: Cells) -> Cells:
         """Return known cells that nothing stands on or beside."""
@@ -142,15 +143,15 @@ class Ground:
         """True if there is a hole, and at least half of it lies within the convex hull of the plane's own."""
         cells = np.argwhere(self.hole)
         try:
-            sides = ConvexHull(np.argwhere(self.own_coverage >= HINT)).equations
+            sides = ConvexHull(np.argwhere(self.own_coverage >= HINT_OPACITY)).equations
         except (QhullError, ValueError):  # fewer than three cells, or all in a row
             return False
         within = (np.einsum("ci,si->cs", cells, sides[:, :2]) + sides[:, 2] <= 0).all(axis=1)
-        return bool(len(cells) and within.mean() >= SURROUNDED)
+        return bool(len(cells) and within.mean() >= MIN_SURROUNDED_SHARE)
 
     def guessed(self, hole: Cells) -> Ids:
         """Return the Gaussians about the plane, in a hole of it, that training guessed there unseen."""
-        low = np.flatnonzero(np.abs(self.heights) <= STANDS * self.plane.tolerance)
+        low = np.flatnonzero(np.abs(self.heights) <= MIN_STANDING_TOLERANCES * self.plane.tolerance)
         goes = self.grid.among(hole, self.places[low])
         if self.owners is not None:
             goes &= _is_of_surface(self.owners[low], goes)
@@ -165,9 +166,13 @@ class Ground:
         if self.owners is None:
             return np.zeros(0, np.int64)
         lies = np.abs(self.heights) <= self.plane.tolerance
-        flat = [one for one in self.main_owners if one >= 0 and lies[self.owners == one].mean() >= IN_PLANE]
+        flat = [one for one in self.main_owners if one >= 0 and lies[self.owners == one].mean() >= MIN_IN_PLANE_SHARE]
         top = np.quantile(self.plane.heights(self.thing), 0.98)
-        some = np.isin(self.owners, flat) & (self.heights > STANDS * self.plane.tolerance) & (self.heights <= top)
+        some = (
+            np.isin(self.owners, flat)
+            & (self.heights > MIN_STANDING_TOLERANCES * self.plane.tolerance)
+            & (self.heights <= top)
+        )
         rows = np.flatnonzero(some)
         rows = rows[self.grid.among(self.shadow, self.places[rows])]
         others = self.places[(self.owners >= 0) & ~np.isin(self.owners, flat) & (self.scene.opacities >= HAZE_OPACITY)]
@@ -189,7 +194,7 @@ def is_flat(scene: Gaussians, plane: Plane) -> Bool[np.ndarray, " n"]:
     full = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
     flat = np.einsum("i,nij,j->n", plane.normal, full, plane.normal) <= plane.tolerance**2
     sizes = np.sort(scene.scales, axis=1)
-    return np.asarray(flat & (sizes[:, 2] <= NEEDLE * sizes[:, 1]))
+    return np.asarray(flat & (sizes[:, 2] <= MAX_ELONGATION * sizes[:, 1]))
 
 
 def _is_of_surface(owners: Integer[np.ndarray, " l"], in_hole: Bool[np.ndarray, " l"]) -> Bool[np.ndarray, " l"]:

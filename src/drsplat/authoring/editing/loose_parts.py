@@ -11,15 +11,16 @@ from scipy.spatial import cKDTree
 from ...base.arrays import Bool, Float64, Int64
 from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import Gaussians
-from .planes import FEWEST, LARGEST_SHARE_BEHIND, Plane, largest_plane, num_sides
+from .planes import MAX_THING_SHARE_BEHIND, MIN_PLANE_GAUSSIANS, Plane, largest_plane, num_sides
 
-REACH = 0.8  # sizes of the thing: how far around it parts are looked for
-FLAT_SHARE = 0.4  # of an object's area in and above its plane, from which on it is a floor, a table or a wall
-MIN_SIDES = 3  # of eight directions from the thing in which a plane goes on that is one around the thing only
-LIFT = 1.3  # tolerances above a plane from which on a Gaussian is no part of it
-NEIGHBOURS, USUAL = 8, 6
-STEP = 1.5  # times the usual distance of a thing's Gaussians to the sixth neighbour: the longest step of a path
-LARGEST = 0.95  # quantile of the sizes of a thing's Gaussians: larger ones reach beyond it
+SEARCH_MARGIN_SHARE = 0.8  # of the thing's size: how far around it parts are looked for
+MIN_FLAT_SHARE = 0.4  # of an object's area above its plane: with so much in the plane it is a floor, a table or a wall
+MIN_SIDES = 3  # of eight directions from the thing in which a plane around it must continue
+MIN_LIFT_TOLERANCES = 1.3  # above a plane, from which on a Gaussian is not part of it
+GRAPH_NEIGHBOURS = 8
+SPACING_NEIGHBOUR = 6  # neighbour whose distance counts as the spacing of a thing's Gaussians
+MAX_STEP_SPACINGS = 1.5  # of a path between Gaussians, in median spacings of the thing's
+MAX_SIZE_QUANTILE = 0.95  # of a thing's Gaussians: larger ones reach beyond it
 Mask = Bool[np.ndarray, " n"]
 Owners = Int64[np.ndarray, " n"]
 Thing = Float64[np.ndarray, "t 3"]
@@ -40,19 +41,21 @@ def loose_parts(gaussians: Gaussians, inside: Mask, owners: Owners, agreed: Bool
         agreed: whether photos agree on each object.
     """
     thing = _solid(gaussians, inside)
-    if len(thing) < FEWEST:
+    if len(thing) < MIN_PLANE_GAUSSIANS:
         return np.zeros_like(inside)
     low, high = np.quantile(thing, (0.01, 0.99), axis=0)
     size = float(np.linalg.norm(high - low))
-    near = ((gaussians.means >= low - REACH * size) & (gaussians.means <= high + REACH * size)).all(axis=1)
+    near = (
+        (gaussians.means >= low - SEARCH_MARGIN_SHARE * size) & (gaussians.means <= high + SEARCH_MARGIN_SHARE * size)
+    ).all(axis=1)
     others = near & ~inside & (owners >= 0)
     others[others] = agreed[owners[others]]
     standing, places = near & ~inside, gaussians.means[near].astype(np.float64)
     for ground in _grounds(gaussians, owners, others, ~inside, thing, size):
         others &= owners != ground.number
-        standing[near] &= ground.plane.heights(places) > LIFT * ground.plane.tolerance
+        standing[near] &= ground.plane.heights(places) > MIN_LIFT_TOLERANCES * ground.plane.tolerance
     sizes = gaussians.scales.max(axis=1)
-    small = sizes <= np.quantile(sizes[inside], LARGEST)
+    small = sizes <= np.quantile(sizes[inside], MAX_SIZE_QUANTILE)
     return _nearest_along_paths(gaussians, inside & near, others & standing, standing & ~others & small)
 
 
@@ -93,13 +96,13 @@ def _plane_of(gaussians: Gaussians, rows: Mask, thing: Thing, is_wide: Callable[
     """
     rows = rows & (gaussians.opacities >= HAZE_OPACITY)
     points = gaussians.means[rows].astype(np.float64)
-    plane = largest_plane(points, thing) if len(points) >= FEWEST else None
+    plane = largest_plane(points, thing) if len(points) >= MIN_PLANE_GAUSSIANS else None
     if plane is None:
         return None
     areas = np.sort(gaussians.scales[rows].astype(np.float64), axis=1)[:, 1:].prod(axis=1) * gaussians.opacities[rows]
     heights = plane.heights(points)
-    is_flat = areas[plane.holds(points)].sum() >= FLAT_SHARE * areas[heights >= -plane.tolerance].sum()
-    is_before = float((plane.heights(thing) < -plane.tolerance).mean()) <= LARGEST_SHARE_BEHIND
+    is_flat = areas[plane.holds(points)].sum() >= MIN_FLAT_SHARE * areas[heights >= -plane.tolerance].sum()
+    is_before = float((plane.heights(thing) < -plane.tolerance).mean()) <= MAX_THING_SHARE_BEHIND
     return plane if is_flat and is_before and is_wide(points[plane.holds(points)], plane) else None
 
 
@@ -107,8 +110,8 @@ def _nearest_along_paths(gaussians: Gaussians, inside: Mask, others: Mask, loose
     """Return the loose Gaussians that are nearer to the thing than to any other, along paths of small steps."""
     rows = np.flatnonzero(inside | others | loose)
     places = gaussians.means[rows].astype(np.float64)
-    distances, neighbours = cKDTree(places).query(places, range(2, NEIGHBOURS + 2))
-    longest = STEP * float(np.median(distances[inside[rows], USUAL - 1]))
+    distances, neighbours = cKDTree(places).query(places, range(2, GRAPH_NEIGHBOURS + 2))
+    longest = MAX_STEP_SPACINGS * float(np.median(distances[inside[rows], SPACING_NEIGHBOUR - 1]))
     at, which = np.nonzero(distances <= longest)
     steps = np.maximum(distances[at, which], np.finfo(np.float64).tiny)  # a step of zero would be none
     graph = csr_array((steps, (at, neighbours[at, which])), shape=(len(rows), len(rows)))

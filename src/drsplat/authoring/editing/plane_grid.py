@@ -12,8 +12,8 @@ from ...scene.gaussians import Gaussians
 from ...scene.views import View
 from .planes import Plane
 
-CELLS = 128  # of the longer side of what is looked at
-FAR = 40.0  # sizes of a plane that it is looked at from
+GRID_CELLS = 128  # along the longer side
+VIEW_DISTANCE_SIZES = 40.0  # from which a plane is rendered, in its own sizes
 Cells = Bool[np.ndarray, "h w"]
 
 
@@ -31,7 +31,7 @@ class PlaneGrid:
         """Return cells below all of some places."""
         points = plane.flat(places)
         low, size = points.min(axis=0), np.ptp(points, axis=0)
-        step = float(size.max()) / CELLS
+        step = float(size.max()) / GRID_CELLS
         rows, columns = (np.floor(size / step).astype(int) + 1).tolist()
         return cls(plane, low, step, (rows, columns))
 
@@ -82,7 +82,10 @@ class PlaneGrid:
     def _drawn(self, gaussians: Gaussians) -> Picture:
         down, right = self.plane.axes
         ahead = np.cross(right, down)  # from either side: what is opaque is so from both
-        middle, distance = self.low + np.array(self.shape) / 2 * self.step, FAR * self.step * max(self.shape)
+        middle, distance = (
+            self.low + np.array(self.shape) / 2 * self.step,
+            VIEW_DISTANCE_SIZES * self.step * max(self.shape),
+        )
         eye = middle @ self.plane.axes + self.plane.offset * self.plane.normal - distance * ahead
         pose, focal = np.eye(4), distance / self.step
         pose[:3, :3] = np.stack([right, down, ahead])

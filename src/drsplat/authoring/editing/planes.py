@@ -7,18 +7,23 @@ import numpy as np
 
 from ...base.arrays import Bool, Float64, Int64
 
-TRIES = 300  # of three points each
-LOOKED_AT = 4000  # points, to choose a plane by
-TOLERANCE = 0.04  # of the size of what stands there: how far from a plane its Gaussians may lie
-FEWEST, SHARE = 40, 0.005  # Gaussians of a plane, and of those around
-SPREAD, THINNEST = 4.0, 0.2  # median distances from a plane that its Gaussians lie within; least of what they may
-TOUCHES = 4.0  # tolerances between a plane and what stands on it
-LARGEST_SHARE_BEHIND = 0.15  # of what stands there: roots of training, and what is wrong in masks
-SIDES = 4  # of eight directions from its middle in which the plane goes on
-NEAR, BESIDE = 1.6, 0.01  # there: up to so many times its own reach; with such a share of the plane's Gaussians
-ALIKE = 0.9  # cosine of the normals of planes that are one surface, taken twice
-BEHIND, MOST_BEHIND = 2.0, 0.5  # tolerances; of all points: beyond floors and walls, and below a table, there are fewer
-MOST, LOOKS = 3, 12
+RANSAC_TRIES = 300
+MAX_RANSAC_POINTS = 4000
+TOLERANCE_SHARE = 0.04  # of the size of what stands there: how far from a plane its Gaussians may lie
+MIN_PLANE_GAUSSIANS = 40
+MIN_PLANE_SHARE = 0.005  # of the Gaussians around
+THICKNESS_MEDIANS = 4.0  # a plane's half thickness, in median distances from it
+MIN_THICKNESS_SHARE = 0.2  # of the tolerance
+MAX_TOUCHING_TOLERANCES = 4.0  # between a plane and what stands on it
+MAX_THING_SHARE_BEHIND = 0.15  # of what stands there: roots from training, and mistakes of masks
+MIN_SIDES = 4  # of eight directions from its middle in which the plane must continue
+SIDE_REACH = 1.6  # in each direction the plane counts up to so many times the thing's own reach
+MIN_SIDE_SHARE = 0.01  # of the plane's Gaussians, for a direction in which it continues
+SAME_NORMAL_COSINE = 0.9  # between planes that are one surface, found twice
+BEHIND_TOLERANCES = 2.0  # below a plane, from which on a point is behind it
+MAX_SHARE_BEHIND = 0.5  # of all points: fewer lie beyond floors and walls, and below a table
+MAX_PLANES = 3
+MAX_SEARCHES = 12
 Points = Float64[np.ndarray, "n 3"]
 Thing = Float64[np.ndarray, "t 3"]
 
@@ -45,11 +50,11 @@ class Plane:
 
 def surfaces_around(thing: Thing, around: Points) -> list[Plane]:
     """Return the planes around a thing that do not lie across several others: most points are on its side of each."""
-    return planes_around(thing, around, lambda plane: _share_behind(plane, around) <= MOST_BEHIND)
+    return planes_around(thing, around, lambda plane: _share_behind(plane, around) <= MAX_SHARE_BEHIND)
 
 
 def _share_behind(plane: Plane, points: Points) -> float:
-    return float((plane.heights(points) < -BEHIND * plane.tolerance).mean())
+    return float((plane.heights(points) < -BEHIND_TOLERANCES * plane.tolerance).mean())
 
 
 def planes_around(thing: Thing, around: Points, fits: Callable[[Plane], bool] = lambda _: True) -> list[Plane]:
@@ -58,10 +63,10 @@ def planes_around(thing: Thing, around: Points, fits: Callable[[Plane], bool] = 
     fits: what else is asked of each.
     """
     rng, rest = np.random.default_rng(0), around
-    tolerance = TOLERANCE * float(np.linalg.norm(np.ptp(thing, axis=0)))
-    least = max(FEWEST, int(SHARE * len(around)))
+    tolerance = TOLERANCE_SHARE * float(np.linalg.norm(np.ptp(thing, axis=0)))
+    least = max(MIN_PLANE_GAUSSIANS, int(MIN_PLANE_SHARE * len(around)))
     planes: list[Plane] = []
-    for _ in range(LOOKS):  # some that are large are none that it stands on
+    for _ in range(MAX_SEARCHES):  # some that are large are none that it stands on
         plane = _largest(rest, thing, tolerance, rng) if len(rest) >= least else None
         if plane is None:
             break
@@ -72,19 +77,21 @@ def planes_around(thing: Thing, around: Points, fits: Callable[[Plane], bool] = 
         if stands and not any(_are_one(plane, other) for other in planes):
             planes.append(plane)
         rest = rest[~inside]
-    return planes[:MOST]
+    return planes[:MAX_PLANES]
 
 
 def largest_plane(points: Points, thing: Thing) -> Plane | None:
     """Return the plane that most of some points lie in, its normal to where a thing is; None for points on a line."""
-    return _largest(points, thing, TOLERANCE * float(np.linalg.norm(np.ptp(thing, axis=0))), np.random.default_rng(0))
+    return _largest(
+        points, thing, TOLERANCE_SHARE * float(np.linalg.norm(np.ptp(thing, axis=0))), np.random.default_rng(0)
+    )
 
 
 def _largest(points: Points, thing: Thing, tolerance: float, rng: np.random.Generator) -> Plane | None:
     """Return the plane through three of the points that most of them lie in, fitted to these."""
-    some = points[:: -(-len(points) // LOOKED_AT)]
+    some = points[:: -(-len(points) // MAX_RANSAC_POINTS)]
     best, most = None, 0
-    a, b, c = some[rng.integers(len(some), size=(TRIES, 3))].transpose(1, 0, 2)
+    a, b, c = some[rng.integers(len(some), size=(RANSAC_TRIES, 3))].transpose(1, 0, 2)
     for start, normal in zip(a, np.cross(b - a, c - a), strict=True):
         length = float(np.linalg.norm(normal))
         if length > 0:
@@ -101,21 +108,23 @@ def _fitted(points: Points, thing: Thing, tolerance: float) -> Plane:
     normal = axes[0]
     if np.median(np.einsum("ni,i->n", thing - middle, normal)) < 0:
         normal = -normal
-    thickness = SPREAD * float(np.median(np.abs(np.einsum("ni,i->n", away, normal))))
-    return Plane(normal, float(normal @ middle), axes[1:], min(tolerance, max(thickness, THINNEST * tolerance)))
+    thickness = THICKNESS_MEDIANS * float(np.median(np.abs(np.einsum("ni,i->n", away, normal))))
+    return Plane(
+        normal, float(normal @ middle), axes[1:], min(tolerance, max(thickness, MIN_THICKNESS_SHARE * tolerance))
+    )
 
 
 def _are_one(plane: Plane, other: Plane) -> bool:
     """Return True for planes of one direction: a thing stands on one ground, and before one wall of each."""
-    return abs(float(plane.normal @ other.normal)) >= ALIKE
+    return abs(float(plane.normal @ other.normal)) >= SAME_NORMAL_COSINE
 
 
 def _stands_on(plane: Plane, thing: Thing, ground: Points) -> bool:
     """Return True if a thing is before a plane, touches it, and has it on several sides."""
-    heights, tolerance = plane.heights(thing), TOLERANCE * float(np.linalg.norm(np.ptp(thing, axis=0)))
-    before = float((heights < -tolerance).mean()) <= LARGEST_SHARE_BEHIND
-    touches = float(np.quantile(heights, 0.02)) <= TOUCHES * tolerance
-    return before and touches and num_sides(plane.flat(thing), plane.flat(ground)) >= SIDES
+    heights, tolerance = plane.heights(thing), TOLERANCE_SHARE * float(np.linalg.norm(np.ptp(thing, axis=0)))
+    before = float((heights < -tolerance).mean()) <= MAX_THING_SHARE_BEHIND
+    touches = float(np.quantile(heights, 0.02)) <= MAX_TOUCHING_TOLERANCES * tolerance
+    return before and touches and num_sides(plane.flat(thing), plane.flat(ground)) >= MIN_SIDES
 
 
 def num_sides(thing: Float64[np.ndarray, "t 2"], ground: Float64[np.ndarray, "m 2"]) -> int:
@@ -123,8 +132,8 @@ def num_sides(thing: Float64[np.ndarray, "t 2"], ground: Float64[np.ndarray, "m 
     middle = np.median(thing, axis=0)
     (own, reach), (other, distance) = (_polar(points - middle) for points in (thing, ground))
     ends = [float(np.quantile(reach[own == k], 0.95)) if (own == k).any() else 0.0 for k in range(8)]
-    least = max(3, int(BESIDE * len(ground)))
-    beside = [np.count_nonzero(distance[other == k] <= NEAR * max(ends[k], ends[k - 4])) for k in range(8)]
+    least = max(3, int(MIN_SIDE_SHARE * len(ground)))
+    beside = [np.count_nonzero(distance[other == k] <= SIDE_REACH * max(ends[k], ends[k - 4])) for k in range(8)]
     return sum(int(number) >= least for number in beside)
 
 

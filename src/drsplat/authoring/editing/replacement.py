@@ -18,7 +18,7 @@ from .draft import OBJECT_ID, Draft, most_rows
 Vector = Float64[np.ndarray, " 3"]
 Spans = Int64[np.ndarray, "s 2"]
 Ids = Int64[np.ndarray, " m"]
-LEAST = 1e-9  # length of a box that something can be fitted to
+MIN_BOX_LENGTH = 1e-9  # of a box that something can be fitted to
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,9 +71,9 @@ def fitted(goes: Box, comes: Box) -> Float64[np.ndarray, "4 4"]:
 
     Upright: the third axis is up. Long sides lie along long sides. Raises: InputError: a box without a length.
     """
-    if not (goes.extent.max() > LEAST and comes.extent.max() > LEAST):
+    if not (goes.extent.max() > MIN_BOX_LENGTH and comes.extent.max() > MIN_BOX_LENGTH):
         raise InputError("replace: expected two things with a size, got a single point")
-    scale = float((np.maximum(goes.extent, LEAST) / np.maximum(comes.extent, LEAST)).min())
+    scale = float((np.maximum(goes.extent, MIN_BOX_LENGTH) / np.maximum(comes.extent, MIN_BOX_LENGTH)).min())
     rotation = goes.axes.T @ comes.axes
     matrix = np.eye(4)
     matrix[:3, :3] = scale * rotation

@@ -14,12 +14,14 @@ from .loose_parts import loose_parts
 from .targets import Rows
 
 Ids = Int64[np.ndarray, " m"]
-DIRECTIONS = 64  # in which a thing may be around a place
-NEARLY_ALL = 0.95  # of an object's Gaussians: the others are its noisy ones
-AROUND = 0.85  # of them, from which on a place is inside
-MOST_POINTS, AT_ONCE = 1500, 1 << 20  # of a thing that directions are looked at; pairs at once
-NEIGHBOURS, MAJORITY = 8, 5  # of a loose Gaussian's neighbours, how many belong to what it hangs on to
-PASSES = 2
+DIRECTIONS = 64  # around a place in which the thing is looked for
+MIN_INSIDE_SHARE = 0.95  # of an object's Gaussians, for an object inside: the rest may be noise
+MIN_SURROUNDED_SHARE = 0.85  # of the directions, for a place inside
+MAX_THING_POINTS = 1500  # that directions are computed to
+BLOCK_PAIRS = 1 << 20
+VOTING_NEIGHBOURS = 8  # of a loose Gaussian
+MIN_VOTES = 5  # of these, for belonging to the thing
+VOTING_PASSES = 2
 
 
 def object_rows(scene: Scene, number: int) -> Rows:
@@ -82,12 +84,12 @@ def completed(
     inside[ids] = True
     owned = owners >= 0
     sizes = np.bincount(owners[owned], minlength=owners.max(initial=0) + 1)
-    nearly_all = np.bincount(owners[inside & owned], minlength=len(sizes)) >= NEARLY_ALL * sizes
+    nearly_all = np.bincount(owners[inside & owned], minlength=len(sizes)) >= MIN_INSIDE_SHARE * sizes
     inside |= owned & nearly_all[owners]
     taken = enclosed(gaussians, inside)
     own_things = np.bincount(owners[taken & owned], minlength=len(sizes)) > sizes / 2
     inside |= taken & ~(own_things[owners] & owned)
-    for _ in range(PASSES):
+    for _ in range(VOTING_PASSES):
         inside |= hanging(gaussians, inside, (owners < 0) & ~inside)
     if len(agreed):
         inside |= loose_parts(gaussians, inside, owners, agreed)
@@ -110,17 +112,17 @@ def enclosed(gaussians: Gaussians, inside: Bool[np.ndarray, " n"]) -> Bool[np.nd
     found = np.zeros(len(gaussians), bool)
     if len(thing) < DIRECTIONS:
         return found
-    thing = thing[:: -(-len(thing) // MOST_POINTS)]
+    thing = thing[:: -(-len(thing) // MAX_THING_POINTS)]
     low, high = np.quantile(thing, (0.01, 0.99), axis=0)
     near = np.flatnonzero(((gaussians.means > low) & (gaussians.means < high)).all(axis=1) & ~inside)
     directions = _sphere(DIRECTIONS)
-    for begin in range(0, len(near), block := max(1, AT_ONCE // len(thing))):
+    for begin in range(0, len(near), block := max(1, BLOCK_PAIRS // len(thing))):
         some = near[begin : begin + block]
         away = thing[None] - gaussians.means[some, None].astype(np.float64)
         nearest = np.einsum("pti,di->ptd", away, directions).argmax(axis=2)
         seen = np.zeros((len(some), DIRECTIONS), bool)
         np.put_along_axis(seen, nearest, True, axis=1)
-        found[some] = seen.mean(axis=1) >= AROUND
+        found[some] = seen.mean(axis=1) >= MIN_SURROUNDED_SHARE
     return found
 
 
@@ -129,13 +131,13 @@ def hanging(
 ) -> Bool[np.ndarray, " n"]:  # fmt: skip
     """Return loose Gaussians most of whose neighbours belong to a thing."""
     found = np.zeros(len(gaussians), bool)
-    among = min(NEIGHBOURS + 1, len(gaussians))
+    among = min(VOTING_NEIGHBOURS + 1, len(gaussians))
     near = np.flatnonzero(loose)
     if len(near) and inside.any():
         low, high = gaussians.means[inside].min(axis=0), gaussians.means[inside].max(axis=0)
         near = near[((gaussians.means[near] >= low) & (gaussians.means[near] <= high)).all(axis=1)]
         _, neighbours = cKDTree(gaussians.means).query(gaussians.means[near], range(1, among + 1))
-        found[near] = inside[neighbours].sum(axis=1) >= MAJORITY
+        found[near] = inside[neighbours].sum(axis=1) >= MIN_VOTES
     return found
 
 

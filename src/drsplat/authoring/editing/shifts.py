@@ -8,11 +8,12 @@ from scipy.signal import fftconvolve
 
 from ...base.arrays import Bool, Float64, Int64
 
-WINDOW = 21  # cells on a side, whose middle colour a plane has there
-LEAST_OUTLIER, OUTLIER = 0.12, 1.5  # off that colour, of 1; in usual differences: what stands out is off by both
-NEARLY_AS_MANY = 0.9  # cells as the shift closes that closes most: of such shifts the seam decides
-MOST_SEAMS = 100  # shifts whose seams are looked at
-SEAM = 2  # cells around what is missing
+MEDIAN_WINDOW_CELLS = 21  # side of the window whose median colour a plane has in its middle
+MIN_OUTLIER_DIFFERENCE = 0.12  # from that colour, of 1
+OUTLIER_MEDIANS = 1.5  # in median differences: an outlier exceeds both
+MIN_CLOSED_OF_BEST_SHARE = 0.9  # of the cells that the best shift closes: among such shifts the seam decides
+MAX_SEAM_SHIFTS = 100  # whose seams are compared
+SEAM_CELLS = 2  # around the missing ones
 Cells = Bool[np.ndarray, "h w"]
 Colors = Float64[np.ndarray, "h w 3"]
 Shifts = Int64[np.ndarray, "s 2"]
@@ -33,7 +34,7 @@ class Surface:
         if not self.known.any():
             return np.ones(len(colors), bool)
         drawn = np.where(self.known[..., None], self.colors, np.median(self.colors[self.known], axis=0))
-        middle = ndimage.median_filter(drawn, (WINDOW, WINDOW, 1))
+        middle = ndimage.median_filter(drawn, (MEDIAN_WINDOW_CELLS, MEDIAN_WINDOW_CELLS, 1))
         off = np.abs(drawn - middle).max(axis=2)
         plain = ~ndimage.binary_dilation(self.known & (off > _limit(off[self.known])))[cells[:, 0], cells[:, 1]]
         off = np.abs(colors - middle[cells[:, 0], cells[:, 1]]).max(axis=1)
@@ -41,7 +42,7 @@ class Surface:
 
     def seam(self, missing: Cells, shift: Int64[np.ndarray, " 2"]) -> float:
         """Return how far the colours that a shift brings are from those around a hole; infinite where few are known."""
-        ring = np.argwhere(ndimage.binary_dilation(missing, iterations=SEAM) & ~missing & self.known)
+        ring = np.argwhere(ndimage.binary_dilation(missing, iterations=SEAM_CELLS) & ~missing & self.known)
         ring, there = _within(ring, shift, missing.shape)
         good = self.known[there[:, 0], there[:, 1]]
         if 2 * np.count_nonzero(good) < max(1, len(ring)):
@@ -58,7 +59,7 @@ class Surface:
 
 
 def _limit(off: Float64[np.ndarray, " n"]) -> float:
-    return max(LEAST_OUTLIER, OUTLIER * float(np.median(off)))
+    return max(MIN_OUTLIER_DIFFERENCE, OUTLIER_MEDIANS * float(np.median(off)))
 
 
 def best_shift(missing: Cells, good: Cells, surface: Surface | None) -> tuple[tuple[int, int], Cells]:
@@ -71,8 +72,8 @@ def best_shift(missing: Cells, good: Cells, surface: Surface | None) -> tuple[tu
     lengths = np.hypot(rows[:, None], columns[None])
     order = np.lexsort((lengths.ravel(), -counts.ravel()))
     if surface is not None:
-        nearly = order[: np.count_nonzero(counts >= max(1.0, NEARLY_AS_MANY * counts.max()))]
-        order = nearly[:: -(-len(nearly) // MOST_SEAMS)] if len(nearly) else order[:1]  # closes nothing
+        nearly = order[: np.count_nonzero(counts >= max(1.0, MIN_CLOSED_OF_BEST_SHARE * counts.max()))]
+        order = nearly[:: -(-len(nearly) // MAX_SEAM_SHIFTS)] if len(nearly) else order[:1]  # closes nothing
     down, across = np.unravel_index(order, counts.shape)
     shifts = np.stack([rows[down], columns[across]], axis=1)
     best = 0 if surface is None else int(np.argmin([surface.seam(missing, shift) for shift in shifts]))

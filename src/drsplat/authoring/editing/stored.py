@@ -19,14 +19,14 @@ from ...formats.scenes import companion, read_gaussians
 from ...scene.gaussians import Gaussians
 from .changes import Duplicate, Isolate, Move, Opacity, Remove, Scale, Turn
 from .colouring import MatchPhoto, Palette, Recolour
-from .edits import MOST, Change, Edit, EditList, edited, recorded
+from .edits import MAX_EDITS, Change, Edit, EditList, edited, recorded
 from .fill_record import Clones, FillRecord
 from .filling import Fill
 from .replacement import Replace
 from .targets import NAMED, Box, Copies, Everything, Rows, Target
 
 FORMAT, VERSION = "drsplat edits", 1
-PATIENCE = 10.0  # seconds for another process that writes
+PATIENCE_SECONDS = 10.0  # for another process that writes
 Read = Callable[[object, str], Any]
 
 
@@ -82,7 +82,7 @@ class EditFile:
     @contextmanager
     def held(self) -> Iterator[None]:
         """Keep others from writing it while the block runs. Raises: InputError: another process does."""
-        with claimed_output(self.path, PATIENCE):
+        with claimed_output(self.path, PATIENCE_SECONDS):
             yield
 
     def write(self, listed: EditList) -> None:
@@ -117,8 +117,8 @@ def edits_of(document: object, where: str) -> EditList:
         raise FormatError(f"{where}: version {excerpt(document.get('version'))}; this drsplat reads {VERSION}")
     _only(document, ("format", "version", "scene", "done", "edits"), where)
     scene, edits = document.get("scene"), document.get("edits")
-    if not isinstance(scene, str) or not isinstance(edits, list) or len(edits) > MOST:
-        raise FormatError(f"{where}: expected the fingerprint of a scene and a list of up to {MOST:,} edits")
+    if not isinstance(scene, str) or not isinstance(edits, list) or len(edits) > MAX_EDITS:
+        raise FormatError(f"{where}: expected the fingerprint of a scene and a list of up to {MAX_EDITS:,} edits")
     try:
         read = tuple(_edit(entry, f"{where}: edit {number}") for number, entry in enumerate(edits, start=1))
         return EditList(scene, read, as_count(document.get("done"), f"{where}: done"))
@@ -133,7 +133,9 @@ def _edit(entry: object, where: str) -> Edit:
     if not isinstance(kind, str) or kind not in _CHANGES:
         raise FormatError(f"{where}: do: expected one of {', '.join(_CHANGES)}; got {excerpt(kind)}")
     made, readers = _CHANGES[kind]
-    values = _EARLIER.get(kind, {}) | {name: value for name, value in entry.items() if name not in ("of", "do")}
+    values = _DEFAULTS_OF_EARLIER_LISTS.get(kind, {}) | {
+        name: value for name, value in entry.items() if name not in ("of", "do")
+    }
     _only(values, readers, where)
     missing = [one.name for one in fields(made) if one.default is MISSING and one.name not in values]
     if missing:
@@ -262,7 +264,9 @@ _CHANGES: dict[str, tuple[type[Change], dict[str, Read]]] = {
     "replace": (Replace, {"scene": _text, "fingerprint": _text, "matrix": _square(4), "spans": spans_of_runs}),
     "fill": (Fill, {"version": as_count, "record": _record}),
 }
-_EARLIER: dict[str, dict[str, object]] = {"fill": {"version": 1}}  # what lists say by leaving it out
+_DEFAULTS_OF_EARLIER_LISTS: dict[str, dict[str, object]] = {
+    "fill": {"version": 1}
+}  # of attributes that such lists leave out
 NAMES = {made: name for name, (made, _) in _CHANGES.items()}
 
 

@@ -17,7 +17,7 @@ from .draft import Draft
 
 Named = Literal["object", "label", "query", "rows"]
 NAMED: tuple[Named, ...] = get_args(Named)
-LONGEST = 400  # characters of what a person said
+MAX_NAME_CHARACTERS = 400
 Ids = Int64[np.ndarray, " m"]
 
 
@@ -39,9 +39,10 @@ class Rows:
         return cls(kind, name, spans_of(np.unique(ids)))
 
     def __post_init__(self) -> None:
-        if self.kind not in NAMED or not is_text(self.name) or len(self.name) > LONGEST:
+        if self.kind not in NAMED or not is_text(self.name) or len(self.name) > MAX_NAME_CHARACTERS:
             raise InputError(
-                f"rows: expected one of {', '.join(NAMED)} and up to {LONGEST} characters, got {self.kind!a:.40}"
+                f"rows: expected one of {', '.join(NAMED)} and up to {MAX_NAME_CHARACTERS} characters, "
+                f"got {self.kind!a:.40}"
             )
         if not are_rows(self.spans):
             raise InputError(f"{self}: expected ascending rows of a scene, one or more")

@@ -32,13 +32,14 @@ from ...scene.labelled import LabelledScene
 from ...scene.morton import morton_order
 
 VERSION, GENERATOR = 2, "drsplat"
-CODEBOOK = 256
-LLOYD_STEPS, BINS = 12, 4096  # of a codebook of single numbers
-CELL_ROWS = 2048  # of a cell of the palette that its entries are learnt from
+CODEBOOK_ENTRIES = 256
+LLOYD_STEPS = 12  # for a codebook of single numbers
+HISTOGRAM_BINS = 4096  # likewise
+CELL_ROWS = 2048  # of a cell of the palette's rows, whose entries are learnt together
 FIRST_TAG = 252  # of the largest component of a rotation
-LARGEST_ID = (1 << 24) - 2  # of an object: three bytes, 0 for none
-OTHERS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])
-MOST_ROWS = 1 << 26
+MAX_OBJECT_ID = (1 << 24) - 2  # three bytes, 0 for none
+OTHER_COMPONENTS = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])  # of a rotation, by the largest
+MAX_ROWS = 1 << 26
 SEED = 0
 Importance = Callable[[np.ndarray], np.ndarray]  # of ascending values, what a squared error weighs there
 LABELS, OBJECTS, RELEVANCIES = "drsplat_labels.json", "drsplat_objects.webp", "drsplat_relevancy.webp"
@@ -68,8 +69,8 @@ def sog_files(scene: LabelledScene) -> dict[str, bytes]:
 
 def refuse_other_counts(count: int) -> None:
     """Check a count. Raises: InputError: no Gaussians, or more than the format's pictures hold."""
-    if not 0 < count <= MOST_ROWS:
-        raise InputError(f"SOG: expected 1 to {MOST_ROWS:,} Gaussians, got {count:,}: cut the scene into tiles")
+    if not 0 < count <= MAX_ROWS:
+        raise InputError(f"SOG: expected 1 to {MAX_ROWS:,} Gaussians, got {count:,}: cut the scene into tiles")
 
 
 def ordered_files(gaussians: Gaussians, labels: bytes = b"") -> dict[str, bytes]:
@@ -152,8 +153,8 @@ def codebook(values: Float32[np.ndarray, "..."], importance: Importance = np.one
     """
     ascending = np.sort(values, axis=None).astype(np.float64)
     distinct = ascending[np.concatenate([[True], ascending[1:] > ascending[:-1]])]
-    if len(distinct) <= CODEBOOK:
-        return np.pad(distinct, (0, CODEBOOK - len(distinct)), mode="edge")
+    if len(distinct) <= CODEBOOK_ENTRIES:
+        return np.pad(distinct, (0, CODEBOOK_ENTRIES - len(distinct)), mode="edge")
     weights = importance(ascending)
     masses, moments = (np.concatenate([[0.0], np.cumsum(part)]) for part in (weights, weights * ascending))
     book = _spread(ascending, weights)
@@ -165,9 +166,9 @@ def codebook(values: Float32[np.ndarray, "..."], importance: Importance = np.one
 
 
 def _spread(ascending: Float64[np.ndarray, " n"], weights: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " c"]:
-    counted, edges = np.histogram(ascending, BINS, weights=weights)
+    counted, edges = np.histogram(ascending, HISTOGRAM_BINS, weights=weights)
     reached = np.concatenate([[0.0], np.cumsum(np.cbrt(counted))])
-    book: np.ndarray = np.interp((np.arange(CODEBOOK) + 0.5) / CODEBOOK * reached[-1], reached, edges)
+    book: np.ndarray = np.interp((np.arange(CODEBOOK_ENTRIES) + 0.5) / CODEBOOK_ENTRIES * reached[-1], reached, edges)
     return book
 
 
@@ -196,7 +197,7 @@ def low_bytes(values: Integer[np.ndarray, "..."]) -> UInt8[np.ndarray, "..."]:
 def _quats(quats: Float32[np.ndarray, "n 4"]) -> UInt8[np.ndarray, "n 4"]:
     largest = np.abs(quats).argmax(1)
     signs = np.where(np.take_along_axis(quats, largest[:, None], 1) < 0, -1, 1)
-    three = np.take_along_axis(quats, OTHERS[largest], 1) * signs * np.sqrt(2)
+    three = np.take_along_axis(quats, OTHER_COMPONENTS[largest], 1) * signs * np.sqrt(2)
     steps = np.clip(np.rint((three * 0.5 + 0.5) * 255), 0, 255)
     return np.column_stack([steps, FIRST_TAG + largest]).astype(np.uint8)
 
@@ -233,7 +234,7 @@ def harmonics_palette(rows: Float32[np.ndarray, "n d"]) -> tuple[Float32[np.ndar
     palette, labels = np.empty((0, rows.shape[1]), np.float32), np.empty(len(rows), np.int64)
     parts = []
     start = 0
-    for cell in range(CODEBOOK):
+    for cell in range(CODEBOOK_ENTRIES):
         own = np.flatnonzero(cell_of == cell)
         if len(own):
             entries = _centroids(rows[own], CELL_ROWS)
@@ -272,8 +273,8 @@ def _own_parts(gaussians: Gaussians, labels: bytes) -> tuple[dict[str, object], 
 
 def _object_ids(object_of: Integer[np.ndarray, " n"]) -> tuple[Mapping[str, object], bytes]:
     """Encode numbers of objects, increased by 1, as three bytes, the lowest first."""
-    if object_of.max() > LARGEST_ID:
-        raise InputError(f"SOG: expected at most {LARGEST_ID + 1:,} objects, got the number {object_of.max():,}")
+    if object_of.max() > MAX_OBJECT_ID:
+        raise InputError(f"SOG: expected at most {MAX_OBJECT_ID + 1:,} objects, got the number {object_of.max():,}")
     ids = object_of.astype(np.int64) + 1
     rows = np.column_stack([low_bytes(ids >> shift) for shift in (0, 8, 16)])
     return {"files": [OBJECTS]}, picture(rows)

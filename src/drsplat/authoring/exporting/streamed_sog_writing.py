@@ -33,10 +33,10 @@ from .sog_writing import GENERATOR, LABELS, ordered_files
 
 VERSION = 1
 LEVELS = 4
-FEWER = 4  # Gaussians of a level for each of the next
+LEVEL_RATIO = 4  # Gaussians of a level for each of the next
 LEAF_ROWS = 1 << 14
 CHUNK_ROWS = 1 << 17
-DIGITS = 7  # of numbers in the index
+INDEX_DIGITS = 7  # of numbers in the index
 
 
 def write_streamed_sog(
@@ -110,7 +110,7 @@ class _Writer:
         boxes, levels = [], {}
         for level in range(LEVELS):
             if level:
-                run = coarser(run, max(1, len(run) // FEWER), run.extra.get("object_id")).gaussians
+                run = coarser(run, max(1, len(run) // LEVEL_RATIO), run.extra.get("object_id")).gaussians
             run = run.subset(morton_order(run.means))
             boxes.append(extent_of(run))
             levels[str(level)] = self._placed(run, level)
@@ -181,4 +181,4 @@ def _tree(leaves: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 def _bound(low: Float32[np.ndarray, " 3"], high: Float32[np.ndarray, " 3"]) -> dict[str, list[float]]:
     ends = {"min": low, "max": high}
-    return {name: [float(f"{number:.{DIGITS}g}") for number in corner] for name, corner in ends.items()}
+    return {name: [float(f"{number:.{INDEX_DIGITS}g}") for number in corner] for name, corner in ends.items()}

@@ -32,8 +32,8 @@ COLORS = (
     "-vf", "scale=in_range=full:out_range=tv:out_color_matrix=bt709", "-pix_fmt", "yuv420p",
     "-colorspace", "bt709", "-color_primaries", "bt709", "-color_trc", "bt709", "-color_range", "tv",
 )  # fmt: skip
-LAST_WORDS = 600  # characters of what ffmpeg had to say
-PATIENCE_S = 600.0  # for the last pictures, once all have been given
+MAX_ERROR_BYTES = 600  # the end of ffmpeg's messages
+PATIENCE_S = 600.0  # from the last picture to ffmpeg's end
 
 
 def ffmpeg() -> str | None:
@@ -113,5 +113,5 @@ def _end_of(code: int) -> str:
 
 def _words(said: IO[bytes]) -> str:
     said.seek(0, 2)
-    said.seek(max(0, said.tell() - LAST_WORDS))
+    said.seek(max(0, said.tell() - MAX_ERROR_BYTES))
     return " ".join(plain(said.read().decode(errors="replace")).split()) or "it did not say why"

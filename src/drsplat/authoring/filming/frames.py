@@ -15,9 +15,10 @@ from ...scene.moving import Moving
 from ...scene.views import View
 from .highlights import Highlight
 
-LEAD_S, FADE_S = 1.0, 1.0  # before an answer appears, and until it is all there
-EARLIEST = 6  # these take no more than so small a part of the film each
-BORDER = 2  # pixels between two sides
+LEAD_S = 1.0  # before an answer appears
+FADE_S = 1.0  # until it is all there
+MIN_FILM_PARTS = 6  # lead and fade are each shortened to a film's length over this
+BORDER_PIXELS = 2  # between two sides
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +72,7 @@ class Film:
     def _share(self, number: int) -> float:
         """Return how much of the answer is there."""
         lasts = len(self.views) / self.fps
-        lead, fade = min(LEAD_S, lasts / EARLIEST), min(FADE_S, lasts / EARLIEST)
+        lead, fade = min(LEAD_S, lasts / MIN_FILM_PARTS), min(FADE_S, lasts / MIN_FILM_PARTS)
         part = float(np.clip((number / self.fps - lead) / fade, 0, 1))
         return part * part * (3 - 2 * part)
 
@@ -109,5 +110,5 @@ def _at(scene: Gaussians | Moving, share: float) -> Gaussians:
 def _joined(left: OtherPixels, right: OtherPixels) -> OtherPixels:
     both = np.concatenate([left, right], axis=1)
     middle = left.shape[1]
-    both[:, middle - BORDER // 2 : middle + BORDER // 2] = PAPER
+    both[:, middle - BORDER_PIXELS // 2 : middle + BORDER_PIXELS // 2] = PAPER
     return both

@@ -12,7 +12,7 @@ from ...drawing.pictures import OtherPixels
 
 COLORS = 256
 LOOP = b"!\xff\x0bNETSCAPE2.0\x03\x01\x00\x00\x00"  # without end
-FASTEST = 50.0  # browsers take less than two hundredths of a second to be ten
+MAX_FPS = 50.0  # browsers play frames shorter than two hundredths of a second at ten a second
 
 
 def write_gif(file: BinaryIO, pictures: Iterator[OtherPixels], fps: float) -> None:
@@ -22,7 +22,7 @@ def write_gif(file: BinaryIO, pictures: Iterator[OtherPixels], fps: float) -> No
         if number == 0:
             width, height = (side.to_bytes(2, "little") for side in image.size)
             file.write(b"GIF89a" + width + height + bytes([0x70, 0, 0]) + LOOP)
-        rate = min(fps, FASTEST)
+        rate = min(fps, MAX_FPS)
         lasts = round(100 * (number + 1) / rate) - round(100 * number / rate)
         for part in GifImagePlugin.getdata(image, duration=10 * lasts, include_color_table=True):
             file.write(part)

@@ -11,11 +11,12 @@ from ...scene.gaussians import Gaussians
 from ...scene.views import View
 
 Vector = Float64[np.ndarray, " 3"]
-ASIDE, ABOVE = 2.6, 0.45  # distance to a match in its own sizes; height above it over that distance
-MARGIN = 0.15  # share of a photo's sides where a thing is cut off
-LEAST_SIZE = 0.04  # of a scene's radius: nearer than that a small match fills the picture with noise
+DISTANCE_SIZES = 2.6  # distance from a match, in its own sizes
+RISE = 0.45  # height above it over that distance
+MARGIN_SHARE = 0.15  # of a photo's sides, where a thing may be cut off
+MIN_SIZE_SHARE = 0.04  # of a scene's radius: closer up, a small match fills the picture with noise
 FOV_DEGREES = 55.0
-UP_WITHOUT_VIEWS = (0.0, -1.0, 0.0)  # COLMAP's first camera, which most scenes are in the frame of
+UP_WITHOUT_VIEWS = (0.0, -1.0, 0.0)  # COLMAP's first camera, whose frame most scenes have
 
 
 def up_direction(scene: Scene) -> Vector:
@@ -69,11 +70,11 @@ def before(match: Match, gaussians: Gaussians, views: Sequence[View], up: Vector
 
 def beside(center: Vector, size: float, views: Sequence[View], up: Vector) -> Vector:
     """Return a place to see something from, of a size in scene units; see `before`."""
-    distance = ASIDE * size * float(np.hypot(1, ABOVE))
+    distance = DISTANCE_SIZES * size * float(np.hypot(1, RISE))
     if not views:
         side = np.array([0.8, 0.5, 0.3])
         side = side - (side @ up) * up
-        side = side / np.linalg.norm(side) + ABOVE * up
+        side = side / np.linalg.norm(side) + RISE * up
         return np.asarray(center + distance * side / np.linalg.norm(side))
     ways = np.stack([view.center for view in views]) - center
     lengths = np.maximum(np.linalg.norm(ways, axis=1), 1e-9)
@@ -90,7 +91,7 @@ def _showing(views: Sequence[View], point: Vector) -> Bool[np.ndarray, " v"]:
     z = np.where(z > 0, z, np.nan)
     u = (K[:, 0, 0] * x / z + K[:, 0, 2]) / [view.width for view in views]
     v = (K[:, 1, 1] * y / z + K[:, 1, 2]) / [view.height for view in views]
-    return np.asarray((np.minimum(u, v) >= MARGIN) & (np.maximum(u, v) <= 1 - MARGIN))
+    return np.asarray((np.minimum(u, v) >= MARGIN_SHARE) & (np.maximum(u, v) <= 1 - MARGIN_SHARE))
 
 
 def size_of(match: Match, gaussians: Gaussians) -> float:
@@ -100,7 +101,7 @@ def size_of(match: Match, gaussians: Gaussians) -> float:
 
 def size_in(extent: Vector, radius: float) -> float:
     """Return the size of a box in a scene of some radius; see `size_of`."""
-    return max(float(extent.max()), LEAST_SIZE * radius, 1e-6)
+    return max(float(extent.max()), MIN_SIZE_SHARE * radius, 1e-6)
 
 
 def radius_of(gaussians: Gaussians) -> float:

@@ -12,7 +12,7 @@ from ...formats.json_files import as_count, as_number, as_vector, excerpt, read_
 from ...formats.poses import MAX_COORDINATE, nearest_rotation
 from ...formats.replacing import replacing
 from .looking import FOV_DEGREES, looking_at
-from .paths import MOST_KEYS, CameraPath, KeyFrame, check_size, frame_count
+from .paths import MAX_KEYS, CameraPath, KeyFrame, check_size, frame_count
 
 KIND, VERSION = "drsplat-path", 1
 _OPENCV_FROM_OPENGL = np.array([1.0, -1.0, -1.0])
@@ -149,8 +149,8 @@ def _nerfstudio_key(entry: object, where: str) -> KeyFrame:
 
 def _entries(document: Entry, name: str, where: str) -> list[object]:
     entries = document[name]
-    if not isinstance(entries, list) or not 1 <= len(entries) <= MOST_KEYS:
-        raise FormatError(f"{where}: expected a list of 1 to {MOST_KEYS:,} {name}, got {excerpt(entries)}")
+    if not isinstance(entries, list) or not 1 <= len(entries) <= MAX_KEYS:
+        raise FormatError(f"{where}: expected a list of 1 to {MAX_KEYS:,} {name}, got {excerpt(entries)}")
     return entries
 
 

@@ -13,14 +13,15 @@ from ...errors import InputError
 from ...scene.views import View
 
 Vector = Float64[np.ndarray, " 3"]
-MOST_KEYS = 20_000
-MOST_FRAMES = 36_000  # ten minutes at 60 a second
-MOST_PIXELS, MOST_SIDE = 7680 * 4320, 8192
-WRAPPED = 4  # key frames of the other end that a closed curve is led by, at each end
-STEPS = 24  # between two key frames, to measure how long the way is
-LEAST_GAP = 1e-3  # of the mean one, between key frames at one place
-SLOWEST, FASTEST = 0.01, 240.0  # pictures a second; a GIF's last up to 655 seconds each
-LENSES = (1.0, 170.0)  # degrees
+MAX_KEYS = 20_000
+MAX_FRAMES = 36_000  # ten minutes at 60 a second
+MAX_PIXELS, MAX_SIDE_PIXELS = 7680 * 4320, 8192
+WRAPPED_KEYS = 4  # key frames repeated from the other end, at each end of a closed curve
+LENGTH_STEPS = 24  # between two key frames, to measure the path's length
+MIN_GAP_SHARE = 1e-3  # of the mean gap, between key frames at one place
+MIN_FPS = 0.01
+MAX_FPS = 240.0
+FOV_BOUNDS_DEGREES = (1.0, 170.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,9 +39,10 @@ class KeyFrame:
     seconds: float | None = None
 
     def __post_init__(self) -> None:
-        if not LENSES[0] <= self.fov_degrees <= LENSES[1]:
+        if not FOV_BOUNDS_DEGREES[0] <= self.fov_degrees <= FOV_BOUNDS_DEGREES[1]:
             raise InputError(
-                f"fov: expected {LENSES[0]:g} to {LENSES[1]:g} degrees from top to bottom, got {self.fov_degrees:g}"
+                f"fov: expected {FOV_BOUNDS_DEGREES[0]:g} to {FOV_BOUNDS_DEGREES[1]:g} degrees from top to bottom, "
+                f"got {self.fov_degrees:g}"
             )
         if not (np.isfinite(self.eye).all() and np.isfinite(self.rotation).all()):
             raise InputError("a key frame needs a finite place and direction")
@@ -49,7 +51,7 @@ class KeyFrame:
     def of(cls, view: View, seconds: float | None = None) -> "KeyFrame":
         """Return the key frame of a view's camera, with the principal point moved to the middle of the picture."""
         fov = np.degrees(2 * np.arctan(view.height / (2 * view.K[1, 1])))
-        return cls(view.center, view.cam_from_world[:3, :3], float(np.clip(fov, *LENSES)), seconds)
+        return cls(view.center, view.cam_from_world[:3, :3], float(np.clip(fov, *FOV_BOUNDS_DEGREES)), seconds)
 
     def view(self, size: tuple[int, int], name: str = "camera") -> View:
         """Return the view of this key frame. size: pixels across and down."""
@@ -82,8 +84,8 @@ class CameraPath:
     size: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
-        if not 2 <= len(self.keys) <= MOST_KEYS:
-            raise InputError(f"a path goes through 2 to {MOST_KEYS:,} key frames, got {len(self.keys):,}")
+        if not 2 <= len(self.keys) <= MAX_KEYS:
+            raise InputError(f"a path goes through 2 to {MAX_KEYS:,} key frames, got {len(self.keys):,}")
         given = [key.seconds for key in self.keys if key.seconds is not None]
         if given and (len(given) < len(self.keys) or not (np.diff(given) > 0).all()):
             raise InputError("the seconds of key frames: expected those of all or of none, each later than the last")
@@ -101,7 +103,7 @@ class CameraPath:
         """Return the cameras at shares of the path's time, from 0 to 1."""
         knots = self._knot_at(shares)
         return [
-            KeyFrame(eye, rotation, float(np.clip(fov, *LENSES)))
+            KeyFrame(eye, rotation, float(np.clip(fov, *FOV_BOUNDS_DEGREES)))
             for eye, rotation, fov in zip(
                 self._curve(knots), self._turning(knots).as_matrix(), self._lens(knots), strict=True
             )
@@ -125,11 +127,11 @@ class CameraPath:
         if not self.closed:
             return list(self.keys)
         count = len(self.keys)
-        return [self.keys[number % count] for number in range(-WRAPPED, count + 1 + WRAPPED)]
+        return [self.keys[number % count] for number in range(-WRAPPED_KEYS, count + 1 + WRAPPED_KEYS)]
 
     @property
     def _first(self) -> int:
-        return WRAPPED if self.closed else 0
+        return WRAPPED_KEYS if self.closed else 0
 
     @property
     def _last(self) -> int:
@@ -142,7 +144,7 @@ class CameraPath:
         if self.even:
             return np.arange(len(self._around), dtype=np.float64)
         gaps = np.sqrt(self._gaps(self._eyes, self._rotations))
-        gaps = np.maximum(gaps, LEAST_GAP * gaps.mean()) if gaps.any() else np.ones(len(gaps))
+        gaps = np.maximum(gaps, MIN_GAP_SHARE * gaps.mean()) if gaps.any() else np.ones(len(gaps))
         return np.concatenate([[0], np.cumsum(gaps)])
 
     @cached_property
@@ -178,7 +180,7 @@ class CameraPath:
         shown = self._knots[self._first : self._last + 1]
         if self.even or self.is_timed:
             return np.asarray(shown[0] + np.clip(shares, 0, 1) * (shown[-1] - shown[0]))
-        steps = np.arange((len(shown) - 1) * STEPS + 1) / STEPS
+        steps = np.arange((len(shown) - 1) * LENGTH_STEPS + 1) / LENGTH_STEPS
         fine = np.interp(steps, np.arange(len(shown)), shown)
         way = np.concatenate([[0], np.cumsum(self._gaps(self._curve(fine), self._turning(fine)))])
         return np.asarray(np.interp(np.clip(shares, 0, 1) * way[-1], way, fine))
@@ -198,26 +200,28 @@ def _tangents(knots: Float64[np.ndarray, " k"], points: Float64[np.ndarray, "k 3
 def check_size(size: tuple[int, int]) -> None:
     """Check a film's width and height. Raises: InputError: no pixels, or more than the limit."""
     width, height = size
-    if not (2 <= width <= MOST_SIDE and 2 <= height <= MOST_SIDE and width * height <= MOST_PIXELS):
-        raise InputError(f"size: expected 2x2 to {MOST_SIDE} pixels a side and 7680x4320 in all, got {width}x{height}")
+    if not (2 <= width <= MAX_SIDE_PIXELS and 2 <= height <= MAX_SIDE_PIXELS and width * height <= MAX_PIXELS):
+        raise InputError(
+            f"size: expected 2x2 to {MAX_SIDE_PIXELS} pixels a side and 7680x4320 in all, got {width}x{height}"
+        )
 
 
 def check_fps(fps: float) -> None:
     """Check the pictures a second of a film. Raises: InputError: fewer or more than films have."""
-    if not SLOWEST <= fps <= FASTEST:
-        raise InputError(f"fps: expected {SLOWEST:g} to {FASTEST:g} pictures a second, got {fps:g}")
+    if not MIN_FPS <= fps <= MAX_FPS:
+        raise InputError(f"fps: expected {MIN_FPS:g} to {MAX_FPS:g} pictures a second, got {fps:g}")
 
 
 def frame_count(seconds: float, fps: float) -> int:
     """Return how many pictures a film has. Raises: InputError: none, too many, or too slow or fast ones."""
     check_fps(fps)
-    if not 0 < seconds <= MOST_FRAMES / SLOWEST:
-        raise InputError(f"seconds: expected above 0, up to {MOST_FRAMES / SLOWEST:,.0f}; got {seconds:g}")
+    if not 0 < seconds <= MAX_FRAMES / MIN_FPS:
+        raise InputError(f"seconds: expected above 0, up to {MAX_FRAMES / MIN_FPS:,.0f}; got {seconds:g}")
     count = max(1, round(seconds * fps))
     _check_frames(count)
     return count
 
 
 def _check_frames(count: int) -> None:
-    if not 1 <= count <= MOST_FRAMES:
-        raise InputError(f"a film has 1 to {MOST_FRAMES:,} pictures, got {count:,}: fewer seconds or fewer fps")
+    if not 1 <= count <= MAX_FRAMES:
+        raise InputError(f"a film has 1 to {MAX_FRAMES:,} pictures, got {count:,}: fewer seconds or fewer fps")

@@ -17,8 +17,10 @@ from .paths import CameraPath, check_size, frame_count
 from .ways import around_match, around_scene, orbit, swinging, through_photos
 
 ORBIT, SWING, PHOTOS = "orbit", "swing", "photos"
-FPS, KEY_SECONDS = 30.0, 2.0  # where nobody says: pictures a second, and from one key frame to the next
-SIZE, LONGEST = (1280, 720), 1280  # where there are no photos, and of these
+DEFAULT_FPS = 30.0
+SECONDS_PER_KEY = 2.0  # unless the path says otherwise
+DEFAULT_SIZE_PIXELS = (1280, 720)  # without photos
+MAX_PHOTO_SIDE_PIXELS = 1280  # of pictures shaped as the photos
 
 
 class Plan(NamedTuple):
@@ -64,8 +66,8 @@ def planned(
 
     Raises: InputError: no pictures or too many, too large ones, or a width that cannot be shared.
     """
-    rate = _first(fps, path.fps, FPS)
-    lasts = _first(seconds, path.seconds, KEY_SECONDS * (len(path.keys) - 1))
+    rate = _first(fps, path.fps, DEFAULT_FPS)
+    lasts = _first(seconds, path.seconds, SECONDS_PER_KEY * (len(path.keys) - 1))
     whole = _wished(path, views, sides) if size is None else size
     check_size(whole)
     if whole[0] % sides:
@@ -78,9 +80,9 @@ def planned(
 
 def _wished(path: CameraPath, views: Sequence[View], sides: int) -> tuple[int, int]:
     """Return the size of a path or of the photos, with even sides as films need them."""
-    width, height = path.size or SIZE
+    width, height = path.size or DEFAULT_SIZE_PIXELS
     if path.size is None and views:
-        view = views[0].limited(LONGEST)
+        view = views[0].limited(MAX_PHOTO_SIDE_PIXELS)
         width, height = view.width, view.height
     return sides * max(2, width - width % 2), max(2, height - height % 2)
 

@@ -13,14 +13,18 @@ from ...scene.views import View
 from .looking import FOV_DEGREES, before, looking_at, swing
 from .paths import CameraPath, KeyFrame, Vector
 
-PASSED = 2.0  # photos a second at most: more of them are the shaking of a hand
-PHOTO_SECONDS, ORBIT_SECONDS, SWING_SECONDS = (4.0, 30.0), 10.0, 5.0
-ROUND, SWUNG = 36, 24  # key frames
-ABOVE = 0.5  # height of an orbit without photos, over its radius
-REACH, WITHIN = 1.6, 0.9  # radius of an orbit without photos, of that which so many Gaussians lie in
-UNSEEN = 2 * np.pi / 3  # of a circle without a photo: an orbit turns back there
-MOST_PHOTOS = (0.1, 0.9)  # of those by their angles: the outermost stand where there is little room
-FACING = 0.5  # of the photos: what fewer have before them is not what they were taken of
+MAX_PHOTOS_PER_SECOND = 2.0  # more would show the shaking of a hand
+PHOTO_SECONDS_BOUNDS = (4.0, 30.0)
+ORBIT_SECONDS = 10.0
+SWING_SECONDS = 5.0
+ORBIT_KEYS = 36
+SWING_KEYS = 24
+ORBIT_RISE = 0.5  # height of an orbit without photos, over its radius
+ORBIT_RADIUS = 1.6  # of an orbit without photos, over the radius that holds the next share of Gaussians
+RADIUS_QUANTILE = 0.9
+MIN_UNSEEN_RADIANS = 2 * np.pi / 3  # without a photo: an orbit turns back there
+ANGLE_QUANTILES = (0.1, 0.9)  # of the photos: the outermost stand where there is little room
+MIN_FACING_SHARE = 0.5  # of the photos, for a place that they were taken of
 
 
 class Around(NamedTuple):
@@ -38,8 +42,8 @@ def through_photos(views: Sequence[View], seconds: float | None = None) -> Camer
     """
     if len(views) < 2:
         raise InputError(f"a path through the photos needs two of them or more, got {len(views)}")
-    lasts = float(np.clip(len(views) / PASSED, *PHOTO_SECONDS)) if seconds is None else seconds
-    count = int(np.clip(round(lasts * PASSED) + 1, 2, len(views)))
+    lasts = float(np.clip(len(views) / MAX_PHOTOS_PER_SECOND, *PHOTO_SECONDS_BOUNDS)) if seconds is None else seconds
+    count = int(np.clip(round(lasts * MAX_PHOTOS_PER_SECOND) + 1, 2, len(views)))
     chosen = np.linspace(0, len(views) - 1, count).round().astype(int)
     return CameraPath([KeyFrame.of(views[i]) for i in chosen], seconds=lasts)
 
@@ -56,7 +60,7 @@ def orbit(around: Around, up: Vector, views: Sequence[View] = ()) -> CameraPath:
     if not np.linalg.norm(level) > 1e-9 * max(1.0, float(np.linalg.norm(arm))):
         raise InputError("an orbit cannot begin right above or below what it goes around: name another place")
     aside = np.cross(up, level)
-    turns = np.arange(ROUND) * 2 * np.pi / ROUND
+    turns = np.arange(ORBIT_KEYS) * 2 * np.pi / ORBIT_KEYS
     arc = _arc([view.center - around.target for view in views], level, aside)
     if arc is not None:
         turns = arc[0] + (arc[1] - arc[0]) * (0.5 + 0.5 * np.sin(turns))
@@ -71,16 +75,16 @@ def _arc(arms: Sequence[Vector], level: Vector, aside: Vector) -> tuple[float, f
     angles = np.sort([np.arctan2(arm @ aside, arm @ level) for arm in arms])
     gaps = np.diff(angles, append=angles[0] + 2 * np.pi)
     widest = int(gaps.argmax())
-    if gaps[widest] < UNSEEN:
+    if gaps[widest] < MIN_UNSEEN_RADIANS:
         return None
     turns = np.mod(angles - angles[(widest + 1) % len(angles)], 2 * np.pi)
-    low, high = float(angles[(widest + 1) % len(angles)]) + np.quantile(turns, MOST_PHOTOS)
+    low, high = float(angles[(widest + 1) % len(angles)]) + np.quantile(turns, ANGLE_QUANTILES)
     return float(low), float(high)
 
 
 def swinging(around: Around, up: Vector, turn_degrees: float = 60.0) -> CameraPath:
     """Return key frames to one side, to the other and back, slow at the turns: a loop that keeps to its first side."""
-    eyes = np.array(swing(around.eye, around.target, up, SWUNG, turn_degrees))
+    eyes = np.array(swing(around.eye, around.target, up, SWING_KEYS, turn_degrees))
     return CameraPath(_looking(eyes, around, up), closed=True, even=True, seconds=SWING_SECONDS)
 
 
@@ -102,7 +106,7 @@ def around_scene(gaussians: Gaussians, views: Sequence[View], up: Vector) -> Aro
     if not views:
         side = np.cross(up, np.roll(up, 1) + 1e-3)
         side = side / np.linalg.norm(side)
-        return Around(middle, middle + REACH * reach * (side + ABOVE * up))
+        return Around(middle, middle + ORBIT_RADIUS * reach * (side + ORBIT_RISE * up))
     target = focus_of(views, middle)
     arms = np.array([view.center for view in views]) - target
     heights = arms @ up
@@ -123,13 +127,13 @@ def focus_of(views: Sequence[View], middle: Vector) -> Vector:
         across.sum(0) + held * len(views), np.einsum("vij,vj->i", across, eyes) + held @ middle * len(views)
     )
     faced = np.einsum("vi,vi->v", found - eyes, ahead) > 0
-    return np.asarray(found if faced.mean() > FACING else middle)
+    return np.asarray(found if faced.mean() > MIN_FACING_SHARE else middle)
 
 
 def _extent_of(gaussians: Gaussians) -> tuple[Vector, float]:
     points = gaussians.positions
     middle = np.median(points, axis=0)
-    reach = float(np.quantile(np.linalg.norm(points - middle, axis=1), WITHIN))
+    reach = float(np.quantile(np.linalg.norm(points - middle, axis=1), RADIUS_QUANTILE))
     return middle, reach if reach > 0 else 1.0
 
 

@@ -12,11 +12,12 @@ from PIL import Image
 from ...drawing.pictures import OtherPixels
 from ...errors import InputError
 
-QUALITY, METHOD = 80, 2
-ANIMATED = 0x02  # of the flags in VP8X
-MOST_BYTES = (1 << 32) - 16  # that a RIFF can say
+QUALITY = 80
+METHOD = 2
+ANIMATED_FLAG = 0x02  # in VP8X
+MAX_FILE_BYTES = (1 << 32) - 16  # a RIFF's limit
 BITSTREAMS = (b"VP8 ", b"VP8L")
-OPAQUE_AND_ALONE = 0x02  # of the flags in ANMF: what was there before is not blended with
+NO_BLENDING_FLAG = 0x02  # in ANMF: a frame replaces the one before
 
 
 def write_webp(file: BinaryIO, pictures: Iterator[OtherPixels], fps: float) -> None:
@@ -26,12 +27,12 @@ def write_webp(file: BinaryIO, pictures: Iterator[OtherPixels], fps: float) -> N
     for done, picture in enumerate(pictures, 1):
         if done == 1:
             size = (picture.shape[1], picture.shape[0])
-            file.write(_chunk(b"VP8X", bytes([ANIMATED, 0, 0, 0]) + _three(size[0] - 1) + _three(size[1] - 1)))
+            file.write(_chunk(b"VP8X", bytes([ANIMATED_FLAG, 0, 0, 0]) + _three(size[0] - 1) + _three(size[1] - 1)))
             file.write(_chunk(b"ANIM", bytes(4) + (0).to_bytes(2, "little")))
         lasts = round(1000 * done / fps) - round(1000 * (done - 1) / fps)
-        frame = bytes(6) + _three(size[0] - 1) + _three(size[1] - 1) + _three(max(1, lasts)) + bytes([OPAQUE_AND_ALONE])
+        frame = bytes(6) + _three(size[0] - 1) + _three(size[1] - 1) + _three(max(1, lasts)) + bytes([NO_BLENDING_FLAG])
         file.write(_chunk(b"ANMF", frame + _bitstream(picture)))
-        if file.tell() > MOST_BYTES:
+        if file.tell() > MAX_FILE_BYTES:
             raise InputError("a WebP holds 4 GB, and this film is larger: name it .mp4, or make it shorter or smaller")
     length = file.tell()
     file.seek(0)

@@ -15,16 +15,21 @@ from .space import Space, Vector, spread_out
 MAX_PLACES = 48  # in free space to consider
 MIN_ENCLOSED_SHARE = 0.65  # of directions that show something, at a place within a room
 ROOM_SHARE = 0.5  # of the places: if so many are free and enclosed, the scene is a room
-LEVEL_TURNS, STEEP_TURNS = 8, 6  # directions at one place
-LEVEL_PITCH, DOWN_PITCH, UP_PITCH = -5.0, -40.0, 25.0  # degrees
+LEVEL_TURNS = 8  # directions around the vertical at one place
+STEEP_TURNS = 6  # likewise, looking down or up
+LEVEL_PITCH_DEGREES = -5.0
+DOWN_PITCH_DEGREES = -40.0
+UP_PITCH_DEGREES = 25.0
 NUM_TARGETS = 24  # parts of an object, or of a room, to look at
 TARGETS_PER_PLACE = 4  # in a room
 EXTRA_TARGETS = 2  # from a place around an object, beside the middle
-FAR_SHARES, FAR_VIEWS = (1.0, 0.7), 48  # of the distance from which all of an object is in the picture; places each
-NEAR_SHARE, NEAR_VIEWS = 0.4, 8  # of that distance; places around each part
-LOWEST, HIGHEST = np.sin(np.radians((-25.0, 80.0)))  # elevations
-WHOLE_SHARE = 0.95  # of the Gaussians, for a picture of the whole
-GOLDEN_TURN = np.pi * (3 - np.sqrt(5))
+FAR_SHARES = (1.0, 0.7)  # of the distance at which all of an object is in the picture
+FAR_VIEWS = 48  # places at each of these
+NEAR_SHARE = 0.4  # of that distance
+NEAR_VIEWS = 8  # places around each part
+MIN_ELEVATION_SINE, MAX_ELEVATION_SINE = np.sin(np.radians((-25.0, 80.0)))  # elevations
+WHOLE_QUANTILE = 0.95  # of the Gaussians' distances from the middle, for a picture of the whole
+GOLDEN_TURN_RADIANS = np.pi * (3 - np.sqrt(5))
 
 
 class Candidates(NamedTuple):
@@ -64,7 +69,7 @@ def _in_room(space: Space, places: list[Vector], settings: PhotographSettings) -
     """Yield cameras that look all around at each place, level, down and up, and at near targets."""
     targets = _targets(space)
     level, down, up = (_ring(space.up, *ring) for ring in (
-        (LEVEL_TURNS, LEVEL_PITCH), (STEEP_TURNS, DOWN_PITCH), (STEEP_TURNS, UP_PITCH)
+        (LEVEL_TURNS, LEVEL_PITCH_DEGREES), (STEEP_TURNS, DOWN_PITCH_DEGREES), (STEEP_TURNS, UP_PITCH_DEGREES)
     ))  # fmt: skip
     for place in places:
         nearest = targets[np.argsort(np.linalg.norm(targets - place, axis=1), kind="stable")[:TARGETS_PER_PLACE]]
@@ -76,7 +81,7 @@ def _in_room(space: Space, places: list[Vector], settings: PhotographSettings) -
 def _around(space: Space, settings: PhotographSettings) -> Iterator[View]:
     """Yield cameras on a sphere around an object that show all of it, and on smaller ones around its parts."""
     middle = np.median(space.solid, axis=0)
-    radius = float(np.quantile(np.linalg.norm(space.solid - middle, axis=1), WHOLE_SHARE))
+    radius = float(np.quantile(np.linalg.norm(space.solid - middle, axis=1), WHOLE_QUANTILE))
     width, height = settings.size
     half = np.arctan(np.tan(np.radians(settings.fov_degrees) / 2) * min(1.0, width / height))
     far = max(radius / np.sin(half), 2 * space.clearance)
@@ -87,7 +92,7 @@ def _around(space: Space, settings: PhotographSettings) -> Iterator[View]:
         for direction in _sphere(space.up, FAR_VIEWS, first_turn=share)
     ]
     for number, target in enumerate(targets):
-        turned = _sphere(space.up, NEAR_VIEWS, first_turn=number * GOLDEN_TURN / NEAR_VIEWS)
+        turned = _sphere(space.up, NEAR_VIEWS, first_turn=number * GOLDEN_TURN_RADIANS / NEAR_VIEWS)
         places += [(target, target + NEAR_SHARE * far * direction) for direction in turned]
     for number, (target, eye) in enumerate(places):
         if eye @ space.up >= space.bottom and space.is_free(eye):
@@ -121,8 +126,8 @@ def _sphere(up: Vector, count: int, first_turn: float = 0.0) -> Float64[np.ndarr
     first_turn: of the first one around `up`, in radians.
     """
     ahead, aside = _level(up)
-    heights = LOWEST + (HIGHEST - LOWEST) * (np.arange(count)[:, None] + 0.5) / count
-    angles = first_turn + np.arange(count)[:, None] * GOLDEN_TURN
+    heights = MIN_ELEVATION_SINE + (MAX_ELEVATION_SINE - MIN_ELEVATION_SINE) * (np.arange(count)[:, None] + 0.5) / count
+    angles = first_turn + np.arange(count)[:, None] * GOLDEN_TURN_RADIANS
     return np.asarray(np.sqrt(1 - heights**2) * (np.cos(angles) * ahead + np.sin(angles) * aside) + heights * up)
 
 

@@ -18,7 +18,7 @@ ENOUGH_PIXELS = 1.0  # blending weight, summed over a picture's pixels, at which
 SIGNIFICANT_WEIGHT = 0.98  # of all weight, each Gaussian counted by its best picture
 OFTEN = int(SIGHTS)  # pictures that show a Gaussian often enough
 ENOUGH_SHARE = 0.98  # of the coverage by all candidates, at which the default number of pictures is reached
-DEFAULT_RANGE = (48, 150)  # of the number of pictures
+DEFAULT_PICTURES_BOUNDS = (48, 150)
 SMEAR_SHARE = 0.1  # of a picture's height: a Gaussian with a larger standard deviation is a smear
 SHARP_QUANTILE, SHARP_MARGIN = 0.1, 0.1  # cameras are sharp up to this quantile of all smears, and this above it
 
@@ -127,8 +127,8 @@ def chosen_views(seen: Sights, number: int | None) -> list[int]:
     """
     marks = seen.seen
     if number is None:
-        enough = greedy(marks, ENOUGH_SHARE, DEFAULT_RANGE[1])[0]
-        number = max(len(enough), DEFAULT_RANGE[0])
+        enough = greedy(marks, ENOUGH_SHARE, DEFAULT_PICTURES_BOUNDS[1])[0]
+        number = max(len(enough), DEFAULT_PICTURES_BOUNDS[0])
     chosen: list[int] = []
     rest = np.arange(marks.shape[1])
     while len(chosen) < min(number, marks.shape[1]):

@@ -3,10 +3,10 @@
 from dataclasses import asdict, dataclass
 
 from ...errors import InputError
-from ..filming.paths import LENSES, check_size
+from ..filming.paths import FOV_BOUNDS_DEGREES, check_size
 
-SIZE = (1024, 768)
-FOV_DEGREES = 60.0
+DEFAULT_SIZE_PIXELS = (1024, 768)
+DEFAULT_FOV_DEGREES = 60.0
 MAX_PICTURES = 10_000
 
 
@@ -27,8 +27,8 @@ class PhotographSettings:
     """
 
     number: int | None = None
-    size: tuple[int, int] = SIZE
-    fov_degrees: float = FOV_DEGREES
+    size: tuple[int, int] = DEFAULT_SIZE_PIXELS
+    fov_degrees: float = DEFAULT_FOV_DEGREES
     up: tuple[float, float, float] | None = None
     time: float | None = None
     background: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -37,8 +37,11 @@ class PhotographSettings:
         check_size(self.size)
         if self.number is not None and not 1 <= self.number <= MAX_PICTURES:
             raise InputError(f"number: expected 1 to {MAX_PICTURES:,} pictures, got {self.number:,}")
-        if not LENSES[0] <= self.fov_degrees <= LENSES[1]:
-            raise InputError(f"fov: expected {LENSES[0]:g} to {LENSES[1]:g} degrees, got {self.fov_degrees:g}")
+        if not FOV_BOUNDS_DEGREES[0] <= self.fov_degrees <= FOV_BOUNDS_DEGREES[1]:
+            raise InputError(
+                f"fov: expected {FOV_BOUNDS_DEGREES[0]:g} to {FOV_BOUNDS_DEGREES[1]:g} degrees, "
+                f"got {self.fov_degrees:g}"
+            )
         if self.up is not None and not 0 < sum(number * number for number in self.up) < float("inf"):
             raise InputError(f"up: expected a direction of three finite numbers, got {self.up}")
         if not all(0 <= number <= 1 for number in self.background):

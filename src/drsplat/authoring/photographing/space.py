@@ -14,16 +14,16 @@ from ...scene.placing import FEWEST, SOLID
 from ..filming.looking import looking_at
 
 Vector = Float64[np.ndarray, " 3"]
-VOXELS = 48  # along the longest side of the scene's box
+VOXELS_PER_SIDE = 48  # along the longest side of the scene's box
 BOX_QUANTILES = (0.02, 0.98)  # of the centres of solid Gaussians, along each axis
 OCCUPIED_OPACITY = 0.5  # summed over a voxel
 CLEARANCE_SHARE = 0.03  # of the box's diagonal, at least, from a camera to the nearest surface
 CLEARANCE_NEARS = 2.0  # near planes, at least
-INSIDE_SIGMAS = 3.0  # a place is inside of a Gaussian up to so many standard deviations
-MAX_NEAR_SHARE = 0.05  # of a picture, that Gaussians right before the camera may make up
+INSIDE_SIGMAS = 3.0  # a place within so many standard deviations of a Gaussian is inside it
+MAX_NEAR_SHARE = 0.05  # of a picture, for Gaussians right before the camera
 FACE_PIXELS = 24  # side of the six square pictures that look all around
 SURE_ALPHA = 0.5  # opacity of a pixel that shows something
-NEAR_OF_PROBES = 0.05  # of the clearance, so that pictures all around show what a near plane would cut off
+PROBE_NEAR_SHARE = 0.05  # of the clearance, so that probes show what a camera's near plane would cut off
 
 
 class Surroundings(NamedTuple):
@@ -100,7 +100,7 @@ class Space:
     def free_places(self) -> Float64[np.ndarray, "p 3"]:
         """Centres of the voxels of the box that are further than the clearance from occupied ones, far ones first."""
         low, high = self.box
-        side = max(float((high - low).max()), 1e-6) / VOXELS
+        side = max(float((high - low).max()), 1e-6) / VOXELS_PER_SIDE
         shape = np.maximum(np.ceil((high - low) / side).astype(int), 1)
         inside = np.floor((self._surface_points - low) / side).astype(int)
         in_box = ((inside >= 0) & (inside < shape)).all(1)
@@ -147,7 +147,7 @@ class Space:
     def surroundings(self, eye: Vector) -> Surroundings:
         """Look all around from a place: six square pictures that fill the sphere."""
         near = self.is_near(eye)[:, None].astype(np.float32)
-        close = self.splats._replace(near=NEAR_OF_PROBES * self.clearance)
+        close = self.splats._replace(near=PROBE_NEAR_SHARE * self.clearance)
         enclosed, shares = [], []
         for axis in np.concatenate([np.eye(3), -np.eye(3)]):
             face = looking_at(eye, eye + axis, np.roll(axis, 1), (FACE_PIXELS, FACE_PIXELS), 90.0)

@@ -8,8 +8,8 @@ from ..filming.looking import UP_WITHOUT_VIEWS
 from .space import BOX_QUANTILES, solid_centers
 
 MAX_HEIGHT_SHARE = 0.75  # of the box's second shortest side: a shorter side is its height
-SLICE_SHARE = 0.2  # of the height: the lowest and the highest part are compared
-CELLS = 24  # along each of the other two sides
+SLICE_SHARE = 0.2  # of the height: the lowest and the highest slice are compared
+FOOTPRINT_CELLS = 24  # along each of the other two sides
 AXES = ("x", "y", "z")
 
 
@@ -38,7 +38,7 @@ def _footprint(shares: Float64[np.ndarray, "n 3"], axis: int) -> int:
     """Count the cells across an axis that contain points. shares: of the box, 0 to 1 inside."""
     flat = np.delete(shares, axis, axis=1)
     inside = ((flat >= 0) & (flat < 1)).all(1)
-    return len(np.unique((flat[inside] * CELLS).astype(int), axis=0))
+    return len(np.unique((flat[inside] * FOOTPRINT_CELLS).astype(int), axis=0))
 
 
 def axis_name(up: Float64[np.ndarray, " 3"]) -> str:

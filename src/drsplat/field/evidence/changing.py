@@ -75,7 +75,8 @@ def rows_with(weights: csr_array, columns: Bool[np.ndarray, " m"]) -> Bool[np.nd
 def changed_columns(weights: csr_array, columns: Int32[np.ndarray, " m"], added: csr_array) -> csr_array:
     """Renumber W's columns and add entries; the entries of a row must ascend, and ascend in the result.
 
-    columns: the new number of each old column, ascending, or GONE. added: of as many rows, with the new numbers.
+    columns: the new number of each old column, ascending, or REMOVED_COLUMN. added: entries of as many rows, with the
+    new numbers.
     """
     pair = ((part.indptr, part.indices, part.data) for part in (weights, added))
     starts, indices, data = merged(next(pair), columns, next(pair))

@@ -130,12 +130,12 @@ def _path(arguments: argparse.Namespace, scene: Gaussians | Moving) -> CameraPat
 
 
 def _settings(arguments: argparse.Namespace, path: CameraPath | None) -> PhotographSettings:
-    from ...authoring.photographing.settings import FOV_DEGREES, SIZE, PhotographSettings
+    from ...authoring.photographing.settings import DEFAULT_FOV_DEGREES, DEFAULT_SIZE_PIXELS, PhotographSettings
 
     wished = None if path is None else path.size
     return PhotographSettings(
-        arguments.number, arguments.size or wished or SIZE, arguments.fov or FOV_DEGREES, arguments.up,
-        arguments.time, BACKGROUNDS[arguments.background],
+        arguments.number, arguments.size or wished or DEFAULT_SIZE_PIXELS, arguments.fov or DEFAULT_FOV_DEGREES,
+        arguments.up, arguments.time, BACKGROUNDS[arguments.background],
     )  # fmt: skip
 
 

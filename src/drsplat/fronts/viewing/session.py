@@ -12,7 +12,7 @@ import numpy as np
 from ...authoring.editing import Edit, Isolate, Recolour, Remove, Rows
 from ...authoring.editing.edits import Change
 from ...authoring.editing.resolving import complete_rows
-from ...authoring.editing.targets import LONGEST
+from ...authoring.editing.targets import MAX_NAME_CHARACTERS
 from ...base.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
 from ...base.terminal import counted
 from ...drawing.heat import heat_colors
@@ -327,7 +327,7 @@ class Session:
         number = -1 if chosen is None or objects is None else int(objects.number_of[chosen.node])
         if number >= 0 and objects is not None and objects.thing(number) == chosen.node:  # type: ignore[union-attr]
             return Rows.of(ids, "object", str(number))
-        return Rows.of(ids, "query", "; ".join(result.label for result in self.results)[:LONGEST])
+        return Rows.of(ids, "query", "; ".join(result.label for result in self.results)[:MAX_NAME_CHARACTERS])
 
     def hide(self) -> None:
         """Remove the selection. Raises: InputError: nothing is selected."""

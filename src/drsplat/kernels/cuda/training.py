@@ -180,8 +180,9 @@ def adam_step(
     constant, rest = rates.sh / bias, rates.sh_rest / bias
     # the harmonics first: their gradients need the means of the pass
     engine.launch(
-        "adam_colors", blocks_of(count, ADAM_ROWS), 256, count, coefficients, gradients.active, parameters.means,
-        gradients.view.camera, gradients.along, parameters.sh, first.sh, second.sh, constant, rest, *numbers,
+        "adam_colors", blocks_of(count, ADAM_ROWS), 256, count, coefficients, gradients.active,
+        parameters.means, gradients.view.camera, gradients.along, parameters.sh, first.sh, second.sh,
+        constant, rest, *numbers,
     )  # fmt: skip
     engine.launch(
         "adam_shapes", min(blocks_of(11 * count), MOST_BLOCKS), 256, count, *parameters[:4], *gradients[:4],

@@ -49,10 +49,10 @@ def choose_views(
 ) -> ViewChoice:
     """Choose views greedily until Gaussians have been seen often enough.
 
-    Every Gaussian needs SIGHTS sights. The photo in which it has most weight is one, another as much of one as its
-    weight there is of that: what is large in a photo gets better masks than what is far. All count the same, since
-    Gaussians are dense where detail is. What photos show together has diminishing returns (submodular), so the greedy
-    choice is within 1 - 1/e of the best one of its length.
+    Every Gaussian needs SIGHTS_PER_GAUSSIAN sights. The photo in which it has most weight counts as one sight, another
+    as its weight there over that one: what is large in a photo gets better masks than what is far. All Gaussians count
+    the same, since Gaussians are dense where detail is. What photos show together has diminishing returns
+    (submodular), so the greedy choice is within 1 - 1/e of the best one of its length.
 
     Args:
         gaussians: the scene, which stands still.

@@ -20,7 +20,7 @@ def crop(
 ) -> Crop:
     """Return the pixels of a mask on black, in the middle of a square whose side is the longer one of its box.
 
-    box: x0, y0, x1, y1, ends excluded. Where the padding is odd, the pixel more is at the right or below.
+    box: x0, y0, x1, y1, ends excluded. Odd padding puts the extra pixel at the right or below.
 
     Raises: InputError: a box that leaves the image or does not fit its part; a mask without pixels.
     Source: LangSplat preprocess.py, `get_seg_img` and `pad_img`. SAM's own boxes name the last row

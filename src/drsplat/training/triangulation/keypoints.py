@@ -112,6 +112,6 @@ def _detected(photo: UInt8[np.ndarray, "h w 3"]) -> Any:
 
 
 def _largest(sigmas: np.ndarray, usable: np.ndarray) -> np.ndarray:
-    """Return the ascending indices of the `MOST` usable keypoints of largest scale, which reappear most often."""
+    """Return the ascending indices of the `MOST` usable keypoints of largest scale: these reappear most."""
     order = np.argsort(-sigmas, kind="stable")
     return np.sort(order[usable[order]][:MOST])

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from ....authoring.editing import Duplicate, Fill, Isolate, Move, Opacity, Palette, Recolour, Remove, Turn
-from ....authoring.editing.colouring import MOST_COLORS, color_of
+from ....authoring.editing.colouring import MAX_COLORS, color_of
 from ....authoring.editing.edits import Change
 from ....authoring.editing.making import scaled_on_its_foot
 from ....errors import InputError
@@ -24,7 +24,7 @@ class ChangeRequest(Body):
         "remove", "isolate", "fill", "recolour", "palette", "opacity", "move", "duplicate", "turn", "scale"
     ]  # fmt: skip
     color: Text | None = None
-    colors: Annotated[list[Text], Field(min_length=1, max_length=MOST_COLORS)] | None = None
+    colors: Annotated[list[Text], Field(min_length=1, max_length=MAX_COLORS)] | None = None
     by: Point | None = None
     number: Finite | None = None
 

@@ -30,7 +30,7 @@ class MergeRule:
         return self.center, self.width, self.hidden, self.hidden_bias, self.output, self.output_bias
 
     def likelihood(self, features: Float64[np.ndarray, "e f"]) -> Float64[np.ndarray, " e"]:
-        """Return the likelihood of each pair, 0 to 1, rounded to DIGITS."""
+        """Return the likelihood of each pair, 0 to 1, rounded to LIKELIHOOD_DECIMALS."""
         scaled = np.clip((features - self.center) / self.width, -5, 5)
         inner = np.tanh(scaled @ self.hidden + self.hidden_bias)
         logit = inner @ self.output + self.output_bias

@@ -17,7 +17,7 @@ Tensors = Mapping[str, np.ndarray]
 def embed_images(
     pixels: Float32[np.ndarray, "n h w 3"], weights: Tensors, *, threads: int = 0
 ) -> Float32[np.ndarray, "n d"]:
-    """Return unit vectors, the same bits at any `threads`. pixels: from -1 to 1, SIDE x SIDE.
+    """Return unit vectors, the same bits at any `threads`. pixels: from -1 to 1, squares of INPUT_SIDE_PIXELS.
 
     weights: conv<i>.weight (9 * inputs, outputs), rows in the order of row, column, channel; conv<i>.bias;
     projection (2 * channels, D), of the mean and the largest of each channel.
