@@ -78,13 +78,13 @@ class Stages:
         self.image, self.rule, settings = image, segmenter.rule, segmenter.settings
         self.layers, share = layers_of(segmenter.network), regions.working_share(image[..., 0].size)
         self.limits = float(self.rule.threshold[0]), settings.least_area * share, settings.least_width
-        self.scale, self.least = regions.SCALE * share, round(regions.LEAST_AREA * share)
+        self.scale, self.least = regions.MERGE_SCALE * share, round(regions.MIN_AREA_PIXELS * share)
 
     def twins(self) -> dict[str, Callable[[dict], object]]:
         return {
             "colours": lambda _: twin.lab_colors(self.image),
             "small regions": lambda made: felzenszwalb(
-                made["colours"] / native.LAB_STEPS, self.scale, regions.SIGMA, self.least
+                made["colours"] / native.LAB_STEPS, self.scale, regions.BLUR_PIXELS, self.least
             ).astype(np.int32),
             "network": lambda _: photo_network.look(self.image, self.layers),
             "sums": lambda made: twin.region_graph(made["small regions"], made["colours"], made["network"]),

@@ -14,7 +14,7 @@ from PIL import Image
 from drsplat.errors import InputError
 from drsplat.fronts.commands.capture import LENSES as LENSES_OF_THE_VERB
 from drsplat.photos.capture.capturing import capture_names
-from drsplat.photos.capture.exif import APPLE, ExifFacts, exif_facts
+from drsplat.photos.capture.exif import APPLE_SIGNATURE, ExifFacts, exif_facts
 from drsplat.photos.capture.finding import are_numbered, find_photos, in_order
 from drsplat.photos.capture.photos import Photo, bring, sharpness, turned_down
 from drsplat.photos.capture.reasons import Reasons
@@ -39,7 +39,7 @@ def apple_note(*acceleration: int) -> bytes:
     """An iPhone's maker note of one entry: thousandths of g along x, y and z of the phone."""
     entry = struct.pack(">HHII", 8, 10, 3, 16 + 12)
     numbers = b"".join(struct.pack(">ii", part, 1000) for part in acceleration)
-    return APPLE + b"\0\1MM" + struct.pack(">H", 1) + entry + numbers
+    return APPLE_SIGNATURE + b"\0\1MM" + struct.pack(">H", 1) + entry + numbers
 
 
 def test_focal_length_place_and_camera_are_read() -> None:
@@ -85,7 +85,7 @@ def test_gravity_of_a_phone_is_down_in_the_upright_photo(
 @given(st.binary(max_size=200))
 def test_a_damaged_maker_note_says_nothing_or_a_direction(tail: bytes) -> None:
     exif = Image.Exif()
-    exif.get_ifd(EXIF_IFD)[MAKER_NOTE] = APPLE + b"\0\1MM" + tail
+    exif.get_ifd(EXIF_IFD)[MAKER_NOTE] = APPLE_SIGNATURE + b"\0\1MM" + tail
     down = facts_of(exif).down
     assert down is None or np.linalg.norm(down) == pytest.approx(1)
 

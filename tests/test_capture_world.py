@@ -8,7 +8,7 @@ import pytest
 
 from drsplat.formats.georeference import read_georeference, write_georeference
 from drsplat.photos.capture.exif import ExifFacts
-from drsplat.photos.capture.world import TYPICAL_DEPTH, World, umeyama, with_scale, world_of
+from drsplat.photos.capture.world import DEFAULT_MEDIAN_DEPTH, World, umeyama, with_scale, world_of
 from drsplat.scene.geodesy import geodetic, local_offsets
 from drsplat.scene.similarity import Similarity
 from drsplat.scene.views import View
@@ -67,7 +67,7 @@ def test_up_is_square_to_the_horizons_and_units_have_no_name() -> None:
     found = world(ring(3.0), depth=0.9)
     assert (found.unit, found.up_from, found.scale_from, found.georeference) == ("units", "horizons", "", None)
     assert tilt(found) < 1e-4
-    assert found.similarity.scale == pytest.approx(TYPICAL_DEPTH / 0.9)
+    assert found.similarity.scale == pytest.approx(DEFAULT_MEDIAN_DEPTH / 0.9)
 
 
 def test_gravity_counts_more_than_horizons() -> None:

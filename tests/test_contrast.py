@@ -17,7 +17,7 @@ from drsplat.field.evidence.evidence import Evidence, MaskIds
 from drsplat.formats.vocabulary import VocabularyEncoder
 from drsplat.photos.models.mini import MiniEncoder
 from drsplat.photos.models.nouns import NOUNS, broad_list
-from drsplat.photos.models.word_list import MOST, list_vectors
+from drsplat.photos.models.word_list import MAX_TEXTS, list_vectors
 from drsplat.query.contrast import (
     CLEARER,
     CROWD,
@@ -227,7 +227,7 @@ def test_large_vocabularies_are_thinned() -> None:
     texts = [*(f"word {number}" for number in range(3000)), *NOUNS[:20]]
     large = VocabularyEncoder(CLIP, texts, unit_rows(np.random.default_rng(0), len(texts), DIM))
     vectors = list_vectors(large)
-    assert len(vectors) == MOST
+    assert len(vectors) == MAX_TEXTS
     assert_array_equal(vectors[:20], large.encode_texts(NOUNS[:20]))
 
 

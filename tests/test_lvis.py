@@ -17,7 +17,7 @@ from drsplat import cli
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
 from drsplat.formats.lvis import read_annotations
 from drsplat.formats.rle import decode_runs, fill_polygon, unpack_counts
-from drsplat.photos.embedding.patches import MIN_AREA, PatchSource, embed_patches, find_patches, patches
+from drsplat.photos.embedding.patches import MIN_AREA_PIXELS, PatchSource, embed_patches, find_patches, patches
 from drsplat.scene.masks.crops import crop, crops
 from fake_models import DIM, ThumbnailEncoder
 from lvis_files import (
@@ -305,7 +305,7 @@ def test_the_smallest_patch(tmp_path):
     ]
     source = source_of(tmp_path, content)
     assert [wanted.id for photo in source.photos for wanted in photo.instances] == [1]
-    assert MIN_AREA == 100
+    assert MIN_AREA_PIXELS == 100
     content["annotations"] = content["annotations"][1:]
     with pytest.raises(InputError, match="none of 2 instances in these photos has 100 pixels"):
         source_of(tmp_path, content)

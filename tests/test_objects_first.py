@@ -20,8 +20,8 @@ from drsplat.formats.langsplat import read_features
 from drsplat.photos.embedding.embed import embed
 from drsplat.photos.embedding.keeping import WithoutEmbedding
 from drsplat.photos.embedding.objects_first import CROPS, MASKS, embed_objects
-from drsplat.photos.embedding.shared_crops import CROPS_PER_OBJECT, _spread, node_fits, share_crops
-from drsplat.photos.embedding.view_choice import SIGHTS, choose_views, greedy
+from drsplat.photos.embedding.shared_crops import MAX_CROPS_PER_OBJECT, _spread, node_fits, share_crops
+from drsplat.photos.embedding.view_choice import SIGHTS_PER_GAUSSIAN, choose_views, greedy
 from drsplat.scene.views import View
 from fake_models import ColorSegmenter, LargeSegmenter, ThumbnailEncoder
 from scenes import look_at_view
@@ -64,7 +64,7 @@ def test_a_few_masks_of_each_ball_are_embedded_and_stand_for_the_others(scene, p
     in_ball = np.array([evidence.weights[rows].sum(axis=0) for rows in (slice(0, 150), slice(150, 300))])
     ball_of = in_ball.argmax(0)
     assert len(ball_of) == 2 * COUNT
-    assert np.bincount(ball_of[shared.chosen]).tolist() == [CROPS_PER_OBJECT] * 2
+    assert np.bincount(ball_of[shared.chosen]).tolist() == [MAX_CROPS_PER_OBJECT] * 2
     np.testing.assert_allclose(shared.shares.sum(axis=1), 1)
     rows = np.repeat(np.arange(len(ball_of)), np.diff(shared.shares.indptr))
     np.testing.assert_array_equal(ball_of[rows], ball_of[shared.chosen[shared.shares.indices]])
@@ -79,7 +79,7 @@ def test_the_crop_of_the_nearest_camera_has_half_of_the_say(scene, photos, tmp_p
         same = shared.chosen[shared.shares.toarray()[column] > 0]
         nearest = np.linalg.norm(centers[same] - centers[column], axis=1).min()
         assert np.linalg.norm(centers[stands] - centers[column]) == pytest.approx(nearest)
-    np.testing.assert_allclose(shared.shares.toarray().max(1), 0.5 + 0.5 / CROPS_PER_OBJECT)
+    np.testing.assert_allclose(shared.shares.toarray().max(1), 0.5 + 0.5 / MAX_CROPS_PER_OBJECT)
 
 
 def test_a_mask_that_shows_no_object_stands_for_itself(scene, photos, tmp_path):
@@ -130,7 +130,7 @@ def test_crops_are_of_cameras_far_from_each_other():
 def test_features_are_what_the_chosen_crops_give(scene, photos, tmp_path):
     encoder = ThumbnailEncoder()
     report = embed_objects(photos, tmp_path / "out", LargeSegmenter(), encoder, scene, parts=tmp_path / "parts")
-    assert encoder.asked == report.crops == 2 * CROPS_PER_OBJECT
+    assert encoder.asked == report.crops == 2 * MAX_CROPS_PER_OBJECT
     assert (report.photos, dict(report.masks)) == (COUNT, {"large": 2 * COUNT})
     every = ThumbnailEncoder()
     embed(photos, tmp_path / "every", LargeSegmenter(), every)
@@ -187,7 +187,7 @@ def test_a_run_that_is_stopped_while_crops_are_embedded_goes_on(scene, photos, t
     assert not list((tmp_path / "out").glob("*.safetensors"))
     encoder = ThumbnailEncoder()
     embed_objects(photos, tmp_path / "out", segmenter, encoder, scene, parts=tmp_path / "parts")
-    assert stopped.asked + encoder.asked == 2 * CROPS_PER_OBJECT
+    assert stopped.asked + encoder.asked == 2 * MAX_CROPS_PER_OBJECT
     assert segmenter.asked == COUNT
 
 
@@ -206,9 +206,11 @@ def test_each_view_is_the_one_that_shows_most_of_what_is_left(views, rows, seed)
     rng = np.random.default_rng(seed)
     shares = rng.random((rows, views)) * (rng.random((rows, views)) < 0.7)
     order, seen = greedy(csc_array(shares), 1.0, views)
-    have, score, total = np.zeros(rows), 0.0, np.minimum(shares.sum(1), SIGHTS).sum()
+    have, score, total = np.zeros(rows), 0.0, np.minimum(shares.sum(1), SIGHTS_PER_GAUSSIAN).sum()
     for view, share in zip(order, seen, strict=True):
-        gains = (np.minimum(have[:, None] + shares, SIGHTS) - np.minimum(have, SIGHTS)[:, None]).sum(0)
+        gains = (
+            np.minimum(have[:, None] + shares, SIGHTS_PER_GAUSSIAN) - np.minimum(have, SIGHTS_PER_GAUSSIAN)[:, None]
+        ).sum(0)
         assert gains[view] >= gains[[v for v in range(views) if v not in order[: order.index(view)]]].max() - 1e-9
         have, score = have + shares[:, view], score + gains[view]
         assert share == pytest.approx(score / total)
@@ -218,8 +220,8 @@ def test_each_view_is_the_one_that_shows_most_of_what_is_left(views, rows, seed)
 def test_what_has_been_seen_often_enough_is_not_looked_at_again(scene, photos):
     several = [replace(photos[0], name=f"same_{number:02}.png") for number in range(12)]
     choice = choose_views(scene, several, enough=0.999)
-    assert len(choice.views) == SIGHTS
-    np.testing.assert_allclose(choice.seen, np.arange(1, SIGHTS + 1) / SIGHTS)
+    assert len(choice.views) == SIGHTS_PER_GAUSSIAN
+    np.testing.assert_allclose(choice.seen, np.arange(1, SIGHTS_PER_GAUSSIAN + 1) / SIGHTS_PER_GAUSSIAN)
     another = choose_views(scene, [*several, photos[-1]], enough=0.999)
     assert photos[-1] in another.views
 

@@ -5,7 +5,7 @@ from jaxtyping import Bool, UInt8
 from PIL import Image
 from scipy.ndimage import binary_dilation, binary_erosion
 
-from drsplat.photos.models.mini.network import SIDE
+from drsplat.photos.models.mini.network import INPUT_SIDE_PIXELS
 from drsplat.scene.masks.crops import crop
 from drsplat.scene.masks.masks import tight_box
 
@@ -14,7 +14,7 @@ def cut_out(image: UInt8[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"]) ->
     """What `mini` sees of a mask: its crop as `drsplat.scene.masks.crops` makes it, SIDE pixels."""
     x0, y0, x1, y1 = tight_box(mask) or (0, 0, 1, 1)
     square = crop(image, mask[y0:y1, x0:x1], (x0, y0, x1, y1))
-    return np.asarray(Image.fromarray(square).resize((SIDE, SIDE), Image.Resampling.BILINEAR))
+    return np.asarray(Image.fromarray(square).resize((INPUT_SIDE_PIXELS, INPUT_SIDE_PIXELS), Image.Resampling.BILINEAR))
 
 
 def augmented(

@@ -25,7 +25,7 @@ from skimage.color import lab2rgb, rgb2lab
 from drsplat.photos.models.graph import GraphSegmenter
 from drsplat.photos.models.mini import MiniEncoder
 from drsplat.photos.models.mini.lexicon import COLORS
-from drsplat.photos.models.mini.network import SIDE
+from drsplat.photos.models.mini.network import INPUT_SIDE_PIXELS
 from drsplat.scene.masks.crops import crop
 
 from .color_names import term_shares
@@ -54,7 +54,7 @@ def cuts(photo: UInt8[np.ndarray, "h w 3"], segmenter: GraphSegmenter) -> Iterat
     masks = segmenter.segment(photo)["large"]
     for number, (part, box) in enumerate(zip(masks.parts, masks.boxes, strict=True)):
         x0, y0, x1, y1 = box.tolist()
-        scale = min(1, SIDE / max(x1 - x0, y1 - y0))
+        scale = min(1, INPUT_SIDE_PIXELS / max(x1 - x0, y1 - y0))
         size = max(1, round((x1 - x0) * scale)), max(1, round((y1 - y0) * scale))
         mask = np.asarray(Image.fromarray(part.astype(np.uint8) * 255).resize(size, Image.Resampling.BOX)) >= 128
         pixels = Image.fromarray(photo[y0:y1, x0:x1]).resize(size, Image.Resampling.BOX)

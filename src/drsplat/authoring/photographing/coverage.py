@@ -9,14 +9,14 @@ from scipy.sparse import csc_array
 from ...base.arrays import Bool, Float64, Int64
 from ...field.codes import Track, untracked
 from ...kernels import view_weights
-from ...photos.embedding.view_choice import SIGHTS, greedy
+from ...photos.embedding.view_choice import SIGHTS_PER_GAUSSIAN, greedy
 from ...scene.views import View
 from .space import MAX_NEAR_SHARE, Space
 
 PLANNING_SIDE_PX = 252  # longer side of pictures for planning
 ENOUGH_PIXELS = 1.0  # blending weight, summed over a picture's pixels, at which a Gaussian counts as seen
 SIGNIFICANT_WEIGHT = 0.98  # of all weight, each Gaussian counted by its best picture
-OFTEN = int(SIGHTS)  # pictures that show a Gaussian often enough
+OFTEN = int(SIGHTS_PER_GAUSSIAN)  # pictures that show a Gaussian often enough
 ENOUGH_SHARE = 0.98  # of the coverage by all candidates, at which the default number of pictures is reached
 DEFAULT_PICTURES_BOUNDS = (48, 150)
 SMEAR_SHARE = 0.1  # of a picture's height: a Gaussian with a larger standard deviation is a smear

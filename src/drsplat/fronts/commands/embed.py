@@ -195,11 +195,11 @@ def _chosen_views(
     arguments: argparse.Namespace, views: list[View], scene: Gaussians | None
 ) -> tuple[list[View], float | None]:
     """Return the views of --views, and the share of what all show that they have seen often enough; None for all."""
-    from ...photos.embedding.view_choice import ENOUGH, choose_views
+    from ...photos.embedding.view_choice import ENOUGH_SHARE, choose_views
 
     if arguments.views == ALL or scene is None:
         return views, None
-    enough, most = (ENOUGH, None) if arguments.views == AUTO else (1.0, arguments.views)
+    enough, most = (ENOUGH_SHARE, None) if arguments.views == AUTO else (1.0, arguments.views)
     choice = choose_views(
         scene, views, enough=enough, most=most, threads=arguments.threads, track=tracker(arguments)
     )  # fmt: skip

@@ -11,14 +11,15 @@ from typing import Any
 
 from PIL import Image
 
-MAKE, MODEL = 271, 272
-EXIF_IFD, GPS_IFD = 0x8769, 0x8825
-FOCAL_MM, FOCAL_35MM, LENS_MODEL, MAKER_NOTE = 37386, 41989, 42036, 37500
-DIAGONAL_35MM = math.hypot(36, 24)
-FOCAL_SHARES = (0.2, 20.0)  # of the diagonal: other focal lengths are errors
+MAKE_TAG, MODEL_TAG = 271, 272
+EXIF_IFD_TAG, GPS_IFD_TAG = 0x8769, 0x8825
+FOCAL_MM_TAG, FOCAL_35MM_TAG, LENS_MODEL_TAG, MAKER_NOTE_TAG = 37386, 41989, 42036, 37500
+DIAGONAL_35MM_FILM_MM = math.hypot(36, 24)
+FOCAL_SHARE_BOUNDS = (0.2, 20.0)  # of the diagonal: other focal lengths are errors
 MAX_HEIGHT_M = 20_000.0
-APPLE, APPLE_ACCELERATION = b"Apple iOS\0", 0x0008
-SIGNED_RATIONAL = 10
+APPLE_SIGNATURE = b"Apple iOS\0"
+APPLE_ACCELERATION_TAG = 0x0008
+SIGNED_RATIONAL_TYPE = 10
 MAX_ENTRIES = 200  # of a maker note
 
 
@@ -41,21 +42,24 @@ def exif_facts(photo: Image.Image) -> ExifFacts:
     """Read the facts of an opened photo; a damaged EXIF block has none."""
     try:
         exif = photo.getexif()
-        tags, gps = dict(exif.get_ifd(EXIF_IFD)), dict(exif.get_ifd(GPS_IFD))
+        tags, gps = dict(exif.get_ifd(EXIF_IFD_TAG)), dict(exif.get_ifd(GPS_IFD_TAG))
     except Exception:  # parsers of damaged blocks raise anything
         return ExifFacts()
-    camera = [_text(value) for value in (exif.get(MAKE), exif.get(MODEL), tags.get(LENS_MODEL), tags.get(FOCAL_MM))]
+    camera = [
+        _text(value)
+        for value in (exif.get(MAKE_TAG), exif.get(MODEL_TAG), tags.get(LENS_MODEL_TAG), tags.get(FOCAL_MM_TAG))
+    ]
     return ExifFacts(
         camera=" ".join(part for part in camera if part),
         focal_share=_focal_share(tags),
         position=_position(gps),
-        down=_apple_down(tags.get(MAKER_NOTE)),
+        down=_apple_down(tags.get(MAKER_NOTE_TAG)),
     )
 
 
 def _focal_share(tags: dict[int, Any]) -> float | None:
-    share = _number(tags.get(FOCAL_35MM)) / DIAGONAL_35MM
-    return share if FOCAL_SHARES[0] <= share <= FOCAL_SHARES[1] else None
+    share = _number(tags.get(FOCAL_35MM_TAG)) / DIAGONAL_35MM_FILM_MM
+    return share if FOCAL_SHARE_BOUNDS[0] <= share <= FOCAL_SHARE_BOUNDS[1] else None
 
 
 def _position(gps: dict[int, Any]) -> tuple[float, float, float | None] | None:
@@ -84,13 +88,13 @@ def _apple_down(note: Any) -> tuple[float, float, float] | None:
     The phone's axes: +x to the right of its screen, +y to its top, +z out of its face; upright it says (0, -1, 0). The
     camera on its back looks along -z, and the stored photo has its right along the phone's -y and its down along -x.
     """
-    if not isinstance(note, bytes) or not note.startswith(APPLE):
+    if not isinstance(note, bytes) or not note.startswith(APPLE_SIGNATURE):
         return None
     with suppress(struct.error, ZeroDivisionError):
         (count,) = struct.unpack_from(">H", note, 14)
         for at in range(16, 16 + 12 * min(count, MAX_ENTRIES), 12):
             tag, kind, number, offset = struct.unpack_from(">HHII", note, at)
-            if (tag, kind, number) == (APPLE_ACCELERATION, SIGNED_RATIONAL, 3):
+            if (tag, kind, number) == (APPLE_ACCELERATION_TAG, SIGNED_RATIONAL_TYPE, 3):
                 numbers = struct.unpack_from(">6i", note, offset)
                 x, y, z = (a / b for a, b in zip(numbers[::2], numbers[1::2], strict=True))
                 length = math.hypot(x, y, z)

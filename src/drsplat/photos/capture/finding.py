@@ -14,8 +14,8 @@ from ...formats.photo_files import safe_name
 PHOTO_ENDS = {".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp", ".heic", ".heif"}
 VIDEO_ENDS = {".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi"}
 MAX_PHOTOS = 50_000
-NUMBERED_SHARE = 0.8  # of the photos, for all of them to count as numbered
-MAX_STEP = 50  # between numbers of successive photos: frames of a film are often thinned out
+MIN_NUMBERED_SHARE = 0.8  # of the photos, for all of them to count as numbered
+MAX_NUMBER_STEP = 50  # between successive photos: frames of a film are often thinned out
 _DIGITS = re.compile(r"(\d+)")
 
 
@@ -79,5 +79,5 @@ def are_numbered(names: list[str]) -> bool:
         parts, others = _DIGITS.split(name), _DIGITS.split(following)
         differing = [k for k in range(min(len(parts), len(others))) if parts[k] != others[k]]
         if len(parts) == len(others) and len(differing) == 1 and parts[differing[0]].isdecimal():
-            steps += 0 < int(others[differing[0]]) - int(parts[differing[0]]) <= MAX_STEP
-    return steps >= NUMBERED_SHARE * (len(names) - 1)
+            steps += 0 < int(others[differing[0]]) - int(parts[differing[0]]) <= MAX_NUMBER_STEP
+    return steps >= MIN_NUMBERED_SHARE * (len(names) - 1)

@@ -10,11 +10,11 @@ import numpy as np
 from ...base.arrays import Bool, Float64, Int64, UInt8
 
 STEP_SHARE = 0.06  # of the picture's width, from one photo to the next
-TARGET_PHOTOS = (40, 1000)  # the step is made shorter or longer to reach this range
+TARGET_PHOTOS_BOUNDS = (40, 1000)  # the step is made shorter or longer to reach this range
 MIN_STEP_SHARE = 0.01
-STILL_SHARE = 0.001  # of the width, from the frame before: less is the same picture again
-BLURRED_SHARE = 0.6  # of the median sharpness of the frames around
-NEIGHBOURHOOD = 15  # frames to either side
+MAX_STILL_SHARE = 0.001  # of the width moved since the frame before: it shows the same picture again
+MAX_BLURRED_SHARE = 0.6  # of the median sharpness of the frames around
+NEIGHBOURHOOD_FRAMES = 15  # to either side
 BLOCKS_ACROSS = 4
 
 
@@ -42,12 +42,12 @@ def choose(film: Film) -> Choice:
     usable = np.flatnonzero(~blurred)
     if not len(usable):
         return Choice(usable, int(blurred.sum()), 0)
-    fewest, most = TARGET_PHOTOS
+    fewest, most = TARGET_PHOTOS_BOUNDS
     step = float(np.clip(path[-1] / fewest, MIN_STEP_SHARE, max(STEP_SHARE, path[-1] / most)))
     steps = np.round(path[usable] / step).astype(np.int64)
     order = np.lexsort((usable, -film.sharpness[usable], steps))
     first = np.unique(steps[order], return_index=True)[1]
-    still = int((film.moved[1:] < STILL_SHARE).sum())
+    still = int((film.moved[1:] < MAX_STILL_SHARE).sum())
     return Choice(np.sort(usable[order[first]]), int(blurred.sum()), still)
 
 
@@ -55,7 +55,9 @@ def are_blurred(sharpness: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Return which frames are much less sharp than the frames around them."""
     from scipy.ndimage import median_filter
 
-    return np.asarray(sharpness < BLURRED_SHARE * median_filter(sharpness, size=2 * NEIGHBOURHOOD + 1, mode="nearest"))
+    return np.asarray(
+        sharpness < MAX_BLURRED_SHARE * median_filter(sharpness, size=2 * NEIGHBOURHOOD_FRAMES + 1, mode="nearest")
+    )
 
 
 def movement(before: UInt8[np.ndarray, "h w"], now: UInt8[np.ndarray, "h w"]) -> float:

@@ -11,8 +11,8 @@ import numpy as np
 
 from ...base.arrays import Float32
 
-NUM_WORDS, ITERATIONS = 32, 12
-TRAINING_DESCRIPTORS = 40_000  # of the vocabulary
+NUM_WORDS, KMEANS_STEPS = 32, 12
+MAX_TRAINING_DESCRIPTORS = 40_000  # of the vocabulary
 MAX_DESCRIPTORS = 2_000  # of a photo
 
 Descriptors = Float32[np.ndarray, "n 128"]
@@ -31,13 +31,13 @@ def looks_of(keys: Sequence[str], read: Callable[[str], Descriptors]) -> Float32
 
 def _vocabulary(keys: Sequence[str], read: Callable[[str], Descriptors]) -> Float32[np.ndarray, "w 128"] | None:
     """Return the centres of a k-means of descriptors of all photos; None for too few descriptors."""
-    each = max(1, TRAINING_DESCRIPTORS // max(len(keys), 1))
-    step = max(1, len(keys) // TRAINING_DESCRIPTORS)
+    each = max(1, MAX_TRAINING_DESCRIPTORS // max(len(keys), 1))
+    step = max(1, len(keys) // MAX_TRAINING_DESCRIPTORS)
     sample = np.concatenate([_thinned(read(key), each) for key in keys[::step]] or [np.empty((0, 128), np.float32)])
     if len(sample) < 4 * NUM_WORDS:
         return None
     centres = sample[np.random.default_rng(0).choice(len(sample), NUM_WORDS, replace=False)]
-    for _ in range(ITERATIONS):
+    for _ in range(KMEANS_STEPS):
         nearest = _nearest(sample, centres)
         for word in range(NUM_WORDS):
             if (nearest == word).any():

@@ -15,10 +15,10 @@ from .program import ask_colmap
 
 Position = Float64[np.ndarray, " 3"]
 
-NEAR_SHARE = 0.05  # of the photo's diagonal: points further from the pixel say nothing about it
+MAX_AWAY_SHARE = 0.05  # of the photo's diagonal: points farther from the pixel say nothing about it
 MAX_SURFACE_POINTS = 12  # nearest to the pixel, which define the surface there
 MIN_PLANE_POINTS = 5
-GAP_SHARE = 0.05  # of the depth: points further behind are of another surface
+MIN_GAP_SHARE = 0.05  # of the depth: points farther behind are of another surface
 MIN_FRONT_POINTS = 2
 MIN_ANGLE_DEGREES = 2.0  # between two rays of a marker
 MAX_ERROR_DEGREES = 1.0  # between a marker's pixel and the projection of its place
@@ -112,7 +112,7 @@ def _on_surface(place: Place, look: dict[str, Any]) -> Position:
     pixels = np.array(look["pixels"], np.float64).reshape(-1, 2)
     away = np.linalg.norm(pixels - (place.x, place.y), axis=1)
     near = np.argsort(away, kind="stable")[:MAX_SURFACE_POINTS]
-    near = near[away[near] <= NEAR_SHARE * np.hypot(*look["size"])]
+    near = near[away[near] <= MAX_AWAY_SHARE * np.hypot(*look["size"])]
     if not len(near):
         raise InputError(
             f"known_distance: no point of the capture is near ({place.x:g}, {place.y:g}) of {place.photo}: choose a "
@@ -139,6 +139,6 @@ def _depth(offsets: Float64[np.ndarray, "n 2"], depths: Float64[np.ndarray, " n"
 def _front(depths: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Return which depths are of the first surface: people point at objects, not at the wall behind."""
     ascending = np.sort(depths)
-    ends = np.flatnonzero(np.diff(ascending) > GAP_SHARE * ascending[:-1]) + 1
+    ends = np.flatnonzero(np.diff(ascending) > MIN_GAP_SHARE * ascending[:-1]) + 1
     end = next((int(end) for end in ends if end >= MIN_FRONT_POINTS), len(depths))
     return np.asarray(depths <= ascending[end - 1])

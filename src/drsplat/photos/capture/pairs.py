@@ -9,12 +9,12 @@ import numpy as np
 
 from ...base.arrays import Float32, Float64
 
-MAX_EXHAUSTIVE = 150  # photos: 11,175 pairs
-MAX_EXHAUSTIVE_NUMBERED = 40  # photos whose order says which overlap
+MAX_EXHAUSTIVE_PHOTOS = 150  # 11,175 pairs
+MAX_EXHAUSTIVE_NUMBERED_PHOTOS = 40  # their order says which overlap
 NEIGHBOURS_IN_ORDER = 12
 NEIGHBOURS_IN_PLACE = 24
 NEIGHBOURS_IN_LOOKS = 20
-FEWER_IN_LOOKS = 8  # of numbered photos, for loops
+NUMBERED_NEIGHBOURS_IN_LOOKS = 8  # for loops
 _BLOCK_ROWS = 512
 
 

@@ -34,9 +34,9 @@ MIN_SIDE_PX = 64
 JPEG_QUALITY = 95
 ALL_LEFT_OUT = "its mask leaves all of it out: white is kept, black is left out (invert_masks=True turns that round)"
 LOOK_SIDE_PX = 512  # of the small picture for measuring sharpness
-ORIENTATION = 0x0112
+ORIENTATION_TAG = 0x0112
 DIGEST_LETTERS = 24
-_BLOCK = 1 << 20
+_BLOCK_BYTES = 1 << 20
 # per EXIF orientation, right and down of the upright photo in (right, down) of the stored one
 _TURNS = {1: ((1, 0), (0, 1)), 3: ((-1, 0), (0, -1)), 6: ((0, -1), (1, 0)), 8: ((0, 1), (-1, 0))}
 
@@ -103,7 +103,7 @@ def bring(source: Source, folder: Path, invert_masks: bool = False) -> Photo:
     path = folder / (digest + decoded.suffix)
     with open_file(source.path) as file, replacing(path, overwrite=True) as output:
         if decoded.upright is None:
-            shutil.copyfileobj(file, output, _BLOCK)
+            shutil.copyfileobj(file, output, _BLOCK_BYTES)
         elif decoded.suffix == ".jpg":
             decoded.upright.save(output, format="JPEG", quality=JPEG_QUALITY, subsampling=0)
         else:
@@ -181,7 +181,7 @@ def _from_coded(coded: Image.Image) -> _Decoded:
 def _orientation(coded: Image.Image) -> int:
     """Return the EXIF orientation; 1 (upright) where it is missing or none."""
     try:
-        value = coded.getexif().get(ORIENTATION, 1)
+        value = coded.getexif().get(ORIENTATION_TAG, 1)
     except Exception:  # parsers of damaged blocks raise anything
         return 1
     return value if isinstance(value, int) and 1 <= value <= 8 else 1
@@ -196,7 +196,7 @@ def as_rgb(coded: Image.Image) -> Image.Image:
         rgb = Image.composite(rgba.convert("RGB"), Image.new("RGB", rgba.size), rgba.getchannel("A"))
     else:
         rgb = coded.convert("RGB")
-    rgb.getexif()[ORIENTATION] = _orientation(coded)
+    rgb.getexif()[ORIENTATION_TAG] = _orientation(coded)
     return rgb
 
 

@@ -114,13 +114,13 @@ class Posing:
         """Return the pairs of files to match, in order."""
         photos = [photo for photo in self.photos if photo.file in features]
         numbered = are_numbered([photo.name for photo in photos])
-        if len(photos) <= (pairing.MAX_EXHAUSTIVE_NUMBERED if numbered else pairing.MAX_EXHAUSTIVE):
+        if len(photos) <= (pairing.MAX_EXHAUSTIVE_NUMBERED_PHOTOS if numbered else pairing.MAX_EXHAUSTIVE_PHOTOS):
             pairs = pairing.all_pairs(len(photos))
         else:
             looks = looks_of(
                 [photo.file for photo in photos], lambda file: colmap_database.descriptors_of(database, file)
             )
-            alike = pairing.FEWER_IN_LOOKS if numbered else pairing.NEIGHBOURS_IN_LOOKS
+            alike = pairing.NUMBERED_NEIGHBOURS_IN_LOOKS if numbered else pairing.NEIGHBOURS_IN_LOOKS
             pairs = pairing.pairs_in_looks(looks, alike) | pairing.pairs_in_place(places_of(photos))
             if numbered:
                 pairs |= pairing.pairs_in_order(len(photos))

@@ -13,7 +13,7 @@ from typing import Any
 from ...errors import DrSplatError, FormatError, InputError, MissingExtraError
 
 INSTALL = 'pip install "drsplat[capture]"'
-LOG_BYTES = 1 << 20
+MAX_LOG_BYTES = 1 << 20
 MIN_FREE_BYTES = 1 << 20  # a disk with less is full
 _FULL = ("disk is full", "No space left", "disk I/O error")
 _DAMAGED = ("malformed", "not a database", "No registered database factory")
@@ -87,6 +87,6 @@ def _last_words(log: Path, start: int) -> str:
     """Return COLMAP's last message before it ended: the exception that it did not catch, else its last line."""
     with log.open("rb") as file:
         file.seek(start)
-        lines = file.read(LOG_BYTES).decode("utf-8", "replace").strip().splitlines()
+        lines = file.read(MAX_LOG_BYTES).decode("utf-8", "replace").strip().splitlines()
     errors = [line.partition("what():")[2] for line in lines if "what():" in line]
     return (errors or lines[-1:] or [""])[0].strip()

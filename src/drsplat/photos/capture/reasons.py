@@ -7,10 +7,10 @@ from statistics import median
 
 from .photos import Photo
 
-BLURRED_SHARE = 0.35  # of the median sharpness
+MAX_BLURRED_SHARE = 0.35  # of the median sharpness
 MIN_FEATURES = 150
 MIN_MATCHES = 15  # which COLMAP requires of a pair
-MANY_MATCHES = 300  # enough for a pose, unless the camera has not moved
+ENOUGH_MATCHES = 300  # for a pose, unless the camera has not moved
 
 
 @dataclass(frozen=True)
@@ -39,12 +39,12 @@ class Reasons:
             return f"it shows hardly any texture, or is blurred: {self.features[photo.file]} features"
         if photo.file in self._others:
             return f"it shows another place, together with {self._others[photo.file] - 1} other photos"
-        if photo.sharpness < BLURRED_SHARE * self._typical_sharpness:
+        if photo.sharpness < MAX_BLURRED_SHARE * self._typical_sharpness:
             return "it is blurred"
         matches = self._best_matches.get(photo.file, 0)
         if matches < MIN_MATCHES:
             return "no overlap: it shows nothing that another photo shows"
-        if matches < MANY_MATCHES:
+        if matches < ENOUGH_MATCHES:
             return f"too little overlap or movement: at most {matches} places in common with another photo"
         return f"too little movement: {matches:,} places in common with another photo, and no depth comes of them"
 

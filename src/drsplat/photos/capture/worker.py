@@ -18,14 +18,15 @@ import pycolmap
 from ...base.system import end_with
 
 SEED = 0
-PHOTOS_AT_ONCE, PAIRS_AT_ONCE = 8, 64
+BATCH_PHOTOS, BATCH_PAIRS = 8, 64
 MAX_FEATURES = 4096
 JPEG_QUALITY = 95
-MASK_SUFFIX, MIN_WHITE = ".png", 128
+MASK_SUFFIX = ".png"
+MIN_WHITE = 128
 MIN_PHOTOS = 3  # of a model
 MIN_POINTS = 15  # that a photo has to see
-DEPTH_SAMPLE = 2000  # points for the median depth
-ERROR_LEVEL = 2  # of glog
+DEPTH_SAMPLE_POINTS = 2000  # for the median depth
+GLOG_ERROR_LEVEL = 2
 
 
 def add_cameras(request: dict[str, Any], _: TextIO) -> list[int]:
@@ -45,8 +46,8 @@ def extract(request: dict[str, Any], line: TextIO) -> None:
         reader.existing_camera_id = group["camera_id"]
         if group["masks"]:  # where COLMAP wants one for every photo
             reader.mask_path = group["masks"]
-        for at in range(0, len(group["names"]), PHOTOS_AT_ONCE):
-            names = group["names"][at : at + PHOTOS_AT_ONCE]
+        for at in range(0, len(group["names"]), BATCH_PHOTOS):
+            names = group["names"][at : at + BATCH_PHOTOS]
             pycolmap.extract_features(
                 request["database"], request["images"], image_names=names, camera_mode=pycolmap.CameraMode.SINGLE,
                 reader_options=reader, extraction_options=options, device=pycolmap.Device.cpu,
@@ -63,13 +64,13 @@ def match(request: dict[str, Any], line: TextIO) -> None:
     pairing = pycolmap.ImportedPairingOptions()
     pairing.match_list_path = request["batch"]
     lines = Path(request["pairs"]).read_text(encoding="utf-8").splitlines(keepends=True)
-    for at in range(0, len(lines), PAIRS_AT_ONCE):
-        Path(request["batch"]).write_text("".join(lines[at : at + PAIRS_AT_ONCE]), encoding="utf-8")
+    for at in range(0, len(lines), BATCH_PAIRS):
+        Path(request["batch"]).write_text("".join(lines[at : at + BATCH_PAIRS]), encoding="utf-8")
         pycolmap.match_image_pairs(
             request["database"], matching_options=matching, pairing_options=pairing,
             verification_options=verification, device=pycolmap.Device.cpu,
         )  # fmt: skip
-        _say(line, done=min(at + PAIRS_AT_ONCE, len(lines)))
+        _say(line, done=min(at + BATCH_PAIRS, len(lines)))
 
 
 def map_globally(request: dict[str, Any], _: TextIO) -> list[dict[str, Any]]:
@@ -196,7 +197,7 @@ def _drop_unsupported(model: pycolmap.Reconstruction) -> bool:
 def _typical_depth(model: pycolmap.Reconstruction) -> float:
     """Return the median distance, along the camera's axis, of points from the first photo that saw them."""
     depths = []
-    for point in list(model.points3D.values())[:: max(1, model.num_points3D() // DEPTH_SAMPLE)]:
+    for point in list(model.points3D.values())[:: max(1, model.num_points3D() // DEPTH_SAMPLE_POINTS)]:
         seen_by = model.images[point.track.elements[0].image_id]
         depths.append(float((seen_by.cam_from_world() * point.xyz)[2]))
     return sorted(depths)[len(depths) // 2] if depths else 0.0
@@ -222,7 +223,7 @@ def main() -> None:
     os.dup2(2, 1)
     request = json.load(sys.stdin)
     end_with(request["parent"])
-    pycolmap.logging.minloglevel = ERROR_LEVEL
+    pycolmap.logging.minloglevel = GLOG_ERROR_LEVEL
     pycolmap.set_random_seed(SEED)
     try:
         _say(line, answer=TASKS[request["task"]](request, line))

@@ -19,11 +19,13 @@ from .exif import ExifFacts
 
 MIN_GPS_PHOTOS = 4
 MAX_RESIDUAL_SHARE = 0.2  # of the spread of the GPS positions: noise in a room is larger than the room
-MIN_SPREAD_RESIDUALS = 3.0  # spread of positions to the side of a line, in residuals, for GPS to tell which way is up
-OUTLIER_RESIDUALS = 4.0  # in medians
-TRIES, SAMPLE, ROUNDS = 200, 4, 5  # of the robust fit
-MAX_GRAVITY_SPREAD_DEG = 10.0  # median angle to the mean
-TYPICAL_DEPTH = 4.0  # units from a camera to the points it sees, where the scale is unknown
+MIN_SPREAD_RESIDUALS = 3.0  # of positions to the side of a line: with less, GPS does not say which way is up
+MAX_INLIER_MEDIANS = 4.0  # residual over the median one
+RANSAC_TRIES = 200
+RANSAC_SAMPLE = 4
+REFIT_ROUNDS = 5
+MAX_GRAVITY_SPREAD_DEGREES = 10.0  # median angle to the mean
+DEFAULT_MEDIAN_DEPTH = 4.0  # units from a camera to the points it sees, where the scale is unknown
 
 Points = Float64[np.ndarray, "n 3"]
 Rotation = Float64[np.ndarray, "3 3"]
@@ -57,7 +59,7 @@ def world_of(views: Sequence[View], facts: Mapping[str, ExifFacts], depth: float
     if fit is not None:
         return fit if fit.up_from else replace(fit, up_from=up_from)
     center = np.mean([view.center for view in views], axis=0)
-    scale = TYPICAL_DEPTH / depth if depth > 0 else 1.0
+    scale = DEFAULT_MEDIAN_DEPTH / depth if depth > 0 else 1.0
     return World(Similarity(scale, rotation, -scale * rotation @ center), "units", up_from, "")
 
 
@@ -88,7 +90,7 @@ def _gravity_up(views: Sequence[View], facts: Mapping[str, ExifFacts]) -> Float6
     mean = ups.mean(axis=0)
     mean /= max(float(np.linalg.norm(mean)), 1e-9)
     spread = np.degrees(np.median(np.arccos(np.clip(ups @ mean, -1, 1))))
-    return mean if spread <= MAX_GRAVITY_SPREAD_DEG else None
+    return mean if spread <= MAX_GRAVITY_SPREAD_DEGREES else None
 
 
 def upright_rotation(up: Float64[np.ndarray, " 3"], views: Sequence[View]) -> Rotation:
@@ -112,7 +114,7 @@ def _gps_fit(views: Sequence[View], facts: Mapping[str, ExifFacts], upright: Rot
     centers = np.array([view.center for view in placed])
     similarity, residuals = _robust_similarity(centers, offsets)
     middle = float(np.median(residuals))
-    trusted = offsets[residuals <= OUTLIER_RESIDUALS * middle]
+    trusted = offsets[residuals <= MAX_INLIER_MEDIANS * middle]
     spread = np.linalg.svd(trusted - trusted.mean(axis=0), compute_uv=False) / np.sqrt(len(trusted))
     if middle > MAX_RESIDUAL_SHARE * spread[0]:
         return None
@@ -134,12 +136,12 @@ def _robust_similarity(source: Points, target: Points) -> tuple[Similarity, Floa
     It begins with the best of many that are fitted to four pairs each: least median of squares.
     """
     rng = np.random.default_rng(0)
-    tries = [rng.choice(len(source), min(SAMPLE, len(source)), replace=False) for _ in range(TRIES)]
+    tries = [rng.choice(len(source), min(RANSAC_SAMPLE, len(source)), replace=False) for _ in range(RANSAC_TRIES)]
     starts = [umeyama(source[sample], target[sample]) for sample in tries]
     similarity = min(starts, key=lambda start: float(np.median(_distances(start, source, target))))
-    for _ in range(ROUNDS):
+    for _ in range(REFIT_ROUNDS):
         residuals = _distances(similarity, source, target)
-        inliers = residuals <= OUTLIER_RESIDUALS * np.median(residuals)
+        inliers = residuals <= MAX_INLIER_MEDIANS * np.median(residuals)
         similarity = umeyama(source[inliers], target[inliers])
     return similarity, _distances(similarity, source, target)
 

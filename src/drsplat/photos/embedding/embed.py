@@ -38,7 +38,7 @@ from .side_by_side import Threaded, photos_at_once, side_by_side
 
 ALGORITHM = "1"  # version of everything here that decides what is written; another one makes all files anew
 WORD_LIST = "word_list.safetensors"  # beside the features: what queries are contrasted with
-MAX_HEIGHT = 1080
+MAX_HEIGHT_PIXELS = 1080
 """Height in pixels that taller photos are scaled down to. Source: LangSplat preprocess.py."""
 
 
@@ -66,7 +66,7 @@ def embed(
     segmenter: Segmenter | FeatureFolder,
     encoder: ImageEncoder,
     *,
-    max_height: int | None = MAX_HEIGHT,
+    max_height: int | None = MAX_HEIGHT_PIXELS,
     overwrite: bool = False,
     form: Form = "compact",
     track: Track = untracked,

@@ -24,9 +24,9 @@ from ...scene.encoders import ImageEncoder, identity_json
 from ...scene.gaussians import Gaussians
 from ...scene.masks.masks import Segmenter
 from ...scene.views import View
-from .embed import MAX_HEIGHT, EmbeddingReport, embed, finish_folder, finish_photo, pictures_setting, report_of
+from .embed import MAX_HEIGHT_PIXELS, EmbeddingReport, embed, finish_folder, finish_photo, pictures_setting, report_of
 from .keeping import ChosenMasks, WithoutEmbedding, masks_hash
-from .shared_crops import CROPS_PER_OBJECT, MIN_FIT, NEAREST_SHARE, share_crops
+from .shared_crops import MAX_CROPS_PER_OBJECT, MIN_FIT, NEAREST_SHARE, share_crops
 
 ALGORITHM = "1"
 """Version of everything here that decides what is written."""
@@ -41,7 +41,7 @@ def embed_objects(
     gaussians: Gaussians,
     *,
     parts: str | Path,
-    max_height: int | None = MAX_HEIGHT,
+    max_height: int | None = MAX_HEIGHT_PIXELS,
     overwrite: bool = False,
     form: Form = "compact",
     threads: int = 0,
@@ -49,7 +49,7 @@ def embed_objects(
 ) -> EmbeddingReport:
     """Write the features of every view as `embed` does, but embed only a few crops of each object of the scene.
 
-    A mask that shows a part, thing or group of the scene takes the vectors of up to CROPS_PER_OBJECT of its masks,
+    A mask that shows a part, thing or group of the scene takes the vectors of up to MAX_CROPS_PER_OBJECT of its masks,
     half of it that of the nearest camera. A mask that shows none is embedded itself.
 
     Args:
@@ -80,7 +80,7 @@ def embed_objects(
         "encoder": identity_json(encoder.identity),
         "max_height": max_height,
         "algorithm": ALGORITHM,
-        "crops": [CROPS_PER_OBJECT, MIN_FIT, NEAREST_SHARE],
+        "crops": [MAX_CROPS_PER_OBJECT, MIN_FIT, NEAREST_SHARE],
         "scene": gaussians.fingerprint,
         **pictures_setting(views),
     }

@@ -29,7 +29,7 @@ from ...scene.views import View
 from .mask_rows import mask_rows
 
 ALGORITHM = "1"  # version of everything here that decides a patch
-MIN_AREA = 100
+MIN_AREA_PIXELS = 100
 """Pixels of the smallest patch: segmenters drop smaller masks, so no scene has any.
 Source: SAM's min_mask_region_area as LangSplat sets it."""
 
@@ -48,7 +48,7 @@ class PatchSource:
     """Photos with their wanted instances, in the order of the file; see `find_patches`.
 
     missing: names of photos that are not in the folder. left_out: instances that are crowds, smaller
-    than MIN_AREA by the file's own area, or of missing photos.
+    than MIN_AREA_PIXELS by the file's own area, or of missing photos.
     """
 
     annotations: Annotations
@@ -69,7 +69,7 @@ class Patches(NamedTuple):
 
 
 class EmbeddedPatches(NamedTuple):
-    """Embedded patches. embeddings: a row each, on disk. too_small: instances whose mask is below MIN_AREA."""
+    """Embedded patches. embeddings: a row each, on disk. too_small: instances whose mask is below MIN_AREA_PIXELS."""
 
     embeddings: Float32[np.ndarray, "n d"]
     too_small: int
@@ -87,12 +87,12 @@ def find_patches(annotations: Annotations, images: str | Path, limit: int | None
     usable = [
         place
         for place, instance in enumerate(annotations.instances)
-        if instance.photo in paths and instance.area >= MIN_AREA and not instance.crowd
+        if instance.photo in paths and instance.area >= MIN_AREA_PIXELS and not instance.crowd
     ]
     if not usable:
         raise InputError(
             f"{annotations.path}: none of {len(annotations.instances)} instances in these photos has "
-            f"{MIN_AREA} pixels or more"
+            f"{MIN_AREA_PIXELS} pixels or more"
         )
     left_out = len(annotations.instances) - len(usable)
     if limit is not None and limit < len(usable):
@@ -112,7 +112,7 @@ def find_patches(annotations: Annotations, images: str | Path, limit: int | None
 def patches(source: PatchSource, photos: Sequence[PhotoPatches]) -> Iterator[Patches]:
     """Yield each photo with the masks of its instances; each photo is opened once.
 
-    Instances whose mask has fewer than MIN_AREA pixels are left out.
+    Instances whose mask has fewer than MIN_AREA_PIXELS pixels are left out.
 
     Raises: MismatchError: a photo of another size than annotated. FormatError: a damaged photo, a mask
     that does not fit its photo.
@@ -145,7 +145,7 @@ def embed_patches(
         done, filled, num_instances = done + 1, filled + len(masks), num_instances + len(photo.instances)
         _write_progress(progress_path, key, done, filled)
     if not filled:
-        raise InputError(f"none of {num_instances} patches has {MIN_AREA} pixels or more: give larger ones")
+        raise InputError(f"none of {num_instances} patches has {MIN_AREA_PIXELS} pixels or more: give larger ones")
     return EmbeddedPatches(rows[:filled], num_instances - filled)
 
 
@@ -187,7 +187,7 @@ def _patches_of(annotations: Annotations, wanted: PhotoPatches) -> Patches:
         )
     image = load_image(View(photo.name, np.eye(3), np.eye(4), photo.width, photo.height, path))
     full = [annotations.mask(instance) for instance in wanted.instances]
-    large = [mask for mask in full if np.count_nonzero(mask) >= MIN_AREA]
+    large = [mask for mask in full if np.count_nonzero(mask) >= MIN_AREA_PIXELS]
     stacked = np.stack(large) if large else np.empty((0, photo.height, photo.width), bool)
     return Patches(image, cut_masks(stacked, np.ones(len(large), np.float32)))
 

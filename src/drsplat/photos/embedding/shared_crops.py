@@ -17,7 +17,7 @@ from ...field.objects.finding import find_tree
 from ...scene.gaussians import Gaussians
 from ...scene.views import View
 
-CROPS_PER_OBJECT = 12
+MAX_CROPS_PER_OBJECT = 12
 MIN_FIT = 0.5
 """IoU, by weight, above which a mask shows a node; of disjoint nodes at most one has more."""
 NEAREST_SHARE = 0.5
@@ -43,7 +43,12 @@ class SharedCrops:
 
 
 def share_crops(
-    evidence: Evidence, gaussians: Gaussians, views: Sequence[View], *, most: int = CROPS_PER_OBJECT, threads: int = 0
+    evidence: Evidence,
+    gaussians: Gaussians,
+    views: Sequence[View],
+    *,
+    most: int = MAX_CROPS_PER_OBJECT,
+    threads: int = 0,
 ) -> SharedCrops:
     """Choose the crops to embed. A mask that shows no object represents itself alone.
 

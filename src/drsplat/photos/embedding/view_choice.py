@@ -17,11 +17,11 @@ from ...field.evidence.columns import scenery_of
 from ...scene.gaussians import Gaussians
 from ...scene.views import View
 
-SIGHTS = 3.0
+SIGHTS_PER_GAUSSIAN = 3.0
 """Sum over photos, of a Gaussian's weight over that in its best photo, from which it is seen often enough."""
-ENOUGH = 0.98
+ENOUGH_SHARE = 0.98
 """Share of the score of all photos together."""
-LONGER_SIDE = 252
+LONGER_SIDE_PIXELS = 252
 """Pixels of the longer side of photos in this choice, which needs visibility alone."""
 
 
@@ -42,7 +42,7 @@ def choose_views(
     gaussians: Gaussians,
     views: Sequence[View],
     *,
-    enough: float = ENOUGH,
+    enough: float = ENOUGH_SHARE,
     most: int | None = None,
     threads: int = 0,
     track: Track = untracked,
@@ -74,7 +74,7 @@ def _sights(gaussians: Gaussians, views: Sequence[View], threads: int, track: Tr
     scenery, sampling = scenery_of(gaussians), Sampling()
     ids, weights = [np.empty(0, np.int64)], [np.empty(0)]
     for view in track(views, "looking at what photos show"):
-        small = replace(view, distortion=None).limited(LONGER_SIDE)
+        small = replace(view, distortion=None).limited(LONGER_SIDE_PIXELS)
         everything = np.zeros((small.height, small.width), np.int32)
         triples = sampling.triples(scenery.visible_splats(small).splats, small, everything, threads)
         ids.append(triples.gaussian_ids.astype(np.int64))
@@ -100,9 +100,11 @@ def greedy(sights: csc_array, enough: float, most: int) -> tuple[list[int], list
 
     def gain(view: int) -> float:
         rows, added = rows_and_sights(view)
-        return float((np.minimum(have[rows] + added, SIGHTS) - np.minimum(have[rows], SIGHTS)).sum())
+        return float(
+            (np.minimum(have[rows] + added, SIGHTS_PER_GAUSSIAN) - np.minimum(have[rows], SIGHTS_PER_GAUSSIAN)).sum()
+        )
 
-    total = float(np.minimum(sights.sum(axis=1), SIGHTS).sum())
+    total = float(np.minimum(sights.sum(axis=1), SIGHTS_PER_GAUSSIAN).sum())
     waiting = [(-gain(view), view) for view in range(sights.shape[1])]
     heapq.heapify(waiting)
     order: list[int] = []

@@ -58,7 +58,7 @@ ARCHITECTURES = {
     "edgetam_video": _EDGETAM,
 }
 """Architectures by model_type of config.json. Source: the processors and configurations of transformers 5.23."""
-_CHUNK_FLOATS = 1 << 24  # of enlarged masks at a time: 64 MiB
+_CHUNK_FLOATS = 1 << 24  # of enlarged masks: 64 MiB
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from .preprocessing import Preprocessing
 
 BATCH_BYTES = {"cpu": 5 << 20, "mps": 20 << 20, "cuda": 80 << 20}
 """Input bytes per pass by device: 8 images of 224 pixels on a CPU, where more do not fit its caches."""
-TEXT_BATCH, MAX_CACHED_TEXTS = 64, 4096
+TEXTS_PER_BATCH, MAX_CACHED_TEXTS = 64, 4096
 
 
 class TorchEncoder(ABC):
@@ -56,7 +56,7 @@ class TorchEncoder(ABC):
         """
         self._check_texts(texts)
         new = [text for text in dict.fromkeys(texts) if text not in self._texts]
-        for block in _blocks(len(new), TEXT_BATCH):
+        for block in _blocks(len(new), TEXTS_PER_BATCH):
             rows = self._unit([self._text_rows(new[block])], "text")
             self._texts.update(zip(new[block], rows, strict=True))
         for text in texts:

@@ -11,7 +11,7 @@ from ...formats.vocabulary import VocabularyEncoder
 from ...scene.encoders import Encoder
 from .nouns import NOUNS, broad_list
 
-MOST = 2000  # texts of a vocabulary: more make a first question slow
+MAX_TEXTS = 2000  # of a vocabulary: more make a first question slow
 
 
 def list_vectors(encoder: Encoder) -> Float32[np.ndarray, "n D"]:
@@ -59,9 +59,9 @@ def _if_known(encoder: Encoder, noun: str) -> Sequence[Float32[np.ndarray, " D"]
 
 def _of_vocabulary(texts: Sequence[str]) -> Sequence[str]:
     """Return all of them, or of a large vocabulary the nouns of the list and others spread over it."""
-    if len(texts) <= MOST:
+    if len(texts) <= MAX_TEXTS:
         return texts
     nouns = [text for text in texts if text in set(NOUNS)]
     others = [text for text in texts if text not in set(NOUNS)]
-    spread = np.linspace(0, len(others) - 1, MOST - len(nouns)).astype(int)
+    spread = np.linspace(0, len(others) - 1, MAX_TEXTS - len(nouns)).astype(int)
     return [*nouns, *(others[at] for at in np.unique(spread))]

@@ -9,9 +9,9 @@ from ....kernels import photo_regions
 WORKING_PIXELS = 640 * 480
 """Larger images are scaled down to this; sizes in pixels below are of an image of this many."""
 
-SCALE = 4000.0  # CIELAB units times pixels by which regions must differ: higher gives larger regions
-SIGMA = 0.5  # pixels of blur before
-LEAST_AREA = 30.0
+MERGE_SCALE = 4000.0  # in CIELAB units times pixels: regions must differ by it; a higher one gives larger regions
+BLUR_PIXELS = 0.5
+MIN_AREA_PIXELS = 30.0
 
 
 def working_share(pixels: int) -> float:
@@ -33,7 +33,7 @@ def small_regions(lab: Int32[np.ndarray, "h w 3"]) -> Int32[np.ndarray, "h w"]:
     """Label connected regions, from 0."""
     share = working_share(lab.shape[0] * lab.shape[1])
     # 255: the published code has colours from 0 to 1
-    return photo_regions.small_regions(lab, SCALE * share / 255, round(LEAST_AREA * share))
+    return photo_regions.small_regions(lab, MERGE_SCALE * share / 255, round(MIN_AREA_PIXELS * share))
 
 
 def enlarged(labels: Int32[np.ndarray, "h w"], height: int, width: int) -> Int32[np.ndarray, "h2 w2"]:

@@ -9,7 +9,7 @@ import numpy as np
 from ....base.arrays import Float64
 from ....kernels.photo_regions import PairRule
 
-DIGITS = 6  # of a likelihood: the last bits of a product depend on the processor
+LIKELIHOOD_DECIMALS = 6  # a product's last bits depend on the processor
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class MergeRule:
         scaled = np.clip((features - self.center) / self.width, -5, 5)
         inner = np.tanh(scaled @ self.hidden + self.hidden_bias)
         logit = inner @ self.output + self.output_bias
-        return np.asarray(np.round(1 / (1 + np.exp(-logit)), DIGITS))
+        return np.asarray(np.round(1 / (1 + np.exp(-logit)), LIKELIHOOD_DECIMALS))
 
 
 def shipped_rule() -> tuple[MergeRule, str]:

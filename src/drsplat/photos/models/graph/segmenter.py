@@ -52,7 +52,7 @@ class GraphSegmenter:
         self.rule, weights = shipped_rule()
         self.identity: Mapping[str, object] = {
             "name": self.name, "version": 2, "weights": weights, "network": seen,
-            "scale": regions.SCALE, "sigma": regions.SIGMA, "region_area": regions.LEAST_AREA,
+            "scale": regions.MERGE_SCALE, "sigma": regions.BLUR_PIXELS, "region_area": regions.MIN_AREA_PIXELS,
             "working_pixels": regions.WORKING_PIXELS, **asdict(self.settings),
         }  # fmt: skip
 

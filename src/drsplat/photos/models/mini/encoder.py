@@ -11,10 +11,10 @@ from ....errors import InputError, did_you_mean
 from ....formats.tensors import map_tensors
 from ....scene.encoders import EncoderIdentity
 from .lexicon import COLORS, NAMES, PAINTS, STRUCTURES, WORDS, colors_in, only_colors, words_of
-from .network import SIDE, embed_images
+from .network import INPUT_SIDE_PIXELS, embed_images
 
 DIM = 512
-BATCH = 64  # crops, whose layers take some 20 MiB
+BATCH_CROPS = 64  # whose layers take some 20 MiB
 _ROWS = {word: row for row, word in enumerate(WORDS)}
 
 
@@ -43,7 +43,7 @@ class MiniEncoder:
         # fields stay valid.
         self._photo_colors: np.ndarray = map_tensors(file.with_name("photo_colors.safetensors"))[0]["photo_colors"]
         weights = hashlib.blake2b(file.read_bytes(), digest_size=8).hexdigest()
-        self.identity = EncoderIdentity(self.name, DIM, weights, f"square {SIDE} px")
+        self.identity = EncoderIdentity(self.name, DIM, weights, f"square {INPUT_SIDE_PIXELS} px")
 
     def on_one_thread(self) -> "MiniEncoder":
         """Return the same encoder on one thread, for several threads to call at once."""
@@ -56,8 +56,8 @@ class MiniEncoder:
     def encode_images(self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "n d"]:
         """Return unit vectors of square crops on black; other images get black borders."""
         rows = [
-            embed_images(_pixels(images[at : at + BATCH]), self._weights, threads=self.threads)
-            for at in range(0, len(images), BATCH)
+            embed_images(_pixels(images[at : at + BATCH_CROPS]), self._weights, threads=self.threads)
+            for at in range(0, len(images), BATCH_CROPS)
         ]
         return np.concatenate(rows) if rows else np.empty((0, DIM), np.float32)
 
@@ -112,4 +112,4 @@ def _square(image: UInt8[np.ndarray, "_ _ 3"]) -> PilImage:
         square = Image.new("RGB", (side, side))
         square.paste(picture, ((side - w) // 2, (side - h) // 2))
         picture = square
-    return picture.resize((SIDE, SIDE), Image.Resampling.BILINEAR)
+    return picture.resize((INPUT_SIDE_PIXELS, INPUT_SIDE_PIXELS), Image.Resampling.BILINEAR)

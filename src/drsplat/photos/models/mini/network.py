@@ -7,7 +7,7 @@ import numpy as np
 from ....base.arrays import Float32
 from ....kernels.algebra import convolve, dense_rows
 
-SIDE = 64  # pixels of its input
+INPUT_SIDE_PIXELS = 64
 STRIDES = (2, 2, 1, 2, 1, 2, 1)
 """Strides of the convolutions conv0, conv1 ..., each with one pixel of zeros around its input."""
 
