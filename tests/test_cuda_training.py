@@ -266,7 +266,7 @@ def assert_same_losses(device: DeviceRun, here: Run, steps: int, tolerance: floa
 def test_a_run_is_that_of_the_cpu(cuda_engine_on_cpu, views, points, distortion, masked, tmp_path, monkeypatch):
     """Same photos, coarse ones too, backgrounds, rates, edges and masks: the same losses, step for step."""
     s = replace(BUSY, refine_until=0, full_size_from=8, opacity_penalty=0.01)
-    monkeypatch.setattr("drsplat.training.run.LEAST_SIDE", 6)  # the photos are small
+    monkeypatch.setattr("drsplat.training.run.MIN_SIDE_PIXELS", 6)  # the photos are small
     views = [replace(view, distortion=distortion) for view in views]
     if masked:
         views = masked_views(views, tmp_path, 20)
@@ -424,7 +424,7 @@ def test_a_loss_that_is_no_number_stops_the_run(views, points):
 
 @pytest.mark.parametrize("name", kernels.SceneParameters._fields)
 def test_parameters_that_are_no_numbers_stop_the_run(cuda_engine_on_cpu, views, points, monkeypatch, name):
-    monkeypatch.setattr("drsplat.training.run.FINITE_EVERY", 2)
+    monkeypatch.setattr("drsplat.training.run.FINITE_CHECK_EVERY", 2)
     run = fresh_run(DeviceRun, views, points, BUSY, engine=cuda_engine_on_cpu)
     getattr(run.optimizer.parameters, name)[5] = np.nan
     with pytest.raises(DrSplatError, match=r"iteration [12]: the optimisation has left the finite numbers"):

@@ -158,7 +158,7 @@ def test_wrong_poses_are_said_in_numbers(views):
 
 
 def test_many_points_need_no_random_ones(views, monkeypatch):
-    monkeypatch.setattr("drsplat.training.start_points.FEW", 30)
+    monkeypatch.setattr("drsplat.training.start_points.ENOUGH_POINTS", 30)
     start = started(views)
     assert start.random == 0
     assert start.triangulated == len(start.points.positions) > 30

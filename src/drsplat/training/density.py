@@ -18,7 +18,7 @@ from .rotations import rotated
 from .schedules import refines, resets_opacity
 from .settings import TrainingSettings
 
-CHILDREN = 2
+SPLIT_CHILDREN = 2
 OBSERVED = ("pull", "times_seen", "radii")
 
 
@@ -63,7 +63,7 @@ class AdaptiveDensity:
 
     def _refine(self, optimizer: Optimizer, iteration: int, rng: np.random.Generator) -> None:
         small, large = self._chosen(optimizer)
-        radii = np.concatenate([self.radii, self.radii[small], np.repeat(self.radii[large], CHILDREN)])
+        radii = np.concatenate([self.radii, self.radii[small], np.repeat(self.radii[large], SPLIT_CHILDREN)])
         clones = optimizer.rows(small)
         children = split(optimizer.rows(large), rng, self.settings.split_shrink)
         optimizer.append(clones)
@@ -110,7 +110,7 @@ def split(parents: SceneParameters, rng: np.random.Generator, shrink: float = 1.
     Row order: the first child of every parent, then the second of every parent.
     Source: 3DGS Sec. 5.2 (scale divided by phi = 1.6).
     """
-    twice = SceneParameters(*(np.concatenate([array] * CHILDREN) for array in parents))
+    twice = SceneParameters(*(np.concatenate([array] * SPLIT_CHILDREN) for array in parents))
     drawn = rng.standard_normal(twice.means.shape, np.float32)  # few: the host draws them for every device
     local = placed(drawn, twice.means) * np.exp(twice.log_scales)
     means = twice.means + rotated(twice.quats, local)

@@ -31,7 +31,7 @@ from .schedules import active_sh_degree
 from .training_photos import Photo, TrainingPhotos
 
 CURE = "limit them with max_gaussians=N, or train on smaller photos"
-PHOTO_SHARE = 4  # photos take a quarter of the memory that is free, at most
+MEMORY_DIVISOR = 4  # photos take at most a quarter of the free memory
 
 
 class DeviceOptimizer(Optimizer):
@@ -68,7 +68,7 @@ class DevicePhotos:
     """Photos by index and raster, sent once as bytes while they take no more than their share of the memory."""
 
     def __init__(self, photos: TrainingPhotos, engine: Engine) -> None:
-        self._photos, self._xp, self._room = photos, engine.xp, engine.free_bytes() // PHOTO_SHARE
+        self._photos, self._xp, self._room = photos, engine.xp, engine.free_bytes() // MEMORY_DIVISOR
         self._kept: dict[tuple[int, int, int], DevicePhoto] = {}
 
     def photo_on(self, index: int, view: View) -> DevicePhoto:

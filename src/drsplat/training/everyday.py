@@ -9,20 +9,20 @@ from typing import Any
 from ..scene.views import View
 from .settings import TrainingSettings
 
-ITERATIONS = 4000
-UNREFINED = 1 / 8  # of the iterations, before Gaussians are added, and no more of them than originally
-REFINED = 0.63  # of the iterations, until Gaussians are no longer added; as in the original schedule of mcmc, with it
-REFINED_BY_CHANCE = 25 / 30
-FULL_SIZE = 1 / 4  # of the iterations, from when on photos are as they are
-DEGREES = 7  # of harmonics that would come in all the iterations
+DEFAULT_ITERATIONS = 4000
+REFINE_FROM_SHARE = 1 / 8  # of the iterations; and no later than originally
+REFINE_UNTIL_SHARE = 0.63  # of the iterations
+MCMC_REFINE_UNTIL_SHARE = 25 / 30  # as in the original schedule of mcmc
+FULL_SIZE_FROM_SHARE = 1 / 4  # of the iterations; photos are coarser before
+SH_DEGREES = 7  # of harmonics that all the iterations would have time for
 OPACITY_PENALTY = 0.01
 RATES = {"means_rate_end": 1.6e-5, "sh_rest_rate": 5e-4, "scales_rate": 1e-2, "quats_rate": 4e-3}
 """Steps of Adam, in the units of TrainingSettings: there are few, so that longer ones reach as far."""
-PIXELS_EACH = 1.9  # of a photo, for each Gaussian
-PHOTOS = 100  # that a budget of one photo's pixels serves; more photos show more
+PIXELS_PER_GAUSSIAN = 1.9  # of a photo
+MAX_BUDGET_PHOTOS = 100  # that a budget of one photo's pixels serves; more photos show more
 
 
-def everyday(views: Sequence[View], iterations: int = ITERATIONS, **chosen: Any) -> TrainingSettings:
+def everyday(views: Sequence[View], iterations: int = DEFAULT_ITERATIONS, **chosen: Any) -> TrainingSettings:
     """Return settings for so many iterations: rates, degrees and refinement have come to their end at the last one.
 
     Steps are fewer than originally, and longer (`RATES`). No opacity is reset. A penalty on opacities removes what no
@@ -32,13 +32,13 @@ def everyday(views: Sequence[View], iterations: int = ITERATIONS, **chosen: Any)
 
     Raises: InputError: as TrainingSettings.
     """
-    refined = REFINED_BY_CHANCE if chosen.get("strategy") == "mcmc" else REFINED
+    refined = MCMC_REFINE_UNTIL_SHARE if chosen.get("strategy") == "mcmc" else REFINE_UNTIL_SHARE
     numbers = RATES | {
         "iterations": iterations,
         "means_rate_steps": iterations,
-        "sh_degree_every": max(iterations // DEGREES, 1),
-        "full_size_from": round(FULL_SIZE * iterations),
-        "refine_from": min(round(UNREFINED * iterations), TrainingSettings.refine_from),
+        "sh_degree_every": max(iterations // SH_DEGREES, 1),
+        "full_size_from": round(FULL_SIZE_FROM_SHARE * iterations),
+        "refine_from": min(round(REFINE_FROM_SHARE * iterations), TrainingSettings.refine_from),
         "refine_until": round(refined * iterations),
         "reset_every": iterations,
         "reset_recovery": iterations,
@@ -51,4 +51,4 @@ def everyday(views: Sequence[View], iterations: int = ITERATIONS, **chosen: Any)
 def budget_of(views: Sequence[View]) -> int:
     """Return the most Gaussians that photos of this size and number are given."""
     pixels = sum(view.width * view.height for view in views)
-    return max(round(pixels / PIXELS_EACH / min(max(len(views), 1), PHOTOS)), 4)
+    return max(round(pixels / PIXELS_PER_GAUSSIAN / min(max(len(views), 1), MAX_BUDGET_PHOTOS)), 4)

@@ -24,7 +24,7 @@ from .start_points import Start, start_points
 from .training_photos import TrainingPhotos
 
 CHECKPOINT_SECONDS = 120.0
-MOST_TRAIN_SCORED = 16  # photos
+MAX_SCORED_TRAIN_PHOTOS = 16
 
 
 def start_of(
@@ -147,7 +147,7 @@ class Keeper:
         if folder is not None:
             folder.write_scene(run.settings.iterations, gaussians)
         evaluation = self._tested(folder.test_pictures if folder else None)
-        train = self._psnr_train(min(max(len(self.split.test), 1), MOST_TRAIN_SCORED))
+        train = self._psnr_train(min(max(len(self.split.test), 1), MAX_SCORED_TRAIN_PHOTOS))
         training = Training(
             gaussians, run.settings, evaluation, run.seconds, run.stage_seconds, run.history, train, run.start,
             sum(view.mask_path is not None for view in [*self.split.train, *self.split.test]),

@@ -18,9 +18,9 @@ from .rotations import spread
 from .schedules import refines
 from .settings import TrainingSettings
 
-MOST_SHARING = 51  # the series of Eq. 9 loses its digits beyond, as in the published constant
-LEAST_STRENGTH = 1e-6  # of opacity 0.14; with less the noise is lost in the positions' last digits
-OPACITY_BELOW_ONE = 1 - 1e-6
+MAX_SHARING = 51  # Gaussians in one place; beyond, the series of Eq. 9 loses its digits (the published constant)
+MIN_STRENGTH = 1e-6  # at opacity 0.14; weaker noise is lost in the positions' last digits
+MAX_OPACITY = 1 - 1e-6
 
 
 class MonteCarlo:
@@ -54,7 +54,7 @@ class MonteCarlo:
         s, p = self.settings, optimizer.parameters
         distance = s.noise_opacity - sigmoid(p.logits)
         strength = sigmoid(np.float32(s.noise_steepness) * distance.astype(np.float32))
-        rows = np.flatnonzero(strength > LEAST_STRENGTH)
+        rows = np.flatnonzero(strength > MIN_STRENGTH)
         noise = optimizer.noise(rng, len(rows))
         noise *= (strength[rows] * np.float32(s.noise_rate * rate))[:, None]
         p.means[rows] += spread(p.quats[rows], np.exp(p.log_scales[rows]), noise)
@@ -93,7 +93,7 @@ def _share(optimizer: Optimizer, chosen: Integer[Anywhere, " m"], min_opacity: f
     parameters = optimizer.parameters
     opacities = sigmoid(parameters.logits[places]).astype(np.float64)
     shared, shrink = shared_place(opacities, guests + 1)
-    shared = np.clip(shared, min_opacity, OPACITY_BELOW_ONE)
+    shared = np.clip(shared, min_opacity, MAX_OPACITY)
     parameters.logits[places] = np.log(shared) - np.log1p(-shared)
     parameters.log_scales[places] += np.log(shrink)[:, None].astype(np.float32)
     optimizer.forget(places)
@@ -107,8 +107,8 @@ def shared_place(
     N of them in front of each other block as much light at the centre as the one did; the factor
     keeps the integral of the opacity along a line through it.
     """
-    sharing = np.minimum(sharing, MOST_SHARING)
-    opacities = np.minimum(opacities, OPACITY_BELOW_ONE)
+    sharing = np.minimum(sharing, MAX_SHARING)
+    opacities = np.minimum(opacities, MAX_OPACITY)
     each = -np.expm1(np.log1p(-opacities) / sharing)
     shrink = np.ones_like(opacities)
     for n in map(int, np.unique(sharing)):

@@ -15,7 +15,7 @@ from ..scene.gaussians import Gaussians
 
 FLOATING = SceneParameters._fields
 Slopes = Gradients | DeviceGradients  # of the CPU, of a device
-LOG_SCALE_LIMIT = 80.0  # exp of it is still a normal float32
+MAX_ABS_LOG_SCALE = 80.0  # exp of either end is still a normal float32
 Rows = Integer[Anywhere, " _"] | Bool[Anywhere, " _"]
 
 
@@ -97,7 +97,7 @@ class Optimizer:
     def gaussians(self) -> Gaussians:
         """Return the present scene, after activation. Raises: FormatError: a value that is not finite."""
         p = self.on_host()
-        limited = np.clip(p.log_scales, -LOG_SCALE_LIMIT, LOG_SCALE_LIMIT)
+        limited = np.clip(p.log_scales, -MAX_ABS_LOG_SCALE, MAX_ABS_LOG_SCALE)
         try:
             return checked(p.means.copy(), p.quats.copy(), np.exp(limited), sigmoid(p.logits), p.sh.copy())
         except FormatError as error:

@@ -6,7 +6,7 @@ from ..scene.gaussians import Gaussians
 from .evaluation import Evaluation
 from .settings import TrainingSettings
 
-FAR_BELOW = 10.0  # dB; captures that were covered well lose 3 on photos that were held out, sparse ones up to 8
+MAX_HELD_OUT_LOSS_DB = 10.0  # well covered captures lose 3 dB on held-out photos, sparse ones up to 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class Training:
     def held_out_far_below(self) -> bool:
         """True where held-out photos are rendered so much worse that the scene is fog from other viewpoints."""
         test = self.evaluation
-        return test is not None and self.psnr_train - test.psnr > FAR_BELOW
+        return test is not None and self.psnr_train - test.psnr > MAX_HELD_OUT_LOSS_DB
 
     def measures(self) -> dict[str, object]:
         """Return the main numbers, for JSON."""

@@ -25,8 +25,8 @@ from .schedules import active_sh_degree, divisor, means_rate
 from .start import scene_extent
 from .training_photos import Photo, TrainingPhotos, ViewOrder
 
-FINITE_EVERY = 100
-LEAST_SIDE = 32  # pixels of a photo that is made coarse; three windows of SSIM
+FINITE_CHECK_EVERY = 100
+MIN_SIDE_PIXELS = 32  # of a photo that is made coarse; three windows of SSIM
 STAGES = ("photo", "forward", "loss", "backward", "optimizer", "density")
 
 
@@ -96,9 +96,9 @@ class Run:
         return view, photo if view is self.views[index] else photo.smaller(view.width, view.height)
 
     def _view(self, index: int) -> View:
-        """Return a view on the raster of this iteration: no shorter than LEAST_SIDE for being coarse."""
+        """Return a view on the raster of this iteration: no shorter than MIN_SIDE_PIXELS for being coarse."""
         view, wanted = self.views[index], divisor(self.settings, self.iteration)
-        while wanted > 1 and min(view.width, view.height) < LEAST_SIDE * wanted:
+        while wanted > 1 and min(view.width, view.height) < MIN_SIDE_PIXELS * wanted:
             wanted //= 2
         return view if wanted == 1 else view.resized(view.width // wanted, view.height // wanted)
 
@@ -140,7 +140,7 @@ class Run:
         self._lap("optimizer")
         with np.errstate(over="ignore", invalid="ignore"):  # looked for below
             self.density.after_step(self.optimizer, self.iteration, self.rng, rates.means)
-        if self.iteration % FINITE_EVERY == 0 and not self.optimizer.is_finite():
+        if self.iteration % FINITE_CHECK_EVERY == 0 and not self.optimizer.is_finite():
             raise self._diverged()
         self._lap("density")
 

@@ -20,11 +20,11 @@ from .metrics import WINDOW
 from .settings import TrainingSettings
 
 NEIGHBOURS = 3
-LEAST_DISTANCE2 = 1e-7  # scene units squared; of points that are in one place
-LEAST_SHARE = 1e-3  # of the points' size, where that is less
-IN_ONE_PLACE = 1e-8  # of the cameras' distance from zero: float64 rounding
-LEAST_VIEWS = 2
-SMALL_SIDE = 64  # pixels, about six windows of SSIM: smaller photos get a warning
+MIN_DISTANCE2 = 1e-7  # scene units squared, between points in one place
+MIN_DISTANCE_SHARE = 1e-3  # of the extent of all points, where that is less
+SAME_PLACE_SHARE = 1e-8  # of the cameras' distance from zero: float64 rounding
+MIN_TRAIN_PHOTOS = 2
+SMALL_SIDE_PIXELS = 64  # about six windows of SSIM: smaller photos get a warning
 
 
 class Split(NamedTuple):
@@ -49,13 +49,13 @@ def split_views(views: Sequence[View], test_every: int) -> Split:
         [view for view, out in zip(ordered, held_out, strict=True) if not out],
         [view for view, out in zip(ordered, held_out, strict=True) if out],
     )
-    if len(split.train) < LEAST_VIEWS:
+    if len(split.train) < MIN_TRAIN_PHOTOS:
         raise InputError(
-            f"a scene is trained on at least {LEAST_VIEWS} photos from different places: of "
+            f"a scene is trained on at least {MIN_TRAIN_PHOTOS} photos from different places: of "
             f"{len(ordered)} there are {len(split.train)} left after every {test_every}th is held "
             "out for testing: add photos, or hold none out with test_every=0"
-            if test_every and len(ordered) >= LEAST_VIEWS
-            else f"a scene is trained on at least {LEAST_VIEWS} photos from different places, got "
+            if test_every and len(ordered) >= MIN_TRAIN_PHOTOS
+            else f"a scene is trained on at least {MIN_TRAIN_PHOTOS} photos from different places, got "
             f"{len(ordered)}: add photos"
         )
     scene_extent(split.train)
@@ -103,11 +103,11 @@ def _require_pixels(views: Sequence[View]) -> None:
     if min(least.width, least.height) < WINDOW:
         raise InputError(
             f"{small}: the loss compares squares of {WINDOW}x{WINDOW} pixels, so no side may be shorter, and less than "
-            f"{SMALL_SIDE} pixels teach little. Scale them down less: resolution=PIXELS is the longer side, and 1, 2, "
-            "4 or 8 divide the sides"
+            f"{SMALL_SIDE_PIXELS} pixels teach little. Scale them down less: resolution=PIXELS is the longer side, and "
+            "1, 2, 4 or 8 divide the sides"
         )
-    if max(least.width, least.height) < SMALL_SIDE:
-        text = f"{small}: only what fills a good part of a photo is learnt: take {SMALL_SIDE} pixels or more"
+    if max(least.width, least.height) < SMALL_SIDE_PIXELS:
+        text = f"{small}: only what fills a good part of a photo is learnt: take {SMALL_SIDE_PIXELS} pixels or more"
         warn(text, DrSplatWarning, stacklevel=4)
 
 
@@ -120,7 +120,7 @@ def scene_extent(views: Sequence[View]) -> float:
     centers = np.array([view.center for view in views])
     mean = centers.mean(axis=0)
     farthest = float(np.linalg.norm(centers - mean, axis=1).max())
-    if not farthest > IN_ONE_PLACE * (1 + float(np.linalg.norm(mean))):
+    if not farthest > SAME_PLACE_SHARE * (1 + float(np.linalg.norm(mean))):
         raise InputError(
             f"all {len(views)} cameras are in one place, {np.array2string(mean, precision=3)}: depth cannot be learnt "
             "from there. Take photos from different places, and check that the poses were read from the right file"
@@ -137,8 +137,8 @@ def first_gaussians(points: SparsePoints, settings: TrainingSettings) -> ScenePa
     count = len(points.positions)
     tree = cKDTree(points.positions)
     distances = tree.query(points.positions, k=min(NEIGHBOURS + 1, count), workers=1)[0]
-    least = min(LEAST_DISTANCE2, (LEAST_SHARE * size_of(points.positions)) ** 2)
-    mean2 = np.maximum((distances[:, 1:] ** 2).mean(axis=1), least or LEAST_DISTANCE2)
+    least = min(MIN_DISTANCE2, (MIN_DISTANCE_SHARE * size_of(points.positions)) ** 2)
+    mean2 = np.maximum((distances[:, 1:] ** 2).mean(axis=1), least or MIN_DISTANCE2)
     log_scales = np.log(settings.first_scale * np.sqrt(mean2))
     sh = np.zeros((count, SH_COEFFICIENTS[settings.sh_degree], 3), np.float32)
     sh[:, 0] = (points.colors / 255 - 0.5) / SH_C0

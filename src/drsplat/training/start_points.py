@@ -15,9 +15,10 @@ from .start import NEIGHBOURS, scene_extent
 from .triangulation import Triangulation, triangulate
 from .triangulation.filling import fill
 
-FEW = 300  # triangulated points; with more, random ones between them cost PSNR (bench_starts.py)
-GREY = 128
-LEAST_AGREEING, ENOUGH_ALIKE = (0.15, 50)  # of right poses 0.4 and more agree, of wrong ones a few hundredths
+ENOUGH_POINTS = 300  # triangulated; with so many, random ones between them cost PSNR (bench_starts.py)
+DEFAULT_GREY = 128
+MIN_AGREEING_SHARE = 0.15  # with right poses 0.4 and more agree, with wrong ones a few hundredths
+MIN_ALIKE_MATCHES = 50  # for a verdict on the poses
 
 
 class Start(NamedTuple):
@@ -60,18 +61,18 @@ def _triangulated_start(
     found = triangulate(views, threads=threads)
     _warn_of_wrong_poses(found)
     count = len(found.positions)
-    if count >= FEW:
+    if count >= ENOUGH_POINTS:
         return Start(SparsePoints(found.positions, found.colors), count)
     drawn = _random_places(views, found.positions, settings, rng)
     warnings.warn(
-        f"triangulating {found.photos} photos gave {count:,} of the {FEW} points that would do (they show "
+        f"triangulating {found.photos} photos gave {count:,} of the {ENOUGH_POINTS} points that would do (they show "
         f"little texture, or little of the same): training starts from {len(drawn):,} random points as well, where "
         "several cameras look, which takes longer and ends worse. Points of another tool can be given (points=FILE)",
         DrSplatWarning,
         stacklevel=5,
     )
     positions = np.concatenate([found.positions, drawn])
-    grey = np.full(drawn.shape, GREY, np.uint8)
+    grey = np.full(drawn.shape, DEFAULT_GREY, np.uint8)
     return Start(SparsePoints(positions, np.concatenate([found.colors, grey])), count, len(drawn))
 
 
@@ -93,7 +94,7 @@ def _random_places(
 
 
 def _warn_of_wrong_poses(found: Triangulation) -> None:
-    if found.alike < ENOUGH_ALIKE or found.agreeing >= LEAST_AGREEING * found.alike:
+    if found.alike < MIN_ALIKE_MATCHES or found.agreeing >= MIN_AGREEING_SHARE * found.alike:
         return
     warnings.warn(
         f"only {found.agreeing:,} of {found.alike:,} matches between photos agree with their poses "

@@ -8,9 +8,9 @@ from scipy.spatial import cKDTree
 from ...base.arrays import Bool, Float64
 from ...scene.views import View
 
-MIN_CAMERAS = 3  # that look at a point; all where there are fewer
+MIN_CAMERAS = 3  # that look at a point; all of them if there are fewer
 MIN_POINTS_IN_VIEW = 10  # for a view to take its depth range from them
-DEPTHS_OVER_FOCUS_DISTANCE = (0.3, 1.5)  # nearer and farther is left empty
+DEPTHS_OVER_FOCUS_DISTANCE = (0.3, 1.5)  # random points lie between
 CLEARANCE_IN_SPACINGS = 1.0  # of random points from triangulated ones, in median distances between those
 BATCH_POINTS, MAX_BATCHES = 1 << 15, 32
 

@@ -15,7 +15,7 @@ from ...scene.photos import load_image, photo_size
 from ...scene.views import View
 
 MAX_SIDE_PX = 640  # more cost more, and 3DGS starts no better from them
-MOST = 1000  # of a photo, those of the largest scale first
+MAX_KEYPOINTS = 1000  # of a photo, those of the largest scale first
 MIN_SIDE_PX = 24  # SIFT has no octave on less
 MIN_CONTRAST = 0.005  # of differences of Gaussians; Lowe's 0.03 / 3 leaves a blurred phone photo without any
 
@@ -112,6 +112,6 @@ def _detected(photo: UInt8[np.ndarray, "h w 3"]) -> Any:
 
 
 def _largest(sigmas: np.ndarray, usable: np.ndarray) -> np.ndarray:
-    """Return the ascending indices of the `MOST` usable keypoints of largest scale: these reappear most."""
+    """Return the ascending indices of the `MAX_KEYPOINTS` usable keypoints of largest scale: these reappear most."""
     order = np.argsort(-sigmas, kind="stable")
-    return np.sort(order[usable[order]][:MOST])
+    return np.sort(order[usable[order]][:MAX_KEYPOINTS])

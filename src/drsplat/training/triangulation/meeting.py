@@ -12,7 +12,7 @@ from .tracks import Tracks
 TOLERANCE_FACTORS = (16, 4, 1)  # by round: an outlier moves the first point off all rays
 MAX_REPROJECTION_SHARE = 1 / 320  # of the photo's longer side; 2 pixels of 640
 MIN_ANGLE_DEGREES = 1.5  # between the outermost rays and their middle; depth is a guess below
-SINGULAR = 1e-9
+MIN_DETERMINANT = 1e-9
 
 
 class Points(NamedTuple):
@@ -47,7 +47,7 @@ def meet(views: Sequence[View], tracks: Tracks, pixels: Float64[np.ndarray, "o 2
         positions = _nearest_to_rays(rays, tracks.tracks, weights, count)
         depths, errors = _off(rays, positions[tracks.tracks])
         used = (depths > 0) & (errors <= factor * rays.pixel)
-        weights = np.where(used, 1 / np.maximum(depths, SINGULAR) ** 2, 0)
+        weights = np.where(used, 1 / np.maximum(depths, MIN_DETERMINANT) ** 2, 0)
     positions = _nearest_to_rays(rays, tracks.tracks, weights, count)
     depths, errors = _off(rays, positions[tracks.tracks])
     used &= (depths > 0) & (errors <= rays.pixel)
@@ -79,7 +79,7 @@ def _nearest_to_rays(
     matrices = _summed(across.reshape(-1, 9), tracks, count).reshape(-1, 3, 3)
     sides = _summed(np.einsum("oij,oj->oi", across, rays.centers), tracks, count)
     scale = np.trace(matrices, axis1=1, axis2=2)
-    solvable = np.linalg.det(matrices) > SINGULAR * scale**3
+    solvable = np.linalg.det(matrices) > MIN_DETERMINANT * scale**3
     positions = np.full((count, 3), np.nan)
     positions[solvable] = np.linalg.solve(matrices[solvable], sides[solvable][..., None])[..., 0]
     return positions
@@ -92,7 +92,7 @@ def _off(
     to_point = positions - rays.centers
     depths = (to_point * rays.directions).sum(axis=1)
     aside = np.linalg.norm(to_point - depths[:, None] * rays.directions, axis=1)
-    return depths, aside / np.maximum(depths, SINGULAR)
+    return depths, aside / np.maximum(depths, MIN_DETERMINANT)
 
 
 def _angles(
@@ -100,7 +100,7 @@ def _angles(
 ) -> Float64[np.ndarray, " n"]:
     """Return each track's largest angle between a ray and the mean of all, in radians."""
     means = _summed(rays.directions * used[:, None], tracks, count)
-    means /= np.maximum(np.linalg.norm(means, axis=1, keepdims=True), SINGULAR)
+    means /= np.maximum(np.linalg.norm(means, axis=1, keepdims=True), MIN_DETERMINANT)
     sines = np.linalg.norm(np.cross(rays.directions, means[tracks]), axis=1)
     largest = np.zeros(count)
     np.maximum.at(largest, tracks[used], np.arcsin(np.minimum(sines[used], 1)))

@@ -7,7 +7,7 @@ import numpy as np
 from ...base.arrays import Float64, Integer
 from ...scene.views import View
 
-RANKS = (1, 2, 3, 5, 8, 12, 18)
+NEIGHBOUR_RANKS = (1, 2, 3, 5, 8, 12, 18)
 """Ranks of the neighbours to compare: the nearest share most, farther ones give depth."""
 MAX_TURN_DEGREES = 60.0  # between two cameras' directions; SIFT does not match beyond
 
@@ -19,7 +19,7 @@ def neighbours(views: Sequence[View]) -> Integer[np.ndarray, "p 2"]:
     pairs: set[tuple[int, int]] = set()
     for index in range(len(views)):
         by_distance = _by_distance(index, centers, directions)
-        for rank in RANKS:
+        for rank in NEIGHBOUR_RANKS:
             if rank <= len(by_distance):
                 other = int(by_distance[rank - 1])
                 pairs.add((min(index, other), max(index, other)))

@@ -16,7 +16,7 @@ from .meeting import meet
 from .pairs import neighbours
 from .tracks import Tracks, join
 
-MOST_PHOTOS = 250  # more are thinned evenly, by name
+MAX_PHOTOS = 250  # more are thinned evenly, by name
 MIN_PHOTOS_PER_POINT = 2
 
 
@@ -37,7 +37,7 @@ class Triangulation(NamedTuple):
 def triangulate(views: Sequence[View], *, threads: int = 0) -> Triangulation:
     """Triangulate the scene's surfaces: return points where rays of the photos meet.
 
-    Equal views give equal bits, at any number of threads. Memory is bounded by MOST_PHOTOS photos of at most MOST
+    Equal views give equal bits, at any number of threads. Memory is bounded by MAX_PHOTOS photos of at most MOST
     keypoints.
 
     Raises: InputError, FormatError: as `load_image`.
@@ -62,9 +62,9 @@ def _matches(views: Sequence[View], keypoints: Sequence[Keypoints], pair: Intege
 
 
 def _thinned(views: list[View]) -> list[View]:
-    if len(views) <= MOST_PHOTOS:
+    if len(views) <= MAX_PHOTOS:
         return views
-    return [views[i] for i in np.linspace(0, len(views) - 1, MOST_PHOTOS).round().astype(int)]
+    return [views[i] for i in np.linspace(0, len(views) - 1, MAX_PHOTOS).round().astype(int)]
 
 
 def _points(
