@@ -21,7 +21,7 @@ from machine import arguments
 from drsplat.kernels import scan
 from drsplat.kernels.cuda import scanning
 from drsplat.kernels.cuda.engine import Engine, cuda_engine
-from drsplat.kernels.scan import GROUP, GroupedRows, QueryTables, RowShapes
+from drsplat.kernels.scan import GROUP_ROWS, GroupedRows, QueryTables, RowShapes
 
 QUERIES = 20  # among which the best is chosen
 COPY_BYTES = 1 << 30
@@ -39,7 +39,7 @@ def emulated_engine() -> Engine:
 def drawn_rows(engine: Engine, points: int, subvectors: int) -> scanning.DeviceRows:
     """Draw codes on the device."""
     xp = engine.xp
-    shape = (-(-points // GROUP), subvectors, GROUP)
+    shape = (-(-points // GROUP_ROWS), subvectors, GROUP_ROWS)
     xp.random.seed(0)
     codes = xp.random.randint(0, 256, shape, xp.uint8)
     norms = xp.random.uniform(0.95, 1.0, points).astype(xp.float32)
@@ -134,7 +134,7 @@ def beside_the_cpu(engine: Engine, rows: scanning.DeviceRows, cpu_points: int) -
     points = min(cpu_points, rows.num_rows)
     tables = drawn_tables(rows.codes.shape[1], 1)
     host = GroupedRows(
-        scanning.on_host(rows.codes[: -(-points // GROUP)]), scanning.on_host(rows.inverse_norms[:points])
+        scanning.on_host(rows.codes[: -(-points // GROUP_ROWS)]), scanning.on_host(rows.inverse_norms[:points])
     )
     ms = median_ms(engine, partial(scan.scan_scores, host, tables), 5, wall_ms)
     scale = rows.num_rows / points

@@ -25,7 +25,7 @@ from benchmarks.bench_boxes import LEAST, SOLID, fit, true_box
 from benchmarks.study_objects import Room, ours, room_of
 from benchmarks.suite.masks import MASKS
 from drsplat import Gaussians, _native, read_views
-from drsplat.kernels.boxes import OUTLIERS, SPARSE, STRAYS
+from drsplat.kernels.boxes import MAX_STRAY_SHARE, MIN_TAIL_SPARSENESS, OUTLIER_SHARE
 from drsplat.scene.boxes import Box, solid, upward
 
 LEAST_ALIKE = 0.3
@@ -74,12 +74,15 @@ def box_by(case: Case, strays: float) -> Box:
     part = case.gaussians
     arrays = part.means, part.quats, part.scales, part.opacities
     sets = np.array([0, len(case.ids)]), np.ascontiguousarray(case.ids, np.int64)
-    center, axes, extent = _native.boxes(*arrays, *sets, case.up, OUTLIERS, strays, SPARSE, 1)
+    center, axes, extent = _native.boxes(*arrays, *sets, case.up, OUTLIER_SHARE, strays, MIN_TAIL_SPARSENESS, 1)
     return Box(np.asarray(center)[0] + part.origin, np.asarray(axes)[0], np.asarray(extent)[0])
 
 
 Way = Callable[[Case], Box]
-WAYS: dict[str, Way] = {"all of it": partial(box_by, strays=0.0), "without strays": partial(box_by, strays=STRAYS)}
+WAYS: dict[str, Way] = {
+    "all of it": partial(box_by, strays=0.0),
+    "without strays": partial(box_by, strays=MAX_STRAY_SHARE),
+}
 
 
 def print_table(known: dict[str, list[Case]]) -> None:

@@ -17,14 +17,14 @@ from numpy.testing import assert_allclose, assert_array_equal
 from cuda_on_cpu import CpuEngine, compiled
 from drsplat.kernels import SplatArrays, render_channels, splat_arrays, topk_contributions, view_weights
 from drsplat.kernels.cuda.drawing import sent_splats
-from drsplat.kernels.cuda.sorting import COUNTS_IN_A_BLOCK, KEYS_IN_A_BLOCK, running_sums, sorted_pairs
+from drsplat.kernels.cuda.sorting import COUNTS_PER_BLOCK, KEYS_PER_BLOCK, running_sums, sorted_pairs
 from drsplat.kernels.cuda.tiling import Raster, room_for_splats, sent_camera, tiles_of
 from drsplat.scene.views import View
 from scenes import look_at_view, random_gaussians, random_mask_map
 from test_kernels import assert_same_triples, masked
 from twins import registering as reference
 
-COUNTS = (0, 1, 31, KEYS_IN_A_BLOCK - 1, KEYS_IN_A_BLOCK + 1, 10_000)
+COUNTS = (0, 1, 31, KEYS_PER_BLOCK - 1, KEYS_PER_BLOCK + 1, 10_000)
 SCENES = ("off-centre", "antialiased")
 COUNT, WIDTH, HEIGHT = 900, 56, 40
 
@@ -90,7 +90,7 @@ def test_any_keys_are_sorted_stably(cuda_engine_on_cpu, keys, key_bits):
     assert_sorted(cuda_engine_on_cpu, masked_keys, key_bits)
 
 
-@pytest.mark.parametrize("count", [0, 1, 31, COUNTS_IN_A_BLOCK - 1, COUNTS_IN_A_BLOCK + 1, 10_000])
+@pytest.mark.parametrize("count", [0, 1, 31, COUNTS_PER_BLOCK - 1, COUNTS_PER_BLOCK + 1, 10_000])
 def test_running_sums_are_those_of_numpy(cuda_engine_on_cpu, count):
     rng = np.random.default_rng(count)
     counts, order = rng.integers(0, 50, count, np.uint32), rng.permutation(count).astype(np.uint32)
@@ -99,7 +99,7 @@ def test_running_sums_are_those_of_numpy(cuda_engine_on_cpu, count):
 
 
 def test_sums_beyond_32_bits_are_exact(cuda_engine_on_cpu):
-    counts = np.full(COUNTS_IN_A_BLOCK + 5, 2**28, np.uint32)
+    counts = np.full(COUNTS_PER_BLOCK + 5, 2**28, np.uint32)
     assert running_sums(cuda_engine_on_cpu, counts)[-1] == len(counts) * 2**28
 
 

@@ -16,7 +16,7 @@ from drsplat.fronts.serving.scene_folder import SceneFolder, Sources
 from drsplat.kernels import scan
 from drsplat.kernels.cuda import devices, scanning
 from drsplat.kernels.cuda.engine import Engine, cuda_engine, unavailable
-from drsplat.kernels.scan import ERROR, GroupedRows, QueryTables
+from drsplat.kernels.scan import MAX_SCORE_ERROR, GroupedRows, QueryTables
 from test_mixture import code as mixture_code
 from test_scan import drawn
 from twins import scan as reference_scan
@@ -47,8 +47,8 @@ def check_everything(engine: Engine, rows: GroupedRows, tables: QueryTables) -> 
     device, exact = scanning.sent_rows(engine, rows), reference_scan.scan_scores(rows, tables)
     scores = scanning.scan_scores(device, tables)
     assert scores.dtype == np.float32
-    assert_allclose(scores, exact, rtol=0, atol=ERROR / 10)
-    assert_allclose(scores, scan.scan_scores(rows, tables), rtol=0, atol=1.1 * ERROR)
+    assert_allclose(scores, exact, rtol=0, atol=MAX_SCORE_ERROR / 10)
+    assert_allclose(scores, scan.scan_scores(rows, tables), rtol=0, atol=1.1 * MAX_SCORE_ERROR)
     best = scanning.scan_best(device, tables)
     for mine, native, twin in zip(best, scan.scan_best(rows, tables), reference_scan.best(scores), strict=True):
         assert mine.dtype == native.dtype
@@ -183,7 +183,7 @@ def unit_vectors(count: int, dim: int) -> np.ndarray:
 
 def test_a_code_on_a_gpu_answers_as_on_the_cpu(engine: Engine, toy_code: PQCode) -> None:
     on_gpu, queries = device_code.on_engine(toy_code, engine), unit_vectors(20, 12)
-    assert_allclose(on_gpu.scores(queries), toy_code.scores(queries), rtol=0, atol=1.1 * ERROR)
+    assert_allclose(on_gpu.scores(queries), toy_code.scores(queries), rtol=0, atol=1.1 * MAX_SCORE_ERROR)
     exact = toy_code.decode(np.arange(700)).astype(np.float64) @ queries.T.astype(np.float64)
     assert_allclose(on_gpu.best(queries).scores, exact.max(axis=1), rtol=0, atol=1e-5)
     assert_array_equal(on_gpu.top(queries[0], 9).rows, reference_scan.top(on_gpu.scores(queries[:1])[0], 9))
@@ -219,7 +219,7 @@ def test_a_field_is_searched_where_it_is_opened_to_be(
     for device in ("cuda", "auto"):
         on_gpu = open_scene(tmp_path / "toy.field", search_device=device).field
         assert isinstance(on_gpu.code, device_code.DevicePQCode)
-        assert_allclose(on_gpu.scores(query), on_cpu.scores(query), rtol=0, atol=1.1 * ERROR)
+        assert_allclose(on_gpu.scores(query), on_cpu.scores(query), rtol=0, atol=1.1 * MAX_SCORE_ERROR)
         assert on_gpu.equals(on_cpu)
     on_gpu.save(tmp_path / "again.field")
     assert type(load_field(tmp_path / "again.field").code) is PQCode

@@ -166,7 +166,7 @@ def test_threads_change_no_bit() -> None:
 def test_more_masks_than_ids_keep_those_used_most(monkeypatch: pytest.MonkeyPatch) -> None:
     """65,536 is far more than a test wants; the rule is the same."""
     full = encode_mixture(evidence(), scene_atoms=5)
-    monkeypatch.setattr(encoding, "ADDRESSABLE", 25)
+    monkeypatch.setattr(encoding, "MAX_ATOMS", 25)
     fewer = encode_mixture(evidence(), scene_atoms=5)
     assert len(fewer.atoms) <= 25 < len(full.atoms)
     kept = fewer.atoms.masks[fewer.atoms.masks >= 0]

@@ -17,7 +17,7 @@ from drsplat.kernels.photo_regions import (
     HISTOGRAM,
     LAB_STEPS,
     LENGTH,
-    MOST,
+    MAX_TRAIT,
     SEEN,
     STEP,
     TRAIT,
@@ -135,7 +135,7 @@ def test_what_is_beyond_all_bounds_is_cut_off() -> None:
     last = tuple(np.full_like(part, 1e6) for part in LAYERS[-2:])
     sight = photo_regions.look(photo(3, 20, 30), (*LAYERS[:-2], *last))
     assert (sight.borders == BORDER_STEPS).all()
-    assert (sight.traits == MOST).all()
+    assert (sight.traits == MAX_TRAIT).all()
 
 
 @pytest.mark.parametrize("wrong", [LAYERS[2:], LAYERS[:-2], (*LAYERS[:4], LAYERS[4][1:], *LAYERS[5:]), ()])
@@ -153,7 +153,7 @@ def seen_photo(seed: int, height: int, width: int) -> tuple[np.ndarray, np.ndarr
     labels = rng.integers(0, 4, (-(-height // 3), -(-width // 3))).repeat(3, 0).repeat(3, 1)[:height, :width]
     labels = np.unique(labels, return_inverse=True)[1].reshape(height, width).astype(np.int32)
     lab = rng.integers(-3000, 3000, (height, width, 3)).astype(np.int32)
-    traits = rng.integers(-MOST, MOST, (height, width, TRAITS)).astype(np.int32)
+    traits = rng.integers(-MAX_TRAIT, MAX_TRAIT, (height, width, TRAITS)).astype(np.int32)
     return labels, lab, Sight(rng.integers(0, BORDER_STEPS, (height, width)).astype(np.int32), traits)
 
 

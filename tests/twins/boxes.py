@@ -4,7 +4,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from drsplat.base.arrays import Bool, Float64, Integer
-from drsplat.kernels.boxes import OUTLIERS, SPARSE, STRAYS
+from drsplat.kernels.boxes import MAX_STRAY_SHARE, MIN_TAIL_SPARSENESS, OUTLIER_SHARE
 from drsplat.scene.boxes import Box
 from drsplat.scene.gaussians import Gaussians
 
@@ -12,7 +12,7 @@ DEVIATIONS = 6.0  # beyond which a Gaussian has no mass
 STEPS = 30  # of bisection: to a billionth of the range
 ROUNDS = 2  # of leaving strays out
 FEWEST = 4  # points: fewer have no axes in space
-TAILS = np.append(0, STRAYS * 0.77 ** np.arange(11, -1, -1))  # shares of the mass that a tail may have
+TAILS = np.append(0, MAX_STRAY_SHARE * 0.77 ** np.arange(11, -1, -1))  # shares of the mass that a tail may have
 
 
 def box_of(gaussians: Gaussians, ids: Integer[np.ndarray, " m"], up: Float64[np.ndarray, " 3"] | None = None) -> Box:
@@ -24,7 +24,7 @@ def box_of(gaussians: Gaussians, ids: Integer[np.ndarray, " m"], up: Float64[np.
     points, covariances, mass = points[inside], covariances[inside], mass[inside] / mass[inside].sum()
     axes = _axes(points, mass, up)
     along, spread = np.einsum("mi,ai->ma", points, axes), np.sqrt(_variances(covariances, axes))
-    low, high = (mixture_quantile(along, spread, mass, share) for share in (OUTLIERS, 1 - OUTLIERS))
+    low, high = (mixture_quantile(along, spread, mass, share) for share in (OUTLIER_SHARE, 1 - OUTLIER_SHARE))
     axes, low, high = _ordered(axes, low, high, 2 if up is not None else 3)
     return Box((low + high) / 2 @ axes + gaussians.origin, axes, high - low)
 
@@ -51,7 +51,7 @@ def core(values: Float64[np.ndarray, " m"], mass: Float64[np.ndarray, " m"]) -> 
     lows, highs = _tail(values, mass), -_tail(-values, mass)
     length = highs - lows[:, None]
     least = 1e-9 * length[0, 0] + np.finfo(np.float64).tiny
-    kept = SPARSE * np.log(1 - TAILS - TAILS[:, None]) - np.log(np.maximum(length, least))
+    kept = MIN_TAIL_SPARSENESS * np.log(1 - TAILS - TAILS[:, None]) - np.log(np.maximum(length, least))
     low, high = np.unravel_index(np.where(length >= 0, kept, -np.inf).argmax(), kept.shape)
     return float(lows[low]), float(highs[high])
 

@@ -6,7 +6,7 @@ from drsplat.base.arrays import Float64
 from drsplat.kernels.photo_regions import (
     AREA,
     AROUND,
-    BINS,
+    BINS_PER_CHANNEL,
     BORDER_STEPS,
     FRAME,
     HISTOGRAM,
@@ -72,7 +72,7 @@ def _colors(sums: Float64[np.ndarray, "2 e c"], borders: Float64[np.ndarray, "e 
     shade = mean[..., 1:] / (mean[..., :1] + 10)  # of one paint in light and in shadow nearly equal
     steps = borders[:, [STEP, STEP_CHROMA]] / (borders[:, LENGTH, None] * LAB_STEPS)
     shares = sums[..., HISTOGRAM] / area
-    unlike = np.abs(shares[0] - shares[1]).reshape(len(area[0]), 3, BINS).sum(2)
+    unlike = np.abs(shares[0] - shares[1]).reshape(len(area[0]), 3, BINS_PER_CHANNEL).sum(2)
     texture = sums[..., TEXTURE] / (sums[..., AREA] * LAB_STEPS)
     noise = rough[0] + rough[1] + _NOISE
     rows = [

@@ -3,7 +3,7 @@
 import numpy as np
 
 from drsplat.base.arrays import Float64, UInt8
-from drsplat.kernels.photo_regions import BORDER_STEPS, MOST, TRAIT_STEPS, Layers, Sight
+from drsplat.kernels.photo_regions import BORDER_STEPS, MAX_TRAIT, TRAIT_STEPS, Layers, Sight
 
 
 def look(image: UInt8[np.ndarray, "h w 3"], layers: Layers) -> Sight:
@@ -15,7 +15,7 @@ def look(image: UInt8[np.ndarray, "h w 3"], layers: Layers) -> Sight:
     weight, bias = pairs[-1]
     out = _together(_all_levels(_apart(pixels), pairs[:-1]) @ weight + bias)[:height, :width]
     likely = 1 / (1 + np.exp(-out[..., 0]))
-    traits = np.clip(np.rint(out[..., 1:] * TRAIT_STEPS), -MOST, MOST)
+    traits = np.clip(np.rint(out[..., 1:] * TRAIT_STEPS), -MAX_TRAIT, MAX_TRAIT)
     return Sight(np.rint(likely * BORDER_STEPS).astype(np.int32), traits.astype(np.int32))
 
 

@@ -6,7 +6,7 @@ from drsplat.base.arrays import Float64, Int32, Int64, UInt8
 from drsplat.kernels.photo_regions import (
     AREA,
     AROUND,
-    BINS,
+    BINS_PER_CHANNEL,
     COLUMNS,
     FRAME,
     HISTOGRAM,
@@ -115,16 +115,18 @@ def region_graph(labels: Int32[np.ndarray, "h w"], lab: Int32[np.ndarray, "h w 3
 
 
 def _histogram_columns(channel: int) -> slice:
-    return slice(HISTOGRAM.start + channel * BINS, HISTOGRAM.start + (channel + 1) * BINS)
+    return slice(HISTOGRAM.start + channel * BINS_PER_CHANNEL, HISTOGRAM.start + (channel + 1) * BINS_PER_CHANNEL)
 
 
 def _histograms(
     flat: Int64[np.ndarray, " p"], values: Float64[np.ndarray, " p"], channel: int, count: int
 ) -> Int64[np.ndarray, "n b"]:
     low, high = _RANGES[channel]
-    places = (values / LAB_STEPS - low) * (BINS / (high - low))
-    bins = np.clip(places.astype(np.int64), 0, BINS - 1)
-    return np.bincount(flat * BINS + bins, minlength=count * BINS).reshape(count, BINS)
+    places = (values / LAB_STEPS - low) * (BINS_PER_CHANNEL / (high - low))
+    bins = np.clip(places.astype(np.int64), 0, BINS_PER_CHANNEL - 1)
+    return np.bincount(flat * BINS_PER_CHANNEL + bins, minlength=count * BINS_PER_CHANNEL).reshape(
+        count, BINS_PER_CHANNEL
+    )
 
 
 def _texture(lightness: Int32[np.ndarray, "h w"]) -> Float64[np.ndarray, "h w"]:

@@ -12,7 +12,7 @@ from ..errors import InputError
 from .splatting import checked_isa
 
 CENTROIDS = 256
-LANES = 16  # numbers that the native code takes at once
+LANES = 16  # numbers per step of the native code
 Entries = tuple[np.ndarray, np.ndarray, np.ndarray]  # row starts, columns and float32 numbers of CSR
 
 

@@ -10,9 +10,9 @@ from ..errors import InputError
 from ..scene.boxes import Box
 from ..scene.gaussians import Gaussians
 
-OUTLIERS = 0.003  # share of a thing's mass that is cut off at each end of each axis
-STRAYS = 0.02  # largest share of a set's mass that is left out as strays at each end of each axis
-SPARSE = 8.0  # a tail is strays where its mass per length is this many times below the set's
+OUTLIER_SHARE = 0.003  # of a thing's mass, cut off at each end of each axis
+MAX_STRAY_SHARE = 0.02  # of a set's mass, left out as strays at each end of each axis
+MIN_TAIL_SPARSENESS = 8.0  # density of the set over that of a tail, in mass per length, for the tail to be strays
 
 
 class Boxes(NamedTuple):
@@ -57,9 +57,9 @@ def boxes_of(
             np.ascontiguousarray(starts),
             np.ascontiguousarray(ids),
             None if up is None else np.ascontiguousarray(up, np.float64),
-            OUTLIERS,
-            STRAYS,
-            SPARSE,
+            OUTLIER_SHARE,
+            MAX_STRAY_SHARE,
+            MIN_TAIL_SPARSENESS,
             threads,
         )
     except ValueError as error:

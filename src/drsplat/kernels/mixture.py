@@ -15,9 +15,9 @@ from ..base.arrays import Float16, Float32, Int8, Int32, Int64, Integer, UInt8, 
 from ..errors import InputError
 from .splatting import checked_isa
 
-ROWS_OF_A_BLOCK = 64
-MOST_ATOMS = 16  # of one row
-ADDRESSABLE = 1 << 16  # atoms that an id can name
+ROWS_PER_BLOCK = 64
+MAX_ATOMS_PER_ROW = 16
+MAX_ATOMS = 1 << 16  # that a 16-bit id can name
 T = TypeVar("T")
 
 

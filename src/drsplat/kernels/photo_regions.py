@@ -16,11 +16,11 @@ from .splatting import checked_isa
 LAB_STEPS = 16
 TRAITS = 8
 TRAIT_STEPS, BORDER_STEPS = 32, 255
-MOST = 127 * TRAIT_STEPS
+MAX_TRAIT = 127 * TRAIT_STEPS
 
-BINS = 12  # of each channel's histogram
+BINS_PER_CHANNEL = 12  # of the histogram
 AREA, MEAN, SQUARE, FRAME, AROUND, TEXTURE = 0, slice(1, 4), slice(4, 7), 7, 8, 9
-HISTOGRAM = slice(10, 10 + 3 * BINS)
+HISTOGRAM = slice(10, 10 + 3 * BINS_PER_CHANNEL)
 TRAIT = slice(HISTOGRAM.stop, HISTOGRAM.stop + TRAITS)
 TRAIT_SQUARE = TRAIT.stop
 COLUMNS = TRAIT_SQUARE + 1

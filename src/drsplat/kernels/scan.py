@@ -17,10 +17,10 @@ from ..errors import InputError
 from .algebra import CENTROIDS
 from .splatting import checked_isa
 
-GROUP = 256
-ERROR = 1e-4  # largest error of a score, never exceeded
-HYBRID_ERROR = 2e-3  # error of a score at six standard deviations
-HYBRID_WIDE = 16
+GROUP_ROWS = 256
+MAX_SCORE_ERROR = 1e-4  # never exceeded
+HYBRID_SCORE_ERROR = 2e-3  # at six standard deviations
+HYBRID_WIDE_SUBVECTORS = 16
 
 
 class GroupedRows(NamedTuple):
@@ -55,7 +55,7 @@ class Scanning(NamedTuple):
     `available_isas()`, "" the best.
     """
 
-    error: float = ERROR
+    error: float = MAX_SCORE_ERROR
     wide: int = 0
     threads: int = 0
     isa: str = ""
@@ -67,18 +67,18 @@ EXACT = Scanning()
 def group_codes(codes: UInt8[np.ndarray, "n L"]) -> UInt8[np.ndarray, "g L 256"]:
     """Arrange codes in groups of 256 rows, sub-vector by sub-vector; the last group is padded with zeros."""
     count, subvectors = codes.shape
-    grouped = np.empty((-(-count // GROUP), subvectors, GROUP), np.uint8)
-    whole = count // GROUP
-    grouped[:whole] = codes[: whole * GROUP].reshape(whole, GROUP, subvectors).transpose(0, 2, 1)
+    grouped = np.empty((-(-count // GROUP_ROWS), subvectors, GROUP_ROWS), np.uint8)
+    whole = count // GROUP_ROWS
+    grouped[:whole] = codes[: whole * GROUP_ROWS].reshape(whole, GROUP_ROWS, subvectors).transpose(0, 2, 1)
     if whole < len(grouped):
-        rest = codes[whole * GROUP :]
+        rest = codes[whole * GROUP_ROWS :]
         grouped[whole], grouped[whole, :, : len(rest)] = 0, rest.T
     return grouped
 
 
 def rows_of_groups(grouped: UInt8[np.ndarray, "g L 256"], rows: Integer[np.ndarray, " b"]) -> UInt8[np.ndarray, "b L"]:
     """Return the codes of some rows, one row after the other."""
-    return np.asarray(grouped[rows // GROUP, :, rows % GROUP])
+    return np.asarray(grouped[rows // GROUP_ROWS, :, rows % GROUP_ROWS])
 
 
 def lookup_tables(
@@ -182,9 +182,9 @@ def shapes_of(rows: GroupedRows) -> RowShapes:
 def check_fit(rows: RowShapes, tables: QueryTables) -> None:
     """Refuse rows and tables that do not fit each other, wherever the rows are. Raises: InputError."""
     count, queries = rows.num_rows, len(tables.luts)
-    groups, subvectors = -(-count // GROUP), rows.codes[1]
-    if rows.codes != (groups, subvectors, GROUP) or not 0 < subvectors < 1 << 16:
-        raise InputError(f"expected codes ({groups}, L, {GROUP}) for {count} rows, got {rows.codes}")
+    groups, subvectors = -(-count // GROUP_ROWS), rows.codes[1]
+    if rows.codes != (groups, subvectors, GROUP_ROWS) or not 0 < subvectors < 1 << 16:
+        raise InputError(f"expected codes ({groups}, L, {GROUP_ROWS}) for {count} rows, got {rows.codes}")
     if tables.luts.shape[1:] != (subvectors, CENTROIDS) or not 0 < queries <= 1 << 16:
         raise InputError(
             f"expected tables (Q, {subvectors}, {CENTROIDS}) of 1 to 65536 queries for these codes, "

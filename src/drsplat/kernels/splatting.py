@@ -19,9 +19,9 @@ from ..scene.placing import PUBLISHED_NEAR
 from ..scene.views import View
 from .cuda.devices import engine_in_use
 
-BLOCK = 1 << 13  # Gaussians whose covariances are computed at once
-MAX_SIDE = 65536  # pixels
-MOST_COUNTED = 2**31 - 1  # the largest count that the kernels take; no ray meets as many Gaussians
+BLOCK_GAUSSIANS = 1 << 13  # whose covariances are computed at once
+MAX_SIDE_PIXELS = 65536
+MAX_COUNT = 2**31 - 1  # that the kernels take; no ray meets as many Gaussians
 
 
 class SplatArrays(NamedTuple):
@@ -127,8 +127,8 @@ def splat_arrays_at_origin(gaussians: Gaussians, near: float) -> SplatArrays:
     if not 0 < near < np.inf:
         raise InputError(f"near: expected a distance in front of the camera, got {near}")
     covariances = np.empty((6, len(gaussians)), np.float32)
-    for begin in range(0, len(gaussians), BLOCK):
-        part = slice(begin, begin + BLOCK)
+    for begin in range(0, len(gaussians), BLOCK_GAUSSIANS):
+        part = slice(begin, begin + BLOCK_GAUSSIANS)
         with np.errstate(over="ignore"):  # infinite ones are drawn nowhere
             covariances[:, part] = covariances_of(gaussians.quats[part], gaussians.scales[part])
     means = np.ascontiguousarray(gaussians.means.T)
@@ -152,9 +152,9 @@ def camera_numbers(view: View, near: float) -> Float32[np.ndarray, "17"]:
 
     Raises: InputError: too large a raster, or skew.
     """
-    if max(view.width, view.height) > MAX_SIDE:
+    if max(view.width, view.height) > MAX_SIDE_PIXELS:
         raise InputError(
-            f"view '{view.name}' is {view.width}x{view.height}; at most {MAX_SIDE} pixels a side: resize it"
+            f"view '{view.name}' is {view.width}x{view.height}; at most {MAX_SIDE_PIXELS} pixels a side: resize it"
         )
     if abs(view.K[0, 1]) > 1e-6 * view.K[0, 0]:
         raise InputError(f"view '{view.name}' has skew {view.K[0, 1]}: only cameras without skew are supported")
@@ -174,7 +174,7 @@ def checked_isa(isa: str) -> str:
 def _positive(name: str, value: int | None) -> int:
     if value is not None and value < 1:
         raise InputError(f"{name}: expected a positive integer, or None for all; got {value}")
-    return min(value or 0, MOST_COUNTED)
+    return min(value or 0, MAX_COUNT)
 
 
 def view_weights(

@@ -19,7 +19,7 @@ from ...kernels import (
     scan_scores,
     scan_top,
 )
-from ...kernels.scan import ERROR, GROUP, HYBRID_ERROR, HYBRID_WIDE
+from ...kernels.scan import GROUP_ROWS, HYBRID_SCORE_ERROR, HYBRID_WIDE_SUBVECTORS, MAX_SCORE_ERROR
 from .code import Best, Hits
 from .codebook import Codebook, Codes
 
@@ -52,10 +52,10 @@ class PQCode:
             raise InputError(f"inverse_norms: expected float32 (n), got {norms.dtype} {norms.shape}")
         if not (np.isfinite(norms).all() and (norms >= 0).all()):
             raise InputError("inverse_norms: expected finite numbers of 0 or more")
-        groups, subvectors = -(-len(norms) // GROUP), self.codebook.num_subvectors
-        if grouped.dtype != np.uint8 or grouped.shape != (groups, subvectors, GROUP):
+        groups, subvectors = -(-len(norms) // GROUP_ROWS), self.codebook.num_subvectors
+        if grouped.dtype != np.uint8 or grouped.shape != (groups, subvectors, GROUP_ROWS):
             raise InputError(
-                f"grouped codes: expected uint8 ({groups}, {subvectors}, {GROUP}) for {len(norms)} rows, "
+                f"grouped codes: expected uint8 ({groups}, {subvectors}, {GROUP_ROWS}) for {len(norms)} rows, "
                 f"got {grouped.dtype} {grouped.shape}"
             )
         self.codebook.check_coarse_ids(self.coarse_ids, len(norms))
@@ -161,11 +161,11 @@ class PQCode:
         return float(np.clip(self.inverse_norms.max(initial=1.0), 1.0, MOST_SCALE))
 
     def _exact(self, threads: int) -> Scanning:
-        return Scanning(ERROR / self._scale, 0, threads)
+        return Scanning(MAX_SCORE_ERROR / self._scale, 0, threads)
 
     def _hybrid(self, threads: int) -> Scanning:
-        wide = max(1, min(HYBRID_WIDE, self.codebook.num_subvectors // 4))
-        return Scanning(HYBRID_ERROR / self._scale, wide, threads)
+        wide = max(1, min(HYBRID_WIDE_SUBVECTORS, self.codebook.num_subvectors // 4))
+        return Scanning(HYBRID_SCORE_ERROR / self._scale, wide, threads)
 
 
 def pq_code(codebook: Codebook, codes: Codes, inverse_norms: Float32[np.ndarray, " n"] | None = None) -> PQCode:

@@ -15,7 +15,7 @@ from ...base.arrays import Bool, Float32, Int32, Int64
 from ...base.contents import pieces
 from ...formats.tensors import map_tensors, write_tensors
 from ...kernels import default_isa, weighted_rows
-from ...kernels.mixture import ADDRESSABLE, Encoded
+from ...kernels.mixture import MAX_ATOMS, Encoded
 from ..building import AT_ONCE, encode_features
 from ..codes import Codebook, Codes, Track, untracked
 from ..codes.mixture import Mixed, SceneAtoms, assemble, atoms_by_use, encode_rows, left_in, plan_of
@@ -146,7 +146,7 @@ class TileCoder:
         while True:
             encoded = Encoded(**self._coded(coding, track))
             used = atoms_by_use(encoded)
-            if len(used) <= ADDRESSABLE:
+            if len(used) <= MAX_ATOMS:
                 return self._assembled(encoded, used, scene)
             coding = Mixing(atoms_per_row, scene, left_in(used, masks, scene))
 

@@ -9,7 +9,7 @@ from ...field import LanguageField
 from ...field.codes import Codebook, PQCode
 from ...formats.captures import read_views
 from ...formats.moving_scenes import is_moving, read_scene
-from ...kernels.scan import GROUP
+from ...kernels.scan import GROUP_ROWS
 from ...query import Scene
 from ...scene.encoders import Encoder, EncoderIdentity
 from ...scene.gaussians import Gaussians
@@ -46,7 +46,7 @@ def _empty_field(gaussians: Gaussians) -> LanguageField:
     nobody = EncoderIdentity("none", 1)
     code = PQCode(
         Codebook(np.zeros((1, 256, 1), np.float32), None, nobody),
-        np.empty((0, 1, GROUP), np.uint8),
+        np.empty((0, 1, GROUP_ROWS), np.uint8),
         None,
         np.empty(0, np.float32),
     )

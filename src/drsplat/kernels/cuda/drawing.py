@@ -17,8 +17,8 @@ from .places import on_host
 from .sorting import empty, running_sums, sorted_pairs
 from .tiling import Raster, Tiles, room_for_splats, sent_camera, tiles_of
 
-WARPS, PIXELS_IN_A_TILE = 8, 256
-BATCH_BYTES = 24 << 10  # shared memory of a kernel beside what it is given
+WARPS_PER_TILE, PIXELS_PER_TILE = 8, 256
+BATCH_BYTES = 24 << 10  # of shared memory that a kernel needs besides its columns
 Entries = tuple[Any, Any, Any]  # Gaussians (uint32), masks (uint32), weights (float32)
 T = TypeVar("T")
 
@@ -81,7 +81,7 @@ def drawn_channels(splats: SplatArrays, view: View, values: Any, background: Any
 
     def draw(tiled: TiledView) -> None:
         engine.launch(
-            "draw", tiled.num_tiles, PIXELS_IN_A_TILE, *tiled.arguments(), values, channels, background, image, alpha,
+            "draw", tiled.num_tiles, PIXELS_PER_TILE, *tiled.arguments(), values, channels, background, image, alpha,
             depth,
         )  # fmt: skip
 
@@ -122,7 +122,7 @@ def topk_contributions(splats: SplatArrays, view: View, topk: int, first_hits: i
     def contribute(tiled: TiledView) -> None:
         chosen = _chosen(engine, tiled, None, topk, first_hits, None)
         engine.launch(
-            "put_contributions", tiled.num_tiles, PIXELS_IN_A_TILE, *tiled.arguments(), topk, first_hits, chosen, ids,
+            "put_contributions", tiled.num_tiles, PIXELS_PER_TILE, *tiled.arguments(), topk, first_hits, chosen, ids,
             weights,
         )  # fmt: skip
 
@@ -168,11 +168,11 @@ def _chosen(engine: Engine, tiled: TiledView, masks: Any | None, topk: int, firs
     """Return what each pixel takes of its weights: a threshold, and how many that equal it."""
     xp, raster = engine.xp, tiled.raster
     chosen = xp.empty((raster.height, raster.width, 2), xp.uint32)
-    column_bytes = 4 * topk * PIXELS_IN_A_TILE
+    column_bytes = 4 * topk * PIXELS_PER_TILE
     fits = column_bytes + BATCH_BYTES <= engine.shared_bytes
-    columns = None if fits else xp.empty(tiled.num_tiles * topk * PIXELS_IN_A_TILE, xp.float32)
+    columns = None if fits else xp.empty(tiled.num_tiles * topk * PIXELS_PER_TILE, xp.float32)
     engine.launch(
-        "choose_weights", tiled.num_tiles, PIXELS_IN_A_TILE, *tiled.arguments(), masks, topk, first_hits, columns,
+        "choose_weights", tiled.num_tiles, PIXELS_PER_TILE, *tiled.arguments(), masks, topk, first_hits, columns,
         chosen, bounds, shared_bytes=column_bytes if fits else 0,
     )  # fmt: skip
     return chosen
@@ -181,13 +181,13 @@ def _chosen(engine: Engine, tiled: TiledView, masks: Any | None, topk: int, firs
 def _entries(engine: Engine, tiled: TiledView, masks: Any, topk: int, first_hits: int, count: int) -> Entries:
     """Return the weights of each warp's pixels by Gaussian and mask, in a fixed order; Gaussian `count` is none."""
     xp = engine.xp
-    bounds = xp.empty(tiled.num_tiles * WARPS, xp.uint32)
+    bounds = xp.empty(tiled.num_tiles * WARPS_PER_TILE, xp.uint32)
     chosen = _chosen(engine, tiled, masks, topk, first_hits, bounds)
     ends = running_sums(engine, bounds)
     room = int(ends[-1])
     entries = empty(engine, room, xp.uint32), empty(engine, room, xp.uint32), empty(engine, room, xp.float32)
     engine.launch(
-        "put_weights", tiled.num_tiles, PIXELS_IN_A_TILE, *tiled.arguments(), masks, first_hits, chosen, bounds, ends,
+        "put_weights", tiled.num_tiles, PIXELS_PER_TILE, *tiled.arguments(), masks, first_hits, chosen, bounds, ends,
         count, *entries,
     )  # fmt: skip
     return entries

@@ -1,7 +1,7 @@
 """Search in product-quantised codes on a GPU: what `kernels.scan` does on the CPU, with codes that stay on the device.
 
 Scores are float32 sums in one fixed order: the same bits in each run, and nearer to the exact ones than
-`kernels.scan.ERROR`. Only what was asked for comes to the host.
+`kernels.scan.MAX_SCORE_ERROR`. Only what was asked for comes to the host.
 """
 
 from collections.abc import Iterator
@@ -23,14 +23,14 @@ from ..scan import (
 )
 from .engine import Engine, blocks_of
 from .places import on_host
-from .sorting import MOST_KEYS, sorted_pairs
+from .sorting import MAX_KEYS, sorted_pairs
 
-THREADS = 512  # of a block, as in scan.cuh
-ROWS_IN_A_BLOCK = 1024  # that it scores at once
-SLOT = 32  # sub-vectors whose tables a warp looks up at once
+THREADS_PER_BLOCK = 512  # as in scan.cuh
+ROWS_PER_BLOCK = 1024  # that it scores at once
+SLOT_SUBVECTORS = 32  # whose tables a warp looks up at once
 SLICE_BYTES = 64 * 256 * 4  # tables of two slots
-WORKING_BYTES = 24  # of each row, for scores and what is chosen by them
-EMULATED_BLOCKS = 2  # where there is no GPU
+WORKING_BYTES_PER_ROW = 24  # for scores and for choosing by them
+EMULATED_BLOCKS = 2  # without a GPU
 
 
 class DeviceRows(NamedTuple):
@@ -54,9 +54,9 @@ def sent_rows(engine: Engine, rows: GroupedRows) -> DeviceRows:
     Raises: InputError: more rows than a scan can have, or than the device has memory for.
     """
     shapes = shapes_of(rows)
-    if shapes.num_rows > MOST_KEYS:
+    if shapes.num_rows > MAX_KEYS:
         raise InputError(
-            f"expected up to {MOST_KEYS:,} rows to search on a GPU, got {shapes.num_rows:,}: take device 'cpu'"
+            f"expected up to {MAX_KEYS:,} rows to search on a GPU, got {shapes.num_rows:,}: take device 'cpu'"
         )
     _refuse_full_device(engine, rows)
     xp, ids = engine.xp, rows.coarse_ids
@@ -138,14 +138,14 @@ def device_scores(rows: DeviceRows, tables: QueryTables) -> Iterator[Any]:
 def scanned(rows: DeviceRows, luts: Any, coarse: Any | None, scores: Any) -> Any:
     """Fill the scores of one query, with as many sub-vectors at once as shared memory has room for."""
     engine, subvectors = rows.engine, rows.codes.shape[1]
-    slots, at_once = blocks_of(subvectors, SLOT), 2 * (engine.shared_bytes // SLICE_BYTES)
-    blocks = min(_multiprocessors(engine), blocks_of(rows.num_rows, ROWS_IN_A_BLOCK))
+    slots, at_once = blocks_of(subvectors, SLOT_SUBVECTORS), 2 * (engine.shared_bytes // SLICE_BYTES)
+    blocks = min(_multiprocessors(engine), blocks_of(rows.num_rows, ROWS_PER_BLOCK))
     for begin in range(0, slots, at_once):
         number = min(at_once, slots - begin)
         ending = (coarse, rows.coarse_ids, rows.inverse_norms) if begin + number == slots else (None, None, None)
         engine.launch(
-            "scan", blocks, THREADS, rows.codes, rows.num_rows, subvectors, begin * SLOT, number, luts,
-            scores if begin else None, *ending, scores, shared_bytes=blocks_of(number, 2) * SLICE_BYTES,
+            "scan", blocks, THREADS_PER_BLOCK, rows.codes, rows.num_rows, subvectors, begin * SLOT_SUBVECTORS, number,
+            luts, scores if begin else None, *ending, scores, shared_bytes=blocks_of(number, 2) * SLICE_BYTES,
         )  # fmt: skip
     return scores
 
@@ -169,7 +169,7 @@ def _falling_keys(xp: Any, scores: Any) -> Any:
 
 
 def _refuse_full_device(engine: Engine, rows: GroupedRows) -> None:
-    needed = sum(part.nbytes for part in rows if part is not None) + WORKING_BYTES * len(rows.inverse_norms)
+    needed = sum(part.nbytes for part in rows if part is not None) + WORKING_BYTES_PER_ROW * len(rows.inverse_norms)
     free = engine.free_bytes()
     if needed > free:
         raise InputError(

@@ -4,10 +4,10 @@ from typing import Any, NamedTuple
 
 from .engine import Engine, blocks_of
 
-KEYS_IN_A_BLOCK, COUNTS_IN_A_BLOCK = 4096, 2048
+KEYS_PER_BLOCK, COUNTS_PER_BLOCK = 4096, 2048
 DIGIT_BITS, DIGITS = 8, 256
-MOST_KEYS = (1 << 30) - 1  # the kernels count in 30 bits
-SOME_BLOCKS = 1024  # enough to fill a GPU
+MAX_KEYS = (1 << 30) - 1  # the kernels count in 30 bits
+MAX_HISTOGRAM_BLOCKS = 1024  # enough to fill a GPU
 
 
 def rounded(count: int) -> int:
@@ -37,13 +37,13 @@ def sorted_pairs(engine: Engine, keys: Any, values: Any | None, key_bits: int) -
     xp, count = engine.xp, len(keys)
     if count == 0:
         return Pairs(keys, xp.zeros(0, xp.uint32) if values is None else values)
-    passes, blocks = max(1, -(-key_bits // DIGIT_BITS)), blocks_of(count, KEYS_IN_A_BLOCK)
+    passes, blocks = max(1, -(-key_bits // DIGIT_BITS)), blocks_of(count, KEYS_PER_BLOCK)
     # what a sort counts with, zero: histograms, tickets, and what each block tells in each pass
     room = xp.zeros(rounded(passes * (DIGITS + 1 + blocks * DIGITS)), xp.uint32)
     histograms, tickets, status = room, room[passes * DIGITS :], room[passes * (DIGITS + 1) :]
     other_keys = empty(engine, count, xp.uint32)
     outputs = (empty(engine, count, xp.uint32), empty(engine, count, xp.uint32) if values is None else values)
-    engine.launch("sort_histograms", min(blocks, SOME_BLOCKS), 256, keys, count, passes, histograms)
+    engine.launch("sort_histograms", min(blocks, MAX_HISTOGRAM_BLOCKS), 256, keys, count, passes, histograms)
     for number in range(passes):
         output = outputs[number % 2]
         engine.launch(
@@ -57,7 +57,7 @@ def sorted_pairs(engine: Engine, keys: Any, values: Any | None, key_bits: int) -
 def running_sums(engine: Engine, counts: Any, order: Any | None = None) -> Any:
     """Return int64 sums of counts (uint32) up to each place, itself included; in another order where one is given."""
     xp, count = engine.xp, len(counts)
-    blocks = blocks_of(count, COUNTS_IN_A_BLOCK)
+    blocks = blocks_of(count, COUNTS_PER_BLOCK)
     ends, room = xp.empty(count, xp.int64), xp.zeros(blocks + 1, xp.uint64)
     engine.launch("sum_counts", blocks, 256, counts, order, count, ends, room[1:], room)
     return ends

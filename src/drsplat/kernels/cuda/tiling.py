@@ -8,7 +8,7 @@ from ...errors import DrSplatError
 from ...scene.views import View
 from ..splatting import camera_numbers
 from .engine import Engine, blocks_of
-from .sorting import MOST_KEYS, empty, running_sums, sorted_pairs
+from .sorting import MAX_KEYS, empty, running_sums, sorted_pairs
 
 TILE = 16  # pixels a side
 SPLAT_FLOATS, EXTENT_FLOATS = 8, 8  # of the structures in projection.cuh
@@ -87,10 +87,10 @@ def tiles_of(engine: Engine, projected: Projected, raster: Raster, *, training: 
     ends = running_sums(engine, projected.counts, order)
     row_ends = running_sums(engine, projected.counts) if training else None
     pairs = int(ends[-1]) if count else 0
-    if pairs > MOST_KEYS:
+    if pairs > MAX_KEYS:
         raise OutOfMemoryError(
             f"a view of {raster.width}x{raster.height} pixels has {pairs:,} pairs of splats and tiles, more than can "
-            f"be sorted at once, {MOST_KEYS:,}"
+            f"be sorted at once, {MAX_KEYS:,}"
         )
     keys, values = empty(engine, pairs, xp.uint32), empty(engine, pairs, xp.uint32)
     owners = empty(engine, pairs, xp.uint32) if training else None

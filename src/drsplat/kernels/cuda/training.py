@@ -14,10 +14,10 @@ from .engine import Engine, blocks_of
 from .sorting import empty
 from .tiling import Projected, Raster, Tiles, room_for_splats, sent_camera, tiles_of
 
-PIXELS_IN_A_TILE = 256
-SUMS = 9  # numbers that training sums up of each splat in each tile
-ADAM_ROWS = 32  # Gaussians of a block of adam_colors
-MOST_BLOCKS = 16384
+PIXELS_PER_TILE = 256
+SUMS_PER_SPLAT = 9  # in each tile, of gradients
+ADAM_ROWS_PER_BLOCK = 32  # Gaussians of a block of adam_colors
+MAX_ADAM_BLOCKS = 16384
 BETA1, BETA2, EPSILON = 0.9, 0.999, 1e-15
 WINDOW, SIGMA = 11, 1.5
 
@@ -81,9 +81,9 @@ class DevicePass(NamedTuple):
     def backward(self, image_gradient: Any) -> DeviceGradients:
         """Return the parameters' gradients, given the loss's gradient by the image."""
         engine, xp, raster, tiles = self.engine, self.engine.xp, self.view.raster, self.tiles
-        sums = empty(engine, SUMS * len(tiles.ids), xp.float32)
+        sums = empty(engine, SUMS_PER_SPLAT * len(tiles.ids), xp.float32)
         engine.launch(
-            "draw_colors_backward", raster.num_tiles, PIXELS_IN_A_TILE, tiles.starts, tiles.ids, tiles.rows,
+            "draw_colors_backward", raster.num_tiles, PIXELS_PER_TILE, tiles.starts, tiles.ids, tiles.rows,
             self.projected.splats, self.colors, raster.width, raster.height, raster.columns, self.image,
             image_gradient, sums,
         )  # fmt: skip
@@ -131,7 +131,7 @@ def forward(
     tiles = tiles_of(engine, projected, raster, training=True)
     image = xp.empty((raster.height, raster.width, 3), xp.float32)
     engine.launch(
-        "draw_colors", raster.num_tiles, PIXELS_IN_A_TILE, tiles.starts, tiles.ids, splats, colors, raster.width,
+        "draw_colors", raster.num_tiles, PIXELS_PER_TILE, tiles.starts, tiles.ids, splats, colors, raster.width,
         raster.height, raster.columns, *map(float, background), image,
     )  # fmt: skip
     return DevicePass(engine, parameters, view, active, antialiased, projected, colors, tiles, image)
@@ -180,12 +180,12 @@ def adam_step(
     constant, rest = rates.sh / bias, rates.sh_rest / bias
     # the harmonics first: their gradients need the means of the pass
     engine.launch(
-        "adam_colors", blocks_of(count, ADAM_ROWS), 256, count, coefficients, gradients.active,
+        "adam_colors", blocks_of(count, ADAM_ROWS_PER_BLOCK), 256, count, coefficients, gradients.active,
         parameters.means, gradients.view.camera, gradients.along, parameters.sh, first.sh, second.sh,
         constant, rest, *numbers,
     )  # fmt: skip
     engine.launch(
-        "adam_shapes", min(blocks_of(11 * count), MOST_BLOCKS), 256, count, *parameters[:4], *gradients[:4],
+        "adam_shapes", min(blocks_of(11 * count), MAX_ADAM_BLOCKS), 256, count, *parameters[:4], *gradients[:4],
         *first[:4], *second[:4], *(rate / bias for rate in rates[:4]), *numbers,
     )  # fmt: skip
 

@@ -10,8 +10,8 @@ from ....base.arrays import Float32, Integer, UInt8, UInt16
 from ....errors import FormatError, InputError
 from ....formats.tensors import check_tensors
 from ....kernels.mixture import (
-    MOST_ATOMS,
-    ROWS_OF_A_BLOCK,
+    MAX_ATOMS_PER_ROW,
+    ROWS_PER_BLOCK,
     Blocks,
     Dictionary,
     mixture_best,
@@ -54,12 +54,12 @@ class MixtureCode:
         dtypes = [array.dtype for array in self.blocks]
         if dtypes != [np.uint16, np.uint8, np.float16] or scales.ndim != 1:
             raise InputError(f"mixtures: expected uint16 ids, uint8 weights, float16 scales (n), got {dtypes}")
-        blocks = -(-len(scales) // ROWS_OF_A_BLOCK)
-        fits = ids.ndim == 3 and ids.shape[::2] == (blocks, ROWS_OF_A_BLOCK)
-        if not fits or weights.shape != ids.shape or not 1 <= ids.shape[1] <= MOST_ATOMS:
+        blocks = -(-len(scales) // ROWS_PER_BLOCK)
+        fits = ids.ndim == 3 and ids.shape[::2] == (blocks, ROWS_PER_BLOCK)
+        if not fits or weights.shape != ids.shape or not 1 <= ids.shape[1] <= MAX_ATOMS_PER_ROW:
             raise InputError(
-                f"mixtures: expected ids and weights ({blocks}, 1 to {MOST_ATOMS}, "
-                f"{ROWS_OF_A_BLOCK}) for {len(scales)} rows, got {ids.shape} and {weights.shape}"
+                f"mixtures: expected ids and weights ({blocks}, 1 to {MAX_ATOMS_PER_ROW}, "
+                f"{ROWS_PER_BLOCK}) for {len(scales)} rows, got {ids.shape} and {weights.shape}"
             )
         if ids.max(initial=0) >= len(self.atoms):
             raise InputError(f"mixtures: atom {ids.max()} of {len(self.atoms)}")
@@ -129,7 +129,7 @@ class MixtureCode:
     ) -> tuple[UInt16[np.ndarray, "b k"], UInt8[np.ndarray, "b k"], np.ndarray]:
         """Return ids, weights and scales of some rows, row by row."""
         index = np.arange(len(self))[rows]
-        block, within = np.divmod(index, ROWS_OF_A_BLOCK)
+        block, within = np.divmod(index, ROWS_PER_BLOCK)
         ids, weights, scales = self.blocks
         return ids[block, :, within], weights[block, :, within], scales[index]
 
@@ -161,12 +161,12 @@ class MixtureCode:
 def packed(ids: UInt16[np.ndarray, "n k"], weights: UInt8[np.ndarray, "n k"], scales: np.ndarray) -> Blocks:
     """Lay rows out for scans; the last block is padded with rows of weight 0."""
     count, per_row = ids.shape
-    blocks = -(-count // ROWS_OF_A_BLOCK)
+    blocks = -(-count // ROWS_PER_BLOCK)
 
     def blocked(array: np.ndarray) -> np.ndarray:
-        whole = np.zeros((blocks * ROWS_OF_A_BLOCK, per_row), array.dtype)
+        whole = np.zeros((blocks * ROWS_PER_BLOCK, per_row), array.dtype)
         whole[:count] = array
-        return np.ascontiguousarray(whole.reshape(blocks, ROWS_OF_A_BLOCK, per_row).transpose(0, 2, 1))
+        return np.ascontiguousarray(whole.reshape(blocks, ROWS_PER_BLOCK, per_row).transpose(0, 2, 1))
 
     return Blocks(blocked(ids), blocked(weights), scales.astype(np.float16))
 

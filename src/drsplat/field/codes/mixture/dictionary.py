@@ -6,7 +6,7 @@ import numpy as np
 
 from ....base.arrays import Float32, Int32, Integer
 from ....errors import InputError
-from ....kernels.mixture import ADDRESSABLE, Dictionary
+from ....kernels.mixture import MAX_ATOMS, Dictionary
 
 SCENE_ATOM = -1  # of no mask
 BLOCK = 512  # vectors at once, near the processor
@@ -55,8 +55,8 @@ class AtomTable:
                 raise InputError(f"atoms: {name}: got {array.dtype} {array.shape}")
         if not len(values) == len(scales) == len(self.masks) or not values.shape[1]:
             raise InputError(f"expected one scale and one mask for each of {len(values)} atoms")
-        if not 1 <= len(values) <= ADDRESSABLE:
-            raise InputError(f"expected 1 to {ADDRESSABLE:,} atoms, got {len(values):,}")
+        if not 1 <= len(values) <= MAX_ATOMS:
+            raise InputError(f"expected 1 to {MAX_ATOMS:,} atoms, got {len(values):,}")
         if not ((scales >= 0) & (scales <= 1)).all():  # 1 / length of whole numbers
             raise InputError("atoms: scales must lie between 0 and 1")
         if self.masks.min() < SCENE_ATOM:

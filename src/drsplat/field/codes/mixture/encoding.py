@@ -7,7 +7,7 @@ import numpy as np
 from ....base.arrays import Float32, Int32, Int64, Integer, Sparse
 from ....base.contents import release
 from ....errors import InputError
-from ....kernels.mixture import ADDRESSABLE, MOST_ATOMS, Candidates, Dictionary, Encoded, mixture_encode
+from ....kernels.mixture import MAX_ATOMS, MAX_ATOMS_PER_ROW, Candidates, Dictionary, Encoded, mixture_encode
 from ..kmeans import Track, untracked
 from .code import MixtureCode, packed
 from .dictionary import SCENE_ATOM, AtomTable, quantised
@@ -80,8 +80,8 @@ def encode_with(
     source: MixtureSource, atoms_per_row: int, scene: SceneAtoms | None, *, threads: int = 0, track: Track = untracked
 ) -> Mixed:
     """Encode rows as `encode_mixture` does, with scene atoms that are trained already, or none."""
-    if not 1 <= atoms_per_row <= MOST_ATOMS:
-        raise InputError(f"expected 1 to {MOST_ATOMS} atoms per row, got {atoms_per_row}")
+    if not 1 <= atoms_per_row <= MAX_ATOMS_PER_ROW:
+        raise InputError(f"expected 1 to {MAX_ATOMS_PER_ROW} atoms per row, got {atoms_per_row}")
     if not len(source) or not len(source.embeddings):
         raise InputError(f"no code of {len(source)} rows and {len(source.embeddings)} masks")
     columns = np.arange(len(source.embeddings), dtype=np.int32)
@@ -89,14 +89,14 @@ def encode_with(
         plan = plan_of(source.embeddings, columns, scene)
         encoded = encode_rows(source, plan, atoms_per_row, threads=threads, track=track)
         used = atoms_by_use(encoded)
-        if len(used) <= ADDRESSABLE:
+        if len(used) <= MAX_ATOMS:
             return assemble(encoded, plan, columns, used)
         columns = columns[left_in(used, plan.first_scene, scene)]
 
 
 def left_in(used: Int64[np.ndarray, " u"], masks: int, scene: SceneAtoms | None) -> Int32[np.ndarray, " c"]:
     """Return the most used of the first `masks` atoms that can be addressed beside all of the scene's; ascending."""
-    own = used[used < masks][: ADDRESSABLE - (len(scene) if scene else 0)]
+    own = used[used < masks][: MAX_ATOMS - (len(scene) if scene else 0)]
     return np.sort(own).astype(np.int32)
 
 
@@ -111,8 +111,8 @@ def learn_scene_atoms(
     """
     if wanted is None:
         wanted = min(MOST_SCENE_ATOMS, len(source) // ROWS_PER_SCENE_ATOM)
-    if not 0 <= wanted <= ADDRESSABLE // 2:
-        raise InputError(f"expected 0 to {ADDRESSABLE // 2:,} scene atoms, got {wanted:,}")
+    if not 0 <= wanted <= MAX_ATOMS // 2:
+        raise InputError(f"expected 0 to {MAX_ATOMS // 2:,} scene atoms, got {wanted:,}")
     count = min(len(source), POINTS_PER_ATOM * wanted)
     spread = np.linspace(0, len(source) - 1, count).astype(np.int64)
     points = source.rows(spread).features(0, count, threads=threads)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ....base.arrays import Bool, Int32, Int64, Integer
-from ....kernels.mixture import ADDRESSABLE, Encoded
+from ....kernels.mixture import MAX_ATOMS, Encoded
 from ..kmeans import Track, untracked
 from .dictionary import SCENE_ATOM
 from .encoding import Mixed, MixtureSource, assemble, atoms_by_use, encode_rows, plan_of
@@ -21,7 +21,7 @@ class Regrown(NamedTuple):
 
 def fits_at_once(num_masks: int, scene: SceneAtoms | None) -> bool:
     """Return whether all atoms can be addressed at once, so that no column is ever left out."""
-    return num_masks + (len(scene) if scene else 0) <= ADDRESSABLE
+    return num_masks + (len(scene) if scene else 0) <= MAX_ATOMS
 
 
 def regrown_mixture(
