@@ -25,7 +25,7 @@ from drsplat.kernels.cuda import devices
 from drsplat.kernels.cuda import engine as engines
 from drsplat.kernels.cuda import training as there
 from drsplat.kernels.training import Rates
-from drsplat.scene.eight_bits import MAX_CONSTANT
+from drsplat.scene.eight_bits import MAX_ABS_CONSTANT
 from drsplat.training import cuda
 from drsplat.training.checkpoint import load_checkpoint, save_checkpoint
 from drsplat.training.device_run import DeviceOptimizer, DeviceRun
@@ -332,8 +332,8 @@ def test_colors_stay_within_bytes(cuda_engine_on_cpu, views, points):
         run.step()
         free.step()
     largest = [np.abs(each.optimizer.parameters.sh[:, 0]).max() for each in (run, free)]
-    assert largest[0] == np.float32(MAX_CONSTANT)
-    assert largest[1] > MAX_CONSTANT
+    assert largest[0] == np.float32(MAX_ABS_CONSTANT)
+    assert largest[1] > MAX_ABS_CONSTANT
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 
 from command_line import Capture, answer_of, text_of
 from drsplat import Gaussians, write_gaussians
-from drsplat.scene.eight_bits import MAX_CONSTANT, clamped_in_bytes, fitted_to_8_bits, in_bytes
+from drsplat.scene.eight_bits import MAX_ABS_CONSTANT, clamped_in_bytes, fitted_to_8_bits, in_bytes
 from drsplat.scene.gaussians import SH_C0
 from drsplat.scene.similarity import sh_basis
 from scenes import random_gaussians
@@ -60,7 +60,7 @@ def test_what_fits_stays_to_the_bit_and_the_rest_fits_then() -> None:
     assert 0.1 < marked.mean() < 0.9
     np.testing.assert_array_equal(fitted.sh[~marked], scene.sh[~marked])
     assert not clamped_in_bytes(fitted).any()
-    assert np.abs(fitted.sh[marked, 0]).max() <= np.float32(MAX_CONSTANT)
+    assert np.abs(fitted.sh[marked, 0]).max() <= np.float32(MAX_ABS_CONSTANT)
     assert fitted.fingerprint == scene.fingerprint
 
 

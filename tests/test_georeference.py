@@ -12,28 +12,30 @@ from numpy.testing import assert_allclose
 
 from drsplat.errors import FormatError
 from drsplat.formats.georeference import NAME, read_georeference
-from drsplat.scene.geodesy import FLATTENING, RADIUS_M, geocentric, geodetic
+from drsplat.scene.geodesy import EQUATOR_RADIUS_M, FLATTENING, geocentric, geodetic
 
 HERE = {
     "format": "drsplat georeference", "version": 1, "longitude": 13.4, "latitude": 52.5, "height": 80.0, "scale": 2.0,
     "enu_from_world": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
 }  # fmt: skip
-POLAR = RADIUS_M * (1 - FLATTENING)
+POLAR = EQUATOR_RADIUS_M * (1 - FLATTENING)
 
 
 def test_the_ellipsoid() -> None:
     at = geocentric(np.array([[0.0, 0, 0], [90, 0, 100], [0, 90, 0], [0, -90, 10]]))
-    assert_allclose(at, [[RADIUS_M, 0, 0], [0, RADIUS_M + 100, 0], [0, 0, POLAR], [0, 0, -POLAR - 10]], atol=1e-6)
+    assert_allclose(
+        at, [[EQUATOR_RADIUS_M, 0, 0], [0, EQUATOR_RADIUS_M + 100, 0], [0, 0, POLAR], [0, 0, -POLAR - 10]], atol=1e-6
+    )
 
 
 def test_steps_from_an_origin() -> None:
     """A degree of longitude on the equator is a 360th of its length; up is up; north goes along a meridian."""
-    degree = np.pi * RADIUS_M / 180
+    degree = np.pi * EQUATOR_RADIUS_M / 180
     (east,), (up,) = (geodetic((10.0, 0.0, 5.0), np.array([step])) for step in ([1.0, 0, 0], [0, 0, 7.0]))
-    assert_allclose(east[0] - 10, 1 / (degree * (1 + 5 / RADIUS_M)), rtol=1e-6)
+    assert_allclose(east[0] - 10, 1 / (degree * (1 + 5 / EQUATOR_RADIUS_M)), rtol=1e-6)
     assert_allclose(up, [10, 0, 12], atol=1e-8)
     (north,) = geodetic((0.0, 0.0, 0.0), np.array([[0.0, 1000, 0]]))
-    curvature = RADIUS_M * (1 - FLATTENING) ** 2  # of the meridian at the equator
+    curvature = EQUATOR_RADIUS_M * (1 - FLATTENING) ** 2  # of the meridian at the equator
     assert_allclose(np.radians(north[1]) * curvature, 1000, rtol=1e-5)
 
 

@@ -12,9 +12,9 @@ import pytest
 from PIL import Image
 
 from drsplat.errors import FormatError, InputError
-from drsplat.scene.masks.crops import MOST_PADDED, crop
+from drsplat.scene.masks.crops import MAX_PADDED_PIXELS, crop
 from drsplat.scene.photos import decoded_picture, load_image
-from drsplat.scene.picture_costs import MAX_SCANS_LARGE, MAX_SCANS_SMALL, jpeg_scans, most_scans
+from drsplat.scene.picture_costs import MAX_SCANS_OF_LARGE, MAX_SCANS_OF_SMALL, jpeg_scans, most_scans
 from drsplat.scene.views import View
 
 RNG = np.random.default_rng(0)
@@ -51,11 +51,11 @@ def test_scans_are_counted() -> None:
 
 def test_small_jpegs_may_have_more_scans() -> None:
     assert [most_scans(n) for n in (1, 10_000, 1 << 19, 1 << 20, 16_000_000)] == [
-        MAX_SCANS_SMALL,
-        MAX_SCANS_SMALL,
-        2 * MAX_SCANS_LARGE,
-        MAX_SCANS_LARGE,
-        MAX_SCANS_LARGE,
+        MAX_SCANS_OF_SMALL,
+        MAX_SCANS_OF_SMALL,
+        2 * MAX_SCANS_OF_LARGE,
+        MAX_SCANS_OF_LARGE,
+        MAX_SCANS_OF_LARGE,
     ]
 
 
@@ -134,7 +134,7 @@ def test_a_thin_picture_is_scaled_before_it_is_padded(shape: tuple[int, int]) ->
     square = crop(picture, np.ones(shape, bool), (0, 0, width, height))
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    most = max(MOST_PADDED, 4 * height * width)
+    most = max(MAX_PADDED_PIXELS, 4 * height * width)
     assert square.shape[0] == square.shape[1]
     assert square.shape[0] ** 2 <= most
     assert peak < 4 * (3 * most + picture.nbytes)

@@ -16,7 +16,7 @@ from ..base.arrays import Float32, Float64, Int32
 from ..base.contents import file_bytes
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians, concatenated
-from ..scene.placing import FEWEST, local_origin
+from ..scene.placing import MIN_SIZED_GAUSSIANS, local_origin
 from ..scene.similarity import similarity_of
 from .activation import checked
 from .axes import HALF_TURN
@@ -273,7 +273,11 @@ def _placed(gaussians: Gaussians, to_world: Float64[np.ndarray, "4 4"]) -> Gauss
         raise FormatError(f"glTF: the node of the splats: {error}: apply the transform before exporting") from None
     if np.array_equal(similarity.rotation, np.eye(3)) and similarity.scale == 1:
         counted = replace(gaussians, origin=gaussians.origin + similarity.translation)
-        if len(counted) < FEWEST or not similarity.translation.any() or local_origin(counted.positions).any():
+        if (
+            len(counted) < MIN_SIZED_GAUSSIANS
+            or not similarity.translation.any()
+            or local_origin(counted.positions).any()
+        ):
             return counted
     moved = similarity.moved(gaussians)
     checked(moved.means, moved.quats.copy(), moved.scales, moved.opacities, moved.sh)  # or the error that names a row

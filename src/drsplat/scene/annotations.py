@@ -9,9 +9,9 @@ import numpy as np
 from ..base.arrays import Float64
 from ..errors import InputError
 
-MAX_LENGTH = 200  # characters
+MAX_TEXT_CHARACTERS = 200
 MAX_COORDINATE = 1e30
-ORTHONORMAL_TOLERANCE = 1e-4  # of axes, off unit length and right angles
+ORTHONORMAL_TOLERANCE = 1e-4  # of the axes' lengths and right angles
 
 
 class Outline(NamedTuple):
@@ -50,8 +50,10 @@ class Annotation:
 
     def __post_init__(self) -> None:
         writable = self.text == self.text.encode(errors="ignore").decode()
-        if not writable or not self.text.strip() or len(self.text) > MAX_LENGTH:
-            raise InputError(f"an annotation: expected a text of 1 to {MAX_LENGTH} characters, got {self.text!a:.80}")
+        if not writable or not self.text.strip() or len(self.text) > MAX_TEXT_CHARACTERS:
+            raise InputError(
+                f"an annotation: expected a text of 1 to {MAX_TEXT_CHARACTERS} characters, got {self.text!a:.80}"
+            )
         if self.center.shape != (3,) or not (np.abs(self.center) <= MAX_COORDINATE).all():
             raise InputError(f"annotation '{self.text}': expected a place of three finite numbers")
         if self.outline is not None:

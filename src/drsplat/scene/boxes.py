@@ -14,7 +14,7 @@ BoxKind = Literal["upright", "free"]
 KINDS: tuple[BoxKind, ...] = get_args(BoxKind)
 
 HAZE_OPACITY = 0.1  # fainter Gaussians do not make an object, as in OpenGaussian's protocol
-MIN_LEVEL_SPREAD = 0.1  # of the cameras' horizontals, to tell which way is up
+MIN_LEVEL_SPREAD = 0.1  # of the cameras' horizontals: with less, they do not say which way is up
 
 
 class Box(NamedTuple):

@@ -12,14 +12,14 @@ from ..base.arrays import Bool, Float32, Float64
 from .gaussians import SH_C0, Gaussians
 from .similarity import sh_basis
 
-NUM_DIRECTIONS, ROUNDS, CHUNK_ROWS = 128, 30, 4096
-MAX_CONSTANT = 0.5 / SH_C0  # largest size of a coefficient sh[:, 0] whose colour is between 0 and 1
-ROUNDED_AWAY = 0.5 / 255  # change of a colour that rounding to a byte makes anyway
+NUM_DIRECTIONS, FIT_ROUNDS, CHUNK_ROWS = 128, 30, 4096
+MAX_ABS_CONSTANT = 0.5 / SH_C0  # of a coefficient sh[:, 0] whose colour is between 0 and 1
+BYTE_ROUNDING = 0.5 / 255  # of a colour
 
 
 def clamped_in_bytes(gaussians: Gaussians) -> Bool[np.ndarray, " n"]:
     """Return which Gaussians have a constant colour that a byte for each channel does not hold."""
-    return np.asarray((np.abs(SH_C0 * gaussians.sh[:, 0]) > 0.5 + ROUNDED_AWAY).any(axis=1))
+    return np.asarray((np.abs(SH_C0 * gaussians.sh[:, 0]) > 0.5 + BYTE_ROUNDING).any(axis=1))
 
 
 def in_bytes(gaussians: Gaussians) -> Gaussians:
@@ -57,11 +57,11 @@ def _fitted(sh: Float64[np.ndarray, "n k 3"], basis: Float64[np.ndarray, "d k"])
     """Fit harmonics of limited constants to the clamped colours of `sh`, by projected steps that never fit worse."""
     wanted = np.clip(0.5 + basis @ sh, 0, 1)
     fitted, inverse = _within(sh.copy()), np.linalg.pinv(basis)
-    for _ in range(ROUNDS):
+    for _ in range(FIT_ROUNDS):
         fitted = _within(fitted + inverse @ (wanted - np.clip(0.5 + basis @ fitted, 0, 1)))
     return fitted.astype(np.float32)
 
 
 def _within(sh: Float64[np.ndarray, "n k 3"]) -> Float64[np.ndarray, "n k 3"]:
-    sh[:, 0] = np.clip(sh[:, 0], -MAX_CONSTANT, MAX_CONSTANT)
+    sh[:, 0] = np.clip(sh[:, 0], -MAX_ABS_CONSTANT, MAX_ABS_CONSTANT)
     return sh

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..base.arrays import Bool, Float32, Float64, Integer
 from ..errors import InputError
-from .placing import FEWEST, local_origin, near_plane
+from .placing import MIN_SIZED_GAUSSIANS, local_origin, near_plane
 from .rotations import rotation_matrices, rotation_rows
 
 SH_COEFFICIENTS = (1, 4, 9, 16)
@@ -118,7 +118,7 @@ class Gaussians:
 
     @cached_property
     def _local_origin(self) -> Float64[np.ndarray, " 3"]:
-        return local_origin(self.means) if len(self) >= FEWEST else np.zeros(3)
+        return local_origin(self.means) if len(self) >= MIN_SIZED_GAUSSIANS else np.zeros(3)
 
     def covariances(self) -> Float64[np.ndarray, "n 6"]:
         """Return the upper triangles (xx, xy, xz, yy, yz, zz) of R S S^T R^T, in scene units squared."""

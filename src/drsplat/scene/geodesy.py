@@ -7,9 +7,9 @@ import numpy as np
 
 from ..base.arrays import Float64
 
-RADIUS_M, FLATTENING = 6_378_137.0, 1 / 298.257223563
-E2 = FLATTENING * (2 - FLATTENING)
-ITERATIONS = 6  # far more than are needed near the surface
+EQUATOR_RADIUS_M, FLATTENING = 6_378_137.0, 1 / 298.257223563
+ECCENTRICITY2 = FLATTENING * (2 - FLATTENING)
+LATITUDE_ITERATIONS = 6  # far more than are needed near the surface
 
 
 def geodetic(origin: tuple[float, float, float], enu: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
@@ -32,22 +32,22 @@ def geocentric(positions: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 
     """Return metres from the centre of the Earth for longitudes and latitudes (degrees) and heights (metres)."""
     longitude, latitude = np.radians(positions[:, :2]).T
     height = positions[:, 2]
-    normal = RADIUS_M / np.sqrt(1 - E2 * np.sin(latitude) ** 2)
+    normal = EQUATOR_RADIUS_M / np.sqrt(1 - ECCENTRICITY2 * np.sin(latitude) ** 2)
     around = (normal + height) * np.cos(latitude)
-    z = (normal * (1 - E2) + height) * np.sin(latitude)
+    z = (normal * (1 - ECCENTRICITY2) + height) * np.sin(latitude)
     return np.stack([around * np.cos(longitude), around * np.sin(longitude), z], axis=1)
 
 
 def _from_geocentric(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
     x, y, z = points.T
     around = np.hypot(x, y)
-    latitude = np.arctan2(z, around * (1 - E2))
-    for _ in range(ITERATIONS):
-        normal = RADIUS_M / np.sqrt(1 - E2 * np.sin(latitude) ** 2)
-        latitude = np.arctan2(z + E2 * normal * np.sin(latitude), around)
-    normal = RADIUS_M / np.sqrt(1 - E2 * np.sin(latitude) ** 2)
+    latitude = np.arctan2(z, around * (1 - ECCENTRICITY2))
+    for _ in range(LATITUDE_ITERATIONS):
+        normal = EQUATOR_RADIUS_M / np.sqrt(1 - ECCENTRICITY2 * np.sin(latitude) ** 2)
+        latitude = np.arctan2(z + ECCENTRICITY2 * normal * np.sin(latitude), around)
+    normal = EQUATOR_RADIUS_M / np.sqrt(1 - ECCENTRICITY2 * np.sin(latitude) ** 2)
     # of the two formulas for the height, the one that also holds at the poles
-    height = around * np.cos(latitude) + z * np.sin(latitude) - RADIUS_M**2 / normal
+    height = around * np.cos(latitude) + z * np.sin(latitude) - EQUATOR_RADIUS_M**2 / normal
     return np.stack([np.degrees(np.arctan2(y, x)), np.degrees(latitude), height], axis=1)
 
 

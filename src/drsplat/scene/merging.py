@@ -13,10 +13,10 @@ from ..base.arrays import Float32, Float64, Int, Int64
 from ..errors import InputError
 from .gaussians import SH_C0, Gaussians
 
-NEIGHBOURS = 8  # of each Gaussian that it may be merged with
-MOST_MERGED_AT_ONCE = 0.25  # share of all rows: what is merged first can be merged again, so cheap pairs go first
-LEAST_OPACITY = 1e-6  # of a weight, so that invisible Gaussians have a mean, too
-LEAST_SCALE = 1e-20  # standard deviation of a merged Gaussian, scene units, whose cube float32 holds
+MERGE_NEIGHBOURS = 8  # of each Gaussian that it may be merged with
+MAX_MERGED_SHARE = 0.25  # of all rows in a pass: merged rows can merge again, so cheap pairs go first
+MIN_OPACITY = 1e-6  # of a weight, so that invisible Gaussians have a mean, too
+MIN_SCALE = 1e-20  # standard deviation of a merged Gaussian, scene units, whose cube float32 holds
 COLOUR_WEIGHT = 30.0  # of a squared difference of colours, 0 to 1, beside squared distances in standard deviations
 
 
@@ -48,7 +48,7 @@ def coarser(gaussians: Gaussians, count: int, within: Int[np.ndarray, " n"] | No
         raise InputError(f"within: expected {len(gaussians):,} numbers, got an array {kinds.shape}")
     group_of = np.arange(len(gaussians))
     while len(gaussians) > count:
-        most = min(len(gaussians) - count, max(1, int(MOST_MERGED_AT_ONCE * len(gaussians))))
+        most = min(len(gaussians) - count, max(1, int(MAX_MERGED_SHARE * len(gaussians))))
         step = _paired(gaussians, most, kinds)
         if step.max() + 1 == len(gaussians):
             break
@@ -97,7 +97,7 @@ def areas_of(scales: Float32[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
 
 def masses_of(gaussians: Gaussians) -> Float64[np.ndarray, " n"]:
     """Return how much each Gaussian covers, opacity times area, above 0."""
-    return np.asarray(np.maximum(gaussians.opacities, LEAST_OPACITY) * areas_of(gaussians.scales))
+    return np.asarray(np.maximum(gaussians.opacities, MIN_OPACITY) * areas_of(gaussians.scales))
 
 
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
@@ -124,7 +124,7 @@ def shapes_of(covariances: Float64[np.ndarray, "n 6"]) -> tuple[Float32[np.ndarr
         matrices[:, i, j] = matrices[:, j, i] = covariances[:, at]
     variances, axes = np.linalg.eigh(matrices)
     axes[np.linalg.det(axes) < 0, :, 0] *= -1
-    scales = np.sqrt(np.maximum(variances, LEAST_SCALE**2)).astype(np.float32)
+    scales = np.sqrt(np.maximum(variances, MIN_SCALE**2)).astype(np.float32)
     return quaternions_of(axes), scales
 
 
@@ -161,7 +161,7 @@ def _edges(means: Float32[np.ndarray, "n 3"]) -> tuple[Int64[np.ndarray, " e"], 
     """Return pairs of near rows, the lower one first, each pair once, in order."""
     from scipy.spatial import cKDTree
 
-    near = cKDTree(means).query(means, k=min(NEIGHBOURS + 1, len(means)))[1]
+    near = cKDTree(means).query(means, k=min(MERGE_NEIGHBOURS + 1, len(means)))[1]
     rows = np.repeat(np.arange(len(means)), near.shape[1])
     low, high = np.minimum(rows, near.ravel()), np.maximum(rows, near.ravel())
     keys = np.sort(low[low < high] * np.int64(len(means)) + high[low < high])

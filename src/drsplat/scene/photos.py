@@ -20,7 +20,7 @@ PHOTO_FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "BMP", "PPM")
 """The only decoders that are ever started on a file, whatever its name."""
 
 _OPAQUE = ("1", "L", "RGB")
-_ROWS_AT_ONCE = 128  # remapped: the map of a whole 24 MP photo would take 400 MB
+_BLOCK_ROWS = 128  # remapped at once: the map of a whole 24 MP photo would take 400 MB
 
 
 def photo_size(path: Path) -> tuple[int, int]:
@@ -141,8 +141,8 @@ def _bilinear(photo: UInt8[np.ndarray, "h w 3"], at: Float64[np.ndarray, "n 2"])
 def _source_blocks(view: View) -> Iterator[tuple[slice, Float64[np.ndarray, "r w 2"]]]:
     """Yield blocks of rows of the pinhole, with the place of each of their pixel centres on the photo."""
     columns = np.arange(view.width) + 0.5
-    for start in range(0, view.height, _ROWS_AT_ONCE):
-        stop = min(start + _ROWS_AT_ONCE, view.height)
+    for start in range(0, view.height, _BLOCK_ROWS):
+        stop = min(start + _BLOCK_ROWS, view.height)
         x, y = np.meshgrid(columns, np.arange(start, stop) + 0.5)
         yield slice(start, stop), distort_points(view, np.stack([x, y], -1))
 

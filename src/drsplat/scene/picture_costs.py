@@ -14,14 +14,16 @@ from PIL.TiffImagePlugin import TiffImageFile
 
 from ..errors import InputError
 
-MAX_SCANS_LARGE = 32  # of a JPEG; encoders write 1 to 15
-MAX_SCANS_SMALL = 500
+MAX_SCANS_OF_LARGE = 32  # JPEGs; encoders write 1 to 15
+MAX_SCANS_OF_SMALL = 500
 SMALL_PIXELS = 1 << 20
 MAX_JPEG_BYTES = 256 << 20
 
 _MARKER = re.compile(rb"\xff+([^\x00\xff\xd0-\xd7])", re.DOTALL)  # not stuffing or restarts, which stand among pixels
-_START, _SCAN, _END = 0xD8, 0xDA, 0xD9
-_TILE_WIDTH, _TILE_LENGTH = 322, 323
+_START_MARKER = 0xD8
+_SCAN_MARKER = 0xDA
+_END_MARKER = 0xD9
+_TILE_WIDTH_TAG, _TILE_LENGTH_TAG = 322, 323
 
 
 def check_cost(picture: Image.Image, file: BufferedIOBase, most_pixels: int | None = None) -> None:
@@ -47,7 +49,7 @@ def check_cost(picture: Image.Image, file: BufferedIOBase, most_pixels: int | No
 
 def most_scans(pixels: int) -> int:
     """Return the number of scans a JPEG may have, so that their total number of pixels is bounded."""
-    return min(MAX_SCANS_SMALL, MAX_SCANS_LARGE * max(1, SMALL_PIXELS // max(pixels, 1)))
+    return min(MAX_SCANS_OF_SMALL, MAX_SCANS_OF_LARGE * max(1, SMALL_PIXELS // max(pixels, 1)))
 
 
 def jpeg_scans(data: bytes) -> int:
@@ -55,10 +57,10 @@ def jpeg_scans(data: bytes) -> int:
     scans, at = 0, 0
     while match := _MARKER.search(data, at):
         marker, at = match[1][0], match.end()
-        if marker == _END:
+        if marker == _END_MARKER:
             break
-        scans += marker == _SCAN
-        if marker != _START:
+        scans += marker == _SCAN_MARKER
+        if marker != _START_MARKER:
             at += int.from_bytes(data[at : at + 2], "big")
     return scans
 
@@ -75,4 +77,4 @@ def _content(file: BufferedIOBase) -> bytes:
 
 def _tile(picture: TiffImageFile) -> int:
     tags = picture.tag_v2
-    return int(tags.get(_TILE_WIDTH, 0)) * int(tags.get(_TILE_LENGTH, 0))
+    return int(tags.get(_TILE_WIDTH_TAG, 0)) * int(tags.get(_TILE_LENGTH_TAG, 0))

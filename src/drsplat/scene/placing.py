@@ -8,20 +8,20 @@ import numpy as np
 
 from ..base.arrays import Bool, Float, Float64
 
-PUBLISHED_NEAR = 0.2  # scene units: 3DGS draws nothing that is nearer to a camera
-NEAR_SHARE = 0.05  # of the scene's size, where that is less: scenes smaller than four units
-FAR = 2.0  # sizes from zero: beyond, float32 would round positions more coarsely than about zero
-FAR_IN_FLOAT32 = 256.0  # beyond, float32 rounds to more than 1e-5 of the scene's size, and arithmetic on it to more
-FEWEST = 16  # fewer Gaussians than this say nothing of a scene's size
-SOLID = 0.1  # opacity; fainter Gaussians may float anywhere
-MIDDLE = (0.05, 0.95)
+PUBLISHED_NEAR = 0.2  # scene units: 3DGS draws nothing nearer to a camera
+NEAR_SHARE = 0.05  # of the scene's size, where that is less: in scenes smaller than four units
+MAX_DISTANCE_SIZES = 2.0  # from zero: beyond, float32 would round positions more coarsely than about zero
+MAX_FLOAT32_DISTANCE_SIZES = 256.0  # beyond, float32 rounds to 1e-5 of the scene's size, and arithmetic on it to more
+MIN_SIZED_GAUSSIANS = 16  # fewer say nothing of a scene's size
+SOLID_OPACITY = 0.1  # fainter Gaussians may float anywhere
+MIDDLE_QUANTILES = (0.05, 0.95)
 
 
 def size_of(positions: Float[np.ndarray, "n 3"]) -> float:
     """Return the diagonal of the box about the middle nine tenths along each axis; 0 for no positions."""
     if not len(positions):
         return 0.0
-    low, high = np.quantile(positions, MIDDLE, axis=0)
+    low, high = np.quantile(positions, MIDDLE_QUANTILES, axis=0)
     return float(np.linalg.norm(high.astype(np.float64) - low.astype(np.float64)))
 
 
@@ -36,9 +36,9 @@ def near_plane(means: Float[np.ndarray, "n 3"], opacities: Float[np.ndarray, " n
     It is the published 0.2 for a scene four units large or more (the diagonal of the box about the middle nine tenths
     of its centres, of solid Gaussians where opacities are given); a twentieth of its size for a smaller one.
     """
-    solid = means if opacities is None else means[opacities >= SOLID]
-    positions = solid if len(solid) >= FEWEST else means
-    share = NEAR_SHARE * size_of(positions) if len(positions) >= FEWEST else 0.0
+    solid = means if opacities is None else means[opacities >= SOLID_OPACITY]
+    positions = solid if len(solid) >= MIN_SIZED_GAUSSIANS else means
+    share = NEAR_SHARE * size_of(positions) if len(positions) >= MIN_SIZED_GAUSSIANS else 0.0
     return min(PUBLISHED_NEAR, share) if share > 0 else PUBLISHED_NEAR
 
 
@@ -52,11 +52,11 @@ def local_origin(positions: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " 3
     """
     origin = np.zeros(3)
     size = size_of(positions)
-    if not size > 0 or np.abs(positions).max() <= FAR * size:  # then the middle is, too
+    if not size > 0 or np.abs(positions).max() <= MAX_DISTANCE_SIZES * size:  # then the middle is, too
         return origin
     middle, exact = middle_of(positions), positions.astype(np.float64)
     exact_axes = _fits_float32(exact)
-    if np.abs(middle).max() <= (FAR_IN_FLOAT32 if exact_axes.all() else FAR) * size:
+    if np.abs(middle).max() <= (MAX_FLOAT32_DISTANCE_SIZES if exact_axes.all() else MAX_DISTANCE_SIZES) * size:
         return origin
     step = 2.0 ** np.floor(np.log2(size))
     steps = np.round(middle / step)

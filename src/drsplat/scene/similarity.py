@@ -10,7 +10,7 @@ from ..errors import InputError
 from .gaussians import SH_C0, Gaussians
 from .placing import local_origin
 
-TOLERANCE = 1e-4  # of a rotation's rows; matrices come from text with few digits
+MATRIX_TOLERANCE = 1e-4  # matrices come from text with few digits
 SH_SLICES = (slice(1, 4), slice(4, 9), slice(9, 16))  # harmonics of degrees 1 to 3
 NUM_DIRECTIONS = 64  # to fit harmonics in: several times the coefficients of the highest degree
 
@@ -68,14 +68,14 @@ def similarity_of(matrix: Float64[np.ndarray, "4 4"]) -> Similarity:
 
     Raises: InputError: it shears, mirrors, scales its axes differently, or is no such matrix.
     """
-    if not np.isfinite(matrix).all() or not np.allclose(matrix[3], [0, 0, 0, 1], atol=TOLERANCE):
+    if not np.isfinite(matrix).all() or not np.allclose(matrix[3], [0, 0, 0, 1], atol=MATRIX_TOLERANCE):
         raise InputError("expected a 4x4 matrix of finite numbers whose last row is 0 0 0 1")
     determinant = float(np.linalg.det(matrix[:3, :3]))
     if not determinant > 0:
         raise InputError(f"expected a rotation times a scale above 0: the determinant is {determinant:.3g}")
     scale = determinant ** (1 / 3)
     rotation = matrix[:3, :3] / scale
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > TOLERANCE * 10:
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > MATRIX_TOLERANCE * 10:
         raise InputError("expected a rotation, one scale and a translation: this matrix shears, or scales axes apart")
     return Similarity(scale, rotation, matrix[:3, 3])
 

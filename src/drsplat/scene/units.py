@@ -5,19 +5,20 @@ from collections.abc import Sequence
 import numpy as np
 
 from .gaussians import Gaussians
-from .placing import FEWEST, middle_of, rounding, size_of
+from .placing import MIN_SIZED_GAUSSIANS, middle_of, rounding, size_of
 from .views import View
 
-SMALLEST, LARGEST = 1e-3, 1e5  # scene units
-LOST_SHARE = 1e-5  # of the scene's size: positions that are rounded by more are warned of
+MIN_SIZE = 1e-3  # scene units
+MAX_SIZE = 1e5
+MAX_ROUNDING_SHARE = 1e-5  # of the scene's size: coarser rounding of positions gets a warning
 MAX_CAMERA_DISTANCE_IN_SIZES = 100.0
-MAX_SAMPLE = 1 << 16  # Gaussians, spread over the file, to tell where the scene is
+MAX_SAMPLE_GAUSSIANS = 1 << 16  # spread over the file, to tell where the scene is
 
 
 def lost_precision(gaussians: Gaussians) -> list[str]:
     """Return a sentence on the precision that float32 positions far from zero have lost, if it is much."""
-    much = LOST_SHARE * size_of(gaussians.means)
-    if len(gaussians) < FEWEST or not rounding(gaussians.means) > much > 0:
+    much = MAX_ROUNDING_SHARE * size_of(gaussians.means)
+    if len(gaussians) < MIN_SIZED_GAUSSIANS or not rounding(gaussians.means) > much > 0:
         return []  # the farthest have lost little, and the middle less
     middle = middle_of(gaussians.means)
     away, lost, typical = np.abs(middle).max(), rounding(middle), float(np.median(gaussians.scales))
@@ -32,14 +33,15 @@ def lost_precision(gaussians: Gaussians) -> list[str]:
 
 def doubts(gaussians: Gaussians, views: Sequence[View]) -> list[str]:
     """Return sentences on implausible sizes of the scene or places of its cameras."""
-    means = gaussians.means[:: max(1, len(gaussians) // MAX_SAMPLE)]
+    means = gaussians.means[:: max(1, len(gaussians) // MAX_SAMPLE_GAUSSIANS)]
     size = size_of(means)
-    if len(gaussians) < FEWEST or not size > 0:
+    if len(gaussians) < MIN_SIZED_GAUSSIANS or not size > 0:
         return []
     sentences = lost_precision(gaussians)
-    if not SMALLEST <= size <= LARGEST:
+    if not MIN_SIZE <= size <= MAX_SIZE:
         sentences.append(
-            f"the scene is {size:.3g} units large: is its unit meant? Expected was between {SMALLEST:g} and {LARGEST:g}"
+            f"the scene is {size:.3g} units large: is its unit meant? "
+            f"Expected was between {MIN_SIZE:g} and {MAX_SIZE:g}"
         )
     middle = gaussians.origin + middle_of(means)
     away = float(np.median([np.linalg.norm(view.center - middle) for view in views])) if views else 0

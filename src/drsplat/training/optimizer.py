@@ -10,7 +10,7 @@ from ..formats.activation import checked, sigmoid
 from ..kernels.cuda.places import contiguous, on_host
 from ..kernels.cuda.training import DeviceGradients
 from ..kernels.training import Gradients, Rates, SceneParameters, adam_step
-from ..scene.eight_bits import MAX_CONSTANT
+from ..scene.eight_bits import MAX_ABS_CONSTANT
 from ..scene.gaussians import Gaussians
 
 FLOATING = SceneParameters._fields
@@ -48,7 +48,7 @@ class Optimizer:
     def limit_colors(self) -> None:
         """Bring constant colours back into what viewers with 8-bit colours show (`scene.eight_bits`)."""
         constants = self.parameters.sh[:, 0]
-        np.clip(constants, -MAX_CONSTANT, MAX_CONSTANT, out=constants)
+        np.clip(constants, -MAX_ABS_CONSTANT, MAX_ABS_CONSTANT, out=constants)
 
     def noise(self, rng: np.random.Generator, count: int) -> Float32[Anywhere, "count 3"]:
         """Draw normal numbers where the parameters are."""

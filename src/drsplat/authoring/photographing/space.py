@@ -10,7 +10,7 @@ from scipy import ndimage
 from ...base.arrays import Bool, Float32, Float64
 from ...kernels import SplatArrays, render_channels, splat_arrays
 from ...scene.gaussians import Gaussians
-from ...scene.placing import FEWEST, SOLID
+from ...scene.placing import MIN_SIZED_GAUSSIANS, SOLID_OPACITY
 from ..filming.looking import looking_at
 
 Vector = Float64[np.ndarray, " 3"]
@@ -159,8 +159,8 @@ class Space:
 
 def solid_centers(gaussians: Gaussians) -> Float64[np.ndarray, "n 3"]:
     """Return the centres of the solid Gaussians, of all where too few are solid."""
-    solid = gaussians.opacities >= SOLID
-    return gaussians.positions[solid] if solid.sum() >= FEWEST else gaussians.positions
+    solid = gaussians.opacities >= SOLID_OPACITY
+    return gaussians.positions[solid] if solid.sum() >= MIN_SIZED_GAUSSIANS else gaussians.positions
 
 
 def spread_out(places: Float64[np.ndarray, "p 3"], count: int) -> Float64[np.ndarray, "c 3"]:

@@ -21,7 +21,7 @@ from ...formats.field_folder import refuse_to_replace_others, replacing_folder
 from ...formats.rendering_record import RECORD, write_rendering_record
 from ...scene.gaussians import SH_C0, Gaussians, ShapesDigest
 from ...scene.moving import Moving, canonical_of
-from ...scene.placing import SOLID
+from ...scene.placing import SOLID_OPACITY
 from ...scene.views import View
 from ..filming.paths import CameraPath
 from .candidates import candidates
@@ -181,7 +181,7 @@ def _named(view: View, name: str) -> View:
 
 def _points(gaussians: Gaussians) -> tuple[Float64[np.ndarray, "m 3"], UInt8[np.ndarray, "m 3"]]:
     """Return centres and colours of solid Gaussians, evenly chosen where there are many."""
-    (solid,) = np.nonzero(gaussians.opacities >= SOLID)
+    (solid,) = np.nonzero(gaussians.opacities >= SOLID_OPACITY)
     rows = solid if len(solid) else np.arange(len(gaussians))
     rows = rows[:: -(-len(rows) // MAX_POINTS)]
     colors = as_pixels(0.5 + np.float32(SH_C0) * gaussians.sh[rows, :1])

@@ -10,7 +10,7 @@ from ...base.arrays import Bool, Int64, Integer, UInt8
 from ...errors import InputError
 from .masks import Masks
 
-MOST_PADDED = 6000 * 6000  # pixels: the whole of an ordinary photo is padded as it is
+MAX_PADDED_PIXELS = 6000 * 6000  # the whole of an ordinary photo is padded as it is
 
 Crop = UInt8[np.ndarray, "_ _ 3"]
 
@@ -25,7 +25,7 @@ def crop(
     Raises: InputError: a box that leaves the image or does not fit its part; a mask without pixels.
     Source: LangSplat preprocess.py, `get_seg_img` and `pad_img`. SAM's own boxes name the last row
     and column inclusively, so there each crop lacks one of both; ours has all. A box so long and thin that its square
-    would have more than `MOST_PADDED` pixels, and more than four times its own, is scaled down to that many first.
+    would have more than `MAX_PADDED_PIXELS`, and more than four times its own, is scaled down to that many first.
     """
     x0, y0, x1, y1 = (int(edge) for edge in box)
     height, width = part.shape
@@ -37,7 +37,7 @@ def crop(
         )
     if not part.any():
         raise InputError(f"the mask in the box {x0} {y0} {x1} {y1} has no pixel: leave it out")
-    side, most = max(width, height), math.isqrt(max(MOST_PADDED, 4 * width * height))
+    side, most = max(width, height), math.isqrt(max(MAX_PADDED_PIXELS, 4 * width * height))
     if side > most:
         return _padded(_shrunk(image[y0:y1, x0:x1], part, most / side))
     return _padded(image[y0:y1, x0:x1], part)

@@ -7,7 +7,7 @@ import numpy as np
 from ...base.arrays import Bool
 from .masks import Masks, tight_box
 
-LEAST_KEPT_SHARE = 0.5  # of a mask's pixels; a smaller rest would be embedded as something else
+MIN_KEPT_SHARE = 0.5  # of a mask's pixels; a smaller rest would be embedded as something else
 
 
 def kept_masks(levels: Mapping[str, Masks], kept: Bool[np.ndarray, "h w"]) -> dict[str, Masks]:
@@ -20,7 +20,7 @@ def _cut(masks: Masks, kept: Bool[np.ndarray, "h w"]) -> Masks:
     for row, ((x0, y0, x1, y1), part) in enumerate(zip(masks.boxes.tolist(), masks.parts, strict=True)):
         rest = part & kept[y0:y1, x0:x1]
         box = tight_box(rest)
-        if box is None or np.count_nonzero(rest) < LEAST_KEPT_SHARE * np.count_nonzero(part):
+        if box is None or np.count_nonzero(rest) < MIN_KEPT_SHARE * np.count_nonzero(part):
             continue
         left, top, right, bottom = box
         rows.append(row)

@@ -10,8 +10,8 @@ from ...base.arrays import Bool, Float64, Int32, Int64
 from ...errors import InputError
 from .masks import LEVELS, Masks
 
-_MOSTLY_INSIDE = 0.85  # least share of the inner mask that lies in the outer one
-_FAR_LARGER = 0.5  # the inner mask covers less than this share of the outer one
+_MIN_INSIDE_SHARE = 0.85  # of the inner mask that lies in the outer one
+_MAX_INNER_SHARE = 0.5  # of the outer mask that the inner one covers
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def _inside_larger(
 ) -> Bool[np.ndarray, " n"]:
     of_outer: Float64[np.ndarray, "n n"] = shared / np.maximum(areas, 1)[:, None]
     of_inner = of_outer.T
-    inside = (of_outer < _FAR_LARGER) & (of_inner >= _MOSTLY_INSIDE)
+    inside = (of_outer < _MAX_INNER_SHARE) & (of_inner >= _MIN_INSIDE_SHARE)
     gone: Bool[np.ndarray, " n"] = (inside & (1 - of_inner * of_outer > 1 - inner)).any(0)
     return gone
 
