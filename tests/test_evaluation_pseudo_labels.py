@@ -68,7 +68,9 @@ def test_density_labels_are_the_twins(seed: int, size: float, num_labels: int) -
     gaussians = random_gaussians(200, seed, size=size)
     points = random_points(1500, num_labels, seed)
     got = density_labels(gaussians, points)
-    votes = reference.density_votes(gaussians, points.positions.astype(np.float64), points.labels, module.CUT_OFF)
+    votes = reference.density_votes(
+        gaussians, points.positions.astype(np.float64), points.labels, module.CUT_OFF_SIGMAS
+    )
     clear = decided(votes)
     assert clear.any()
     assert_array_equal(got[clear], votes.argmax(1)[clear])

@@ -315,7 +315,7 @@ def test_voxels_are_the_twins(seed: int, side: float) -> None:
     labels = np.random.default_rng(seed).integers(0, 4, 80).astype(np.int32)
     grid = voxel.grid_over(gaussians.means, side)
     (got,) = voxel.voxel_labels(gaussians, [labels], 4, grid)
-    scores = reference.voxel_scores(gaussians, labels, grid.centers, 4, voxel.CUT_OFF)
+    scores = reference.voxel_scores(gaussians, labels, grid.centers, 4, voxel.CUT_OFF_SIGMAS)
     expected = np.where(scores.sum(1) * side**3 > voxel.MIN_MASS, scores.argmax(1), -1)
     first, second = -np.sort(-scores, axis=1)[:, :2].T
     mass = scores.sum(1) * side**3

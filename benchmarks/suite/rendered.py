@@ -17,7 +17,7 @@ from jaxtyping import Float32
 from scipy.sparse import csr_array, vstack
 
 from drsplat import Gaussians, MiniEncoder, View, ViewFeatures
-from drsplat.evaluation.scorers import COSINES, Scorer
+from drsplat.evaluation.scorers import COSINE_SWEEP, Scorer
 from drsplat.kernels import splat_arrays
 
 from .blending import blending_of
@@ -51,7 +51,7 @@ def rendered_scorer(
 
     about = {"directions": DIRECTIONS, "steps": STEPS[name], "width": WIDTH, "measure": "cosine"}
     names = tuple(view.name for view in seen)
-    return Scorer(name, len(gaussians), scores, encoder.threshold, COSINES, about, names)
+    return Scorer(name, len(gaussians), scores, encoder.threshold, COSINE_SWEEP, about, names)
 
 
 def least_squares(weights: csr_array, targets: Float32[np.ndarray, "p r"], steps: int) -> Float32[np.ndarray, "n r"]:

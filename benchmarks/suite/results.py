@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from drsplat import MiniEncoder
-from drsplat.evaluation.voxel import SIDE
+from drsplat.evaluation.voxel import VOXEL_SIDE
 from drsplat.formats.replacing import replacing
 from drsplat.photos.models.graph import GraphSegmenter
 from drsplat.scene.encoders import identity_json
@@ -32,7 +32,7 @@ def results_of(folders: Sequence[Path], every: int, records: Sequence[dict[str, 
         "segmenter": dict(GraphSegmenter().identity),
         "label_set": LABEL_SET,
         "sweep": list(SWEEP),
-        "voxel_side": SIDE,
+        "voxel_side": VOXEL_SIDE,
         "code": {method: running.code_of(method) for method in running.ALL},
         "scenes": scenes,
         "records": list(records),

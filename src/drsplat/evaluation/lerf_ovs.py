@@ -52,11 +52,11 @@ from .scorers import Scorer
 from .thresholds import best_sweep
 
 PROTOCOL = "lerf-ovs@1"
-SILHOUETTE = 0.7  # alpha of the selected Gaussians, alone
-MAJORITY = 0.5  # sum of the selection's blending weights in the whole picture
+SILHOUETTE_ALPHA = 0.7  # of the selected Gaussians, rendered alone
+MAJORITY_SHARE = 0.5  # of the whole picture's blending weights that the selection has
 PEAK_WINDOW_SHARE = 1 / 33  # of the width; LangSplat smooths over 30 pixels of photos about 990 wide
 PEAKS = "peaks.json"
-ACCURACIES = (0.25, 0.5)
+ACCURACY_IOUS = (0.25, 0.5)
 MAX_THRESHOLD = 2.0  # above all cosines and relevancies
 
 
@@ -130,8 +130,8 @@ def predict(
     inputs = {
         "gaussians": gaussians.fingerprint,
         "scorer": dict(scorer.about),
-        "silhouette": SILHOUETTE,
-        "majority": MAJORITY,
+        "silhouette": SILHOUETTE_ALPHA,
+        "majority": MAJORITY_SHARE,
         "peak_window": PEAK_WINDOW_SHARE,
         "chosen": picked,
     }
@@ -231,7 +231,7 @@ def _write_masks(
         write_mask(path(column=column), mask)
     whole = _whole_picture(splats, view, cut, threads)
     for column, share in zip(cut.at, whole[1:], strict=True):
-        write_mask(path(column=seen_column(column)), share > MAJORITY)
+        write_mask(path(column=seen_column(column)), share > MAJORITY_SHARE)
     scores: Float32[np.ndarray, "h w"] = whole[0]
     return scores
 
@@ -254,7 +254,7 @@ def silhouette(
         return np.zeros((view.height, view.width), bool)
     alone = splats.subset(selected)
     drawn = render_channels(alone, view, np.zeros((len(selected), 1), np.float32), threads=threads)
-    mask: np.ndarray = drawn.alpha > SILHOUETTE
+    mask: np.ndarray = drawn.alpha > SILHOUETTE_ALPHA
     return mask
 
 
@@ -341,7 +341,7 @@ def _summary(
 
 
 def _numbers(ious: list[float], seen: list[float], hits: list[float]) -> dict[str, float]:
-    accuracies = {f"acc@{t:g}": metrics.share_above(ious, t) for t in ACCURACIES}
+    accuracies = {f"acc@{t:g}": metrics.share_above(ious, t) for t in ACCURACY_IOUS}
     means = {"miou": metrics.mean(ious), "seen": metrics.mean(seen)}
     return {**means, **accuracies, "localization": metrics.mean(hits)}
 

@@ -22,7 +22,7 @@ from ..formats.json_files import excerpt, read_json
 from ..formats.replacing import replacing
 
 MANIFEST = "predictions.json"
-MIN_INSIDE = 10  # grey values above are inside, as OpenGaussian reads its masks
+MAX_OUTSIDE_GREY = 10  # lighter pixels are inside, as OpenGaussian reads its masks
 FIXED, TUNED, SWEEP = "fixed", "tuned on test", "sweep"
 AUTOMATIC = "automatic"
 ANSWERED = "per query, as `drsplat select` answers"
@@ -139,7 +139,7 @@ def read_mask(path: Path, width: int, height: int) -> Bool[np.ndarray, "h w"] | 
         raise FormatError(f"{path}: cannot be read as a PNG: {error}") from error
     if size != (width, height):
         raise FormatError(f"{path}: expected {width}x{height} pixels as labelled, got {size[0]}x{size[1]}")
-    occupied: np.ndarray = pixels > MIN_INSIDE
+    occupied: np.ndarray = pixels > MAX_OUTSIDE_GREY
     return occupied
 
 

@@ -19,9 +19,9 @@ from ..base.arrays import Float32, Float64, Int32, Int64
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 
-CUT_OFF = 3.0  # standard deviations
+CUT_OFF_SIGMAS = 3.0
 MAX_CANDIDATES = 8192  # points in the box of a Gaussian; it samples them where there are more
-SAMPLING_STEP = 4  # one in this many points is kept per round, for Gaussians with more candidates
+SAMPLING_STEP = 4  # in each round, one in so many points is kept for Gaussians with more candidates
 MAX_PAIRS = 1 << 19  # per batch: their arrays fit a core's cache
 BLOCK_SOURCES = 8192
 MAX_CELLS_ALONG = 1 << 16
@@ -93,7 +93,7 @@ def spacing(tree: cKDTree) -> float:
 
 
 def density_labels(
-    gaussians: Gaussians, points: LabelledPoints, *, cut_off: float = CUT_OFF, threads: int = 0
+    gaussians: Gaussians, points: LabelledPoints, *, cut_off: float = CUT_OFF_SIGMAS, threads: int = 0
 ) -> Int32[np.ndarray, " n"]:
     """Return the argmax over labels s of the sum of exp(-d^2 / 2) over the points of s within `cut_off`.
 

@@ -81,7 +81,7 @@ def evaluate(
     method: str | None = None,
     automatic: bool = False,
     without: Names | None = None,
-    voxel_side: float = voxel.SIDE,
+    voxel_side: float = voxel.VOXEL_SIDE,
     figures: int = 6,
     score_only: bool = False,
     overwrite: bool = False,

@@ -29,7 +29,7 @@ from .pseudo_labels import LabelledPoints, pseudo_labels
 from .scorers import Scorer, hashed
 
 LABELS = "labels.npy"
-ACCURACIES = (0.15, 0.30, 0.45)
+ACCURACY_IOUS = (0.15, 0.30, 0.45)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from .scannet import ScannetScene, over_scenes, predict_classes, predicted_class
 
 PROTOCOL = "scannet-points@1"
 FAINT_OPACITY = 0.1
-TOLERANCE = 1e-3  # of the scene's extent
+MAX_MOVED_SHARE = 1e-3  # of the scene's extent
 
 predict = partial(predict_classes, protocol=PROTOCOL)
 
@@ -57,7 +57,7 @@ def frozen_truth(scene: ScannetScene) -> Int32[np.ndarray, " n"]:
             "scene trained with Gaussians frozen at the points; for free ones use scannet-volume@1"
         )
     moved = float(np.abs(means - positions).max(initial=0))
-    if moved > TOLERANCE * float(np.ptp(positions, axis=0).max(initial=0)):
+    if moved > MAX_MOVED_SHARE * float(np.ptp(positions, axis=0).max(initial=0)):
         raise MismatchError(
             f"'{scene.name}': Gaussians are up to {moved:.3g} away from their points: they were not frozen, or "
             "are in another order; for free ones use scannet-volume@1"

@@ -19,7 +19,7 @@ from ..errors import MismatchError
 from . import metrics
 from .predictions import AUTOMATIC, FIXED, TUNED, Manifest, is_sweep, read_manifests
 from .scannet import (
-    ACCURACIES,
+    ACCURACY_IOUS,
     ScannetScene,
     over_scenes,
     predict_classes,
@@ -133,7 +133,7 @@ def _summary(names: Sequence[str], by_scene: Sequence[Mapping[str, float]]) -> d
 
 
 def _numbers(ious: list[float]) -> dict[str, float]:
-    shares = {f"iou>{t:.2f}": metrics.share_above(ious, t) for t in ACCURACIES}
+    shares = {f"iou>{t:.2f}": metrics.share_above(ious, t) for t in ACCURACY_IOUS}
     return {"miou": metrics.mean(ious), **shares}
 
 

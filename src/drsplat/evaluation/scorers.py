@@ -17,11 +17,11 @@ from ..query.wholes import by_object, for_comparing
 from ..scene.encoders import Encoder
 from ..scene.views import pictures_kind, scenes_rendered
 
-BLOCK = 1 << 16
+BLOCK_ROWS = 1 << 16
 COSINE_THRESHOLD, RELEVANCY_THRESHOLD = 0.5, 0.5
 # texts and photos have cosines of 0.15 to 0.35 with CLIP, up to 1 with the built-in encoders
-COSINES = tuple(k / 100 for k in (*range(14, 36), *range(40, 95, 5)))
-RELEVANCIES = tuple(k / 100 for k in range(40, 92, 2))
+COSINE_SWEEP = tuple(k / 100 for k in (*range(14, 36), *range(40, 95, 5)))
+RELEVANCY_SWEEP = tuple(k / 100 for k in range(40, 92, 2))
 
 Scores = Float32[np.ndarray, " N"]
 
@@ -99,7 +99,7 @@ def cosine_scorer(source: LanguageField, encoder: Encoder, name: str = "cosine",
     }
     views = None if source.evidence is None else source.evidence.masks.view_names
     return Scorer(
-        name, source.num_gaussians, scores, _fixed(encoder), COSINES, about, views, _own(encoder), several,
+        name, source.num_gaussians, scores, _fixed(encoder), COSINE_SWEEP, about, views, _own(encoder), several,
         _answer(source, encoder, threads), None if source.objects is None else classes,
     )  # fmt: skip
 
@@ -131,7 +131,7 @@ def feature_scorer(features: Rows, encoder: Encoder, name: str = "features") -> 
 
     about = {"features": hashed(features), "encoder": encoder.identity.name, "measure": "cosine"}
     threshold, least = _fixed(encoder), _own(encoder)
-    return Scorer(name, len(features), scores, threshold, COSINES, about, least=least)
+    return Scorer(name, len(features), scores, threshold, COSINE_SWEEP, about, least=least)
 
 
 def relevant(cosines: Scorer, name: str = "relevancy") -> Scorer:
@@ -155,7 +155,7 @@ def relevant(cosines: Scorer, name: str = "relevancy") -> Scorer:
 
     about = {**cosines.about, "measure": "relevancy", "negatives": list(NEGATIVES)}
     return replace(
-        cosines, name=name, scores=scores, several=several, threshold=RELEVANCY_THRESHOLD, sweep=RELEVANCIES,
+        cosines, name=name, scores=scores, several=several, threshold=RELEVANCY_THRESHOLD, sweep=RELEVANCY_SWEEP,
         about=about, least=None, answer=None,
     )  # fmt: skip
 
@@ -163,19 +163,19 @@ def relevant(cosines: Scorer, name: str = "relevancy") -> Scorer:
 def hashed(array: Rows) -> str:
     """Hash the type, shape and content of an array."""
     digest = hashlib.blake2b(f"{array.dtype.str} {array.shape}".encode(), digest_size=16)
-    for start in range(0, len(array), BLOCK):
-        digest.update(np.ascontiguousarray(array[start : start + BLOCK]).data)
+    for start in range(0, len(array), BLOCK_ROWS):
+        digest.update(np.ascontiguousarray(array[start : start + BLOCK_ROWS]).data)
     return digest.hexdigest()
 
 
 def _cosines(features: Rows, unit: Float32[np.ndarray, " D"]) -> Scores:
     scores = np.empty(len(features), np.float32)
-    for start in range(0, len(features), BLOCK):
+    for start in range(0, len(features), BLOCK_ROWS):
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-            block = features[start : start + BLOCK].astype(np.float32)
+            block = features[start : start + BLOCK_ROWS].astype(np.float32)
             norms = np.linalg.norm(block, axis=1)
             lengths = np.where((norms > 0) & (norms < np.inf), norms, np.nan)
-            scores[start : start + BLOCK] = block @ unit / lengths
+            scores[start : start + BLOCK_ROWS] = block @ unit / lengths
     return scores
 
 

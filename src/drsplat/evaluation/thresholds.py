@@ -7,7 +7,7 @@ import numpy as np
 from ..base.arrays import Bool, Float32, Float64
 from .predictions import is_sweep
 
-MIN_GAIN = 1e-12
+MIN_MIOU_GAIN = 1e-12
 
 
 def best_sweep(means: Mapping[str, float]) -> str | None:
@@ -18,7 +18,7 @@ def best_sweep(means: Mapping[str, float]) -> str | None:
     """
     best: str | None = None
     for column in sorted(column for column in means if is_sweep(column)):
-        if best is None or means[column] > means[best] + MIN_GAIN:
+        if best is None or means[column] > means[best] + MIN_MIOU_GAIN:
             best = column
     return best
 

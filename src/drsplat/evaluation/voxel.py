@@ -25,9 +25,9 @@ from .predictions import read_manifests
 from .scannet import ScannetScene, over_scenes, predict_classes, predicted_classes, segmentation_record
 
 PROTOCOL = "voxel@1"
-SIDE = 0.05  # scene units; ScanNet's are metres
-MIN_MASS = 1e-3  # least sum of alpha N(v) times the volume of a voxel
-CUT_OFF = 3.0  # standard deviations
+VOXEL_SIDE = 0.05  # scene units; ScanNet's are metres
+MIN_MASS = 1e-3  # sum of alpha N(v) times the volume of a voxel
+CUT_OFF_SIGMAS = 3.0
 MAX_VOXELS = 1 << 27
 SLAB_SCORES = 1 << 22
 MAX_PAIRS = 1 << 19
@@ -51,7 +51,7 @@ class VoxelGrid:
         return np.asarray(self.origin + (at + 0.5) * self.side)
 
 
-def grid_over(positions: np.ndarray, side: float = SIDE) -> VoxelGrid:
+def grid_over(positions: np.ndarray, side: float = VOXEL_SIDE) -> VoxelGrid:
     """Return voxels that cover points. Raises: InputError: no positive side, or too many voxels for memory."""
     if not side > 0:
         raise InputError(f"voxel side: expected a positive length, got {side}")
@@ -89,7 +89,9 @@ def voxel_labels(
     return [np.concatenate(column) for column in zip(*parts, strict=True)]
 
 
-def score(scenes: Sequence[ScannetScene], folder: Path, *, side: float = SIDE, threads: int = 0) -> dict[str, Any]:
+def score(
+    scenes: Sequence[ScannetScene], folder: Path, *, side: float = VOXEL_SIDE, threads: int = 0
+) -> dict[str, Any]:
     """Score predictions in voxels, and beside it by Eq. 3 with and without significance.
 
     Predictions of scannet-volume@1 are read, too. The study's correlations are NaN below 3 scenes.
@@ -119,7 +121,7 @@ def score(scenes: Sequence[ScannetScene], folder: Path, *, side: float = SIDE, t
     }
 
 
-def voxel_record(scene: ScannetScene, folder: Path, *, side: float = SIDE, threads: int = 0) -> dict[str, Any]:
+def voxel_record(scene: ScannetScene, folder: Path, *, side: float = VOXEL_SIDE, threads: int = 0) -> dict[str, Any]:
     """Return IoU and accuracy of the classes of one scene, in voxels."""
     predictions, truth, count = predicted_classes(scene, folder), scene.pseudo_labels, len(scene.labels)
     labelled = np.flatnonzero(truth > 0)
@@ -167,7 +169,7 @@ class _Sources:
         self.whiten = gaussians.whitening().astype(np.float32).astype(np.float64)
         scales = gaussians.scales.astype(np.float64)
         self.peaks = gaussians.opacities / ((2 * np.pi) ** 1.5 * scales.prod(1))
-        reach = CUT_OFF * np.sqrt(gaussians.covariances()[:, [0, 3, 5]])
+        reach = CUT_OFF_SIGMAS * np.sqrt(gaussians.covariances()[:, [0, 3, 5]])
         low, high = ((self.means + sign * reach - grid.origin) / grid.side - 0.5 for sign in (-1, 1))
         self.low = np.maximum(np.ceil(low), 0).astype(np.int64)
         self.high = np.minimum(np.floor(high), np.array(grid.shape) - 1).astype(np.int64)
@@ -212,7 +214,7 @@ def _pairs(
     offsets = sources.grid.origin + (at + 0.5) * sources.grid.side - sources.means[ids][row]
     along = np.einsum("pij,pj->pi", sources.whiten[ids][row], offsets)
     squared = (along**2).sum(1)
-    near = squared <= CUT_OFF**2
+    near = squared <= CUT_OFF_SIGMAS**2
     owner = ids[row[near]]
     return owner, at[near], sources.peaks[owner] * np.exp(-squared[near] / 2)
 

@@ -29,7 +29,7 @@ from .probes import PROBES, Probe
 
 FIELD, FEATURES = "room.field", "language_features"
 
-RIGHT_IOU = 0.5  # an answer counts as right above
+MIN_RIGHT_IOU = 0.5  # an answer counts as right above
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +54,8 @@ class Verdict:
 
     @property
     def is_right(self) -> bool:
-        """True for a match that overlaps the truth by more than RIGHT_IOU, or for rightly no match."""
-        return not self.found if self.iou is None else self.iou > RIGHT_IOU
+        """True for a match that overlaps the truth by more than MIN_RIGHT_IOU, or for rightly no match."""
+        return not self.found if self.iou is None else self.iou > MIN_RIGHT_IOU
 
 
 @dataclass(frozen=True, eq=False)
