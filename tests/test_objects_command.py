@@ -14,7 +14,7 @@ from PIL import Image
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Scene, load_field, open_scene, read_gaussians, write_gaussians
 from drsplat.drawing.cards import GAP_PX, HEADING_PX, LINE_SPACING, MARGIN_PX, NOTE_PX
-from drsplat.drawing.cutouts import TILE, cut_out
+from drsplat.drawing.cutouts import TILE_PX, cut_out
 from drsplat.drawing.pictures import PAPER
 from drsplat.errors import InputError
 from drsplat.formats.cameras_json import write_cameras_json
@@ -150,7 +150,7 @@ def test_the_sheet_shows_each_object_on_its_pale_surroundings(room: Path, capsys
         MARGIN_PX + 1,
         MARGIN_PX + sum(round(LINE_SPACING * size) for size in (HEADING_PX, NOTE_PX)) + GAP_PX + 1,
     )
-    step = TILE[0] + 2 + GAP_PX
+    step = TILE_PX[0] + 2 + GAP_PX
     assert sheet.shape[1] == 2 * MARGIN_PX + 3 * step - GAP_PX
     tiles = [sheet[top : top + 240, left + n * step : left + n * step + 320].astype(int) for n in range(3)]
     for tile in tiles:

@@ -8,7 +8,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from .pictures import FAINT, INK, PAPER, OtherPixels, fitting
 
-FRAME = (214, 217, 223)
+FRAME_COLOR = (214, 217, 223)
 GAP_PX, MARGIN_PX, PADDING_PX = 16, 24, 10  # between cards, around the sheet, of text in a card
 TITLE_PX, NOTE_PX, HEADING_PX = 18, 14, 30  # heights of letters
 LINE_SPACING = 1.45  # of the height of letters
@@ -46,8 +46,8 @@ def _drawn(card: Card) -> Image.Image:
     drawn = Image.new("RGB", (width + 2, height + 2 + text), PAPER)
     drawn.paste(Image.fromarray(card.pixels), (1, 1))
     pen = ImageDraw.Draw(drawn)
-    pen.rectangle((0, 0, drawn.width - 1, drawn.height - 1), outline=FRAME)
-    pen.line((0, height + 1, drawn.width, height + 1), FRAME)
+    pen.rectangle((0, 0, drawn.width - 1, drawn.height - 1), outline=FRAME_COLOR)
+    pen.line((0, height + 1, drawn.width, height + 1), FRAME_COLOR)
     _write(drawn, PADDING_PX, height + 1 + PADDING_PX, lines)
     return drawn
 

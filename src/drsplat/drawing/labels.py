@@ -10,12 +10,12 @@ from PIL import Image, ImageDraw, ImageFont
 from ..base.arrays import Float64
 from ..scene.annotations import Annotation, Outline
 from ..scene.views import View
-from .pictures import OUTLINE, Pixels
+from .pictures import OUTLINE_COLOR, Pixels
 from .plates import Box, plates_of
 
 CORNERS = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)]) - 0.5
 EDGES = [(i, k) for i, k in combinations(range(8), 2) if (i ^ k).bit_count() == 1]
-SHADE = (20, 22, 27)  # behind letters and beside lines, so that they are read on anything
+SHADE_COLOR = (20, 22, 27)  # behind letters and beside lines, to make them legible on anything
 NEAR_SHARE = 1e-3  # of the distance to a mark's middle: nothing nearer to the camera is drawn
 LINES_PER_HEIGHT, MIN_LETTERS_PX = 28, 11
 Spot = tuple[float, float]
@@ -35,7 +35,7 @@ class Mark:
     center: Float64[np.ndarray, " 3"]
     extent: Float64[np.ndarray, " 3"] | None = None
     axes: Float64[np.ndarray, "3 3"] | None = None
-    color: Color = OUTLINE
+    color: Color = OUTLINE_COLOR
 
     @property
     def corners(self) -> Float64[np.ndarray, "8 3"]:
@@ -122,10 +122,10 @@ def _within(start: np.ndarray, end: np.ndarray, view: View) -> tuple[Spot, Spot]
 def _draw_lines(pen: ImageDraw.ImageDraw, mark: Mark, spots: Sequence[tuple[Spot, Spot]], width: int) -> None:
     if mark.extent is None:
         for (x, y), _ in spots:
-            for radius, color in ((3 * width + 1, SHADE), (2 * width + 1, mark.color)):
+            for radius, color in ((3 * width + 1, SHADE_COLOR), (2 * width + 1, mark.color)):
                 pen.ellipse((x - radius, y - radius, x + radius, y + radius), fill=color)
         return
-    for thick, color in ((width + 2, SHADE), (width, mark.color)):
+    for thick, color in ((width + 2, SHADE_COLOR), (width, mark.color)):
         for line in spots:
             pen.line(line, fill=color, width=thick)
 
@@ -164,7 +164,7 @@ def _draw_name(pen: ImageDraw.ImageDraw, mark: Mark, plate: Box, letters: Letter
     text = _in_a_line(mark.text)
     inner = pen.textbbox((0, 0), text, letters)
     x, y = (left + right - inner[0] - inner[2]) / 2, (top + bottom - inner[1] - inner[3]) / 2
-    pen.rectangle((left, top, right, bottom), fill=SHADE)
+    pen.rectangle((left, top, right, bottom), fill=SHADE_COLOR)
     pen.text((x, y), text, mark.color, letters)
 
 

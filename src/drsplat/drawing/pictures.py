@@ -23,7 +23,7 @@ from .rendering import render
 
 Pixels = UInt8[np.ndarray, "h w 3"]
 OtherPixels = UInt8[np.ndarray, "_ _ 3"]  # of another size than the arguments
-OUTLINE = (255, 64, 160)
+OUTLINE_COLOR = (255, 64, 160)
 PNG_LEVEL = 3  # of 9: half the time of the usual 6, and a tenth more bytes
 MIN_LIGHT = 0.45  # share of its colour that heat keeps where the photo is black
 LETTER_SCALES = (1.0, 0.9, 0.8, 0.7, 0.6)  # of the size that fits a strip's height
@@ -86,7 +86,7 @@ def highlighted(photo: Pixels, share: Float32[np.ndarray, "h w"], outline_px: in
     faded = (150 + 0.38 * (grey - 110))[..., None]
     visible = np.clip(share, 0, 1)[..., None]
     picture: Pixels = np.clip(photo * visible + faded * (1 - visible), 0, 255).astype(np.uint8)
-    picture[border(share > 0.5, outline_px or max(2, photo.shape[1] // 240))] = OUTLINE
+    picture[border(share > 0.5, outline_px or max(2, photo.shape[1] // 240))] = OUTLINE_COLOR
     return picture
 
 

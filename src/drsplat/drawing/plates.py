@@ -6,9 +6,9 @@ import numpy as np
 
 from ..base.arrays import Float64
 
-MAX_DODGING = 200  # names that make room for each other; further ones are placed as if alone
-STEPS = (0, 1, 2, 3)  # heights of a plate between an object and its name
-SIDE_STEPS = (0.0, -0.5, 0.5, -1.0, 1.0)  # widths of a plate
+MAX_DODGING_NAMES = 200  # that make room for each other; further ones are placed as if alone
+PLATE_HEIGHTS = (0, 1, 2, 3)  # between an object and its name
+PLATE_WIDTHS = (0.0, -0.5, 0.5, -1.0, 1.0)  # by which a name moves aside
 Box = Float64[np.ndarray, " 4"]  # left, top, right, bottom, in pixels
 
 
@@ -23,7 +23,7 @@ def plates_of(
     taken = np.empty((0, 4))
     for number, (thing, size) in enumerate(zip(things, sizes, strict=True)):
         places = _places(thing, size, margin, picture)
-        hidden = _shared(places, taken if number < MAX_DODGING else taken[:0]).sum(1)
+        hidden = _shared(places, taken if number < MAX_DODGING_NAMES else taken[:0]).sum(1)
         taken = np.concatenate([taken, places[[int(np.argmin(hidden))]]])
     return list(taken)
 
@@ -33,9 +33,9 @@ def _places(
 ) -> Float64[np.ndarray, "c 4"]:
     """Return all candidate places, nearest first, within the picture."""
     (wide, high), (left, top, right, bottom) = size, thing.tolist()
-    rows = [(float(step), top - margin - (step + 1) * high) for step in STEPS]
-    rows += [(step + 0.5, bottom + margin + step * high) for step in STEPS]
-    ways = sorted(((step + abs(aside), aside, y) for step, y in rows for aside in SIDE_STEPS), key=lambda way: way[0])
+    rows = [(float(step), top - margin - (step + 1) * high) for step in PLATE_HEIGHTS]
+    rows += [(step + 0.5, bottom + margin + step * high) for step in PLATE_HEIGHTS]
+    ways = sorted(((step + abs(aside), aside, y) for step, y in rows for aside in PLATE_WIDTHS), key=lambda way: way[0])
     x = np.array([(left + right - wide) / 2 + aside * wide for _, aside, _ in ways])
     y = np.array([y for *_, y in ways])
     x, y = x.clip(0, max(picture[0] - wide, 0)), y.clip(0, max(picture[1] - high, 0))

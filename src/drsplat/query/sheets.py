@@ -6,7 +6,7 @@ import numpy as np
 
 from ..base.terminal import counted
 from ..drawing.cards import Card, card_sheet
-from ..drawing.cutouts import TILE, cut_out
+from ..drawing.cutouts import TILE_PX, cut_out
 from ..drawing.heat import heat_of
 from ..drawing.pictures import (
     OtherPixels,
@@ -34,7 +34,9 @@ MOST = 60  # objects on a sheet
 MOST_ATTRIBUTES, ATTRIBUTE_SIDE = 12, 640  # pictures in a row; pixels of their longer side
 
 
-def object_picture(scene: Scene, match: Match, view: View | None = None, size: tuple[int, int] = TILE) -> OtherPixels:
+def object_picture(
+    scene: Scene, match: Match, view: View | None = None, size: tuple[int, int] = TILE_PX
+) -> OtherPixels:
     """Cut an object out of a photo of it, or of a rendering where there is no photo. view: None for the best one.
 
     size: width and height in pixels, of 4 to 3.
