@@ -26,7 +26,7 @@ def test_small_files_are_read_and_large_ones_mapped(tmp_path: Path, monkeypatch:
     os.truncate(path, 100)
     np.testing.assert_array_equal(read, tensors["x"])  # a mapped one would end the process here
     write_tensors(path, tensors, overwrite=True)
-    monkeypatch.setattr(contents, "SMALL", 1000)
+    monkeypatch.setattr(contents, "MAX_READ_BYTES", 1000)
     mapped = map_tensors(path)[0]["x"]
     assert isinstance(mapped, np.memmap)
     np.testing.assert_array_equal(mapped, read)
@@ -38,7 +38,7 @@ def test_maps_pass_a_piece_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyP
     path, numbers = tmp_path / "a", np.arange(3 << 20, dtype=np.int32)
     numbers.tofile(path)
     mapped = np.asarray(np.memmap(path, np.int32, "r"))[:-1]
-    monkeypatch.setattr(contents, "_PIECE", 1 << 20)
+    monkeypatch.setattr(contents, "_PIECE_BYTES", 1 << 20)
     before, most = _mapped_bytes(), 0
     for at, piece in enumerate(pieces(mapped)):
         assert bytes(piece) == numbers[:-1].tobytes()[at << 20 : at + 1 << 20]

@@ -222,7 +222,7 @@ def test_any_dimension_finds_a_number_of_parts() -> None:
 def test_a_field_comes_back_from_disk_to_the_bit_and_mapped(  # type: ignore[no-untyped-def]
     make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(contents, "SMALL", 0)
+    monkeypatch.setattr(contents, "MAX_READ_BYTES", 0)
     negatives = unit_rows(np.random.default_rng(6), 2, 32)
     field = make().with_negatives(negatives, ("this", "that"))
     field.save(tmp_path / "a.field")

@@ -15,11 +15,11 @@ import numpy as np
 
 from ..errors import FormatError, InputError
 from .arrays import UInt8
-from .system import NO_WAITING, OF_OURS
+from .system import NO_WAITING, OWN_FILE_FLAGS
 
-SMALL = 64 << 20  # bytes; read in some hundredths of a second
-_CACHE_LINE = 64  # bytes
-_PIECE = 64 << 20  # bytes of a mapped file that are in memory at once
+MAX_READ_BYTES = 64 << 20  # read in some hundredths of a second; larger files are mapped
+_CACHE_LINE_BYTES = 64
+_PIECE_BYTES = 64 << 20  # of a mapped file that are in memory at once
 
 
 def open_file(path: str | os.PathLike[str]) -> BufferedReader:
@@ -27,7 +27,7 @@ def open_file(path: str | os.PathLike[str]) -> BufferedReader:
 
     Raises: InputError: a folder, pipe, socket or device. OSError: as `open`.
     """
-    number = os.open(path, os.O_RDONLY | NO_WAITING | OF_OURS)
+    number = os.open(path, os.O_RDONLY | NO_WAITING | OWN_FILE_FLAGS)
     if not stat.S_ISREG(os.fstat(number).st_mode):
         os.close(number)
         raise InputError(f"{path}: expected a file, this is a folder, a pipe or a device")
@@ -48,7 +48,7 @@ def file_bytes(path: Path) -> UInt8[np.ndarray, " n"]:
     try:
         with open_file(path) as file:
             size = os.fstat(file.fileno()).st_size
-            return _read(file, size, path) if size <= SMALL else np.memmap(file, np.uint8, "r")
+            return _read(file, size, path) if size <= MAX_READ_BYTES else np.memmap(file, np.uint8, "r")
     except (FileNotFoundError, NotADirectoryError):
         raise InputError(f"{path}: there is no such file") from None
 
@@ -66,14 +66,14 @@ def release(*arrays: np.ndarray) -> None:
 def pieces(array: np.ndarray) -> Iterator[memoryview]:
     """Yield the bytes of an array in C order, in pieces; a mapped file is never in memory as a whole."""
     raw = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
-    for begin in range(0, raw.size, _PIECE):
-        yield raw[begin : begin + _PIECE].data
+    for begin in range(0, raw.size, _PIECE_BYTES):
+        yield raw[begin : begin + _PIECE_BYTES].data
         release(array)
 
 
 def _read(file: BufferedReader, size: int, path: Path) -> UInt8[np.ndarray, " n"]:
-    room = np.empty(size + _CACHE_LINE, np.uint8)
-    start = -room.ctypes.data % _CACHE_LINE
+    room = np.empty(size + _CACHE_LINE_BYTES, np.uint8)
+    start = -room.ctypes.data % _CACHE_LINE_BYTES
     content = room[start : start + size]
     if file.readinto(content.data) != size:
         raise FormatError(f"{path}: the file became shorter while it was read: try again")

@@ -20,9 +20,9 @@ RENAMES_OPEN_FILES = not WINDOWS
 NO_WAITING = getattr(os, "O_NONBLOCK", 0)
 NO_LINKS = NO_WAITING | getattr(os, "O_NOFOLLOW", 0)
 """Flags to open what a stranger may have put there: no pipe is waited for, and no link is followed."""
-OF_OURS = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOINHERIT", 0)
-LOOK_AGAIN_S = 0.5  # interval at which a process checks whether its parent has ended
-_LOCKED_BYTE = 1 << 30  # of Windows, where a locked byte cannot be read: far beyond what is
+OWN_FILE_FLAGS = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOINHERIT", 0)
+PARENT_POLL_S = 0.5  # interval at which a process checks whether its parent has ended
+_LOCKED_BYTE = 1 << 30  # offset: Windows forbids reading a locked byte, so it lies far beyond any content
 
 
 def can_be_a_path(text: str) -> bool:
@@ -106,7 +106,7 @@ def _end_after(parent: int) -> None:
         _wait_for_windows_process(parent)
     else:
         while os.getppid() == parent:
-            time.sleep(LOOK_AGAIN_S)
+            time.sleep(PARENT_POLL_S)
     os._exit(1)
 
 

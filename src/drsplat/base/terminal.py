@@ -6,7 +6,7 @@ from pathlib import PurePath
 
 # controls but tab and newline, what turns the direction of writing, and halves of surrogate pairs
 _UNSHOWN = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
-LONGEST = 60  # characters of a quoted text
+MAX_QUOTED_CHARACTERS = 60
 
 
 def plain(text: str) -> str:
@@ -33,8 +33,8 @@ def plain_json(value: object) -> object:
 
 def quoted(text: str) -> str:
     """Quote an input for a message: plain, in quotes, and not longer than a line."""
-    shown = plain(text[: LONGEST + 1])
-    return f"'{shown[:LONGEST]}...'" if len(text) > LONGEST else f"'{shown}'"
+    shown = plain(text[: MAX_QUOTED_CHARACTERS + 1])
+    return f"'{shown[:MAX_QUOTED_CHARACTERS]}...'" if len(text) > MAX_QUOTED_CHARACTERS else f"'{shown}'"
 
 
 def counted(number: int, thing: str, things: str | None = None) -> str:

@@ -100,7 +100,7 @@ def _opened(lock: Path) -> BinaryIO:
 
     Raises: InputError: it is no plain file.
     """
-    flags = os.O_RDWR | os.O_CREAT | system.NO_LINKS | system.OF_OURS
+    flags = os.O_RDWR | os.O_CREAT | system.NO_LINKS | system.OWN_FILE_FLAGS
     try:
         number = os.open(lock, flags, 0o666)
     except OSError as error:

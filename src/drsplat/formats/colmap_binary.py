@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ..base.contents import SMALL, open_file
+from ..base.contents import MAX_READ_BYTES, open_file
 from ..errors import FormatError
 from .colmap_records import MODEL_NAMES, CameraRecord, ImageRecord, PointRecord, parameter_names
 
@@ -73,7 +73,7 @@ class _Cursor:
 @contextmanager
 def _opened(path: Path) -> Iterator[_Cursor]:
     with open_file(path) as file:
-        if os.fstat(file.fileno()).st_size <= SMALL:
+        if os.fstat(file.fileno()).st_size <= MAX_READ_BYTES:
             yield _Cursor(path, file.read())
         else:
             with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:

@@ -16,7 +16,7 @@ import stat
 import tomllib
 from typing import TYPE_CHECKING, Any
 
-from ...base.system import NO_WAITING, OF_OURS, can_be_a_path
+from ...base.system import NO_WAITING, OWN_FILE_FLAGS, can_be_a_path
 from ...base.terminal import counted, plain, quoted
 from ...errors import InputError
 
@@ -118,7 +118,7 @@ def _content(path: str) -> bytes:
     """Read a regular file without waiting: a pipe could block for ever, a device has no end."""
     if not can_be_a_path(path):
         raise InputError(f"--config: expected text in UTF-8, got {quoted(path)}")
-    number = os.open(path, os.O_RDONLY | NO_WAITING | OF_OURS)
+    number = os.open(path, os.O_RDONLY | NO_WAITING | OWN_FILE_FLAGS)
     if not stat.S_ISREG(os.fstat(number).st_mode):
         os.close(number)
         raise InputError(f"{path}: expected a file of TOML, this is a folder, a pipe or a device")

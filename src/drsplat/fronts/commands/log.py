@@ -9,7 +9,7 @@ from io import TextIOBase
 from pathlib import Path
 from typing import Any, TextIO
 
-from ...base.system import NO_WAITING, OF_OURS, can_be_a_path
+from ...base.system import NO_WAITING, OWN_FILE_FLAGS, can_be_a_path
 from ...base.terminal import plain
 from ...errors import InputError
 
@@ -82,7 +82,7 @@ def _opened(path: str) -> TextIO:
     """Open a log to append to; a pipe, which could block for ever, is refused."""
     if Path(path).is_fifo():
         raise InputError(f"--log {path}: expected a file, this is a pipe")
-    number = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | NO_WAITING | OF_OURS, 0o666)
+    number = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | NO_WAITING | OWN_FILE_FLAGS, 0o666)
     return open(number, "a", encoding="utf-8", errors="backslashreplace")
 
 
