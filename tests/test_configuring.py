@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from command_line import Capture, error_of, text_of
 from drsplat.cli import VERBS, make_parser
 from drsplat.errors import InputError
-from drsplat.fronts.commands.configuring import MAX_BYTES, configuration, options_of, place
+from drsplat.fronts.commands.configuring import MAX_FILE_BYTES, configuration, options_of, place
 from drsplat.fronts.commands.options import words
 from drsplat.fronts.commands.parsing import VerbParser
 
@@ -228,7 +228,7 @@ DEEP = {
     "digits": "[inspect]\nmax-side = " + "9" * 10_000,
     "digits in a list": "[inspect]\nimages = [" + "9" * 10_000 + "]",
     "digits for a flag": "[inspect]\nverify = " + "9" * 4_000,
-    "long": "# " + "x" * MAX_BYTES,
+    "long": "# " + "x" * MAX_FILE_BYTES,
     "surrogate": 'images = "\\ud800"',
     "nul": '[inspect]\nimages = "a\\u0000b"',
     "nan": "[inspect]\nmax-side = nan",

@@ -81,7 +81,7 @@ def test_the_table_has_the_first_and_counts_the_rest(
     room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A real capture has hundreds of objects, of which the last are crumbs."""
-    monkeypatch.setattr(objects_command, "MOST_SHOWN", 2)
+    monkeypatch.setattr(objects_command, "MAX_ROWS_SHOWN", 2)
     text = text_of(capsys, *asked(room))
     assert [line.split()[0] for line in text.splitlines() if line.strip()[:1].isdigit()][1:] == ["0", "1"]
     assert "and 1 with less mass: --json, or --save OUT.csv, has all" in text

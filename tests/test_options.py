@@ -17,7 +17,7 @@ from drsplat import cli, load_field, read_gaussians
 from drsplat.cli import make_parser
 from drsplat.field.objects.choosing import Tree
 from drsplat.field.objects.describing import describe
-from drsplat.fronts.commands.options import LARGEST, MOST, finite, length, whole, words
+from drsplat.fronts.commands.options import MAX_COUNT, MAX_NUMBER, finite, length, whole, words
 from toy_capture import PER_THING, write_toy_capture
 
 NO_NUMBERS = [
@@ -99,7 +99,7 @@ def test_every_option_that_is_a_number_refuses_what_is_none() -> None:
 
 @given(st.text() | st.integers().map(str) | st.floats().map(str))
 def test_a_number_is_read_or_refused(text: str) -> None:
-    for read, low, high in ((whole, 0, MOST), (finite, -LARGEST, LARGEST), (length, 0, LARGEST)):
+    for read, low, high in ((whole, 0, MAX_COUNT), (finite, -MAX_NUMBER, MAX_NUMBER), (length, 0, MAX_NUMBER)):
         try:
             number = read(text)  # type: ignore[operator]
         except argparse.ArgumentTypeError:
@@ -108,7 +108,7 @@ def test_a_number_is_read_or_refused(text: str) -> None:
 
 
 def test_numbers_are_read() -> None:
-    assert [whole(text) for text in ("0", "007", "2147483647")] == [0, 7, MOST]
+    assert [whole(text) for text in ("0", "007", "2147483647")] == [0, 7, MAX_COUNT]
     assert (finite("-1e3"), length("0.5"), words("größer")) == (-1000, 0.5, "größer")
 
 

@@ -25,8 +25,8 @@ EXAMPLES = """\
 
 A stopped run resumes when the same command is given again; drsplat inspect describes a codebook."""
 DAILY = ("output", "lvis", "images", "encoder_name", "overwrite")
-LIMIT = 17_500  # 64 for each of 256 centroids, which is what is trained on, and 5 % held out
-HELD_OUT_SHARE, MOST_HELD_OUT = 0.05, 10_000
+DEFAULT_PATCHES = 17_500  # 64 for each of 256 centroids to train on, and 5 % held out
+HELD_OUT_SHARE, MAX_HELD_OUT_ROWS = 0.05, 10_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,9 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="encoder that made FEATURES.npy, e.g. ViT-B-16/laion2b_s34b_b88k"
     )  # fmt: skip
     source.add_argument(
-        "--limit", type=count_or_all, default=LIMIT, metavar="N",
+        "--limit", type=count_or_all, default=DEFAULT_PATCHES, metavar="N",
         help="embed at most N patches, drawn at random, or 'all'. Training takes 16,384 of them in any case, all "
-        f"others only cost time (default: {LIMIT}; patches under 100 pixels are left out)",
+        f"others only cost time (default: {DEFAULT_PATCHES}; patches under 100 pixels are left out)",
     )  # fmt: skip
     source.add_argument("--encoder", type=words, default=ENCODER, metavar="NAME", help=ENCODER_HELP)
     add_device(source)
@@ -162,7 +162,7 @@ def _trained(rows: np.ndarray, encoder: EncoderIdentity, arguments: argparse.Nam
     path = Path(arguments.features or arguments.lvis)
     order = np.random.default_rng(arguments.seed).permutation(len(rows))
     share = max(1, int(HELD_OUT_SHARE * len(rows))) if len(rows) > 1 else 0
-    held_out = unit_rows(rows, order[: min(share, MOST_HELD_OUT)], path)
+    held_out = unit_rows(rows, order[: min(share, MAX_HELD_OUT_ROWS)], path)
     drawn = unit_rows(rows, np.sort(order[share:][:TRAINING_POINTS]), path)
     codebook = train_codebook(
         drawn, arguments.subvectors, encoder=encoder, seed=arguments.seed,

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .parsing import Given, VerbParser
 
 NOT_KEPT = ("config", "print_config", "help", "help_all", "debug", "log")
-MAX_BYTES = 1 << 15  # of a file: tomllib's time grows with the square of the length of some lines
+MAX_FILE_BYTES = 1 << 15  # tomllib's time grows with the square of the length of some lines
 _NUMBER = re.compile(r"-?(0|[1-9]\d*)(\.\d+)?")
 
 
@@ -123,9 +123,9 @@ def _content(path: str) -> bytes:
         os.close(number)
         raise InputError(f"{path}: expected a file of TOML, this is a folder, a pipe or a device")
     with open(number, "rb") as file:
-        content = file.read(MAX_BYTES + 1)
-    if len(content) > MAX_BYTES:
-        raise InputError(f"{path}: expected a file of options, at most {MAX_BYTES:,} bytes")
+        content = file.read(MAX_FILE_BYTES + 1)
+    if len(content) > MAX_FILE_BYTES:
+        raise InputError(f"{path}: expected a file of options, at most {MAX_FILE_BYTES:,} bytes")
     return content
 
 

@@ -39,7 +39,7 @@ ENCODER_HELP = (
     f"drsplat-mini, built in, which knows 37 household objects (default: {ENCODER}, the paper's)"
 )
 _LEVELS = {"four": ("default", "small", "medium", "large"), "large": ("large",)}
-MOST_POINTS = 1024  # on a side
+MAX_POINTS_PER_SIDE = 1024
 AUTO, ALL = "auto", "all"
 COARSE_TO_FINE = {"first_points_per_side": 4, "points_per_side": 64, "most_points": 128}
 """Rounds of 4, 8, 16, 32 and 64 points a side, where no mask explains the photo yet."""
@@ -87,7 +87,7 @@ def _add_method(method: argparse._ArgumentGroup) -> None:
         "--crops objects large; graph has only these)",
     )  # fmt: skip
     method.add_argument(
-        "--points", type=_auto_or(up_to(MOST_POINTS)), metavar="N",
+        "--points", type=_auto_or(up_to(MAX_POINTS_PER_SIDE)), metavar="N",
         help="SAM: grid of N x N points on each photo and on each crop; time grows with N squared. auto asks coarse to "
         "fine, only where no mask explains the photo yet, 128 points at most (default: 32, LangSplat's)",
     )  # fmt: skip

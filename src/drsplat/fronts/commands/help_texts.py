@@ -4,7 +4,7 @@ import argparse
 import re
 import textwrap
 
-SHORT_EXAMPLES = 3
+MAX_SHORT_EXAMPLES = 3
 VERB_COLUMN = 14  # where the summaries of the verbs begin
 _NO_BREAK = "\xa0"
 _COMMAND = re.compile(r"^  drsplat .*(?:(?<=\\)\n.*)*", re.MULTILINE)
@@ -61,4 +61,4 @@ def _joined(lines: list[str]) -> list[str]:
 
 def first_examples(epilog: str) -> str:
     """Return the first few commands of an epilog of examples."""
-    return "\n".join(["examples:", *_COMMAND.findall(epilog)[:SHORT_EXAMPLES]])
+    return "\n".join(["examples:", *_COMMAND.findall(epilog)[:MAX_SHORT_EXAMPLES]])

@@ -8,7 +8,7 @@ from pathlib import Path
 from ..serving.access import is_loopback, names_of
 from .options import PORT, length, up_to
 
-MOST_WORKERS = 256  # processes
+MAX_WORKERS = 256  # processes
 
 
 def add_listening(parser: argparse.ArgumentParser, port: int) -> None:
@@ -26,7 +26,7 @@ def add_listening(parser: argparse.ArgumentParser, port: int) -> None:
 
 def add_computing(parser: argparse.ArgumentParser, workers: int) -> None:
     parser.add_argument(
-        "--workers", type=up_to(MOST_WORKERS), default=workers, metavar="N",
+        "--workers", type=up_to(MAX_WORKERS), default=workers, metavar="N",
         help=f"processes that compute, one request at a time each; others wait (default: {workers})",
     )  # fmt: skip
     parser.add_argument(

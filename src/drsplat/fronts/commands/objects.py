@@ -30,7 +30,7 @@ scene, its object or -1. objects.ply is the scene with that as a column object_i
 NAME.field: they outlive the field, and queries for such a name select exactly this object."""
 DAILY = ("scene", "all", "label", "id", "save", "picture", "views", "overwrite")
 
-MOST_SHOWN = 40  # rows on a terminal without --all; real captures have hundreds of objects
+MAX_ROWS_SHOWN = 40  # on a terminal without --all; real captures have hundreds of objects
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -110,7 +110,7 @@ def show(answer: dict[str, Any]) -> None:
     photos_agree = f" that {pictures} agree on" if unsure else ""
     title = f"{counted(len(listed), 'object')}{photos_agree}, {inside} of {every} in them; lengths in scene units"
     columns = ("object", "name", "Gaussians", "centre", "extent", pictures, "sure")
-    largest = listed if answer["all"] else listed[:MOST_SHOWN]
+    largest = listed if answer["all"] else listed[:MAX_ROWS_SHOWN]
     show_table(title, columns, [_row(one) for one in largest])
     if len(listed) > len(largest):
         print(f"and {len(listed) - len(largest):,} with less mass: --json, or --save OUT.csv, has all")

@@ -17,8 +17,9 @@ if TYPE_CHECKING:
     from ...field.codes import Track
     from ...scene.views import View
 
-MOST = 2**31 - 1  # the kernels count with 32 bits
-LARGEST, SMALLEST = 3.4e38, 1e-30  # and measure with floats of 32 bits
+MAX_COUNT = 2**31 - 1  # the kernels count with 32 bits
+MAX_NUMBER = 3.4e38  # the kernels measure with float32
+MIN_POSITIVE = 1e-30
 
 CAPTURE_OPTIONS = ("images", "dataparser_transforms", "max_side", "times")
 LEVEL_HELP = (
@@ -28,7 +29,7 @@ LEVEL_HELP = (
 )
 
 
-def whole(text: str, least: int = 0, most: int = MOST) -> int:
+def whole(text: str, least: int = 0, most: int = MAX_COUNT) -> int:
     """Return an option's whole number."""
     digits = text.lstrip("0") or text[:1]
     readable = digits.isascii() and digits.isdecimal() and len(digits) <= len(str(most))
@@ -60,7 +61,7 @@ def finite(text: str) -> float:
         number = float(text)
     except ValueError:
         number = math.nan
-    if not abs(number) <= LARGEST:
+    if not abs(number) <= MAX_NUMBER:
         raise argparse.ArgumentTypeError(f"expected a finite number, got {quoted(text)}")
     return number
 
@@ -68,7 +69,7 @@ def finite(text: str) -> float:
 def length(text: str) -> float:
     """Return an option's positive number, as scenes are measured."""
     number = finite(text)
-    if not number >= SMALLEST:
+    if not number >= MIN_POSITIVE:
         raise argparse.ArgumentTypeError(f"expected a number above 0, got {quoted(text)}")
     return number
 

@@ -28,7 +28,7 @@ Poses are planned from the scene: all around in the free space of a room, on sph
 much of it as can be is seen in three pictures. capture/photograph.json says that the pictures are renderings, and what
 is made from them says so, too. A stopped run leaves nothing: give the same command again."""
 DAILY = ("output", "overwrite", "number", "size", "up", "path", "time")
-MOST_PICTURES = 10_000
+MAX_PICTURES = 10_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add_overwrite(parser)
     parser.add_argument(
-        "--number", type=up_to(MOST_PICTURES), metavar="N",
+        "--number", type=up_to(MAX_PICTURES), metavar="N",
         help="number of pictures (default: as many as coverage takes, 48 to 150; 60 along a path)",
     )  # fmt: skip
     parser.add_argument(

@@ -12,7 +12,7 @@ from .stages import verb_line
 if TYPE_CHECKING:
     from ..scanning.inputs import ScanInput
 
-MOST_MATCHES = 5  # of an answer that are listed
+MAX_MATCHES_LISTED = 5  # of an answer
 _FACTS = ("query", "num_matches", "num_selected", "measure", "threshold", "score_range", "doubt")
 
 
@@ -41,7 +41,7 @@ def _answer(folder: str, text: str, options: Sequence[str]) -> dict[str, Any]:
         return {"query": text, "fault": str(error)}
     matches = [
         {**match, "support": list(dict.fromkeys(one["view"] for one in match["support"]))}
-        for match in found["matches"][:MOST_MATCHES]
+        for match in found["matches"][:MAX_MATCHES_LISTED]
     ]
     return {**{name: found[name] for name in _FACTS}, "matches": matches}
 

@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from ..scanning.inputs import ScanInput
 
 FIELD, FEATURES, PAGE = "scene.field", "features", "index.html"
-CPU_SIDE = 800  # pixels of the longer side of photos that a CPU trains on
+CPU_SIDE_PX = 800  # longer side of photos that a CPU trains on
 SAM_ON_A_CPU = {"points": "auto", "crop-layers": "0", "levels": "large"}
 """Options of embed: few points. Fewer photos and crops may cost answers on real photos (docs/embedding.md)."""
-UNKNOWN_PHOTOS = 100  # of a video whose frames are not chosen yet
-SECONDS = {"capture": 1.1, "train": 0.05, "embed": 0.7, "register": 0.3}
+DEFAULT_VIDEO_PHOTOS = 100  # until the frames of a video are chosen
+SECONDS_PER_PHOTO = {"capture": 1.1, "train": 0.05, "embed": 0.7, "register": 0.3}
 """Seconds a photo, in training an iteration, on two cores: the first guess of the time that is left."""
-SAM_SECONDS = {"cpu": 8.0, "cuda": 1.5, "mps": 5.0}
+SAM_SECONDS_PER_PHOTO = {"cpu": 8.0, "cuda": 1.5, "mps": 5.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ def planned(
     ]
     models = {"asked": asked, **asdict(choice)}
     sentences = [*([f"{source.path} has poses, which are taken as they are."] if has_poses else []), choice.sentence]
-    expected = _expected(stages, source.num_photos or UNKNOWN_PHOTOS, choice)
+    expected = _expected(stages, source.num_photos or DEFAULT_VIDEO_PHOTOS, choice)
     return Plan(stages, capture, models, encoder, expected, sentences)
 
 
@@ -144,7 +144,7 @@ def _training(arguments: argparse.Namespace, capture: str, model: str, common: S
     given += [] if arguments.iterations is None else ["--iterations", str(arguments.iterations)]
     defaults: dict[str, str] = {}
     if chosen_device(verb_line("train", given, common).arguments.device) == "cpu":
-        defaults["resolution"] = str(CPU_SIDE)
+        defaults["resolution"] = str(CPU_SIDE_PX)
     return verb_line("train", given, common, defaults)
 
 
@@ -179,8 +179,8 @@ def _embedding(
 def _expected(stages: Sequence[Stage], num_photos: int, choice: ModelChoice) -> dict[str, float]:
     """Return how many seconds each stage may take."""
     train = next(stage.line.arguments for stage in stages if stage.verb == "train")
-    expected = {verb: seconds * num_photos for verb, seconds in SECONDS.items()}
-    expected |= {"train": SECONDS["train"] * planned_iterations(train), "objects": 4.0, "view": 6.0}
+    expected = {verb: seconds * num_photos for verb, seconds in SECONDS_PER_PHOTO.items()}
+    expected |= {"train": SECONDS_PER_PHOTO["train"] * planned_iterations(train), "objects": 4.0, "view": 6.0}
     if choice.segmenter != "graph":
-        expected["embed"] = num_photos * SAM_SECONDS["cpu"]
+        expected["embed"] = num_photos * SAM_SECONDS_PER_PHOTO["cpu"]
     return {stage.verb: expected[stage.verb] for stage in stages}

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from rich.console import Console
 
-BOUNDLESS = 100_000  # columns
+UNWRAPPED_COLUMNS = 100_000
 
 
 def show_facts(title: str, facts: Mapping[str, object]) -> None:
@@ -30,7 +30,7 @@ def show_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]
     for row in rows:
         table.add_row(*row)
     print(title)
-    console, boundless = _console(None), _console(BOUNDLESS)
+    console, boundless = _console(None), _console(UNWRAPPED_COLUMNS)
     folded = console.is_terminal and not headed
     _console(console.width if folded else boundless.measure(table).maximum).print(table)
 

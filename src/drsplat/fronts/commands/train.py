@@ -23,10 +23,10 @@ EXAMPLES = """\
 A run that was stopped, with Ctrl-C or otherwise, goes on where it was when the same command is given again, without
 --overwrite; a finished one of --schedule original goes on with more --iterations."""
 DAILY = ("output_dir", "overwrite", "iterations", "resolution", "device", "images")
-DIVISORS = (1, 2, 4, 8)
+RESOLUTION_DIVISORS = (1, 2, 4, 8)
 STARTS = {"given": "given", "triangulated": "triangulated from the photos", "random": "random"}
 EVERYDAY_ITERATIONS, ORIGINAL_ITERATIONS = 4000, 30_000  # of the two schedules
-MAX_SIDE = 1600  # as 3DGS: larger photos are scaled down unless --resolution says otherwise
+MAX_SIDE_PX = 1600  # as 3DGS: larger photos are scaled down unless --resolution says otherwise
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--resolution", "-r", type=count, metavar="R",
         help=f"divisor of the photos' sides (1, 2, 4 or 8), or else their longer side in pixels, from 64 on: smaller "
-        f"ones teach little, and sides under 11 are refused (default: as they are, but at most {MAX_SIDE})",
+        f"ones teach little, and sides under 11 are refused (default: as they are, but at most {MAX_SIDE_PX})",
     )  # fmt: skip
     add_kernel_device(parser)
     _add_method(parser)
@@ -130,9 +130,9 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ...kernels.cuda.devices import chosen_device
 
     device = chosen_device(arguments.device)
-    divisor = arguments.resolution if arguments.resolution in DIVISORS else None
+    divisor = arguments.resolution if arguments.resolution in RESOLUTION_DIVISORS else None
     views = [
-        view.limited(max(view.width, view.height) / divisor if divisor else arguments.resolution or MAX_SIDE)
+        view.limited(max(view.width, view.height) / divisor if divisor else arguments.resolution or MAX_SIDE_PX)
         for view in _with_photo(arguments)
     ]
     settings = _settings(arguments, views)

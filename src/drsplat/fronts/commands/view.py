@@ -29,7 +29,7 @@ Needs pip install "drsplat[viewer]"; --export needs nothing. The address is only
 0.0.0.0 it has a token, and whoever knows that can look, search and save from elsewhere. A scene without a field can
 only be looked at."""
 DAILY = ("scene", "views", "ask", "encoder", "port", "export", "overwrite")
-MAX_GAUSSIANS, MAX_GAUSSIANS_OF_PAGE = 1_000_000, 200_000
+MAX_GAUSSIANS, MAX_PAGE_GAUSSIANS = 1_000_000, 200_000
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--max-gaussians", type=count, metavar="N",
-        help=f"show only the N most significant Gaussians (default: {MAX_GAUSSIANS:,}; {MAX_GAUSSIANS_OF_PAGE:,} in a "
+        help=f"show only the N most significant Gaussians (default: {MAX_GAUSSIANS:,}; {MAX_PAGE_GAUSSIANS:,} in a "
         "page)",
     )  # fmt: skip
     parser.add_argument(
