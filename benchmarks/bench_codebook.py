@@ -9,7 +9,7 @@ import numpy as np
 from machine import arguments, interleaved
 
 from drsplat import Codebook, EncoderIdentity, train_codebook
-from drsplat.field.codes.kmeans import ITERATIONS
+from drsplat.field.codes.kmeans import KMEANS_STEPS
 
 
 def clusters(rng: np.random.Generator, count: int, dim: int) -> np.ndarray:
@@ -23,7 +23,7 @@ def train_faiss(points: np.ndarray, subvectors: int, encoder: EncoderIdentity) -
     import faiss
 
     quantizer = faiss.ProductQuantizer(points.shape[1], subvectors, 8)
-    quantizer.cp.niter, quantizer.cp.min_points_per_centroid = ITERATIONS, 1
+    quantizer.cp.niter, quantizer.cp.min_points_per_centroid = KMEANS_STEPS, 1
     quantizer.train(points)
     centroids = faiss.vector_to_array(quantizer.centroids).reshape(subvectors, 256, -1)
     return Codebook(centroids.copy(), None, encoder)

@@ -341,7 +341,7 @@ def test_codes_that_are_there_are_not_made_again(toy, tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_atoms_that_cannot_be_addressed_are_left_out_of_tiles_too(toy, tmp_path, monkeypatch):
     monkeypatch.setattr("drsplat.field.tiles.transposing.RUN_BYTES", 20_000)
-    monkeypatch.setattr("drsplat.field.codes.mixture.encoding.MOST_SCENE_ATOMS", 1)
+    monkeypatch.setattr("drsplat.field.codes.mixture.encoding.MAX_SCENE_ATOMS", 1)
     tiles, (views, stored), rng = read_tiles(toy / "scene.tiles"), inputs(toy), np.random.default_rng(0)
     features = {
         name: replace(stored[name], embeddings=unit_rows(rng, *stored[name].embeddings.shape)) for name in stored

@@ -10,7 +10,7 @@ from ..base.contents import release
 from ..errors import InputError, MismatchError
 from ..scene.encoders import EncoderIdentity
 from .codes import PQ, Code, Codebook, Codes, CodeSpecification, Mixture, Smaller, Track, pq_code, untracked
-from .codes.codebook import BLOCK
+from .codes.codebook import BLOCK_ROWS
 from .codes.mixture import Mixed, SceneAtoms, encode_with
 from .evidence.aggregation import MEAN, Aggregated
 from .evidence.aggregation.entries import canonical
@@ -177,8 +177,8 @@ def encode_features(
     codes = np.empty((count, codebook.num_subvectors), np.uint8)
     coarse_ids = None if codebook.coarse is None else np.empty(count, np.uint16)
     directed = np.empty(count, np.bool_)
-    for begin in track(range(0, count, BLOCK), "coding Gaussians"):
-        block = slice(begin, min(begin + BLOCK, count))
+    for begin in track(range(0, count, BLOCK_ROWS), "coding Gaussians"):
+        block = slice(begin, min(begin + BLOCK_ROWS, count))
         features = rows.features(block.start, block.stop, threads=threads)
         directed[block] = features.any(axis=1)
         codes[block], nearest = codebook.encode(features, threads=threads)

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..scene.encoders import EncoderIdentity
 from .codes import PQ, Codebook, Mixture, Track, train_codebook
-from .codes.codebook import TRAINING_POINTS
+from .codes.codebook import MAX_TRAINING_POINTS
 from .codes.mixture import SceneAtoms, learn_scene_atoms
 from .evidence.aggregation import Aggregated
 from .evidence.aggregation.entries import canonical, column_counts, of_columns
@@ -70,7 +70,7 @@ def _of_views(features: Aggregated, views: tuple[str, ...]) -> Aggregated:
 
 
 def _scene_codebook(features: Aggregated, encoder: EncoderIdentity, parts: int, threads: int, track: Track) -> Codebook:
-    count = min(len(features), TRAINING_POINTS)
+    count = min(len(features), MAX_TRAINING_POINTS)
     spread = np.linspace(0, len(features) - 1, count).astype(np.int64)
     points = features.rows(spread).features(0, count, threads=threads)
     directed = points[points.any(axis=1)]

@@ -17,9 +17,9 @@ from ...kernels.mixture import nearest_centres
 from ...scene.encoders import EncoderIdentity
 from .kmeans import Track, train_centroids, untracked
 
-BLOCK = 8192  # rows at once: bounds the memory of decoded features
-TRAINING_POINTS = 64 * CENTROIDS
-LARGEST = 1e15  # absolute value in a centroid: squared norms are float32
+BLOCK_ROWS = 8192  # bounds the memory of decoded features
+MAX_TRAINING_POINTS = 64 * CENTROIDS
+MAX_ABS_CENTROID = 1e15  # squared norms are float32
 
 
 class Codes(NamedTuple):
@@ -63,8 +63,8 @@ class Codebook:
         ):
             raise InputError(f"coarse: expected float32 (up to 65535, {self.dim}), got {coarse.dtype} {coarse.shape}")
         parts = [part for part in (self.centroids, coarse) if part is not None]
-        if not all(np.abs(part).max(initial=0) <= LARGEST for part in parts):  # NaN is not either
-            raise InputError(f"centroids must be finite, and not beyond {LARGEST:g}")
+        if not all(np.abs(part).max(initial=0) <= MAX_ABS_CENTROID for part in parts):  # NaN is not either
+            raise InputError(f"centroids must be finite, and not beyond {MAX_ABS_CENTROID:g}")
 
     @property
     def num_subvectors(self) -> int:
@@ -209,12 +209,12 @@ def train_codebook(
             f"cannot train {num_subvectors} sub-vectors on {n} embeddings of {dim} numbers: give at "
             f"least one embedding, and a number of sub-vectors that divides {dim}"
         )
-    if n > TRAINING_POINTS:
-        drawn = np.random.default_rng(seed).choice(n, TRAINING_POINTS, replace=False)
+    if n > MAX_TRAINING_POINTS:
+        drawn = np.random.default_rng(seed).choice(n, MAX_TRAINING_POINTS, replace=False)
         embeddings = embeddings[np.sort(drawn)]
     points = np.ascontiguousarray(embeddings)
     return Codebook(train_centroids(points, num_subvectors, seed, threads, track), None, encoder)
 
 
 def _blocks(count: int) -> Iterator[slice]:
-    return (slice(begin, min(begin + BLOCK, count)) for begin in range(0, count, BLOCK))
+    return (slice(begin, min(begin + BLOCK_ROWS, count)) for begin in range(0, count, BLOCK_ROWS))

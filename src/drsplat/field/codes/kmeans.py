@@ -12,7 +12,7 @@ from ...base.arrays import Float32, Float64, Int, Int64, UInt8, UInt64
 from ...kernels import pq_encode
 from ...kernels.algebra import CENTROIDS, code_sums
 
-ITERATIONS = 12
+KMEANS_STEPS = 12
 T = TypeVar("T")
 
 
@@ -42,7 +42,7 @@ def train_centroids(
     starts = [_starts(keys, rng) for keys in _keys(parts).T]
     centroids = np.stack([parts[index, m] for m, index in enumerate(starts)])
     previous = None
-    for _ in track(range(ITERATIONS), "training the codebook"):
+    for _ in track(range(KMEANS_STEPS), "training the codebook"):
         codes = pq_encode(points, centroids, threads=threads)
         if previous is not None and np.array_equal(codes, previous):
             break

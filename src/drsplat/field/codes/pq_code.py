@@ -23,9 +23,9 @@ from ...kernels.scan import GROUP_ROWS, HYBRID_SCORE_ERROR, HYBRID_WIDE_SUBVECTO
 from .code import Best, Hits
 from .codebook import Codebook, Codes
 
-FEW = 16  # queries among which the best is chosen exactly
-BATCH = 256  # queries whose tables are held at once
-MOST_SCALE = 64.0  # rows shorter than 1 / 64 are not given finer tables
+MAX_EXACT_QUERIES = 16  # among so few the best is chosen exactly
+BATCH_QUERIES = 256  # whose tables are held at once
+MAX_TABLE_SCALE = 64.0  # rows shorter than 1 / 64 get no finer tables
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,11 +103,11 @@ class PQCode:
         """
         if not len(queries):
             raise InputError("expected one or more queries to choose from")
-        how = self._exact(threads) if len(queries) <= FEW else self._hybrid(threads)
+        how = self._exact(threads) if len(queries) <= MAX_EXACT_QUERIES else self._hybrid(threads)
         best: Best | None = None
         for number, tables in enumerate(self._tables(queries, threads)):
             batch = self._scan_best(tables, how)
-            best = batch if best is None else _better(best, batch, number * BATCH)
+            best = batch if best is None else _better(best, batch, number * BATCH_QUERIES)
         assert best is not None
         return best
 
@@ -152,13 +152,13 @@ class PQCode:
         return Best(*scan_best(self._rows, tables, how))
 
     def _tables(self, queries: Float32[np.ndarray, "q D"], threads: int) -> Iterator[QueryTables]:
-        for begin in range(0, len(queries), BATCH):
-            yield self.codebook.tables(queries[begin : begin + BATCH], threads=threads)
+        for begin in range(0, len(queries), BATCH_QUERIES):
+            yield self.codebook.tables(queries[begin : begin + BATCH_QUERIES], threads=threads)
 
     @cached_property
     def _scale(self) -> float:
         """Largest factor from the error of a sum of look-ups to that of a score."""
-        return float(np.clip(self.inverse_norms.max(initial=1.0), 1.0, MOST_SCALE))
+        return float(np.clip(self.inverse_norms.max(initial=1.0), 1.0, MAX_TABLE_SCALE))
 
     def _exact(self, threads: int) -> Scanning:
         return Scanning(MAX_SCORE_ERROR / self._scale, 0, threads)

@@ -7,11 +7,11 @@ from typing import Literal, NamedTuple
 from ...errors import InputError
 from ...kernels.algebra import CENTROIDS
 from .codebook import Codebook
-from .mixture.encoding import DEFAULT_ATOMS, MOST_SCENE_ATOMS, ROWS_PER_SCENE_ATOM
+from .mixture.encoding import DEFAULT_ATOMS_PER_ROW, MAX_SCENE_ATOMS, ROWS_PER_SCENE_ATOM
 
-SUBVECTORS = 128
+DEFAULT_SUBVECTORS = 128
 _NORM_BYTES = 4  # of a PQ row's inverse norm
-_ATOM_BYTES = 8  # of an atom beside its numbers: scale and mask
+_ATOM_BYTES = 8  # of an atom besides its numbers: scale and mask
 
 
 @dataclass(frozen=True)
@@ -24,21 +24,21 @@ class PQ:
     subvectors: int | None = None
 
     def parts(self, dim: int) -> int:
-        return self.subvectors or math.gcd(SUBVECTORS, dim)
+        return self.subvectors or math.gcd(DEFAULT_SUBVECTORS, dim)
 
 
 @dataclass(frozen=True)
 class Mixture:
     """Mixture code of `atoms` of the scene's masks and typical features per row, 3 atoms + 2 bytes: docs/mixture.md."""
 
-    atoms: int = DEFAULT_ATOMS
+    atoms: int = DEFAULT_ATOMS_PER_ROW
 
 
 @dataclass(frozen=True)
 class Smaller:
     """Choice of `PQ` or `Mixture`, whichever takes fewer bytes for the scene at hand."""
 
-    atoms: int = DEFAULT_ATOMS
+    atoms: int = DEFAULT_ATOMS_PER_ROW
 
     def chosen(self, rows: int, masks: int, dim: int) -> PQ | Mixture:
         smaller = choose_code(rows, masks, dim, self.atoms).name
@@ -56,7 +56,7 @@ class Choice(NamedTuple):
     mixture_bytes: int
 
 
-def choose_code(n_rows: int, n_masks: int, dim: int, atoms_per_row: int = DEFAULT_ATOMS) -> Choice:
+def choose_code(n_rows: int, n_masks: int, dim: int, atoms_per_row: int = DEFAULT_ATOMS_PER_ROW) -> Choice:
     """Choose the mixture where it takes fewer bytes in all, as if every mask were used; else PQ of 128 bytes per row.
 
     With 512 numbers and 4 atoms per row the mixture is smaller from about 5 rows per mask on.
@@ -65,7 +65,7 @@ def choose_code(n_rows: int, n_masks: int, dim: int, atoms_per_row: int = DEFAUL
     """
     if n_rows < 0 or n_masks < 0 or dim < 1:
         raise InputError(f"{n_rows} rows, {n_masks} masks, {dim} numbers: expected counts")
-    pq = n_rows * (SUBVECTORS + _NORM_BYTES) + CENTROIDS * dim * 4
-    atoms = n_masks + min(MOST_SCENE_ATOMS, n_rows // ROWS_PER_SCENE_ATOM)
+    pq = n_rows * (DEFAULT_SUBVECTORS + _NORM_BYTES) + CENTROIDS * dim * 4
+    atoms = n_masks + min(MAX_SCENE_ATOMS, n_rows // ROWS_PER_SCENE_ATOM)
     mixture = n_rows * (3 * atoms_per_row + 2) + atoms * (dim + _ATOM_BYTES)
     return Choice("mixture" if mixture < pq else "pq", pq, mixture)

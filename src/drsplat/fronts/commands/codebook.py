@@ -156,14 +156,14 @@ def _trained(rows: np.ndarray, encoder: EncoderIdentity, arguments: argparse.Nam
     import numpy as np
 
     from ... import train_codebook
-    from ...field.codes.codebook import TRAINING_POINTS
+    from ...field.codes.codebook import MAX_TRAINING_POINTS
     from ...formats.langsplat import unit_rows
 
     path = Path(arguments.features or arguments.lvis)
     order = np.random.default_rng(arguments.seed).permutation(len(rows))
     share = max(1, int(HELD_OUT_SHARE * len(rows))) if len(rows) > 1 else 0
     held_out = unit_rows(rows, order[: min(share, MAX_HELD_OUT_ROWS)], path)
-    drawn = unit_rows(rows, np.sort(order[share:][:TRAINING_POINTS]), path)
+    drawn = unit_rows(rows, np.sort(order[share:][:MAX_TRAINING_POINTS]), path)
     codebook = train_codebook(
         drawn, arguments.subvectors, encoder=encoder, seed=arguments.seed,
         threads=arguments.threads, track=tracker(arguments),

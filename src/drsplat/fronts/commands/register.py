@@ -268,7 +268,7 @@ def with_words(field: "LanguageField", features: str) -> "LanguageField":
 def _code(arguments: argparse.Namespace, codebook: "Codebook | None") -> "CodeSpecification":
     from ...errors import InputError
     from ...field.codes import PQ, Mixture, Smaller
-    from ...field.codes.mixture import DEFAULT_ATOMS
+    from ...field.codes.mixture import DEFAULT_ATOMS_PER_ROW
 
     quantised = arguments.code == "pq" or codebook is not None or arguments.subvectors is not None
     mixed = arguments.code == "mixture" or arguments.atoms is not None
@@ -278,7 +278,7 @@ def _code(arguments: argparse.Namespace, codebook: "Codebook | None") -> "CodeSp
         )
     if quantised:
         return codebook or PQ(arguments.subvectors)
-    return (Mixture if mixed else Smaller)(arguments.atoms or DEFAULT_ATOMS)
+    return (Mixture if mixed else Smaller)(arguments.atoms or DEFAULT_ATOMS_PER_ROW)
 
 
 def show(answer: dict[str, Any]) -> None:

@@ -7,7 +7,7 @@ typical features, come nearer in 14 bytes than 128 bytes that know nothing of th
 from .code import MixtureCode, Part, mixture_from_tensors, recoded
 from .dictionary import AtomTable, quantised
 from .encoding import (
-    DEFAULT_ATOMS,
+    DEFAULT_ATOMS_PER_ROW,
     Mixed,
     MixtureSource,
     assemble,
@@ -23,7 +23,7 @@ from .growing import fits_at_once, regrown_mixture
 from .scene_atoms import SceneAtoms, train_scene_atoms
 
 __all__ = [
-    "DEFAULT_ATOMS", "AtomTable", "Mixed", "MixtureCode", "MixtureSource", "Part", "SceneAtoms", "assemble",
+    "DEFAULT_ATOMS_PER_ROW", "AtomTable", "Mixed", "MixtureCode", "MixtureSource", "Part", "SceneAtoms", "assemble",
     "atoms_by_use", "encode_mixture", "encode_rows", "encode_with", "fits_at_once", "learn_scene_atoms", "left_in",
     "mixture_from_tensors", "plan_of", "quantised", "recoded", "regrown_mixture", "train_scene_atoms",
 ]  # fmt: skip

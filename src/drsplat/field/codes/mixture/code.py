@@ -20,7 +20,7 @@ from ....kernels.mixture import (
     mixture_top,
 )
 from ..code import Best, Code, Hits
-from ..codebook import BLOCK, Codebook, Codes
+from ..codebook import BLOCK_ROWS, Codebook, Codes
 from ..pq_code import PQCode, pq_code
 from .dictionary import AtomTable
 
@@ -196,8 +196,8 @@ def recoded(code: Code, codebook: Codebook, *, threads: int = 0) -> PQCode:
         raise InputError(f"a codebook of {codebook.dim} numbers for features of {code.dim}")
     codes = np.empty((len(code), codebook.num_subvectors), np.uint8)
     coarse_ids = None if codebook.coarse is None else np.empty(len(code), np.uint16)
-    for begin in range(0, len(code), BLOCK):
-        block = np.arange(begin, min(begin + BLOCK, len(code)))
+    for begin in range(0, len(code), BLOCK_ROWS):
+        block = np.arange(begin, min(begin + BLOCK_ROWS, len(code)))
         codes[block], nearest = codebook.encode(code.decode(block), threads=threads)
         if coarse_ids is not None and nearest is not None:
             coarse_ids[block] = nearest

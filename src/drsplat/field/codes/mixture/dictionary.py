@@ -8,9 +8,9 @@ from ....base.arrays import Float32, Int32, Integer
 from ....errors import InputError
 from ....kernels.mixture import MAX_ATOMS, Dictionary
 
-SCENE_ATOM = -1  # of no mask
-BLOCK = 512  # vectors at once, near the processor
-LEAST_ENTRY = 127 / float(np.finfo(np.float32).max)  # 127 over anything smaller is infinite
+SCENE_ATOM = -1  # in place of a mask's number: the atom is of none
+BLOCK_VECTORS = 512  # near the processor
+MIN_ENTRY = 127 / float(np.finfo(np.float32).max)  # 127 over anything smaller is infinite
 _DTYPES = {"values": np.int8, "scales": np.float32, "masks": np.int32}
 
 
@@ -23,14 +23,14 @@ def quantised(vectors: Float32[np.ndarray, "a D"]) -> Dictionary:
     """
     if not np.isfinite(vectors).all():
         raise InputError("atoms must be finite")
-    blocks = [_quantised(vectors[begin : begin + BLOCK]) for begin in range(0, len(vectors), BLOCK)]
+    blocks = [_quantised(vectors[begin : begin + BLOCK_VECTORS]) for begin in range(0, len(vectors), BLOCK_VECTORS)]
     values, scales = zip(*blocks, strict=True) if blocks else ((vectors.astype(np.int8),), (np.empty(0, np.float32),))
     return Dictionary(np.concatenate(values), np.concatenate(scales))
 
 
 def _quantised(vectors: Float32[np.ndarray, "a D"]) -> Dictionary:
     largest = np.abs(vectors).max(axis=1, keepdims=True, initial=0)
-    steps = np.divide(127, largest, out=np.zeros_like(largest), where=largest > LEAST_ENTRY)
+    steps = np.divide(127, largest, out=np.zeros_like(largest), where=largest > MIN_ENTRY)
     whole = np.rint(vectors * steps)
     squared = np.einsum("ad,ad->a", whole, whole, dtype=np.float64)
     scales = np.divide(1, np.sqrt(squared), out=np.zeros_like(squared), where=squared > 0)

@@ -13,9 +13,9 @@ from .code import MixtureCode, packed
 from .dictionary import SCENE_ATOM, AtomTable, quantised
 from .scene_atoms import POINTS_PER_ATOM, SceneAtoms, train_scene_atoms
 
-BLOCK = 8192
-DEFAULT_ATOMS = 4  # of a row
-MOST_SCENE_ATOMS = 4096
+BLOCK_ROWS = 8192
+DEFAULT_ATOMS_PER_ROW = 4
+MAX_SCENE_ATOMS = 4096
 ROWS_PER_SCENE_ATOM = 16
 
 
@@ -56,7 +56,7 @@ class Plan(NamedTuple):
 
 def encode_mixture(
     source: SourceOfSome,
-    atoms_per_row: int = DEFAULT_ATOMS,
+    atoms_per_row: int = DEFAULT_ATOMS_PER_ROW,
     *,
     scene_atoms: int | SceneAtoms | None = None,
     seed: int = 0,
@@ -110,7 +110,7 @@ def learn_scene_atoms(
     Raises: InputError: more than 32,768 are wanted.
     """
     if wanted is None:
-        wanted = min(MOST_SCENE_ATOMS, len(source) // ROWS_PER_SCENE_ATOM)
+        wanted = min(MAX_SCENE_ATOMS, len(source) // ROWS_PER_SCENE_ATOM)
     if not 0 <= wanted <= MAX_ATOMS // 2:
         raise InputError(f"expected 0 to {MAX_ATOMS // 2:,} scene atoms, got {wanted:,}")
     count = min(len(source), POINTS_PER_ATOM * wanted)
@@ -138,8 +138,8 @@ def encode_rows(
     rows = len(source)
     ids = np.empty((rows, atoms_per_row), np.int32)
     weights, scales = np.empty((rows, atoms_per_row), np.uint8), np.empty(rows, np.float32)
-    for begin in track(range(0, rows, BLOCK), "coding Gaussians"):
-        block = slice(begin, min(begin + BLOCK, rows))
+    for begin in track(range(0, rows, BLOCK_ROWS), "coding Gaussians"):
+        block = slice(begin, min(begin + BLOCK_ROWS, rows))
         features = source.features(block.start, block.stop, threads=threads)
         candidates = _candidates(source, plan, features, block, threads)
         ids[block], weights[block], scales[block] = mixture_encode(

@@ -10,13 +10,13 @@ from ....kernels import weighted_rows
 from ....kernels.mixture import Dictionary, nearest_centres, nearest_members
 from .dictionary import quantised
 
-ITERATIONS = 4
-ROUNDS = 2  # of atoms, which start as points: more of them, or of points, make no code truer
+FIT_ITERATIONS = 4
+ATOM_ROUNDS = 2  # of fitting atoms, which start as points: more rounds, or points, make no code truer
 POINTS_PER_ATOM = 4
-GROUPS = 1.5  # times the root of how many atoms there are
-NEIGHBOURS = 16  # that each row may be made of
-OVERLAP = 12  # members of a group, in groups' fair shares: few nearest atoms lie in another group
-OVERLAP_AT_FIRST = 24  # while atoms move
+GROUPS_PER_ROOT = 1.5  # times the root of the number of atoms
+CANDIDATE_ATOMS = 16  # that each row may be made of
+GROUP_SHARES = 12  # members of a group, in fair shares: few of a row's nearest atoms lie in another group
+FITTING_GROUP_SHARES = 24  # while atoms move
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ class SceneAtoms:
 
     def near(self, features: Float32[np.ndarray, "n D"], *, threads: int = 0) -> Int32[np.ndarray, "n w"]:
         """Return the atoms nearest to each feature, among those of its nearest group; best first."""
-        wanted = min(NEIGHBOURS, self.members.shape[1])
+        wanted = min(CANDIDATE_ATOMS, self.members.shape[1])
         groups = nearest_centres(features, self.centres, threads=threads)
         order = np.argsort(groups, kind="stable")  # so that a group's atoms stay in the cache
         near = np.empty((len(features), wanted), np.int32)
@@ -56,16 +56,16 @@ def train_scene_atoms(points: Float32[np.ndarray, "n D"], count: int, *, seed: i
     groups = nearest_centres(points, centres, threads=threads)
     order = np.argsort(groups, kind="stable")  # so that a group's atoms stay in the cache
     points, groups = points[order], groups[order]
-    for _ in range(ROUNDS):
-        members = _members(centres, vectors, OVERLAP_AT_FIRST)
+    for _ in range(ATOM_ROUNDS):
+        members = _members(centres, vectors, FITTING_GROUP_SHARES)
         nearest = nearest_members(points, quantised(vectors), groups, members, 1, threads=threads)
         vectors = _means(points, nearest[:, 0], vectors, threads)
     centres = _group_centres(vectors, seed, threads)
-    return SceneAtoms(vectors, centres, _members(centres, vectors, OVERLAP), quantised(vectors))
+    return SceneAtoms(vectors, centres, _members(centres, vectors, GROUP_SHARES), quantised(vectors))
 
 
 def _group_centres(vectors: Float32[np.ndarray, "v D"], seed: int, threads: int) -> Float32[np.ndarray, "g D"]:
-    return spherical_kmeans(vectors, min(len(vectors), round(GROUPS * len(vectors) ** 0.5)), seed, threads)
+    return spherical_kmeans(vectors, min(len(vectors), round(GROUPS_PER_ROOT * len(vectors) ** 0.5)), seed, threads)
 
 
 def _members(
@@ -83,7 +83,7 @@ def spherical_kmeans(
 ) -> Float32[np.ndarray, "c D"]:
     """Return unit centres; one that serves no point moves to the worst-served point."""
     centres = _drawn(points, count, seed)
-    for _ in range(ITERATIONS):
+    for _ in range(FIT_ITERATIONS):
         moved = _means(points, nearest_centres(points, centres, threads=threads), centres, threads)
         if np.array_equal(moved, centres):
             break
