@@ -16,7 +16,7 @@ from .codes import Codebook, Codes, Mixture, PQCode, Track, pq_code, untracked
 from .codes.mixture import Mixed, MixtureCode, fits_at_once, regrown_mixture
 from .evidence.aggregation import MEAN, aggregator
 from .evidence.aggregation.entries import canonical
-from .evidence.changing import GONE
+from .evidence.changing import REMOVED_COLUMN
 from .evidence.evidence import Evidence, MaskIds
 from .evidence.provenance import Provenance
 from .growth import Growth
@@ -109,10 +109,12 @@ def _all_addressable(field: LanguageField, growth: Growth, evidence: Evidence) -
 def _columns(before: MaskIds, now: MaskIds, changed: Collection[str]) -> Int32[np.ndarray, " m"]:
     """Return the new number of each old column, GONE for those of views that have changed."""
     number = {name: place for place, name in enumerate(now.view_names)}
-    views = np.array([GONE if name in changed else number[name] for name in before.view_names], np.int32)
+    views = np.array([REMOVED_COLUMN if name in changed else number[name] for name in before.view_names], np.int32)
     within = np.arange(len(before)) - np.searchsorted(before.views, before.views)
     stays = views[before.views]
-    return np.where(stays == GONE, GONE, np.searchsorted(now.views, stays) + within).astype(np.int32)
+    return np.where(stays == REMOVED_COLUMN, REMOVED_COLUMN, np.searchsorted(now.views, stays) + within).astype(
+        np.int32
+    )
 
 
 def _coded_again(

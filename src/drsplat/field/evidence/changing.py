@@ -9,7 +9,7 @@ from ...kernels.algebra import changed_columns as merged
 from .aggregation.entries import canonical
 from .evidence import Evidence, MaskIds
 
-GONE = -1  # number of a column that is left out
+REMOVED_COLUMN = -1
 
 
 def without_views(evidence: Evidence, gone: Bool[np.ndarray, " v"]) -> Evidence:
@@ -17,7 +17,7 @@ def without_views(evidence: Evidence, gone: Bool[np.ndarray, " v"]) -> Evidence:
     masks = evidence.masks
     names = tuple(name for name, goes in zip(masks.view_names, gone.tolist(), strict=True) if not goes)
     number, kept = (np.cumsum(~gone) - 1).astype(np.int32), ~gone[masks.views]
-    columns = np.where(kept, np.cumsum(kept) - 1, GONE).astype(np.int32)
+    columns = np.where(kept, np.cumsum(kept) - 1, REMOVED_COLUMN).astype(np.int32)
     none = csr_array((len(evidence), int(kept.sum())), dtype=np.float32)
     times = None if masks.times is None else masks.times[~gone]
     rendered = _rendered(tuple(source for source, goes in zip(masks.sources, gone.tolist(), strict=True) if not goes))

@@ -14,7 +14,7 @@ from ...errors import FormatError, InputError
 from ...formats.tensors import check_tensors
 from ...kernels import weighted_rows
 
-UNIT_TOLERANCE = 1e-3  # by which the norm of an embedding may differ from 1
+UNIT_TOLERANCE = 1e-3  # of an embedding's norm
 
 
 class Explanation(NamedTuple):

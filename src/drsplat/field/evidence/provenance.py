@@ -11,8 +11,8 @@ from ...scene.boxes import upward_of
 from ...scene.views import View
 
 KEY_BYTES = 16
-NUMBERS = 18  # a camera: 3x4 pose, fx, fy, cx, cy, width, height
-LARGEST = 2.0  # absolute value of any number of a direction
+CAMERA_NUMBERS = 18  # 3x4 pose, fx, fy, cx, cy, width, height
+MAX_ABS_AXIS = 2.0  # of any number of a direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +39,11 @@ class Provenance:
             array = getattr(self, name)
             if array.dtype != dtype or array.shape != shape:
                 raise InputError(f"{name}: expected {dtype} {shape}, got {array.dtype} {array.shape}")
-        if not (np.abs(self.axes) <= LARGEST).all():  # NaN is not either
+        if not (np.abs(self.axes) <= MAX_ABS_AXIS).all():  # NaN is not either
             raise InputError("axes: expected unit vectors")
         if self.cameras is not None and not _are_cameras(self.cameras, count):
             raise InputError(
-                f"cameras: expected {NUMBERS} finite numbers, with lengths and sizes above 0, for each view"
+                f"cameras: expected {CAMERA_NUMBERS} finite numbers, with lengths and sizes above 0, for each view"
             )
 
     def __len__(self) -> int:
@@ -67,7 +67,7 @@ class Provenance:
 
         Raises: InputError: a camera that is no rigid motion.
         """
-        numbers = np.empty((0, NUMBERS)) if self.cameras is None else self.cameras
+        numbers = np.empty((0, CAMERA_NUMBERS)) if self.cameras is None else self.cameras
         return [_view(name, camera) for name, camera in zip(names, numbers, strict=False)]
 
     def with_views(self, other: "Provenance", order: Int64[np.ndarray, " v"]) -> "Provenance":
@@ -87,7 +87,7 @@ class Provenance:
 def cameras_of(views: Sequence[View]) -> Float64[np.ndarray, "v 18"]:
     """Return the numbers of each view's camera, as `Provenance.cameras` has them."""
     rows = [[*v.cam_from_world[:3].ravel(), *_lens(v), v.width, v.height] for v in views]
-    return np.array(rows, np.float64).reshape(-1, NUMBERS)
+    return np.array(rows, np.float64).reshape(-1, CAMERA_NUMBERS)
 
 
 def _lens(view: View) -> tuple[float, float, float, float]:
@@ -102,7 +102,7 @@ def _view(name: str, numbers: Float64[np.ndarray, " 18"]) -> View:
 
 
 def _are_cameras(numbers: np.ndarray, count: int) -> bool:
-    if numbers.dtype != np.float64 or numbers.shape != (count, NUMBERS) or not np.isfinite(numbers).all():
+    if numbers.dtype != np.float64 or numbers.shape != (count, CAMERA_NUMBERS) or not np.isfinite(numbers).all():
         return False
     return bool((numbers[:, 12:14] > 0).all() and (numbers[:, 16:] >= 1).all())
 
