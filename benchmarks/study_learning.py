@@ -55,13 +55,13 @@ def main() -> None:
         evidence = Evidence(w, masks, embeddings(kinds, args.views, noise, rng))
         registration = Registration(evidence, gaussians.fingerprint, EncoderIdentity("drawn", DIM))
         for code in (Mixture(), PQ()):
-            for learning.LEARNT_FROM in args.learnt:
+            for learning.MAX_LEARNING_VIEWS in args.learnt:
                 field = registration.to_field(code)
                 some = np.arange(0, len(field), 17)
                 exact = evidence.rows(field.gaussian_ids[some].astype(np.int64)).features(0, len(some))
                 cosines = np.einsum("nd,nd->n", exact, field.feature(some))
                 errors = (exact - field.feature(some)) @ kinds.T
-                few = "all" if args.views <= learning.LEARNT_FROM else f"{learning.LEARNT_FROM}"
+                few = "all" if args.views <= learning.MAX_LEARNING_VIEWS else f"{learning.MAX_LEARNING_VIEWS}"
                 print(
                     f"| {noise} | {field.code.kind} | {few} | {cosines.mean():.4f} | {np.quantile(cosines, 0.01):.4f} "
                     f"| {np.sqrt((errors**2).mean()):.5f} |",

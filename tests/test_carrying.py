@@ -16,7 +16,7 @@ import drsplat as ds
 from drsplat.cli import main
 from drsplat.errors import InputError, MismatchError
 from drsplat.field import Assignment, LanguageField, assign, carry_field, carry_label
-from drsplat.field.carrying import MOST_LOST
+from drsplat.field.carrying import MAX_LOST_SHARE
 from drsplat.field.labels import Label, LabelFile
 from drsplat.formats.scenes import parse_gaussians
 from growing_fields import Killed, files_of, killed_at
@@ -132,7 +132,7 @@ def test_another_scene_is_refused_with_numbers_and_cure(known) -> None:
 
 def test_a_few_that_are_gone_lose_their_feature_and_no_more(known) -> None:
     field, scene = known
-    few = int(MOST_LOST * len(field))
+    few = int(MAX_LOST_SHARE * len(field))
     carried = carry_field(field, assign(scene, scene.subset(np.arange(few, len(scene))), threads=1))
     assert len(carried) == len(field) - few
     assert_allclose(carried.gaussian_ids, field.gaussian_ids[few:] - few)

@@ -30,7 +30,7 @@ CODES = (PQ(4), Mixture(2), Smaller(3))
 @pytest.fixture(autouse=True)
 def _learnt_from_two(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of seven views: so that what is learnt sometimes changes, and mostly does not."""
-    monkeypatch.setattr(learning, "LEARNT_FROM", 2)
+    monkeypatch.setattr(learning, "MAX_LEARNING_VIEWS", 2)
 
 
 def added(field: LanguageField, *names: str, **options: object) -> Change:
@@ -103,7 +103,7 @@ def test_only_rows_that_are_seen_are_coded_again():
 
 def test_a_view_more_seldom_changes_what_is_learnt_from(monkeypatch: pytest.MonkeyPatch):
     """With a chance of LEARNT_FROM / V, whatever its name."""
-    monkeypatch.setattr(learning, "LEARNT_FROM", 8)
+    monkeypatch.setattr(learning, "MAX_LEARNING_VIEWS", 8)
     names = [f"photo_{number:03d}.jpg" for number in range(100)]
     masks = MaskIds(tuple(names), np.arange(100, dtype=np.int32), np.zeros(100, np.int32))
     weights = csr_array(np.eye(100, dtype=np.float32))

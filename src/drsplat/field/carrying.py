@@ -14,11 +14,11 @@ from .growth import Growth
 from .labels import Label
 from .language_field import LanguageField
 
-REACH = 0.5  # share of the median distance to the nearest other Gaussian
-MOST_LOST = 0.01  # share of the Gaussians with a feature
-CANDIDATES = 8  # Gaussians of the new scene that are compared with one of the old
-AT_ONCE = 1 << 16  # Gaussians
-SAMPLED = 1 << 16  # Gaussians that tell how far apart neighbours usually are
+MAX_DISTANCE_SHARE = 0.5  # of the median distance between neighbouring Gaussians
+MAX_LOST_SHARE = 0.01  # of the Gaussians with a feature
+CANDIDATE_NEIGHBOURS = 8  # of the new scene that are compared with one of the old
+BLOCK_GAUSSIANS = 1 << 16
+SPACING_SAMPLE = 1 << 16  # Gaussians whose distances to their neighbours are measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,7 @@ def assign(old: Gaussians, new: Gaussians, *, threads: int = 0) -> Assignment:
     if not len(old) or not len(new):
         raise InputError(f"expected two scenes with Gaussians, got {len(old):,} and {len(new):,}")
     here, there = old.positions - old.origin, new.positions - old.origin
-    reach = REACH * _spacing(here, threads)
+    reach = MAX_DISTANCE_SHARE * _spacing(here, threads)
     found, costs = _candidates(here, there, reach, _looks(old), _looks(new), threads)
     rows = _objects_lost(found, costs, len(new))
     distances = np.linalg.norm(there[np.maximum(rows, 0)] - here, axis=1)
@@ -82,11 +82,11 @@ def carry_field(field: LanguageField, assignment: Assignment) -> LanguageField:
 def check_found(found: Bool[np.ndarray, " r"], reach: float) -> None:
     """Refuse to go on where too many are lost. Raises: MismatchError."""
     lost = int(np.count_nonzero(~found))
-    if lost > MOST_LOST * len(found):
+    if lost > MAX_LOST_SHARE * len(found):
         raise MismatchError(
             f"{lost:,} of {len(found):,} Gaussians with a feature ({lost / len(found):.1%}) have none of their own in "
             f"the new scene within {reach:.3g} units, half the usual distance between neighbours; at most "
-            f"{MOST_LOST:.0%} may. It is another scene, or was moved, thinned out or compressed too coarsely: "
+            f"{MAX_LOST_SHARE:.0%} may. It is another scene, or was moved, thinned out or compressed too coarsely: "
             "give the file that was made of the old scene, or register the new one"
         )
 
@@ -101,7 +101,7 @@ def carry_label(label: Label, assignment: Assignment) -> Label | None:
 
 def _spacing(points: Float64[np.ndarray, "n 3"], threads: int) -> float:
     """Return the median distance of a Gaussian to the nearest other one."""
-    some = points[:: max(1, len(points) // SAMPLED)]
+    some = points[:: max(1, len(points) // SPACING_SAMPLE)]
     distances, _ = cKDTree(points).query(some, 2, workers=threads or -1)
     away = distances[:, 1]
     return float(np.median(away[away > 0])) if np.isfinite(away).all() and (away > 0).any() else 0.0
@@ -121,10 +121,10 @@ def _candidates(
     threads: int,
 ) -> tuple[Int64[np.ndarray, "n k"], Float32[np.ndarray, "n k"]]:
     """Return rows of the new scene near each Gaussian, the most alike first, and how unlike: infinite out of reach."""
-    tree, count = cKDTree(there), min(CANDIDATES, len(there))
+    tree, count = cKDTree(there), min(CANDIDATE_NEIGHBOURS, len(there))
     found, costs = np.empty((len(here), count), np.int64), np.empty((len(here), count), np.float32)
-    for begin in range(0, len(here), AT_ONCE):
-        part = slice(begin, begin + AT_ONCE)
+    for begin in range(0, len(here), BLOCK_GAUSSIANS):
+        part = slice(begin, begin + BLOCK_GAUSSIANS)
         far, rows = tree.query(here[part], np.arange(1, count + 1), workers=threads or -1)
         unlike = np.abs(old[part, None] - new[rows]).sum(axis=2)
         cost = np.where(far <= reach, far / max(reach, np.finfo(np.float64).tiny) + unlike, np.inf)

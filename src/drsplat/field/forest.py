@@ -12,10 +12,12 @@ from ..errors import InputError
 
 PART, THING, GROUP = 0, 1, 2
 LEVELS = ("part", "thing", "group")
-MOST_MASKS, MOST_DESCRIPTORS = 32, 4  # of a node
-OF_ONE, SQUARE = 1e-3, 1e-4  # how far lengths may be from 1, and axes from a right angle
-MOST_SHOWN = 20  # of a table in a notebook
-LARGEST = 3.4e38  # of any number: as floats of 32 bits
+MAX_MASKS_PER_NODE = 32
+MAX_DESCRIPTORS_PER_NODE = 4
+LENGTH_TOLERANCE = 1e-3
+ORTHONORMAL_TOLERANCE = 1e-4
+MAX_ROWS_SHOWN = 20  # in a notebook
+MAX_NUMBER = 3.4e38  # of float32
 
 ARRAYS = {
     "node_of": ("int32", "R"), "parents": ("int32", "T"), "levels": ("uint8", "T"), "sure": ("float32", "T"),
@@ -61,14 +63,16 @@ class Objects:
         check_forest(self.node_of, self.parents, self.levels)
         self._check_boxes()
         _check_all(_within(self.sure, 0.0, 1.0), "sure: expected numbers from 0 to 1")
-        _check_all(_within(self.masses, 0.0, LARGEST), "masses: expected finite numbers of 0 or more")
+        _check_all(_within(self.masses, 0.0, MAX_NUMBER), "masses: expected finite numbers of 0 or more")
         _check_all(self.num_views >= 0, "num_views: expected counts")
-        _check_starts("masks", self.mask_starts, len(self.masks), MOST_MASKS)
-        _check_starts("descriptors", self.descriptor_starts, len(self.descriptors), MOST_DESCRIPTORS)
+        _check_starts("masks", self.mask_starts, len(self.masks), MAX_MASKS_PER_NODE)
+        _check_starts("descriptors", self.descriptor_starts, len(self.descriptors), MAX_DESCRIPTORS_PER_NODE)
         _check_all(self.masks >= 0, "masks: expected columns of the evidence")
-        _check_all(_within(self.shares, 0.0, 1 + OF_ONE), "shares: expected numbers from 0 to 1")
+        _check_all(_within(self.shares, 0.0, 1 + LENGTH_TOLERANCE), "shares: expected numbers from 0 to 1")
         lengths = np.sqrt(np.einsum("pd,pd->p", self.descriptors, self.descriptors))
-        _check_all(_within(lengths, 1 - OF_ONE, 1 + OF_ONE), "descriptors: expected finite unit vectors")
+        _check_all(
+            _within(lengths, 1 - LENGTH_TOLERANCE, 1 + LENGTH_TOLERANCE), "descriptors: expected finite unit vectors"
+        )
 
     def __repr__(self) -> str:
         kinds = (int(np.count_nonzero(self.levels == level)) for level in (PART, GROUP))
@@ -80,7 +84,7 @@ class Objects:
         rows = (
             (number, int(self.num_views[node]), f"{self.sure[node]:.2f}", f"{self.masses[node]:.1f}",
              numbers_text(self.centers[node]), numbers_text(self.extents[node]))
-            for number, node in enumerate(self.things[:MOST_SHOWN].tolist())
+            for number, node in enumerate(self.things[:MAX_ROWS_SHOWN].tolist())
         )  # fmt: skip
         return rows_html(repr(self), names, rows, len(self))
 
@@ -247,11 +251,11 @@ class Objects:
                 raise InputError(f"{name}: expected {dtype} ({dimensions}), got {given.dtype} {given.shape}")
 
     def _check_boxes(self) -> None:
-        _check_all(_within(self.centers, -LARGEST, LARGEST), "centers: expected finite numbers")
-        _check_all(_within(self.extents, 0.0, LARGEST), "extents: expected finite lengths of 0 or more")
+        _check_all(_within(self.centers, -MAX_NUMBER, MAX_NUMBER), "centers: expected finite numbers")
+        _check_all(_within(self.extents, 0.0, MAX_NUMBER), "extents: expected finite lengths of 0 or more")
         _check_all(_within(self.axes, -2.0, 2.0), "axes: expected unit vectors")
         products = np.einsum("tik,tjk->tij", self.axes, self.axes)
-        _check_all(np.abs(products - np.eye(3)) < SQUARE, "axes: expected unit vectors at right angles")
+        _check_all(np.abs(products - np.eye(3)) < ORTHONORMAL_TOLERANCE, "axes: expected unit vectors at right angles")
 
 
 def check_forest(

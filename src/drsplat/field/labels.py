@@ -21,8 +21,9 @@ from .forest import THING
 from .language_field import LanguageField
 
 FORMAT, VERSION = "drsplat labels", 1
-LONGEST, MOST = 200, 10_000  # characters of a name; labels of a file
-SAME = 0.5  # IoU of Gaussians from which a label names a node
+MAX_NAME_CHARACTERS = 200
+MAX_LABELS = 10_000
+SAME_NODE_IOU = 0.5  # of Gaussians, from which on a label names a node
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +49,8 @@ class Label:
         return cls(name.strip(), scene, spans_of(gaussian_ids), center)
 
     def __post_init__(self) -> None:
-        if not is_text(self.name) or not self.name.strip() or len(self.name) > LONGEST:
-            raise InputError(f"a name: expected a text of 1 to {LONGEST} characters, got {self.name!a:.80}")
+        if not is_text(self.name) or not self.name.strip() or len(self.name) > MAX_NAME_CHARACTERS:
+            raise InputError(f"a name: expected a text of 1 to {MAX_NAME_CHARACTERS} characters, got {self.name!a:.80}")
         if not are_rows(self.spans):
             raise InputError(f"label '{self.name}': expected ascending rows of a scene, one or more")
 
@@ -103,8 +104,8 @@ class LabelFile:
         if document.get("version") != VERSION:
             raise FormatError(f"{self.path}: version {document.get('version')!a:.20}; this drsplat reads {VERSION}")
         labels = document.get("labels")
-        if not isinstance(labels, list) or len(labels) > MOST:
-            raise FormatError(f"{self.path}: expected a list of up to {MOST:,} labels. {_CURE}")
+        if not isinstance(labels, list) or len(labels) > MAX_LABELS:
+            raise FormatError(f"{self.path}: expected a list of up to {MAX_LABELS:,} labels. {_CURE}")
         return tuple(_label(entry, f"{self.path}: label {number}") for number, entry in enumerate(labels))
 
     def add(self, label: Label, instead: Sequence[Label] = ()) -> tuple[Label, ...]:
@@ -127,8 +128,8 @@ class LabelFile:
             return self.read()
         with claimed_output(self.path):
             labels = (*(label for label in self.read() if not is_replaced(label)), *more)
-            if len(labels) > MOST:
-                raise InputError(f"{self.path}: has {MOST:,} labels, which is the most: remove some")
+            if len(labels) > MAX_LABELS:
+                raise InputError(f"{self.path}: has {MAX_LABELS:,} labels, which is the most: remove some")
             text = json.dumps(_document(labels), ensure_ascii=False, separators=(",", ":"))
             with replacing(self.path, overwrite=True) as file:
                 file.write(f"{text}\n".encode())
@@ -177,7 +178,8 @@ def _overlaps(label: Label, field: LanguageField) -> list[tuple[int, float, bool
     common = objects.counts(rows[rows >= 0])
     ious = common / np.maximum(objects.sizes + len(label) - common, 1)
     return [
-        (int(node), float(ious[node]), bool(objects.levels[node] == THING)) for node in np.flatnonzero(ious >= SAME)
+        (int(node), float(ious[node]), bool(objects.levels[node] == THING))
+        for node in np.flatnonzero(ious >= SAME_NODE_IOU)
     ]
 
 

@@ -26,7 +26,7 @@ FORMAT, VERSION = "drsplat field", 3
 CODES, EVIDENCE, NEGATIVES = "codes.safetensors", "evidence.safetensors", "negatives.safetensors"
 CONTRAST, OBJECTS, GROWTH = "contrast.safetensors", "objects.safetensors", "growth.safetensors"
 TEMPERATURE = 10.0
-FEW = 16  # negatives scored at once, exactly
+BATCH_NEGATIVES = 16  # scored at once, exactly
 
 
 def relevancy_from_scores(
@@ -252,9 +252,9 @@ class LanguageField:
         return Negatives(texts, unit, self._maxima(unit, threads))
 
     def _maxima(self, unit: Float32[np.ndarray, "n D"], threads: int) -> Float32[np.ndarray, " r"]:
-        maxima = self.code.best(unit[:FEW], threads=threads).scores
-        for begin in range(FEW, len(unit), FEW):
-            more = self.code.best(unit[begin : begin + FEW], threads=threads).scores
+        maxima = self.code.best(unit[:BATCH_NEGATIVES], threads=threads).scores
+        for begin in range(BATCH_NEGATIVES, len(unit), BATCH_NEGATIVES):
+            more = self.code.best(unit[begin : begin + BATCH_NEGATIVES], threads=threads).scores
             maxima = np.maximum(maxima, more)
         return maxima
 

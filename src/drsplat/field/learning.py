@@ -13,7 +13,7 @@ from .evidence.aggregation import Aggregated
 from .evidence.aggregation.entries import canonical, column_counts, of_columns
 from .evidence.evidence import Evidence
 
-LEARNT_FROM = 64  # views
+MAX_LEARNING_VIEWS = 64
 
 
 class Learnt(NamedTuple):
@@ -39,14 +39,14 @@ def learn(
 
 
 def learning_views(evidence: Evidence) -> tuple[str, ...]:
-    """Return up to LEARNT_FROM of the views that see anything, by a hash of their names; sorted.
+    """Return up to MAX_LEARNING_VIEWS of the views that see anything, by a hash of their names; sorted.
 
-    One view more changes them with a probability of LEARNT_FROM / V, whenever it comes.
+    One view more changes them with a probability of MAX_LEARNING_VIEWS / V, whenever it comes.
     """
     masks = evidence.masks
     seeing = np.unique(masks.views[column_counts(evidence.weights) > 0])
     names = [masks.view_names[view] for view in seeing.tolist()]
-    return tuple(sorted(sorted(names, key=drawn)[:LEARNT_FROM]))
+    return tuple(sorted(sorted(names, key=drawn)[:MAX_LEARNING_VIEWS]))
 
 
 def source_of(features: Aggregated) -> Evidence:

@@ -37,7 +37,7 @@ from .language_field import (
 )
 from .stored import StoredField
 
-SUMMED = 3  # the first version with checksums
+FIRST_SEALED_VERSION = 3  # the first with checksums
 
 LATER = (OBJECTS, GROWTH)  # read when they are first asked for: a search needs neither
 
@@ -104,7 +104,7 @@ def verify_field(path: str | os.PathLike[str]) -> list[str]:
     manifest = read_manifest(path)
     names: list[str] = []
     try:
-        if DOCUMENT in manifest or manifest.get("version") not in range(1, SUMMED):
+        if DOCUMENT in manifest or manifest.get("version") not in range(1, FIRST_SEALED_VERSION):
             check_document(path / MANIFEST)
             names = [name for name in _names(manifest) if (path / name).exists()]
         for name in names:
@@ -128,7 +128,7 @@ def _checked_manifest(path: Path) -> dict[str, object]:
             f"{path}: version {ascii(version)[:20]} of drsplat {ascii(manifest.get('drsplat'))[:20]}; this one reads 1 "
             f"to {VERSION}: upgrade, or register again"
         )
-    check_seal(manifest, f"{path / MANIFEST}", version >= SUMMED, CURE)
+    check_seal(manifest, f"{path / MANIFEST}", version >= FIRST_SEALED_VERSION, CURE)
     return manifest
 
 
@@ -215,7 +215,7 @@ def _tied(path: Path, name: str, manifest: dict[str, object]) -> _File:
         raise FormatError(f"{path}: incomplete: {error}") from None
     if metadata.get("field") != manifest.get("field"):
         raise MismatchError(f"{path / name} was written with another field: do not mix files of two fields")
-    return _File(path / name, tensors, metadata, int(str(manifest["version"])) >= SUMMED)
+    return _File(path / name, tensors, metadata, int(str(manifest["version"])) >= FIRST_SEALED_VERSION)
 
 
 def _evidence(file: _File | None) -> Evidence | None:

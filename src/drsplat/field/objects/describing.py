@@ -16,7 +16,7 @@ from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import Gaussians
 from .. import LanguageField
 from ..evidence.evidence import Evidence
-from ..forest import MOST_MASKS, Objects, check_forest
+from ..forest import MAX_MASKS_PER_NODE, Objects, check_forest
 from .choosing import Tree
 from .descriptors import descriptors
 from .heaviest import heaviest
@@ -152,7 +152,7 @@ def _num_views(weights: csr_array, evidence: Evidence) -> Int32[np.ndarray, " T"
 
 def _masks(weights: csr_array) -> tuple[Int64[np.ndarray, " T1"], Int32[np.ndarray, " E"], Float32[np.ndarray, " E"]]:
     """Return each node's masks of the largest shares of its weight, largest first, in CSR form."""
-    kept = heaviest(weights, MOST_MASKS)
+    kept = heaviest(weights, MAX_MASKS_PER_NODE)
     totals: Float64[np.ndarray, " T"] = weights.sum(axis=1)
     shares = kept.data / np.repeat(totals, np.diff(kept.indptr))
     return kept.indptr.astype(np.int64), kept.indices.astype(np.int32), shares.astype(np.float32)

@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 
 from ...base.arrays import Float32, Int64
 from ...kernels import weighted_rows
-from ..forest import MOST_DESCRIPTORS
+from ..forest import MAX_DESCRIPTORS_PER_NODE
 from .heaviest import heaviest
 
 LOOKED_AT = 64  # masks of a node, those of the largest weights
@@ -32,7 +32,7 @@ def descriptors(
     clusters = _Clusters(heaviest(weights, LOOKED_AT), embeddings, threads)
     labels = np.zeros(clusters.weights.nnz, np.int64)
     part = np.arange(len(labels))  # entries of rows that may need more
-    for count in range(1, MOST_DESCRIPTORS):
+    for count in range(1, MAX_DESCRIPTORS_PER_NODE):
         far = part[clusters.worst_served(part, clusters.cosines(labels, part, count).max(axis=1, initial=-1))]
         needing = np.zeros(weights.shape[0], bool)
         needing[clusters.rows[far]] = True
@@ -44,7 +44,7 @@ def descriptors(
 
 @dataclass(frozen=True, eq=False)
 class _Clusters:
-    """weights: (T, M), the entries that are put into clusters, MOST_DESCRIPTORS for each row."""
+    """weights: (T, M), the entries that are put into clusters, MAX_DESCRIPTORS_PER_NODE for each row."""
 
     weights: csr_array
     embeddings: Float32[np.ndarray, "M D"]
@@ -75,15 +75,15 @@ class _Clusters:
 
     def means(self, labels: Int64[np.ndarray, " e"]) -> Float32[np.ndarray, "T k D"]:
         """Return the unit mean of each cluster, zero where it has no entries or they cancel out."""
-        clusters = self.rows * MOST_DESCRIPTORS + labels
+        clusters = self.rows * MAX_DESCRIPTORS_PER_NODE + labels
         order = np.argsort(clusters, kind="stable")
-        count = self.weights.shape[0] * MOST_DESCRIPTORS
+        count = self.weights.shape[0] * MAX_DESCRIPTORS_PER_NODE
         starts = np.append(0, np.cumsum(np.bincount(clusters, minlength=count)))
         data = self.weights.data[order].astype(np.float32)
         means = weighted_rows(
             starts, self.weights.indices[order], data, self.embeddings, 0, count, threads=self.threads
         )
-        return means.reshape(-1, MOST_DESCRIPTORS, means.shape[1])
+        return means.reshape(-1, MAX_DESCRIPTORS_PER_NODE, means.shape[1])
 
     def cosines(
         self, labels: Int64[np.ndarray, " e"], part: Int64[np.ndarray, " p"], count: int
@@ -107,7 +107,7 @@ class _Clusters:
         """Return the row starts and unit means, the heaviest cluster of each row first, without specks."""
         means = self.means(labels)
         shape = means.shape[:2]
-        clusters = self.rows * MOST_DESCRIPTORS + labels
+        clusters = self.rows * MAX_DESCRIPTORS_PER_NODE + labels
         mass = np.bincount(clusters, self.weights.data, shape[0] * shape[1]).reshape(shape)
         mass[~means.any(axis=2) | (mass < SUBSTANTIAL * mass.sum(axis=1, keepdims=True))] = 0
         order = np.argsort(-mass, axis=1, kind="stable")
