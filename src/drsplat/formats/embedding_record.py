@@ -1,7 +1,8 @@
 """embedding.json: what made the features of a folder, and which of them are finished.
 
-While `embed` works, each photo that it finishes is a line of the journal embedding.jsonl, because the document grows
-with the photos; at the end the document has them all and the journal goes.
+While `embed` runs, it appends a line to the journal embedding.jsonl for each photo that it finishes: rewriting the
+document each time would cost more with every photo. At the end the document takes over all entries, and the journal is
+removed.
 """
 
 import json
@@ -20,16 +21,16 @@ from .replacing import replacing
 
 FILE_NAME, JOURNAL, FORMAT = "embedding.json", "embedding.jsonl", "drsplat embedding 1"
 _CURE = "Name another folder, or pass overwrite to make all anew"
-_ENDINGS = (MAPS, COMPACT, EMBEDDINGS)  # what makes a photo listed goes first
+_ENDINGS = (MAPS, COMPACT, EMBEDDINGS)  # in the order of removal: a photo is listed by its maps or compact file
 
 
 @dataclass(frozen=True)
 class Finished:
-    """Files of one photo that are finished.
+    """Record of one photo's finished files.
 
-    photo: hash of its bytes and its raster. embeddings: hash of `_f.npy`, which is written first, or of the compact
-    file. map_bytes: size of `_s.npy`, None for a compact file, which has none. masks: number by level. empty_masks:
-    number left out.
+    photo: hash of the photo's bytes, and its raster. embeddings: hash of `_f.npy`, which is written first, or of the
+    compact file. map_bytes: size of `_s.npy`; None for a compact file, which needs none. masks: their number by level.
+    empty_masks: number of masks left out because they had no pixels.
     """
 
     photo: str
@@ -44,9 +45,9 @@ class Finished:
 
 
 class EmbeddingRecord:
-    """The record of one folder. Made by `open_record`; every change is on disk when a method returns.
+    """Record of one folder, from `open_record`. Every change is on disk when a method returns.
 
-    changes: what differed from the folder's former settings. finished: by stem of the files.
+    changes: the settings that differ from the folder's former ones. finished: entries by stem of the files.
     """
 
     def __init__(
@@ -57,7 +58,7 @@ class EmbeddingRecord:
         self._journal: Journal | None = None
 
     def is_finished(self, stem: str, photo: str) -> bool:
-        """Return whether the files are there, of these settings and of this photo."""
+        """Return whether a photo's files exist and belong to these settings and to this photo."""
         entry = self.finished.get(stem)
         return entry is not None and entry.photo == photo and _fits(entry, self.folder, stem)
 
@@ -71,8 +72,8 @@ class EmbeddingRecord:
     def make_room(self, stem: str) -> None:
         """Forget a photo's files before they are replaced.
 
-        An entry that outlives its files could come to fit others; maps must not be there beside embeddings that are
-        not theirs, whenever the run is killed.
+        An entry that outlives its files could match later ones. Maps must never lie beside embeddings of other masks,
+        whenever the run is killed.
         """
         if stem in self.finished:
             self._change(stem, None)
@@ -87,7 +88,7 @@ class EmbeddingRecord:
         self._change(stem, Finished(photo, digest, size, masks, empty_masks))
 
     def write(self) -> str:
-        """Write the document with all that is finished, and return its checksum."""
+        """Write the document with all entries, and return its checksum."""
         photos = {stem: asdict(entry) for stem, entry in sorted(self.finished.items())}
         document = sealed({"format": FORMAT, "settings": self._settings, "photos": photos})
         with replacing(self.folder / FILE_NAME, overwrite=True) as file:
@@ -95,14 +96,14 @@ class EmbeddingRecord:
         return str(document[DOCUMENT])
 
     def close(self) -> None:
-        """Take the journal into the document, if anything has changed. The record is not used after it."""
+        """Move the journal's entries into the document, if anything has changed. Do not use the record afterwards."""
         if self._journal is not None:
             self._journal.close()
             self.write()
             self._journal.path.unlink()
 
     def _change(self, stem: str, entry: Finished | None) -> None:
-        """Note that a photo is finished, or is no longer (None)."""
+        """Append to the journal that a photo is finished, or no longer is (None)."""
         if self._journal is None:
             self._journal = Journal(self.folder / JOURNAL, self.write())
         self._journal.add({"stem": stem, "finished": entry and asdict(entry)})
@@ -112,12 +113,12 @@ class EmbeddingRecord:
 
 
 def open_record(folder: Path, settings: Mapping[str, object], overwrite: bool = False) -> EmbeddingRecord:
-    """Open the record of a folder for files of these settings; both are made where they are missing.
+    """Open the record of a folder for files with these settings; create folder and record if they are missing.
 
-    Where the folder's settings are others, nothing in it counts as finished. With `overwrite`
-    nothing does either, and features without a record are taken over.
+    If the folder's settings differ, nothing in it counts as finished. With `overwrite` nothing does either, and
+    features without a record may be replaced.
 
-    Raises: InputError: features that others made, settings that JSON cannot hold. FormatError: a damaged record.
+    Raises: InputError: features of another program, settings that JSON cannot hold. FormatError: a damaged record.
     """
     if (folder.is_symlink() or folder.exists()) and not folder.is_dir():
         raise InputError(f"{folder} is no folder: name one for the features, or a new one")
@@ -142,10 +143,10 @@ def open_record(folder: Path, settings: Mapping[str, object], overwrite: bool = 
 
 
 def read_settings(folder: Path) -> dict[str, object] | None:
-    """Return what made the features of a folder, or None where it has no record.
+    """Return the settings that a folder's features were made with, or None without a record.
 
-    Raises: FormatError: a damaged record. MismatchError: some of its features have no entry, as
-    when `embed` was stopped after a setting had changed.
+    Raises: FormatError: a damaged record. MismatchError: some of its features have no entry,
+    for example after `embed` was stopped when a setting had changed.
     """
     path = folder / FILE_NAME
     if not path.is_file():
@@ -161,9 +162,9 @@ def read_settings(folder: Path) -> dict[str, object] | None:
 
 
 def embedded_by(folder: Path, named: EncoderIdentity | None) -> EncoderIdentity | None:
-    """Return who made the embeddings of a folder: what its record says, else the encoder named.
+    """Return the encoder of a folder's embeddings: the recorded one, or `named` without a record.
 
-    Raises: MismatchError: they contradict each other. FormatError: a damaged record.
+    Raises: MismatchError: the two contradict each other. FormatError: a damaged record.
     """
     path = folder / FILE_NAME
     if not path.is_file():
@@ -178,7 +179,7 @@ def embedded_by(folder: Path, named: EncoderIdentity | None) -> EncoderIdentity 
 
 
 def finished_photos(folder: Path) -> Mapping[str, Finished]:
-    """Return what the record of a folder says of its photos, by stem; {} where it has no record.
+    """Return the entries of a folder's finished photos, by stem; {} without a record.
 
     Raises: FormatError: a damaged record.
     """
@@ -187,7 +188,7 @@ def finished_photos(folder: Path) -> Mapping[str, Finished]:
 
 
 def check_finished(entry: Finished, folder: Path, stem: str) -> None:
-    """Compare a photo's files with its entry. Raises: FormatError: others are there, e.g. those of another photo."""
+    """Compare a photo's files with its entry. Raises: FormatError: they differ, e.g. belong to another photo."""
     if not _fits(entry, folder, stem):
         raise FormatError(
             f"{folder / stem}: its features are not those that drsplat embed made of this photo: give the same "
@@ -196,15 +197,15 @@ def check_finished(entry: Finished, folder: Path, stem: str) -> None:
 
 
 def verify_embedding(folder: Path) -> list[str]:
-    """Compare the files of a folder with the hashes in its record; return the names of those that have one.
+    """Compare the files of a folder with the hashes in its record, and return the names of the files with a hash.
 
-    Raises: FormatError: another file than was written, or a missing one.
+    Raises: FormatError: a file that has changed or is missing.
     """
     path = folder / FILE_NAME
     if not path.is_file():
         return []
     document = read_json(path)
-    if not isinstance(document, dict) or set(document) != {"format", "settings", "photos"}:  # of older versions
+    if not isinstance(document, dict) or set(document) != {"format", "settings", "photos"}:  # written by older versions
         check_document(path)
     _, finished = _read(path)
     names = {f"{stem}{COMPACT if entry.form == 'compact' else EMBEDDINGS}": entry for stem, entry in finished.items()}
@@ -221,7 +222,7 @@ def _encoder_text(identity: EncoderIdentity) -> str:
 
 
 def encoder_from_json(identity: object, where: str) -> EncoderIdentity:
-    """Return an identity as `identity_json` gives it; files of older versions have no preprocessing.
+    """Return the identity that `identity_json` wrote; files of older versions have no preprocessing.
 
     Raises: FormatError: not an object of name, dim and weights.
     """
@@ -252,7 +253,7 @@ def _read(path: Path) -> tuple[dict[str, object], dict[str, Finished]]:
 
 
 def _entry(value: object) -> Finished | None:
-    """Return an entry, None for what looks like none: its photo is then embedded again."""
+    """Return an entry, or None if it is malformed: its photo is then embedded again."""
     try:
         entry = Finished(**value)  # type: ignore[arg-type]
         counts = [entry.empty_masks, entry.map_bytes or 0, *entry.masks.values()]
@@ -280,7 +281,7 @@ def _listed_stems(folder: Path) -> list[str]:
 
 
 def _as_json(settings: Mapping[str, object]) -> dict[str, object]:
-    """Return them as they are read back: tuples become lists."""
+    """Return settings as they will be read back: tuples become lists."""
     try:
         plain: dict[str, object] = json.loads(json.dumps(settings))
     except TypeError as error:
@@ -289,7 +290,7 @@ def _as_json(settings: Mapping[str, object]) -> dict[str, object]:
 
 
 def _changed(before: object, now: object, name: str = "") -> Iterator[str]:
-    """Return each setting that differs, what it was and what it is."""
+    """Yield each setting that differs, with its value before and now."""
     if isinstance(before, dict) and isinstance(now, dict):
         for key in [*before, *(key for key in now if key not in before)]:
             yield from _changed(before.get(key), now.get(key), f"{name}.{key}" if name else key)

@@ -1,4 +1,4 @@
-"""`read_scene`: any scene, still or moving; `write_moving`: a moving one for others, or for us."""
+"""Read any scene, still or moving, and write moving ones in our format or as numbered PLY files."""
 
 from pathlib import Path
 
@@ -16,12 +16,16 @@ SUFFIX = ".motion"
 
 
 def read_scene(path: str | Path, times: tuple[float, float] | None = None) -> Gaussians | Moving:
-    """Read a moving scene, or else a still one as `read_gaussians` reads it.
+    """Read a scene: a moving one as `Moving`, a still one as `read_gaussians` does.
 
-    Moving are: a folder with motion.safetensors, or that file; a folder of two or more numbered PLY files; a PLY of
-    SpacetimeGaussians. times: of the first and the last frame of numbered files.
+    These move: a folder with motion.safetensors, or that file; a folder of two or more numbered PLY files; a PLY of
+    SpacetimeGaussians.
 
-    Raises: as `read_gaussians` and the readers of moving scenes; InputError: times for what has its own.
+    Args:
+        path: the file or folder.
+        times: times of the first and the last frame, for numbered PLY files only.
+
+    Raises: as `read_gaussians` and the readers of moving scenes. InputError: times for a scene that has its own.
     """
     path = Path(path)
     if is_sequence(path):
@@ -47,13 +51,13 @@ def read_moving(path: str | Path, times: tuple[float, float] | None = None) -> M
 
 
 def is_moving(path: str | Path) -> bool:
-    """Return True if `read_scene` would read a moving scene, by names and the header of a PLY."""
+    """Return whether `read_scene` would return a moving scene, judging by file names and a PLY's header."""
     path = Path(path)
     return path.name == MOTION or (path / MOTION).is_file() or is_sequence(path) or _is_spacetime(path)
 
 
 def is_sequence(path: Path) -> bool:
-    """Return True for a folder of numbered PLY files that is no trained model and no tiles."""
+    """Return whether a folder holds numbered PLY files, and is neither a trained model nor tiles."""
     if not path.is_dir() or (path / MOTION).is_file():
         return False
     try:
@@ -64,9 +68,9 @@ def is_sequence(path: Path) -> bool:
 
 
 def write_moving(path: str | Path, moving: Moving, overwrite: bool = False) -> None:
-    """Write a folder: with our motion where its name ends in .motion, else of numbered PLY files.
+    """Write a moving scene to a folder: in our format if its name ends in .motion, else as numbered PLY files.
 
-    Raises: InputError: it exists and not `overwrite`, or is not such a folder.
+    Raises: InputError: the folder exists without `overwrite`, or holds something else.
     """
     path = Path(path)
     (write_motion if path.suffix == SUFFIX else write_ply_sequence)(path, moving, overwrite)
@@ -80,4 +84,4 @@ def _is_spacetime(path: Path) -> bool:
     try:
         return is_spacetime(read_header(memoryview(head)))
     except FormatError:
-        return False  # whoever reads it says what is wrong
+        return False  # reading it reports what is wrong

@@ -1,8 +1,9 @@
 """Kernels of the mixture code (native): choosing the atoms of a feature, and scanning the rows.
 
-Encoding is the same to the bit for any number of threads. Scans add whole numbers: their scores are
-the same to the bit for any number of threads, of queries at once, and on any instruction set.
-`threads=0` takes all cores and `isa` names an instruction set of `available_isas()`, "" the best.
+Encoding gives the same bits at any number of threads. Scans add integers: their scores have the same bits at any number
+of threads and of queries in a call, and on any instruction set.
+
+threads: 0 for all cores. isa: an instruction set of `available_isas()`, or "" for the best one.
 """
 
 from collections.abc import Callable
@@ -45,9 +46,9 @@ class Blocks(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """Atoms that a row may be made of: those of its columns, and some more.
+    """Atoms that each row may be mixed from.
 
-    indptr, columns: rows of CSR. further: as many for every row.
+    indptr, columns: atoms of each row, in CSR form. further: more atoms, equally many for each row.
     """
 
     indptr: Integer[np.ndarray, " n1"]
@@ -66,10 +67,10 @@ def mixture_encode(
 ) -> Encoded:
     """Choose up to `atoms_per_row` candidates whose mixture with positive weights comes nearest to a feature.
 
-    Greedy orthogonal least squares; then each chosen atom is replaced once by the candidate that fits
-    best in its place. Rows for which no candidate has a positive weight become zero.
+    Atoms are chosen by greedy orthogonal least squares; then each is replaced once by the candidate that fits best in
+    its place. Rows for which no candidate has a positive weight become zero.
 
-    Raises: InputError: shapes disagree, candidates that are no atoms, more than 16 atoms per row.
+    Raises: InputError: shapes that disagree, candidates that are not in the dictionary, more than `MAX_ATOMS_PER_ROW`.
     Source: Chen, Billings & Luo 1989 (orthogonal least squares).
     """
     if not np.isfinite(features).all():
@@ -77,19 +78,19 @@ def mixture_encode(
     starts = np.ascontiguousarray(candidates.indptr, np.int64)
     rows = (np.ascontiguousarray(features), starts, *map(np.ascontiguousarray, candidates[1:]))
     arrays = (*_contiguous(dictionary), *rows)
-    encoded = _refusing(_native.mixture_encode, *arrays, atoms_per_row, threads, checked_isa(isa))
+    encoded = _checked_call(_native.mixture_encode, *arrays, atoms_per_row, threads, checked_isa(isa))
     return Encoded(*map(np.asarray, encoded))
 
 
 def nearest_centres(
     points: Float32[np.ndarray, "n D"], centres: Float32[np.ndarray, "c D"], *, threads: int = 0, isa: str = ""
 ) -> Int32[np.ndarray, " n"]:
-    """Return the centre of the largest inner product with each point, ties to the lowest.
+    """Return the centre that has the largest inner product with each point; the lowest index wins ties.
 
     Raises: InputError: no centres, or of another dimension.
     """
     arrays = np.ascontiguousarray(points), np.ascontiguousarray(centres)
-    return np.asarray(_refusing(_native.nearest_centres, *arrays, threads, checked_isa(isa)))
+    return np.asarray(_checked_call(_native.nearest_centres, *arrays, threads, checked_isa(isa)))
 
 
 def nearest_members(
@@ -104,21 +105,21 @@ def nearest_members(
 ) -> Int32[np.ndarray, "n w"]:
     """Return the `wanted` atoms with the largest inner products with each point, among its group's members.
 
-    Raises: InputError: groups or members that are not there, or fewer members than wanted.
+    Raises: InputError: groups or members that do not exist, or fewer members than wanted.
     """
     arrays = (*_contiguous(dictionary), *map(np.ascontiguousarray, (points, groups, members)))
-    return np.asarray(_refusing(_native.nearest_members, *arrays, wanted, threads, checked_isa(isa)))
+    return np.asarray(_checked_call(_native.nearest_members, *arrays, wanted, threads, checked_isa(isa)))
 
 
 def mixture_scores(
     blocks: Blocks, dictionary: Dictionary, queries: Float32[np.ndarray, "q D"], *, threads: int = 0, isa: str = ""
 ) -> Float32[np.ndarray, "q n"]:
-    """Return scale_i * sum_k weight_ik * <query, atom of id_ik>, where <query, atom> is in steps of 1 / 32767.
+    """Return scale_i * sum_k weight_ik * <query, atom of id_ik>, with <query, atom> rounded to steps of 1 / 32767.
 
     Raises: InputError: shapes disagree, or a query that is not finite.
     """
     arrays = _scan_arrays(blocks, dictionary), _finite(queries)
-    return np.asarray(_refusing(_native.mixture_scores, *arrays, threads, checked_isa(isa)))
+    return np.asarray(_checked_call(_native.mixture_scores, *arrays, threads, checked_isa(isa)))
 
 
 def mixture_select(
@@ -137,8 +138,8 @@ def mixture_select(
     """
     floors = None if floor is None else np.ascontiguousarray(floor)
     arguments = _scan_arrays(blocks, dictionary), _finite(query), threshold, floors
-    rows, scores = _refusing(_native.mixture_select, *arguments, threads, checked_isa(isa))
-    return np.asarray(rows).view(np.int64), np.asarray(scores)  # it may come as "long long"
+    rows, scores = _checked_call(_native.mixture_select, *arguments, threads, checked_isa(isa))
+    return np.asarray(rows).view(np.int64), np.asarray(scores)  # the native dtype may be "long long"
 
 
 def mixture_top(
@@ -150,30 +151,31 @@ def mixture_top(
     threads: int = 0,
     isa: str = "",
 ) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
-    """Return the `count` rows of the best scores, best first, ties to the lower row, and their scores.
+    """Return the `count` rows with the highest scores, best first, and these scores; the lower row wins ties.
 
     Raises: InputError: shapes disagree, a count below 1, or a query that is not finite.
     """
     if count < 1:
         raise InputError(f"count: expected 1 or more, got {count}")
     arguments = _scan_arrays(blocks, dictionary), _finite(query), count
-    rows, scores = _refusing(_native.mixture_top, *arguments, threads, checked_isa(isa))
-    return np.asarray(rows).view(np.int64), np.asarray(scores)  # it may come as "long long"
+    rows, scores = _checked_call(_native.mixture_top, *arguments, threads, checked_isa(isa))
+    return np.asarray(rows).view(np.int64), np.asarray(scores)  # the native dtype may be "long long"
 
 
 def mixture_best(
     blocks: Blocks, dictionary: Dictionary, queries: Float32[np.ndarray, "c D"], *, threads: int = 0, isa: str = ""
 ) -> tuple[Int32[np.ndarray, " n"], Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
-    """Return each row's query of the highest score (ties to the first), that score, and the next highest.
+    """Return for each row the query with the highest score (the first wins ties), that score, and the next highest.
 
     Raises: InputError: shapes disagree, no query, or one that is not finite.
     """
     arrays = _scan_arrays(blocks, dictionary), _finite(queries)
-    index, scores, runner_up = _refusing(_native.mixture_best, *arrays, threads, checked_isa(isa))
+    index, scores, runner_up = _checked_call(_native.mixture_best, *arrays, threads, checked_isa(isa))
     return np.asarray(index), np.asarray(scores), np.asarray(runner_up)
 
 
-def _refusing(kernel: Callable[..., T], *arguments: object) -> T:
+def _checked_call(kernel: Callable[..., T], *arguments: object) -> T:
+    """Call a kernel; raise what it refuses as an InputError."""
     try:
         return kernel(*arguments)
     except (ValueError, TypeError) as error:

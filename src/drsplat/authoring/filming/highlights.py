@@ -1,4 +1,4 @@
-"""An answer over the pictures of a scene: in colour or as heat, with boxes and names."""
+"""Answers drawn over pictures of a scene: in colour or as heat, with boxes and names."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -19,9 +19,10 @@ from ...scene.views import View
 
 @dataclass(frozen=True, eq=False)
 class Highlight:
-    """values: per Gaussian 1 where it was found and else 0, or its heat. marks: those of the matches, if wanted.
+    """An answer that can be drawn over pictures of its scene.
 
-    up: boxes of a moving scene stand along it; None: free.
+    values: for each Gaussian its heat, or else 1 in a match and 0 elsewhere. marks: boxes of the matches, if wanted.
+    up: the vertical that boxes of a moving scene are aligned with; None for free boxes.
     """
 
     matches: Sequence[Match]
@@ -32,7 +33,9 @@ class Highlight:
 
     @classmethod
     def of(cls, scene: Scene, query: Query, *, heat: bool = False, boxes: bool = False) -> "Highlight":
-        """Ask a scene and return its answer. heat: colours show how well each Gaussian fits; else matches keep theirs.
+        """Ask a scene and return its answer.
+
+        heat: show how well each Gaussian fits, instead of the matches. boxes: mark each match with its box and name.
 
         Raises: as `Scene.locate`.
         """
@@ -47,9 +50,10 @@ class Highlight:
         return cls(matches, values, heat, marks_of(matches, query.text or "") if boxes else (), scene.up)
 
     def after_edits(self, everything: Gaussians) -> "Highlight":
-        """Return the answer where edits have put it: rows that they added answer nothing, and removed ones are gone.
+        """Return the answer after edits of its scene: boxes follow the Gaussians, and removed Gaussians are dropped.
 
-        everything: of `Draft.everything`, all rows under their numbers, removed ones with opacity 0.
+        everything: `Draft.everything`: all rows at their numbers, removed ones with opacity 0. Added rows match
+        nothing.
         """
         values = np.zeros((len(everything), 1), np.float32)
         values[: len(self.values)] = self.values
@@ -64,13 +68,14 @@ class Highlight:
 
     @property
     def num_selected(self) -> int:
-        """Gaussians of all matches."""
+        """Number of Gaussians in all matches together."""
         return len(np.unique(np.concatenate([np.empty(0, np.int64), *(match.gaussian_ids for match in self.matches)])))
 
     def over(self, drawn: Picture, picture: Pixels, view: View, share: float, moved: Gaussians | None = None) -> Pixels:
-        """Draw the answer over a view that was drawn with `values`. share: how much of it, from 0 to 1.
+        """Return a picture with the answer drawn over it.
 
-        picture: the pixels of `drawn`. moved: the Gaussians as they are now, where they move.
+        drawn: the view, rendered with `values` as its channel. picture: the pixels of `drawn`. share: opacity of the
+        answer, from 0 to 1. moved: the Gaussians at the picture's time, if the scene moves.
         """
         if share <= 0:
             return picture
@@ -86,7 +91,7 @@ class Highlight:
 
 
 def marks_of(matches: Sequence[Match], text: str) -> list[Mark]:
-    """Return a box with a name for each match: its label, else the text; numbers tell several apart."""
+    """Return a named box for each match: its label, or else the text, numbered if there are several."""
     names = [match.label or text for match in matches]
     return [
         box_mark(f"{number} {name}" if len(matches) > 1 else name, match)

@@ -1,4 +1,4 @@
-"""drsplat inspect: a file or folder -> what it holds."""
+"""drsplat inspect: a file or folder -> a description of its content."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ EXAMPLES = """\
   drsplat inspect room.field --verify
 
 --verify names the damaged file and ends with exit code 1 if any bit of a field, tiles, a film (NAME.motion),
-a catalogue or embedded features has changed since they were written. Other kinds have no checksums; it reports
-what it read of them."""
+a catalogue or embedded features has changed since they were written. Other kinds have no checksums; for them it
+reports what it has read."""
 DAILY = ("verify",)
 PERCENTILES = (1, 50, 99)
 
@@ -94,7 +94,7 @@ def _scene(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _levels(path: Path) -> dict[str, Any]:
-    """Describe the levels of detail of a streamed SOG, the finest of which is read; nothing of other scenes."""
+    """Return the number of Gaussians at each level of a streamed SOG, whose finest is read; {} for other scenes."""
     from ...formats.streamed_sog import LOD_META, counts_of_levels
 
     lod_meta = path / LOD_META if path.is_dir() else path
@@ -103,7 +103,7 @@ def _levels(path: Path) -> dict[str, Any]:
 
 
 def _named_objects(path: Path) -> dict[str, Any]:
-    """Describe the objects that a file has with their names; nothing where it has none."""
+    """Return the named objects that a scene file holds; {} if there are none."""
     from ...formats.glb import names_in_glb
     from ...formats.named import read_labels
     from ...scene.labelled import numbers_of

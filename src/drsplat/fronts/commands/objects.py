@@ -1,4 +1,4 @@
-"""drsplat objects: a field and its scene -> what is in it, with or without words."""
+"""drsplat objects: a field and its scene -> a list of its objects, with or without names."""
 
 from __future__ import annotations
 
@@ -21,13 +21,12 @@ EXAMPLES = """\
   drsplat objects room.field --scene scene.ply --save cut_out
   drsplat objects room.field --label "my mug" --id 7
 
-Listed are the objects that photos agree on, and those with a label; --all lists the others
-too, of which most are scraps.
+The list has the objects that photos agree on, and those with a label; --all adds the others, most of which are scraps.
 
-The first time they are found, which takes the scene, and kept in the field. ids.npy has one int32 per Gaussian of the
-scene, its object or -1. objects.ply is the scene with that as a column object_id; a folder gets a PLY of each object;
-.json and .csv get the table, with boxes. Names that are given with --label are kept in NAME.labels.json beside
-NAME.field: they outlive the field, and queries for such a name select exactly this object."""
+The first run finds the objects, which takes the scene, and stores them in the field. ids.npy has an int32 for each
+Gaussian of the scene: its object, or -1. objects.ply is the scene with these numbers as a column object_id; a folder
+gets a PLY of each object; .json and .csv get the table, with boxes. Names given with --label are stored in
+NAME.labels.json beside NAME.field: they outlive the field, and a query for such a name selects exactly this object."""
 DAILY = ("scene", "all", "label", "id", "save", "picture", "views", "overwrite")
 
 MAX_ROWS_SHOWN = 40  # on a terminal without --all; real captures have hundreds of objects
@@ -37,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("field", help=FIELD_HELP)
     parser.add_argument("--scene", help="scene that was registered; needed to find objects, for PLYs and for --picture")
     parser.add_argument(
-        "--again", action="store_true", help="find objects anew, though the field has some; labels stay"
+        "--again", action="store_true", help="find objects anew, even if the field has some; labels stay"
     )
     parser.add_argument(
         "--all", action="store_true", help="list and draw also the objects that photos agree less on; files have all"
@@ -165,7 +164,7 @@ def _row(one: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _with_objects(arguments: argparse.Namespace) -> Scene:
-    """Open the scene of a field; objects are found, and kept in the field, where it has none."""
+    """Open the scene of a field; find its objects and store them in the field, if it has none or --again is given."""
     from ...formats.claiming import claimed_output
     from ...query.opening import scene_files
 

@@ -16,8 +16,8 @@ EXAMPLES = """\
   drsplat serve scenes --host 0.0.0.0 --api-key-file key.txt --encoder laion/CLIP-ViT-B-16-laion2B-s34B-b88K
   curl -s localhost:8765/scenes/drsplat-demo/locate -H 'content-type: application/json' -d '{"text": "red vase"}'
 
-scenes is a folder with a field and its scene, or with one of these in each subfolder. /docs and /openapi.json describe
-all routes; docs/serve.md has examples."""
+"scenes" is a folder with a field and its scene, or with such folders in it. /docs and /openapi.json describe all
+routes; docs/serve.md has examples."""
 DAILY = ("host", "port", "api_key_file", "encoder")
 
 
@@ -63,9 +63,9 @@ def _started(arguments: argparse.Namespace, key: str | None) -> None:
     settings = Settings(arguments.folder, sources, limits, key, names, origins, arguments.catalogue)
     catalogue = None if arguments.catalogue is None else Path(arguments.catalogue)
     scene_folder = SceneFolder(Path(arguments.folder), sources, catalogue_path=catalogue)
-    number = scene_folder.checked()
+    num_scenes = scene_folder.checked()
     note_own_scenes(scene_folder.folders().values())
     with bound_socket(arguments.host, arguments.port) as listening:
         if not arguments.json:
-            print(f"{counted(number, 'scene')} at {address_of(listening, arguments.host)}/scenes", flush=True)
+            print(f"{counted(num_scenes, 'scene')} at {address_of(listening, arguments.host)}/scenes", flush=True)
         serve(settings, listening, arguments.json)

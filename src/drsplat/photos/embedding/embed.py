@@ -1,7 +1,7 @@
-"""Language features of photos: masks, their crops, their embeddings; one photo at a time, or a few.
+"""Compute the language features of photos: masks, and an embedding of each mask's crop.
 
 An `embedding.json` beside the features records the settings of the folder and its finished files. Features count as
-finished only with an entry there that fits them and their photo.
+finished only with an entry there that matches them and their photo.
 """
 
 from collections.abc import Generator, Mapping, Sequence
@@ -36,19 +36,19 @@ from .keeping import embedded_again, kept_identity, kept_maps, level_counts, mas
 from .mask_rows import mask_rows
 from .side_by_side import Threaded, photos_at_once, side_by_side
 
-ALGORITHM = "1"  # version of everything here that decides what is written; another one makes all files anew
-WORD_LIST = "word_list.safetensors"  # beside the features: what queries are contrasted with
+ALGORITHM = "1"  # version of all rules that shape the files; a new one embeds all photos again
+WORD_LIST = "word_list.safetensors"  # beside the features: words that queries are contrasted with
 MAX_HEIGHT_PIXELS = 1080
 """Height in pixels that taller photos are scaled down to. Source: LangSplat preprocess.py."""
 
 
 @dataclass(frozen=True)
 class EmbeddingReport:
-    """Result of a run.
+    """Counts of a run of `embed`.
 
-    photos: number that now have features; reused: of them, finished before; redone: made anew over older files. masks:
-    by level. crops: number embedded. empty_masks: left out because they had no pixels. changes: settings that differ
-    from those of the older files.
+    photos: photos that now have features. reused: those finished in earlier runs. redone: those whose older files were
+    replaced. masks: masks by level. crops: crops embedded. empty_masks: masks left out because they had no pixels.
+    changes: settings that differ from those of the older files.
     """
 
     photos: int
@@ -71,26 +71,32 @@ def embed(
     form: Form = "compact",
     track: Track = untracked,
 ) -> EmbeddingReport:
-    """Write `<photo>.features.safetensors` of every view, or LangSplat's files.
+    """Write the language features of every view's photo, each in its own file.
 
-    A photo is segmented as stored, its lens not undone, because that is where `register` expects maps to lie. Pixels
-    outside the mask of a photo are in no mask: one that lies mostly there is dropped, others lose those pixels, and
-    photos that are left out as a whole get no files. Finished photos are not touched: a killed run loses at most the
-    photo it was at. Where a setting differs from the folder's, everything is made anew, each file replaced when its
-    successor is complete. Memory holds one photo at a time; the built-in models take as many at once as they have
-    threads, up to 8, and a kill then loses those.
-    form: "compact", or "langsplat" for `<photo>_f.npy` and `<photo>_s.npy`; files finished in the other form
-    are rewritten, not made anew.
-    segmenter: cuts photos into masks; or features of the same photos, whose masks are kept with their ids, on their
-    raster: another encoder embeds them, for `register --weights-of`.
-    max_height: taller photos are scaled to it, in pixels; None takes them as they are.
-    overwrite: makes everything anew, also over features of other programs.
+    Photos are segmented as stored, without undistortion, because `register` expects maps on that raster. Pixels that a
+    photo's own mask excludes belong to no mask of the features: a mask that lies mostly there is dropped, others lose
+    these pixels, and photos that are excluded as a whole get no files.
 
-    Warns: DrSplatWarning: views without photo, or whose mask leaves all out, changed settings, files left from other
-    settings.
-    Raises: InputError: no photo, photos that would share a file, features of others in the folder, another
-    process that embeds into it.
-    FormatError: a damaged photo or embedding.json.
+    Finished photos are not touched: a killed run loses at most the photo it was at. If a setting differs from the
+    folder's, all photos are embedded again, and each file is replaced once its successor is complete. Memory holds one
+    photo at a time; the built-in models take as many at once as they have threads, up to 8, and a kill loses all those.
+
+    Args:
+        views: the views; those without a photo are left out.
+        output_dir: folder of the features.
+        segmenter: cuts photos into masks. Or features of the same photos, whose masks are kept, with their ids and on
+            their raster, for another encoder (`register` with weights of another field).
+        encoder: embeds the crops of masks.
+        max_height: height in pixels that taller photos are scaled down to; None for no limit.
+        overwrite: embed all photos again, even over features of other programs.
+        form: "compact" for `<photo>.features.safetensors`, "langsplat" for `<photo>_f.npy` and `<photo>_s.npy`. Files
+            finished in the other form are converted, not computed again.
+        track: shows the progress.
+
+    Warns: DrSplatWarning: views without a photo, or with one that its mask excludes as a whole; changed settings; files
+    left from other settings.
+    Raises: InputError: no photo, photos that would share a file, features of another program in the folder, another
+    process that embeds into it. FormatError: a damaged photo or embedding.json.
     Source: LangSplat preprocess.py; Dr. Splat Sec. A.
     """
     if max_height is not None and max_height < 1:
@@ -124,13 +130,13 @@ def embed(
 
 
 def pictures_setting(views: Sequence[View]) -> dict[str, list[str]]:
-    """Return the record's entry on renderings: the scenes they are of; nothing where all are photos."""
+    """Return the record's entry on renderings, the scenes they show; {} if all pictures are photos."""
     scenes = scenes_rendered(view.rendered_from for view in views)
     return {"rendered_from": scenes} if scenes else {}
 
 
 def recorded_renderings(folder: str | Path) -> list[str]:
-    """Return the scenes that a folder's pictures are renderings of; none for photos, or if unknown.
+    """Return the scenes that a folder's pictures were rendered from; none for photos, or if unknown.
 
     Raises: as `recorded_encoder`.
     """
@@ -177,9 +183,9 @@ def recorded_encoder(folder: str | Path) -> EncoderIdentity | None:
 
 
 def _by_stem(views: Sequence[View]) -> dict[str, View]:
-    """Return the views with a photo, sorted, by their feature files' name without suffix.
+    """Return the views with a photo, sorted, by the stem of their feature files.
 
-    Raises: InputError: no photo at all; two photos of one name but for the suffix.
+    Raises: InputError: no photo at all; two photos whose names differ only in the suffix.
     """
     by_stem: dict[str, View] = {}
     for view in sorted(views, key=lambda view: view.name):
@@ -201,7 +207,7 @@ def _by_stem(views: Sequence[View]) -> dict[str, View]:
 
 
 def _raster(view: View, max_height: int | None) -> View:
-    """Return the view on the raster that is segmented, without its lens: maps lie on the photo as stored."""
+    """Return the view on the raster that is segmented, without distortion: maps lie on the photo as stored."""
     stored = replace(view, distortion=None)
     if max_height is None or view.height <= max_height:
         return stored
@@ -209,21 +215,21 @@ def _raster(view: View, max_height: int | None) -> View:
 
 
 def _photo_identity(view: View) -> str:
-    """Return a hash of a photo's bytes, with the raster it is read to."""
+    """Return a hash of a photo's bytes, followed by the raster it is read at."""
     if view.image_path is None:
         raise InputError(f"view '{view.name}' has no photo")
     return f"{hash_file(view.image_path)} {view.width}x{view.height}"
 
 
 def _mask_identity(view: View) -> str:
-    """Return a hash of the bytes of a photo's mask, after a space; empty where it has none."""
+    """Return a space and a hash of the bytes of a photo's mask, or an empty text without a mask."""
     if view.mask_path is None:
         return ""
     return f" {hash_file(view.mask_path)}{' inverted' if view.mask_inverted else ''}"
 
 
 class _Embedded(NamedTuple):
-    """Masks and embeddings of one photo. counts: of masks by level. empty: number left out."""
+    """Masks and embeddings of one photo. counts: masks by level. empty: number of masks left out for lack of pixels."""
 
     mask_ids: Int32[np.ndarray, "*levels h w"]
     embeddings: Float32[np.ndarray, "n d"]
@@ -232,10 +238,7 @@ class _Embedded(NamedTuple):
 
 
 def _with_masks(rasters: Mapping[str, View], folder: FeatureFolder) -> dict[str, View]:
-    """Return the photos that have masks in a folder.
-
-    Raises: InputError: none has.
-    """
+    """Return the views whose photos have masks in a folder; warn of the others. Raises: InputError: none has."""
     with_masks = {stem: view for stem, view in rasters.items() if stem in folder}
     missing = [stem for stem in rasters if stem not in with_masks]
     if not with_masks:
@@ -316,13 +319,13 @@ def _embeddings(
 
 
 def _counts(maps: MaskMaps, levels: Mapping[str, Masks]) -> dict[str, int]:
-    """Count the masks by level, of the levels that the segmenter gave."""
+    """Count the masks of each level that the segmenter returned."""
     ids = {level: maps.mask_ids[LEVELS.index(level)] for level in LEVELS if level in levels}
     return {level: len(np.unique(level_ids[level_ids >= 0])) for level, level_ids in ids.items()}
 
 
 def _totals(record: EmbeddingRecord, stems: Sequence[str]) -> tuple[dict[str, int], int]:
-    """Sum the masks by level, and the empty masks, of photos; warn if there is no mask."""
+    """Return the sums of photos' masks by level and of their empty masks; warn if there is no mask."""
     finished = [record.finished[stem] for stem in stems]
     counts = {level: sum(photo.masks.get(level, 0) for photo in finished) for level in LEVELS}
     masks = {level: count for level, count in counts.items() if count}

@@ -10,18 +10,20 @@ Answer = TypeVar("Answer")
 
 
 def fitting(compute: Callable[[Any], Answer], items: Any, what: str) -> list[Answer]:
-    """Compute all items at once, or in halves, recursively, where the memory is full; return the results in order.
+    """Return the results of computing all items at once, or in ever smaller halves while the GPU's memory is full.
 
-    items: anything with a length that can be sliced. what: the items' name in the plural, for the error.
+    The results of all batches come in the order of the items.
 
-    Raises: DrSplatError: not even one fits.
+    items: any sequence that can be sliced. what: name of the items in the plural, for the error.
+
+    Raises: DrSplatError: not even one item fits.
     """
     torch = import_module("torch")
     try:
         return [compute(items)]
     except torch.cuda.OutOfMemoryError as error:
         full = str(error)
-    torch.cuda.empty_cache()  # outside of `except`, which would hold the tensors
+    torch.cuda.empty_cache()  # outside of `except`: the traceback would keep the tensors alive
     half = len(items) // 2
     if half == 0:
         raise DrSplatError(

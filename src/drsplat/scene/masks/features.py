@@ -8,15 +8,17 @@ from ...base.arrays import Float32, Int32
 from ...base.terminal import counted
 from ...errors import InputError
 
+UNIT_TOLERANCE = 1e-3  # of an embedding's norm
+
 
 @dataclass(frozen=True, eq=False)
 class ViewFeatures:
     """Masks of one view and their embeddings.
 
-    mask_ids: per pixel the mask that covers it, or -1; a value indexes a row of `embeddings`.
-    embeddings: one unit vector per mask.
+    mask_ids: for each pixel the mask that covers it, as a row of `embeddings`, or -1.
+    embeddings: a unit vector for each mask.
 
-    Raises: InputError: a mask id without an embedding, a row that is not finite or has no direction.
+    Raises: InputError: a mask id without an embedding, a row that is not a finite unit vector.
     """
 
     mask_ids: Int32[np.ndarray, "h w"]
@@ -33,7 +35,7 @@ class ViewFeatures:
         if largest >= len(self.embeddings):
             raise InputError(f"mask id {largest} has no embedding: there are {len(self.embeddings)}")
         norms = np.linalg.norm(self.embeddings, axis=1)
-        if not (np.abs(norms - 1) < 1e-3).all():
+        if not (np.abs(norms - 1) < UNIT_TOLERANCE).all():
             raise InputError("embeddings must be finite unit vectors: divide each row by its L2 norm")
 
     def __repr__(self) -> str:
@@ -41,7 +43,7 @@ class ViewFeatures:
         return f"{type(self).__name__}({counted(count, 'mask')} on {width}x{height}, {dim}-d)"
 
     def resized(self, width: int, height: int) -> "ViewFeatures":
-        """Return the map on another raster, by nearest pixel centre."""
+        """Return the features with the map resampled to another raster, by the nearest pixel centre."""
         h, w = self.mask_ids.shape
         if (w, h) == (width, height):
             return self
