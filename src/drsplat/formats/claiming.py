@@ -20,6 +20,10 @@ _NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS)  # of a file system that
 _NO_FILE = (errno.ELOOP, errno.EISDIR, errno.ENXIO)  # a link, a folder, a socket
 
 
+class ClaimedError(InputError):
+    """Error for an output that another process writes."""
+
+
 @contextmanager
 def claimed_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
     """Make a folder, and while the block runs let no other process claim it; the lock is in it.
@@ -27,7 +31,7 @@ def claimed_folder(folder: str | os.PathLike[str]) -> Iterator[None]:
     The kernel holds the lock, on a file that says who has it. When a process is killed the lock is gone with it:
     a file that it leaves behind holds nobody up, and the next run removes it.
 
-    Raises: InputError: another process has it, it is a file, or what has the lock's name is none.
+    Raises: ClaimedError: another process has it. InputError: it is a file, or what has the lock's name is none.
     """
     folder = Path(folder)
     if folder.exists() and not folder.is_dir():
@@ -43,8 +47,8 @@ def claimed_output(output: str | os.PathLike[str], patience: float = 0.0) -> Ite
 
     patience: seconds to wait for another process or thread that has it.
 
-    Raises: InputError: another process has it, there is no folder for it to be in, or what has the lock's name is
-    no file.
+    Raises: ClaimedError: another process has it. InputError: there is no folder for it to be in, or what has the lock's
+    name is no file.
     """
     path = Path(os.path.realpath(output))
     if not path.parent.is_dir():
@@ -76,7 +80,7 @@ def _locked(lock: Path, output: Path, until: float) -> BinaryIO:
                 if time.monotonic() < until:
                     time.sleep(POLL_SECONDS)
                     continue
-                raise InputError(
+                raise ClaimedError(
                     f"{output} is being written by {_holder(file)}: wait until it has ended, or name another output"
                 )
         if _is_named(file, lock):
@@ -129,8 +133,8 @@ def _sign(file: BinaryIO) -> None:
     from socket import gethostname
 
     file.truncate(0)
-    file.write(json.dumps({"pid": os.getpid(), "host": gethostname()}).encode())
-    file.flush()
+    with suppress(OSError):  # of a full disk, on which the lock holds all the same
+        os.write(file.fileno(), json.dumps({"pid": os.getpid(), "host": gethostname()}).encode())
 
 
 def _holder(file: BinaryIO) -> str:

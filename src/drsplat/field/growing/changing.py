@@ -165,9 +165,14 @@ def registration_of(field: LanguageField, scene: Gaussians | Moving) -> Registra
     """
     field.check_scene(canonical_of(scene))
     field.check_motion(isinstance(scene, Moving))
+    check_growth(field)
+    return Registration.from_field(field)
+
+
+def check_growth(field: LanguageField) -> None:
+    """Check that views can be added to a field. Raises: InputError: it does not say how it was made."""
     if field.evidence is None or field.growth is None or field.aggregator.sampling is None:
         raise InputError(f"this field does not say how it was made, as fields of older versions do not: {CURE}")
-    return Registration.from_field(field)
 
 
 def _opened(field: LanguageField, scene: Gaussians | Moving) -> tuple[Registration, Aggregator]:

@@ -12,7 +12,6 @@ from .changes import add_field_options, answer_of, field_and_scene, show_change
 from .options import add_capture_options, add_features, add_invert_masks, finite, tracker, views_of, words
 
 if TYPE_CHECKING:
-    from ...field import LanguageField
     from ...field.growing import Change
     from ...formats.langsplat import FeatureFolder
     from ...scene.gaussians import Gaussians
@@ -106,23 +105,13 @@ def _features(arguments: argparse.Namespace, path: Path) -> FeatureFolder:
 def _added(
     arguments: argparse.Namespace, path: Path, scene: Gaussians | Moving, views: Sequence[View], features: FeatureFolder
 ) -> Change:
-    from dataclasses import replace
+    from ...photos.embedding.growing import grow_field
 
-    from ...field.growing import add_views, change_field
-    from ...field.growing.folder import parts_beside, remove_parts
-    from .register import with_words
-
-    shared: dict[str, Any] = {"threads": arguments.threads, "track": tracker(arguments)}
-
-    def change(field: LanguageField) -> Change:
-        parts = parts_beside(path)
-        back = [view.name for view in views] if arguments.views else ()
-        done = add_views(field, scene, views, features, renew=arguments.replace, back=back, parts=parts, **shared)
-        return done if done.is_empty else replace(done, field=with_words(done.field, arguments.features))
-
-    done = change_field(path, scene, change, threads=arguments.threads)
-    remove_parts(parts_beside(path), [*done.added, *done.replaced, *done.unchanged])
-    return done
+    back = [view.name for view in views] if arguments.views else ()
+    return grow_field(
+        path, scene, views, features, Path(arguments.features), renew=arguments.replace, back=back,
+        threads=arguments.threads, track=tracker(arguments),
+    )  # fmt: skip
 
 
 def _watched(arguments: argparse.Namespace, path: Path, scene: Gaussians | Moving) -> dict[str, Any]:

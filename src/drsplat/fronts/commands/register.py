@@ -172,6 +172,7 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
     from ...base.progress import Stopwatch
     from ...base.system import peak_memory_bytes
     from ...field.evidence.aggregation import aggregator
+    from ...photos.embedding.growing import with_words
     from ...scene.moving import canonical_of
 
     watch = Stopwatch()
@@ -253,16 +254,6 @@ def _facts(registration: "Registration", field: "LanguageField") -> dict[str, An
         "aggregator": field.aggregator.name,
         "near": registration.sampling.near if registration.sampling else None,
     }
-
-
-def with_words(field: "LanguageField", features: str) -> "LanguageField":
-    """Add the words that queries are contrasted with, where `drsplat embed` embedded them."""
-    from ...photos.embedding.embed import recorded_words
-
-    words = recorded_words(features)
-    if words is None or not field.encoder.matches(words.identity):
-        return field
-    return field.with_contrast(words.embeddings, words.texts)
 
 
 def _code(arguments: argparse.Namespace, codebook: "Codebook | None") -> "CodeSpecification":

@@ -104,13 +104,7 @@ def embed(
     rasters = {stem: _raster(view, max_height) for stem, view in _by_stem(views_with_something(views)).items()}
     if isinstance(segmenter, FeatureFolder):
         rasters, max_height = _with_masks(rasters, segmenter), None
-    settings = {
-        "segmenter": kept_identity(segmenter) if isinstance(segmenter, FeatureFolder) else dict(segmenter.identity),
-        "encoder": identity_json(encoder.identity),
-        "max_height": max_height,
-        "algorithm": ALGORITHM,
-        **pictures_setting(views),
-    }
+    settings = settings_of(segmenter, encoder, max_height) | pictures_setting(views)
     with claimed_folder(output_dir), closing(open_record(Path(output_dir), settings, overwrite)) as record:
         _warn_of_changes(record)
         photos = {stem: _photo_identity(view) for stem, view in rasters.items()}
@@ -127,6 +121,18 @@ def embed(
                 _store(record, stem, photos[stem], features, form)
         finish_folder(record, encoder)
     return report_of(record, list(photos), len(pending), redone)
+
+
+def settings_of(
+    segmenter: Segmenter | FeatureFolder, encoder: ImageEncoder, max_height: int | None
+) -> dict[str, object]:
+    """Return the record's entry on what makes the features of photos."""
+    return {
+        "segmenter": kept_identity(segmenter) if isinstance(segmenter, FeatureFolder) else dict(segmenter.identity),
+        "encoder": identity_json(encoder.identity),
+        "max_height": max_height,
+        "algorithm": ALGORITHM,
+    }
 
 
 def pictures_setting(views: Sequence[View]) -> dict[str, list[str]]:
