@@ -64,7 +64,7 @@ WINGS: dict[str, tuple[str, ...]] = {
     "formats": (),
     "kernels": (),
     "field": ("codes", "evidence", "", "objects", "registration", "method", "tiles", "growing"),
-    "photos": ("capture", "models", "embedding"),
+    "photos": ("capture", "models", "embedding", "arriving"),
     "drawing": (),
     "query": ("", "catalogue"),
     "authoring": ("editing", "exporting", "filming", "exchange", "photographing"),

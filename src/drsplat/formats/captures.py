@@ -16,8 +16,9 @@ from .colmap import find_model, has_points, read_colmap, read_points
 from .dataparser import FILE_NAME as DATAPARSER_FILE
 from .dataparser import SceneFrame, read_dataparser_transforms
 from .json_files import read_json
+from .live_views import ADDED_POSES, read_live_views, stem_of
 from .mask_files import with_masks
-from .photo_files import find_photo, image_folder, listed, on_photo
+from .photo_files import capture_folder, find_photo, image_folder, listed, on_photo
 from .point_ply import read_point_ply
 from .recognising import CAMERAS, TRAIN_TRANSFORMS, TRANSFORMS, Kind, mistaken
 from .rendering_record import with_renderings
@@ -68,6 +69,8 @@ def read_views(
     times: when the photos were taken, see `view_times.with_times`; None: what a transforms.json says (`time`), if it
     does.
     invert_masks: in the masks of the photos (masks/ beside images/, see `mask_files`) black is kept, not white.
+    Views that were sent to the scene and added (`live_views`) belong to it, in the coordinates of the scene, but for
+    those whose photos the camera file has as well.
 
     Warns: DrSplatWarning: several camera files (which one was read); photos that are missing
     (COLMAP, cameras.json: the views stay, without image_path; transforms.json: they are left out); masks of other names
@@ -84,7 +87,8 @@ def read_views(
         views = [frame.view(view) for view in views]
     views = with_masks([view.limited(max_side) for view in _sorted(views, source.path)], invert_masks)
     views = with_renderings(views, source.path)
-    return views if times is None else with_times(views, times)
+    views = views if times is None else with_times(views, times)
+    return _with_live(views, capture_folder(Path(capture)), max_side)
 
 
 def read_sparse_points(
@@ -109,6 +113,13 @@ def read_sparse_points(
     return SparsePoints(found[0] if frame is None else frame.points(found[0]), found[1])
 
 
+def _with_live(views: list[View], capture: Path, max_side: int | None) -> list[View]:
+    """Return the views with those that arrived while the scene was in use."""
+    present = {stem_of(view.name) for view in views}
+    arrived = [view.limited(max_side) for view in read_live_views(capture) if stem_of(view.name) not in present]
+    return sorted([*views, *arrived], key=lambda view: view.name) if arrived else views
+
+
 def _points_of(source: _Source) -> tuple[np.ndarray, np.ndarray] | None:
     """Return the points in the frame of the camera file."""
     if source.kind == "colmap" and has_points(source.path):
@@ -131,6 +142,8 @@ def _find_source(capture: Path) -> _Source:
     model = find_model(capture)
     found = [] if model is None else [_Source("colmap", model)]
     found += [_Source(kind, capture / name) for kind, name in CAMERA_FILES if (capture / name).is_file()]
+    if not found and (capture / ADDED_POSES).is_dir():
+        return _Source("live", capture)
     if not found:
         raise mistaken(capture, Kind.CAPTURE)
     if len(found) > 1:
@@ -149,6 +162,8 @@ def _file_source(path: Path) -> _Source:
 
 
 def _read(source: _Source, images: str | Path | None) -> list[View]:
+    if source.kind == "live":  # all of its views arrived
+        return []
     if source.kind == "transforms":
         folder = None if images is None else image_folder(source.path.parent, images)
         return read_transforms(source.path, folder)

@@ -161,6 +161,15 @@ def read_settings(folder: Path) -> dict[str, object] | None:
     return settings
 
 
+def last_settings(folder: Path) -> dict[str, object] | None:
+    """Return the settings that `embed` used last in a folder, finished or not; None where it has no record.
+
+    Raises: FormatError: a damaged record.
+    """
+    path = folder / FILE_NAME
+    return _read(path)[0] if path.is_file() else None
+
+
 def embedded_by(folder: Path, named: EncoderIdentity | None) -> EncoderIdentity | None:
     """Return the encoder of a folder's embeddings: the recorded one, or `named` without a record.
 

@@ -72,13 +72,21 @@ def on_photo(view: View, path: Path) -> View:
     """
     from ..scene.photos import photo_size
 
-    width, height = photo_size(path)
+    return replace(on_raster(view, photo_size(path), str(path)), image_path=path)
+
+
+def on_raster(view: View, size: tuple[int, int], photo: str) -> View:
+    """Return the view with K and size scaled to its photo's raster. photo: names it in the error.
+
+    Raises: MismatchError: the photo has another shape than the camera.
+    """
+    width, height = size
     if not same_aspect((width, height), (view.width, view.height)):
         raise MismatchError(
-            f"{path}: the photo is {width}x{height}, its camera {view.width}x{view.height}: another aspect ratio. Use "
+            f"{photo}: the photo is {width}x{height}, its camera {view.width}x{view.height}: another aspect ratio. Use "
             "the photos that the camera file was made of (uncropped, not rotated by EXIF)"
         )
-    return replace(view.resized(width, height), image_path=path)
+    return view.resized(width, height)
 
 
 def listed(names: list[str], most: int = 8) -> str:

@@ -97,14 +97,14 @@ def _view(entry: Entry, name: str, photo: Path, where: str) -> View:
     width, height = _size(entry, photo, where)
     distortion = tuple(_number(entry, key, where, 0.0) for key in ("k1", "k2", "p1", "p2"))
     intrinsics = _intrinsics(entry, width, height, where)
-    view = posed_view(where, name, intrinsics, _cam_from_world(entry, where), (width, height), distortion)
+    cam_from_world = cam_from_transform(entry.get("transform_matrix"), f"{where}: transform_matrix")
+    view = posed_view(where, name, intrinsics, cam_from_world, (width, height), distortion)
     time = _number(entry, "time", where, 0.0) if entry.get("time") is not None else None
     return on_photo(replace(view, time=time), photo)
 
 
-def _cam_from_world(entry: Entry, where: str) -> Float64[np.ndarray, "4 4"]:
-    where = f"{where}: transform_matrix"
-    rows = entry.get("transform_matrix")
+def cam_from_transform(rows: object, where: str) -> Float64[np.ndarray, "4 4"]:
+    """Return cam_from_world of a transform_matrix. Raises: FormatError: it is no rigid motion."""
     if isinstance(rows, list) and len(rows) == 4:
         last = as_matrix(rows[3:], 1, 4, where)
         if np.abs(last - (0, 0, 0, 1)).max() > 1e-6:

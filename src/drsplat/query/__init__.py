@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from .answer import Answer, Match, MatchTrack, Segmentation, Word
     from .encoding import encoder_for
-    from .opening import SceneFiles, find_scene, open_scene
+    from .opening import SceneFiles, find_scene, open_scene, registered_scene
     from .query import Cut, Query
     from .scene import Scene
     from .views import view_named
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "answer": ("Answer", "Match", "MatchTrack", "Segmentation", "Word"),
     "encoding": ("encoder_for",),
-    "opening": ("SceneFiles", "find_scene", "open_scene"),
+    "opening": ("SceneFiles", "find_scene", "open_scene", "registered_scene"),
     "query": ("Cut", "Query"),
     "scene": ("Scene",),
     "views": ("view_named",),
@@ -42,6 +42,7 @@ __all__ = [
     "encoder_for",
     "find_scene",
     "open_scene",
+    "registered_scene",
     "view_named",
 ]
 

@@ -10,6 +10,7 @@ from ..errors import DrSplatWarning, InputError, MismatchError
 from ..field import LanguageField, load_field
 from ..field.labels import LabelFile
 from ..formats.field_folder import MANIFEST
+from ..formats.live_views import ADDED_POSES
 from ..formats.motion import MOTION
 from ..formats.moving_scenes import is_moving, is_sequence, read_scene
 from ..formats.recognising import FIELD_SUFFIX, SCENE_SUFFIXES, Kind, mistaken, recognised
@@ -26,7 +27,7 @@ from .scene import Scene
 EDITS = ".edits.json"  # of NAME.ply, NAME.edits.json: a scene that people work on
 COPIES = (".glb", ".gltf", ".usda", ".usdc", ".usdz")
 """Suffixes of files with the same rows that `drsplat export` writes; what people trained is another file."""
-CAMERAS = ("sparse", "transforms.json", "cameras.json", "colmap")
+CAMERAS = ("sparse", "transforms.json", "cameras.json", "colmap", ADDED_POSES)
 
 
 @dataclass(frozen=True)

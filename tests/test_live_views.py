@@ -1,0 +1,523 @@
+"""Photos that are sent to a scene: kept whole or not at all, and the field is that of one registration."""
+
+import io
+import json
+import resource
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from drsplat import MiniEncoder, View, load_field, load_segmenter, read_features, read_gaussians, read_views
+from drsplat.errors import FormatError, InputError
+from drsplat.field.growing import remove_views
+from drsplat.field.registration import register
+from drsplat.formats.claiming import ClaimedError, claimed_output
+from drsplat.formats.compact_features import write_compact
+from drsplat.formats.feature_files import COMPACT
+from drsplat.formats.live_views import FullError, LiveView, LiveViews, TakenNameError, posed, read_live_views
+from drsplat.formats.moving_scenes import read_scene
+from drsplat.formats.replacing import NoRoom, sweep
+from drsplat.photos.arriving.adding import GrowingScene, Outcome, add_waiting, refuse_view
+from drsplat.photos.arriving.models import ModelNames, ModelShelf, PhotoModels
+from drsplat.photos.arriving.taking import SentView, Target, take_view
+from drsplat.photos.models.loading import load_encoder
+from drsplat.query import open_scene
+from drsplat.scene.masks.masks import Masks
+from growing_fields import Killed, files_of, killed_at
+from growing_rooms import FEATURES, first_views, posted, registered, write_room
+from toy_capture import write_toy_capture
+
+NAMES = ModelNames()
+LENS = {"fx": 100.0}
+STILL = {"cam_from_world": np.eye(4).tolist()}
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The scene with all four photos registered at once."""
+    made = write_toy_capture(tmp_path_factory.mktemp("live"))
+    return write_room(made / "scene.ply", made / "whole", read_views(made / "capture"), objects=True)
+
+
+@pytest.fixture(scope="module")
+def half(whole: Path) -> Path:
+    """The scene with two of them."""
+    return first_views(whole, whole.parent / "half", 2, objects=True)
+
+
+@pytest.fixture
+def room(half: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(half, tmp_path / "room"))
+
+
+def sent(view: View, **changes: Any) -> SentView:
+    body = posted(view)
+    assert view.image_path is not None
+    return replace(SentView(view.name, view.image_path.read_bytes(), body["pose"], body["lens"]), **changes)
+
+
+def target(room: Path) -> Target:
+    scene = open_scene(room)
+    return Target(room, scene.field, tuple(view.name for view in scene.views))
+
+
+def take(room: Path, *views: SentView, **limits: int) -> list[LiveView]:
+    return [take_view(target(room), view, NAMES, **limits)[0] for view in views]
+
+
+def add(room: Path, load: Any = None, names: list[str] | None = None) -> Outcome:
+    scene = GrowingScene(room / "room.field", room, read_gaussians(room / "scene.ply"))
+    return add_waiting(scene, load or ModelShelf(NAMES, load_encoder).models, names)
+
+
+def as_png(image: Image.Image) -> bytes:
+    buffer = io.BytesIO()
+    image.save(buffer, "PNG")
+    return buffer.getvalue()
+
+
+def test_views_that_come_one_by_one_or_together_are_one_registration(room: Path, whole: Path) -> None:
+    one, other = read_views(whole)[2:]
+    assert [view.state for view in take(room, sent(one))] == ["waiting"]
+    assert [view.name for view in add(room).added] == [one.name]
+    take(room, sent(other))
+    assert [view.name for view in add(room).added] == [other.name]
+    assert files_of(room / "room.field") == files_of(whole / "room.field")
+    again = Path(shutil.copytree(whole.parent / "half", room.parent / "again"))
+    take(again, sent(other), sent(one))
+    outcome = add(again)
+    assert outcome.change is not None
+    assert outcome.change.added == (one.name, other.name)
+    assert files_of(again / "room.field") == files_of(whole / "room.field")
+    assert load_field(room / "room.field").equals(registered(room, read_views(room), objects=True))
+
+
+def test_added_views_belong_to_the_capture_and_waiting_ones_do_not(room: Path, whole: Path) -> None:
+    views = read_views(whole)
+    take(room, sent(views[2]))
+    assert [view.name for view in read_views(room)] == [view.name for view in views[:2]]
+    add(room)
+    after = read_views(room)
+    assert [view.name for view in after] == [view.name for view in views[:3]]
+    assert (after[2].cam_from_world == views[2].cam_from_world).all()
+    assert (after[2].K == views[2].K).all()
+    assert open_scene(room).view(views[2].name).image_path == room / "live_views/images" / views[2].name
+    (room / "cameras.json").unlink()
+    assert [view.name for view in read_views(room)] == [views[2].name]
+
+
+def test_a_camera_file_that_has_the_photos_as_well_counts(room: Path, whole: Path) -> None:
+    """As after COLMAP has posed all photos anew."""
+    take(room, sent(read_views(whole)[2]))
+    add(room)
+    shutil.copy(whole / "cameras.json", room)
+    shutil.copytree(whole / "images", room / "images", dirs_exist_ok=True)
+    assert {view.image_path for view in read_views(room)} == {room / "images" / f"photo_{n}.png" for n in range(4)}
+
+
+def test_features_that_are_sent_are_taken_as_they_are(room: Path, whole: Path) -> None:
+    view = read_views(whole)[2]
+    features = sent_features(whole, room, view)
+    take(room, sent(view, features=features))
+
+    def load(*_: object) -> PhotoModels:
+        raise AssertionError("no model is needed")
+
+    add(room, load)
+    field = load_field(room / "room.field")
+    both = registered(whole, read_views(whole)[:3], objects=True)
+    assert field.equals(both)
+
+
+def sent_features(whole: Path, room: Path, view: View, rows: Any = None) -> bytes:
+    """The bytes of a photo's features; rows: other embeddings."""
+    ids, own = read_features(whole / FEATURES, encoder=MiniEncoder().identity).stored(view.name)
+    path = room.parent / f"sent{COMPACT}"
+    write_compact(path, ids, own if rows is None else rows, overwrite=True)
+    return path.read_bytes()
+
+
+def test_a_view_that_cannot_be_added_is_refused_and_the_others_are_added(room: Path, whole: Path) -> None:
+    one, other = read_views(whole)[2:]
+    cut = sent(other).photo[:-400]
+    take(room, sent(one), sent(other, photo=cut))
+    outcome = add(room)
+    assert [view.name for view in outcome.added] == [one.name]
+    (refused,) = outcome.refused
+    assert refused.name == other.name
+    assert "cannot be read" in refused.reason
+    live = LiveViews(room)
+    assert [(view.name, view.state) for view in live.every()] == [(one.name, "added"), (other.name, "refused")]
+    assert not live.photo(refused).exists()
+    take(room, sent(other))
+    add(room)
+    assert files_of(room / "room.field") == files_of(whole / "room.field")
+    assert [view.state for view in live.every()] == ["added", "added"]
+
+
+class Blind:
+    """A segmenter that finds nothing in photos that are bright."""
+
+    identity = load_segmenter("graph").identity
+
+    def segment(self, image: np.ndarray) -> dict[str, Masks]:
+        if image.mean() > 200:
+            empty = Masks(*image.shape[:2], np.zeros((0, 4), np.int32), (), np.zeros(0, np.float32))
+            return {"large": empty}
+        return load_segmenter("graph").segment(image)  # type: ignore[return-value]
+
+
+def test_a_photo_without_a_mask_is_refused(room: Path, whole: Path) -> None:
+    one, other = read_views(whole)[2:]
+    white = as_png(Image.new("RGB", (one.width, one.height), "white"))
+    take(room, sent(one, photo=white), sent(other))
+    with pytest.warns(match="no mask was found"):
+        outcome = add(room, lambda *_: PhotoModels(Blind(), MiniEncoder(), 1080), names=[one.name])
+    assert [view.reason for view in outcome.refused] == [f"no mask was found in '{one.name}'"]
+    outcome = add(room)
+    assert [view.name for view in outcome.added] == [other.name]
+
+
+def test_one_view_that_cannot_be_embedded_or_registered_does_not_hold_up_the_others(room: Path, whole: Path) -> None:
+    one, other = read_views(whole)[2:]
+
+    class Failing(MiniEncoder):
+        def encode_images(self, images: Any) -> Any:
+            rows = super().encode_images(images)
+            return rows * np.nan if self.fails(images) else rows
+
+        def on_one_thread(self) -> "Failing":
+            return self
+
+        def fails(self, images: Any) -> bool:
+            return bool(np.concatenate([image.reshape(-1, 3) for image in images])[:, 1].max() > 250)
+
+    green = as_png(Image.fromarray(np.tile(np.uint8([[[0, 255, 0]], [[255, 0, 0]]]), (36, 96, 1))))
+    take(room, sent(one, photo=green), sent(other))
+    outcome = add(room, lambda *_: PhotoModels(load_segmenter("graph"), Failing(), 1080))  # type: ignore[arg-type]
+    assert [view.name for view in outcome.added] == [other.name]
+    assert [view.name for view in outcome.refused] == [one.name]
+
+
+def test_a_view_that_was_removed_from_the_field_stays_out(room: Path, whole: Path) -> None:
+    scene, field = read_gaussians(room / "scene.ply"), load_field(room / "room.field")
+    remove_views(field, scene, ["photo_1.png"]).field.save(room / "room.field", overwrite=True)
+    cameras = json.loads((room / "cameras.json").read_text())
+    (room / "cameras.json").write_text(json.dumps(cameras[:1]))
+    take(room, sent(read_views(whole)[1]))
+    (refused,) = add(room).refused
+    assert "stays out" in refused.reason
+
+
+def test_a_name_is_one_view(room: Path, whole: Path) -> None:
+    view = read_views(whole)[2]
+    (first,) = take(room, sent(view))
+    assert take(room, sent(view)) == [first]
+    for other in (
+        sent(view, photo=as_png(Image.new("RGB", (96, 72)))), sent(view, lens={"fx": 90.0}), sent(view, time=1.0),
+        sent(view, name="photo_2.jpg"),
+    ):  # fmt: skip
+        with pytest.raises(TakenNameError, match=r"'photo_2\.png' was sent before.*another name"):
+            take(room, other)
+    with pytest.raises(TakenNameError, match=r"'photo_1\.png' is a photo of this scene already"):
+        take(room, sent(view, name="photo_1.jpg"))
+    add(room)
+    (known,) = take(room, sent(view))
+    assert (known.state, known.content) == ("added", first.content)
+    take(room, sent(view, name="front/photo_2.png"))
+    assert [one.name for one in add(room).added] == ["front/photo_2.png"]
+    assert [one.name for one in read_views(room)] == ["front/photo_2.png", *(f"photo_{n}.png" for n in range(3))]
+
+
+def test_only_so_many_wait(room: Path, whole: Path) -> None:
+    one, other = read_views(whole)[2:]
+    take(room, sent(one), most_waiting=1)
+    with pytest.raises(FullError, match="1 views of this scene wait"):
+        take(room, sent(other), most_waiting=1)
+    take(room, sent(one), most_waiting=1)  # known
+    add(room)
+    take(room, sent(other), most_waiting=1)
+
+
+WRONG: list[tuple[dict[str, Any], str]] = [
+    ({"name": "../x.jpg"}, "expected a file name"),
+    ({"name": "/x.jpg"}, "expected a file name"),
+    ({"name": ".x.jpg"}, "expected the name of a photo"),
+    ({"name": "x.exe"}, "expected the name of a photo"),
+    ({"name": "x\0.jpg"}, "expected a file name"),
+    ({"photo": b"GIF89a" + b"\0" * 50}, "picture: expected a JPEG or PNG"),
+    ({"photo": b""}, "picture: expected a JPEG or PNG"),
+    ({"photo": as_png(Image.new("RGB", (2000, 1000)))}, "at most 1,000,000"),
+    ({"pose": {}}, "expected cam_from_world"),
+    ({"pose": {**STILL, "quaternion": [1, 0, 0, 0], "translation": [0, 0, 0]}}, "expected cam_from_world"),
+    ({"pose": {"quaternion": [1, 0, 0, 0]}}, "expected cam_from_world"),
+    ({"pose": {"quaternion": [0, 0, 0, 0], "translation": [0, 0, 0]}}, "expected a rotation quaternion"),
+    ({"pose": {"cam_from_world": [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]]}}, "not a rigid motion"),
+    ({"pose": {"cam_from_world": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 1, 1]]}}, "the last row 0 0 0 1"),
+    ({"pose": {"transform_matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0]]}}, "expected a rotation"),
+    ({"lens": {}}, "expected fx"),
+    ({"lens": {"fx": -1.0}}, "focal lengths"),
+    ({"lens": {"fx": 100.0, "k3": 0.1}}, "expected fx"),
+    ({"lens": {"fx": 100.0, "width": 96}}, "expected fx"),
+    ({"lens": {"fx": 100.0, "width": 500, "height": 100}}, "another aspect ratio"),
+    ({"features": b"no features"}, "features"),
+]
+
+
+@pytest.mark.parametrize(("changes", "said"), WRONG, ids=range(len(WRONG)))
+def test_what_cannot_be_a_view_is_refused_at_once(changes: dict[str, Any], said: str, room: Path, whole: Path) -> None:
+    with pytest.raises(InputError, match=said) as error:
+        take(room, sent(read_views(whole)[2], **changes), most_pixels=1_000_000)
+    assert "/tmp" not in str(error.value)
+    assert not (room / "live_views").exists()
+
+
+def test_features_of_another_photo_or_encoder_are_refused(room: Path, whole: Path) -> None:
+    view = read_views(whole)[2]
+    ids, rows = read_features(whole / FEATURES, encoder=MiniEncoder().identity).stored(view.name)
+    for changed, said in ((rows[:, :8], "dimensions"), (rows * 0, "no direction"), (rows[:1], "mask")):
+        path = room.parent / f"sent{COMPACT}"
+        write_compact(path, ids, np.ascontiguousarray(changed), overwrite=True)
+        with pytest.raises(InputError, match=said):
+            take(room, sent(view, features=path.read_bytes()))
+    write_compact(path, ids[..., :40], rows, overwrite=True)
+    with pytest.raises(InputError, match="masks of 40x72 for a photo of 96x72"):
+        take(room, sent(view, features=path.read_bytes()))
+    write_compact(path, ids * 0 - 1, rows, overwrite=True)
+    with pytest.raises(InputError, match="there is no mask in them"):
+        take(room, sent(view, features=path.read_bytes()))
+
+
+def test_forms_of_a_pose_are_one(room: Path, whole: Path) -> None:
+    view = read_views(whole)[2]
+    matrix = view.cam_from_world
+    x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat()
+    opengl = np.linalg.inv(matrix) @ np.diag([1.0, -1, -1, 1])
+    forms: tuple[dict[str, Any], ...] = (
+        {"cam_from_world": matrix.tolist()},
+        {"quaternion": [2 * w, 2 * x, 2 * y, 2 * z], "translation": matrix[:3, 3].tolist()},
+        {"transform_matrix": opengl.tolist()},
+        {"transform_matrix": opengl[:3].tolist()},
+    )
+    for form in forms:
+        found = posed(entry(form, {"fx": 100.0}), (96, 72))
+        np.testing.assert_allclose(found.cam_from_world, matrix, atol=1e-12)
+        np.testing.assert_array_equal(found.K, [[100, 0, 48], [0, 100, 36], [0, 0, 1]])
+    twice = {"fx": 200.0, "fy": 100.0, "cx": 90.0, "cy": 80.0, "width": 192, "height": 144, "k1": 0.1, "p2": 0.01}
+    found = posed(entry(forms[0], twice), (96, 72))
+    np.testing.assert_array_equal(found.K, [[100, 0, 45], [0, 50, 40], [0, 0, 1]])
+    assert found.distortion == (0.1, 0.0, 0.0, 0.01)
+
+
+def entry(pose: dict[str, Any], lens: dict[str, Any]) -> LiveView:
+    return LiveView("a.jpg", pose, lens, None, False, "", 1.0)
+
+
+def test_a_scene_that_moves_needs_times(room: Path, whole: Path) -> None:
+    moving = replace(target(room), moves=True)
+    view = sent(read_views(whole)[2])
+    with pytest.raises(InputError, match="this scene moves: expected when"):
+        take_view(moving, view, NAMES)
+    take_view(moving, replace(view, time=2.0), NAMES)
+    assert LiveViews(room).posed(LiveViews(room).every()[0]).time == 2.0
+
+
+def test_a_view_of_a_scene_that_moves_is_registered_at_its_time(room: Path, whole: Path) -> None:
+    scene = read_scene(whole.parent / "frames")
+    views = [replace(view, time=float(number)) for number, view in enumerate(read_views(whole))]
+    features = read_features(whole / FEATURES, encoder=MiniEncoder().identity)
+    register(scene, views[:2], features).to_field().save(room / "room.field", overwrite=True)
+    at = Target(room, load_field(room / "room.field"), (), moves=True)
+    take_view(at, sent(views[2], time=2.0), NAMES)
+    take_view(at, sent(views[3], time=7.0), NAMES)  # after its end
+    outcome = add_waiting(GrowingScene(room / "room.field", room, scene), ModelShelf(NAMES, load_encoder).models)
+    assert [view.name for view in outcome.added] == ["photo_2.png"]
+    assert ["7" in view.reason for view in outcome.refused] == [True]
+    assert load_field(room / "room.field").equals(register(scene, views[:3], features).to_field())
+
+
+def test_photos_that_nobody_can_embed_here_are_refused_when_they_come(room: Path, whole: Path) -> None:
+    view = read_views(whole)[2]
+    record = room / FEATURES / "embedding.json"
+    shutil.copytree(room / FEATURES, room / "kept")
+    record.unlink()
+    with pytest.raises(InputError, match=r"nothing says which models.*send the masks"):
+        take(room, sent(view))
+    shutil.rmtree(room / FEATURES)
+    with pytest.raises(InputError, match=r"no segmenter.*send the masks"):
+        take(room, sent(view))
+    take(room, sent(view, features=sent_features(whole, room, view)))
+    (known,) = add(room).added
+    assert known.name == view.name
+
+
+def test_a_field_that_cannot_grow_takes_no_photo(room: Path, whole: Path) -> None:
+    at = target(room)
+    old = replace(at, field=replace(at.field, growth=None))
+    with pytest.raises(InputError, match="does not say how it was made"):
+        take_view(old, sent(read_views(whole)[2]), NAMES)
+
+
+def test_models_that_made_other_masks_are_refused_and_views_go_on_waiting(room: Path, whole: Path) -> None:
+    from drsplat.errors import MismatchError
+    from drsplat.formats.checksums import sealed
+
+    record = room / FEATURES / "embedding.json"
+    document = json.loads(record.read_text())
+    document["settings"]["max_height"] = 500
+    document["settings"]["algorithm"] = "0"
+    record.write_text(json.dumps(sealed(document), indent=1))
+    take(room, sent(read_views(whole)[2]))
+    with pytest.raises(MismatchError, match=r"otherwise \(algorithm\)"):
+        add(room)
+    assert [view.state for view in LiveViews(room).every()] == ["waiting"]
+
+
+def test_another_writer_makes_views_wait(room: Path, whole: Path) -> None:
+    take(room, sent(read_views(whole)[2]))
+    for place in (room / "room.field",):
+        with claimed_output(place), pytest.raises(ClaimedError, match="is being written by"):
+            add(room)
+        assert [view.state for view in LiveViews(room).every()] == ["waiting"]
+    assert len(add(room).added) == 1
+
+
+def killed_anywhere(monkeypatch: pytest.MonkeyPatch, work: Any, renew: Any, steps: Any) -> Iterator[int]:
+    """Do work that is killed at one change of the disk after the other, until it is done without; yields the step."""
+    for step in steps:
+        renew()
+        sweep.cache_clear()
+        try:
+            with killed_at(step, monkeypatch.context):
+                work()
+        except Killed:
+            sweep.cache_clear()
+            yield step
+            continue
+        return
+    raise AssertionError("it never ended")
+
+
+@pytest.mark.slow
+def test_a_kill_while_a_view_is_taken_leaves_it_whole_or_not_at_all(
+    half: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    view = read_views(whole)[2]
+    room, body, features = tmp_path / "room", sent(view), sent_features(whole, tmp_path / "x", view)
+    body = replace(body, features=features)
+
+    def renew() -> None:
+        shutil.rmtree(room, ignore_errors=True)
+        shutil.copytree(half, room)
+
+    at = target(half)
+    steps = killed_anywhere(
+        monkeypatch, lambda: take_view(replace(at, capture=room), body, NAMES), renew, range(100)
+    )  # fmt: skip
+    count = 0
+    for _ in steps:
+        count += 1
+        for known in LiveViews(room).every():
+            assert LiveViews(room).photo(known).read_bytes() == body.photo
+            assert (LiveViews(room).features / f"photo_2{COMPACT}").read_bytes() == features
+        take(room, body)
+        assert [one.state for one in LiveViews(room).every()] == ["waiting"]
+    assert count > 10
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of a journal that was left open
+def test_a_kill_while_views_are_added_loses_none(
+    half: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    room, waiting = tmp_path / "room", Path(shutil.copytree(half, tmp_path / "waiting"))
+    take(waiting, *map(sent, read_views(whole)[2:]))
+
+    def renew() -> None:
+        shutil.rmtree(room, ignore_errors=True)
+        shutil.copytree(waiting, room)
+
+    count = 0
+    for step in killed_anywhere(monkeypatch, lambda: add(room), renew, range(0, 500, 3)):
+        count += 1
+        names = [view.name for view in LiveViews(room).every("waiting", "added")]
+        assert set(names) == {"photo_2.png", "photo_3.png"}, step
+        load_field(room / "room.field").verify()
+        add(room)
+        assert files_of(room / "room.field") == files_of(whole / "room.field"), step
+        assert [view.state for view in LiveViews(room).every()] == ["added", "added"]
+        assert not (room / "room.field.parts").exists()
+    assert count > 15
+
+
+@contextmanager
+def files_of_at_most(num_bytes: int) -> Iterator[None]:
+    """In the block, no file can become larger, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (num_bytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize("num_bytes", [10, 600])
+def test_a_full_disk_is_told_and_nothing_is_kept(num_bytes: int, room: Path, whole: Path) -> None:
+    """There is room for neither, or for the photo and not for what is said of it."""
+    view = sent(read_views(whole)[2], photo=as_png(Image.new("1", (96, 72))))
+    at = target(room)
+    assert len(view.photo) < 600
+    with files_of_at_most(num_bytes), pytest.raises(NoRoom, match="there is no room left"):
+        take_view(at, view, NAMES)
+    assert [path for path in (room / "live_views").rglob("*") if path.is_file()] == []
+    take(room, view)
+
+
+@pytest.mark.parametrize("num_bytes", [1000, 30_000])
+def test_a_full_disk_while_views_are_added_loses_none(num_bytes: int, room: Path, whole: Path) -> None:
+    before = files_of(room / "room.field")
+    take(room, *map(sent, read_views(whole)[2:]))
+    with files_of_at_most(num_bytes), pytest.raises(NoRoom, match="there is no room left"):
+        add(room)
+    assert files_of(room / "room.field") == before
+    assert [view.state for view in LiveViews(room).every()] == ["waiting", "waiting"]
+    add(room)
+    assert files_of(room / "room.field") == files_of(whole / "room.field")
+
+
+def test_a_view_is_refused_from_outside_only_while_it_waits(room: Path, whole: Path) -> None:
+    one, other = read_views(whole)[2:]
+    take(room, sent(one), sent(other))
+    refuse_view(room, one.name, "it ends the process")
+    refuse_view(room, "nobody.png", "there is none")
+    add(room)
+    refuse_view(room, other.name, "too late")
+    assert [(view.state, view.reason) for view in LiveViews(room).every()] == [
+        ("refused", "it ends the process"), ("added", ""),
+    ]  # fmt: skip
+
+
+def test_damaged_entries_are_told(room: Path, whole: Path) -> None:
+    take(room, sent(read_views(whole)[2]))
+    add(room)
+    path = room / "live_views/added/photo_2.json"
+    text = path.read_bytes()
+    for damaged in (
+        text[:-20],
+        text.replace(b"photo_2", b"photo_9"),
+        b"[]",
+        b"{}",
+        b"\xff",
+        text.replace(b"w 1", b"x"),
+    ):
+        path.write_bytes(damaged)
+        with pytest.raises(FormatError, match=r"photo_2\.json"):
+            read_live_views(room)
