@@ -53,6 +53,7 @@ class Service:
         self.app = create_app(Settings(str(folder), **settings))
 
     def close(self) -> None:
+        self.app.state.adding.close()
         self.app.state.bench.close()
 
     def __call__(self, method: str, path: str, **given: Any) -> Any:

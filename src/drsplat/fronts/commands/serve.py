@@ -8,11 +8,12 @@ from typing import Any
 
 from .edit_options import note_own_scenes
 from .listening import add_computing, add_listening, checked_key, own_names
-from .options import add_query_encoders, add_search_device
+from .options import add_query_encoders, add_search_device, words
 
 EXAMPLES = """\
   drsplat serve scenes
   drsplat serve drsplat-demo --port 8765 --workers 2
+  drsplat serve drsplat-demo --take-views --api-key-file key.txt
   drsplat serve scenes --host 0.0.0.0 --api-key-file key.txt --encoder laion/CLIP-ViT-B-16-laion2B-s34B-b88K
   curl -s localhost:8765/scenes/drsplat-demo/locate -H 'content-type: application/json' -d '{"text": "red vase"}'
 
@@ -29,6 +30,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--allow-origin", action="append", default=[], metavar="ORIGIN",
         help="origin of pages whose scripts may read answers, e.g. https://example.org (default: none); may be "
         "repeated",
+    )  # fmt: skip
+    parser.add_argument(
+        "--take-views", action="store_true",
+        help="take posed photos at /scenes/SCENE/views and add them to the fields; needs --api-key-file",
+    )  # fmt: skip
+    parser.add_argument(
+        "--segmenter", type=words, metavar="NAME",
+        help="segmenter that cuts these photos, the one that cut those of the scenes (default: only the built-in one)",
     )  # fmt: skip
     parser.add_argument("--catalogue", metavar="CATALOGUE", help="catalogue to answer from as well, at /catalogue")
     add_query_encoders(parser)
@@ -56,11 +65,14 @@ def _started(arguments: argparse.Namespace, key: str | None) -> None:
     from ..serving.scene_folder import SceneFolder, Sources
 
     sources = Sources(
-        arguments.encoder, arguments.vocabulary, arguments.device, arguments.threads, arguments.search_device
-    )
+        arguments.encoder, arguments.vocabulary, arguments.device, arguments.threads, arguments.search_device,
+        arguments.segmenter,
+    )  # fmt: skip
     limits = Limits(seconds=arguments.timeout, workers=arguments.workers)
     names, origins = own_names(arguments), tuple(arguments.allow_origin)
-    settings = Settings(arguments.folder, sources, limits, key, names, origins, arguments.catalogue)
+    settings = Settings(
+        arguments.folder, sources, limits, key, names, origins, arguments.catalogue, arguments.take_views
+    )
     catalogue = None if arguments.catalogue is None else Path(arguments.catalogue)
     scene_folder = SceneFolder(Path(arguments.folder), sources, catalogue_path=catalogue)
     num_scenes = scene_folder.checked()

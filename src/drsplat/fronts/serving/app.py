@@ -15,28 +15,30 @@ from starlette.exceptions import HTTPException
 from starlette.middleware.cors import CORSMiddleware
 
 from ... import __version__
-from ...errors import DrSplatError
+from ...errors import DrSplatError, InputError
 from . import models
+from .access import is_own_page
+from .adding import Adding
 from .catalogued import AskCatalogue, CatalogueAnswer, CatalogueScenes
 from .front_page import front_page
 from .guards import Guard
 from .limits import Limits
+from .live_routes import add_live
 from .metrics import Metrics
 from .models import Health, Located, ObjectList, Problem, SceneDetails, SceneList, Segmented, Selected, Words
 from .refusals import faults_of
-from .replies import BUG, GLB, JPEG, NO_JSON, PLY, PNG, Reply, is_json, problem, refusal
+from .replies import BUG, GLB, JPEG, NO_JSON, PLY, PNG, is_json, problem, refusal
 from .requests import Export, Locate, Picture, Segment, Select, WhatIs, When
+from .responses import FIELD_HEADER, Scene, sent
 from .scene_folder import SceneFolder, Sources, without_paths
 from .workbench import Job, Workbench
 from .worker import Workplace
 
-FIELD_HEADER = "x-drsplat-field"
 DESCRIPTION = """\
 Scenes that answer words. Positions are world coordinates in scene units. Whatever cannot be answered gets
 `{"error": ..., "kind": ...}` with a status of 4xx, 503 where it can be asked again later, or 500 for a fault of the
 service."""
 
-Scene = Annotated[str, InPath(min_length=1, max_length=200, description="a name from /scenes")]
 Number = Annotated[int, InPath(ge=0, le=2**31 - 1, description="an id from /scenes/{scene}/objects")]
 _REFUSALS = {
     400: "not HTTP as expected", 401: "no key, or a wrong one", 404: "no such scene or photo",
@@ -59,7 +61,9 @@ def binary(*media_types: str) -> dict[int | str, dict[str, Any]]:
 class Settings:
     """key: of the service, None for none. hosts: as in `Guard`. origins: of pages whose scripts may read answers.
 
-    catalogue: folder of one, None for none.
+    catalogue: folder of one, None for none. takes_views: whether photos may be sent to the scenes, with the key.
+
+    Raises: InputError: photos may be sent, and there is no key.
     """
 
     folder: str
@@ -69,6 +73,19 @@ class Settings:
     hosts: tuple[str, ...] | None = None
     origins: tuple[str, ...] = ()
     catalogue: str | None = None
+    takes_views: bool = False
+
+    def __post_init__(self) -> None:
+        if self.takes_views and self.key is None:
+            raise InputError("photos are taken only from those who have a key: pass api_key_file=FILE")
+
+    def why_not(self, origin: str | None, host: str) -> str:
+        """Return why a request may not change a scene, or "". origin, host: what its headers of these names say."""
+        if not self.takes_views:
+            return "this service takes no photos: whoever runs it has to allow it"
+        if not is_own_page(origin, host) and origin not in self.origins:
+            return "pages of other sites may not change a scene"
+        return ""
 
 
 def create_app(settings: Settings) -> FastAPI:
@@ -76,12 +93,16 @@ def create_app(settings: Settings) -> FastAPI:
     limits, metrics = settings.limits, Metrics()
     catalogue = None if settings.catalogue is None else Path(settings.catalogue)
     scene_folder = SceneFolder(Path(settings.folder), settings.sources, catalogue_path=catalogue)
-    bench = Workbench(Workplace(settings.folder, settings.sources, limits, settings.catalogue), metrics)
+    place = Workplace(settings.folder, settings.sources, limits, settings.catalogue)
+    bench, adding = Workbench(place, metrics), Adding(scene_folder, place, metrics)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncIterator[None]:
         bench.start()
+        if settings.takes_views:
+            adding.start()
         yield
+        adding.close()
         bench.close()
 
     app = FastAPI(
@@ -94,10 +115,11 @@ def create_app(settings: Settings) -> FastAPI:
         responses=REFUSALS,
     )
     _add_errors(app, scene_folder)
-    app.state.bench = bench
+    app.state.bench, app.state.adding = bench, adding
     _add_watching(app, scene_folder, metrics)
     _add_scenes(app, bench)
     _add_objects(app, bench)
+    add_live(app, bench, adding, settings.why_not)
     for act, request, answer, about in QUERIES:
         _add_query(app, bench, act, request, answer, about)
     if settings.catalogue is not None:
@@ -123,22 +145,22 @@ def _allow(app: FastAPI, origins: Sequence[str]) -> None:
 def _add_errors(app: FastAPI, scene_folder: SceneFolder) -> None:
     @app.exception_handler(DrSplatError)
     async def refused(_: Any, error: DrSplatError) -> Response:
-        return _sent(refusal(error, without_paths(str(error), scene_folder.roots)))
+        return sent(refusal(error, without_paths(str(error), scene_folder.roots)))
 
     @app.exception_handler(RequestValidationError)
     async def invalid(request: Request, error: RequestValidationError) -> Response:
         given = request.headers.get("content-type", "")
         if request.method == "POST" and not is_json(given):
-            return _sent(problem(415, f"{NO_JSON}; got {given!a:.80}" if given else NO_JSON, "media type"))
-        return _sent(problem(422, faults_of(error.errors()), "invalid"))
+            return sent(problem(415, f"{NO_JSON}; got {given!a:.80}" if given else NO_JSON, "media type"))
+        return sent(problem(422, faults_of(error.errors()), "invalid"))
 
     @app.exception_handler(HTTPException)
     async def http(request: Request, error: HTTPException) -> Response:
-        return _sent(problem(error.status_code, _routing_fault(request, error), "http"), error.headers)
+        return sent(problem(error.status_code, _routing_fault(request, error), "http"), error.headers)
 
     @app.exception_handler(Exception)
     async def failed(_: Any, __: Exception) -> Response:
-        return _sent(problem(500, BUG, "bug"))  # uvicorn logs the traceback
+        return sent(problem(500, BUG, "bug"))  # uvicorn logs the traceback
 
 
 def _routing_fault(request: Request, error: HTTPException) -> str:
@@ -148,13 +170,6 @@ def _routing_fault(request: Request, error: HTTPException) -> str:
     if error.status_code == 405:
         return f"expected {(error.headers or {}).get('Allow', 'another method')} here, got {request.method}"
     return str(error.detail)
-
-
-def _sent(reply: Reply, headers: Any = None) -> Response:
-    more = {"retry-after": "1"} if reply.status == 503 else {}
-    if reply.field:
-        more[FIELD_HEADER] = reply.field
-    return Response(reply.body, reply.status, {**(headers or {}), **more}, media_type=reply.media_type)
 
 
 def _add_watching(app: FastAPI, scene_folder: SceneFolder, metrics: Metrics) -> None:
@@ -178,12 +193,12 @@ def _add_scenes(app: FastAPI, bench: Workbench) -> None:
     @app.get("/scenes", tags=["scenes"], response_model=SceneList)
     async def scenes() -> Response:
         """List all scenes, without opening them."""
-        return _sent(await bench.run(Job("list")))
+        return sent(await bench.run(Job("list")))
 
     @app.get("/scenes/{scene}", tags=["scenes"], response_model=SceneDetails)
     async def scene_details(scene: Scene) -> Response:
         """Describe one scene: its size, its photos, which way is up."""
-        return _sent(await bench.run(Job("details", scene, {"name": scene})))
+        return sent(await bench.run(Job("details", scene, {"name": scene})))
 
     @app.get("/scenes/{scene}/photo", tags=["scenes"], response_class=Response, responses=binary(PNG))
     async def photo(
@@ -192,7 +207,7 @@ def _add_scenes(app: FastAPI, bench: Workbench) -> None:
         max_side: Annotated[int, Query(ge=16, le=Limits.side)] = 800,
     ) -> Response:
         """Send a photo of the scene, such as a supporting one, as PNG."""
-        return _sent(await bench.run(Job("photo", scene, {"view": view, "max_side": max_side})))
+        return sent(await bench.run(Job("photo", scene, {"view": view, "max_side": max_side})))
 
 
 def _add_objects(app: FastAPI, bench: Workbench) -> None:
@@ -201,19 +216,19 @@ def _add_objects(app: FastAPI, bench: Workbench) -> None:
         scene: Scene, all: Annotated[bool, Query(description="list also the objects that photos agree less on")] = False
     ) -> Response:
         """List the objects of a scene that photos agree on, found across photos, without any word for them."""
-        return _sent(await bench.run(Job("objects", scene, {"all": all})))
+        return sent(await bench.run(Job("objects", scene, {"all": all})))
 
     @app.get(
         "/scenes/{scene}/objects/{number}/picture", tags=["objects"], response_class=Response, responses=binary(JPEG)
     )
     async def object_picture(scene: Scene, number: Number) -> Response:
         """Send an object, cut out of the photo that shows it best, as JPEG."""
-        return _sent(await bench.run(Job("object-picture", scene, {"number": number})))
+        return sent(await bench.run(Job("object-picture", scene, {"number": number})))
 
     @app.get("/scenes/{scene}/objects/{number}/ply", tags=["objects"], response_class=Response, responses=binary(PLY))
     async def object_ply(scene: Scene, number: Number) -> Response:
         """Send the Gaussians of an object, as PLY."""
-        return _sent(await bench.run(Job("object-ply", scene, {"number": number})))
+        return sent(await bench.run(Job("object-ply", scene, {"number": number})))
 
 
 QUERIES: tuple[tuple[str, type[BaseModel], Any, str], ...] = (
@@ -230,23 +245,23 @@ QUERIES: tuple[tuple[str, type[BaseModel], Any, str], ...] = (
 
 def _add_query(app: FastAPI, bench: Workbench, act: str, request: type[BaseModel], answer: Any, about: str) -> None:
     async def computed(scene: Scene, asked: request) -> Response:  # type: ignore[valid-type]
-        return _sent(await bench.run(Job(act, scene, asked.model_dump(mode="json"))))  # type: ignore[attr-defined]
+        return sent(await bench.run(Job(act, scene, asked.model_dump(mode="json"))))  # type: ignore[attr-defined]
 
     sends_bytes, name = isinstance(answer, tuple), act.replace("-", "_")
-    sent = {"response_class": Response, "responses": binary(*answer)} if sends_bytes else {"response_model": answer}
-    app.post(f"/scenes/{{scene}}/{act}", tags=["queries"], name=name, description=about, **sent)(computed)
+    made = {"response_class": Response, "responses": binary(*answer)} if sends_bytes else {"response_model": answer}
+    app.post(f"/scenes/{{scene}}/{act}", tags=["queries"], name=name, description=about, **made)(computed)
 
 
 def _add_catalogue(app: FastAPI, bench: Workbench) -> None:
     @app.get("/catalogue", tags=["catalogue"], response_model=CatalogueScenes)
     async def catalogue_scenes() -> Response:
         """List the scenes whose objects can be asked for together."""
-        return _sent(await bench.run(Job("catalogue-list")))
+        return sent(await bench.run(Job("catalogue-list")))
 
     @app.post("/catalogue/ask", tags=["catalogue"], response_model=CatalogueAnswer)
     async def ask_catalogue(asked: AskCatalogue) -> Response:
         """Search the objects of all scenes by a text, vector or image, best first."""
-        return _sent(await bench.run(Job("catalogue-ask", asked=asked.model_dump(mode="json"))))
+        return sent(await bench.run(Job("catalogue-ask", asked=asked.model_dump(mode="json"))))
 
     @app.get("/catalogue/picture", tags=["catalogue"], response_class=Response, responses=binary(JPEG))
     async def catalogue_picture(
@@ -256,7 +271,7 @@ def _add_catalogue(app: FastAPI, bench: Workbench) -> None:
     ) -> Response:
         """Send the thumbnail of an object, as JPEG."""
         asked = {"scene": scene, "object_id": object_id, "tile": tile}
-        return _sent(await bench.run(Job("catalogue-picture", asked=asked)))
+        return sent(await bench.run(Job("catalogue-picture", asked=asked)))
 
 
 def _add_pages(app: FastAPI) -> None:

@@ -12,7 +12,8 @@ class Limits:
     that is sent, by its header. side: of a picture that is rendered, in pixels. file_bytes: of a scene that
     is sent as a file, of which twice as many are held. workers: processes, which compute one
     request at a time. waiting: more
-    that may wait for them; others are told to come again. seconds: from the first byte to the answer.
+    that may wait for them; others are told to come again. seconds: from the first byte to the answer. views: of a scene
+    that may wait to be added.
     """
 
     body_bytes: int = 8 << 20
@@ -26,6 +27,7 @@ class Limits:
     workers: int = 2
     waiting: int = 128
     seconds: float = 30.0
+    views: int = 64
 
     @property
     def too_slow(self) -> str:

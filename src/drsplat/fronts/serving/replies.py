@@ -4,6 +4,9 @@ import json
 from typing import NamedTuple
 
 from ...errors import DrSplatError, MissingExtraError
+from ...formats.claiming import ClaimedError
+from ...formats.live_views import FullError, TakenNameError
+from ...formats.replacing import NoRoom
 from .scene_folder import SceneFaultError, UnknownSceneError
 
 BUG = "this is a fault of the service, not of the request; its log has the details"
@@ -22,6 +25,7 @@ class LostError(DrSplatError):
 
 _STATUSES: dict[type[DrSplatError], int] = {
     UnknownSceneError: 404, SceneFaultError: 503, BusyError: 503, LostError: 503, MissingExtraError: 503,
+    FullError: 429, TakenNameError: 409, ClaimedError: 503, NoRoom: 507,
 }  # fmt: skip
 
 

@@ -11,7 +11,8 @@ GRACE = 5  # seconds beyond the longest request
 def serve(settings: Settings, listening: socket.socket, quiet: bool = False) -> None:
     """Answer on a socket until stopped (SIGINT, SIGTERM): finish what is being answered, take nothing new.
 
-    A process that computes and dies is started again: it only reads files, so nothing is lost but its answer.
+    A process that computes and dies is started again: nothing is lost but its answer, and views that were taken are
+    on disk.
     """
     run(
         create_app(settings),

@@ -2,11 +2,12 @@
 
 import os
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from threading import Lock
+from typing import TypeVar
 
 from ...errors import DrSplatError, InputError
 from ...field.labels import LabelFile
@@ -21,6 +22,7 @@ from ...scene.encoders import Encoder
 
 LISTED = 20
 _MOST_GAUSSIANS = (1 << 31) - 1
+T = TypeVar("T")
 Version = frozenset[tuple[str, int, int, int, int]]
 
 
@@ -34,13 +36,17 @@ class UnknownSceneError(InputError):
 
 @dataclass(frozen=True)
 class Sources:
-    """Encoder of words for all scenes, the threads of one question, and the device that codes are searched on."""
+    """Encoder of words for all scenes, the threads of one question, and the device that codes are searched on.
+
+    segmenter: of photos that are sent, where it is not built in, or None.
+    """
 
     encoder: str | None = None
     vocabulary: str | None = None
     device: str = "auto"
     threads: int = 0
     search_device: str = "cpu"
+    segmenter: str | None = None
 
 
 @dataclass(frozen=True)
@@ -95,7 +101,7 @@ class SceneFolder:
         given = self.sources
         return Catalogue.open(
             self.catalogue_path, encoder=given.encoder, vocabulary=given.vocabulary, device=given.device,
-            threads=given.threads, load=self._load,
+            threads=given.threads, load=self.load,
         )  # fmt: skip
 
     def folders(self) -> dict[str, Path]:
@@ -143,12 +149,20 @@ class SceneFolder:
 
     def scene(self, name: str) -> Scene:
         """Open, or the one that is open. Raises: UnknownSceneError. SceneFaultError: its files cannot be opened."""
+        return self._sound(name, lambda folder: self._known(name, folder))
+
+    def files(self, name: str) -> SceneFiles:
+        """Find the files of a scene. Raises: as `scene`."""
+        return self._sound(name, find_scene)
+
+    def _sound(self, name: str, read: Callable[[Path], T]) -> T:
+        """Read something of a scene's folder."""
         folders = self.folders()
         if name not in folders:
             known = ", ".join(map(repr, list(folders)[:LISTED])) or "none"
             raise UnknownSceneError(f"there is no scene {name[:60]!r} here; there are: {known}")
         try:
-            return self._known(name, folders[name])
+            return read(folders[name])
         except (DrSplatError, OSError) as error:
             reason = without_paths(str(error), (folders[name].resolve(), *self.roots))
             raise SceneFaultError(f"scene {name!r} cannot be opened: {reason}") from error
@@ -183,12 +197,13 @@ class SceneFolder:
             device=given.device,
             search_device=given.search_device,
             threads=given.threads,
-            load=self._load,
+            load=self.load,
         )
         scene.field.verify()  # damage is told now, as a fault of the scene, not in mid-answer
         return scene
 
-    def _load(self, name: str, device: str) -> Encoder:
+    def load(self, name: str, device: str) -> Encoder:
+        """Load an encoder, or return the one that is loaded."""
         with self._lock:
             known = self._encoders.get((name, device))
         if known is None:

@@ -20,6 +20,7 @@ from threading import Lock
 from typing import Any
 from weakref import finalize
 
+from .live import ACTS_ON_FILES
 from .metrics import Metrics
 from .replies import BusyError, LostError, Reply, unpacked
 from .worker import Workplace
@@ -46,7 +47,7 @@ class Job:
     @property
     def opens(self) -> bool:
         """True if files are read and models loaded for it, which may take longer than a question."""
-        return bool(self.scene) or self.act == "catalogue-ask"
+        return (bool(self.scene) and self.act not in ACTS_ON_FILES) or self.act == "catalogue-ask"
 
     def begin(self, process: "subprocess.Popen[bytes]") -> bool:
         """Say where it is computed; False where it has ended already."""
@@ -76,8 +77,8 @@ class Workbench:
     def __init__(self, place: Workplace, metrics: Metrics) -> None:
         self._limits, self._metrics = place.limits, metrics
         self._inside, self._lock = 0, Lock()
-        self._workers = [_Worker(place) for _ in range(place.limits.workers)]
-        self._idle: SimpleQueue[_Worker] = SimpleQueue()
+        self._workers = [WorkerProcess(place) for _ in range(place.limits.workers)]
+        self._idle: SimpleQueue[WorkerProcess] = SimpleQueue()
         for worker in self._workers:
             self._idle.put(worker)
         self._threads = ThreadPoolExecutor(place.limits.workers, thread_name_prefix="worker")
@@ -131,14 +132,14 @@ class Workbench:
             self._metrics.computing.dec()
 
 
-class _Worker:
-    """One process and the line to it. Only its closing is for several threads."""
+class WorkerProcess:
+    """A process and the line to it. Only its closing is for several threads."""
 
     def __init__(self, place: Workplace) -> None:
         self._place, self._closed = place, False
         self._opened: set[str] = set()
         self._line: tuple[subprocess.Popen[bytes], Connection] | None = None
-        self._end: finalize[..., _Worker] | None = None
+        self._end: finalize[..., WorkerProcess] | None = None
 
     def answer(self, job: Job) -> Reply:
         """Open the job's scene if need be and compute its answer. Raises: LostError: the process ended."""

@@ -20,6 +20,7 @@ from ...errors import DrSplatError
 from .answers import ANSWERS, answered
 from .catalogued import catalogue_reply
 from .limits import Limits
+from .live import ACTS, Adder, live_reply
 from .models import SceneList, SceneSummary
 from .replies import BUG, Reply, packed, problem, refusal
 from .scene_folder import SceneFolder, Sources, without_paths
@@ -54,9 +55,10 @@ def main(descriptor: int, parent: int) -> None:
         place = Workplace.from_json(link.recv_bytes())
         catalogue = None if place.catalogue is None else Path(place.catalogue)
         scene_folder = SceneFolder(Path(place.folder), place.sources, catalogue_path=catalogue)
+        adder = Adder(scene_folder)
         while True:
             asked = json.loads(link.recv_bytes())
-            link.send_bytes(packed(safe_reply_to(scene_folder, place, **asked)))
+            link.send_bytes(packed(safe_reply_to(scene_folder, place, adder=adder, **asked)))
 
 
 def safe_reply_to(scene_folder: SceneFolder, place: Workplace, **question: Any) -> Reply:
@@ -68,8 +70,10 @@ def safe_reply_to(scene_folder: SceneFolder, place: Workplace, **question: Any) 
         return problem(500, BUG, "bug")
 
 
-def reply_to(scene_folder: SceneFolder, place: Workplace, act: str, scene: str, asked: dict[str, Any]) -> Reply:
-    """Answer an act: "list", "open" (which also loads who embeds words), one of `ANSWERS`, or of a catalogue."""
+def reply_to(
+    scene_folder: SceneFolder, place: Workplace, act: str, scene: str, asked: dict[str, Any], adder: Adder
+) -> Reply:
+    """Answer an act: "list", "open" (which also loads who embeds words), one of `ANSWERS`, of views or a catalogue."""
     try:
         if act == "list":
             scenes = [SceneSummary(**vars(one)) for one in scene_folder.summaries()]
@@ -80,10 +84,12 @@ def reply_to(scene_folder: SceneFolder, place: Workplace, act: str, scene: str, 
             return Reply(b"")
         if act.startswith("catalogue-"):
             return catalogue_reply(scene_folder.catalogue, act, asked, place.limits)
+        if act in ACTS:
+            return live_reply(scene_folder, adder, act, scene, asked, place.limits)
         opened = scene_folder.scene(scene)
         if act != "open":
             return answered(opened, act, asked, place.limits)
-        if ANSWERS[asked["for"]].words:
+        if asked["for"] in ANSWERS and ANSWERS[asked["for"]].words:
             with suppress(DrSplatError):  # told when words are asked for
                 opened.encoder  # noqa: B018
         return Reply(b"")
