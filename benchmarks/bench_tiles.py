@@ -58,6 +58,10 @@ class Repeated(Mapping[str, ViewFeatures]):
     folder: Mapping[str, ViewFeatures]
     keys_of: dict[str, str]
 
+    @property
+    def encoder(self) -> object:
+        return getattr(self.folder, "encoder", None)
+
     def __getitem__(self, name: str) -> ViewFeatures:
         return self.folder[self.keys_of[name]]
 

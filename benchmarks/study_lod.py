@@ -20,8 +20,9 @@ import numpy as np
 from drsplat.authoring.filming.looking import looking_at, named_up
 from drsplat.drawing.rendering import render
 from drsplat.formats.scenes import read_gaussians
-from drsplat.fronts.viewing.shown import Shown, frame_of, shown_of, significance
+from drsplat.fronts.viewing.shown import Shown, frame_of, shown_of
 from drsplat.scene.gaussians import Gaussians
+from drsplat.scene.significance import significance
 from drsplat.scene.views import View
 
 WEB = Path(__file__).resolve().parent.parent / "web"

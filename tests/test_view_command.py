@@ -20,7 +20,7 @@ from drsplat.formats.spz import parse_spz
 from drsplat.fronts.viewing.client import PAGE_POLICY, filled
 from drsplat.fronts.viewing.page import packed
 from drsplat.fronts.viewing.session import Session
-from drsplat.fronts.viewing.shown import significance
+from drsplat.scene.significance import significance
 from viewing_scenes import EACH, THINGS, boxes_scene
 
 

@@ -4,9 +4,11 @@ A pipe would block its reader for ever. A mapped file that is cut short where it
 what is too large to be copied is mapped.
 """
 
+import math
 import mmap
 import os
 import stat
+import tempfile
 from collections.abc import Iterator
 from io import BufferedReader
 from pathlib import Path
@@ -51,6 +53,19 @@ def file_bytes(path: Path) -> UInt8[np.ndarray, " n"]:
             return _read(file, size, path) if size <= MAX_READ_BYTES else np.memmap(file, np.uint8, "r")
     except (FileNotFoundError, NotADirectoryError):
         raise InputError(f"{path}: there is no such file") from None
+
+
+def scratch(shape: tuple[int, ...], dtype: type[np.generic]) -> np.ndarray:
+    """Return an array to fill, which a temporary file holds where it is large, so that the system may write it out.
+
+    The file has no name and is gone with the array.
+
+    Raises: OSError: there is no room for it.
+    """
+    if math.prod(shape) * np.dtype(dtype).itemsize <= SMALL:
+        return np.empty(shape, dtype)
+    with tempfile.TemporaryFile(prefix="drsplat-") as file:
+        return np.memmap(file, dtype, "w+", shape=shape)
 
 
 def release(*arrays: np.ndarray) -> None:

@@ -47,11 +47,13 @@ def picture_html(picture: Image.Image) -> str:
     return f'<img src="data:image/jpeg;base64,{base64.b64encode(file.getvalue()).decode()}">'
 
 
-def photo_or_rendering(gaussians: Gaussians, view: View, *, threads: int = 0) -> Pixels:
+def photo_or_rendering(
+    gaussians: Gaussians, view: View, *, splats: SplatArrays | None = None, threads: int = 0
+) -> Pixels:
     """Return the photo of the view, or a rendering of the Gaussians where it has none."""
     if view.image_path is not None:
         return load_image(view)
-    return as_pixels(render(gaussians, view, threads=threads).rgb)
+    return as_pixels(render(gaussians, view, splats=splats, threads=threads).rgb)
 
 
 def visible_share(
@@ -136,18 +138,26 @@ def best_views(
     """
     if not views:
         raise InputError("there are no views to choose from")
-    still, chosen = splat_arrays(canonical_of(scene)), np.zeros((len(scene), len(selections)), np.float32)
-    for column, ids in enumerate(selections):
-        chosen[ids, column] = 1
+    still = splat_arrays(canonical_of(scene))
     areas = np.empty((len(views), len(selections)))
     for row, view in enumerate(views):
-        small = view.resized(160, max(1, round(160 * view.height / view.width)))
         moves = isinstance(scene, Moving) and view.time is not None
         splats = splat_arrays(scene.at(view.time), still.near) if moves else still  # type: ignore[union-attr,arg-type]
-        share = render_channels(splats, small, chosen, threads=threads).channels
-        cut = share[[0, -1]].sum((0, 1)) + share[:, [0, -1]].sum((0, 1))
-        areas[row] = share.sum((0, 1)) / (1 + cut)
+        areas[row] = shown_areas(splats, view, selections, threads=threads)
     return [views[best] for best in areas.argmax(0)]
+
+
+def shown_areas(
+    splats: SplatArrays, view: View, selections: Sequence[Integer[np.ndarray, " _"]], *, threads: int = 0
+) -> Float32[np.ndarray, " s"]:
+    """Return how many pixels of a small picture each selection has, divided by those at its borders."""
+    chosen = np.zeros((splats.means.shape[1], len(selections)), np.float32)
+    for column, ids in enumerate(selections):
+        chosen[ids, column] = 1
+    small = view.resized(160, max(1, round(160 * view.height / view.width)))
+    share = render_channels(splats, small, chosen, threads=threads).channels
+    cut = share[[0, -1]].sum((0, 1)) + share[:, [0, -1]].sum((0, 1))
+    return np.asarray(share.sum((0, 1)) / (1 + cut))
 
 
 def zoomed(view: View, share: Float32[np.ndarray, "h w"], margin: float = 3.2, most: float = 3.0) -> View:

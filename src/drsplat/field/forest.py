@@ -109,9 +109,9 @@ class Objects:
         numbers[self.things] = np.arange(len(self.things), dtype=np.int32)
         return self._handed_down(numbers)
 
-    def thing_of(self) -> Int32[np.ndarray, " R"]:
-        """Return per row of the field the number of the thing that it belongs to, -1 for none."""
-        return self._by_row(self.number_of, np.int32(-1))
+    def thing_of(self, rows: Integer[np.ndarray, " r"] | slice = slice(None)) -> Int32[np.ndarray, " r"]:
+        """Return per row of the field, or of some, the number of the thing that it belongs to, -1 for none."""
+        return np.asarray(np.append(self.number_of, np.int32(-1))[self.node_of[rows]])
 
     def piece_of(self) -> Int32[np.ndarray, " R"]:
         """Return per row of the field the part right below a thing that it belongs to, -1 for none."""

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +15,7 @@ from ..errors import InputError, MismatchError
 from ..formats.field_folder import TensorFile, write_folder
 from ..formats.tiles import Tiles
 from ..scene.encoders import EncoderIdentity, identity_json, identity_text
-from ..scene.gaussians import Gaussians
+from ..scene.parted import AnyGaussians
 from ..scene.views import pictures_kind, scenes_rendered
 from .codes import Best, Code, Codebook, Hits, PQCode
 from .evidence.aggregation import MEAN_RECORD, AggregatorRecord, record_json
@@ -26,6 +27,7 @@ FORMAT, VERSION = "drsplat field", 3
 CODES, EVIDENCE, NEGATIVES = "codes.safetensors", "evidence.safetensors", "negatives.safetensors"
 CONTRAST, OBJECTS, GROWTH = "contrast.safetensors", "objects.safetensors", "growth.safetensors"
 TEMPERATURE = 10.0
+RUN_ROWS = 1 << 18  # a multiple of any code's groups
 BATCH_NEGATIVES = 16  # scored at once, exactly
 
 
@@ -174,17 +176,27 @@ class LanguageField:
             digest.update(np.ascontiguousarray(arrays[name]).data)
         return digest.hexdigest()
 
-    def scores(self, query: Float32[np.ndarray, "*c D"], *, threads: int = 0) -> Float32[np.ndarray, "*c r"]:
+    def runs(self, most: int = RUN_ROWS) -> Iterator[tuple[slice, Code]]:
+        """Yield the code in runs of at most so many rows, for scores in bounded memory; one run on a GPU."""
+        rows = len(self)
+        step = max(rows, 1) if hasattr(self.code, "engine") else most
+        for begin in range(0, max(rows, 1), step):
+            end = min(begin + step, rows)
+            yield slice(begin, end), self.code.run(begin, end)
+
+    def scores(
+        self, query: Float32[np.ndarray, "*c D"], *, threads: int = 0, code: Code | None = None
+    ) -> Float32[np.ndarray, "*c r"]:
         """Return the cosine of a query, of any length, with each feature; of several queries, a row for each.
 
         The query is never quantised. Several at once take less time than one by one, and give the same
-        bits.
+        bits. code: of one of the `runs`; None: of all rows.
 
         Raises: MismatchError: a query of another dimension. InputError: one without direction.
         Source: Dr. Splat Eq. 5-6, asymmetric: see docs/method.md.
         """
         unit = self._unit(query)
-        scores = self.code.scores(np.atleast_2d(unit), threads=threads)
+        scores = (code or self.code).scores(np.atleast_2d(unit), threads=threads)
         return scores if query.ndim == 2 else scores[0]
 
     def select(self, query: Float32[np.ndarray, " D"], threshold: float, *, threads: int = 0) -> Hits:
@@ -307,7 +319,7 @@ class LanguageField:
         row = int(self.rows_of(np.array([gaussian_id]))[0])
         return [] if row < 0 else self.evidence.explain(row, _unit(query), top)
 
-    def check_scene(self, gaussians: Gaussians | Tiles) -> None:
+    def check_scene(self, gaussians: AnyGaussians | Tiles) -> None:
         """Refuse another scene than the one registered, whole or in tiles. Raises: MismatchError."""
         if len(gaussians) != self.num_gaussians:
             raise MismatchError(

@@ -16,6 +16,7 @@ import numpy as np
 from ..base.arrays import Float32, Float64
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians, ShapesDigest, drawn_alike, filled
+from ..scene.parted import Parted
 from ..scene.placing import near_plane
 from .checksums import DOCUMENT, check_document, check_seal, header_checksum, sealed
 from .field_folder import read_manifest, replacing_folder
@@ -91,6 +92,16 @@ class Tiles:
     def tile(self, tile: Tile) -> Gaussians:
         """Return a tile with its colours. Raises: FormatError: damaged."""
         return replace(self.shapes(tile), sh=self._read(tile, COLOURS, _COLOURS)["sh"])
+
+    def parted(self) -> Parted:
+        """Return the Gaussians for queries, which read the tiles that have their rows."""
+        firsts = [tile.first for tile in self.tiles]
+        low, high = (np.array([getattr(tile, end) for tile in self.tiles]) for end in ("low", "high"))
+        return Parted(
+            np.array([*firsts, len(self)], np.int64), low, high, self.origin, self.fingerprint, self.near,
+            self.antialiased, lambda number: self.tile(self.tiles[number]),
+            lambda number: self.shapes(self.tiles[number]),
+        )  # fmt: skip
 
     def gaussians(self) -> Gaussians:
         """Return the whole scene in memory; extra columns hold the block and the row that a Gaussian came from.

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from ..base.arrays import Float64, Integer
 from ..scene.boxes import solid
-from ..scene.gaussians import Gaussians
+from ..scene.parted import AnyGaussians
 
 FOOT_SHARE = 0.1  # of a thing's height above its lower side: what can touch
 DEVIATIONS = 2.0  # of two Gaussians, towards each other, within which they touch
@@ -24,7 +24,7 @@ Ids = Integer[np.ndarray, " _"]
 Up = Float64[np.ndarray, " 3"]
 
 
-def rests_on(gaussians: Gaussians, thing: Ids, support: Ids, up: Up) -> bool:
+def rests_on(gaussians: AnyGaussians, thing: Ids, support: Ids, up: Up) -> bool:
     """Return whether some Gaussians rest on others, by contact.
 
     Args:
@@ -33,25 +33,25 @@ def rests_on(gaussians: Gaussians, thing: Ids, support: Ids, up: Up) -> bool:
         support: rows of what it may rest on; those that it shares do not count, so that nothing is on itself.
         up: the unit direction that is up.
     """
-    positions, own = gaussians.positions, solid(gaussians, thing)
-    heights, others = positions[own] @ up, solid(gaussians, np.setdiff1d(support, thing))
+    own = solid(gaussians, thing)
+    heights, others = _centers(gaussians, own) @ up, solid(gaussians, np.setdiff1d(support, thing))
     low, high = np.quantile(heights, (0.02, 0.98))
     ankle = low + FOOT_SHARE * (high - low)
     foot, rest = own[heights <= ankle], own[heights > ankle]
     touching, touched = contacts(gaussians, own, foot, others)
     if len(touching) < max(LEAST_TOUCHING * len(foot), 1):
         return False
-    places = positions[touched]
+    places = _centers(gaussians, touched)
     if heights.mean() <= (places @ up).mean():
         return False
-    gap = widest_gap(places, positions[foot].mean(axis=0), up)
+    gap = widest_gap(places, _centers(gaussians, foot).mean(axis=0), up)
     if ENCLOSED < gap <= ONE_SIDED:
         beside = contacts(gaussians, own, rest, others)[1]
-        return not len(beside) or bool((positions[beside] @ up).mean() <= ankle)
+        return not len(beside) or bool((_centers(gaussians, beside) @ up).mean() <= ankle)
     return gap <= ENCLOSED
 
 
-def contacts(gaussians: Gaussians, thing: Ids, part: Ids, others: Ids) -> tuple[Ids, Ids]:
+def contacts(gaussians: AnyGaussians, thing: Ids, part: Ids, others: Ids) -> tuple[Ids, Ids]:
     """Return those rows of a part of a thing that touch others, and those of the others that they touch, each once.
 
     Two touch where their centres are no further apart than two standard deviations of both, along the line between
@@ -61,8 +61,8 @@ def contacts(gaussians: Gaussians, thing: Ids, part: Ids, others: Ids) -> tuple[
     others = _near(gaussians, part, others)
     if min(len(others), len(thing)) <= SPACING_NEIGHBOUR or not len(part):
         return part[:0], others[:0]
-    here, there = (gaussians.subset(ids).positions for ids in (part, others))
-    spacing = (_spacing(gaussians.subset(thing).positions) + _spacing(there)) / 2
+    here, there = (_centers(gaussians, ids) for ids in (part, others))
+    spacing = (_spacing(_centers(gaussians, thing)) + _spacing(there)) / 2
     distances, nearest = cKDTree(there).query(here, np.arange(1, min(NEIGHBOURS, len(others)) + 1))
     first, second = np.repeat(part, nearest.shape[1]), others[nearest.ravel()]
     along = there[nearest.ravel()] - np.repeat(here, nearest.shape[1], axis=0)
@@ -72,9 +72,9 @@ def contacts(gaussians: Gaussians, thing: Ids, part: Ids, others: Ids) -> tuple[
     return np.unique(first[touch]), np.unique(second[touch])
 
 
-def _near(gaussians: Gaussians, part: Ids, others: Ids) -> Ids:
+def _near(gaussians: AnyGaussians, part: Ids, others: Ids) -> Ids:
     """Return the others in the box of a part of a thing, widened by half of its diagonal."""
-    here, there = (gaussians.subset(ids).positions for ids in (part, others))
+    here, there = (_centers(gaussians, ids) for ids in (part, others))
     if not len(here):
         return others[:0]
     low, high = here.min(axis=0), here.max(axis=0)
@@ -90,14 +90,18 @@ def widest_gap(places: Points, middle: Up, up: Up) -> float:
     return float(np.diff(np.append(angles, angles[0] + 2 * np.pi)).max())
 
 
+def _centers(gaussians: AnyGaussians, ids: Ids) -> Points:
+    return gaussians.shapes_of(ids).positions
+
+
 def _spacing(points: Points) -> float:
     """Return the typical distance to a near neighbour."""
     return float(np.median(cKDTree(points).query(points, SPACING_NEIGHBOUR + 1)[0][:, -1]))
 
 
-def _deviations(gaussians: Gaussians, ids: Ids, directions: Points) -> Float64[np.ndarray, " _"]:
+def _deviations(gaussians: AnyGaussians, ids: Ids, directions: Points) -> Float64[np.ndarray, " _"]:
     """Return the standard deviation of each Gaussian along a unit direction of its own."""
-    covariances = gaussians.subset(ids).covariances().astype(np.float64)
+    covariances = gaussians.shapes_of(ids).covariances().astype(np.float64)
     a, b = np.triu_indices(3)
     factors = np.where(a == b, 1.0, 2.0) * directions[:, a] * directions[:, b]
     return np.asarray(np.sqrt(np.maximum((covariances * factors).sum(axis=1), 0)))

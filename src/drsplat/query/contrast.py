@@ -5,13 +5,15 @@ query is compared, at each Gaussian, with what the words of a list reach there, 
 cosine with the pictures of the scene counts half. See docs/method.md.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ..base.arrays import Bool, Float32, Float64, UInt16
+from ..base.arrays import Bool, Float, Float32, Float64, UInt16
+from ..base.contents import release, scratch
 from ..field import LanguageField
 from ..kernels.ranking import keep_best
 from .thresholds import PEAK, clear_threshold, peak_score
@@ -32,6 +34,7 @@ PEAK_SHARE, LEAST_PEAK = 1 / 3000, 10  # of the rows: a peak above a long list, 
 TOP = 1 / 500  # of the rows: what they reach is the peak of large scenes
 Score = Callable[[np.ndarray], np.ndarray]
 CHUNK = 8  # words scored at once
+ROWS_AT_ONCE = 1 << 18
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +84,13 @@ class Contrast:
         if near.all():
             return None
         rank = max(1, round(int((~near).sum()) / CROWD))
-        margins = (scores - np.float32(query @ self.usual) - self._level(near, rank)) / self.spread
-        return np.asarray(1 / (1 + np.exp(-np.clip(margins, -50, 50))), np.float32)
+        values, usual = np.empty(len(scores), np.float32), np.float32(query @ self.usual)
+        for begin in range(0, len(scores), ROWS_AT_ONCE):
+            run = slice(begin, begin + ROWS_AT_ONCE)
+            margins = (scores[run] - usual - self._level(near, rank, run)) / self.spread
+            values[run] = 1 / (1 + np.exp(-np.clip(margins, -50, 50)))
+            release(self.scores, self.words)
+        return values
 
     def speaks(self, query: Float32[np.ndarray, " D"]) -> bool:
         """Return whether a vector lies with the words rather than with the pictures."""
@@ -92,7 +100,7 @@ class Contrast:
 
     def at(self, features: Float32[np.ndarray, "m D"]) -> "Contrast":
         """Return what the words reach at other unit features, held against the same pictures."""
-        scores, words = _best_words(self.vectors, self.usual, len(features), lambda some: some @ features.T)
+        scores, words = _best_words(self.vectors, self.usual, _features_scored(features))
         return replace(self, scores=scores, words=words)
 
     def _near(self, query: Float32[np.ndarray, " D"]) -> Bool[np.ndarray, " n"]:
@@ -103,11 +111,11 @@ class Contrast:
         norms = np.maximum(np.linalg.norm(texts, axis=1), 1e-12)
         return np.asarray(same | (texts[:-1] @ texts[-1] / (norms[:-1] * norms[-1]) > NEAR))
 
-    def _level(self, near: Bool[np.ndarray, " n"], rank: int) -> Float32[np.ndarray, " r"]:
-        """Return per row the score of the `rank`-th best word that is not near, or of the last one kept."""
-        better = np.cumsum(np.take(~near, self.words.T), axis=0, dtype=np.uint16) < rank
+    def _level(self, near: Bool[np.ndarray, " n"], rank: int, run: slice) -> Float32[np.ndarray, " r"]:
+        """Return per row of a run the score of the `rank`-th best word that is not near, or of the last one kept."""
+        better = np.cumsum(np.take(~near, self.words[run].T), axis=0, dtype=np.uint16) < rank
         places = np.minimum(better.sum(0, dtype=np.uint16), len(better) - 1)
-        return np.asarray(self.scores[np.arange(len(places)), places])
+        return np.asarray(self.scores[run][np.arange(len(places)), places])
 
 
 def contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], *, threads: int = 0) -> Contrast:
@@ -134,7 +142,7 @@ def contrast_of(
 ) -> Contrast:
     """Score words at unit features without a field; the features are the pictures of the scene as well."""
     usual, spread = _usual(features, vectors)
-    scores, words = _best_words(vectors, usual, len(features), lambda some: some @ features.T)
+    scores, words = _best_words(vectors, usual, _features_scored(features))
     return Contrast(vectors, usual, spread, scores, words, of_kind)
 
 
@@ -162,12 +170,16 @@ def middle_threshold(
     least = relevancy_threshold(relevancy, peak, clear_margin)
     if least != LEVEL or not len(relevancy):
         return least
-    inside = np.clip(relevancy.astype(np.float64), 1e-12, 1 - 1e-12)
-    margins = np.log(inside / (1 - inside))
-    worse = margins[margins < 0]
-    middle = float(np.median(worse)) if len(worse) else 0.0
-    height = peak_score(margins, max(peak, round(TOP * len(margins))))
+    worse = np.sort(relevancy[relevancy < LEVEL])
+    middle = float(_margin(worse[[(len(worse) - 1) // 2, len(worse) // 2]]).mean()) if len(worse) else 0.0
+    height = float(_margin(np.array(peak_score(relevancy, max(peak, round(TOP * len(relevancy)))))))
     return _sigmoid(OWN * (middle + UPPER * (height - middle)))
+
+
+def _margin(relevancy: Float[np.ndarray, "*any"]) -> Float64[np.ndarray, "*any"]:
+    """Return what `_sigmoid` makes relevancies of; it rises with them, so that quantiles may be taken before."""
+    inside = np.clip(relevancy.astype(np.float64), 1e-12, 1 - 1e-12)
+    return np.asarray(np.log(inside / (1 - inside)))
 
 
 def usual_pictures(field: LanguageField, most: int = SAMPLES) -> Float32[np.ndarray, "s D"]:
@@ -183,7 +195,8 @@ _LAST: "WeakKeyDictionary[LanguageField, Contrast]" = WeakKeyDictionary()
 
 def _contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], threads: int) -> Contrast:
     usual, spread = _usual(usual_pictures(field), vectors)
-    scores, words = _best_words(vectors, usual, len(field), lambda some: field.scores(some, threads=threads), threads)
+    runs = [(run, partial(field.scores, threads=threads, code=code)) for run, code in field.runs()]
+    scores, words = _best_words(vectors, usual, runs, threads)
     return Contrast(vectors, usual, spread, scores, words)
 
 
@@ -195,16 +208,28 @@ def _usual(
 
 
 def _best_words(
-    vectors: Float32[np.ndarray, "n D"], usual: Float32[np.ndarray, " D"], rows: int, score: Score, threads: int = 1
+    vectors: Float32[np.ndarray, "n D"],
+    usual: Float32[np.ndarray, " D"],
+    runs: Sequence[tuple[slice, Score]],
+    threads: int = 1,
 ) -> tuple[Float32[np.ndarray, "r t"], UInt16[np.ndarray, "r t"]]:
-    """Return the best words. score: the cosines (c, r) of some words with all rows."""
+    """Return the best words. runs: rows, and what gives the cosines (c, r) of some words with them."""
     kept = min(len(vectors), max(1, round(len(vectors) / CROWD)) + SPARE)
-    scores = np.full((kept, rows), -np.inf, np.float32)
-    words = np.zeros((kept, rows), np.uint16)
-    for begin in range(0, len(vectors), CHUNK):
-        some = vectors[begin : begin + CHUNK]
-        keep_best(scores, words, score(some) - (some @ usual)[:, None], begin, threads=threads)
+    rows = runs[-1][0].stop
+    scores, words = scratch((kept, rows), np.float32), scratch((kept, rows), np.uint16)
+    for run, score in runs:
+        shape = kept, run.stop - run.start
+        own, names = np.full(shape, -np.inf, np.float32), np.zeros(shape, np.uint16)
+        for begin in range(0, len(vectors), CHUNK):
+            some = vectors[begin : begin + CHUNK]
+            keep_best(own, names, score(some) - (some @ usual)[:, None], begin, threads=threads)
+        scores[:, run], words[:, run] = own, names
+        release(scores, words)
     return scores.T, words.T
+
+
+def _features_scored(features: Float32[np.ndarray, "m D"]) -> list[tuple[slice, Score]]:
+    return [(slice(0, len(features)), lambda some: some @ features.T)]
 
 
 def _sigmoid(margin: float) -> float:

@@ -23,7 +23,7 @@ def objects_of(field: LanguageField) -> Objects:
 
 def most_seen(objects: Objects, rows: Integer[np.ndarray, " h"], weights: Float[np.ndarray, " h"]) -> int:
     """Return the row of the largest weight among those of the object that is seen most at a place."""
-    numbers = objects.thing_of()[rows]
+    numbers = objects.thing_of(rows)
     most = np.bincount(numbers + 1, weights).argmax() - 1
     return int(rows[np.where(numbers == most, weights, -1).argmax()])
 
@@ -59,7 +59,7 @@ def object_of(field: LanguageField, match: Match) -> int | None:
     if match.object_id is not None or field.objects is None:
         return match.object_id
     rows = field.rows_of(match.gaussian_ids)
-    counts = np.bincount(field.objects.thing_of()[rows[rows >= 0]] + 1, minlength=1)[1:]
+    counts = np.bincount(field.objects.thing_of(rows[rows >= 0]) + 1, minlength=1)[1:]
     return int(counts.argmax()) if len(counts) and counts.max() >= len(match) / 2 else None
 
 

@@ -1,10 +1,11 @@
 """Opening scenes: folders and files become a scene that can be queried."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
+from typing import TypeVar
 
 from ..errors import DrSplatWarning, InputError, MismatchError
 from ..field import LanguageField, load_field
@@ -16,13 +17,15 @@ from ..formats.moving_scenes import is_moving, is_sequence, read_scene
 from ..formats.recognising import FIELD_SUFFIX, SCENE_SUFFIXES, Kind, mistaken, recognised
 from ..formats.scan_record import MODEL, read_scan_record
 from ..formats.scenes import was_edited
-from ..formats.tiles import TILES
+from ..formats.tiles import TILES, Tiles, read_tiles
 from ..photos.models.loading import DEFAULT_ENCODER, load_encoder
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Moving, canonical_of
 from ..scene.views import View
 from .encoding import Load, encoder_for
 from .scene import Scene
+
+S = TypeVar("S", bound=Gaussians | Moving | Tiles)
 
 EDITS = ".edits.json"  # of NAME.ply, NAME.edits.json: a scene that people work on
 COPIES = (".glb", ".gltf", ".usda", ".usdc", ".usdz")
@@ -139,7 +142,7 @@ def open_scene(
     if encoder is None and vocabulary is None:
         encoder = files.encoder
     field = load_field(files.field, search_device=search_device)
-    file, gaussians = registered_scene(files, field) if files.scenes else (None, None)
+    file, gaussians = _registered(files, field, tiles_or_scene) if files.scenes else (None, None)
 
     def photos() -> Sequence[View]:
         if files.capture is None:
@@ -168,18 +171,28 @@ def open_scene(
     )
 
 
+def tiles_or_scene(path: Path) -> Gaussians | Moving | Tiles:
+    """Read a scene; of one in tiles nothing but the manifest. Raises: as `read_scene` and `read_tiles`."""
+    folder = path.parent if path.name == TILES else path
+    return read_tiles(folder) if (folder / TILES).is_file() else read_scene(path)
+
+
 def registered_scene(files: SceneFiles, field: LanguageField | None = None) -> tuple[Path, Gaussians | Moving]:
     """Find and read the scene that the field was registered on; others, such as saved answers, may lie beside it.
 
     field: the field of the files where it is loaded already. Raises: MismatchError: it is of none of them.
     """
-    field = field or load_field(files.field)
+    return _registered(files, field or load_field(files.field), read_scene)
+
+
+def _registered(files: SceneFiles, field: LanguageField, read: Callable[[Path], S]) -> tuple[Path, S]:
+    """Find the scene that the field was registered on, with what reads scenes. Raises: as `registered_scene`."""
     moves = field.times is not None  # what was registered, where a film and its first frame lie side by side
     scenes = sorted(files.scenes, key=lambda path: is_moving(path) != moves)
     for number, path in enumerate(scenes):
-        scene = read_scene(path)
+        scene = read(path)
         try:
-            field.check_scene(canonical_of(scene))
+            field.check_scene(canonical_of(scene) if isinstance(scene, Moving) else scene)
         except MismatchError:
             if number == len(scenes) - 1:
                 raise

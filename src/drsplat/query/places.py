@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from ..base.arrays import Float64, Integer
+from ..base.arrays import Float64, Int64, Integer
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
+from ..scene.parted import AnyGaussians, middle
 
 FAR = 3.0  # standard deviations
 SLACK = 0.01  # of the scene's size: people and models round their numbers
@@ -14,7 +15,7 @@ NEAREST = 64  # candidates by the distance of centres
 
 
 @np.errstate(over="ignore", invalid="ignore")  # points beyond all that can be squared
-def nearest_gaussian(gaussians: Gaussians, candidates: Integer[np.ndarray, " r"], point: Point) -> int:
+def nearest_gaussian(gaussians: AnyGaussians, candidates: Integer[np.ndarray, " r"], point: Point) -> int:
     """Return the row of the candidate that covers a point of the world best.
 
     Of the 64 candidates with the nearest centres, the one of highest density at the point (opacity times
@@ -27,27 +28,47 @@ def nearest_gaussian(gaussians: Gaussians, candidates: Integer[np.ndarray, " r"]
         raise InputError(f"expected a point of three finite numbers, got {point}")
     if not len(candidates):
         raise InputError("no Gaussian of this scene has a feature")
-    at = at - gaussians.origin
-    means = gaussians.means[candidates].astype(np.float64)
-    squares = np.einsum("ni,ni->n", means - at, means - at)
-    near = np.argpartition(squares, min(NEAREST, len(squares)) - 1)[:NEAREST]
-    near = near[np.argsort(squares[near], kind="stable")]
-    distance = float(np.sqrt(squares[near[0]]))
-    ids = np.asarray(candidates)[near].astype(np.int64)
-    deviations = _deviations(gaussians, ids, at)
-    if not np.isfinite(distance) or (deviations.min() > FAR and distance > SLACK * _size(means)):
-        x, y, z = means[near[0]] + gaussians.origin
+    ids, squares = _nearest(gaussians, np.asarray(candidates), at)
+    near = gaussians.shapes_of(ids)
+    distance = float(np.sqrt(squares[0]))
+    deviations = _deviations(near, at - gaussians.origin)
+    if not np.isfinite(distance) or (deviations.min() > FAR and distance > SLACK * _size(gaussians, candidates)):
+        x, y, z = near.positions[0]
         raise InputError(
             f"nothing with a feature is at {point[0]:.8g}, {point[1]:.8g}, {point[2]:.8g}: the nearest Gaussian is "
             f"{distance:.3g} away, at {x:.3f}, {y:.3f}, {z:.3f}"
         )
-    density = gaussians.opacities[ids] * np.exp(-0.5 * np.minimum(deviations, 30.0) ** 2)
+    density = near.opacities * np.exp(-0.5 * np.minimum(deviations, 30.0) ** 2)
     return int(ids[density.argmax()] if deviations.min() <= FAR else ids[0])
 
 
-def _deviations(gaussians: Gaussians, ids: Integer[np.ndarray, " m"], point: np.ndarray) -> np.ndarray:
+def _nearest(
+    gaussians: AnyGaussians, candidates: Integer[np.ndarray, " r"], at: Float64[np.ndarray, " 3"]
+) -> tuple[Int64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
+    """Return the rows of the NEAREST candidates, the nearest centre first, and the squares of their distances.
+
+    Candidates ascend; of equal distances the first come first. Parts that are further away than all of these are
+    not read.
+    """
+    ids, squares = np.empty(0, np.int64), np.empty(0)
+    for first, away2, part in gaussians.parts_near(at):
+        if len(ids) == NEAREST and away2 > squares[-1]:
+            break
+        begin, end = np.searchsorted(candidates, np.array([first, first + len(part)], candidates.dtype))
+        own = candidates[begin:end]
+        offsets = part.means[own - first].astype(np.float64) - (at - gaussians.origin)
+        ids = np.concatenate([ids, own.astype(np.int64)])
+        squares = np.concatenate([squares, np.einsum("ni,ni->n", offsets, offsets)])
+        if len(squares) > NEAREST:
+            (kept,) = np.nonzero(squares <= np.partition(squares, NEAREST - 1)[NEAREST - 1])
+            ids, squares = ids[kept], squares[kept]
+        order = np.lexsort((ids, squares))[:NEAREST]
+        ids, squares = ids[order], squares[order]
+    return ids, squares
+
+
+def _deviations(few: Gaussians, point: np.ndarray) -> np.ndarray:
     """Return the distance of each Gaussian's centre in its own standard deviations."""
-    few = gaussians.subset(ids)
     xx, xy, xz, yy, yz, zz = few.covariances().T
     matrices = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], 1).reshape(-1, 3, 3)
     largest = np.trace(matrices, axis1=1, axis2=2)[:, None, None]
@@ -59,7 +80,7 @@ def _deviations(gaussians: Gaussians, ids: Integer[np.ndarray, " m"], point: np.
     return known
 
 
-def _size(means: np.ndarray) -> float:
+def _size(gaussians: AnyGaussians, candidates: Integer[np.ndarray, " r"]) -> float:
     """Return the diagonal of the box of the middle 98 %: stray Gaussians do not count."""
-    low, high = np.quantile(means, (0.01, 0.99), axis=0)
+    low, high = middle(gaussians, (0.01, 0.99), candidates)
     return float(np.linalg.norm(high - low))

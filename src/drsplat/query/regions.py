@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float64
+from ..base.arrays import Float64, Int64
 from ..errors import InputError
 from .defaults import MIN_GAUSSIANS
 from .naming import own_vocabulary
@@ -39,19 +39,32 @@ def region(
     names = own_vocabulary(encoder, field) if vocabulary is None else tuple(dict.fromkeys(vocabulary))
     if not names:
         raise InputError(f"'{encoder.identity.name}' takes any words: name those to choose from")
-    means = scene.gaussians.positions[field.gaussian_ids]
-    with np.errstate(over="ignore"):  # further away than can be squared is outside
-        inside = np.flatnonzero(np.linalg.norm(means - at, axis=1) <= radius)
+    inside = _within(scene, at, radius)
     if not len(inside):
         raise InputError(f"no Gaussian with a feature is within {radius:g} of {at[0]:g}, {at[1]:g}, {at[2]:g}")
     field.check_encoder(encoder.identity)
+    means = scene.rows.shapes_of(field.gaussian_ids[inside]).positions
     features = field.feature(inside)
     scores = features @ np.asarray(encoder.encode_texts(names), np.float32).T
     best, own = scores.argmax(1), scores.max(1)
     clear = own > getattr(encoder, "threshold", -1.0)
-    found = [_named(names[k], (best == k) & clear, own, means[inside]) for k in np.unique(best[clear])]
+    found = [_named(names[k], (best == k) & clear, own, means) for k in np.unique(best[clear])]
     kept = [one for one in found if one.num_gaussians >= MIN_GAUSSIANS]
     return sorted(kept, key=lambda one: -one.num_gaussians)
+
+
+def _within(scene: Scene, at: Float64[np.ndarray, " 3"], radius: float) -> Int64[np.ndarray, " s"]:
+    """Return the rows of the field whose Gaussians have their centres within a radius of a point, ascending."""
+    rows, ids = [np.empty(0, np.int64)], scene.field.gaussian_ids
+    for first, away2, part in scene.rows.parts_near(at):
+        if away2 > radius * radius:
+            break
+        begin, end = np.searchsorted(ids, np.array([first, first + len(part)], ids.dtype))
+        means = part.means[ids[begin:end] - first].astype(np.float64) + part.origin
+        with np.errstate(over="ignore"):  # further away than can be squared is outside
+            (near,) = np.nonzero(np.linalg.norm(means - at, axis=1) <= radius)
+        rows.append(near + begin)
+    return np.sort(np.concatenate(rows))
 
 
 def _named(name: str, mine: np.ndarray, scores: np.ndarray, means: np.ndarray) -> InRegion:

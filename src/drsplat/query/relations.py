@@ -10,11 +10,10 @@ import numpy as np
 
 from ..base.arrays import Float64
 from ..errors import InputError
-from ..scene.boxes import solid
-from ..scene.gaussians import Gaussians
+from ..scene.parted import AnyGaussians
 from ..scene.views import View
 from .answer import Match
-from .spatial import gap, is_over, stands_on
+from .spatial import gap, is_over, solid_centers, stands_on
 
 Relation = Literal["on", "in", "next_to", "above", "between"]
 RELATIONS: tuple[Relation, ...] = get_args(Relation)
@@ -26,11 +25,11 @@ Up = Float64[np.ndarray, " 3"]
 INSIDE = 0.5  # of an object's Gaussians, in the box of what it is in
 SECTORS, WALLED = 16, 12  # directions around an object, and in how many there is a wall of what it is in
 BESIDE = 0.1  # of the lower one's height, that objects next to each other share
-_Holds = Callable[[Gaussians, Match, Match, Up], bool]
+_Holds = Callable[[AnyGaussians, Match, Match, Up], bool]
 
 
 def related(
-    gaussians: Gaussians,
+    gaussians: AnyGaussians,
     relation: Relation,
     objects: Sequence[Match],
     to: Match,
@@ -64,9 +63,9 @@ def is_beside(view: View, side: Side, thing: Match, other: Match) -> bool:
     return bool(left[0] / left[2] < right[0] / right[2])
 
 
-def lies_in(gaussians: Gaussians, thing: Match, container: Match, up: Up) -> bool:
+def lies_in(gaussians: AnyGaussians, thing: Match, container: Match, up: Up) -> bool:
     """Return True if half of a thing is in the box of a larger one that has walls around it at its own heights."""
-    points, walls = (_points(gaussians, one) for one in (thing, container))
+    points, walls = (solid_centers(gaussians, one) for one in (thing, container))
     if np.linalg.norm(thing.extent) >= np.linalg.norm(container.extent):
         return False
     local = (points - container.center) @ container.axes.T
@@ -81,14 +80,14 @@ def lies_in(gaussians: Gaussians, thing: Match, container: Match, up: Up) -> boo
     return len(np.unique(sectors)) >= WALLED
 
 
-def lies_above(gaussians: Gaussians, thing: Match, other: Match, up: Up) -> bool:
+def lies_above(gaussians: AnyGaussians, thing: Match, other: Match, up: Up) -> bool:
     """Return True if all of a thing is higher than another, its middle over it, and it does not stand on it."""
     top, foot = (_heights(gaussians, one, up)[end] for one, end in ((other, 1), (thing, 0)))
-    over = is_over(_points(gaussians, thing), _points(gaussians, other), up)
+    over = is_over(solid_centers(gaussians, thing), solid_centers(gaussians, other), up)
     return bool(foot >= top and over and not stands_on(gaussians, thing, other, up))
 
 
-def lies_next_to(gaussians: Gaussians, thing: Match, other: Match, up: Up) -> bool:
+def lies_next_to(gaussians: AnyGaussians, thing: Match, other: Match, up: Up) -> bool:
     """Return True if two things are beside each other, nearer than the mean of their boxes' longest sides."""
     (low, high), (foot, head) = (_heights(gaussians, one, up) for one in (thing, other))
     shared = min(high, head) - max(low, foot)
@@ -101,7 +100,7 @@ def lies_next_to(gaussians: Gaussians, thing: Match, other: Match, up: Up) -> bo
     return apart and gap(gaussians, thing, other) <= reach
 
 
-def lies_between(gaussians: Gaussians, thing: Match, one: Match, other: Match, up: Up) -> bool:
+def lies_between(gaussians: AnyGaussians, thing: Match, one: Match, other: Match, up: Up) -> bool:
     """Return True if the line from centre to centre crosses a thing's box from above, and neither centre is over it.
 
     The thing has to share heights with the two, from the lower side of the lower one to the upper of the higher.
@@ -128,13 +127,9 @@ def _meets(begin: Up, way: Up, half: Up) -> bool:
     return bool(entered <= left)
 
 
-def _points(gaussians: Gaussians, thing: Match) -> Float64[np.ndarray, "n 3"]:
-    return np.asarray(gaussians.positions[solid(gaussians, thing.gaussian_ids)])
-
-
-def _heights(gaussians: Gaussians, thing: Match, up: Up) -> tuple[float, float]:
+def _heights(gaussians: AnyGaussians, thing: Match, up: Up) -> tuple[float, float]:
     """Return the heights of a thing's lower and upper side."""
-    low, high = np.quantile(_points(gaussians, thing) @ up, (0.02, 0.98))
+    low, high = np.quantile(solid_centers(gaussians, thing) @ up, (0.02, 0.98))
     return float(low), float(high)
 
 

@@ -4,21 +4,24 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from ..base.arrays import Bool, Float32, Float64, Int32, Integer, UInt8
+from ..base.arrays import Bool, Float32, Float64, Int32, Int64, Integer, UInt8
 from ..base.terminal import facts_html
 from ..errors import InputError, MissingExtraError
 from ..field import LanguageField
 from ..field.forest import Objects
 from ..field.labels import Label, LabelFile, Matched, matched
 from ..field.objects.agreed import agreed
+from ..formats.tiles import Tiles
 from ..kernels import SplatArrays, splat_arrays
 from ..scene.boxes import BoxKind, up_of
 from ..scene.encoders import Encoder
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Moving, Span, canonical_of
+from ..scene.parted import AnyGaussians, middle
 from ..scene.views import View
 from .answer import Answer, Match, MatchTrack, Segmentation, Word
 from .defaults import COSINE, LABEL, MIN_GAUSSIANS, OBJECT
@@ -28,11 +31,14 @@ from .naming import best_names, doubt_of, object_names
 from .objects import answer_of, match_of, most_seen, objects_of
 from .places import Point, nearest_gaussian
 from .query import Cut, Query
-from .search import feature_at, feature_of, gaussian_at, row_of, seen_at
+from .search import feature_of, row_of, seen_among
 from .support import support_in
 from .tasks import locate, segment
 from .views import view_named
 from .wholes import for_comparing
+
+if TYPE_CHECKING:
+    from .seen import Seen
 
 Place = int | Point | tuple[str, float, float]
 
@@ -40,7 +46,8 @@ Place = int | Point | tuple[str, float, float]
 class Scene:
     """A field, the Gaussians it was registered on, posed photos and who embeds words. Several threads may ask at once.
 
-    gaussians: a moving scene's are its canonical rows; None where only selections are wanted. views, encoder:
+    gaussians: a moving scene's are its canonical rows; those of `Tiles` stay on disk, and what is asked for is read;
+    None where only selections are wanted. views, encoder:
     themselves, or what makes them when they are first needed; encoder None: the built-in one that the field names.
     threads: of one query, 0 for all cores.
     labels: the file of names that people give to objects, None where there is none to keep them in. path: of the file
@@ -52,7 +59,7 @@ class Scene:
     def __init__(
         self,
         field: LanguageField,
-        gaussians: Gaussians | Moving | None = None,
+        gaussians: Gaussians | Moving | Tiles | None = None,
         views: Sequence[View] | Callable[[], Sequence[View]] = (),
         encoder: Encoder | Callable[[], Encoder] | None = None,
         *,
@@ -61,31 +68,45 @@ class Scene:
         labels: LabelFile | None = None,
         path: Path | None = None,
     ) -> None:
-        if gaussians is not None:
-            field.check_scene(canonical_of(gaussians))
+        self.tiles = gaussians if isinstance(gaussians, Tiles) else None
+        self._rows = _rows_of(gaussians)
+        if self._rows is not None:
+            field.check_scene(self._rows)
         self.label_file, self.path = labels, path
         self.field, self.name, self.threads = field, name, threads
         self.motion = gaussians if isinstance(gaussians, Moving) else None
-        self._gaussians, self._views = None if gaussians is None else canonical_of(gaussians), views
+        self._views = views
         self.background = Background(field, source_of(field, encoder), threads)
         self.kept: dict[tuple[str, object], Scene] = {}  # of times and spans that were asked for last
 
     def __repr__(self) -> str:
-        return f"Scene('{self.name}', {self._gaussians or 'no Gaussians'}, {self.field})"
+        return f"Scene('{self.name}', {self._rows or 'no Gaussians'}, {self.field})"
 
     @property
     def has_gaussians(self) -> bool:
         """True where the scene has Gaussians, so that matches can be located and pictures drawn."""
-        return self._gaussians is not None
+        return self._rows is not None
 
     @property
-    def gaussians(self) -> Gaussians:
-        """Raises: InputError: the scene was opened without them."""
-        if self._gaussians is None:
+    def rows(self) -> AnyGaussians:
+        """The Gaussians to ask for by their rows, in memory or on disk.
+
+        Raises: InputError: the scene was opened without them.
+        """
+        if self._rows is None:
             raise InputError(
                 f"'{self.name}' was opened without its Gaussians: pass scene=SCENE, the file that was registered"
             )
-        return self._gaussians
+        return self._rows
+
+    @cached_property
+    def gaussians(self) -> Gaussians:
+        """All Gaussians in memory, those of tiles read when this is first asked for; queries need only `rows`.
+
+        Raises: InputError: the scene was opened without them. FormatError: a tile is damaged or missing.
+        """
+        rows = self.rows
+        return rows if isinstance(rows, Gaussians) else cast("Tiles", self.tiles).gaussians()
 
     @cached_property
     def views(self) -> tuple[View, ...]:
@@ -109,8 +130,17 @@ class Scene:
     @cached_property
     def box(self) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
         """Lowest and highest corner of the box of the middle 98 % of the Gaussians, along the world's axes."""
-        low, high = np.quantile(self.gaussians.positions, (0.01, 0.99), axis=0)
+        low, high = middle(self.rows, (0.01, 0.99), origin=self.rows.origin)
         return low, high
+
+    def seen(self, view: View) -> "Seen":
+        """Return what a view may see: some tiles of a scene on disk, all of one in memory.
+
+        Raises: InputError: the scene was opened without its Gaussians. FormatError: a tile is damaged or missing.
+        """
+        from .seen import Seen, seen_of_tiles
+
+        return Seen(self.gaussians, self.splats) if self.tiles is None else seen_of_tiles(self.tiles, view)
 
     @property
     def objects(self) -> list[Match]:
@@ -196,7 +226,7 @@ class Scene:
 
     def _repr_html_(self) -> str:
         facts = {
-            "Gaussians": f"{len(self.gaussians):,}" if self.has_gaussians else "none",
+            "Gaussians": f"{len(self.rows):,}" if self.has_gaussians else "none",
             "views": f"{len(self.views):,}",
             "field": f"{len(self.field):,} features by {self.field.encoder.name}",
             "objects": "none" if self.field.objects is None else f"{len(self.field.objects):,}",
@@ -295,7 +325,7 @@ class Scene:
         """
         answer = query if isinstance(query, Answer) else self.ask(query)
         up = self.up if box == "upright" else None
-        matches = locate(answer, self.gaussians, min_gaussians=min_gaussians, up=up)[:top]
+        matches = locate(answer, self.rows, min_gaussians=min_gaussians, up=up)[:top]
         return [
             replace(match, support=support_in(match, answer), label=self._label_of(match.object_id))
             for match in matches
@@ -338,9 +368,8 @@ class Scene:
         if isinstance(place, int | np.integer):
             return feature_of(self.field, int(place))
         if isinstance(place[0], str):
-            view = self.view(place[0])
-            xy = (float(place[1]), float(place[2]))
-            return feature_at(self.field, self.seen_by(view).gaussians, view, xy, threads=self.threads)
+            rows, weights = self._weights_at(place)  # type: ignore[arg-type]
+            return np.asarray(self.field.feature(rows[[weights.argmax()]])[0])
         return feature_of(self.field, self.nearest(place))  # type: ignore[arg-type]
 
     def nearest(self, point: Point) -> int:
@@ -351,16 +380,16 @@ class Scene:
         Raises: InputError: a point that is not finite, or further than 3 standard deviations and a hundredth
         of the scene's size from all of them.
         """
-        return nearest_gaussian(self.gaussians, self.field.gaussian_ids, point)
+        return nearest_gaussian(self.rows, self.field.gaussian_ids, point)
 
     def point_at(self, click: tuple[str, float, float]) -> Float64[np.ndarray, " 3"]:
         """Return the centre of the heaviest Gaussian with a feature at a pixel of a view, in world coordinates.
 
         Raises: InputError: no such view or pixel, or nothing with a feature there.
         """
-        view, xy = self.view(click[0]), (float(click[1]), float(click[2]))
-        seen = self.seen_by(view).gaussians
-        return np.asarray(seen.positions[gaussian_at(self.field, seen, view, xy, threads=self.threads)])
+        rows, weights = self._weights_at(click)
+        ids = self.field.gaussian_ids[rows[[weights.argmax()]]]
+        return np.asarray(self.seen_by(self.view(click[0])).rows.shapes_of(ids).positions[0])
 
     def picture(
         self,
@@ -386,14 +415,15 @@ class Scene:
         if self.seen_by(chosen) is not self:
             return self.seen_by(chosen).picture(chosen, ids, photo=photo, max_side=max_side)
         chosen = chosen.limited(max_side)
+        seen = self.seen(chosen)
         if photo:
-            pixels = photo_or_rendering(self.gaussians, chosen, threads=self.threads)
+            pixels = photo_or_rendering(seen.gaussians, chosen, splats=seen.splats, threads=self.threads)
         else:
-            drawn = render(self.gaussians, chosen, threads=self.threads, splats=self.splats)
+            drawn = render(seen.gaussians, chosen, threads=self.threads, splats=seen.splats)
             pixels = as_pixels(drawn.rgb)
         if ids is None:
             return pixels
-        share = visible_share(self.gaussians, chosen, ids, splats=self.splats, threads=self.threads)
+        share = visible_share(seen.gaussians, chosen, seen.local(ids), splats=seen.splats, threads=self.threads)
         return highlighted(pixels, share)
 
     def best_view(self, gaussian_ids: Integer[np.ndarray, " m"] | None = None) -> View:
@@ -407,9 +437,29 @@ class Scene:
             )
         if gaussian_ids is None:
             return self.views[0]
-        from ..drawing.pictures import best_views
+        return self.best_views([gaussian_ids])[0]
 
-        return best_views(self.motion or self.gaussians, self.views, [gaussian_ids], threads=self.threads)[0]
+    def best_views(
+        self, selections: Sequence[Integer[np.ndarray, " _"]], among: Sequence[View] | None = None
+    ) -> list[View]:
+        """Return for each selection the view that shows most of it and does not cut it off.
+
+        among: views to choose from. None takes all, or, of a scene in tiles, those whose masks have most of it.
+
+        Raises: InputError: no views, or no Gaussians.
+        """
+        from ..drawing.pictures import best_views
+        from .seen import views_showing
+
+        if self.tiles is None:
+            return best_views(self.motion or self.gaussians, among or self.views, selections, threads=self.threads)
+        return [self._best_in_tiles(ids, among or views_showing(self.field, self.views, ids)) for ids in selections]
+
+    def _best_in_tiles(self, ids: Integer[np.ndarray, " m"], views: Sequence[View]) -> View:
+        from .seen import areas_in_tiles
+
+        areas = [areas_in_tiles(self.seen(view), view, ids, self.threads) for view in views]
+        return views[int(np.argmax(areas))]
 
     def _label_of(self, number: int | None) -> str | None:
         if number is None:
@@ -438,7 +488,16 @@ class Scene:
             return row_of(self.field, int(place))
         if not isinstance(place[0], str):
             return row_of(self.field, self.nearest(place))  # type: ignore[arg-type]
-        xy = (float(place[1]), float(place[2]))
-        view = self.view(place[0])
-        rows, weights = seen_at(self.field, self.seen_by(view).gaussians, view, xy, threads=self.threads)
-        return most_seen(objects, rows, weights)
+        return most_seen(objects, *self._weights_at(place))  # type: ignore[arg-type]
+
+    def _weights_at(self, click: tuple[str, float, float]) -> tuple[Int64[np.ndarray, " m"], Float32[np.ndarray, " m"]]:
+        """Return the rows of the field that a pixel of a photo shows, and their blending weights there."""
+        view, xy = self.view(click[0]), (float(click[1]), float(click[2]))
+        seen = self.seen_by(view).seen(view)
+        return seen_among(self.field, seen.splats, seen.rows, view, xy, threads=self.threads)
+
+
+def _rows_of(gaussians: Gaussians | Moving | Tiles | None) -> AnyGaussians | None:
+    if gaussians is None:
+        return None
+    return gaussians.parted() if isinstance(gaussians, Tiles) else canonical_of(gaussians)

@@ -8,7 +8,7 @@ import numpy as np
 from ..base.arrays import Float32, Int64
 from ..errors import InputError
 from ..field import LanguageField, Negatives
-from ..kernels import splat_arrays, view_weights
+from ..kernels import SplatArrays, splat_arrays, view_weights
 from ..scene.encoders import Encoder
 from ..scene.gaussians import Gaussians
 from ..scene.views import View
@@ -120,6 +120,22 @@ def seen_at(
     Arguments and Raises: as `feature_at`.
     """
     field.check_scene(gaussians)
+    return seen_among(field, splat_arrays(gaussians), None, view, xy, threads=threads)
+
+
+def seen_among(
+    field: LanguageField,
+    splats: SplatArrays,
+    ids: Int64[np.ndarray, " n"] | None,
+    view: View,
+    xy: tuple[float, float],
+    *,
+    threads: int = 0,
+) -> tuple[Int64[np.ndarray, " m"], Float32[np.ndarray, " m"]]:
+    """Return the same of Gaussians that a view may see. ids: their rows in the scene; None: they are all of it.
+
+    Raises: InputError: as `feature_at`.
+    """
     if not np.isfinite(xy).all():
         raise InputError(f"expected a pixel of two finite numbers, got {xy}")
     column, row = (int(np.floor(at)) for at in xy)
@@ -129,8 +145,8 @@ def seen_at(
         )
     pixel = np.full((view.height, view.width), -1, np.int32)
     pixel[row, column] = 0
-    seen = view_weights(splat_arrays(gaussians), view, pixel, topk=None, threads=threads)
-    rows = field.rows_of(seen.gaussian_ids)
+    seen = view_weights(splats, view, pixel, topk=None, threads=threads)
+    rows = field.rows_of(seen.gaussian_ids if ids is None else ids[seen.gaussian_ids])
     if not (rows >= 0).any():
         raise InputError(
             f"no Gaussian at pixel {xy[0]:g},{xy[1]:g} of view '{view.name}' has a feature: click elsewhere"

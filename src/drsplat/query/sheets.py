@@ -11,7 +11,6 @@ from ..drawing.heat import heat_of
 from ..drawing.pictures import (
     OtherPixels,
     as_pixels,
-    best_views,
     contact_sheet,
     heated,
     photo_or_rendering,
@@ -44,9 +43,11 @@ def object_picture(
     Raises: InputError: the scene has no views or no Gaussians.
     """
     view = view or object_views(scene, [match])[0]
-    seen = scene.seen_by(view)
-    share = visible_share(seen.gaussians, view, match.gaussian_ids, splats=seen.splats, threads=scene.threads)
-    return cut_out(photo_or_rendering(seen.gaussians, view, threads=scene.threads), share, size)
+    seen = scene.seen_by(view).seen(view)
+    ids = seen.local(match.gaussian_ids)
+    share = visible_share(seen.gaussians, view, ids, splats=seen.splats, threads=scene.threads)
+    photo = photo_or_rendering(seen.gaussians, view, splats=seen.splats, threads=scene.threads)
+    return cut_out(photo, share, size)
 
 
 def object_views(scene: Scene, matches: Sequence[Match]) -> list[View]:
@@ -60,9 +61,7 @@ def object_views(scene: Scene, matches: Sequence[Match]) -> list[View]:
         some = matches[begin : begin + AT_ONCE]
         named = {name for match in some for name in _photos(scene, match)[:LOOKED_AT]}
         views = [view for view in scene.views if view.name in named] or list(scene.views)
-        found += best_views(
-            scene.motion or scene.gaussians, views, [one.gaussian_ids for one in some], threads=scene.threads
-        )
+        found += scene.best_views([one.gaussian_ids for one in some], views)
     return found
 
 
@@ -104,12 +103,14 @@ def attribute_row(
     if not 1 <= len(attributes) <= MOST_ATTRIBUTES:
         raise InputError(f"attributes: expected 1 to {MOST_ATTRIBUTES} words, got {len(attributes)}")
     view = (view or scene.best_view(match.gaussian_ids)).limited(ATTRIBUTE_SIDE)
-    seen = visible_share(scene.gaussians, view, match.gaussian_ids, splats=scene.splats, threads=scene.threads)
+    own = scene.seen(view)
+    ids = own.local(match.gaussian_ids)
+    shown = visible_share(own.gaussians, view, ids, splats=own.splats, threads=scene.threads)
     queries = [Query(one) if isinstance(one, str) else one for one in attributes]
     answers = [scene.ask(query) for query in queries]
     heat = [scene.field.dense(heat_of(one.values, one.threshold), fill=0.0) for one in answers]
-    near = zoomed(view, seen)
-    drawn = render(scene.gaussians, near, values=np.stack(heat, 1), splats=scene.splats, threads=scene.threads)
+    values = np.stack(heat if own.rows is None else [one[own.rows] for one in heat], 1)
+    drawn = render(own.gaussians, zoomed(view, shown), values=values, splats=own.splats, threads=scene.threads)
     picture, solid = as_pixels(drawn.rgb), np.maximum(drawn.alpha, 1e-3)
     tiles = [titled(picture, match.label or "as it is")]
     for number, (query, answer) in enumerate(zip(queries, answers, strict=True)):
@@ -119,7 +120,7 @@ def attribute_row(
 
 
 def _share_above(scene: Scene, match: Match, answer: Answer) -> float:
-    mass = scene.gaussians.opacities[match.gaussian_ids].astype(np.float64)
+    mass = scene.rows.opacities_of(match.gaussian_ids).astype(np.float64)
     above = np.isin(match.gaussian_ids, answer.gaussian_ids)
     return float(mass[above].sum() / max(mass.sum(), 1e-12))
 

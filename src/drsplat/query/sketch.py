@@ -91,7 +91,7 @@ def sketch_of(scene: Scene) -> Sketch:
     fewer = np.minimum(counts, np.maximum(PEAK, counts / thinned)).astype(np.int32)
     solid = np.ones(len(field), np.bool_)
     if scene.has_gaussians:
-        solid = scene.gaussians.opacities[field.gaussian_ids] >= HAZE_OPACITY
+        solid = scene.rows.opacities_of(field.gaussian_ids) >= HAZE_OPACITY
     return Sketch(
         features, fewer, numbers, usual_pictures(field, MOST_PICTURES),
         np.empty((0, field.encoder.dim), np.float32) if field.contrast is None else field.contrast.embeddings,
@@ -192,6 +192,9 @@ class _Copies:
 
     def rows(self, index: Integer[np.ndarray, " b"]) -> "_Copies":
         return _Copies(self.vectors, self.of_row[index])
+
+    def run(self, begin: int, end: int) -> "_Copies":
+        return _Copies(self.vectors, self.of_row[begin:end])
 
     def tensors(self) -> dict[str, np.ndarray]:
         return {"vectors": self.vectors, "of_row": self.of_row}

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from ..base.arrays import Float64
 from ..errors import InputError
 from ..scene.boxes import solid
-from ..scene.gaussians import Gaussians
+from ..scene.parted import AnyGaussians
 from .answer import Match
 from .contact import rests_on
 from .query import Query
@@ -18,9 +18,9 @@ from .tasks import sure_matches
 REACH = 0.05  # of its size: how far the middle of a thing may stand out of what it is over
 
 
-def gap(gaussians: Gaussians, one: Match, other: Match) -> float:
+def gap(gaussians: AnyGaussians, one: Match, other: Match) -> float:
     """Return the distance between the nearest solid Gaussians of two things, centre to centre, in scene units."""
-    first, second = _solid(gaussians, one), _solid(gaussians, other)
+    first, second = solid_centers(gaussians, one), solid_centers(gaussians, other)
     small, large = (first, second) if len(first) < len(second) else (second, first)
     return float(cKDTree(large).query(small)[0].min())
 
@@ -34,14 +34,14 @@ def standing_on(scene: Scene, matches: Sequence[Match], query: Query | str) -> l
     if not supports:
         text = query if isinstance(query, str) else query.text or ""
         raise InputError(f"no match for '{text[:60]}', so nothing can stand on it")
-    gaussians, up = scene.gaussians, scene.up
+    gaussians, up = scene.rows, scene.up
     if up is None:
         raise InputError("the photos of this scene do not tell which way is up: query without 'on'")
     supports = sure_matches(supports, gaussians)
     return [one for one in matches if any(stands_on(gaussians, one, support, up) for support in supports)]
 
 
-def stands_on(gaussians: Gaussians, thing: Match, support: Match, up: Float64[np.ndarray, " 3"]) -> bool:
+def stands_on(gaussians: AnyGaussians, thing: Match, support: Match, up: Float64[np.ndarray, " 3"]) -> bool:
     """Return whether a thing rests on another one, by contact of their Gaussians; see `contact.rests_on`."""
     return rests_on(gaussians, thing.gaussian_ids, support.gaussian_ids, up)
 
@@ -56,6 +56,6 @@ def is_over(
     return bool(distance <= REACH * size)
 
 
-def _solid(gaussians: Gaussians, thing: Match) -> Float64[np.ndarray, "n 3"]:
+def solid_centers(gaussians: AnyGaussians, thing: Match) -> Float64[np.ndarray, "n 3"]:
     """Return the centres of what can be seen of a thing."""
-    return np.asarray(gaussians.positions[solid(gaussians, thing.gaussian_ids)])
+    return gaussians.shapes_of(solid(gaussians, thing.gaussian_ids)).positions

@@ -25,7 +25,8 @@ def supporting_masks(
     if field.evidence is None:
         raise InputError("this field holds no evidence: register again and keep it")
     evidence = field.evidence
-    rows = np.flatnonzero(np.isin(field.gaussian_ids, gaussian_ids))
+    rows = np.unique(field.rows_of(gaussian_ids))
+    rows = rows[rows >= 0]
     weights = evidence.column_sums(rows).astype(np.float64)
     used = np.flatnonzero(weights)
     support = weights[used] * (evidence.embeddings[used].astype(np.float64) @ (query / np.linalg.norm(query)))

@@ -10,6 +10,7 @@ from ..field import LanguageField
 from ..kernels.boxes import box_of
 from ..scene.boxes import HAZE_OPACITY, solid
 from ..scene.gaussians import Gaussians
+from ..scene.parted import AnyGaussians
 from .answer import Answer, Match
 from .defaults import MIN_GAUSSIANS
 
@@ -20,7 +21,7 @@ SURE = 0.85  # share of the best match's rank from which on another is meant as 
 
 def locate(
     answer: Answer,
-    gaussians: Gaussians,
+    gaussians: AnyGaussians,
     *,
     link_distance: float | None = None,
     min_gaussians: int = MIN_GAUSSIANS,
@@ -41,43 +42,43 @@ def locate(
     ids = answer.gaussian_ids
     if len(ids) < max(min_gaussians, 2):
         return []
-    by_id = answer.field.dense(answer.values)
-    places = _places(answer, gaussians, link_distance)
+    selected, values = gaussians.shapes_of(ids), answer.values[answer.values > answer.threshold]
+    places = _places(answer, selected, link_distance)
     order = np.argsort(places, kind="stable")
-    members = np.split(ids[order], np.flatnonzero(np.diff(places[order])) + 1)
-    visible = gaussians.opacities >= HAZE_OPACITY
+    members = np.split(order, np.flatnonzero(np.diff(places[order])) + 1)
+    visible = selected.opacities >= HAZE_OPACITY
     found = [
-        _match(gaussians, by_id, group, up, int(place))
+        _match(selected.shapes_of(group), values[group], ids[group], up, int(place))
         for place, group in zip(np.unique(places), members, strict=True)
         if np.count_nonzero(visible[group]) >= min_gaussians
     ]
     return sorted(found, key=lambda match: (-rank(match, gaussians), int(match.gaussian_ids[0])))
 
 
-def rank(match: Match, gaussians: Gaussians) -> float:
+def rank(match: Match, gaussians: AnyGaussians) -> float:
     """Return how good a match is: its score times the tenth root of its mass, the sum of its Gaussians' opacities.
 
     So a splinter that fits a little better does not come before the thing that it is of, and a large thing that fits
     clearly worse does not come before a small one. A score that is not above 0 stands for itself.
     """
-    mass = float(gaussians.opacities[match.gaussian_ids].sum(dtype=np.float64))
+    mass = float(gaussians.opacities_of(match.gaussian_ids).sum(dtype=np.float64))
     return match.score * mass**MASS_POWER if match.score > 0 else match.score
 
 
-def sure_matches(matches: Sequence[Match], gaussians: Gaussians) -> list[Match]:
+def sure_matches(matches: Sequence[Match], gaussians: AnyGaussians) -> list[Match]:
     """Return the matches whose rank is near that of the best, in their order: those that a query certainly means."""
     ranks = [rank(match, gaussians) for match in matches]
     best = max(ranks, default=0.0)
     return [match for match, own in zip(matches, ranks, strict=True) if own >= min(SURE * best, best)]
 
 
-def _places(answer: Answer, gaussians: Gaussians, link_distance: float | None) -> Int64[np.ndarray, " m"]:
+def _places(answer: Answer, selected: Gaussians, link_distance: float | None) -> Int64[np.ndarray, " m"]:
     """Return the object's number of each selected Gaussian; loose ones that hang together share one below 0."""
-    objects, ids = answer.field.objects, answer.gaussian_ids
-    places = np.full(len(ids), -1, np.int64)
+    objects = answer.field.objects
+    places = np.full(len(selected), -1, np.int64)
     if objects is not None:
-        places[:] = objects.thing_of()[answer.values > answer.threshold]
-    points = gaussians.means[ids].astype(np.float64)
+        places[:] = objects.thing_of(np.flatnonzero(answer.values > answer.threshold))
+    points = selected.means.astype(np.float64)
     (loose,), (held,) = np.nonzero(places < 0), np.nonzero(places >= 0)
     if len(loose):
         from .linking import components, join_to_held
@@ -133,12 +134,14 @@ def _check_rows(field: LanguageField, scores: Float32[np.ndarray, " _"]) -> None
 
 def _match(
     gaussians: Gaussians,
-    scores: Float32[np.ndarray, " n"],
+    scores: Float32[np.ndarray, " m"],
     ids: Int64[np.ndarray, " m"],
     up: Float64[np.ndarray, " 3"] | None,
     place: int,
 ) -> Match:
-    mass = gaussians.opacities[ids].astype(np.float64)
+    """Return the match that some Gaussians make. ids: their rows in the scene."""
+    mass = gaussians.opacities.astype(np.float64)
     mass = mass / mass.sum() if mass.sum() > 0 else np.full(len(ids), 1 / len(ids))
-    score = float(mass @ scores[ids].astype(np.float64))
-    return Match(*box_of(gaussians, solid(gaussians, ids), up), score, ids, object_id=place if place >= 0 else None)
+    score = float(mass @ scores.astype(np.float64))
+    box = box_of(gaussians, solid(gaussians, np.arange(len(ids))), up)
+    return Match(*box, score, ids, object_id=place if place >= 0 else None)

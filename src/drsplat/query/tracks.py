@@ -11,6 +11,7 @@ from ..errors import InputError
 from ..field import LanguageField
 from ..field.objects.describing import objects_during
 from ..field.spans import field_during
+from ..formats.tiles import Tiles
 from ..kernels.boxes import box_of
 from ..scene.boxes import HAZE_OPACITY, solid
 from ..scene.gaussians import Gaussians
@@ -164,8 +165,9 @@ def _still(scene: Scene, time: float) -> Scene:
 
 
 def _spanned(scene: Scene, span: Span) -> Scene:
-    gaussians = scene.motion or (scene.gaussians if scene.has_gaussians else None)
-    field = field_during(scene.field, span, gaussians and canonical_of(gaussians), threads=scene.threads)
+    gaussians = scene.motion or scene.tiles or (scene.gaussians if scene.has_gaussians else None)
+    in_memory = None if gaussians is None or isinstance(gaussians, Tiles) else canonical_of(gaussians)
+    field = field_during(scene.field, span, in_memory, threads=scene.threads)
     if scene.field.objects is not None:
         field = field.with_objects(objects_during(scene.field, field, threads=scene.threads))
     return Scene(
@@ -176,7 +178,7 @@ def _spanned(scene: Scene, span: Span) -> Scene:
 
 def _meant(scene: Scene, what: Match | Query | str) -> list[Match]:
     """Return a match itself, or the sure ones of a query. Raises: InputError: it has none."""
-    matches = [what] if isinstance(what, Match) else sure_matches(scene.locate(what), scene.gaussians)[:MOST_MEANT]
+    matches = [what] if isinstance(what, Match) else sure_matches(scene.locate(what), scene.rows)[:MOST_MEANT]
     if not matches:
         asked = what.text if isinstance(what, Query) else what
         raise InputError(f"no match for '{str(asked)[:60]}': ask for other words, or lower the threshold")

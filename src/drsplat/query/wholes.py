@@ -1,12 +1,15 @@
 """Answers of whole objects, from the values of their Gaussians."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
-from ..base.arrays import Float32, Int32, UInt32
+from ..base.arrays import Float32, Int32, Int64, UInt32
 from ..field import LanguageField
 from ..field.forest import Objects
 
 SHARE = 0.25  # of an object's Gaussians that speak for it
+ROWS_AT_ONCE = 1 << 18
 TRUST = 0.5  # in what an object says against what a Gaussian of it says
 
 
@@ -70,15 +73,37 @@ def highest_share(values: Float32[np.ndarray, " r"], groups: Int32[np.ndarray, "
 
     Linear but for one sort. Values have to be finite. Twin: tests/test_objects_asked.py::slow_by_object.
     """
-    (inside,) = np.nonzero(groups >= 0)
-    numbers = groups[inside].astype(np.uint64)
-    keys = np.sort(numbers << np.uint64(32) | _descending(values[inside]))
-    counts = np.bincount(groups[inside])
-    quarter = np.cumsum(counts) - counts + np.ceil(SHARE * counts).astype(np.int64) - 1
-    best = _from_descending(keys[np.minimum(quarter, len(keys) - 1)].astype(np.uint32)) if len(keys) else values[:0]
-    result = values.copy()
-    result[inside] = best[groups[inside]]
+    result, counts = values.copy(), _counts(groups)
+    for first, last in _runs(counts):
+        (inside,) = np.nonzero((groups >= first) & (groups < last))
+        if not len(inside):
+            continue
+        own, sizes = groups[inside] - first, counts[first:last]
+        keys = np.sort(own.astype(np.uint64) << np.uint64(32) | _descending(values[inside]))
+        quarter = np.cumsum(sizes) - sizes + np.ceil(SHARE * sizes).astype(np.int64) - 1
+        best = _from_descending(keys[np.minimum(quarter, len(keys) - 1)].astype(np.uint32))
+        result[inside] = best[own]
     return result
+
+
+def _counts(groups: Int32[np.ndarray, " r"]) -> Int64[np.ndarray, " g"]:
+    """Return how many rows each group has."""
+    counts = np.zeros(int(groups.max(initial=-1)) + 1, np.int64)
+    for begin in range(0, len(groups), ROWS_AT_ONCE):
+        some = groups[begin : begin + ROWS_AT_ONCE]
+        counts += np.bincount(some[some >= 0], minlength=len(counts))
+    return counts
+
+
+def _runs(counts: Int64[np.ndarray, " g"]) -> Iterator[tuple[int, int]]:
+    """Yield groups that follow each other and have ROWS_AT_ONCE rows together, or one that has more."""
+    ends = np.cumsum(counts)
+    first = 0
+    while first < len(counts):
+        before = int(ends[first] - counts[first])
+        last = max(first + 1, int(np.searchsorted(ends, before + ROWS_AT_ONCE, "right")))
+        yield first, last
+        first = last
 
 
 _SIGN = np.uint32(1 << 31)

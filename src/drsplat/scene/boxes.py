@@ -7,7 +7,7 @@ import numpy as np
 
 from ..base.arrays import Float64, Integer
 from ..errors import InputError
-from .gaussians import Gaussians
+from .parted import AnyGaussians
 from .views import View
 
 BoxKind = Literal["upright", "free"]
@@ -68,7 +68,7 @@ def up_of(views: Sequence[View]) -> Float64[np.ndarray, " 3"] | None:
         return None
 
 
-def solid(gaussians: Gaussians, ids: Integer[np.ndarray, " m"]) -> Integer[np.ndarray, " s"]:
+def solid(gaussians: AnyGaussians, ids: Integer[np.ndarray, " m"]) -> Integer[np.ndarray, " s"]:
     """Return the ids of the Gaussians opaque enough to be seen; all ids if none is."""
-    visible: np.ndarray = ids[gaussians.opacities[ids] >= HAZE_OPACITY]
+    visible: np.ndarray = ids[gaussians.opacities_of(ids) >= HAZE_OPACITY]
     return visible if len(visible) else ids

@@ -1,9 +1,10 @@
 """A scene: a set of 3D Gaussians in post-activation form."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -136,6 +137,33 @@ class Gaussians:
             self.means[index], self.quats[index], self.scales[index], self.opacities[index], self.sh[index], extra,
             self.origin, self.antialiased,
         )  # fmt: skip
+
+    def shapes_of(self, index: Integer[np.ndarray, " m"]) -> "Gaussians":
+        """Return the Gaussians at some rows without their colours, in that order; `Parted` has the same method."""
+        black = np.zeros((len(index), 1, 3), np.float32)
+        return Gaussians(
+            self.means[index], self.quats[index], self.scales[index], self.opacities[index], black,
+            origin=self.origin, antialiased=self.antialiased,
+        )  # fmt: skip
+
+    def opacities_of(self, index: Integer[np.ndarray, " m"]) -> Float32[np.ndarray, " m"]:
+        """Return the opacities of some rows; `Parted` has the same method."""
+        return np.asarray(self.opacities[index])
+
+    def parts_near(self, point: Float64[np.ndarray, " 3"] | None = None) -> "Iterator[Part]":
+        """Yield all Gaussians as one part; `Parted` has the same method."""
+        yield Part(0, 0.0, self)
+
+
+class Part(NamedTuple):
+    """A run of a scene's rows.
+
+    first: its first row. away2: squared distance from the point that was asked for, at least; 0 where there was none.
+    """
+
+    first: int
+    away2: float
+    gaussians: Gaussians
 
 
 def covariances_of(quats: Float32[np.ndarray, "n 4"], scales: Float32[np.ndarray, "n 3"]) -> Float64[np.ndarray, "6 n"]:

@@ -17,6 +17,7 @@ from ...formats.replacing import replacing
 from ...formats.runs import runs_of, spans_of_runs
 from ...formats.scenes import companion, read_gaussians
 from ...scene.gaussians import Gaussians
+from ...scene.parted import AnyGaussians
 from .changes import Duplicate, Isolate, Move, Opacity, Remove, Scale, Turn
 from .colouring import MatchPhoto, Palette, Recolour
 from .edits import MAX_EDITS, Change, Edit, EditList, edited, recorded
@@ -41,7 +42,7 @@ class EditFile:
         """Return the file of a scene's edits: NAME.edits.json beside NAME.ply or the folder NAME."""
         return cls(companion(scene, "edits"))
 
-    def read(self, scene: Gaussians) -> EditList:
+    def read(self, scene: AnyGaussians) -> EditList:
         """Read the edits of a scene; none where there is no file.
 
         Raises: FormatError: the file is damaged, or written by a newer version. MismatchError: it is of another scene.
@@ -59,7 +60,7 @@ class EditFile:
     def _listed(self) -> EditList | None:
         return edits_of(read_json(self.path), str(self.path)) if self.path.exists() else None
 
-    def num_done(self, scene: Gaussians | None = None) -> int:
+    def num_done(self, scene: AnyGaussians | None = None) -> int:
         """Return how many edits are kept and done, of a scene or of whichever is there; 0 where the list is damaged."""
         try:
             listed = self._listed() if scene is None else self.read(scene)

@@ -5,6 +5,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from ...base.arrays import Float32, Int32, Int64, Integer
+from ...errors import InputError
 
 
 class Hits(NamedTuple):
@@ -71,5 +72,17 @@ class Code(Protocol):
     def rows(self, index: Integer[np.ndarray, " b"]) -> "Code":
         """Return the code of some rows."""
 
+    def run(self, begin: int, end: int) -> "Code":
+        """Return a run of rows without copying them; its scores have the bits that they have among all rows.
+
+        Raises: InputError: a run that begins in the middle of rows that are scanned together.
+        """
+
     def tensors(self) -> dict[str, np.ndarray]:
         """Return all arrays by name, as they are written to files."""
+
+
+def check_run(begin: int, together: int) -> None:
+    """Check that a run begins where rows that are scanned together do. Raises: InputError: it does not."""
+    if begin % together:
+        raise InputError(f"expected a run that begins at a multiple of {together} rows, got {begin}")

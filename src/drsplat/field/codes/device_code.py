@@ -25,6 +25,12 @@ class DevicePQCode(PQCode):
 
     engine: Engine = field(kw_only=True)
 
+    def run(self, begin: int, end: int) -> PQCode:
+        """Return all rows for a run that is all of them. Raises: InputError: another run: the GPU holds the whole."""
+        if (begin, end) != (0, len(self)):
+            raise InputError("codes on a GPU are searched as a whole")
+        return self
+
     @cached_property
     def _device_rows(self) -> scanning.DeviceRows:
         return scanning.sent_rows(self.engine, self._rows)

@@ -20,7 +20,7 @@ from ...kernels import (
     scan_top,
 )
 from ...kernels.scan import GROUP_ROWS, HYBRID_SCORE_ERROR, HYBRID_WIDE_SUBVECTORS, MAX_SCORE_ERROR
-from .code import Best, Hits
+from .code import Best, Hits, check_run
 from .codebook import Codebook, Codes
 
 MAX_EXACT_QUERIES = 16  # among so few the best is chosen exactly
@@ -125,6 +125,14 @@ class PQCode:
     def rows(self, index: Integer[np.ndarray, " b"]) -> "PQCode":
         """See Code."""
         return pq_code(self.codebook, self.codes(index), self.inverse_norms[index])
+
+    def run(self, begin: int, end: int) -> "PQCode":
+        """See Code."""
+        check_run(begin, GROUP_ROWS)
+        groups, ids = self.grouped[begin // GROUP_ROWS : -(-end // GROUP_ROWS)], self.coarse_ids
+        part = PQCode(self.codebook, groups, None if ids is None else ids[begin:end], self.inverse_norms[begin:end])
+        part.__dict__["_scale"] = self._scale
+        return part
 
     def tensors(self) -> dict[str, np.ndarray]:
         """See Code."""

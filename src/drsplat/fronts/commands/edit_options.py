@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from ...authoring.editing.kept import KeptEdits
     from ...scene.gaussians import Gaussians
     from ...scene.moving import Moving
+    from ...scene.parted import AnyGaussians
 
 AXES = ("x", "y", "z")
 
@@ -129,7 +130,7 @@ def note_left_out(number: int, cure: str = "--edits kept to apply them") -> None
 SAVES_THEM = "`drsplat edit SCENE --save OUT.ply` writes the scene with them"
 
 
-def note_own_scene(path: str | Path | None, gaussians: Gaussians | None) -> None:
+def note_own_scene(path: str | Path | None, gaussians: AnyGaussians | None) -> None:
     """Report on stderr that what is drawn or written of a scene's own file lacks the edits kept beside it."""
     from ...formats.scenes import companion
 

@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         scene.label(objects_of(scene.field).thing(arguments.id), arguments.label)
     every = object_documents(scene, scene.objects)
     if arguments.save or arguments.picture:
-        note_own_scene(scene.path, scene.gaussians if scene.has_gaussians else None)
+        note_own_scene(scene.path, scene.rows if scene.has_gaussians else None)
     with together():
         if arguments.save:
             save(arguments.save, scene, every, arguments.overwrite)

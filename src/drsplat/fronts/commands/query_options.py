@@ -131,11 +131,11 @@ def open_scene_for_output(arguments: argparse.Namespace) -> Scene:
     scene = open_scene(arguments)
     drawn = arguments.picture is not None
     if drawn or (arguments.save is not None and not arguments.save.lower().endswith(WITHOUT_SCENE)):
-        _ = scene.gaussians  # or the error that says what is missing, before any work
+        _ = scene.rows  # or the error that says what is missing, before any work
     if drawn:
         scene.best_view()
     if drawn or arguments.save is not None:
-        note_own_scene(scene.path, scene.gaussians if scene.has_gaussians else None)
+        note_own_scene(scene.path, scene.rows if scene.has_gaussians else None)
     return scene
 
 

@@ -40,7 +40,7 @@ def details(scene: Scene, asked: requests.Details, _: Limits) -> models.SceneDet
     digits = decimals_of(scene)
     return models.SceneDetails(
         name=asked.name,
-        num_gaussians=len(scene.gaussians),
+        num_gaussians=len(scene.rows),
         num_registered=len(scene.field),
         encoder=scene.field.encoder.name,
         fault="",
@@ -49,7 +49,7 @@ def details(scene: Scene, asked: requests.Details, _: Limits) -> models.SceneDet
         high=rounded(high, digits),
         up=None if scene.up is None else rounded(scene.up, 4),
         times=span_of(scene),
-        scene=scene.gaussians.fingerprint,
+        scene=scene.rows.fingerprint,
         field=scene.field.fingerprint,
     )
 
@@ -75,7 +75,7 @@ def object_photo(scene: Scene, asked: requests.OneObject, _: Limits) -> bytes:
 
 
 def object_ply(scene: Scene, asked: requests.OneObject, _: Limits) -> bytes:
-    part = scene.gaussians.subset(_numbered(scene, asked).gaussian_ids)
+    part = scene.rows.subset(_numbered(scene, asked).gaussian_ids)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "object.ply"
         write_gaussians(path, part)

@@ -259,7 +259,7 @@ class Conversation:
             first=first,
             second=second,
             center_distance=round(float(np.linalg.norm(offset)), digits),
-            gap=round(gap(self.scene.gaussians, one, other), digits),
+            gap=round(gap(self.scene.rows, one, other), digits),
             offset=rounded(offset, digits),
             first_center=rounded(one.center, digits),
             second_center=rounded(other.center, digits),
@@ -306,7 +306,7 @@ class Conversation:
         """Find the objects on, in, next to or above one, or between two, such as what lies on the table."""
         end = self._object(to)
         other = None if and_to is None else self._object(and_to)
-        found = related(self.scene.gaussians, relation, self.scene.objects, end, other, self.scene.up)
+        found = related(self.scene.rows, relation, self.scene.objects, end, other, self.scene.up)
         advice = "" if found else "no object is so: list_objects has all"
         listed = object_list(self.scene, found[:MAX_MATCHES], advice)
         numbers = [one.object_id for one in (end, other) if one is not None]
@@ -449,4 +449,5 @@ def _absent(text: str) -> str:
 def _point(scene: engine.Scene, place: tuple[float, float, float] | tuple[str, float, float]) -> np.ndarray:
     if isinstance(place[0], str):
         return scene.point_at((place[0], place[1], place[2]))
-    return np.asarray(scene.gaussians.positions[scene.nearest((place[0], place[1], place[2]))])
+    nearest = np.array([scene.nearest((place[0], place[1], place[2]))])
+    return np.asarray(scene.rows.shapes_of(nearest).positions[0])

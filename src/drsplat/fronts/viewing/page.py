@@ -23,11 +23,12 @@ from ...formats.replacing import replacing
 from ...formats.spz_writing import spz_bytes
 from ...query import Match
 from ...scene.gaussians import Gaussians
+from ...scene.significance import significance
 from . import painting
 from .client import page_html
 from .page_times import PageTimes, arrays_of, header_of
 from .places import match_document, rounded
-from .shown import Frame, Shown, significance
+from .shown import Frame, Shown
 from .texts import printable
 
 MOST = 200_000

@@ -7,6 +7,7 @@ import numpy as np
 from ...base.arrays import Float32, Float64, Int64
 from ...errors import InputError
 from ...scene.gaussians import SH_C0, Gaussians
+from ...scene.significance import most_significant
 
 RADIUS = (
     10.0  # of what is shown, in the browser's units: a Gaussian of a thousandth is 1e-4 squared, which float16 holds
@@ -14,7 +15,6 @@ RADIUS = (
 WITHIN = 0.9  # of the solid Gaussians lie within that radius
 MIDDLE = (0.02, 0.98)  # quantiles along each axis whose mean is the middle: few floaters move it little
 MOST_VARIANCE = 6e4  # float16 ends at 65504
-VOLUME_POWER = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,21 +105,6 @@ def _shown_covariances(part: Gaussians, frame: Frame) -> Float32[np.ndarray, "m 
 def base_colors(gaussians: Gaussians) -> Float32[np.ndarray, "n 3"]:
     """Return colours without what depends on the direction of view, in [0, 1]."""
     return np.clip(0.5 + SH_C0 * gaussians.sh[:, 0], 0, 1).astype(np.float32)
-
-
-def most_significant(gaussians: Gaussians, budget: int) -> Int64[np.ndarray, " m"]:
-    """Return the ascending ids of the `budget` Gaussians of the largest `significance`."""
-    if len(gaussians) <= budget:
-        return np.arange(len(gaussians))
-    return np.sort(np.argpartition(-significance(gaussians), budget - 1)[:budget])
-
-
-def significance(gaussians: Gaussians) -> Float64[np.ndarray, " n"]:
-    """Return the opacity of each Gaussian times its volume to the power 0.1: how much a picture lacks without it.
-
-    Source: Fan et al. 2023 (LightGaussian) Eq. 2, without its count of rays: it needs no photos.
-    """
-    return np.asarray(gaussians.opacities * gaussians.scales.astype(np.float64).prod(1) ** VOLUME_POWER)
 
 
 def frame_of(gaussians: Gaussians) -> Frame:

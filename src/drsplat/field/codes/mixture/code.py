@@ -19,7 +19,7 @@ from ....kernels.mixture import (
     mixture_select,
     mixture_top,
 )
-from ..code import Best, Code, Hits
+from ..code import Best, Code, Hits, check_run
 from ..codebook import BLOCK_ROWS, Codebook, Codes
 from ..pq_code import PQCode, pq_code
 from .dictionary import AtomTable
@@ -85,6 +85,13 @@ class MixtureCode:
     def nbytes(self) -> int:
         """Bytes of all rows together, without the atoms: see `AtomTable.nbytes`."""
         return sum(array.nbytes for array in self.blocks)
+
+    def run(self, begin: int, end: int) -> "MixtureCode":
+        """See Code."""
+        check_run(begin, ROWS_OF_A_BLOCK)
+        ids, weights, scales = self.blocks
+        blocks = slice(begin // ROWS_OF_A_BLOCK, -(-end // ROWS_OF_A_BLOCK))
+        return MixtureCode(Blocks(ids[blocks], weights[blocks], scales[begin:end]), self.atoms)
 
     def scores(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Float32[np.ndarray, "q n"]:
         """See Code. Off by some 1e-5, and the same to the bit on any instruction set.

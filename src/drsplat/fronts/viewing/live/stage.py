@@ -10,11 +10,11 @@ import numpy as np
 from ....authoring.filming.looking import beside, radius_of, size_in, up_direction
 from ....base.arrays import Float64, Int64
 from ....query import Match
+from ....scene.significance import significance
 from ..cameras import first_look
 from ..object_list import in_order, names_of
 from ..playing import placed_now
 from ..session import Session
-from ..shown import significance
 from ..suggestions import suggestions
 
 MOST_WORDS = 4  # that are suggested

@@ -1,0 +1,116 @@
+"""Gaussians that a view may see: all of a scene in memory, some tiles of one on disk."""
+
+import warnings
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..base.arrays import Int64, Integer
+from ..errors import DrSplatWarning
+from ..field import LanguageField
+from ..field.tiles.seeing import seen_tiles
+from ..formats.tiles import Tile, Tiles
+from ..kernels import SplatArrays, splat_arrays_at_origin
+from ..kernels.splatting import on_device_in_use
+from ..scene.gaussians import Gaussians, filled
+from ..scene.significance import most_significant
+from ..scene.views import View
+
+MOST_COMPARED = 6  # views, to find the one that shows most of something
+MOST_SEEN = 3_000_000  # Gaussians of tiles in one picture: 0.9 GB with harmonics of degree 3
+
+
+class Seen(NamedTuple):
+    """Gaussians that a view may see. rows: theirs in the scene, ascending; None: they are the whole scene."""
+
+    gaussians: Gaussians
+    splats: SplatArrays
+    rows: Int64[np.ndarray, " m"] | None = None
+
+    def local(self, ids: Integer[np.ndarray, " k"]) -> Int64[np.ndarray, " l"]:
+        """Return the places here of some rows of the scene, without those that are not here."""
+        if self.rows is None:
+            return ids.astype(np.int64)
+        places = np.searchsorted(self.rows, ids)
+        here = places < len(self.rows)
+        here[here] = self.rows[places[here]] == ids[here]
+        return np.asarray(places[here], np.int64)
+
+
+def seen_of_tiles(tiles: Tiles, view: View, most: int = MOST_SEEN) -> Seen:
+    """Return the Gaussians of all tiles that a view may see; of more than `most`, those of far tiles thinned out.
+
+    Warns: DrSplatWarning: the view sees more. Raises: FormatError: a tile is damaged or missing.
+    """
+    chosen = [tiles.tiles[number] for number in np.flatnonzero(seen_tiles(tiles, view, tiles.near))]
+    rooms = _rooms(tiles, chosen, view, most)
+    parts, rows = [_NOTHING], [np.empty(0, np.int64)]
+    for tile in chosen:
+        part = tiles.tile(tile)
+        kept = most_significant(part, rooms[tile.name])
+        parts.append(part if len(kept) == len(part) else part.subset(kept))
+        rows.append(tile.first + kept)
+    whole = _joined(parts, tiles)
+    return Seen(whole, on_device_in_use(splat_arrays_at_origin(whole, tiles.near)), np.concatenate(rows))
+
+
+def _rooms(tiles: Tiles, chosen: list[Tile], view: View, most: int) -> dict[str, int]:
+    """Return how many Gaussians of each tile a picture has room for: all of near ones, an equal share of far ones."""
+    rooms = {tile.name: tile.num_rows for tile in chosen}
+    total = sum(rooms.values())
+    if total <= most:
+        return rooms
+    eye = view.center - tiles.origin
+    away = {
+        tile.name: float(np.linalg.norm(np.maximum(np.maximum(tile.low - eye, eye - tile.high), 0))) for tile in chosen
+    }
+    near, far, left = 0, dict(rooms), most
+    for name in sorted(away, key=lambda name: away[name]):
+        if near + rooms[name] > most // 2:
+            break
+        near += far.pop(name)
+    left = most - near
+    behind = sum(far.values())
+    rooms |= {name: max(1, left * count // behind) for name, count in far.items()}
+    warnings.warn(
+        f"view '{view.name}' may see {total:,} Gaussians, and a picture of tiles has room for {most:,}: of those "
+        f"further than {min(away[name] for name in far):.3g} the most significant are drawn; look from nearer",
+        DrSplatWarning,
+        stacklevel=4,
+    )
+    return rooms
+
+
+def _joined(parts: list[Gaussians], tiles: Tiles) -> Gaussians:
+    most = max(part.sh.shape[1] for part in parts)
+    means, quats, scales, opacities = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("means", "quats", "scales", "opacities")
+    )
+    sh = np.concatenate([filled(part.sh, most) for part in parts])
+    return Gaussians(means, quats, scales, opacities, sh, {}, tiles.origin, tiles.antialiased)
+
+
+def areas_in_tiles(seen: Seen, view: View, ids: Integer[np.ndarray, " m"], threads: int) -> float:
+    """Return how much of a view some Gaussians fill, as `drawing.pictures.shown_areas`."""
+    from ..drawing.pictures import shown_areas
+
+    return float(shown_areas(seen.splats, view, [seen.local(ids)], threads=threads)[0])
+
+
+def views_showing(field: LanguageField, views: Sequence[View], ids: Integer[np.ndarray, " m"]) -> list[View]:
+    """Return a few views whose masks have the largest weights in some Gaussians; all where the field does not tell."""
+    rows = field.rows_of(ids)
+    if field.evidence is None or not (rows >= 0).any():
+        return list(views)
+    masks = field.evidence.masks
+    weights = field.evidence.column_sums(np.unique(rows[rows >= 0]))
+    shown = np.bincount(masks.views, weights, minlength=len(masks.view_names))
+    names = {masks.view_names[view] for view in np.argsort(-shown, kind="stable")[:MOST_COMPARED] if shown[view] > 0}
+    return [view for view in views if view.name in names] or list(views)
+
+
+_NOTHING = Gaussians(
+    np.empty((0, 3), np.float32), np.empty((0, 4), np.float32), np.empty((0, 3), np.float32),
+    np.empty(0, np.float32), np.empty((0, 1, 3), np.float32),
+)  # fmt: skip
