@@ -3,6 +3,9 @@
     drsplat demo --output-dir demo
     python benchmarks/bench_city.py demo FOLDER [--rooms 4 8 15 30] [--views 20] [--side 80] [--ask "red vase"]
 
+--serve asks `drsplat serve` instead, one worker on one thread, and says what each answer took and what all its processes
+hold after it.
+
 Makes streets of the demo's room as bench_tiles.py does, with their fields and objects, and keeps them in FOLDER, where
 a second run finds them. Each command is a process of its own, looked at every 5 ms: the most that it held of its own
 (anonymous), and with the pages of files that it had mapped.
@@ -10,14 +13,17 @@ a second run finds them. Each command is a process of its own, looked at every 5
 
 import argparse
 import json
+import os
 import resource
 import shutil
+import socket
 import subprocess
 import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
+from urllib.request import Request, urlopen
 
 import numpy as np
 from bench_tiles import Repeated, _held, step_of, street, walk
@@ -28,6 +34,13 @@ from drsplat.field.objects.finding import find_objects
 from drsplat.field.tiles.registering import register_tiles
 from drsplat.formats.colmap_writing import write_colmap
 from drsplat.formats.tiles import read_tiles
+
+
+SERVED: list[tuple[str, dict[str, object] | None]] = [
+    ("", None), ("/{}", None), ("/{}/select", {"text": "red vase"}), ("/{}/locate", {"text": "red vase"}),
+    ("/{}/locate", {"text": "candle"}), ("/{}/objects", None), ("/{}/what-is", {"point": [-0.14, 0.21, 0.79]}),
+    ("/{}/picture", {"text": "candle"}), ("/{}/picture", {"text": "candle"}),
+]  # fmt: skip
 
 
 class Cost(NamedTuple):
@@ -70,6 +83,45 @@ def cost_of(command: Sequence[str]) -> Cost:
     return Cost(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, own, whole, output)
 
 
+def family(pid: int) -> list[int]:
+    """Return a process and all below it."""
+    lists = [path.read_text() for path in Path(f"/proc/{pid}/task").glob("*/children")]
+    return [pid, *(below for line in lists for child in line.split() for below in family(int(child)))]
+
+
+def seconds_of(pids: Sequence[int]) -> float:
+    """Return the processor's seconds of some processes so far."""
+    fields = [Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split() for pid in pids]
+    return sum(int(one[11]) + int(one[12]) for one in fields) / os.sysconf("SC_CLK_TCK")
+
+
+def serve(place: Path) -> None:
+    """Ask a served street, and print what each answer took."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    command = [sys.executable, "-m", "drsplat", "serve", str(place), "--port", str(port), "--workers", "1"]
+    service = subprocess.Popen([*command, "--threads", "1"], stdout=subprocess.DEVNULL)
+    try:
+        for _ in range(600):
+            with socket.socket() as probe:
+                if probe.connect_ex(("127.0.0.1", port)) == 0:
+                    break
+            time.sleep(0.1)
+        print("|asked|CPU s|MiB own|with maps|\n|---|--:|--:|--:|")
+        for path, body in SERVED:
+            before = seconds_of(family(service.pid))
+            where = f"http://127.0.0.1:{port}/scenes{path.format(place.name)}"
+            data = None if body is None else json.dumps(body).encode()
+            urlopen(Request(where, data, {"content-type": "application/json"}), timeout=60).read()
+            held = [_held(pid) for pid in family(service.pid)]
+            spent, own, whole = seconds_of(family(service.pid)) - before, *(sum(part) >> 20 for part in zip(*held))
+            print(f"|{path} {body or ''}|{spent:.1f}|{own}|{whole}|", flush=True)
+    finally:
+        service.terminate()
+        service.wait()
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("demo", type=Path)
@@ -78,12 +130,16 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=20)
     parser.add_argument("--side", type=int, default=80)
     parser.add_argument("--ask", default="red vase")
+    parser.add_argument("--serve", action="store_true")
     given = parser.parse_args()
     print("|rooms|Gaussians|matches|CPU s|MiB own|with maps|\n|--:|--:|--:|--:|--:|--:|")
     for rooms in given.rooms:
         place = given.folder / f"street{rooms}"
         if not (place / "street.field").exists():
             make(given.demo, place, rooms, given.views, given.side)
+        if given.serve:
+            serve(place)
+            continue
         command = [sys.executable, "-m", "drsplat", "locate", str(place / "street.field"), given.ask, "--json"]
         cost = cost_of([*command, "--scene", str(place / "street.tiles")])
         matches = json.loads(cost.output)["num_matches"]

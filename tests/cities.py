@@ -1,6 +1,7 @@
 """The toy's room as a city: in tiles of 37 Gaussians, and the same rows in one file, with one field of both."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -32,5 +33,5 @@ def write_city(folder: Path) -> Path:
         if (tiled / part).exists():
             shutil.move(tiled / part, tiled / "capture" / part)
     shutil.copytree(tiled, whole, ignore=shutil.ignore_patterns("city.tiles"))
-    ds.write_gaussians(whole / "scene.ply", gaussians)
+    ds.write_gaussians(whole / "scene.ply", replace(gaussians, extra={}))
     return folder

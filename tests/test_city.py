@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from unittest.mock import patch
 
@@ -185,14 +186,19 @@ def test_a_picture_of_a_part_reads_only_tiles_in_sight(both: tuple[Scene, Scene]
 
 
 def test_a_view_of_too_much_thins_far_tiles_out_and_says_so(both: tuple[Scene, Scene]) -> None:
-    tiles = both[0].tiles
-    view = both[0].views[0]
-    with pytest.warns(DrSplatWarning, match="may see 300 Gaussians, and a picture of tiles has room for 150"):
-        seen = seen_of_tiles(tiles, view, 150)
+    tiles, view = both[0].tiles, both[0].views[0]
+    seen = seen_of_tiles(tiles, view, 150)
+    assert (len(seen.gaussians) + seen.num_left_out, both[0].seen(view).num_left_out) == (300, 0)
     assert 100 < len(seen.gaussians) <= 150
     assert_array_equal(seen.rows, np.unique(seen.rows))
     nearest = min(tiles.tiles, key=lambda tile: float(np.linalg.norm((tile.low + tile.high) / 2 - view.center)))
     assert np.isin(np.arange(nearest.first, nearest.first + nearest.num_rows), seen.rows).all()
+    few = partial(seen_of_tiles, most=150)
+    with (
+        patch("drsplat.query.seen.seen_of_tiles", few),
+        pytest.warns(DrSplatWarning, match="may see 300 Gaussians.*look from nearer"),
+    ):
+        both[0].picture(view)
 
 
 def test_a_field_alone_and_tiles_of_another_scene_say_what_is_wrong(city: Path, tmp_path: Path) -> None:

@@ -416,6 +416,7 @@ class Scene:
             return self.seen_by(chosen).picture(chosen, ids, photo=photo, max_side=max_side)
         chosen = chosen.limited(max_side)
         seen = self.seen(chosen)
+        seen.warn(chosen)
         if photo:
             pixels = photo_or_rendering(seen.gaussians, chosen, splats=seen.splats, threads=self.threads)
         else:

@@ -22,11 +22,26 @@ MOST_SEEN = 3_000_000  # Gaussians of tiles in one picture: 0.9 GB with harmonic
 
 
 class Seen(NamedTuple):
-    """Gaussians that a view may see. rows: theirs in the scene, ascending; None: they are the whole scene."""
+    """Gaussians that a view may see.
+
+    rows: theirs in the scene, ascending; None: they are the whole scene. num_left_out: those of far tiles for which a
+    picture has no room.
+    """
 
     gaussians: Gaussians
     splats: SplatArrays
     rows: Int64[np.ndarray, " m"] | None = None
+    num_left_out: int = 0
+
+    def warn(self, view: View) -> None:
+        """Warn that a picture lacks something: DrSplatWarning."""
+        if self.num_left_out:
+            warnings.warn(
+                f"view '{view.name}' may see {len(self.gaussians) + self.num_left_out:,} Gaussians, and a picture of "
+                f"tiles has room for {MOST_SEEN:,}: of far tiles the most significant are drawn; look from nearer",
+                DrSplatWarning,
+                stacklevel=3,
+            )
 
     def local(self, ids: Integer[np.ndarray, " k"]) -> Int64[np.ndarray, " l"]:
         """Return the places here of some rows of the scene, without those that are not here."""
@@ -41,7 +56,7 @@ class Seen(NamedTuple):
 def seen_of_tiles(tiles: Tiles, view: View, most: int = MOST_SEEN) -> Seen:
     """Return the Gaussians of all tiles that a view may see; of more than `most`, those of far tiles thinned out.
 
-    Warns: DrSplatWarning: the view sees more. Raises: FormatError: a tile is damaged or missing.
+    Raises: FormatError: a tile is damaged or missing.
     """
     chosen = [tiles.tiles[number] for number in np.flatnonzero(seen_tiles(tiles, view, tiles.near))]
     rooms = _rooms(tiles, chosen, view, most)
@@ -52,7 +67,8 @@ def seen_of_tiles(tiles: Tiles, view: View, most: int = MOST_SEEN) -> Seen:
         parts.append(part if len(kept) == len(part) else part.subset(kept))
         rows.append(tile.first + kept)
     whole = _joined(parts, tiles)
-    return Seen(whole, on_device_in_use(splat_arrays_at_origin(whole, tiles.near)), np.concatenate(rows))
+    splats = on_device_in_use(splat_arrays_at_origin(whole, tiles.near))
+    return Seen(whole, splats, np.concatenate(rows), sum(tile.num_rows for tile in chosen) - len(whole))
 
 
 def _rooms(tiles: Tiles, chosen: list[Tile], view: View, most: int) -> dict[str, int]:
@@ -72,14 +88,7 @@ def _rooms(tiles: Tiles, chosen: list[Tile], view: View, most: int) -> dict[str,
         near += far.pop(name)
     left = most - near
     behind = sum(far.values())
-    rooms |= {name: max(1, left * count // behind) for name, count in far.items()}
-    warnings.warn(
-        f"view '{view.name}' may see {total:,} Gaussians, and a picture of tiles has room for {most:,}: of those "
-        f"further than {min(away[name] for name in far):.3g} the most significant are drawn; look from nearer",
-        DrSplatWarning,
-        stacklevel=4,
-    )
-    return rooms
+    return rooms | {name: max(1, left * count // behind) for name, count in far.items()}
 
 
 def _joined(parts: list[Gaussians], tiles: Tiles) -> Gaussians:
@@ -99,15 +108,15 @@ def areas_in_tiles(seen: Seen, view: View, ids: Integer[np.ndarray, " m"], threa
 
 
 def views_showing(field: LanguageField, views: Sequence[View], ids: Integer[np.ndarray, " m"]) -> list[View]:
-    """Return a few views whose masks have the largest weights in some Gaussians; all where the field does not tell."""
+    """Return a few views whose masks have the largest weights in some Gaussians; the first ones without evidence."""
     rows = field.rows_of(ids)
     if field.evidence is None or not (rows >= 0).any():
-        return list(views)
+        return list(views[:MOST_COMPARED])
     masks = field.evidence.masks
     weights = field.evidence.column_sums(np.unique(rows[rows >= 0]))
     shown = np.bincount(masks.views, weights, minlength=len(masks.view_names))
     names = {masks.view_names[view] for view in np.argsort(-shown, kind="stable")[:MOST_COMPARED] if shown[view] > 0}
-    return [view for view in views if view.name in names] or list(views)
+    return [view for view in views if view.name in names] or list(views[:MOST_COMPARED])
 
 
 _NOTHING = Gaussians(

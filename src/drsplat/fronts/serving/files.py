@@ -27,6 +27,11 @@ def exported(scene: Scene, asked: Export, limits: Limits) -> Reply:
     query = query_of(asked, limits) if asks_something(asked) else None
     if asked.only and (query is None or asked.object is not None):
         raise InputError("only: what matches is that of a query: pass text, and no object")
+    if scene.tiles is not None:
+        raise InputError(
+            f"this scene of {len(scene.rows):,} Gaussians is in tiles, which are not sent as one file: "
+            "/objects/NUMBER/ply sends an object, and `drsplat export` writes all of it as 3D Tiles where the scene is"
+        )
     _refuse_large(scene.gaussians, limits)
     only: Only = "matches" if asked.only else None
     if asked.object is not None:

@@ -199,7 +199,8 @@ class SceneFolder:
             threads=given.threads,
             load=self.load,
         )
-        scene.field.verify()  # damage is told now, as a fault of the scene, not in mid-answer
+        if scene.tiles is None:
+            scene.field.verify()  # damage is told now, as a fault of the scene, not in mid-answer
         return scene
 
     def load(self, name: str, device: str) -> Encoder:

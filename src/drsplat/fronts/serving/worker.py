@@ -16,14 +16,15 @@ from pathlib import Path
 from typing import Any
 
 from ...base.system import end_with
-from ...errors import DrSplatError
+from ...errors import DrSplatError, FormatError
+from ...query import Scene
 from .answers import ANSWERS, answered
 from .catalogued import catalogue_reply
 from .limits import Limits
 from .live import ACTS, Adder, live_reply
 from .models import SceneList, SceneSummary
 from .replies import BUG, Reply, packed, problem, refusal
-from .scene_folder import SceneFolder, Sources, without_paths
+from .scene_folder import SceneFaultError, SceneFolder, Sources, without_paths
 
 _log = logging.getLogger(__name__)
 
@@ -88,13 +89,21 @@ def reply_to(
             return live_reply(scene_folder, adder, act, scene, asked, place.limits)
         opened = scene_folder.scene(scene)
         if act != "open":
-            return answered(opened, act, asked, place.limits)
+            return _answered(opened, scene, act, asked, place.limits)
         if asked["for"] in ANSWERS and ANSWERS[asked["for"]].words:
             with suppress(DrSplatError):  # told when words are asked for
                 opened.encoder  # noqa: B018
         return Reply(b"")
     except DrSplatError as error:
         return refusal(error, without_paths(str(error), scene_folder.roots))
+
+
+def _answered(opened: Scene, name: str, act: str, asked: dict[str, Any], limits: Limits) -> Reply:
+    """Answer an act about a scene. Raises: SceneFaultError: a tile, which is read when it is needed, is damaged."""
+    try:
+        return answered(opened, act, asked, limits)
+    except FormatError as error:
+        raise SceneFaultError(f"scene {name!r} cannot be read: {error}") from error
 
 
 if __name__ == "__main__":
