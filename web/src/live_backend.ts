@@ -41,6 +41,18 @@ export class LiveBackend implements Backend, Live {
 
   async colors(mode: Mode, count: number): Promise<Uint8Array> { return (await this.whole(`/view/colors?mode=${mode}`, count)).rgb as Uint8Array; }
 
+  readonly room = ROOM;
+
+  async tiles(parts: number[]): Promise<Splats> {
+    const { centers, covariances, rgb, opacity } = await this.all(`/view/tiles?parts=${parts}`);
+    return { count: (opacity as Uint8Array).length, centers: centers as Float32Array, covariances: covariances as Uint16Array, rgb: rgb as Uint8Array, opacity: opacity as Uint8Array };
+  }
+
+  async tilesPaint(parts: number[]): Promise<{ paint: Paint; colors: Uint8Array | null }> {
+    const { heat, owner, object, rgb } = await this.all(`/view/tiles-paint?parts=${parts}`);
+    return { paint: { heat: heat as Uint8Array, owner: owner as Uint8Array, object: (object as Uint16Array | undefined) ?? null }, colors: (rgb as Uint8Array | undefined) ?? null };
+  }
+
   act(act: Act): Promise<State> { return this.json("/view/do", act); }
 
   /** Hear of changes while the page is seen: browsers open few connections to a host. */
@@ -115,6 +127,13 @@ export class LiveBackend implements Backend, Live {
       if (!count) return;
       begin += count;
     }
+  }
+
+  /** Return all arrays of one answer. */
+  private async all(path: string): Promise<Arrays> {
+    const reply = await checked(await fetch(path)), buffer = await reply.arrayBuffer();
+    const layout = JSON.parse(reply.headers.get("x-drsplat-arrays") ?? "[]") as [string, keyof typeof KINDS, number, number][];
+    return Object.fromEntries(layout.map(([name, kind, offset, length]) => [name, new KINDS[kind](buffer, offset, length)]));
   }
 
   private async whole(path: string, count: number): Promise<Arrays> {

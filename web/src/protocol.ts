@@ -35,8 +35,11 @@ export interface Header {
   title: string; about: string; eye: Vec; target: Vec; up: Vec; fov: number; heat: Color[]; look: Look; antialiased: boolean;
   words: string[]; modes: Mode[]; can: Can; objects: SceneObject[]; photos: Photo[];
   times: { first: number; last: number; count: number; seconds: number } | null;
-  film: Film | null; plays: boolean;
+  film: Film | null; plays: boolean; tiles?: TiledScene | null;
 }
+
+/** A scene in tiles, of which a browser should hold `budget` rows. coarse: rows of a tile's coarse part, of all its rows. */
+export interface TiledScene { budget: number; tiles: { coarse: number; rows: number; low: Vec; high: Vec }[] }
 
 /** Places along a path, near enough to each other for straight lines. */
 export interface Film { seconds: number; eyes: Vec[]; targets: Vec[]; fovs: number[] }
@@ -92,6 +95,12 @@ export interface Backend {
 
 /** What only a running viewer can do. */
 export interface Live {
+  /** Return some parts of a scene in tiles, one after the other. */
+  tiles(parts: number[]): Promise<Splats>;
+  /** Return what the same rows answer, and their colours in modes that only the service knows. */
+  tilesPaint(parts: number[]): Promise<{ paint: Paint; colors: Uint8Array | null }>;
+  /** Rows that this browser has room for. */
+  readonly room: number;
   photo(photo: Photo, side: number): string;
   clickedPhoto(): string;
   askPicture(file: File): Promise<State>;

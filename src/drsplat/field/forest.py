@@ -140,11 +140,18 @@ class Objects:
 
         Raises: InputError: no such node.
         """
-        inside = np.full(self.num_nodes, -1, np.int32)
-        inside[self._checked(node)] = 0
         order, starts = self._by_node
-        within = np.flatnonzero(self._handed_down(inside) == 0).tolist()
+        children, first = self._by_parent
+        within = [self._checked(node)]
+        for one in within:  # which grows meanwhile
+            within += children[first[one] : first[one + 1]].tolist()
         return np.sort(np.concatenate([order[starts[one] : starts[one + 1]] for one in within]))
+
+    @cached_property
+    def _by_parent(self) -> tuple[Int64[np.ndarray, " T"], Int64[np.ndarray, " T1"]]:
+        """The nodes in the order of their parents, and where those of each parent begin."""
+        order = np.argsort(self.parents, kind="stable")
+        return order, np.searchsorted(self.parents[order], np.arange(self.num_nodes + 1))
 
     @cached_property
     def _by_node(self) -> tuple[Int64[np.ndarray, " R"], Int64[np.ndarray, " T1"]]:

@@ -4,7 +4,7 @@
 import type { Held, Lens } from "./project";
 
 const ROWS = 1024; // of a chunk
-const SIDE = 1024, REACH = 16; // cells along an axis, which end 16 units from the middle: most lies within 10
+const SIDE = 1024, REACH = 16; // cells along an axis, which end 16 units from the middle or, of a city, further: most lies within
 const POWER = 0.3; // of the apparent size: volume to the power 0.1 is size to the power 0.3 (LightGaussian, Eq. 2)
 const SAMPLES = 1 << 17, LEVELS = 4096, LOWEST = -32, STEP = 128; // of the histogram that finds the cut: 128 levels to a power of two
 const SIGMAS = 3;
@@ -122,10 +122,18 @@ export function isSeen({ centers, rgba }: Held, i: number, lens: Lens, slopes: S
 
 /** Return the rows along a Morton curve. */
 function inCells({ count, centers }: Held): Uint32Array {
-  const code = new Uint32Array(count), cell = (x: number) => Math.max(0, Math.min(SIDE - 1, Math.floor(((x + REACH) * SIDE) / (2 * REACH)))) || 0;
+  const reach = reachOf(count, centers), code = new Uint32Array(count), cell = (x: number) => Math.max(0, Math.min(SIDE - 1, Math.floor(((x + reach) * SIDE) / (2 * reach)))) || 0;
   for (let i = 0; i < count; i++) code[i] = spread(cell(centers[3 * i])) | (spread(cell(centers[3 * i + 1])) << 1) | (spread(cell(centers[3 * i + 2])) << 2);
   const low = sortedBy(count, (i) => code[i] & 0x7fff);
   return sortedBy(count, (i) => code[i] >>> 15, low);
+}
+
+/** Return how far cells reach: 16 units, or, of a city, as far as nearly all of a sample. */
+function reachOf(count: number, centers: Float32Array): number {
+  const step = Math.max(1, Math.floor(count / 4096)), far: number[] = [];
+  for (let i = 0; i < count; i += step) far.push(Math.max(Math.abs(centers[3 * i]), Math.abs(centers[3 * i + 1]), Math.abs(centers[3 * i + 2])));
+  far.sort((a, b) => a - b);
+  return Math.max(REACH, 1.1 * (far[Math.floor(0.95 * (far.length - 1))] || 0));
 }
 
 /** Put two zeros after each of ten bits. */

@@ -6,6 +6,7 @@ import { Moves } from "../moves";
 import { Overlay } from "../overlay";
 import { PageBackend } from "../page_backend";
 import { painted } from "../painting";
+import { TileSet, type Shown } from "../tiles";
 import type { Act, Backend, CameraPlace, Growing, Header, Mode, Paint, Place, Splats, State } from "../protocol";
 import { AskTab } from "./ask";
 import { CatalogueTab } from "./catalogue";
@@ -16,6 +17,7 @@ import type { Lasso } from "./lasso";
 import { ObjectsTab } from "./objects";
 import { Prompt } from "./prompt";
 
+const LOOK_MS = 150; // after the last movement
 const EDITS = new Set(["edit", "undo", "redo", "restore"]);
 
 export interface Tab { readonly name: string; readonly label: string; show(): Node[] }
@@ -40,14 +42,17 @@ export class App {
   private changing: Promise<void> = Promise.resolve();
   private working = 0; // acts and files that are waited for
   private showing: Promise<void> = Promise.resolve();
+  private tiles: TileSet | null = null; // of a scene that comes part by part
+  private looking = 0;
   private loading = 0; // which of the scenes that were begun is wanted
 
   constructor(readonly backend: Backend, public header: Header, public state: State) {
-    this.camera = new Camera(header.up, header.fov, () => this.stage?.moves());
+    this.camera = new Camera(header.up, header.fov, () => { this.stage?.moves(); this.look(); });
     this.stage = new Stage(byId<HTMLCanvasElement>("splats"), this.camera);
     this.overlay = new Overlay(byId<HTMLCanvasElement>("labels"), this.camera);
     this.stage.over = (pose) => this.overlay.draw(pose, this.state);
     this.camera.stand(header.eye, header.target);
+    if (header.tiles && backend.live) this.tiles = new TileSet(backend.live, header.tiles, this.camera, (shown, isWhole) => this.present(shown, isWhole), () => { this.isWhole = true; }, (error) => this.say(error instanceof Error ? error.message : String(error), true));
     this.moves = backend instanceof PageBackend && backend.file.clock ? new Moves(this, backend) : null;
     this.prompt = new Prompt(this);
     this.film = new FilmTab(this);
@@ -122,12 +127,14 @@ export class App {
     if (!first && state.header !== before.header) this.header = await this.backend.header();
     this.state = state;
     if (first || state.geometry !== before.geometry) await this.load();
+    else if (this.tiles && (state.paint !== before.paint || state.mode !== before.mode)) await this.tiles.repaint();
     else if (state.paint !== before.paint || state.mode !== before.mode) { await this.fetchPaint(this.splats?.count ?? 0); this.repaint(); }
     this.render();
   }
 
   /** Show the first rows of a scene; the others come while people look around. */
   private async load(): Promise<void> {
+    if (this.tiles) { void this.tiles.stream(); return; }
     const own = ++this.loading, scenes = this.backend.splats(), first = await scenes.next();
     if (first.done) return;
     await this.grow(first.value, 0);
@@ -150,6 +157,26 @@ export class App {
     this.isWhole = splats.count === room;
     const left = room < all ? ` This browser has room for ${room.toLocaleString("en")} of ${counted(all, "Gaussian")}.` : "";
     byId("rows").textContent = `${this.header.about}${left}${this.isWhole ? "" : ` Here so far: ${splats.count.toLocaleString("en")}.`}`;
+  }
+
+  /** Let tiles come where the camera stands, once it stands. */
+  private look(): void {
+    if (!this.tiles) return;
+    this.isWhole = false;
+    clearTimeout(this.looking);
+    this.looking = window.setTimeout(() => {
+      if (this.camera.isFlying) this.look();
+      else void this.tiles?.stream();
+    }, LOOK_MS);
+  }
+
+  /** Show the parts of tiles that are here. */
+  private present({ splats, paint, colors }: Shown, isWhole: boolean): void {
+    Object.assign(this, { splats, paint, colors, isWhole });
+    this.stage.hold(splats, this.header.antialiased);
+    this.repaint();
+    const number = this.header.tiles?.tiles.length ?? 0;
+    byId("rows").textContent = `${this.header.about} Here are ${counted(splats.count, "Gaussian")}: all tiles coarsely, ${this.tiles?.numWhole ?? 0} of ${number} wholly, those near the camera. Answers are of all.`;
   }
 
   private async fetchPaint(count: number): Promise<void> {

@@ -1,6 +1,7 @@
 """Viewpoints: which way is up, the place before a match, a swing around it."""
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -68,29 +69,49 @@ def before(match: Match, gaussians: Gaussians, views: Sequence[View], up: Vector
     return beside(match.center, size_of(match, gaussians), views, up)
 
 
-def beside(center: Vector, size: float, views: Sequence[View], up: Vector) -> Vector:
+class Standpoints(NamedTuple):
+    """Cameras as arrays, for many questions about them. sizes: width and height of their pictures."""
+
+    centers: Float64[np.ndarray, "v 3"]
+    poses: Float64[np.ndarray, "v 4 4"]
+    K: Float64[np.ndarray, "v 3 3"]
+    sizes: Float64[np.ndarray, "v 2"]
+
+    @classmethod
+    def of(cls, views: Sequence[View]) -> "Standpoints":
+        """Return the cameras of some views."""
+        return cls(
+            np.array([view.center for view in views], np.float64).reshape(-1, 3),
+            np.array([view.cam_from_world for view in views], np.float64).reshape(-1, 4, 4),
+            np.array([view.K for view in views], np.float64).reshape(-1, 3, 3),
+            np.array([(view.width, view.height) for view in views], np.float64).reshape(-1, 2),
+        )
+
+
+def beside(center: Vector, size: float, views: Sequence[View] | Standpoints, up: Vector) -> Vector:
     """Return a place to see something from, of a size in scene units; see `before`."""
+    stands = views if isinstance(views, Standpoints) else Standpoints.of(views)
     distance = DISTANCE_SIZES * size * float(np.hypot(1, RISE))
-    if not views:
+    if not len(stands.centers):
         side = np.array([0.8, 0.5, 0.3])
         side = side - (side @ up) * up
         side = side / np.linalg.norm(side) + RISE * up
         return np.asarray(center + distance * side / np.linalg.norm(side))
-    ways = np.stack([view.center for view in views]) - center
+    ways = stands.centers - center
     lengths = np.maximum(np.linalg.norm(ways, axis=1), 1e-9)
-    showing = _showing(views, center)
+    showing = _showing(stands, center)
     unfit = np.abs(np.log(lengths / distance)) + np.where(showing | ~showing.any(), 0.0, np.inf)
     best = int(unfit.argmin())
     return np.asarray(center + ways[best] * min(1.0, distance / lengths[best]))
 
 
-def _showing(views: Sequence[View], point: Vector) -> Bool[np.ndarray, " v"]:
+def _showing(stands: Standpoints, point: Vector) -> Bool[np.ndarray, " v"]:
     """Return which views have a point in the inner part of their picture."""
-    poses, K = np.stack([view.cam_from_world for view in views]), np.stack([view.K for view in views])
+    _, poses, K, sizes = stands
     x, y, z = (poses[:, :3, :3] @ point + poses[:, :3, 3]).T
     z = np.where(z > 0, z, np.nan)
-    u = (K[:, 0, 0] * x / z + K[:, 0, 2]) / [view.width for view in views]
-    v = (K[:, 1, 1] * y / z + K[:, 1, 2]) / [view.height for view in views]
+    u = (K[:, 0, 0] * x / z + K[:, 0, 2]) / sizes[:, 0]
+    v = (K[:, 1, 1] * y / z + K[:, 1, 2]) / sizes[:, 1]
     return np.asarray((np.minimum(u, v) >= MARGIN_SHARE) & (np.maximum(u, v) <= 1 - MARGIN_SHARE))
 
 

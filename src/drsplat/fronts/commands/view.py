@@ -145,15 +145,15 @@ def _export(arguments: argparse.Namespace) -> dict[str, Any]:
 
 def _serve(arguments: argparse.Namespace) -> NoReturn:
     _require_packages()
-    from ..viewing.session import Session
+    from ..viewing.tiled import session_of
 
     scene, budget = _scene(arguments), arguments.max_gaussians or MAX_GAUSSIANS
-    session = Session(scene, budget, _words(arguments), edits_kept=arguments.edits != "none")
+    session = session_of(scene, budget, _words(arguments), edits_kept=arguments.edits != "none")
     note_applied(session.edits.listed.done)
     up, shown = _up(arguments, scene), session.shown
     with _service(arguments) as service:
         service.show(session, up, arguments.ask)
-        _print_address(arguments.json, service.address, {"num_shown": len(shown)}, shown.summary)
+        _print_address(arguments.json, service.address, {"num_shown": session.num_shown}, shown.summary)
         service.run()
     raise SystemExit(0)  # all has been said
 
@@ -231,7 +231,7 @@ def _scene(arguments: argparse.Namespace) -> Scene:
     if arguments.scene is None and is_bare(path):
         return open_bare(path, arguments.views, arguments.threads)
     scene = open_scene(arguments)
-    _ = scene.gaussians  # or the error that says what is missing
+    _ = scene.rows  # or the error that says what is missing
     return scene
 
 

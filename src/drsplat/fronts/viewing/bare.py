@@ -8,12 +8,14 @@ from ...errors import InputError
 from ...field import LanguageField
 from ...field.codes import Codebook, PQCode
 from ...formats.captures import read_views
-from ...formats.moving_scenes import is_moving, read_scene
+from ...formats.moving_scenes import is_moving
+from ...formats.tiles import TILES, Tiles
 from ...kernels.scan import GROUP_ROWS
 from ...query import Scene
+from ...query.opening import tiles_or_scene
 from ...scene.encoders import Encoder, EncoderIdentity
 from ...scene.gaussians import Gaussians
-from ...scene.moving import canonical_of
+from ...scene.moving import Moving, canonical_of
 
 NO_FIELD = "this scene has no field, so nothing can be asked: drsplat embed and drsplat register make one"
 CAMERAS = "cameras.json"  # of a trained model
@@ -25,7 +27,7 @@ def is_bare(path: Path) -> bool:
         return path.is_file()
     if any(path.glob("*.field")):
         return False
-    return (path / "point_cloud").is_dir() or is_moving(path)
+    return (path / "point_cloud").is_dir() or (path / TILES).is_file() or is_moving(path)
 
 
 def open_bare(path: Path, capture: str | None = None, threads: int = 0) -> Scene:
@@ -38,11 +40,12 @@ def open_bare(path: Path, capture: str | None = None, threads: int = 0) -> Scene
     own = path if path.is_dir() and (path / CAMERAS).is_file() else None
     cameras = capture if capture is not None else own
     views = () if cameras is None else tuple(read_views(cameras))
-    scene, name = read_scene(path), path.resolve().stem
-    return Scene(_empty_field(canonical_of(scene)), scene, views, _no_encoder, name=name, threads=threads, path=path)
+    scene, name = tiles_or_scene(path), path.resolve().stem
+    rows = canonical_of(scene) if isinstance(scene, Moving) else scene
+    return Scene(_empty_field(rows), scene, views, _no_encoder, name=name, threads=threads, path=path)
 
 
-def _empty_field(gaussians: Gaussians) -> LanguageField:
+def _empty_field(gaussians: Gaussians | Tiles) -> LanguageField:
     nobody = EncoderIdentity("none", 1)
     code = PQCode(
         Codebook(np.zeros((1, 256, 1), np.float32), None, nobody),

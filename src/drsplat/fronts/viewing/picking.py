@@ -32,19 +32,41 @@ def hit_by_ray(
 
     Source: 3DGS Eq. 3, in 3D instead of in the picture.
     """
+    return blended(met_by_ray(gaussians, origin, direction, visible), origin, direction)
+
+
+class Met(NamedTuple):
+    """Gaussians that a ray meets: their rows, depths along it, and opacities where they are densest on it."""
+
+    gaussian_ids: Int64[np.ndarray, " h"]
+    depths: Float64[np.ndarray, " h"]
+    alphas: Float64[np.ndarray, " h"]
+
+
+def met_by_ray(
+    gaussians: Gaussians,
+    origin: Float64[np.ndarray, " 3"],
+    direction: Float64[np.ndarray, " 3"],
+    visible: Bool[np.ndarray, " n"] | None = None,
+) -> Met:
+    """Return the Gaussians that a ray meets, the nearest first."""
     direction, origin = direction / np.linalg.norm(direction), origin - gaussians.origin
     near = _near(gaussians, origin, direction)
     near = near if visible is None else near[visible[near]]
     depth, alpha = _met(gaussians.subset(near), origin, direction)
     kept = (alpha >= LEAST_ALPHA) & (depth > 0)
     order = np.flatnonzero(kept)[np.argsort(depth[kept], kind="stable")]
-    if not len(order):
+    return Met(near[order], depth[order], np.minimum(alpha[order], MOST_ALPHA))
+
+
+def blended(met: Met, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]) -> Hit | None:
+    """Return what a ray meets by falling blending weight, None for nothing. met: the nearest first."""
+    if not len(met.depths):
         return None
-    alphas = np.minimum(alpha[order], MOST_ALPHA)
-    weights = alphas * np.concatenate([[1.0], np.cumprod(1 - alphas)[:-1]])
+    weights = met.alphas * np.concatenate([[1.0], np.cumprod(1 - met.alphas)[:-1]])
     ranked = np.argsort(-weights, kind="stable")
-    point = gaussians.origin + origin + depth[order[ranked[0]]] * direction
-    return Hit(near[order[ranked]], weights[ranked], point)
+    point = origin + met.depths[ranked[0]] * direction / np.linalg.norm(direction)
+    return Hit(met.gaussian_ids[ranked], weights[ranked], point)
 
 
 def _near(

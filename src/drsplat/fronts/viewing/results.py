@@ -61,7 +61,8 @@ def result_of_ids(scene: Scene, label: str, ids: Int64[np.ndarray, " m"]) -> Res
     """Return exactly some Gaussians, one or more, as the only match of a query; they need no feature."""
     rows = scene.field.rows_of(ids)
     answer = Answer.of_rows(scene.field, rows[rows >= 0], OBJECT)
-    box = box_of(scene.gaussians, solid(scene.gaussians, ids), scene.up)
+    gaussians = scene.rows.shapes_of(solid(scene.rows, ids))
+    box = box_of(gaussians, np.arange(len(gaussians)), scene.up)
     return Result(label, answer, answer.threshold, [Match(box.center, box.axes, box.extent, 1.0, ids)])
 
 

@@ -20,6 +20,7 @@ from ...kernels import render_channels
 from ...scene.views import View
 from . import results
 from .session import Session
+from .tiled import TiledSession
 
 BACKGROUND = np.array([0.078, 0.086, 0.106], np.float32)
 GIF_SIZE, GIF_FRAMES, GIF_MILLISECONDS = (480, 360), 40, 60
@@ -45,6 +46,10 @@ def save_scene(path: str | PathLike[str], session: Session, *, selected_only: bo
 
 def picture_of(session: Session, view: View) -> UInt8[np.ndarray, "h w 3"]:
     """Render what the viewer shows from a camera in the world."""
+    if isinstance(session, TiledSession):
+        seen, colors = session.seen_with_colors(view)
+        drawn = render_channels(seen.splats, view, colors, BACKGROUND, threads=session.scene.threads)
+        return as_pixels(drawn.channels)
     splats = session.edits.splats if session.edits.is_edited else session.here.splats
     drawn = render_channels(splats, view, session.drawn_colors, BACKGROUND, threads=session.scene.threads)
     return as_pixels(drawn.channels)

@@ -13,6 +13,7 @@ from ...authoring.editing import Edit, Isolate, Recolour, Remove, Rows
 from ...authoring.editing.edits import Change
 from ...authoring.editing.resolving import complete_rows
 from ...authoring.editing.targets import MAX_NAME_CHARACTERS
+from ...authoring.filming.looking import radius_of
 from ...base.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
 from ...base.terminal import counted
 from ...drawing.heat import heat_colors
@@ -92,7 +93,7 @@ class Session:
 
     def unasked(self, budget: int) -> "Session":
         """Return a session of the same scene with a copy of its edits, in which nothing was asked."""
-        other = Session(self.scene, min(budget, self.budget), self.words, edits_kept=False)
+        other = type(self)(self.scene, min(budget, self.budget), self.words, edits_kept=False)
         other._edits = copy.copy(self.edits)
         return other
 
@@ -103,6 +104,16 @@ class Session:
     @cached_property
     def shown(self) -> Shown:
         return shown_of(self.scene.gaussians, self.budget)
+
+    @property
+    def num_shown(self) -> int:
+        """Gaussians that a browser gets."""
+        return len(self.shown)
+
+    @property
+    def radius(self) -> float:
+        """Median distance of the Gaussians from their middle, in scene units."""
+        return radius_of(self.scene.gaussians)
 
     @property
     def here(self) -> Scene:
@@ -345,6 +356,10 @@ class Session:
     def restore(self) -> None:
         """Take back everything, as it was before all edits, which can be redone."""
         self.edits.undo(self.edits.listed.done)
+
+    def standing(self, ids: Int64[np.ndarray, " m"]) -> Gaussians:
+        """Return some of the scene's own rows, where they are now."""
+        return self.edits.standing.subset(ids)
 
     def _needed(self) -> Int64[np.ndarray, " m"]:
         if not len(self.selection):

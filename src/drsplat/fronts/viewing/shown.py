@@ -84,6 +84,11 @@ def _shown_centers(gaussians: Gaussians, frame: Frame) -> Float32[np.ndarray, "n
     return np.asarray(np.clip(frame.shown(gaussians.positions), -farthest, farthest), np.float32)
 
 
+def shown_part(part: Gaussians, frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return centres, covariances, colours and opacities of a part of a scene in a frame."""
+    return _shown_centers(part, frame), _shown_covariances(part, frame), base_colors(part), part.opacities
+
+
 def moved_shown(shown: Shown, gaussians: Gaussians) -> Shown:
     """Return the same Gaussians, in the same frame, where a state of the scene has them."""
     part = gaussians if len(shown) == len(gaussians) else gaussians.subset(shown.ids)

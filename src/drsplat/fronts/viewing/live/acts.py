@@ -362,7 +362,7 @@ def _selected_notes(session: Session, text: str) -> list[Annotation]:
 
 def _boxed(session: Session, text: str, match: Match) -> Annotation:
     """Return a text where a match is now: it may have been moved."""
-    box = box_of(session.edits.standing, match.gaussian_ids, session.scene.up)
+    box = box_of(session.standing(match.gaussian_ids), np.arange(len(match)), session.scene.up)
     return Annotation.box(text, box.center, box.axes, np.maximum(box.extent, 1e-6))
 
 

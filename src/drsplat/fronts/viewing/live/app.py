@@ -63,6 +63,7 @@ class Viewer:
             "/": self.page, "/client.js": self.script, "/client.css": self.style, "/favicon.ico": self.icon,
             "/view/header": self.header, "/view/state": self.state,
             "/view/splats": self.splats, "/view/paint": self.paint, "/view/colors": self.colors,
+            "/view/tiles": self.tiles, "/view/tiles-paint": self.tiles_paint,
             "/view/events": self.listen, "/view/photo": self.photo, "/view/object-picture": self.object_picture,
             "/view/clicked-photo": self.clicked_photo, "/view/catalogue-picture": self.catalogue_picture,
             "/view/film-progress": self.film_progress,
@@ -101,6 +102,14 @@ class Viewer:
     async def splats(self, request: Request) -> Response:
         begin = _number(request, "from", "0")
         return _binary(await self.turns.take(lambda: self.shared.splats(begin)))
+
+    async def tiles(self, request: Request) -> Response:
+        parts = _numbers(request, "parts")
+        return _binary(await self.turns.take(lambda: self.shared.tile_splats(parts)))
+
+    async def tiles_paint(self, request: Request) -> Response:
+        parts = _numbers(request, "parts")
+        return _binary(await self.turns.take(lambda: self.shared.tile_paint(parts)))
 
     async def paint(self, request: Request) -> Response:
         begin = _number(request, "from", "0")
@@ -302,6 +311,14 @@ def _number(request: Request, name: str, default: str = "") -> int:
     if not (text.isascii() and text.isdigit() and len(text) < 10):
         raise InputError(f"{name}: expected a whole number, got {text!a:.40}")
     return int(text)
+
+
+def _numbers(request: Request, name: str) -> list[int]:
+    """Return whole numbers of the query, separated by commas. Raises: InputError: there are none."""
+    texts = request.query_params.get(name, "").split(",")
+    if not all(text.isascii() and text.isdigit() and len(text) < 10 for text in texts):
+        raise InputError(f"{name}: expected whole numbers such as 0,2,4; got {','.join(texts)!a:.40}")
+    return [int(text) for text in texts]
 
 
 async def _watch(request: Request, is_gone: Event) -> None:

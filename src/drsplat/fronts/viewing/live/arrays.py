@@ -42,8 +42,8 @@ def splats(stage: Stage, begin: int) -> Packed:
     part: Rows = {
         "centers": drawn.centers[rows],
         "covariances": drawn.covariances[rows].astype(np.float16),
-        "rgb": _bytes(drawn.rgb[rows]),
-        "opacity": _bytes(drawn.opacities[rows]),
+        "rgb": as_bytes(drawn.rgb[rows]),
+        "opacity": as_bytes(drawn.opacities[rows]),
     }
     return _packed(part, begin, len(stage.order))
 
@@ -58,7 +58,10 @@ def paint(stage: Stage) -> Rows:
     """Return what each row answers: heat, the query that it belongs to, and its object."""
     session = stage.session
     found, count = session.results, len(session.scene.gaussians)
-    arrays = {"heat": _bytes(results.heat(found, count)), "owner": (results.owners(found, count) + 1).astype(np.uint8)}
+    arrays = {
+        "heat": as_bytes(results.heat(found, count)),
+        "owner": (results.owners(found, count) + 1).astype(np.uint8),
+    }
     if session.has_objects:
         arrays["object"] = _numbered(session.object_ids)
     return {name: _drawn(stage, values) for name, values in arrays.items()}
@@ -74,7 +77,7 @@ def colors(stage: Stage, mode: str) -> Rows:
         painted = session.drawn_colors
     finally:
         session.mode = before
-    return {"rgb": _bytes(painted[session.drawn.ids])[stage.order]}
+    return {"rgb": as_bytes(painted[session.drawn.ids])[stage.order]}
 
 
 def nothing() -> Packed:
@@ -98,8 +101,14 @@ def _numbered(ids: Shaped[np.ndarray, " n"]) -> Shaped[np.ndarray, " n"]:
     return (np.minimum(ids, MOST_NUMBER - 1) + 1).astype(np.uint16)
 
 
-def _bytes(values: Shaped[np.ndarray, "*any"]) -> UInt8[np.ndarray, "*any"]:
+def as_bytes(values: Shaped[np.ndarray, "*any"]) -> UInt8[np.ndarray, "*any"]:
+    """Return numbers in [0, 1] as bytes."""
     return np.asarray(np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+def packed_rows(part: Rows, rows: int) -> Packed:
+    """Return all rows of an answer as bytes."""
+    return _packed(part, 0, rows)
 
 
 def _packed(part: Rows, begin: int, rows: int) -> Packed:

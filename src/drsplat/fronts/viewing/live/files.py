@@ -26,6 +26,7 @@ from ..exporting import export_session
 from ..naming import photo_of
 from ..object_list import pictures_of
 from ..saving import Saves, flight_gif, picture_of, save_scene, write_bytes
+from ..tiled import UNEDITED
 from .cameras import FILM_SIZE, FPS, Body, Camera, Path, path_document, path_through, view_of
 from .stage import Stage
 from .state import film_formats
@@ -83,7 +84,8 @@ def before_after(stage: Stage, camera: Camera) -> bytes:
     """Return the scene before its edits and after them, side by side, as PNG. Raises: InputError: nothing is left."""
     session = stage.session
     view = view_of(stage, camera, SPLIT_SIDE)
-    sides = session.here.gaussians, session.edited()[0]
+    after = session.edited()[0]
+    sides = session.here.gaussians, after
     drawn = [as_pixels(render(one, view, threads=session.scene.threads).rgb) for one in sides]
     return png(np.concatenate(drawn, axis=1))
 
@@ -193,6 +195,8 @@ def page_file(saves: Saves, stage: Stage) -> Saved:
     Raises: InputError: nothing was asked, and no word has a match.
     """
     session = stage.session
+    if session.scene.tiles is not None:
+        raise InputError(UNEDITED)
     queries = (session.asked or stage.words[:MOST_PAGE_QUERIES]) if session.is_askable else ()
     return _save(saves, "page", ".html", lambda path: export_session(path, session, queries, up=stage.up))
 

@@ -12,6 +12,7 @@ from ....scene.views import View
 from ...serving.scene_folder import without_paths
 from ..session import Session
 from ..texts import printable
+from ..tiled import session_of
 from .shared import Shared
 from .uploads import Batch, root_of
 
@@ -42,7 +43,7 @@ def open_batch(shared: Shared, name: str) -> Callable[[], Callable[[], str]]:
 def _session_of_batch(shared: Shared, batch: Batch) -> Session:
     scene = shared.open_path(root_of(batch.folder))
     scene.views = tuple(confined(view, batch.folder) for view in scene.views)  # type: ignore[misc]
-    session = Session(scene, shared.budget, edits_kept=False)
+    session = session_of(scene, shared.budget, edits_kept=False)
     _ = session.shown
     return session
 
@@ -58,7 +59,7 @@ def _show_batch(shared: Shared, name: str, session: Session) -> str:
     shared.uploads.keep_opened(name)
     if shared.shelf is not None:
         shared.shelf.opened = ("", "")
-    return f"opened {printable(scene.name, 60)}: {counted(len(scene.gaussians), 'Gaussian')}"
+    return f"opened {printable(scene.name, 60)}: {counted(len(scene.rows), 'Gaussian')}"
 
 
 def confined(view: View, folder: Path) -> View:
@@ -102,7 +103,7 @@ def _show_entry(shared: Shared, entry: Entry, session: Session | None) -> str:
 
 
 def _session(shared: Shared, scene: Scene) -> Session:
-    _ = scene.gaussians  # or the error that says what is missing
-    session = Session(scene, shared.budget, shared.words)
+    _ = scene.rows  # or the error that says what is missing
+    session = session_of(scene, shared.budget, shared.words)
     _ = session.shown
     return session

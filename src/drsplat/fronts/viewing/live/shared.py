@@ -13,7 +13,7 @@ from ..bare import NO_FIELD
 from ..saving import Saves
 from ..session import Session
 from ..texts import printable
-from . import arrays
+from . import arrays, tiles
 from .arrays import Packed, Rows
 from .shelf import Shelf
 from .stage import Stage, Vector
@@ -173,7 +173,7 @@ class Shared:
             "ask_picture": askable,
             "objects": session is not None and session.has_objects,
             "name": session is not None and session.has_objects and session.can_name,
-            "edit": session is not None,
+            "edit": session is not None and session.scene.tiles is None,
             "time": session is not None and session.scene.motion is not None,
             "photos": session is not None and bool(session.scene.views),
             "save_dir": self.saves.folder is not None,
@@ -184,7 +184,17 @@ class Shared:
 
     def splats(self, begin: int = 0) -> Packed:
         """Return a piece of what is drawn, from a row on. Raises: InputError: there is no such row."""
-        return arrays.nothing() if self._stage is None else arrays.splats(self._stage, begin)
+        stage = self._stage
+        is_empty = stage is None or stage.session.scene.tiles is not None  # whose parts are asked for
+        return arrays.nothing() if is_empty else arrays.splats(self.stage, begin)
+
+    def tile_splats(self, parts: Sequence[int]) -> Packed:
+        """Return parts of a scene in tiles. Raises: as `tiles.tile_splats`; InputError: no scene is open."""
+        return tiles.tile_splats(self.stage, parts)
+
+    def tile_paint(self, parts: Sequence[int]) -> Packed:
+        """Return what the same rows answer. Raises: as `tile_splats`."""
+        return tiles.tile_paint(self.stage, parts)
 
     def paint(self, begin: int = 0) -> Packed:
         """Return what the same rows answer. Raises: as `splats`."""
@@ -197,7 +207,7 @@ class Shared:
 
     def _piece(self, name: str, version: object, make: Callable[[Stage], Rows], begin: int) -> Packed:
         """Return a piece of arrays as they were made for somebody else, where nothing has changed since."""
-        if self._stage is None:
+        if self._stage is None or self._stage.session.scene.tiles is not None:
             return arrays.nothing()
         known = self._rows.get(name)
         if known is None or known[0] != version:

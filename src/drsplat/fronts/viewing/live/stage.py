@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ....authoring.filming.looking import beside, radius_of, size_in, up_direction
+from ....authoring.filming.looking import Standpoints, beside, size_in, up_direction
 from ....base.arrays import Float64, Int64
 from ....query import Match
 from ....scene.significance import significance
@@ -82,12 +82,16 @@ class Stage:
         return [number for part in in_order(self.session) for number in part] if self.session.has_objects else []
 
     @cached_property
+    def _standpoints(self) -> Standpoints:
+        return Standpoints.of(self.session.scene.views)
+
+    @cached_property
     def _radius(self) -> float:
-        return radius_of(self.session.scene.gaussians)
+        return self.session.radius
 
     def eye_before(self, center: Vector, extent: Vector) -> Vector:
         """Return a place in the world to see a box from, as `authoring.filming.looking.before`."""
-        return beside(center, size_in(extent, self._radius), self.session.scene.views, self.up)
+        return beside(center, size_in(extent, self._radius), self._standpoints, self.up)
 
     def placed(self, match: Match) -> Match:
         """Return a match where its Gaussians are now."""

@@ -30,6 +30,7 @@ from ..results import Result
 from ..session import Session
 from ..texts import printable
 from .stage import Stage, Vector
+from .tiles import tiles_document
 
 MAX_PHOTOS, MAX_OBJECTS, MAX_MATCHES, MAX_LISTED = 200, 500, 100, 100
 MAX_SENTENCE_LENGTH = 600
@@ -64,13 +65,14 @@ def header_of(stage: Stage) -> Document:
         "objects": _objects(stage),
         "photos": [_photo(stage, view) for view in _evenly(session.scene.views, MAX_PHOTOS)],
         "times": _times(session),
+        "tiles": tiles_document(stage),
     }
 
 
 def about(session: Session) -> str:
     scene = session.scene
     none = "" if session.is_askable else f" {NO_FIELD}"
-    counts = f"{len(scene.gaussians):,} Gaussians, {len(scene.field):,} with a feature."
+    counts = f"{len(scene.rows):,} Gaussians, {len(scene.field):,} with a feature."
     return f"{counts} {session.shown.summary}".strip() + none
 
 

@@ -1,0 +1,292 @@
+"""A scene in tiles on show: it stays on disk, and what is looked at is read."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, NoReturn
+
+import numpy as np
+
+from ...authoring.editing import EditList
+from ...authoring.editing.edits import Change
+from ...base.arrays import Bool, Float32, Float64, Int32, Int64
+from ...drawing.heat import heat_colors, heat_of
+from ...drawing.palette import class_colors
+from ...errors import InputError
+from ...formats.annotations import AnnotationFile, without
+from ...formats.tiles import Tile, Tiles
+from ...query import Scene
+from ...query.nodes import chosen_at
+from ...query.objects import objects_of
+from ...query.seen import Seen
+from ...scene.annotations import Annotation
+from ...scene.gaussians import Gaussians
+from ...scene.significance import most_significant
+from ...scene.views import View
+from . import painting, results
+from .lasso import inside_outline
+from .naming import This, this_is
+from .picking import REACH, Hit, Met, blended, met_by_ray
+from .session import Mode, Session
+from .shown import RADIUS, Frame, Shown, base_colors
+
+COARSE_SHARE = 0.25  # of the Gaussians that a browser gets: of all tiles, the most significant of each
+ROOMS = 1.5  # half diagonals of a middling tile in a browser's RADIUS: a city has the scale of a room there
+ALL_STOPPED = 1e-4  # share of light beyond which a click goes no further
+UNEDITED = (
+    "a scene in tiles is not edited here, nor written as one file: edit what it was cut from, or write all of it with "
+    "`drsplat export --tiles3d`"
+)
+
+
+@dataclass(eq=False)
+class NoEdits:
+    """The edits of a scene in tiles, none, and its annotations. Stands for `Edits`."""
+
+    listed: EditList
+    notes: AnnotationFile | None
+    annotations: tuple[Annotation, ...] = ()
+    is_edited: bool = False
+    file: None = None
+
+    @classmethod
+    def of(cls, scene: Scene) -> "NoEdits":
+        notes = None if scene.path is None else AnnotationFile.beside(scene.path)
+        return cls(EditList(scene.rows.fingerprint), notes, () if notes is None else notes.read())
+
+    def annotate(self, *annotations: Annotation) -> None:
+        """Keep some more."""
+        self.annotations = (*self.annotations, *annotations) if self.notes is None else self.notes.add(annotations)
+
+    def drop(self, number: int) -> None:
+        """Drop an annotation, counted from 1. Raises: InputError: there is none."""
+        kept = without(self.annotations, number)
+        self.annotations = kept if self.notes is None else self.notes.drop(number)
+
+    def take(self, other: "NoEdits") -> None:
+        """Take the edits of a copy: there are none."""
+
+    def refuse(self, *_: Any) -> NoReturn:
+        """Refuse what would change the scene. Raises: InputError: always."""
+        raise InputError(UNEDITED)
+
+    add = undo = redo = part = refuse
+
+
+@dataclass(eq=False, repr=False)
+class TiledSession(Session):
+    """A session of a scene in tiles. Browsers get it part by part (`live.tiles`): of each tile a coarse one, the rest.
+
+    What is remembered of tiles that were sent are the rows of their coarse parts.
+    """
+
+    _coarse: dict[int, Int64[np.ndarray, " c"]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self._edits = NoEdits.of(self.scene)  # type: ignore[assignment]
+
+    @property
+    def tiles(self) -> Tiles:
+        tiles = self.scene.tiles
+        assert tiles is not None
+        return tiles
+
+    @property
+    def edits(self) -> Any:
+        return self._edits
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        return tuple(mode for mode in super().modes if mode is not Mode.FEATURES)
+
+    # --- what a browser gets ---
+
+    @cached_property
+    def shown(self) -> Shown:
+        """No rows, and the frame of all."""
+        none = np.empty(0, np.float32)
+        return Shown(
+            np.empty(0, np.int64), none.reshape(0, 3), none.reshape(0, 6), none.reshape(0, 3), none,
+            frame_of_tiles(self.tiles), 0, self.tiles.antialiased,
+        )  # fmt: skip
+
+    @property
+    def drawn(self) -> Shown:
+        return self.shown
+
+    @property
+    def num_shown(self) -> int:
+        return min(self.budget, len(self.tiles))
+
+    @property
+    def radius(self) -> float:
+        return RADIUS / self.shown.frame.scale / 2
+
+    def num_coarse(self, tile: Tile) -> int:
+        """Return how many Gaussians the coarse part of a tile has."""
+        return max(1, min(tile.num_rows, int(tile.num_rows * COARSE_SHARE * self.budget / len(self.tiles))))
+
+    def part(self, number: int) -> tuple[Gaussians, Int64[np.ndarray, " m"]]:
+        """Return a part and its rows: 2 k is the coarse one of tile k, 2 k + 1 what that leaves out.
+
+        Raises: InputError: there is none. FormatError: the tile is damaged or missing.
+        """
+        tile = self.tile_of(number)
+        whole = self.tiles.tile(tile)
+        if number // 2 not in self._coarse:
+            self._coarse[number // 2] = most_significant(whole, self.num_coarse(tile))
+        rows = self.rows_of(number) - tile.first
+        return whole.subset(rows), rows + tile.first
+
+    def rows_of(self, number: int) -> Int64[np.ndarray, " m"]:
+        """Return the rows of a part; the tile is read where nobody has. Raises: as `part`."""
+        tile = self.tile_of(number)
+        if number // 2 not in self._coarse:
+            self._coarse[number // 2] = most_significant(self.tiles.shapes(tile), self.num_coarse(tile))
+        coarse = self._coarse[number // 2]
+        return tile.first + (np.setdiff1d(np.arange(tile.num_rows), coarse) if number % 2 else coarse)
+
+    def tile_of(self, number: int) -> Tile:
+        """Return the tile of a part. Raises: InputError: there is none."""
+        if not 0 <= number < 2 * len(self.tiles.tiles):
+            raise InputError(f"parts: expected numbers below {2 * len(self.tiles.tiles)}, got {number}")
+        return self.tiles.tiles[number // 2]
+
+    # --- what rows answer ---
+
+    def heat_at(self, rows: Int64[np.ndarray, " m"]) -> Float32[np.ndarray, " m"]:
+        """Return how well some rows answer, as `results.heat`."""
+        own = self.scene.field.rows_of(rows)
+        warmest = np.zeros(len(rows), np.float32)
+        for result in self.results:
+            warm = heat_of(result.answer.values[own[own >= 0]], result.threshold)
+            warmest[own >= 0] = np.maximum(warmest[own >= 0], warm)
+        return warmest
+
+    def owners_at(self, rows: Int64[np.ndarray, " m"]) -> Int32[np.ndarray, " m"]:
+        """Return the query that each of some rows answers, as `results.owners`."""
+        owners = np.full(len(rows), -1, np.int32)
+        for number in range(len(self.results) - 1, -1, -1):
+            owners[np.isin(rows, self._found[number], assume_unique=True)] = number
+        return owners
+
+    @property
+    def _found(self) -> list[Int64[np.ndarray, " m"]]:
+        """Rows of each query, made once for its results."""
+        known = self.__dict__.get("_rows_found")
+        if known is None or known[0] is not self.results:
+            known = self.__dict__["_rows_found"] = self.results, [result.gaussian_ids for result in self.results]
+        return known[1]
+
+    def objects_at(self, rows: Int64[np.ndarray, " m"]) -> Int32[np.ndarray, " m"]:
+        """Return the object of each of some rows, -1 for none."""
+        own = self.scene.field.rows_of(rows)
+        numbers = np.full(len(rows), -1, np.int32)
+        numbers[own >= 0] = objects_of(self.scene.field).thing_of(own[own >= 0])
+        return numbers
+
+    def colors_at(self, rgb: Float32[np.ndarray, "m 3"], rows: Int64[np.ndarray, " m"]) -> Float32[np.ndarray, "m 3"]:
+        """Return the colours of some rows in the present mode, as `Session.colors`. rgb: their own."""
+        if self.mode is Mode.CLASSES and self.segmentation is not None:
+            palette = class_colors(len(self.segmentation.names))
+            return painting.class_painted(rgb, self.segmentation.labels[rows], palette)
+        if self.mode is Mode.OBJECTS and self.has_objects:
+            return painting.object_painted(rgb, self.objects_at(rows), len(objects_of(self.scene.field)))
+        if self.mode is Mode.HEAT and self.results:
+            return heat_colors(self.heat_at(rows))
+        if self.mode is Mode.ANSWER and any(len(found) for found in self._found):
+            accents = [painting.accent(number) for number in range(len(self.results))]
+            dimmed = painting.dimmed(rgb)
+            owners = self.owners_at(rows)
+            return painting.highlighted(rgb, owners, accents) if (owners >= 0).any() else dimmed
+        return rgb
+
+    def seen_with_colors(self, view: View) -> tuple[Seen, Float32[np.ndarray, "m 3"]]:
+        """Return what a camera may see, in the colours of the present mode."""
+        seen = self.scene.seen(view)
+        assert seen.rows is not None
+        return seen, self.colors_at(base_colors(seen.gaussians), seen.rows)
+
+    # --- pointing ---
+
+    @property
+    def hidden(self) -> Bool[np.ndarray, " n"]:
+        """False for each Gaussian: nothing is removed."""
+        return np.broadcast_to(np.False_, len(self.scene.rows))
+
+    def lasso(self, view: View, outline: Float64[np.ndarray, "p 2"]) -> str:
+        seen = self.scene.seen(view)
+        assert seen.rows is not None
+        ids = seen.rows[inside_outline(seen.splats, view, outline, threads=self.scene.threads)]
+        if not len(ids):
+            raise InputError("nothing is seen inside the outline: draw it around something")
+        self.clicked = None
+        return self._answered([results.result_of_ids(self.scene, "outlined", ids)])
+
+    def click(self, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]) -> This | None:
+        if not (np.isfinite(origin).all() and np.isfinite(direction).all() and direction.any()):
+            raise InputError("a click needs a place and a direction")
+        hit = self._hit(self.shown.frame.world(origin), direction / np.linalg.norm(direction))
+        self.clicked, self.chosen = None if hit is None else this_is(self.scene, hit, self.words), None
+        if hit is not None and self.has_objects:
+            self._choose(chosen_at(self.scene, hit.gaussian_ids, hit.weights))
+        return self.clicked
+
+    def _hit(self, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]) -> Hit | None:
+        """Return what a ray meets, read tile after tile until no light reaches the next one."""
+        met = Met(np.empty(0, np.int64), np.empty(0), np.empty(0))
+        for entered, tile in self._along(origin, direction):
+            before = met.depths < entered
+            if np.prod(1 - met.alphas[before]) < ALL_STOPPED:
+                break
+            rows = np.arange(tile.first, tile.first + tile.num_rows)
+            own = met_by_ray(self.tiles.shapes(tile), origin, direction, self.scene.field.rows_of(rows) >= 0)
+            own = own._replace(gaussian_ids=own.gaussian_ids + tile.first)
+            both = Met(*(np.concatenate(pair) for pair in zip(met, own, strict=True)))
+            order = np.lexsort((both.gaussian_ids, both.depths))
+            met = Met(*(column[order] for column in both))
+        return blended(met, origin, direction)
+
+    def _along(
+        self, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]
+    ) -> Iterator[tuple[float, Tile]]:
+        """Yield the tiles whose boxes, widened by what their Gaussians reach, a ray meets: how far it is to each."""
+        start = origin - self.tiles.origin
+        with np.errstate(divide="ignore", invalid="ignore"):
+            ends = [
+                np.sort([(tile.low - REACH * tile.largest - start) / direction,
+                         (tile.high + REACH * tile.largest - start) / direction], axis=0)
+                for tile in self.tiles.tiles
+            ]  # fmt: skip
+        entered = np.nanmax(np.array([end[0] for end in ends]), axis=1)
+        left = np.nanmin(np.array([end[1] for end in ends]), axis=1)
+        for number in np.argsort(entered, kind="stable").tolist():
+            if entered[number] <= left[number] and left[number] > 0:
+                yield float(entered[number]), self.tiles.tiles[number]
+
+    # --- what needs the whole ---
+
+    def edit(self, change: Change) -> NoReturn:
+        raise InputError(UNEDITED)
+
+    def edited(self, *, selected_only: bool = False) -> NoReturn:
+        raise InputError(UNEDITED)
+
+    def standing(self, ids: Int64[np.ndarray, " m"]) -> Gaussians:
+        return self.scene.rows.shapes_of(ids)
+
+
+def session_of(scene: Scene, *given: Any, **named: Any) -> Session:
+    """Return a session of a scene, in memory or in tiles; arguments as of `Session`."""
+    return (Session if scene.tiles is None else TiledSession)(scene, *given, **named)
+
+
+def frame_of_tiles(tiles: Tiles) -> Frame:
+    """Return a frame in the middle of all tiles in which a middling tile has the size that a room has."""
+    low, high = (np.array([getattr(tile, end) for tile in tiles.tiles]) for end in ("low", "high"))
+    sizes = np.array([tile.num_rows for tile in tiles.tiles])
+    middles = (low + high) / 2
+    center = np.average(middles, axis=0, weights=sizes)
+    halves = np.linalg.norm(high - low, axis=1) / 2
+    reach = min(ROOMS * float(np.median(halves)), float((np.linalg.norm(middles - center, axis=1) + halves).max()))
+    return Frame(center + tiles.origin, RADIUS / reach if reach > 0 else 1.0)
