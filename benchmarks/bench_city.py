@@ -3,8 +3,8 @@
     drsplat demo --output-dir demo
     python benchmarks/bench_city.py demo FOLDER [--rooms 4 8 15 30] [--views 20] [--side 80] [--ask "red vase"]
 
---serve asks `drsplat serve` instead, one worker on one thread, and says what each answer took and what all its processes
-hold after it.
+--serve asks `drsplat serve` instead, one worker on one thread, and says what each answer took and what all its
+processes hold after it.
 
 Makes streets of the demo's room as bench_tiles.py does, with their fields and objects, and keeps them in FOLDER, where
 a second run finds them. Each command is a process of its own, looked at every 5 ms: the most that it held of its own
@@ -34,7 +34,6 @@ from drsplat.field.objects.finding import find_objects
 from drsplat.field.tiles.registering import register_tiles
 from drsplat.formats.colmap_writing import write_colmap
 from drsplat.formats.tiles import read_tiles
-
 
 SERVED: list[tuple[str, dict[str, object] | None]] = [
     ("", None), ("/{}", None), ("/{}/select", {"text": "red vase"}), ("/{}/locate", {"text": "red vase"}),
@@ -115,7 +114,10 @@ def serve(place: Path) -> None:
             data = None if body is None else json.dumps(body).encode()
             urlopen(Request(where, data, {"content-type": "application/json"}), timeout=60).read()
             held = [_held(pid) for pid in family(service.pid)]
-            spent, own, whole = seconds_of(family(service.pid)) - before, *(sum(part) >> 20 for part in zip(*held))
+            spent, own, whole = (
+                seconds_of(family(service.pid)) - before,
+                *(sum(part) >> 20 for part in zip(*held, strict=True)),
+            )
             print(f"|{path} {body or ''}|{spent:.1f}|{own}|{whole}|", flush=True)
     finally:
         service.terminate()
