@@ -11,7 +11,9 @@ import numpy as np
 
 from ..base.arrays import Float64, Shaped
 from ..field.evidence.evidence import Explanation
+from ..formats.georeference import Georeference
 from .answer import Answer, Match, MatchTrack, Segmentation
+from .geography import earth_document
 from .objects import objects_of, photos_of
 from .scene import Scene
 
@@ -29,9 +31,14 @@ def box_document(
     return {"center": rounded(center, decimals), "extent": rounded(extent, decimals), "axes": _short(axes, decimals)}
 
 
-def match_document(match: Match, decimals: int | None = None) -> Document:
-    """Return a match: its box, its score, how many Gaussians it has, and the masks that support it."""
-    return box_document(match.center, match.axes, match.extent, decimals) | {
+def match_document(match: Match, decimals: int | None = None, georeference: Georeference | None = None) -> Document:
+    """Return a match: its box, its score, how many Gaussians it has, and the masks that support it.
+
+    georeference: of its scene, for where on the Earth it is.
+    """
+    return {
+        **box_document(match.center, match.axes, match.extent, decimals),
+        **earth_document(georeference, match.center, match.axes, match.extent),
         "score": _short(match.score, decimals),
         "num_gaussians": len(match),
         "support": support_document(match.support, decimals),
@@ -98,6 +105,7 @@ def object_documents(scene: Scene, listed: Iterable[Match], decimals: int | None
             "label": match.label,
             "name": names[number],
             **box_document(match.center, match.axes, match.extent, decimals),
+            **earth_document(scene.georeference, match.center, match.axes, match.extent),
             "num_gaussians": len(match),
             "mass": float(objects.masses[node]),
             "num_views": int(objects.num_views[node]),

@@ -11,6 +11,7 @@ from ..errors import DrSplatWarning, InputError, MismatchError
 from ..field import LanguageField, load_field
 from ..field.labels import LabelFile
 from ..formats.field_folder import MANIFEST
+from ..formats.georeference import read_georeference
 from ..formats.live_views import ADDED_POSES
 from ..formats.motion import MOTION
 from ..formats.moving_scenes import is_moving, is_sequence, read_scene
@@ -168,6 +169,9 @@ def open_scene(
         threads=threads,
         labels=LabelFile.beside(files.field),
         path=file,
+        georeference=lambda: read_georeference(
+            files.field.parent, files.capture, None if file is None else file.parent
+        ),
     )
 
 

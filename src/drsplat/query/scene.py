@@ -15,6 +15,7 @@ from ..field import LanguageField
 from ..field.forest import Objects
 from ..field.labels import Label, LabelFile, Matched, matched
 from ..field.objects.agreed import agreed
+from ..formats.georeference import Georeference
 from ..formats.tiles import Tiles
 from ..kernels import SplatArrays, splat_arrays
 from ..scene.boxes import BoxKind, up_of
@@ -51,7 +52,7 @@ class Scene:
     themselves, or what makes them when they are first needed; encoder None: the built-in one that the field names.
     threads: of one query, 0 for all cores.
     labels: the file of names that people give to objects, None where there is none to keep them in. path: of the file
-    with the Gaussians, beside which edits and annotations are kept.
+    with the Gaussians, beside which edits and annotations are kept. georeference: reads where on the Earth it lies.
 
     Raises: MismatchError: the field is of another scene.
     """
@@ -67,6 +68,7 @@ class Scene:
         threads: int = 0,
         labels: LabelFile | None = None,
         path: Path | None = None,
+        georeference: Callable[[], Georeference | None] = lambda: None,
     ) -> None:
         self.tiles = gaussians if isinstance(gaussians, Tiles) else None
         self._rows = _rows_of(gaussians)
@@ -75,7 +77,7 @@ class Scene:
         self.label_file, self.path = labels, path
         self.field, self.name, self.threads = field, name, threads
         self.motion = gaussians if isinstance(gaussians, Moving) else None
-        self._views = views
+        self._views, self._georeference = views, georeference
         self.background = Background(field, source_of(field, encoder), threads)
         self.kept: dict[tuple[str, object], Scene] = {}  # of times and spans that were asked for last
 
@@ -111,6 +113,11 @@ class Scene:
     @cached_property
     def views(self) -> tuple[View, ...]:
         return tuple(self._views() if callable(self._views) else self._views)
+
+    @cached_property
+    def georeference(self) -> Georeference | None:
+        """The scene's place on the Earth, None where nobody has told it. Raises: FormatError: its file is damaged."""
+        return self._georeference()
 
     @property
     def encoder(self) -> Encoder:

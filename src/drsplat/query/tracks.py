@@ -158,7 +158,7 @@ def _cached(scene: Scene, key: tuple[str, object], make: Callable[[], Scene]) ->
 def _still(scene: Scene, time: float) -> Scene:
     still = Scene(
         scene.field, scene.moving.at(time), lambda: scene.views, lambda: scene.encoder,
-        name=scene.name, threads=scene.threads, labels=scene.label_file,
+        name=scene.name, threads=scene.threads, labels=scene.label_file, georeference=lambda: scene.georeference,
     )  # fmt: skip
     still.background = scene.background  # what queries are compared with is made once
     return still
@@ -172,7 +172,7 @@ def _spanned(scene: Scene, span: Span) -> Scene:
         field = field.with_objects(objects_during(scene.field, field, threads=scene.threads))
     return Scene(
         field, gaussians, lambda: scene.views, lambda: scene.encoder,
-        name=scene.name, threads=scene.threads, labels=scene.label_file,
+        name=scene.name, threads=scene.threads, labels=scene.label_file, georeference=lambda: scene.georeference,
     )  # fmt: skip
 
 

@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     matches = scene.locate(answer, min_gaussians=arguments.min_gaussians, box=arguments.box)
     report["num_matches"] = len(matches)
     listed = matches[: arguments.top]
-    report["matches"] = [match_document(match) for match in listed]
+    report["matches"] = [match_document(match, georeference=scene.georeference) for match in listed]
     if arguments.tracks:
         for document, track in zip(report["matches"], scene.tracks(listed, arguments.box), strict=True):
             document["track"] = track_document(track)
@@ -96,6 +96,9 @@ def show(answer: dict[str, Any]) -> None:
         if match["support"]:
             photos = dict.fromkeys(mask["view"] for mask in match["support"])
             print(f"match {number} is supported by {', '.join(photos)}")
+        if "position" in match:
+            here = match["position"]
+            print(f"match {number} lies at {here['latitude']:.7f}, {here['longitude']:.7f}, {here['height']:.2f} m")
         if "track" in match:
             print(f"match {number} {_track_text(match['track'])}")
 

@@ -104,7 +104,7 @@ def located(scene: Scene, asked: requests.Locate, limits: Limits) -> models.Loca
     return models.Located(
         query=query.text or "",
         num_matches=len(found),
-        matches=tracked(scene, listed, asked.box) if asked.tracks else matches_of(listed, decimals_of(scene)),
+        matches=tracked(scene, listed, asked.box) if asked.tracks else matches_of(scene, listed),
         advice="" if found else "no match: try other words, or a lower threshold",
         measured=measured(answer),
         field=scene.field.fingerprint,

@@ -11,7 +11,7 @@ from ...errors import InputError
 from ...query.catalogue import Catalogue, Conditions, Entry
 from ...query.schema import Place
 from .limits import Limits
-from .models import Body, Vector, significant
+from .models import Body, EarthPosition, Vector, significant
 from .query_fields import LIMITS, Finite, Request, asking, query_of
 from .replies import JPEG, Reply
 
@@ -43,12 +43,6 @@ class CataloguePicture(Request):
     scene: str
     object_id: int
     tile: int
-
-
-class EarthPosition(Body):
-    longitude: float
-    latitude: float
-    height: float = Field(description="metres above the ellipsoid")
 
 
 class CatalogueMatch(Body):

@@ -207,11 +207,11 @@ class Conversation:
         answer = self.scene.ask(_query_of(text, cut))
         every = self.scene.locate(answer, box=box)
         matches = self._standing_on(on, every, cut)
-        listed, digits = matches[:top], decimals_of(self.scene)
+        listed = matches[:top]
         return Located(
             query=_query(text, on),
             num_matches=len(matches),
-            matches=tracked(self.scene, listed, box, MAX_TRACK_TIMES) if tracks else matches_of(listed, digits),
+            matches=tracked(self.scene, listed, box, MAX_TRACK_TIMES) if tracks else matches_of(self.scene, listed),
             advice=_advice(text, every, matches, on),
             measured=measured(answer),
             field=self._field,
@@ -240,7 +240,7 @@ class Conversation:
             return BestMatch(query=text, best=None, others=0, best_view=None, field=self._field, advice=_absent(text))
         return BestMatch(
             query=text,
-            best=matches_of(found[:1], decimals_of(self.scene))[0],
+            best=matches_of(self.scene, found[:1])[0],
             others=len(found) - 1,
             best_view=self.scene.best_view(found[0].gaussian_ids).name if self.scene.views else None,
             field=self._field,

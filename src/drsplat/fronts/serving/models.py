@@ -5,7 +5,7 @@ Coordinates are world coordinates of the scene, in scene units: metres only wher
 
 import math
 from collections.abc import Sequence
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -134,6 +134,25 @@ class Track(Body):
     views: list[str] = Field(description="these photos")
 
 
+class EarthPosition(Body):
+    longitude: float = Field(description="degrees, WGS 84")
+    latitude: float
+    height: float = Field(description="metres above the ellipsoid")
+
+
+class Footprint(Body):
+    """What a box covers seen from above, as GeoJSON: longitudes, latitudes and heights, anticlockwise and closed."""
+
+    type: Literal["Polygon"]
+    coordinates: list[list[Vector]]
+
+
+POSITION: EarthPosition | None = Field(
+    None, description="of the centre on the Earth, where the scene has a georeference"
+)
+FOOTPRINT: Footprint | None = Field(None, description="of the box on the Earth, where the scene has a georeference")
+
+
 class Match(Body):
     """A place that a query matches, with its oriented box."""
 
@@ -145,6 +164,8 @@ class Match(Body):
     score: float
     num_gaussians: int
     support: list[Support]
+    position: EarthPosition | None = POSITION
+    footprint: Footprint | None = FOOTPRINT
     track: Annotated[Track | None, Field(description="only with 'tracks': true, of a scene that moves")] = None
 
 
@@ -162,6 +183,8 @@ class SceneObject(Body):
     sure: float = Field(description="how far the photos agree on it, from 0 to 1")
     agreed: bool = Field(description="whether photos agree on it, or it has a label; most others are scraps")
     views: list[str] = Field(description="photos, those that show most of it first")
+    position: EarthPosition | None = POSITION
+    footprint: Footprint | None = FOOTPRINT
 
 
 class ObjectList(Body):
@@ -197,8 +220,8 @@ def measured(answer: engine.Answer) -> Measured:
     return Measured(**answer_document(answer) | {"threshold": significant(answer.threshold)})
 
 
-def matches_of(matches: Sequence[engine.Match], decimals: int) -> list[Match]:
-    return [Match(**match_document(match, decimals)) for match in matches]
+def matches_of(scene: engine.Scene, matches: Sequence[engine.Match]) -> list[Match]:
+    return [Match(**match_document(match, decimals_of(scene), scene.georeference)) for match in matches]
 
 
 def tracked(scene: engine.Scene, matches: Sequence[engine.Match], box: BoxKind, most: int | None = None) -> list[Match]:
@@ -208,7 +231,8 @@ def tracked(scene: engine.Scene, matches: Sequence[engine.Match], box: BoxKind, 
     """
     digits = decimals_of(scene)
     tracks = (track_document(track, digits, most) for track in scene.tracks(matches, box))
-    return [Match(**match_document(one, digits) | {"track": track}) for one, track in zip(matches, tracks, strict=True)]
+    documents = (match_document(one, digits, scene.georeference) for one in matches)
+    return [Match(**one | {"track": track}) for one, track in zip(documents, tracks, strict=True)]
 
 
 def when_told(
