@@ -3,6 +3,7 @@
 import json
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from unittest.mock import patch
@@ -172,6 +173,15 @@ def test_pictures_are_the_same(both: tuple[Scene, Scene]) -> None:
     assert tiled.best_view(match.gaussian_ids).name == whole.best_view(match.gaussian_ids).name
     assert_array_equal(object_picture(tiled, match), object_picture(whole, match))
     assert_array_equal(attribute_row(tiled, match, ["red"]), attribute_row(whole, match, ["red"]))
+
+
+def test_without_evidence_a_near_view_that_shows_it_is_taken(both: tuple[Scene, Scene]) -> None:
+    tiled, whole = both
+    bare = Scene(replace(tiled.field, evidence=None, objects=None, growth=None), tiled.tiles, tiled.views)
+    away = [look_at_view((x, -30.0, 0.0), (x, -60.0, 0.0), width=60, height=40) for x in range(9)]
+    bare.views = (*away, *whole.views)  # type: ignore[misc]
+    shown = [view.name for view in whole.views]
+    assert bare.best_view(whole.locate("red mug")[0].gaussian_ids).name in shown
 
 
 def test_a_picture_of_a_part_reads_only_tiles_in_sight(both: tuple[Scene, Scene]) -> None:

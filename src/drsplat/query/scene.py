@@ -461,7 +461,8 @@ class Scene:
 
         if self.tiles is None:
             return best_views(self.motion or self.gaussians, among or self.views, selections, threads=self.threads)
-        return [self._best_in_tiles(ids, among or views_showing(self.field, self.views, ids)) for ids in selections]
+        field, rows, views = self.field, self.rows, self.views
+        return [self._best_in_tiles(ids, among or views_showing(field, rows, views, ids)) for ids in selections]
 
     def _best_in_tiles(self, ids: Integer[np.ndarray, " m"], views: Sequence[View]) -> View:
         from .seen import areas_in_tiles

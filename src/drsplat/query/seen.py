@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Int64, Integer
+from ..base.arrays import Float64, Int64, Integer
 from ..errors import DrSplatWarning
 from ..field import LanguageField
 from ..field.tiles.seeing import seen_tiles
@@ -14,9 +14,11 @@ from ..formats.tiles import Tile, Tiles
 from ..kernels import SplatArrays, splat_arrays_at_origin
 from ..kernels.splatting import on_device_in_use
 from ..scene.gaussians import Gaussians, filled
+from ..scene.parted import AnyGaussians
 from ..scene.significance import most_significant
 from ..scene.views import View
 
+SAMPLED = 1000  # Gaussians whose mean is a place
 MOST_COMPARED = 6  # views, to find the one that shows most of something
 MOST_SEEN = 3_000_000  # Gaussians of tiles in one picture: 0.9 GB with harmonics of degree 3
 
@@ -107,16 +109,33 @@ def areas_in_tiles(seen: Seen, view: View, ids: Integer[np.ndarray, " m"], threa
     return float(shown_areas(seen.splats, view, [seen.local(ids)], threads=threads)[0])
 
 
-def views_showing(field: LanguageField, views: Sequence[View], ids: Integer[np.ndarray, " m"]) -> list[View]:
-    """Return a few views whose masks have the largest weights in some Gaussians; the first ones without evidence."""
-    rows = field.rows_of(ids)
-    if field.evidence is None or not (rows >= 0).any():
-        return list(views[:MOST_COMPARED])
+def views_showing(
+    field: LanguageField, rows: AnyGaussians, views: Sequence[View], ids: Integer[np.ndarray, " m"]
+) -> list[View]:
+    """Return a few views whose masks have the largest weights in some Gaussians; without evidence, near ones.
+
+    rows: the scene's.
+    """
+    own = field.rows_of(ids)
+    if field.evidence is None or not (own >= 0).any():
+        return _near_views(views, rows.shapes_of(ids[:: len(ids) // SAMPLED + 1]).positions.mean(axis=0))
     masks = field.evidence.masks
-    weights = field.evidence.column_sums(np.unique(rows[rows >= 0]))
+    weights = field.evidence.column_sums(np.unique(own[own >= 0]))
     shown = np.bincount(masks.views, weights, minlength=len(masks.view_names))
     names = {masks.view_names[view] for view in np.argsort(-shown, kind="stable")[:MOST_COMPARED] if shown[view] > 0}
     return [view for view in views if view.name in names] or list(views[:MOST_COMPARED])
+
+
+def _near_views(views: Sequence[View], place: Float64[np.ndarray, " 3"]) -> list[View]:
+    """Return the views that are nearest to a place, of those that have it in their picture if there are any."""
+    poses, K = np.array([view.cam_from_world for view in views]), np.array([view.K for view in views])
+    local = poses[:, :3, :3] @ place + poses[:, :3, 3]
+    depth = np.maximum(local[:, 2], 1e-9)
+    x, y = (K[:, k, k] * local[:, k] / depth + K[:, k, 2] for k in range(2))
+    wide, high = np.array([(view.width, view.height) for view in views]).T
+    inside = (local[:, 2] > 0) & (x >= 0) & (x <= wide) & (y >= 0) & (y <= high)
+    order = np.lexsort((np.linalg.norm(local, axis=1), ~inside))
+    return [views[number] for number in order[:MOST_COMPARED].tolist()]
 
 
 _NOTHING = Gaussians(
