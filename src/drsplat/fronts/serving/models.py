@@ -141,7 +141,7 @@ class EarthPosition(Body):
 
 
 class Footprint(Body):
-    """What a box covers seen from above, as GeoJSON: longitudes, latitudes and heights, anticlockwise and closed."""
+    """Outline of a box seen from above, as GeoJSON: longitudes, latitudes and heights, anticlockwise and closed."""
 
     type: Literal["Polygon"]
     coordinates: list[list[Vector]]
