@@ -4,8 +4,8 @@
     python benchmarks/study_city.py FOLDER/street30 PICTURES [--max-gaussians 1000000] [--ask "red vase"]
 
 Opens `drsplat view` in a headless browser and takes pictures: first.png, the first Gaussians; near.png, all that is
-wanted there; far.png, the street from afar; answer.png, the same with an answer; match.png, before its fourth match.
-CPU seconds and memory are the server's.
+wanted there; far.png, the street from afar; answer.png, the same with an answer; match.png, before its fourth match;
+and viewer_city.jpg, the last two beside each other. CPU seconds and memory are the server's.
 """
 
 import argparse
@@ -18,11 +18,13 @@ from typing import Any
 
 from bench_city import seconds_of
 from bench_tiles import _held
+from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 from browsing import a_browser, a_page
 
 LONG_MS = 600_000
+GAP, WIDE = 16, 1400  # pixels of the joined picture
 FIRST = "() => window.drsplat && drsplat.splats && drsplat.stage.frames > 0"
 SETTLED = (
     "() => drsplat.isWhole && !drsplat.tiles.running && !drsplat.camera.isFlying && !drsplat.stage.moving"
@@ -49,6 +51,17 @@ def looked_at(page: Any, name: str, watched: Watched, folder: Path) -> None:
     page.wait_for_function(SETTLED, timeout=LONG_MS)
     page.screenshot(path=folder / f"{name}.png")
     watched.say(name, page.evaluate(HERE))
+
+
+def joined(pictures: Path) -> None:
+    """Put the pictures of the document beside each other."""
+    sides = [Image.open(pictures / f"{name}.png").convert("RGB") for name in ("answer", "match")]
+    width, height = sides[0].size
+    both = Image.new("RGB", (2 * width + GAP, height), (255, 255, 255))
+    for number, side in enumerate(sides):
+        both.paste(side, (number * (width + GAP), 0))
+    size = WIDE, round(WIDE * height / both.width)
+    both.resize(size, Image.Resampling.LANCZOS).save(pictures / "viewer_city.jpg", quality=82)
 
 
 def main() -> None:
@@ -88,6 +101,7 @@ def main() -> None:
             looked_at(page, "answer", watched, given.pictures)
             page.evaluate("() => drsplat.flyTo(drsplat.state.results[0].matches[3])")
             looked_at(page, "match", watched, given.pictures)
+        joined(given.pictures)
     finally:
         server.terminate()
         server.wait()

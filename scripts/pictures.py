@@ -37,7 +37,13 @@ def _viewer() -> Made:
     return Made("python benchmarks/study_viewer.py DEMO FOLDER", (*inputs, ROOT / "benchmarks" / "study_viewer.py"))
 
 
+def _city() -> Made:
+    inputs = _viewer().inputs[:-1]
+    return Made("python benchmarks/study_city.py STREET FOLDER", (*inputs, ROOT / "benchmarks" / "study_city.py"))
+
+
 MADE: dict[str, Made] = {
+    "viewer_city.jpg": _city(),
     "viewer.jpg": _viewer(),
     "viewer_objects.jpg": _viewer(),
     "viewer_page.jpg": _viewer(),

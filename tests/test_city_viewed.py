@@ -148,6 +148,16 @@ def test_a_click_meets_what_it_meets_in_the_whole(tiled: TiledSession, whole: Se
             assert_array_equal(tiled.results[0].gaussian_ids, whole.results[0].gaussian_ids)
 
 
+@pytest.mark.parametrize("length", [1e-307, 5e-324, 1e300])
+def test_a_ray_of_any_length_goes_the_same_way(tiled: TiledSession, whole: Session, length: float) -> None:
+    for session in (tiled, whole):
+        origin = session.shown.frame.shown(np.array([-0.7, -4.0, 0.0]))
+        this = [session.click(origin, np.array([0.0, size, 0.0])) for size in (1.0, length)]
+        assert this[0] is not None
+        assert this[1] is not None
+        assert this[0].gaussian_id == this[1].gaussian_id
+
+
 def test_what_is_outlined_is_selected_as_in_the_whole(tiled: TiledSession, whole: Session) -> None:
     view, outline = (
         look_at_view((0.0, -4.0, 1.0), width=96, height=72),

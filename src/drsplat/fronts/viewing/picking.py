@@ -50,7 +50,7 @@ def met_by_ray(
     visible: Bool[np.ndarray, " n"] | None = None,
 ) -> Met:
     """Return the Gaussians that a ray meets, the nearest first."""
-    direction, origin = direction / np.linalg.norm(direction), origin - gaussians.origin
+    direction, origin = unit(direction), origin - gaussians.origin
     near = _near(gaussians, origin, direction)
     near = near if visible is None else near[visible[near]]
     depth, alpha = _met(gaussians.subset(near), origin, direction)
@@ -65,8 +65,14 @@ def blended(met: Met, origin: Float64[np.ndarray, " 3"], direction: Float64[np.n
         return None
     weights = met.alphas * np.concatenate([[1.0], np.cumprod(1 - met.alphas)[:-1]])
     ranked = np.argsort(-weights, kind="stable")
-    point = origin + met.depths[ranked[0]] * direction / np.linalg.norm(direction)
+    point = origin + met.depths[ranked[0]] * unit(direction)
     return Hit(met.gaussian_ids[ranked], weights[ranked], point)
+
+
+def unit(direction: Float64[np.ndarray, " 3"]) -> Float64[np.ndarray, " 3"]:
+    """Return a direction of length 1, also of one so short or long that its square is none."""
+    scaled = direction / np.abs(direction).max()
+    return np.asarray(scaled / np.linalg.norm(scaled))
 
 
 def _near(

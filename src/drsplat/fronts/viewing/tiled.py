@@ -26,7 +26,7 @@ from ...scene.views import View
 from . import painting, results
 from .lasso import inside_outline
 from .naming import This, this_is
-from .picking import REACH, Hit, Met, blended, met_by_ray
+from .picking import REACH, Hit, Met, blended, met_by_ray, unit
 from .session import Mode, Session
 from .shown import RADIUS, Frame, Shown, base_colors
 
@@ -226,7 +226,7 @@ class TiledSession(Session):
     def click(self, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]) -> This | None:
         if not (np.isfinite(origin).all() and np.isfinite(direction).all() and direction.any()):
             raise InputError("a click needs a place and a direction")
-        hit = self._hit(self.shown.frame.world(origin), direction / np.linalg.norm(direction))
+        hit = self._hit(self.shown.frame.world(origin), unit(direction))
         self.clicked, self.chosen = None if hit is None else this_is(self.scene, hit, self.words), None
         if hit is not None and self.has_objects:
             self._choose(chosen_at(self.scene, hit.gaussian_ids, hit.weights))
