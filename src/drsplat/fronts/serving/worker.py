@@ -103,6 +103,8 @@ def _answered(opened: Scene, name: str, act: str, asked: dict[str, Any], limits:
     try:
         return answered(opened, act, asked, limits)
     except FormatError as error:
+        if opened.tiles is None or not str(error).startswith(str(opened.tiles.path.parent)):
+            raise
         raise SceneFaultError(f"scene {name!r} cannot be read: {error}") from error
 
 
