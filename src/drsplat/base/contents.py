@@ -62,7 +62,7 @@ def scratch(shape: tuple[int, ...], dtype: type[np.generic]) -> np.ndarray:
 
     Raises: OSError: there is no room for it.
     """
-    if math.prod(shape) * np.dtype(dtype).itemsize <= SMALL:
+    if math.prod(shape) * np.dtype(dtype).itemsize <= MAX_READ_BYTES:
         return np.empty(shape, dtype)
     with tempfile.TemporaryFile(prefix="drsplat-") as file:
         return np.memmap(file, dtype, "w+", shape=shape)

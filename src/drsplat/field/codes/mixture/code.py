@@ -88,9 +88,9 @@ class MixtureCode:
 
     def run(self, begin: int, end: int) -> "MixtureCode":
         """See Code."""
-        check_run(begin, ROWS_OF_A_BLOCK)
+        check_run(begin, ROWS_PER_BLOCK)
         ids, weights, scales = self.blocks
-        blocks = slice(begin // ROWS_OF_A_BLOCK, -(-end // ROWS_OF_A_BLOCK))
+        blocks = slice(begin // ROWS_PER_BLOCK, -(-end // ROWS_PER_BLOCK))
         return MixtureCode(Blocks(ids[blocks], weights[blocks], scales[begin:end]), self.atoms)
 
     def scores(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Float32[np.ndarray, "q n"]:
