@@ -14,6 +14,7 @@ pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed
 from cities import write_city
 from drsplat.formats.tiles import Tiles
 from drsplat.fronts.serving.answers import ANSWERS
+from drsplat.fronts.serving.live import Adder
 from drsplat.fronts.serving.replies import Reply
 from drsplat.fronts.serving.scene_folder import SceneFolder
 from drsplat.fronts.serving.worker import Workplace, reply_to
@@ -58,7 +59,8 @@ def nothing_reads_all() -> Iterator[None]:
 
 
 def asked(scenes: SceneFolder, name: str, act: str, given: dict[str, Any]) -> Reply:
-    return reply_to(scenes, Workplace(str(scenes.folder)), act=act, scene=name, asked=given)
+    place = Workplace(str(scenes.folder))
+    return reply_to(scenes, place, act=act, scene=name, asked=given, adder=Adder(scenes))
 
 
 def both(folder: Path, act: str, given: dict[str, Any]) -> list[Reply]:
