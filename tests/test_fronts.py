@@ -26,6 +26,7 @@ from drsplat.fronts.viewing.session import Session
 
 pytest.importorskip("fastapi")
 from drsplat.fronts.serving.conversation import Conversation
+from drsplat.fronts.serving.live import Adder
 from drsplat.fronts.serving.scene_folder import SceneFolder
 from drsplat.fronts.serving.worker import Workplace, reply_to
 
@@ -176,7 +177,7 @@ def over_http(scene_folder: SceneFolder, act: str, body: dict[str, Any]) -> tupl
     """As a worker answers it."""
     (name,) = scene_folder.folders()
     sent = json.loads(json.dumps(body))
-    reply = reply_to(scene_folder, Workplace(str(scene_folder.folder)), act, name, sent)
+    reply = reply_to(scene_folder, Workplace(str(scene_folder.folder)), act, name, sent, Adder(scene_folder))
     return reply.status, json.loads(reply.body)
 
 

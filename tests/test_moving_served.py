@@ -12,6 +12,7 @@ from drsplat.cli import main
 from moving_scenes import write_film
 
 pytest.importorskip("fastapi")
+from drsplat.fronts.serving.live import Adder
 from drsplat.fronts.serving.scene_folder import SceneFolder
 from drsplat.fronts.serving.worker import Workplace, reply_to
 
@@ -36,7 +37,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def asked(folder: Path, act: str, what: dict[str, Any], status: int = 200) -> dict[str, Any]:
-    reply = reply_to(SceneFolder(folder), Workplace(str(folder)), act, "film", what)
+    scenes = SceneFolder(folder)
+    reply = reply_to(scenes, Workplace(str(folder)), act, "film", what, Adder(scenes))
     assert reply.status == status, reply.body
     body: dict[str, Any] = json.loads(reply.body)
     return body

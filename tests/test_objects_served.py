@@ -24,6 +24,7 @@ pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed
 from drsplat.fronts.serving.conversation import Conversation
 from drsplat.fronts.serving.files import exported
 from drsplat.fronts.serving.limits import Limits
+from drsplat.fronts.serving.live import Adder
 from drsplat.fronts.serving.replies import Reply
 from drsplat.fronts.serving.requests import Export
 from drsplat.fronts.serving.scene_folder import SceneFolder
@@ -54,7 +55,7 @@ def reply(
     """As a worker answers."""
     scene_folder = scene_folder or SceneFolder(folder)
     (name,) = scene_folder.folders()
-    return reply_to(scene_folder, Workplace(str(folder)), act, name, asked or {})
+    return reply_to(scene_folder, Workplace(str(folder)), act, name, asked or {}, Adder(scene_folder))
 
 
 def talk_of(folder: Path) -> Conversation:
