@@ -39,6 +39,7 @@ from drsplat.evaluation import metrics
 from drsplat.field.codes.code import Code
 from drsplat.field.evidence.evidence import Evidence, evidence_from_tensors
 from drsplat.field.forest import THING
+from drsplat.field.objects.borders import some_views
 from drsplat.field.objects.choosing import Tree, _owners, choose
 from drsplat.field.objects.finding import SMALLEST, grow, of_pieces
 from drsplat.formats.tensors import read_tensors, write_tensors
@@ -138,7 +139,7 @@ def pieces(room: Room) -> np.ndarray:
 
 
 def ours(room: Room) -> np.ndarray:
-    return _things(of_pieces(_chosen(room), room.gaussians, room.ids.astype(np.uint32), room.views))
+    return _things(of_pieces(_chosen(room), room.gaussians, room.ids.astype(np.uint32), some_views(room.views)))
 
 
 def _chosen(room: Room) -> Tree:

@@ -15,7 +15,7 @@ from drsplat.field.evidence.changing import without_views
 from drsplat.field.evidence.evidence import Evidence, MaskIds
 from drsplat.field.forest import GROUP, PART, THING
 from drsplat.field.objects.choosing import best_nodes, choose
-from drsplat.field.objects.finding import find_objects, of_few_views
+from drsplat.field.objects.finding import divided, find_objects, views_beyond
 from drsplat.formats.gaussian_ply import vertex_columns
 from drsplat.formats.ply import write_vertices
 from drsplat.kernels import Forest
@@ -144,17 +144,16 @@ def test_of_more_weights_those_of_some_views_are_looked_at(monkeypatch: pytest.M
     scene, field = registered(7, owner, points, 3)
     assert field.evidence is not None
     whole = field.evidence
-    assert of_few_views(whole, whole.weights.nnz) is whole
-    few = of_few_views(whole, int(2.5 * len(points)))
-    gone = ~np.isin(whole.masks.view_names, few.masks.view_names)
-    rest = without_views(whole, gone)
+    assert not views_beyond(whole, whole.weights.nnz).any()
+    gone = views_beyond(whole, int(2.5 * len(points)))
     assert np.count_nonzero(~gone) == 2
-    assert few.masks.view_names == rest.masks.view_names
-    for name, array in few.tensors().items():
-        np.testing.assert_array_equal(array, rest.tensors()[name])
-    more = of_few_views(without_views(whole, np.arange(7) == np.flatnonzero(gone)[0]), int(2.5 * len(points)))
-    assert more.masks.view_names == few.masks.view_names  # a view that is not drawn changes nothing
-    monkeypatch.setattr("drsplat.field.objects.finding.of_few_views", lambda _: few)
+    names = np.array(whole.masks.view_names)
+    fewer = without_views(whole, np.arange(7) == np.flatnonzero(gone)[0])
+    left = np.array(fewer.masks.view_names)[~views_beyond(fewer, int(2.5 * len(points)))]
+    assert left.tolist() == names[~gone].tolist()  # a view that is not drawn changes nothing
+    monkeypatch.setattr("drsplat.field.objects.finding.MOST_WEIGHTS", int(2.5 * len(points)))
+    monkeypatch.setattr("drsplat.field.objects.finding.OF_A_ROW", 0)
+    assert divided(whole, points.astype(np.float32)).kept.tolist() == (~gone)[whole.masks.views].tolist()
     assert find_objects(field, scene).num_views.tolist() == [7, 7, 7]  # described from all
 
 

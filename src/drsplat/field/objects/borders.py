@@ -4,7 +4,7 @@ What is in front of something else ends in a jump of depth; where a surface goes
 of pieces tell whether two of them are one surface of different colours, or one thing before another.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +29,20 @@ NONE = -1
 Labels = Int32[np.ndarray, "h w"]
 
 
+class ViewBorders(NamedTuple):
+    """Pairs of pieces that are side by side in one view, each once, as in `Borders`.
+
+    pieces, areas: those that it shows, and their pixels.
+    """
+
+    pieces: Int64[np.ndarray, " k"]
+    areas: Int64[np.ndarray, " k"]
+    front: Int64[np.ndarray, " p"]
+    back: Int64[np.ndarray, " p"]
+    levels: Int64[np.ndarray, " p"]
+    lengths: Int64[np.ndarray, " p"]
+
+
 class Borders(NamedTuple):
     """Pairs of pieces that are side by side in some photo.
 
@@ -43,25 +57,46 @@ class Borders(NamedTuple):
     areas: Int64[np.ndarray, " n"]
 
 
+def some_views(views: Iterable[View]) -> list[View]:
+    """Return up to MOST_VIEWS views, which a hash of their names draws."""
+    return sorted(views, key=lambda view: (drawn(view.name), view.name))[:MOST_VIEWS]
+
+
 def borders(
-    gaussians: Gaussians, views: Sequence[View], pieces: Int32[np.ndarray, " n"], *, threads: int = 0
+    gaussians: Gaussians, views: Iterable[View], pieces: Int32[np.ndarray, " n"], *, threads: int = 0
 ) -> Borders:
-    """Look at up to MOST_VIEWS views, which a hash of their names draws. pieces: of each Gaussian, -1 for none.
+    """Look at views. pieces: of each Gaussian, -1 for none.
 
     Memory is that of one view, and of the pairs. The same bits at any number of threads.
     """
-    splats, count = splat_arrays(gaussians), int(pieces.max(initial=NONE)) + 1
-    chosen = sorted(views, key=lambda view: (drawn(view.name), view.name))[:MOST_VIEWS]
+    splats = splat_arrays(gaussians)
+    found = (borders_in(splats, view, pieces, threads=threads) for view in views)
+    return of_all_views(found, int(pieces.max(initial=NONE)) + 1)
+
+
+def borders_in(splats: SplatArrays, view: View, pieces: Int32[np.ndarray, " n"], *, threads: int = 0) -> ViewBorders:
+    """Return the borders that a view shows. pieces: of each of the splats, -1 for none."""
+    seen, labels, depth = _seen(splats, view.limited(SIDE), pieces, threads)
+    shown, areas = np.unique(labels[labels >= 0], return_counts=True)
+    pairs, counts = np.empty((2, 0), np.int64), np.empty((0, 2), np.int64)
+    for front, back, jump in _crossings(labels, depth, float(seen.K[0, 0])):
+        within = np.stack([jump < JUMP, np.ones(len(jump), bool)], axis=1)
+        pairs = np.concatenate([pairs, np.stack([front, back]).astype(np.int64)], axis=1)
+        counts = np.concatenate([counts, within.astype(np.int64)])
+    most = int(shown.max(initial=NONE)) + 1
+    keys, counts = _summed(pairs[0] * most + pairs[1], counts)
+    front, back = np.divmod(keys, max(most, 1))
+    return ViewBorders(shown.astype(np.int64), areas, front, back, counts[:, 0], counts[:, 1])
+
+
+def of_all_views(found: Iterable[ViewBorders], count: int) -> Borders:
+    """Return the borders of `count` pieces in some views together; whole numbers, in any order of the views."""
     areas = np.zeros(count, np.int64)
     keys, counts = np.empty(0, np.int64), np.empty((0, 2), np.int64)
-    for view in chosen:
-        seen, labels, depth = _seen(splats, view.limited(SIDE), pieces, threads)
-        areas += np.bincount(labels[labels >= 0], minlength=count)
-        for front, back, jump in _crossings(labels, depth, float(seen.K[0, 0])):
-            within = np.stack([jump < JUMP, np.ones(len(jump), bool)], axis=1)
-            keys = np.concatenate([keys, front.astype(np.int64) * count + back])
-            counts = np.concatenate([counts, within.astype(np.int64)])
-        keys, counts = _summed(keys, counts)
+    for one in found:
+        areas[one.pieces] += one.areas
+        keys = np.concatenate([keys, one.front * count + one.back])
+        keys, counts = _summed(keys, np.concatenate([counts, np.stack([one.levels, one.lengths], axis=1)]))
     front, back = (side.astype(np.int32) for side in np.divmod(keys, max(count, 1)))
     return Borders(front, back, counts[:, 0], counts[:, 1], areas)
 

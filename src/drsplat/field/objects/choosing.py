@@ -25,7 +25,12 @@ class Tree(NamedTuple):
 
 
 def choose(forest: Forest, rows: int, smallest: int) -> Tree:
-    """Choose the hierarchy of parts, things and groups in a forest over `rows` rows.
+    """Choose the hierarchy of parts, things and groups in a forest whose first `rows` nodes are rows."""
+    return choose_among(forest, np.arange(rows), smallest)
+
+
+def choose_among(forest: Forest, node_of: Integer[np.ndarray, " r"], smallest: int) -> Tree:
+    """Choose the hierarchy of parts, things and groups in a forest. node_of: a node of each row, -1 for none.
 
     Things are the disjoint nodes with the largest sum of weight times the root of fit; none merges regions whose
     embeddings are `APART`. Small things on them are things of their own (`_small_things`), what is left of them
@@ -46,7 +51,7 @@ def choose(forest: Forest, rows: int, smallest: int) -> Tree:
     for level, nodes in ((PART, parts), (THING, things | small), (GROUP, groups | crowded)):
         levels[nodes] = level
     kept = levels != NONE
-    return _with_rests(_tree_of(forest, rows, judged[kept], levels[kept].astype(np.uint8)), crowded[kept])
+    return _with_rests(_tree_of(forest, node_of, judged[kept], levels[kept].astype(np.uint8)), crowded[kept])
 
 
 def _small_things(
@@ -103,6 +108,18 @@ def _above(parents: Integer[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) ->
     return np.asarray(np.append(_owners(parents, nodes), NONE)[parents])
 
 
+def pairs_above(parents: Integer[np.ndarray, " t"]) -> tuple[Int64[np.ndarray, " p"], Int64[np.ndarray, " p"]]:
+    """Return all pairs of a node and one that is above it, or itself."""
+    below = above = np.arange(len(parents))
+    lower, upper = [below], [above]
+    while len(below):
+        above = parents[above].astype(np.int64)
+        below, above = below[above >= 0], above[above >= 0]
+        lower.append(below)
+        upper.append(above)
+    return np.concatenate(lower), np.concatenate(upper)
+
+
 def _parts(
     parents: Int64[np.ndarray, " t"], worth: Float64[np.ndarray, " t"], things: Bool[np.ndarray, " t"]
 ) -> Bool[np.ndarray, " t"]:
@@ -135,14 +152,16 @@ def _several_branches(parents: Int64[np.ndarray, " t"], things: Bool[np.ndarray,
     return np.array(branches) > 1
 
 
-def _tree_of(forest: Forest, rows: int, nodes: Int64[np.ndarray, " n"], levels: UInt8[np.ndarray, " n"]) -> Tree:
+def _tree_of(
+    forest: Forest, node_of: Integer[np.ndarray, " r"], nodes: Int64[np.ndarray, " n"], levels: UInt8[np.ndarray, " n"]
+) -> Tree:
     """Return the tree of the chosen nodes alone, in their order."""
     among = np.zeros(len(forest.parents), bool)
     among[nodes] = True
     number = np.append(np.cumsum(among) - 1, NONE)
-    node_of = number[_owners(forest.parents, among)[:rows]]
+    lowest = number[np.append(_owners(forest.parents, among), NONE)[node_of]]
     parents = _within(forest.parents, nodes)
-    return Tree(node_of.astype(np.int32), parents.astype(np.int32), levels, forest.fits[nodes])
+    return Tree(lowest.astype(np.int32), parents.astype(np.int32), levels, forest.fits[nodes])
 
 
 def _with_rests(tree: Tree, crowded: Bool[np.ndarray, " t"]) -> Tree:

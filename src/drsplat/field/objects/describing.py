@@ -17,7 +17,7 @@ from ...scene.gaussians import Gaussians
 from .. import LanguageField
 from ..evidence.evidence import Evidence
 from ..forest import MAX_MASKS_PER_NODE, Objects, check_forest
-from .choosing import Tree
+from .choosing import Tree, pairs_above
 from .descriptors import descriptors
 from .heaviest import heaviest
 
@@ -83,16 +83,8 @@ def _members(node_of: Int32[np.ndarray, " R"], parents: Int32[np.ndarray, " T"])
 
 def _inside(parents: Int32[np.ndarray, " T"]) -> csr_array:
     """Return (T, T): entry (t, s) is 1 where node s is t, or below it."""
-    count = len(parents)
-    below = above = np.arange(count)
-    lower, upper = [below], [above]
-    while len(below):
-        above = parents[above].astype(np.int64)
-        below, above = below[above >= 0], above[above >= 0]
-        lower.append(below)
-        upper.append(above)
-    rows, columns = np.concatenate(upper), np.concatenate(lower)
-    return csr_array((np.ones(len(rows)), (rows, columns)), shape=(count, count))
+    columns, rows = pairs_above(parents)
+    return csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(parents),) * 2)
 
 
 def _weights(evidence: Evidence, inside: csr_array, node_of: Int32[np.ndarray, " R"]) -> csr_array:

@@ -5,33 +5,38 @@ their masks agree; of the regions that come about, things are those that single 
 """
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Float32, Int32, UInt32
+from ...base.arrays import Bool, Float32, Int32, UInt32
+from ...base.contents import release
 from ...errors import InputError
 from ...kernels import Forest, MergeRule, agglomerate
 from ...scene.gaussians import Gaussians
 from ...scene.views import View
 from .. import LanguageField
-from ..evidence.aggregation.entries import column_counts, of_columns
-from ..evidence.changing import without_views
+from ..evidence.aggregation.entries import column_counts
 from ..evidence.evidence import Evidence
 from ..forest import THING, Objects
 from ..learning import drawn
-from .borders import borders
-from .choosing import NONE, Tree, _owners, choose
+from .borders import Borders, borders, some_views
+from .by_blocks import Division, Totals, Work, at_once
+from .choosing import NONE, Tree, _owners, choose, choose_among
 from .describing import describe
 from .joining import join, with_joined
 from .neighbours import along_a_curve, neighbours
+from .uniting import united
 
 THRESHOLDS = tuple(k / 100 for k in range(95, 10, -5))
 SOFT = 0.55  # of what a photo shows of a Gaussian in the mean
 SIGHT = 1.2e-4  # of the weight of a photo
 SMALLEST = 30  # Gaussians
 DIRECTIONS = 32  # of embeddings that are looked at
-MOST_WEIGHTS = 32_000_000  # that are held at once, in some 66 bytes each
+MOST_WEIGHTS = 32_000_000  # that are held at once, in some 66 bytes each: of more there are blocks
+OF_A_ROW = 64  # weights in the mean, of scenes in blocks: of more those of some views are looked at
+MASKS_AT_ONCE = 1 << 16
 
 
 def find_objects(
@@ -40,8 +45,8 @@ def find_objects(
     """Find the things of a scene, with their parts and groups, in the evidence that its field keeps.
 
     views: whose cameras tell which pieces are one thing (`joining`); None: those that the field keeps. No encoder is
-    needed. Time and memory are linear in the weights, of which up to MOST_WEIGHTS are looked at: of more
-    those of some views, which a hash of their names draws. The same bits at any number of threads.
+    needed. Time is linear in the weights, and memory up to MOST_WEIGHTS; a scene of more is looked at in blocks
+    (`by_blocks`). The same bits at any number of threads.
 
     Raises: InputError: the field keeps no evidence. MismatchError: it is of another scene.
     Source: agglomeration by agreement over views as in Trace3D and SAI3D; see docs/objects.md.
@@ -66,21 +71,75 @@ def find_tree(
         views: whose cameras tell which pieces are one thing; none: pieces stay as they are.
         threads: 0 for all cores; the same bits at any number.
     """
-    forest = grow(of_few_views(evidence), gaussians.means[ids], threads=threads)
-    tree = choose(forest, len(ids), SMALLEST)
-    return of_pieces(tree, gaussians, ids, views, threads=threads) if views else tree
+    found = tree_of(evidence, gaussians.means[ids], threads=threads)
+    return of_pieces(found.tree, gaussians, ids, seen_by(found, views), threads=threads)
+
+
+class Found(NamedTuple):
+    """Parts, things and groups that masks tell of. seeing: of each block the names of the views that see it."""
+
+    tree: Tree
+    seeing: list[set[str]]
+
+
+def seen_by(found: Found, views: Sequence[View]) -> list[View]:
+    """Return the views that are looked at for pieces: some of those that see each block."""
+    chosen = [some_views(view for view in views if view.name in names) for names in found.seeing]
+    return list({view.name: view for some in chosen for view in some}.values()) if chosen else some_views(views)
+
+
+def tree_of(
+    evidence: Evidence, points: Float32[np.ndarray, "r 3"], work: Work | None = None, *, threads: int = 0
+) -> Found:
+    """Find the parts, things and groups that masks tell of; what they are pieces of is not yet known.
+
+    points: centres of the rows' Gaussians. work: who finds the nodes of blocks, of which there are some where the
+    evidence has more than MOST_WEIGHTS; None: this process.
+    """
+    if evidence.weights.nnz <= MOST_WEIGHTS:
+        return Found(choose(grow(evidence, points, threads=threads), len(points), SMALLEST), [])
+    division, names = divided(evidence, points), np.array(evidence.masks.view_names, object)
+    parts = list(at_once(division, threads) if work is None else work(division))
+    found = united(parts, division.masses)
+    seeing = [set(names[part.views]) for part in parts]
+    return Found(choose_among(found.forest, found.node_of, SMALLEST), seeing)
+
+
+def divided(evidence: Evidence, points: Float32[np.ndarray, "r 3"]) -> Division:
+    """Divide a scene into blocks. Of more than OF_A_ROW weights a row those of some views are looked at."""
+    masks = evidence.masks
+    gone = views_beyond(evidence, max(MOST_WEIGHTS, OF_A_ROW * len(evidence)))
+    kept = ~gone[masks.views]
+    totals = Totals.of(evidence, kept)
+    embeddings, unit = _fewer_directions(evidence.embeddings)
+    total = float(f"{totals.masks.sum():.9g}")  # however rows are ordered
+    rule = _rule(total, totals.sights, len(np.unique(masks.views[kept])), unit)
+    return Division(evidence, points, kept, totals, embeddings, THRESHOLDS, rule)
 
 
 def of_pieces(
     tree: Tree, gaussians: Gaussians, ids: UInt32[np.ndarray, " r"], views: Sequence[View], *, threads: int = 0
 ) -> Tree:
     """Return the tree with pieces joined to the things that they are of. ids: the Gaussians of its rows."""
+    if not views:
+        return tree
+    pieces = pieces_of(tree, ids, len(gaussians))
+    return with_pieces_joined(tree, borders(gaussians, views, pieces, threads=threads))
+
+
+def pieces_of(tree: Tree, ids: UInt32[np.ndarray, " r"], count: int) -> Int32[np.ndarray, " n"]:
+    """Return the thing of each of `count` Gaussians, numbered in the order of nodes, -1 for none."""
     (things,) = np.nonzero(tree.levels == THING)
     owners = _owners(tree.parents, tree.levels == THING)
     numbers = np.append(np.where(owners >= 0, np.searchsorted(things, owners), NONE), NONE)
-    pieces = np.full(len(gaussians), NONE, np.int32)
+    pieces = np.full(count, NONE, np.int32)
     pieces[ids] = numbers[tree.node_of]
-    return with_joined(tree, join(borders(gaussians, views, pieces, threads=threads), tree.sure[things]))
+    return pieces
+
+
+def with_pieces_joined(tree: Tree, found: Borders) -> Tree:
+    """Return the tree with what photos show as one joined. found: the borders of its things."""
+    return with_joined(tree, join(found, tree.sure[tree.levels == THING]))
 
 
 def cameras_of(field: LanguageField) -> list[View]:
@@ -90,16 +149,18 @@ def cameras_of(field: LanguageField) -> list[View]:
     return field.growth.provenance.views(field.evidence.masks.view_names)
 
 
-def of_few_views(evidence: Evidence, most: int = MOST_WEIGHTS) -> Evidence:
-    """Return the evidence of as many views as have `most` weights together, or itself if it has no more."""
-    if evidence.weights.nnz <= most:
-        return evidence
-    masks, entries = evidence.masks, column_counts(evidence.weights)
-    counts = np.bincount(masks.views, entries, len(masks.view_names))
-    order = np.array(sorted(range(len(counts)), key=lambda view: drawn(masks.view_names[view])))
-    gone = np.ones(len(counts), np.bool_)
-    gone[order[: max(1, np.searchsorted(np.cumsum(counts[order]), most, side="right"))]] = False
-    return without_views(of_columns(evidence, ~gone[masks.views]), gone)
+def views_beyond(evidence: Evidence, most: int) -> Bool[np.ndarray, " v"]:
+    """Mark the views that are left out where at most so many weights are looked at; a hash of names draws the others.
+
+    One view is always left.
+    """
+    masks = evidence.masks
+    gone = np.zeros(len(masks.view_names), np.bool_)
+    if evidence.weights.nnz > most:
+        counts = np.bincount(masks.views, column_counts(evidence.weights), len(gone))
+        order = np.array(sorted(range(len(counts)), key=lambda view: drawn(masks.view_names[view])))
+        gone[order[max(1, np.searchsorted(np.cumsum(counts[order]), most, side="right")) :]] = True
+    return gone
 
 
 def grow(evidence: Evidence, means: Float32[np.ndarray, "r 3"], *, threads: int = 0) -> Forest:
@@ -108,13 +169,18 @@ def grow(evidence: Evidence, means: Float32[np.ndarray, "r 3"], *, threads: int 
     weights, views, embeddings = _by_view(evidence)
     embeddings, unit = _fewer_directions(embeddings)
     total = float(weights.data.sum(dtype=np.float64))
-    soft, far = SOFT * total / max(_sights(weights, views), 1), SIGHT * total / max(len(np.unique(views)), 1)
-    rule = MergeRule(max(soft, 1e-6), max(far, 1e-6), unit=unit, smallest=SMALLEST)
+    rule = _rule(total, _sights(weights, views), len(np.unique(views)), unit)
     edges = neighbours(means[order], threads)
     forest = agglomerate(csr_array(weights[order]), views, embeddings, edges, THRESHOLDS, rule, threads=threads)
     places = np.arange(len(forest.parents))
     places[order] = np.arange(len(order))
     return Forest(*(values[places] for values in forest))
+
+
+def _rule(total: float, sights: int, views: int, unit: float) -> MergeRule:
+    """Return the rule of a scene. total: weight of all rows; sights: views that see a row, of all rows together."""
+    soft, far = SOFT * total / max(sights, 1), SIGHT * total / max(views, 1)
+    return MergeRule(max(soft, 1e-6), max(far, 1e-6), unit=unit, smallest=SMALLEST)
 
 
 def _by_view(evidence: Evidence) -> tuple[csr_array, np.ndarray, np.ndarray]:
@@ -140,8 +206,18 @@ def _sights(weights: csr_array, views: Int32[np.ndarray, " m"]) -> int:
 
 def _fewer_directions(embeddings: Float32[np.ndarray, "m d"]) -> tuple[Float32[np.ndarray, "m k"], float]:
     """Return the embeddings along the directions in which they spread most, and 1 - the mean cosine of any two."""
-    exact = embeddings.astype(np.float64)
-    unit = max(1 - float(np.square(exact.mean(0)).sum()), 1e-3) if len(exact) else 1.0
-    directions = np.linalg.eigh(exact.T @ exact)[1][:, -DIRECTIONS:]
+    count, dim = embeddings.shape
+    mean, spread = np.zeros(dim), np.zeros((dim, dim))
+    for begin in range(0, count, MASKS_AT_ONCE):
+        exact = embeddings[begin : begin + MASKS_AT_ONCE].astype(np.float64)
+        mean += exact.mean(0) * (len(exact) / count)
+        spread += exact.T @ exact
+        release(embeddings)
+    unit = max(1 - float(np.square(mean).sum()), 1e-3) if count else 1.0
+    directions = np.linalg.eigh(spread)[1][:, -DIRECTIONS:]
     # rounded: sums of other orders, as libraries make them on other machines, then give the same bits
-    return np.round(exact @ directions, 4).astype(np.float32), unit
+    fewer = np.empty((count, directions.shape[1]), np.float32)
+    for begin in range(0, count, MASKS_AT_ONCE):
+        part = slice(begin, begin + MASKS_AT_ONCE)
+        fewer[part] = np.round(embeddings[part].astype(np.float64) @ directions, 4)
+    return fewer, unit

@@ -1,0 +1,235 @@
+"""Nodes of blocks to nodes of the scene: what two blocks see of one region is told by the rows that both look at.
+
+Round by round of the merging, regions of two blocks are one where they share most of these rows; what was one stays
+one. So the nodes of the scene are a forest again, whose rows are those within each block.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
+from ...base.arrays import Bool, Float32, Float64, Int32, Int64, Integer
+from ...kernels import Forest
+from .block_nodes import BlockNodes
+from .choosing import NONE
+
+WHOLE = 0.8  # of a region's rows: a node that has as many, and is not cut, tells how well masks fit it
+SHARED = 0.5  # of the rows of both that both blocks look at: above this each region has one partner at most
+
+
+class Shared(NamedTuple):
+    """Numbers of rows that two blocks look at, by the smallest node of each block that they are in, -1 for none."""
+
+    one: Int64[np.ndarray, " p"]
+    other: Int64[np.ndarray, " p"]
+    counts: Int64[np.ndarray, " p"]
+
+
+class United(NamedTuple):
+    """forest: nodes of the scene, without single rows. node_of: the smallest node of each row, -1 for none."""
+
+    forest: Forest
+    node_of: Int32[np.ndarray, " r"]
+
+
+class Masses(NamedTuple):
+    """rows: the weight of each row of W. masks: of each mask. views: of each mask. far: as of `MergeRule`."""
+
+    rows: Float64[np.ndarray, " r"]
+    masks: Float64[np.ndarray, " m"]
+    views: Int32[np.ndarray, " m"]
+    far: float
+
+
+def united(parts: Sequence[BlockNodes], masses: Masses) -> United:
+    """Return the forest of a scene from those of its blocks.
+
+    Where a region is whole in one of the blocks, that one's fit counts; of what is cut in all of them the fit is that
+    of all its rows. Memory is that of two blocks, of the nodes, and 4 bytes a row.
+    """
+    bases = np.append(0, np.cumsum([len(part.parents) for part in parts]))
+    moved = [
+        np.where(part.parents >= 0, part.parents + base, NONE) for part, base in zip(parts, bases[:-1], strict=True)
+    ]
+    classes = _Classes(np.concatenate(moved), _together(parts, "ranks"), list(_all_shared(parts, bases)))
+    parents, members, number = classes.grown()
+    node_of = np.full(len(masses.rows), NONE, np.int32)
+    for part, base in zip(parts, bases[:-1], strict=True):
+        own = part.inside & (part.lowest >= 0)
+        node_of[part.rows[own]] = number[part.lowest[own] + base]
+    sizes, weights = _sums(parents, node_of, masses.rows)
+    fits, spreads = _judged(parts, members, sizes, masses)
+    none = np.zeros(len(parents), np.float32)
+    forest = Forest(parents, none, sizes.astype(np.int32), weights.astype(np.float32), fits, spreads)
+    return United(forest, node_of)
+
+
+def _all_shared(parts: Sequence[BlockNodes], bases: Int64[np.ndarray, " b1"]) -> Iterator[Shared]:
+    """Yield what each two blocks share, if anything."""
+    ends = [(part.rows[0], part.rows[-1]) if len(part.rows) else (0, NONE) for part in parts]
+    for i, one in enumerate(parts):
+        for j in range(i + 1, len(parts)):
+            if ends[i][0] <= ends[j][1] and ends[j][0] <= ends[i][1]:
+                shared = _shared(one, parts[j], int(bases[i]), int(bases[j]))
+                if len(shared.counts):
+                    yield shared
+
+
+def _shared(one: BlockNodes, other: BlockNodes, first: int, second: int) -> Shared:
+    _, at, there = np.intersect1d(one.rows, other.rows, assume_unique=True, return_indices=True)
+    sure = one.sure[at] & other.sure[there]
+    nodes = np.stack([one.lowest[at[sure]], other.lowest[there[sure]]], axis=1).astype(np.int64)
+    pairs, counts = np.unique(nodes[(nodes >= 0).any(axis=1)], axis=0, return_counts=True)
+    a, b = (np.where(pairs[:, k] >= 0, pairs[:, k] + base, NONE) for k, base in enumerate((first, second)))
+    return Shared(a, b, counts)
+
+
+class _Classes:
+    """Regions of the scene, each a class of nodes of blocks, round by round."""
+
+    def __init__(
+        self, parents: Integer[np.ndarray, " t"], ranks: Integer[np.ndarray, " t"], shared: list[Shared]
+    ) -> None:
+        self.parents, self.ranks, self.shared = parents, ranks, shared
+
+    def grown(self) -> tuple[Int32[np.ndarray, " u"], tuple[np.ndarray, np.ndarray], Int32[np.ndarray, " t"]]:
+        """Return the parents of all classes, pairs (class, node of it), and the class that each node begins in."""
+        count = len(self.parents)
+        of, begins = np.full(count, NONE), np.full(count, NONE)  # the class of each node that is on top, now and first
+        pairs, total = [np.empty((2, 0), np.int64)], 0
+        up: dict[int, int] = {}
+        before = np.empty(0, np.int64)
+        for rank in np.unique(self.ranks):
+            born = self.ranks <= rank
+            top = np.append(np.where(born, _tops(self.parents, born), NONE), NONE)
+            (now,) = np.nonzero(born & (top[:-1] == np.arange(count)))
+            labels = self._labels(top, before, of)
+            old = np.unique(np.stack([labels[top[before]], of[before]]), axis=1)  # classes of the round before
+            held = np.bincount(old[0], minlength=count)
+            fresh = np.zeros(count, bool)
+            fresh[labels[now[self.ranks[now] == rank]]] = True
+            changed = fresh | (held > 1)
+            numbers = np.full(count, NONE)
+            numbers[old[0]] = old[1]
+            (new,) = np.nonzero(changed & (np.bincount(labels[now], minlength=count) > 0))
+            numbers[new] = total + np.arange(len(new))
+            total += len(new)
+            joined = changed[old[0]]
+            up.update(zip(old[1][joined].tolist(), numbers[old[0][joined]].tolist(), strict=True))
+            of[now] = numbers[labels[now]]
+            pairs.append(np.stack([of[now], now])[:, changed[labels[now]]])
+            first = now[self.ranks[now] == rank]
+            begins[first] = of[first]
+            before = now
+        whole = np.full(total, NONE, np.int32)
+        whole[list(up)] = list(up.values())
+        together = np.concatenate(pairs, axis=1)
+        return whole, (together[0], together[1]), begins.astype(np.int32)
+
+    def _labels(
+        self, top: Int64[np.ndarray, " t1"], before: Int64[np.ndarray, " k"], of: Int64[np.ndarray, " t"]
+    ) -> Int32[np.ndarray, " t"]:
+        """Return a number for each node; nodes on top that are one region now have the same."""
+        order = before[np.argsort(of[before], kind="stable")]
+        same = of[order][1:] == of[order][:-1]
+        edges = [np.stack([top[order[:-1][same]], top[order[1:][same]]])]
+        edges += [_matches(top[shared.one], top[shared.other], shared.counts) for shared in self.shared]
+        one, other = np.concatenate(edges, axis=1)
+        count = len(self.parents)
+        graph = csr_array((np.ones(len(one), bool), (one, other)), shape=(count, count))
+        return np.asarray(connected_components(graph, directed=False)[1])
+
+
+def _tops(parents: Integer[np.ndarray, " t"], born: Bool[np.ndarray, " t"]) -> Int64[np.ndarray, " t"]:
+    """Return the highest node above each, or itself, among those that are born; parents are born after children."""
+    up = np.where((parents >= 0) & born[parents], parents, np.arange(len(parents)))
+    while (up != (further := up[up])).any():
+        up = further
+    return up
+
+
+def _matches(
+    one: Int64[np.ndarray, " p"], other: Int64[np.ndarray, " p"], counts: Int64[np.ndarray, " p"]
+) -> Int64[np.ndarray, "2 q"]:
+    """Return the pairs of regions of two blocks that share more than half of the rows of both."""
+    sizes = []
+    for side in (one, other):
+        _, at = np.unique(side, return_inverse=True)
+        sizes.append(np.bincount(at, counts)[at])
+    pairs, first, at = np.unique(np.stack([one, other]), axis=1, return_index=True, return_inverse=True)
+    both = np.bincount(at.ravel(), counts, minlength=pairs.shape[1])
+    alike = both > SHARED * (sizes[0][first] + sizes[1][first] - both)
+    return np.asarray(pairs[:, alike & (pairs >= 0).all(axis=0)])
+
+
+def _judged(
+    parts: Sequence[BlockNodes], members: tuple[np.ndarray, np.ndarray], sizes: Int64[np.ndarray, " u"], masses: Masses
+) -> tuple[Float32[np.ndarray, " u"], Float32[np.ndarray, " u"]]:
+    """Return fits and spreads of all classes. members: pairs (class, node); sizes: rows of each class."""
+    of, nodes = members
+    cut, fits, spreads = (_together(parts, name) for name in ("cut", "fits", "spreads"))
+    rows = np.concatenate([_sums(part.parents, part.lowest, np.empty(0))[0] for part in parts])[nodes]
+    judged, spread = np.zeros(len(sizes), np.float32), np.zeros(len(sizes), np.float32)
+    np.maximum.at(spread, of, spreads[nodes])
+    order = np.lexsort((-nodes, rows, ~cut[nodes]))  # the last one of a class is the largest that is whole, if any is
+    best = np.full(len(sizes), NONE)
+    best[of[order]] = order
+    judged[of[order]] = fits[nodes[order]]
+    partly = cut[nodes[best]] | (rows[best] < WHOLE * sizes)
+    pieces = partly[of] & cut[nodes]
+    number = np.cumsum(partly) - 1
+    place = number[of[pieces]], (np.cumsum(cut) - 1)[nodes[pieces]]
+    pick = csr_array((np.ones(len(place[0]), np.float32), place), shape=(int(partly.sum()), int(cut.sum())))
+    found = fits_of(csr_array(pick @ _cut_sums(parts, len(masses.masks))), masses)
+    some = np.bincount(place[0], minlength=len(found)) > 0
+    judged[np.flatnonzero(partly)[some]] = found[some]
+    return judged, spread
+
+
+def _together(parts: Sequence[BlockNodes], name: str) -> np.ndarray:
+    return np.concatenate([getattr(part, name) for part in parts])
+
+
+def _cut_sums(parts: Sequence[BlockNodes], masks: int) -> csr_array:
+    starts = np.concatenate([[0], *(np.diff(part.indptr) for part in parts)])
+    indices, data = _together(parts, "indices"), _together(parts, "data")
+    return csr_array((data, indices, np.cumsum(starts)), shape=(len(starts) - 1, masks))
+
+
+def fits_of(weights: csr_array, masses: Masses) -> Float64[np.ndarray, " t"]:
+    """Return how well masks fit regions: the mean over views of the IoU with the best mask there.
+
+    weights: of each region in each mask. Twin: host/regions.cpp, `fit`.
+    """
+    weights.sort_indices()
+    rows = np.repeat(np.arange(weights.shape[0]), np.diff(weights.indptr))
+    order = np.lexsort((masses.views[weights.indices], rows))
+    rows, columns, data = rows[order], weights.indices[order], weights.data[order].astype(np.float64)
+    if not len(rows):
+        return np.zeros(weights.shape[0])
+    seen = rows * (int(masses.views.max()) + 1) + masses.views[columns]
+    starts = np.flatnonzero(np.append(True, seen[1:] != seen[:-1]))
+    shown = np.add.reduceat(data, starts)
+    either = np.repeat(shown, np.diff(np.append(starts, len(seen)))) + masses.masks[columns] - data
+    best = np.maximum.reduceat(data / either, starts)
+    share = shown / (shown + masses.far)
+    whole = np.bincount(rows[starts], share, weights.shape[0])
+    fits = np.bincount(rows[starts], best * share, weights.shape[0])
+    return np.minimum(1, np.divide(fits, whole, out=np.zeros(len(whole)), where=whole > 0))
+
+
+def _sums(
+    parents: Int32[np.ndarray, " t"], node_of: Int32[np.ndarray, " r"], weights: Float64[np.ndarray, " w"]
+) -> tuple[Int64[np.ndarray, " t"], Float64[np.ndarray, " t"]]:
+    """Return how many rows each node has, and their weight; no weights: 0."""
+    held = node_of >= 0
+    sizes = np.bincount(node_of[held], minlength=len(parents))
+    sums = np.bincount(node_of[held], weights[held], len(parents)) if len(weights) else np.zeros(len(parents))
+    for node, parent in enumerate(parents.tolist()):
+        if parent >= 0:
+            sizes[parent] += sizes[node]
+            sums[parent] += sums[node]
+    return sizes, sums
