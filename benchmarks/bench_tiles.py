@@ -36,13 +36,13 @@ import numpy as np
 import drsplat as ds
 from drsplat.field.codes import Smaller
 from drsplat.field.learning import learn
-from drsplat.field.objects.finding import find_objects
 from drsplat.field.tiles.cutting import cut
-from drsplat.field.tiles.launching import Processes
+from drsplat.field.tiles.finding import find_objects
+from drsplat.field.tiles.launching import OneProcess, Processes
 from drsplat.field.tiles.registering import register_tiles
 from drsplat.field.tiles.seeing import seen_tiles
 from drsplat.formats.sources import Block, sources_of
-from drsplat.formats.tiles import Tiles
+from drsplat.formats.tiles import Tiles, read_tiles
 from drsplat.scene.masks.features import ViewFeatures
 from drsplat.scene.similarity import Similarity
 
@@ -225,7 +225,9 @@ def measured(given: argparse.Namespace, room: ds.Gaussians, views: list[ds.View]
     held = f"{memory.own / 2**30:.2f}", f"{memory.whole / 2**30:.2f}"
     if given.objects:
         with ProcessPoolExecutor(1, get_context("spawn")) as fresh:  # as `drsplat objects` is a command of its own
-            print(fresh.submit(objects_of, place / "street.field", tiles.path).result(), flush=True)
+            print(
+                fresh.submit(objects_of, place / "street.field", tiles.path, parts, given.workers).result(), flush=True
+            )
     same = ""
     if given.check:
         whole = ds.register(tiles.gaussians(), walked, features).to_field(Smaller())
@@ -242,15 +244,16 @@ def measured(given: argparse.Namespace, room: ds.Gaussians, views: list[ds.View]
     return Street(numbers, kinds, learning.seconds, rest, read + 2 * written)
 
 
-def objects_of(path: Path, tiles: Path) -> str:
-    """What finding the objects of the whole takes."""
-    memory, start = Memory(), time.process_time()
-    field = ds.load_field(path)
-    found = find_objects(field, ds.read_gaussians(tiles))
-    spent, own, whole = time.process_time() - start, memory.own / 2**30, memory.whole / 2**30
+def objects_of(path: Path, tiles: Path, parts: Path, workers: int) -> str:
+    """What finding the objects takes."""
+    memory, start = Memory(), cpu()
+    field, launcher = ds.load_field(path), Processes(workers) if workers > 1 else OneProcess()
+    found = find_objects(field, read_tiles(tiles), parts=str(parts), launcher=launcher, threads=2 // workers)
+    spent, own, whole = cpu() - start, memory.own / 2**30, memory.whole / 2**30
+    weights = field.evidence.weights.nnz if field.evidence else 0
     return (
-        f"{len(found)} objects of {len(field):,} Gaussians: {spent:.0f} s of processor, {own:.2f} GiB own, "
-        f"{whole:.2f} with maps"
+        f"{len(found)} objects of {len(field):,} Gaussians with {weights:,} weights: {spent:.0f} s of processor, "
+        f"{own:.2f} GiB own, {whole:.2f} with maps"
     )
 
 

@@ -18,7 +18,7 @@ from drsplat.field.evidence.aggregation.by_view import effective_views, view_sum
 from drsplat.field.evidence.aggregation.entries import BLOCK, canonical, column_counts, of_columns, with_weights
 from drsplat.field.evidence.aggregation.outliers import OutlierRejection
 from drsplat.field.evidence.aggregation.reliability import reliability, resultant_lengths
-from drsplat.field.evidence.aggregation.trust import MaskTrust, surpluses
+from drsplat.field.evidence.aggregation.trust import MaskTrust, tally
 from drsplat.field.evidence.evidence import Evidence, MaskIds
 from fields import random_weights, unit_rows
 
@@ -158,8 +158,8 @@ def test_a_mask_that_disagrees_on_all_its_gaussians_counts_less_there_and_elsewh
     e = np.eye(4, dtype=np.float32)[[1, 0, 0, 0]]
     masks = MaskIds(("a", "b", "c", "d"), np.arange(4, dtype=np.int32), np.zeros(4, np.int32))
     evidence = Evidence(csr_array(weights), masks, e)
-    assert surpluses(evidence)[0] < -0.3
-    assert (surpluses(evidence)[1:] > 0).all()
+    assert tally(evidence).means[0] < -0.3
+    assert (tally(evidence).means[1:] > 0).all()
     mean, trusted = (features(how, evidence) for how in (AGGREGATORS["mean"], MaskTrust()))
     assert (trusted[:, 0] > mean[:, 0] + 0.01).all()
 

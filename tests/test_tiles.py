@@ -20,6 +20,7 @@ import drsplat as ds
 from drsplat.cli import main
 from drsplat.errors import FormatError, InputError
 from drsplat.field.codes import Smaller
+from drsplat.field.evidence.aggregation import Aggregator
 from drsplat.field.tiles.cutting import cut
 from drsplat.field.tiles.launching import OneProcess, Processes
 from drsplat.field.tiles.registering import Work, register_tiles
@@ -319,6 +320,29 @@ def test_a_field_of_tiles_is_that_of_the_whole(toy, tmp_path, launcher, code, mo
     again, work = counted(tiles, views, features, parts=tmp_path / "parts", threads=1)
     assert (work.views, work.runs) == (0, 0)
     assert_array_equal(again.weights.data, made.weights.data)
+
+
+@pytest.mark.parametrize("name", ["inliers", "trusted", "robust"])
+@pytest.mark.parametrize("code", [ds.PQ(), ds.Mixture()], ids=["pq", "mixture"])
+def test_features_of_tiles_are_those_of_the_whole(toy, tmp_path, name, code, monkeypatch):
+    """Neighbours that vote lie in other runs, and the largest Gaussians, which are spread, are a run of their own."""
+    monkeypatch.setattr("drsplat.field.tiles.transposing.RUN_BYTES", 20_000)
+    tiles = read_tiles(toy / "scene.tiles")
+    views, features = inputs(toy)
+    made = register_tiles(tiles, views, features, parts=tmp_path / "parts", threads=1)
+    monkeypatch.setattr(Aggregator, "__call__", None)  # nobody looks at all rows
+    field = made.to_field(code, aggregator=name, gaussians=None, threads=1)
+    monkeypatch.undo()
+    at_once = ds.register(tiles.gaussians(), views, features)
+    whole = at_once.to_field(code, aggregator=name, gaussians=tiles.gaussians(), threads=1)
+    assert saved(field, tmp_path / "a.field") == saved(whole, tmp_path / "b.field")
+    before = written(tmp_path / "parts")
+    assert made.to_field(code, aggregator=name).equals(field)
+    assert written(tmp_path / "parts") == before  # nothing is made again
+
+
+def written(folder: Path) -> dict[str, int]:
+    return {str(file): file.stat().st_mtime_ns for file in folder.rglob("*.safetensors")}
 
 
 def test_codes_that_are_there_are_not_made_again(toy, tmp_path, monkeypatch):

@@ -9,16 +9,17 @@ from ..base.arrays import Bool, Float32, Int32, Int64, Integer, UInt32
 from ..base.contents import release
 from ..errors import InputError, MismatchError
 from ..scene.encoders import EncoderIdentity
+from ..scene.gaussians import Gaussians
 from .codes import PQ, Code, Codebook, Codes, CodeSpecification, Mixture, Smaller, Track, pq_code, untracked
 from .codes.codebook import BLOCK_ROWS
 from .codes.mixture import Mixed, SceneAtoms, encode_with
-from .evidence.aggregation import MEAN, Aggregated
+from .evidence.aggregation import MEAN, Aggregated, Aggregator
 from .evidence.aggregation.entries import canonical
 from .evidence.evidence import Evidence
 from .evidence.provenance import Provenance
 from .growth import Growth
 from .language_field import LanguageField
-from .learning import Learnt, learn, source_of
+from .learning import Learnt, learn, rows_of_columns, source_of
 
 
 @runtime_checkable
@@ -33,7 +34,18 @@ class Features(Protocol):
 
 @runtime_checkable
 class RowCoder(Protocol):
-    """Strategy that codes rows of features, in this process or in others. The result never depends on the strategy."""
+    """Strategy that makes features of rows and codes them, in this process or in others.
+
+    The result never depends on the strategy.
+    """
+
+    def aggregated(
+        self, how: Aggregator, evidence: Evidence, gaussians: Gaussians | None, threads: int, track: Track
+    ) -> Aggregated:
+        """Make features of votes; see `Aggregator` for the arguments."""
+
+    def of_columns(self, features: Aggregated, kept: Bool[np.ndarray, " m"]) -> Aggregated:
+        """Return rows to learn a code from: a `Sampler`."""
 
     def mixed(
         self, features: Aggregated, seen: Int64[np.ndarray, " s"], atoms_per_row: int, scene: SceneAtoms | None,
@@ -49,6 +61,16 @@ class RowCoder(Protocol):
 
 class AtOnce:
     """A `RowCoder`: this process."""
+
+    def aggregated(
+        self, how: Aggregator, evidence: Evidence, gaussians: Gaussians | None, threads: int, track: Track
+    ) -> Aggregated:
+        """See RowCoder."""
+        return how(evidence, gaussians, threads=threads)
+
+    def of_columns(self, features: Aggregated, kept: Bool[np.ndarray, " m"]) -> Aggregated:
+        """See RowCoder."""
+        return rows_of_columns(features, kept)
 
     def mixed(
         self, features: Aggregated, seen: Int64[np.ndarray, " s"], atoms_per_row: int, scene: SceneAtoms | None,
@@ -110,7 +132,7 @@ def build_field(
     chosen = chosen_code(code, evidence)
     if isinstance(chosen, Mixture):
         evidence = canonical(evidence)  # a mixture names columns
-    learnt = learn(features, chosen, encoder, threads, track)
+    learnt = learn(features, chosen, encoder, threads, track, coder.of_columns)
     coded = _coded(coder, features, seen, chosen, learnt, threads, track)
     ids = seen[coded.directed].astype(np.uint32)
     growth = None if provenance is None else grown_of(provenance, code, evidence, ids, learnt, coded.scene_places)

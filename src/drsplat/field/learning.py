@@ -1,10 +1,12 @@
 """Learning of a scene's code from a few of its views, always the same ones, so that a new view seldom changes it."""
 
 import hashlib
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
+from ..base.arrays import Bool
 from ..scene.encoders import EncoderIdentity
 from .codes import PQ, Codebook, Mixture, Track, train_codebook
 from .codes.codebook import MAX_TRAINING_POINTS
@@ -24,15 +26,26 @@ class Learnt(NamedTuple):
     atoms: SceneAtoms | None = None
 
 
+Sampler = Callable[[Aggregated, Bool[np.ndarray, " m"]], Aggregated]
+"""The rows of features that some columns alone have any for. Columns: True for those."""
+
+
+def rows_of_columns(features: Aggregated, kept: Bool[np.ndarray, " m"]) -> Aggregated:
+    """Return the rows of features that some columns alone have any for: a `Sampler` of this process."""
+    if not kept.all():
+        features = Aggregated(of_columns(features.evidence, kept), features.donors, features.record)
+    return features.rows(np.flatnonzero(features.present))
+
+
 def learn(
-    features: Aggregated, code: PQ | Mixture | Codebook, encoder: EncoderIdentity, threads: int, track: Track
-) -> Learnt:
+    features: Aggregated, code: PQ | Mixture | Codebook, encoder: EncoderIdentity, threads: int, track: Track,
+    sampler: Sampler = rows_of_columns,
+) -> Learnt:  # fmt: skip
     """Learn what a code needs beside the rows; a given codebook is taken as it is."""
     if isinstance(code, Codebook):
         return Learnt(codebook=code)
-    views = learning_views(features.evidence)
-    some = _of_views(features, views)
-    some = some.rows(np.flatnonzero(some.present))
+    masks, views = features.evidence.masks, learning_views(features.evidence)
+    some = sampler(features, np.isin(masks.view_names, views)[masks.views])
     if isinstance(code, Mixture):
         return Learnt(views, atoms=learn_scene_atoms(source_of(some), threads=threads))
     return Learnt(views, codebook=_scene_codebook(some, encoder, code.parts(encoder.dim), threads, track))
@@ -58,15 +71,6 @@ def source_of(features: Aggregated) -> Evidence:
 def drawn(name: str) -> bytes:
     """Return a view's sort key in an order that looks random, and that further views do not change."""
     return hashlib.blake2b(name.encode(), digest_size=8).digest()
-
-
-def _of_views(features: Aggregated, views: tuple[str, ...]) -> Aggregated:
-    """Return the features as these views alone make them."""
-    evidence = features.evidence
-    kept = np.isin(evidence.masks.view_names, views)[evidence.masks.views]
-    if kept.all():
-        return features
-    return Aggregated(of_columns(evidence, kept), features.donors, features.record)
 
 
 def _scene_codebook(features: Aggregated, encoder: EncoderIdentity, parts: int, threads: int, track: Track) -> Codebook:

@@ -132,7 +132,7 @@ class Registration:
         """
         how = named(aggregator) if isinstance(aggregator, str) else aggregator
         self._check(how, gaussians)
-        aggregated = how(self.evidence, gaussians, threads=threads)
+        aggregated = self.coder.aggregated(how, self.evidence, gaussians, threads, track)
         aggregated = replace(aggregated, record=how.record(self.sampling))
         field = build_field(
             self.evidence, self.scene, self.encoder, code,

@@ -5,6 +5,7 @@ nodes times Gaussians.
 """
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -21,6 +22,8 @@ from .choosing import Tree, pairs_above
 from .descriptors import descriptors
 from .heaviest import heaviest
 
+ROWS_AT_ONCE = 1 << 20
+NO_BOXES = Boxes(np.empty((0, 3)), np.empty((0, 3, 3)), np.empty((0, 3)))
 SLIVER = 0.01  # of what the best photo of a node shows of it: a photo with less does not see it
 
 
@@ -100,8 +103,26 @@ def _weights(evidence: Evidence, inside: csr_array, node_of: Int32[np.ndarray, "
 def _boxes(
     field: LanguageField, gaussians: Gaussians, inside: csr_array, node_of: Int32[np.ndarray, " R"], threads: int
 ) -> Boxes:
-    """Return the box of what can be seen of each node (`scene.boxes.solid`), or of all of it where nothing can."""
-    starts, rows = _rows(inside, node_of)
+    """Return the box of what can be seen of each node (`scene.boxes.solid`), or of all of it where nothing can.
+
+    Nodes come in batches, so that memory is that of ROWS_AT_ONCE rows, or of the largest node.
+    """
+    order = np.argsort(node_of, kind="stable")
+    begins = np.searchsorted(node_of[order], np.arange(inside.shape[0] + 1))
+    rows_before = np.append(0, np.cumsum(inside @ np.diff(begins)))
+    stops = np.unique(np.searchsorted(rows_before, np.arange(0, rows_before[-1] + ROWS_AT_ONCE, ROWS_AT_ONCE)))
+    stops = np.unique(np.append(np.minimum(stops, inside.shape[0]), [0, inside.shape[0]]))
+    parts = [
+        _boxes_of_some(field, gaussians, *_rows(csr_array(inside[begin:end]), order, begins), threads)
+        for begin, end in pairwise(stops.tolist())
+    ]
+    return Boxes(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True))) if parts else NO_BOXES
+
+
+def _boxes_of_some(
+    field: LanguageField, gaussians: Gaussians, starts: Int64[np.ndarray, " T1"], rows: Int64[np.ndarray, " e"],
+    threads: int,
+) -> Boxes:  # fmt: skip
     nodes = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
     ids = field.gaussian_ids[rows].astype(np.int64)
     seen = gaussians.opacities[ids] >= HAZE_OPACITY
@@ -111,11 +132,12 @@ def _boxes(
 
 
 def _rows(
-    inside: csr_array, node_of: Int32[np.ndarray, " R"]
+    inside: csr_array, order: Int64[np.ndarray, " R"], begins: Int64[np.ndarray, " T1"]
 ) -> tuple[Int64[np.ndarray, " T1"], Int64[np.ndarray, " e"]]:
-    """Return the rows of each node and of those below it, in CSR form (starts, rows)."""
-    order = np.argsort(node_of, kind="stable")
-    begins = np.searchsorted(node_of[order], np.arange(inside.shape[0] + 1))
+    """Return the rows of some nodes and of those below them, in CSR form (starts, rows).
+
+    order, begins: all rows in the order of their nodes, and where those of each begin.
+    """
     lengths = np.diff(begins)[inside.indices]
     skipped = begins[inside.indices] - (np.cumsum(lengths) - lengths)
     rows = order[np.arange(lengths.sum()) + np.repeat(skipped, lengths)]

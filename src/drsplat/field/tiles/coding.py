@@ -16,17 +16,18 @@ from ...base.contents import pieces
 from ...formats.tensors import map_tensors, write_tensors
 from ...kernels import default_isa, weighted_rows
 from ...kernels.mixture import MAX_ATOMS, Encoded
+from ...scene.gaussians import Gaussians
 from ..building import AT_ONCE, encode_features
 from ..codes import Codebook, Codes, Track, untracked
 from ..codes.mixture import Mixed, SceneAtoms, assemble, atoms_by_use, encode_rows, left_in, plan_of
-from ..evidence.aggregation import Aggregated
+from ..evidence.aggregation import Aggregated, Aggregator
 from ..evidence.columns import is_finished
 from ..evidence.evidence import Evidence
+from .aggregating import EMBEDDINGS, OfTiles, TileAggregator, is_by_tasks
 from .launching import Launcher, followed
+from .seeing import Gallery
 from .store import Store
 from .transposing import Run, rows_name
-
-EMBEDDINGS = "embeddings.npy"
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,10 +89,11 @@ class Quantising:
 
 @dataclass(frozen=True, eq=False)
 class CodeTask:
-    """Codes the rows of a run of tiles. key: of all that decides how."""
+    """Codes the rows of a run of tiles. folder: of the files of these. key: of all that decides how."""
 
     store: Store
     coding: Coding
+    folder: str
     key: str
     threads: int
 
@@ -113,7 +115,7 @@ class CodeTask:
         return f"codes/{run.name}.{self.key}.safetensors"
 
     def _rows(self, run: Run) -> Rows:
-        tensors, _ = map_tensors(self.store.bring(rows_name(run)))
+        tensors, _ = map_tensors(self.store.bring(rows_name(run, self.folder)))
         embeddings = np.load(self.store.bring(EMBEDDINGS), mmap_mode="r")
         starts = tensors["indptr"].astype(np.int32)
         starts = starts[np.append(True, np.diff(starts) > 0)]  # rows without any weight have no code
@@ -125,7 +127,7 @@ class CodeTask:
 class TileCoder:
     """A `RowCoder` that lets a launcher work. evidence: that of the runs' files; other evidence is coded at once.
 
-    key: of the weights. threads: of each worker.
+    key: of the weights. threads: of each worker. gallery: where the tiles are.
     """
 
     evidence: Evidence
@@ -134,17 +136,39 @@ class TileCoder:
     launcher: Launcher
     key: str
     threads: int
+    gallery: Gallery
+
+    def aggregated(
+        self, how: Aggregator, evidence: Evidence, gaussians: Gaussians | None, threads: int, track: Track
+    ) -> Aggregated:
+        """See RowCoder."""
+        if evidence is self.evidence and is_by_tasks(how):
+            return self._aggregator(how, track)
+        if how.voting is not None and gaussians is None:
+            gaussians = self.gallery.tiles.gaussians()
+        return AT_ONCE.aggregated(how, evidence, gaussians, threads, track)
+
+    def of_columns(self, features: Aggregated, kept: Bool[np.ndarray, " m"]) -> Aggregated:
+        """See RowCoder."""
+        if not isinstance(features, OfTiles):
+            return AT_ONCE.of_columns(features, kept)
+        return self._aggregator.of_columns(features, kept, untracked)
+
+    @property
+    def _aggregator(self) -> TileAggregator:
+        made = self.evidence, self.store, self.runs, self.launcher, self.key, self.threads
+        return TileAggregator(*made, self.gallery)
 
     def mixed(
         self, features: Aggregated, seen: Int64[np.ndarray, " s"], atoms_per_row: int, scene: SceneAtoms | None,
         threads: int, track: Track,
     ) -> Mixed:  # fmt: skip
         """See RowCoder."""
-        if not self._has(features):
+        if not isinstance(features, OfTiles):
             return AT_ONCE.mixed(features, seen, atoms_per_row, scene, threads, track)
         coding, masks = Mixing(atoms_per_row, scene), len(self.evidence.masks)
         while True:
-            encoded = Encoded(**self._coded(coding, track))
+            encoded = Encoded(**self._coded(features, coding, track))
             used = atoms_by_use(encoded)
             if len(used) <= MAX_ATOMS:
                 return self._assembled(encoded, used, scene)
@@ -163,18 +187,14 @@ class TileCoder:
         self, features: Aggregated, seen: Int64[np.ndarray, " s"], codebook: Codebook, threads: int, track: Track
     ) -> tuple[Codes, Bool[np.ndarray, " s"]]:
         """See RowCoder."""
-        if not self._has(features):
+        if not isinstance(features, OfTiles):
             return AT_ONCE.quantised(features, seen, codebook, threads, track)
-        arrays = self._coded(Quantising(codebook), track)
+        arrays = self._coded(features, Quantising(codebook), track)
         return Codes(arrays["codes"], arrays.get("coarse_ids")), arrays["directed"]
 
-    def _has(self, features: Aggregated) -> bool:
-        """Return True if the features are those of the rows on disk, and not of other weights."""
-        return features.evidence is self.evidence and features.donors is None
-
-    def _coded(self, coding: Mixing | Quantising, track: Track) -> dict[str, np.ndarray]:
+    def _coded(self, features: OfTiles, coding: Mixing | Quantising, track: Track) -> dict[str, np.ndarray]:
         """Return the coded arrays of all rows that have weights, one after another."""
-        task = CodeTask(self.store, coding, self._key_of(coding), self.threads)
+        task = CodeTask(self.store, coding, features.folder, self._key_of(features, coding), self.threads)
         self.store.send(EMBEDDINGS)
         names = [run.name for run in self.runs]
         for _ in followed(self.launcher.results(task, self.runs), track, names, "coding Gaussians"):
@@ -182,8 +202,8 @@ class TileCoder:
         files: list[Mapping[str, np.ndarray]] = [map_tensors(self.store.bring(task.name(run)))[0] for run in self.runs]
         return {name: np.concatenate([file[name] for file in files]) for name in files[0]}
 
-    def _key_of(self, coding: Mixing | Quantising) -> str:
-        digest = hashlib.blake2b(f"{self.key} {default_isa()}".encode(), digest_size=16)
+    def _key_of(self, features: OfTiles, coding: Mixing | Quantising) -> str:
+        digest = hashlib.blake2b(f"{features.key} {default_isa()}".encode(), digest_size=16)
         for piece in pieces(self.evidence.embeddings):
             digest.update(piece)
         coding.update(digest)

@@ -36,7 +36,8 @@ from ..registration import (
     warn_of_missing,
     with_features,
 )
-from .coding import EMBEDDINGS, TileCoder
+from .aggregating import EMBEDDINGS
+from .coding import TileCoder
 from .launching import ONE_PROCESS, Launcher, followed
 from .seeing import Gallery, with_tiles
 from .store import Shared, Store, store_of
@@ -161,7 +162,7 @@ def register_tiles(
     provenance = provenance_of([view for view, _ in chosen], [one.key for one in made], features)
     return Registration(
         evidence, tiles.fingerprint, encoder_of(features, made[0].dim), replace(sampling, near=gallery.near),
-        provenance.up, provenance=provenance, coder=TileCoder(evidence, store, runs, launcher, key, threads),
+        provenance.up, provenance=provenance, coder=TileCoder(evidence, store, runs, launcher, key, threads, gallery),
     )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from ...base.arrays import Bool, Float64
 from ...formats.tiles import SHAPES, Tile, Tiles, file_name
 from ...kernels import SplatArrays, splat_arrays_at_origin
+from ...scene.gaussians import Gaussians
 from ...scene.views import View
 from ..evidence.columns import VisibleSplats
 from .store import Shared, Store
@@ -98,9 +99,13 @@ class Gallery:
         splats = SplatArrays(means, covariances, opacities, self.near, self.tiles.origin, self.tiles.antialiased)
         return VisibleSplats(splats, np.concatenate([NO_ROWS, *rows]))
 
+    def shapes(self, tile: Tile) -> Gaussians:
+        """Return a tile without its colours, read anew. Raises: FormatError: it is damaged or missing."""
+        return self._here(tile).shapes(tile)
+
     def _splats(self, tile: Tile) -> SplatArrays:
         if tile.name not in self._held:
-            self._held[tile.name] = splat_arrays_at_origin(self._here(tile).shapes(tile), self.near)
+            self._held[tile.name] = splat_arrays_at_origin(self.shapes(tile), self.near)
         self._held.move_to_end(tile.name)
         while len(self._held) > 1 and self._bytes() > self.held_bytes:
             self._held.popitem(last=False)

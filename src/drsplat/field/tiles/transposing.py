@@ -18,6 +18,7 @@ from ...kernels import Triples
 from ..evidence.columns import is_finished, stacked
 from .store import Store
 
+ROWS = "rows"  # folder of the rows as they are registered
 RUN_BYTES = 256 << 20  # of W that one task makes
 WEIGHT_BYTES = 20  # while it does
 NOTHING = Triples(np.empty(0, np.uint32), np.empty(0, np.int32), np.empty(0, np.float32))
@@ -101,14 +102,17 @@ def runs_of(tiles: Sequence[Tile], num_weights: int, held: Sequence[bytes]) -> l
     return [Run(tuple(tiles[n] for n in run), np.flatnonzero(has[:, run].any(axis=1))) for run in runs]
 
 
-def rows_name(run: Run) -> str:
-    return f"rows/{run.name}.rows.safetensors"
+def rows_name(run: Run, folder: str = ROWS) -> str:
+    return f"{folder}/{run.name}.rows.safetensors"
 
 
-def joined_rows(runs: Sequence[Run], store: Store, num_masks: int) -> csr_array:
-    """Return W, all rows one after another, in files that are mapped: memory holds those in use."""
-    names = [rows_name(run) for run in runs]
-    indptr, folder = [np.zeros(1, np.int64)], store.folder / "rows"
+def joined_rows(runs: Sequence[Run], store: Store, num_masks: int, of: str = ROWS) -> csr_array:
+    """Return W, all rows one after another, in files that are mapped: memory holds those in use.
+
+    of: the folder of their files.
+    """
+    names = [rows_name(run, of) for run in runs]
+    indptr, folder = [np.zeros(1, np.int64)], store.folder / of
 
     def part(name: str, array: str) -> np.ndarray:
         return map_tensors(store.bring(name))[0][array]

@@ -7,10 +7,15 @@ from typing import TYPE_CHECKING, Any
 
 from .edit_options import note_own_scene
 from .object_outputs import check, save
-from .options import add_capture_options, add_overwrite, add_query_encoders, whole, words
+from .options import add_capture_options, add_overwrite, add_query_encoders, tracker, whole, words
+from .parts import parts_of
 from .query_options import FIELD_HELP, open_scene
+from .workers import add_workers, launcher_of, tiles_of
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from ...formats.tiles import Tiles
     from ...query import Scene
 
 EXAMPLES = """\
@@ -55,6 +60,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     output.add_argument("--views", metavar="CAPTURE", help="poses and photos, for --picture")
     add_overwrite(output)
+    tiles = parser.add_argument_group("tiles")
+    tiles.add_argument(
+        "--parts", metavar="DIR",
+        help="folder for the finished blocks of an unfinished run, or an address such as s3://bucket/run; kept "
+        "(default: FIELD.parts, removed at the end)",
+    )  # fmt: skip
+    add_workers(tiles)
     add_query_encoders(parser)
     add_capture_options(parser)
 
@@ -168,16 +180,45 @@ def _with_objects(arguments: argparse.Namespace) -> Scene:
     from ...formats.claiming import claimed_output
     from ...query.opening import scene_files
 
+    path, tiles = scene_files(arguments.field).field, tiles_of(arguments)
+    if tiles is not None:
+        _find_in_tiles(arguments, path, tiles)
+        return open_scene(arguments)
     scene = open_scene(arguments)
     if scene.field.objects is not None and not arguments.again:
         return scene
-    path, gaussians = scene_files(arguments.field).field, scene.gaussians
+    gaussians = scene.gaussians
     from ...field.objects.finding import find_objects
 
     with claimed_output(path):
         found = find_objects(scene.field, gaussians, threads=arguments.threads)
         scene.field.with_objects(found).save(path, overwrite=True)
     return open_scene(arguments)
+
+
+def _find_in_tiles(arguments: argparse.Namespace, path: Path, tiles: Tiles) -> None:
+    """Find the objects of a scene in tiles, which is not loaded for it, where the field has none."""
+    import shutil
+
+    from ... import load_field
+    from ...field.tiles.finding import find_objects
+    from ...formats.claiming import claimed_output
+
+    field, parts = load_field(path), str(arguments.parts or parts_of(path))
+    if field.objects is not None and not arguments.again:
+        return
+    with claimed_output(path):
+        found = find_objects(
+            field,
+            tiles,
+            parts=parts,
+            launcher=launcher_of(arguments),
+            threads=arguments.threads,
+            track=tracker(arguments),
+        )
+        field.with_objects(found).save(path, overwrite=True)
+    if arguments.parts is None:
+        shutil.rmtree(parts, ignore_errors=True)
 
 
 def _draw(arguments: argparse.Namespace, scene: Scene, listed: list[dict[str, Any]]) -> None:

@@ -171,6 +171,7 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
     from ... import load_field
     from ...base.progress import Stopwatch
     from ...base.system import peak_memory_bytes
+    from ...field.building import AtOnce
     from ...field.evidence.aggregation import aggregator
     from ...photos.embedding.growing import with_words
     from ...scene.moving import canonical_of
@@ -186,7 +187,8 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
     shared: dict[str, Any] = {"threads": arguments.threads, "track": tracker(arguments)}
     registration = _registration(inputs, known, sampling, parts, shared)
     watch.lap("register")
-    gaussians = canonical_of(in_memory(inputs.scene)) if how.voting else None
+    voting = how.voting is not None and isinstance(registration.coder, AtOnce)  # others have their tiles
+    gaussians = canonical_of(in_memory(inputs.scene)) if voting else None
     field = registration.to_field(inputs.code, aggregator=how, gaussians=gaussians, **shared)
     field = with_words(field, arguments.features)
     watch.lap("code")

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 def add_workers(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--workers", type=count, metavar="N",
-        help="processes that register the photos of a tiled scene, each with --threads threads (default: this one)",
+        help="processes that work on a scene in tiles, each with --threads threads (default: this one)",
     )  # fmt: skip
     group.add_argument(
         "--ray", type=words, metavar="ADDRESS",
@@ -42,25 +42,35 @@ def scene_of(arguments: argparse.Namespace) -> tuple[Gaussians | Moving | Tiles,
     Raises: InputError: workers for a scene without tiles, or two kinds of them.
     """
     from ... import register
-    from ...errors import InputError
     from ...field.tiles.registering import register_tiles
     from ...formats.moving_scenes import read_scene
+
+    tiles = tiles_of(arguments)
+    if tiles is not None:
+        return tiles, partial(register_tiles, launcher=launcher_of(arguments))
+    return read_scene(arguments.scene), register
+
+
+def tiles_of(arguments: argparse.Namespace) -> Tiles | None:
+    """Return the scene in tiles, or None where it is none. Raises: InputError: workers for a scene without tiles."""
+    from ...errors import InputError
     from ...formats.tiles import TILES, read_tiles
 
-    path = Path(arguments.scene)
+    path = Path(arguments.scene or "")
     folder = path.parent if path.name == TILES else path
-    if (folder / TILES).is_file():
-        return read_tiles(folder), partial(register_tiles, launcher=_launcher(arguments))
+    if arguments.scene is not None and (folder / TILES).is_file():
+        return read_tiles(folder)
     if "://" in str(arguments.parts or ""):
         raise InputError(
             "--parts: an address is for a scene in tiles: give a folder, or cut the scene with drsplat tile"
         )
     if arguments.workers or arguments.ray:
         given = "--workers" if arguments.workers else "--ray"
+        scene = arguments.scene or "SCENE"
         raise InputError(
-            f"{given} is for a scene in tiles: drsplat tile {arguments.scene} --output NAME.tiles, then register those"
+            f"{given} is for a scene in tiles: drsplat tile {scene} --output NAME.tiles, then register those"
         )
-    return read_scene(arguments.scene), register
+    return None
 
 
 def in_memory(scene: Gaussians | Moving | Tiles) -> Gaussians | Moving:
@@ -69,7 +79,7 @@ def in_memory(scene: Gaussians | Moving | Tiles) -> Gaussians | Moving:
     return scene.gaussians() if isinstance(scene, Tiles) else scene
 
 
-def _launcher(arguments: argparse.Namespace) -> Launcher:
+def launcher_of(arguments: argparse.Namespace) -> Launcher:
     from ...errors import InputError
     from ...field.tiles.launching import OneProcess, Processes, Ray
 

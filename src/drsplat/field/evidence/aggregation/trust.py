@@ -1,6 +1,7 @@
 """Trust in masks: those that disagree with the other photos of the same Gaussians count less."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,6 +9,8 @@ from ....base.arrays import Float32, Float64, Integer
 from ..evidence import Evidence
 from .entries import ENTRIES, RowBlock, entry_values, row_chunks, with_weights
 from .outliers import agreements
+
+EXACT = float(1 << 28)  # parts of a pixel: sums of 2^53 of them are exact, 33 million pixels
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,14 @@ class MaskTrust:
     sharpness: float = 4.0
 
     def __call__(self, evidence: Evidence, threads: int = 0) -> Evidence:
-        trust = np.exp(self.sharpness * surpluses(evidence, threads))
+        return self.weighed(evidence, self.trust(tally(evidence, threads)))
+
+    def trust(self, counted: "Tally") -> Float64[np.ndarray, " m"]:
+        """Return the trust in each mask. counted: over all rows."""
+        return np.asarray(np.exp(self.sharpness * counted.means))
+
+    def weighed(self, evidence: Evidence, trust: Float64[np.ndarray, " m"]) -> Evidence:
+        """Return the evidence of some rows, weighed by the trust in masks; a row depends on itself alone."""
         weights, views = evidence.weights, evidence.masks.views
         changed = np.empty(len(weights.data), np.float32)
         for rows in row_chunks(weights):
@@ -38,15 +48,28 @@ class MaskTrust:
         return with_weights(evidence, changed)
 
 
-def surpluses(evidence: Evidence, threads: int = 0) -> Float64[np.ndarray, " m"]:
-    """Return how much better each mask agrees with the rest than its Gaussians' votes do on average.
+class Tally(NamedTuple):
+    """Surpluses of masks by weight, and weights, summed over rows.
 
-    0 for a mask that no Gaussian has, and where there is nothing to agree with.
+    Whole numbers of 1 / EXACT pixels: sums of parts of W, in any order, have the same bits.
     """
+
+    surpluses: Float64[np.ndarray, " m"]
+    weights: Float64[np.ndarray, " m"]
+
+    @property
+    def means(self) -> Float64[np.ndarray, " m"]:
+        """How much better each mask agrees than the other votes of its Gaussians; 0 where there are none."""
+        none = np.zeros(len(self.weights))
+        return np.asarray(np.divide(self.surpluses, self.weights, out=none, where=self.weights > 0))
+
+
+def tally(evidence: Evidence, threads: int = 0) -> Tally:
+    """Add up how much better each mask agrees with the rest than its Gaussians' votes do on average."""
 
     def surplus(block: RowBlock) -> Float64[np.ndarray, "n k"]:
         agreement = agreements(block, evidence.embeddings)
-        level = (block.weights * agreement).sum(1) / block.weights.sum(1)
+        level = _in_order(block.weights * agreement) / _in_order(block.weights)
         return np.asarray(agreement - level[:, None])
 
     weights, entries = evidence.weights, entry_values(evidence, surplus, threads)
@@ -55,9 +78,14 @@ def surpluses(evidence: Evidence, threads: int = 0) -> Float64[np.ndarray, " m"]
     for begin in range(0, len(entries), ENTRIES):
         part = slice(begin, begin + ENTRIES)
         columns, w = weights.indices[part], weights.data[part].astype(np.float64)
-        total += np.bincount(columns, w * entries[part], count)
-        held += np.bincount(columns, w, count)
-    return np.asarray(np.divide(total, held, out=np.zeros(count), where=held > 0))
+        total += np.bincount(columns, np.rint(w * entries[part] * EXACT), count)
+        held += np.bincount(columns, np.rint(w * EXACT), count)
+    return Tally(total, held)
+
+
+def _in_order(values: Float64[np.ndarray, "n k"]) -> Float64[np.ndarray, " n"]:
+    """Return the sum of each row, added up from its beginning: zeros at its end change no bit."""
+    return np.asarray(np.cumsum(values, axis=1)[:, -1])
 
 
 def _runs(views: Integer[np.ndarray, " e"], starts: Integer[np.ndarray, " r1"]) -> Integer[np.ndarray, " p"]:

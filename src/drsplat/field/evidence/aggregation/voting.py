@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -12,6 +13,8 @@ from ..evidence import Evidence
 from .reliability import reliability
 
 SAME = 1e-5  # relative difference of support that counts as equal: float32 products differ between processors
+EXACT = float(1 << 21)  # parts of 1: products of two are sums of 2^-42, and 2^53 of those are exact
+TIES = 4  # neighbours more than are asked for, as equally near ones come in no order
 BLOCK = 512  # receivers at once, near each other: they share most neighbours
 
 Points = Float32[np.ndarray, "r 3"]
@@ -49,31 +52,63 @@ class ModeVoting:
         givers = np.flatnonzero(trust > 0)
         if not len(givers):
             return donors
-        means, sizes = gaussians.means, footprints(gaussians) ** self.footprint
+        means, sizes = gaussians.means, self.sizes(gaussians)
         tree = cKDTree(means[givers])
         for rows in _near_each_other(tree, means, receivers, threads):
-            distances, near = _neighbours(tree, means[rows], self.neighbours + 1, threads)
-            candidates = _with_self(givers[near], rows, trust)
-            alike = _likeness(evidence, candidates, self.bandwidth, threads)
-            close = _closeness(distances) * np.minimum(1, sizes[candidates] / sizes[rows, None])
-            donors[rows] = self._best(trust, rows, candidates, close, alike)
+            distances, near = nearest(tree, means[rows], self.neighbours + 1, threads)
+            voters = Voters(rows, givers[near], distances)
+            present = voters.present
+            features = evidence.rows(present).features(0, len(present), threads=threads)
+            donors[rows] = self.elected(voters, trust[present], sizes[present], features)
         return donors
+
+    def sizes(self, gaussians: Gaussians) -> Float64[np.ndarray, " n"]:
+        """Return what Gaussians count by where many small ones are beside a large one."""
+        return np.asarray(footprints(gaussians) ** self.footprint)
+
+    def elected(
+        self, voters: "Voters", trust: Float64[np.ndarray, " p"], sizes: Float64[np.ndarray, " p"],
+        features: Float32[np.ndarray, "p d"],
+    ) -> Int64[np.ndarray, " b"]:  # fmt: skip
+        """Return the row whose feature each receiver takes, -1 for none.
+
+        trust, sizes, features: of `voters.present`. A receiver's donor depends on its own candidates alone, to the bit.
+        """
+        rows, candidates = (np.searchsorted(voters.present, array) for array in (voters.rows, voters.candidates))
+        candidates = _with_self(candidates, rows, trust)
+        close = _closeness(voters.distances) * np.minimum(1, sizes[candidates] / sizes[rows, None])
+        best = self._best(trust, rows, candidates, close, _likeness(features, candidates, self.bandwidth))
+        return np.asarray(np.where(best >= 0, voters.present[best], -1))
 
     def _best(
         self,
-        trust: Float64[np.ndarray, " r"],
+        trust: Float64[np.ndarray, " p"],
         rows: Int64[np.ndarray, " b"],
         candidates: Int64[np.ndarray, "b k"],
         close: Float64[np.ndarray, "b k"],
         alike: Float64[np.ndarray, "b k k"],
     ) -> Int64[np.ndarray, " b"]:
         believed = trust[candidates] * close
-        support = trust[candidates] * np.matmul(alike, believed[:, :, None])[:, :, 0]
+        support = trust[candidates] * (alike * believed[:, None, :]).sum(axis=2)
         own = np.where(candidates == rows[:, None], support, 0).max(axis=1)
         best = support.argmax(axis=1)[:, None]
         wins = np.take_along_axis(support, best, 1)[:, 0] > (1 + self.margin) * (1 + SAME) * own
         taken = np.take_along_axis(candidates, best, 1)[:, 0]
         return np.where(wins, taken, np.where(trust[rows] > 0, rows, -1))
+
+
+@dataclass(frozen=True, eq=False)
+class Voters:
+    """Receivers, and the rows around each that have a say, nearest first, with their distances."""
+
+    rows: Int64[np.ndarray, " b"]
+    candidates: Int64[np.ndarray, "b k"]
+    distances: Float64[np.ndarray, "b k"]
+
+    @cached_property
+    def present(self) -> Int64[np.ndarray, " p"]:
+        """All these rows, ascending."""
+        return np.union1d(self.rows, self.candidates)
 
 
 def footprints(gaussians: Gaussians) -> Float64[np.ndarray, " n"]:
@@ -93,13 +128,20 @@ def _near_each_other(
     yield from (ordered[begin : begin + BLOCK] for begin in range(0, len(ordered), BLOCK))
 
 
-def _neighbours(
+def nearest(
     tree: cKDTree, points: Points, count: int, threads: int
-) -> tuple[Float64[np.ndarray, "b k"], Integer[np.ndarray, "b k"]]:
+) -> tuple[Float64[np.ndarray, "b k"], Int64[np.ndarray, "b k"]]:
     """Return distances and indices of the nearest points of the tree, nearest first; equally near ones by index."""
-    count = min(count, tree.n)
-    distances, near = tree.query(points, k=np.arange(1, count + 1), workers=threads or -1)
-    order = np.lexsort((near, distances), axis=1)
+    more = min(count + TIES, tree.n)
+    distances, near = tree.query(points, k=np.arange(1, more + 1), workers=threads or -1)
+    return nearest_first(distances, near, count)
+
+
+def nearest_first(
+    distances: Float64[np.ndarray, "b k"], near: Integer[np.ndarray, "b k"], count: int
+) -> tuple[Float64[np.ndarray, "b n"], Int64[np.ndarray, "b n"]]:
+    """Return up to `count` of the nearest of each row, nearest first; equally near ones by index."""
+    order = np.lexsort((near, distances), axis=1)[:, :count]
     return np.take_along_axis(distances, order, 1), np.take_along_axis(near, order, 1)
 
 
@@ -118,11 +160,13 @@ def _closeness(distances: Float64[np.ndarray, "b k"]) -> Float64[np.ndarray, "b 
 
 
 def _likeness(
-    evidence: Evidence, candidates: Int64[np.ndarray, "b k"], bandwidth: float, threads: int
+    features: Float32[np.ndarray, "p d"], candidates: Int64[np.ndarray, "b k"], bandwidth: float
 ) -> Float64[np.ndarray, "b k k"]:
-    """Return g of all pairs of candidates of each row, from one table of all pairs in the block."""
-    present, at = np.unique(candidates, return_inverse=True)
-    features = evidence.rows(present).features(0, len(present), threads=threads)
-    cosines, at = features @ features.T, at.reshape(candidates.shape)
-    pairs = np.minimum(cosines[at[:, :, None], at[:, None, :]], 1).astype(np.float64)
+    """Return g of all pairs of candidates of each row, from one table of all pairs.
+
+    Features are whole numbers of 1 / EXACT, so that no sum is rounded, in whatever order BLAS makes it.
+    """
+    whole = np.rint(features.astype(np.float64) * EXACT)
+    cosines = (whole @ whole.T) / EXACT**2
+    pairs = np.minimum(cosines[candidates[:, :, None], candidates[:, None, :]], 1)
     return np.asarray(np.exp((pairs - 1) / bandwidth))

@@ -1,0 +1,348 @@
+"""Votes to features, a task for each run of tiles: as an aggregator makes them of the whole, to the bit.
+
+run -> what its rows add to the trust in masks    where an aggregator trusts masks
+run -> its rows, weighed                          of themselves, and that trust
+run -> whose features its rows have               of the rows around, in whatever tiles they are, where they vote
+"""
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.spatial import cKDTree
+
+from ...base.arrays import Bool, Float32, Float64, Int64
+from ...base.contents import pieces
+from ...formats.tensors import map_tensors, write_tensors
+from ...formats.tiles import Tile
+from ...kernels import default_isa, weighted_rows
+from ...scene.gaussians import Gaussians
+from ..codes import Track
+from ..evidence.aggregation import Aggregated, Aggregator
+from ..evidence.aggregation.outliers import OutlierRejection
+from ..evidence.aggregation.reliability import reliability
+from ..evidence.aggregation.trust import MaskTrust, Tally, tally
+from ..evidence.aggregation.voting import BLOCK, TIES, ModeVoting, Voters, nearest, nearest_first
+from ..evidence.columns import is_finished
+from ..evidence.evidence import Evidence, MaskIds
+from .launching import Launcher, followed
+from .seeing import Gallery
+from .store import Store
+from .transposing import ROWS, Run, joined_rows, rows_name
+
+EMBEDDINGS = "embeddings.npy"
+NOWHERE = np.iinfo(np.int64).max  # index of a neighbour that there is none of
+
+
+@dataclass(frozen=True, eq=False)
+class OfTiles(Aggregated):
+    """Features whose rows lie in files, one of each run. folder: of these; key: of all that decides what is in them."""
+
+    folder: str = ROWS
+    key: str = ""
+
+
+def is_by_tasks(how: Aggregator) -> bool:
+    """Return whether an aggregator is one of runs of tiles; others may look at whatever they like."""
+    return all(isinstance(step, MaskTrust | OutlierRejection) for step in how.steps)
+
+
+@dataclass(frozen=True, eq=False)
+class RowFiles:
+    """Files of rows of W, one of each run in `folder`."""
+
+    store: Store
+    masks: MaskIds
+    folder: str
+
+    def name(self, run: Run) -> str:
+        return rows_name(run, self.folder)
+
+    def arrays(self, run: Run) -> Mapping[str, np.ndarray]:
+        return map_tensors(self.store.bring(self.name(run)))[0]
+
+    def weights(self, run: Run) -> csr_array:
+        arrays = self.arrays(run)
+        shape = (len(arrays["indptr"]) - 1, len(self.masks))
+        return csr_array((arrays["data"], arrays["indices"], arrays["indptr"]), shape=shape)
+
+    def embeddings(self) -> Float32[np.ndarray, "m d"]:
+        return np.asarray(np.load(self.store.bring(EMBEDDINGS), mmap_mode="r"))
+
+    def evidence(self, run: Run) -> Evidence:
+        return Evidence(self.weights(run), self.masks, self.embeddings())
+
+
+Making = Callable[[RowFiles, Run, int], dict[str, np.ndarray]]
+"""(rows, run, threads) -> arrays of a file."""
+
+
+@dataclass(frozen=True, eq=False)
+class RowTask:
+    """Makes a file in `folder` of the rows of a run. key: of all that decides what is in it."""
+
+    rows: RowFiles
+    making: Making
+    folder: str
+    key: str
+    threads: int
+
+    def __call__(self, run: Run) -> bool:
+        """Make the file of a run; return True if that was done now, and not before."""
+        store, name = self.rows.store, self.name(run)
+        path = store.bring(name)
+        is_new = not is_finished(path, {"key": self.key})
+        if is_new:
+            arrays = self.making(self.rows, run, self.threads)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_tensors(path, arrays, {"key": self.key}, overwrite=True)
+        if is_new or not store.has(name):
+            store.send(name)
+        return is_new
+
+    def name(self, run: Run) -> str:
+        return rows_name(run, self.folder)
+
+
+@dataclass(frozen=True)
+class Tallying:
+    """A `Making` of what a run adds to the trust in masks."""
+
+    def __call__(self, rows: RowFiles, run: Run, threads: int) -> dict[str, np.ndarray]:
+        counted = tally(rows.evidence(run), threads)
+        (columns,) = np.nonzero(counted.weights)
+        return {"columns": columns, "surpluses": counted.surpluses[columns], "weights": counted.weights[columns]}
+
+
+@dataclass(frozen=True, eq=False)
+class Weighing:
+    """A `Making` of rows whose votes count otherwise. trust: in each mask, where masks are trusted."""
+
+    step: MaskTrust | OutlierRejection
+    trust: Float64[np.ndarray, " m"] | None = None
+
+    def __call__(self, rows: RowFiles, run: Run, threads: int) -> dict[str, np.ndarray]:
+        evidence = rows.evidence(run)
+        if isinstance(self.step, MaskTrust) and self.trust is not None:
+            return _arrays(self.step.weighed(evidence, self.trust).weights)
+        return _arrays(self.step(evidence, threads).weights)  # type: ignore[operator]
+
+
+@dataclass(frozen=True)
+class Believing:
+    """A `Making` of how reliable rows are."""
+
+    def __call__(self, rows: RowFiles, run: Run, threads: int) -> dict[str, np.ndarray]:
+        return {"reliability": reliability(rows.evidence(run), threads)}
+
+
+@dataclass(frozen=True, eq=False)
+class Voting:
+    """A `Making` of rows as neighbours choose them, from the rows of all runs, and of their numbers, `donors`.
+
+    registered: rows as they were before any step. believed: how reliable rows are. gallery: where the tiles are.
+    """
+
+    voting: ModeVoting
+    registered: RowFiles
+    believed: RowFiles
+    gallery: Gallery
+    runs: Sequence[Run]
+
+    def __call__(self, rows: RowFiles, run: Run, threads: int) -> dict[str, np.ndarray]:
+        own = self._trust(run)
+        donors = np.where(own > 0, run.first + np.arange(len(own)), -1)
+        receivers = run.first + np.flatnonzero(np.diff(self.registered.weights(run).indptr) > 0)
+        points = np.concatenate([self._shapes(tile).means for tile in run.tiles])
+        distances, near = self._nearest(run, points[receivers - run.first], threads)
+        held = _Held(self, rows)
+        for begin in range(0, len(receivers) if near.shape[1] else 0, BLOCK):
+            some = slice(begin, begin + BLOCK)
+            voters = Voters(receivers[some], near[some], distances[some])
+            donors[voters.rows - run.first] = self.voting.elected(voters, *held.about(voters.present, threads))
+        made = held.weights(donors)
+        return _arrays(made) | {"donors": donors.astype(np.int32)}
+
+    def _trust(self, run: Run) -> Float64[np.ndarray, " r"]:
+        return np.asarray(self.believed.arrays(run)["reliability"])
+
+    def _shapes(self, tile: Tile) -> Gaussians:
+        return self.gallery.shapes(tile)
+
+    def _nearest(
+        self, run: Run, points: Float32[np.ndarray, "n 3"], threads: int
+    ) -> tuple[Float64[np.ndarray, "n k"], Int64[np.ndarray, "n k"]]:
+        """Return the nearest givers of points: those of the run, then those of all tiles that may hold nearer ones.
+
+        The box of a tile bounds how near its rows are, so that none is missed.
+        """
+        count = self.voting.neighbours + 1
+        distances = np.full((len(points), count), np.inf)
+        near = np.full((len(points), count), NOWHERE)
+        for other in (run, *(one for one in self.runs if one.first != run.first)):
+            trust = self._trust(other)
+            for tile in other.tiles:
+                givers = np.flatnonzero(trust[tile.first - other.first :][: tile.num_rows] > 0)
+                (asking,) = np.nonzero(_distances_to_box(points, tile) <= distances[:, -1])
+                if len(givers) and len(asking):
+                    tree = cKDTree(self._shapes(tile).means[givers])
+                    further, which = nearest(tree, points[asking], count + TIES, threads)
+                    both = np.concatenate([distances[asking], further], axis=1)
+                    rows = np.concatenate([near[asking], tile.first + givers[which]], axis=1)
+                    distances[asking], near[asking] = nearest_first(both, rows, count)
+        some = np.isfinite(distances).all(axis=0)  # of fewer givers than are asked for
+        return distances[:, some], near[:, some]
+
+
+def _distances_to_box(points: Float32[np.ndarray, "n 3"], tile: Tile) -> Float64[np.ndarray, " n"]:
+    """Return how far points are from the box of a tile, and a little less: of what is rounded none is missed."""
+    away = np.maximum(np.maximum(tile.low - points, points - tile.high), 0)
+    return np.asarray(np.sqrt(np.square(away).sum(axis=1)) * (1 - 1e-6))
+
+
+class _Held:
+    """RowFiles of all runs, by their numbers in the scene."""
+
+    def __init__(self, voting: Voting, rows: RowFiles) -> None:
+        self.voting, self.rows = voting, rows
+        self.firsts = np.array([run.first for run in voting.runs])
+        self.table = rows.embeddings()
+
+    def about(
+        self, numbers: Int64[np.ndarray, " p"], threads: int
+    ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, " p"], Float32[np.ndarray, "p d"]]:
+        """Return how reliable rows are, their sizes, and features. numbers: ascending."""
+        trust, sizes = [np.empty(0)], [np.empty(0)]
+        for run, own in self._by_run(numbers):
+            trust.append(self.voting._trust(run)[own - run.first])
+            for tile in run.tiles:
+                inside = own[(own >= tile.first) & (own < tile.first + tile.num_rows)] - tile.first
+                if len(inside):
+                    sizes.append(self.voting.voting.sizes(self.voting._shapes(tile).subset(inside)))
+        w = self.weights(numbers)
+        features = weighted_rows(w.indptr, w.indices, w.data, self.table, 0, len(numbers), threads=threads)
+        return np.concatenate(trust), np.concatenate(sizes), features
+
+    def weights(self, numbers: Int64[np.ndarray, " p"]) -> csr_array:
+        """Return some rows of W in their order; of -1 an empty one."""
+        wanted, at = np.unique(numbers, return_inverse=True)
+        lengths, indices, data = [np.zeros(0, np.int64)], [np.empty(0, np.int32)], [np.empty(0, np.float32)]
+        if len(wanted) and wanted[0] < 0:
+            lengths.append(np.zeros(1, np.int64))
+        for run, own in self._by_run(wanted[wanted >= 0]):
+            part = csr_array(self.rows.weights(run)[own - run.first])
+            lengths.append(np.diff(part.indptr).astype(np.int64))
+            indices.append(part.indices.astype(np.int32))
+            data.append(part.data)
+        starts = np.append(0, np.cumsum(np.concatenate(lengths)))
+        shape = (len(wanted), len(self.table))
+        return csr_array(csr_array((np.concatenate(data), np.concatenate(indices), starts), shape=shape)[at])
+
+    def _by_run(self, numbers: Int64[np.ndarray, " p"]) -> Iterator[tuple[Run, Int64[np.ndarray, " q"]]]:
+        at = np.searchsorted(self.firsts, numbers, side="right") - 1
+        for number in np.unique(at).tolist():
+            yield self.voting.runs[number], numbers[at == number]
+
+
+@dataclass(frozen=True, eq=False)
+class OfColumns:
+    """A `Making` of the rows that some columns have weights in, and of these weights alone."""
+
+    kept: Bool[np.ndarray, " m"]
+
+    def __call__(self, rows: RowFiles, run: Run, threads: int) -> dict[str, np.ndarray]:
+        w = rows.weights(run)
+        held = self.kept[w.indices] & (w.data > 0)
+        starts = np.append(0, np.cumsum(held))[w.indptr]
+        starts = starts[np.append(True, np.diff(starts) > 0)]
+        return {"indptr": starts.astype(np.int64), "indices": w.indices[held], "data": w.data[held]}
+
+
+@dataclass(frozen=True, eq=False)
+class TileAggregator:
+    """Makes features of the rows of runs by tasks. gallery: where the tiles are, of which rows vote."""
+
+    evidence: Evidence
+    store: Store
+    runs: Sequence[Run]
+    launcher: Launcher
+    key: str
+    threads: int
+    gallery: Gallery
+
+    def __call__(self, how: Aggregator, track: Track) -> OfTiles:
+        """Return the features of all rows, which lie in files."""
+        self.store.send(EMBEDDINGS)
+        rows, key = RowFiles(self.store, self.evidence.masks, ROWS), self.key
+        for step in how.steps:
+            rows, key = self._weighed(rows, key, step, track)  # type: ignore[arg-type]
+        evidence = self.evidence if rows.folder == ROWS else self._joined(rows)
+        if how.voting is None:
+            return OfTiles(evidence, None, how.record(), rows.folder, key)
+        chosen, key = self._voted(rows, key, how.voting, track)
+        donors = np.concatenate([chosen.arrays(run)["donors"] for run in self.runs])
+        return OfTiles(evidence, donors, how.record(), chosen.folder, key)
+
+    def of_columns(self, features: OfTiles, kept: Bool[np.ndarray, " m"], track: Track) -> Aggregated:
+        """Return the rows of features that some columns have weights in."""
+        rows = RowFiles(self.store, self.evidence.masks, features.folder)
+        some, _ = self._made(rows, features.key, OfColumns(kept), f"columns {_digest(kept.tobytes())}", track)
+        parts = [some.arrays(run) for run in self.runs]
+        starts = np.append(0, np.cumsum(np.concatenate([np.diff(part["indptr"]) for part in parts])))
+        arrays = (np.concatenate([part[name] for part in parts]) for name in ("data", "indices"))
+        kind = np.int32 if starts[-1] < 1 << 31 else np.int64
+        matrix = csr_array((*arrays, starts.astype(kind)), shape=(len(starts) - 1, len(kept)))
+        return Aggregated(Evidence(matrix, self.evidence.masks, self.evidence.embeddings), None, features.record)
+
+    def _weighed(
+        self, rows: RowFiles, key: str, step: MaskTrust | OutlierRejection, track: Track
+    ) -> tuple[RowFiles, str]:
+        if not isinstance(step, MaskTrust):
+            return self._made(rows, key, Weighing(step), repr(step), track)
+        counted, _ = self._made(rows, key, Tallying(), f"tally {step!r}", track)
+        trust = step.trust(_summed(map(counted.arrays, self.runs), len(self.evidence.masks)))
+        return self._made(rows, key, Weighing(step, trust), repr(step), track)
+
+    def _voted(self, rows: RowFiles, key: str, voting: ModeVoting, track: Track) -> tuple[RowFiles, str]:
+        believed, _ = self._made(rows, key, Believing(), "reliability", track)
+        registered = RowFiles(self.store, self.evidence.masks, ROWS)
+        making = Voting(voting, registered, believed, self.gallery, self.runs)
+        return self._made(rows, key, making, f"{voting!r} {self.gallery.tiles.digest}", track)
+
+    def _made(self, rows: RowFiles, key: str, making: Making, how: str, track: Track) -> tuple[RowFiles, str]:
+        """Let tasks make a file of each run; return those files and their key. how: of all that decides `making`."""
+        key = _digest(f"{key} {how} {_of_embeddings(self.evidence)} {default_isa()}".encode())
+        task = RowTask(rows, making, f"made/{key}", key, self.threads)
+        names = [run.name for run in self.runs]
+        for _ in followed(self.launcher.results(task, self.runs), track, names, "weighing votes"):
+            pass
+        return RowFiles(self.store, rows.masks, task.folder), key
+
+    def _joined(self, rows: RowFiles) -> Evidence:
+        weights = joined_rows(self.runs, self.store, len(self.evidence.masks), rows.folder)
+        return Evidence(weights, self.evidence.masks, self.evidence.embeddings)
+
+
+def _summed(parts: Iterable[Mapping[str, np.ndarray]], count: int) -> Tally:
+    surpluses, weights = np.zeros(count), np.zeros(count)
+    for part in parts:
+        surpluses[part["columns"]] += part["surpluses"]
+        weights[part["columns"]] += part["weights"]
+    return Tally(surpluses, weights)
+
+
+def _arrays(w: csr_array) -> dict[str, np.ndarray]:
+    return {"indptr": w.indptr.astype(np.int64), "indices": w.indices.astype(np.int32), "data": w.data}
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.blake2b(content, digest_size=16).hexdigest()
+
+
+def _of_embeddings(evidence: Evidence) -> str:
+    digest = hashlib.blake2b(digest_size=16)
+    for piece in pieces(evidence.embeddings):
+        digest.update(piece)
+    return digest.hexdigest()

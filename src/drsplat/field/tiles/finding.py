@@ -1,0 +1,226 @@
+"""`objects` of a scene in tiles: what `field.objects.finding` does, by tasks that leave files.
+
+    block -> its nodes                 of its rows of W, which this process gathers when a task is given away
+    view  -> the borders of pieces     onto the tiles that it may see
+
+Held are the rows and nodes of a block, and some bytes of each Gaussian; shapes and W are maps of files.
+"""
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ...base.arrays import Int32
+from ...base.contents import pieces as pieces_of_bytes
+from ...errors import InputError
+from ...formats.tensors import map_tensors, read_tensors, write_tensors
+from ...formats.tiles import Tiles
+from ...kernels import MergeRule, default_isa
+from ...scene.gaussians import Gaussians
+from ...scene.views import View
+from .. import LanguageField
+from ..codes import Track, untracked
+from ..evidence.columns import is_finished, part_name
+from ..forest import Objects
+from ..objects.block_nodes import BlockNodes, nodes_of
+from ..objects.blocks import BlockRows
+from ..objects.borders import Borders, ViewBorders, borders_in, of_all_views
+from ..objects.by_blocks import Division
+from ..objects.describing import describe
+from ..objects.finding import cameras_of, pieces_of, seen_by, tree_of, with_pieces_joined
+from .launching import ONE_PROCESS, Launcher, followed
+from .seeing import Gallery, with_tiles
+from .store import Shared, Store, store_of
+from .transposing import filed
+
+FOLDER = "objects"
+SHAPES: dict[str, tuple[int, ...]] = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": ()}  # of a row
+
+
+def find_objects(
+    field: LanguageField,
+    tiles: Tiles,
+    *,
+    parts: str,
+    views: Sequence[View] | None = None,
+    launcher: Launcher = ONE_PROCESS,
+    threads: int = 0,
+    track: Track = untracked,
+) -> Objects:
+    """Find the things of a scene in tiles; the bits are those of `field.objects.finding.find_objects`.
+
+    parts: as of `register_tiles`. threads: of each worker. track: shows progress.
+
+    Raises: as the other, and as `Launcher.results`.
+    """
+    field.check_scene(tiles)
+    if field.evidence is None:
+        raise InputError("objects are found in the evidence, and this field was saved without: register again")
+    store, cameras = store_of(parts), cameras_of(field) if views is None else views
+    scene = mapped(tiles, store.folder / FOLDER)
+    ids = field.gaussian_ids
+    work = TileBlocks(store, launcher, threads, track)
+    found = tree_of(field.evidence, np.asarray(scene.means[ids]), work, threads=threads)
+    tree, seen = found.tree, seen_by(found, cameras)
+    if seen:
+        pieces = pieces_of(tree, ids, len(tiles))
+        tree = with_pieces_joined(tree, _borders(store, tiles, seen, pieces, launcher, threads, track))
+    return describe(field, scene, tree, threads=threads)
+
+
+def mapped(tiles: Tiles, folder: Path) -> Gaussians:
+    """Return the shapes of all Gaussians, mapped from files, without colours."""
+    folder.mkdir(parents=True, exist_ok=True)
+    means, quats, scales, opacities = (
+        filed(
+            folder / f"{name}.npy", np.float32, (len(tiles), *shape),
+            (getattr(tiles.shapes(tile), name) for tile in tiles.tiles),
+        )
+        for name, shape in SHAPES.items()
+    )  # fmt: skip
+    colours = np.broadcast_to(np.zeros((1, 1, 3), np.float32), (len(tiles), 1, 3))
+    return Gaussians(means, quats, scales, opacities, colours, origin=tiles.origin, antialiased=tiles.antialiased)
+
+
+class _BlockName(NamedTuple):
+    """Files of a block. key: of all that decides its nodes."""
+
+    key: str
+
+    @property
+    def rows(self) -> str:
+        return f"{FOLDER}/{self.key}.rows.safetensors"
+
+    @property
+    def nodes(self) -> str:
+        return f"{FOLDER}/{self.key}.nodes.safetensors"
+
+
+@dataclass(frozen=True, eq=False)
+class BlockTask:
+    """Finds the nodes of a block."""
+
+    store: Store
+    thresholds: tuple[float, ...]
+    rule: MergeRule
+    threads: int
+
+    def __call__(self, task: tuple[int, _BlockName]) -> tuple[int, _BlockName]:
+        """Find the nodes of a block if they are not there yet; its rows go once they are."""
+        number, name = task
+        nodes = self.store.bring(name.nodes)
+        is_new = not is_finished(nodes, {"key": name.key})
+        if is_new:
+            rows = self.store.bring(name.rows)
+            block = BlockRows(**read_tensors(rows)[0])
+            found = nodes_of(block, self.thresholds, self.rule, self.threads)
+            write_tensors(nodes, found._asdict(), {"key": name.key}, overwrite=True)
+        if is_new or not self.store.has(name.nodes):
+            self.store.send(name.nodes)
+        self.store.bring(name.rows).unlink(missing_ok=True)
+        return number, name
+
+
+@dataclass(frozen=True, eq=False)
+class _Gathered(Sequence[tuple[int, _BlockName]]):
+    """Tasks whose rows are gathered when they are given away, where their nodes are not there yet."""
+
+    store: Store
+    division: Division
+
+    def __len__(self) -> int:
+        return len(self.division.blocks)
+
+    def __getitem__(self, number: int) -> tuple[int, _BlockName]:  # type: ignore[override]
+        rows = self.division.rows(self.division.blocks[number])
+        name = _BlockName(_key_of(rows, self.division))
+        if not is_finished(self.store.bring(name.nodes), {"key": name.key}):
+            path = self.store.folder / name.rows
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_tensors(path, rows._asdict(), {"key": name.key}, overwrite=True)
+            self.store.send(name.rows)
+        return number, name
+
+
+def _key_of(rows: BlockRows, division: Division) -> str:
+    digest = hashlib.blake2b(f"{division.thresholds} {division.rule} {default_isa()}".encode(), digest_size=16)
+    for array in rows:
+        for piece in pieces_of_bytes(array):
+            digest.update(piece)
+    return digest.hexdigest()
+
+
+@dataclass(frozen=True, eq=False)
+class TileBlocks:
+    """A `Work` that lets a launcher work."""
+
+    store: Store
+    launcher: Launcher
+    threads: int
+    track: Track
+
+    def __call__(self, division: Division) -> list[BlockNodes]:
+        """Return the nodes of all blocks, mapped from files."""
+        task = BlockTask(self.store, division.thresholds, division.rule, self.threads)
+        results = self.launcher.results(task, _Gathered(self.store, division))
+        names = [f"block {number}" for number in range(len(division.blocks))]
+        done = dict(followed(results, self.track, names, "finding objects"))
+        files = (self.store.bring(done[number].nodes) for number in range(len(names)))
+        return [BlockNodes(**map_tensors(file)[0]) for file in files]
+
+
+@dataclass(frozen=True, eq=False)
+class BorderTask:
+    """Finds the borders that a view shows.
+
+    pieces: file of the piece of each Gaussian. key: of all that decides what is found.
+    """
+
+    gallery: Gallery
+    store: Store
+    pieces: str
+    key: str
+    threads: int
+
+    def __call__(self, view: View) -> str:
+        """Find them if they are not there yet; return the name of their file."""
+        name = f"{FOLDER}/{part_name(view.name).replace('.columns.', f'.{self.key}.borders.')}"
+        path = self.store.bring(name)
+        is_new = not is_finished(path, {"key": self.key})
+        if is_new:
+            seen = self.gallery.visible_splats(view)
+            pieces = np.load(self.store.bring(self.pieces), mmap_mode="r")
+            of_seen = np.asarray(pieces if seen.rows is None else pieces[seen.rows])
+            path.parent.mkdir(parents=True, exist_ok=True)
+            found = borders_in(seen.splats, view, of_seen, threads=self.threads)
+            write_tensors(path, found._asdict(), {"key": self.key}, overwrite=True)
+        if is_new or not self.store.has(name):
+            self.store.send(name)
+        return name
+
+
+def _borders(
+    store: Store, tiles: Tiles, views: Sequence[View], pieces: Int32[np.ndarray, " n"], launcher: Launcher,
+    threads: int, track: Track,
+) -> Borders:  # fmt: skip
+    """Return the borders of pieces in all views, a task for each."""
+    digest = hashlib.blake2b(f"{tiles.digest} {default_isa()}".encode(), digest_size=16)
+    for piece in pieces_of_bytes(pieces):
+        digest.update(piece)
+    key = digest.hexdigest()
+    name = f"{FOLDER}/{key}.pieces.npy"
+    filed(store.folder / name, np.int32, pieces.shape, [pieces])
+    store.send(name)
+    gallery = Gallery(tiles, store=None if isinstance(store, Shared) else with_tiles(store, tiles))
+    task = BorderTask(gallery, store, name, key, threads)
+    made = followed(launcher.results(task, views), track, [view.name for view in views], "looking at borders")
+    return of_all_views(_read(store, made), int(pieces.max(initial=-1)) + 1)
+
+
+def _read(store: Store, names: Iterable[str]) -> Iterable[ViewBorders]:
+    for name in names:
+        yield ViewBorders(**map_tensors(store.bring(name))[0])
