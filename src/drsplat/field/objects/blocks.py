@@ -12,7 +12,6 @@ from ...base.arrays import Bool, Float32, Float64, Int32, Int64, Integer
 from ...base.contents import release
 from ...scene.morton import morton_codes
 
-BLOCK_WEIGHTS = 8_000_000  # of a block, without what is around it
 AROUND = 0.3  # of a block's longest side: how far its surroundings reach
 BULK = (0.01, 0.99)  # quantiles of places between which a side is measured: strays do not count
 CELLS = 10  # bits of each coordinate along the curve
@@ -61,7 +60,7 @@ class BlockRows(NamedTuple):
         return csr_array((self.data, self.indices, self.indptr), shape=(len(self.rows), len(self.columns)))
 
 
-def in_blocks(points: Points, counts: Integer[np.ndarray, " n"], most: int = BLOCK_WEIGHTS) -> list[Block]:
+def in_blocks(points: Points, counts: Integer[np.ndarray, " n"], most: int) -> list[Block]:
     """Halve a scene at medians along its longest side until no block has more than `most` weights.
 
     counts: weights of each point. A block whose points are all in one place stays as it is.

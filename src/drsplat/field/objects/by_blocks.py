@@ -19,6 +19,8 @@ from .block_nodes import BlockNodes, nodes_of
 from .blocks import Block, BlockRows, in_blocks, rows_around
 from .uniting import Masses
 
+BLOCK_WEIGHTS = 8_000_000  # of a block, without what is around it
+
 Work = Callable[["Division"], Iterable[BlockNodes]]
 """Who finds the nodes of all blocks of a scene, in their order."""
 
@@ -73,7 +75,7 @@ class Division:
     @cached_property
     def blocks(self) -> list[Block]:
         """The blocks, in an order that only places and weights decide."""
-        return in_blocks(self.points, self.totals.counts)
+        return in_blocks(self.points, self.totals.counts, BLOCK_WEIGHTS)
 
     @property
     def masses(self) -> Masses:
