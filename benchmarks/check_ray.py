@@ -1,16 +1,19 @@
-"""Registration on a Ray cluster of two nodes while workers, a node and the driver are killed: the same bits.
+"""Registration and objects on a Ray cluster of two nodes while workers, a node and the driver are killed: same bits.
 
     drsplat demo --output demo
     python benchmarks/check_ray.py demo [--rows 8192]
 
 Both nodes are processes of this machine. After each kill the same command is given again until the field is there.
-Printed: whether its files are those of a run without Ray, and how many views were computed more than once.
+The kill comes when some photos are registered, when some votes are weighed (by the aggregator robust), and when some
+blocks have their nodes; runs and blocks are made small, so that there are several. Printed: whether the field's files
+are those of a run without Ray, and how many files of tasks were written more than once.
 """
 
 import argparse
 import os
 import random
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,14 +23,45 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 PORT = 26379
+MANIFEST = "field.json"  # names all files of the field, and so objects
 RAY = [sys.executable, "-m", "ray.scripts.scripts"]
 
 
-def command(tiles: Path, demo: Path, output: Path, *options: str) -> list[str]:
-    features = ["--features", str(demo / "language_features"), "--output", str(output), "--threads", "1", "--json"]
-    return [sys.executable, "-m", "drsplat", "register", str(tiles), str(demo), *features, *options]
+SMALL = """
+import sys
+from drsplat.cli import main
+from drsplat.field.objects import by_blocks, finding
+from drsplat.field.tiles import transposing
+finding.MOST_WEIGHTS, by_blocks.BLOCK_WEIGHTS, transposing.RUN_BYTES = 0, 500_000, 4 << 20
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+class Stage(NamedTuple):
+    """arguments: of drsplat. done: file of the field that is there at the end. kill: after so many files of a name."""
+
+    name: str
+    arguments: list[str]
+    done: str
+    kill: tuple[str, int]
+
+
+def stages(tiles: Path, demo: Path, field: Path) -> list[Stage]:
+    features = ["--features", str(demo / "language_features"), "--output", str(field), "--threads", "1", "--json"]
+    register = ["register", str(tiles), str(demo), *features, "--aggregator", "robust"]
+    objects = ["objects", str(field), "--scene", str(tiles), "--threads", "1", "--json"]
+    return [
+        Stage("photos", register, "field.json", ("*.columns.safetensors", 5)),
+        Stage("votes", register, "field.json", ("made/*/*.rows.safetensors", 3)),
+        Stage("objects", objects, "objects.safetensors", ("objects/*.nodes.safetensors", 1)),
+    ]
+
+
+def command(arguments: list[str], *options: str) -> list[str]:
+    return [sys.executable, "-c", SMALL, *arguments, *options]
 
 
 def children(name: str) -> list[int]:
@@ -75,38 +109,61 @@ def main() -> None:
     parser.add_argument("--victims", nargs="+", default=["nobody", "a worker", "a node", "the driver"])
     given = parser.parse_args()
     place, rng = Path(tempfile.mkdtemp(prefix="ray-")), random.Random(0)
-    tiles = place / "demo.tiles"
+    tiles, plain = place / "demo.tiles", place / "plain.field"
     cut = [sys.executable, "-m", "drsplat", "tile", str(given.demo / "scene.compressed.ply"), "-o", str(tiles)]
     subprocess.run([*cut, "--rows", str(given.rows)], check=True, stdout=subprocess.DEVNULL)
-    subprocess.run(command(tiles, given.demo, place / "plain.field"), check=True, stdout=subprocess.DEVNULL)
+    for stage in stages(tiles, given.demo, plain)[1:]:
+        subprocess.run(command(stage.arguments), check=True, stdout=subprocess.DEVNULL)
     with cluster() as (address, another):
         for victim in given.victims:
-            output, parts = place / f"{victim.replace(' ', '_')}.field", place / f"{victim.replace(' ', '_')}.parts"
-            run = command(tiles, given.demo, output, "--ray", address, "--parts", str(parts))
-            made: Counter[str] = Counter()
-            seen: dict[str, int] = {}
-            tries, killed = 0, victim == "nobody"
-            while not output.exists() and tries < 4:
-                tries += 1
-                process = subprocess.Popen(run, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-                while process.poll() is None:
-                    time.sleep(0.02)
-                    for file in parts.glob("*.columns.safetensors"):
-                        written = file.stat().st_mtime_ns
-                        if seen.get(file.name) != written:
-                            seen[file.name] = written
-                            made[file.name] += 1
-                    if not killed and len(seen) >= 5:
-                        killed = True
-                        kill(victim, process, rng)
-                if victim == "a node" and tries == 1:
-                    another()
-            again = sum(count - 1 for count in made.values())
-            same = output.exists() and files(output) == files(place / "plain.field")
-            print(
-                f"{victim} killed: same bits {same}, {len(made)} views, {again} computed again, {tries} runs",
-                flush=True,
-            )
+            for number in range(3):
+                field, parts = place / f"{number}.field", place / f"{number}.parts"
+                shutil.rmtree(field, ignore_errors=True)
+                shutil.rmtree(parts, ignore_errors=True)
+                stage = stages(tiles, given.demo, field)[number]
+                if stage.name == "objects":
+                    shutil.copytree(place / "1.field", field)
+                run = command(stage.arguments, "--ray", address, "--parts", str(parts))
+                told = watched(run, stage, field, parts, victim, another, rng)
+                same = all(files(plain)[name] == content for name, content in files(field).items() if name != MANIFEST)
+                print(f"{victim} killed, {stage.name}: same bits {same}, {told}", flush=True)
+
+
+def watched(
+    run: list[str], stage: Stage, field: Path, parts: Path, victim: str, another: Callable[[], None],
+    rng: random.Random,
+) -> str:  # fmt: skip
+    """Give a command until it is done, and kill somebody once. What was done."""
+    made: Counter[str] = Counter()
+    seen: dict[str, int] = {}
+    tries, killed = 0, victim == "nobody"
+    pattern, count = stage.kill
+    while not (field / stage.done).exists() and tries < 4:
+        tries += 1
+        process = subprocess.Popen(run, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        while process.poll() is None:
+            time.sleep(0.02)
+            look(parts, seen, made)
+            if not killed and len(list(parts.glob(pattern))) >= count:
+                killed = True
+                kill(victim, process, rng)
+        if victim == "a node" and tries == 1:
+            another()
+    look(parts, seen, made)
+    return f"{len(made)} files, {sum(made.values()) - len(made)} written again, {tries} runs"
+
+
+def look(parts: Path, seen: dict[str, int], made: Counter[str]) -> None:
+    """Count what was written since; embeddings and the rows of blocks are what tasks are given."""
+    for file in parts.rglob("*.safetensors"):
+        given = ".embeddings." in file.name or (file.parent.name == "objects" and ".rows." in file.name)
+        try:
+            written = file.stat().st_mtime_ns
+        except OSError:  # it has its name in a moment
+            continue
+        if not given and seen.get(str(file)) != written:
+            seen[str(file)] = written
+            made[str(file)] += 1
 
 
 def kill(victim: str, driver: subprocess.Popen[bytes], rng: random.Random) -> None:
