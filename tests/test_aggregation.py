@@ -164,6 +164,19 @@ def test_a_mask_that_disagrees_on_all_its_gaussians_counts_less_there_and_elsewh
     assert (trusted[:, 0] > mean[:, 0] + 0.01).all()
 
 
+def test_parts_of_rows_add_up_to_the_whole_to_the_bit() -> None:
+    """In any order, as tasks of many processes come to an end; sums of floats would not."""
+    evidence = evidence_of(np.random.default_rng(8), rows=300)
+    order = np.random.default_rng(9).permutation(300)
+    whole, parts = tally(evidence), [tally(evidence.rows(rows)) for rows in np.array_split(order, 7)]
+    for which in (0, 1):
+        assert_array_equal(whole[which], np.sum([part[which] for part in parts], axis=0))
+    trust = MaskTrust().trust(whole)
+    rows = np.sort(order[:40])
+    of_whole = MaskTrust().weighed(evidence, trust).rows(rows)
+    assert_array_equal(of_whole.weights.data, MaskTrust().weighed(evidence.rows(rows), trust).weights.data)
+
+
 def test_trust_keeps_the_proportions_within_a_photo() -> None:
     evidence = evidence_of(np.random.default_rng(3), per_view=3)
     before, after = evidence.weights.toarray(), MaskTrust()(evidence, 1).weights.toarray()

@@ -48,6 +48,16 @@ def slow_donors(voting: ModeVoting, evidence: Evidence, gaussians: Gaussians, re
     return donors
 
 
+def test_who_is_elected_does_not_depend_on_who_else_is_asked() -> None:
+    """To the bit: support too, which BLAS would sum in other orders for other receivers."""
+    rng, voting = np.random.default_rng(4), ModeVoting()
+    evidence, gaussians = evidence_of(rng, rows=400), random_gaussians(400, 4)
+    whole = voting.donors(evidence, gaussians, np.arange(400))
+    assert (whole != np.arange(400)).any()
+    for rows in np.array_split(rng.permutation(400), 9):
+        assert_array_equal(voting.donors(evidence, gaussians, rows)[rows], whole[rows])
+
+
 @few
 @given(
     st.integers(0, 2**32), st.sampled_from([ModeVoting(), ModeVoting(5, 0.3, 0.0, 0.5), ModeVoting(200, 0.1, 0.2, 0.0)])
