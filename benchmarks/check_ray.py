@@ -107,6 +107,7 @@ def main() -> None:
     parser.add_argument("demo", type=Path)
     parser.add_argument("--rows", type=int, default=8192)
     parser.add_argument("--victims", nargs="+", default=["nobody", "a worker", "a node", "the driver"])
+    parser.add_argument("--stages", nargs="+", default=["photos", "votes", "objects"])
     given = parser.parse_args()
     place, rng = Path(tempfile.mkdtemp(prefix="ray-")), random.Random(0)
     tiles, plain = place / "demo.tiles", place / "plain.field"
@@ -121,6 +122,8 @@ def main() -> None:
                 shutil.rmtree(field, ignore_errors=True)
                 shutil.rmtree(parts, ignore_errors=True)
                 stage = stages(tiles, given.demo, field)[number]
+                if stage.name not in given.stages:
+                    continue
                 if stage.name == "objects":
                     shutil.copytree(place / "1.field", field)
                 run = command(stage.arguments, "--ray", address, "--parts", str(parts))
