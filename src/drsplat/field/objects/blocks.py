@@ -61,7 +61,7 @@ class BlockRows(NamedTuple):
 
 
 def in_blocks(points: Points, counts: Integer[np.ndarray, " n"], most: int) -> list[Block]:
-    """Halve a scene at medians along its longest side until no block has more than `most` weights.
+    """Cut a scene in halves, at medians along its longest side, until no block has more than `most` weights.
 
     counts: weights of each point. A block whose points are all in one place stays as it is.
     """

@@ -22,7 +22,7 @@ from .uniting import Masses
 BLOCK_WEIGHTS = 8_000_000  # of a block, without what is around it
 
 Work = Callable[["Division"], Iterable[BlockNodes]]
-"""Who finds the nodes of all blocks of a scene, in their order."""
+"""Finder of the nodes of all blocks of a scene, in their order."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,6 +16,7 @@ from ...kernels.boxes import Boxes, boxes_of
 from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import Gaussians
 from .. import LanguageField
+from ..evidence.aggregation.entries import row_chunks
 from ..evidence.evidence import Evidence
 from ..forest import MAX_MASKS_PER_NODE, Objects, check_forest
 from .choosing import Tree, pairs_above
@@ -93,7 +94,8 @@ def _inside(parents: Int32[np.ndarray, " T"]) -> csr_array:
 def _weights(evidence: Evidence, inside: csr_array, node_of: Int32[np.ndarray, " R"]) -> csr_array:
     """Return (T, M): the summed weight of all rows of a node in each mask."""
     (rows,) = np.nonzero(node_of >= 0)
-    own = csr_array((np.ones(len(rows), np.float32), (node_of[rows], rows)), shape=(inside.shape[0], len(node_of)))
+    place = node_of[rows].astype(np.int32), rows.astype(np.int32)  # of the kind of W's, which SciPy else copies
+    own = csr_array((np.ones(len(rows), np.float32), place), shape=(inside.shape[0], len(node_of)))
     summed = inside @ (own @ evidence.weights).astype(np.float64)
     summed.eliminate_zeros()
     summed.sort_indices()
@@ -177,6 +179,9 @@ def _exclusive(weights: csr_array, evidence: Evidence) -> csr_array:
 
     A mask of the whole table says little of the mug on it.
     """
-    totals = np.bincount(evidence.weights.indices, evidence.weights.data, len(evidence.masks))
+    totals = np.zeros(len(evidence.masks))
+    for rows in row_chunks(evidence.weights):  # added up in turn, as if all at once
+        entries = slice(evidence.weights.indptr[rows.start], evidence.weights.indptr[rows.stop])
+        np.add.at(totals, evidence.weights.indices[entries], evidence.weights.data[entries].astype(np.float64))
     exclusive = weights.data * (weights.data / np.maximum(totals[weights.indices], weights.data))
     return csr_array((exclusive, weights.indices, weights.indptr), shape=weights.shape)

@@ -106,7 +106,7 @@ def tree_of(
 
 
 def divided(evidence: Evidence, points: Float32[np.ndarray, "r 3"]) -> Division:
-    """Divide a scene into blocks. Of more than OF_A_ROW weights a row those of some views are looked at."""
+    """Cut a scene in blocks. Of more than OF_A_ROW weights a row those of some views are looked at."""
     masks = evidence.masks
     gone = views_beyond(evidence, max(MOST_WEIGHTS, OF_A_ROW * len(evidence)))
     kept = ~gone[masks.views]
