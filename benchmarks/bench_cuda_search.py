@@ -31,6 +31,7 @@ SHARE_ABOVE = 0.01  # rows that a threshold lets through
 def emulated_engine() -> Engine:
     """Return the engine of the tests."""
     sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
+    sys.path.insert(0, str(Path(__file__).parents[1] / "tests/support"))
     from cuda_on_cpu import CpuEngine, compiled
 
     return CpuEngine(compiled(), 227 << 10)

@@ -31,6 +31,7 @@ from drsplat.scene.masks.masks import Masks, cut_masks
 from drsplat.scene.masks.selection import mask_nms
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests/support"))
 
 from twins import photo_network
 from twins import photo_regions as twin

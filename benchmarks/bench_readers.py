@@ -4,9 +4,9 @@
     python benchmarks/bench_readers.py [--gaussians 1000000] [--damaged 200]
 
 Both read to arrays in memory, after activation. A damaged file is a good one with damage as the tests do it
-(`tests/mutations.py`), the same for all, each read in a process that has gigabytes to use and seconds for it. Its
-outcomes: an error that names the cause (`FormatError` of ours, ValueError of theirs), any other exception, a crash or
-no answer in time, or a scene; of those, how many have rows that no Gaussian has (not finite, no rotation, no size).
+(`tests/support/mutations.py`), the same for all, each read in a process that has gigabytes to use and seconds for it.
+Its outcomes: an error that names the cause (`FormatError` of ours, ValueError of theirs), any other exception, a crash
+or no answer in time, or a scene; of those, how many have rows that no Gaussian has (not finite, no rotation, no size).
 """
 
 import io
@@ -30,6 +30,7 @@ from drsplat.scene.labelled import LabelledScene
 
 sys.path.insert(0, str(Path(__file__).parent))
 sys.path.insert(0, str(Path(__file__).parent.parent / "tests"))
+sys.path.insert(0, str(Path(__file__).parent.parent / "tests/support"))
 from machine import arguments, interleaved
 
 from mutations import mutants

@@ -109,6 +109,7 @@ def rival_step(training: Training, threads: int) -> Callable[[], None]:
     import torch
 
     sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests/support"))
     import dense_torch
 
     leaves = dense_torch.Scene(*(torch.tensor(column, requires_grad=True) for column in training.scene))

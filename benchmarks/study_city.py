@@ -21,6 +21,7 @@ from bench_tiles import _held
 from PIL import Image
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests/support"))
 from browsing import a_browser, a_page
 
 LONG_MS = 600_000

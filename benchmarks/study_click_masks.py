@@ -2,8 +2,8 @@
 
     python benchmarks/study_click_masks.py CAPTURE=SCENE... --clip FOLDER --kept FOLDER
 
-CAPTURE: a folder whose things are outlined (`tests/*_outlines.json`), with the scene that was trained on it. "sam":
-masks of whole things, their borders up to three pixels off (`suite/places.py`). What masks show is drawn as in
+CAPTURE: a folder whose things are outlined (`tests/support/*_outlines.json`), with the scene that was trained on it.
+"sam": masks of whole things, their borders up to three pixels off (`suite/places.py`). What masks show is drawn as in
 `suite/trials.py`. Columns are those of `study_clicks.py`. "limit": the Gaussians that have most of their weight in
 masks of the thing, drawn alone: what the masks would be enough for.
 """

@@ -15,15 +15,15 @@ from importlib.metadata import files, version
 from pathlib import Path
 
 FEW = (
-    "kernels",
-    "algebra",
-    "scan",
-    "regions",
-    "boxes",
-    "mixture_kernels",
-    "gaussian_formats",
-    "registration",
-    "system",
+    "kernels/test_kernels",
+    "kernels/test_algebra",
+    "kernels/test_scan",
+    "kernels/test_regions",
+    "scene/test_boxes",
+    "kernels/test_mixture_kernels",
+    "formats/test_gaussian_formats",
+    "field/test_registration",
+    "base/test_system",
 )
 
 
@@ -54,7 +54,7 @@ def main(arguments: list[str]) -> int:
     print(f"drsplat {version('drsplat')} in {place}, {size / 1e6:.1f} MB", flush=True)
     print(f"drsplat demo: {run_demo():.0f} s", flush=True)
     everything = "--all" in rest
-    chosen = [] if everything else [f"tests/test_{name}.py" for name in FEW]
+    chosen = [] if everything else [f"tests/{name}.py" for name in FEW]
     rest = [argument for argument in rest if argument != "--all"]
     command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *chosen, *rest]
     return subprocess.run(command, cwd=checkout, check=False).returncode

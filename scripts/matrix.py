@@ -37,7 +37,13 @@ EXTRAS = (
     "usd",
     "rerun",
 )
-QUICK = tuple(f"tests/test_{name}.py" for name in ("api", "doctor", "system", "algebra", "registration", "notebook"))
+QUICK = tuple(
+    f"tests/{name}.py"
+    for name in (
+        "project/test_api", "fronts/test_doctor", "base/test_system", "kernels/test_algebra", "field/test_registration",
+        "authoring/test_notebook",
+    )
+)  # fmt: skip
 IMPORT = "import drsplat, numpy, platform; print(platform.python_version(), numpy.__version__)"
 
 

@@ -30,7 +30,7 @@ BESIDE = 0.01  # of the outline: smaller pieces are not counted
 
 def outlines_path(capture: str) -> Path:
     """Return the file with the outlines of a capture, by the name of its folder: plush, desk_penguin, ..."""
-    return Path(__file__).resolve().parents[2] / "tests" / f"{capture}_outlines.json"
+    return Path(__file__).resolve().parents[2] / "tests" / "support" / f"{capture}_outlines.json"
 
 
 def read_outlines(path: Path) -> Outlines:

@@ -28,6 +28,7 @@ from .scenes import Photo, photos, with_smaller
 from .scores import score, shared_pixels
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests/support"))
 
 from twins.photo_features import OF_NETWORK
 from twins.photo_merging import Likelihood, Merging

@@ -38,7 +38,7 @@ def centre_weights(splats: SplatArrays, view: View, mask_ids: Int32[np.ndarray, 
 
     At most one entry per Gaussian; none where it adds nothing there, or where no mask is.
 
-    Source: Occam's LGS (BMVC 2025).  Twin: tests/test_benchmark_aggregators.py::slow_centre_weights.
+    Source: Occam's LGS (BMVC 2025).  Twin: tests/project/test_benchmark_aggregators.py::slow_centre_weights.
     """
     pixels = centre_pixels(splats, view)
     wanted = np.unique(pixels[pixels >= 0])

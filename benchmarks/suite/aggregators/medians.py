@@ -16,7 +16,7 @@ class CosineMedian:
     Votes come by view name, then mask id, and the first is the first z. What comes out is a sum of the
     votes with positive factors: those are the new weights, scaled to the row's old sum.
 
-    Source: VALA (3DV 2026), streaming cosine median.  Twin: tests/test_benchmark_aggregators.py::slow_median.
+    Source: VALA (3DV 2026), streaming cosine median.  Twin: tests/project/test_benchmark_aggregators.py::slow_median.
     """
 
     def __call__(self, evidence: Evidence, threads: int = 0) -> Evidence:

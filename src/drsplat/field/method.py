@@ -1,7 +1,7 @@
 """The paper's method on one screen, by the functions that the product runs.
 
 `register`, `Registration.to_field` and `LanguageField.scores` do the same, with checks, files and choices around it;
-tests/test_method.py holds them to the same bits. docs/method.md goes on from here.
+tests/field/test_method.py holds them to the same bits. docs/method.md goes on from here.
 Source: Dr. Splat (CVPR 2025), Sec. A and B; 3DGS (2023).
 """
 

@@ -1,8 +1,8 @@
 """Schema of queries: each field of a `Query` once, for the command line, HTTP, MCP and the viewer.
 
 Fronts make their options, models, arguments and messages of these rows, and read values by their kind: a front has a
-row for each kind, none for a field. `tests/test_schema.py` holds the fronts and `Query` to it. The command line reads
-this module before NumPy, so it imports nothing heavy.
+row for each kind, none for a field. `tests/fronts/test_schema.py` holds the fronts and `Query` to it. The command line
+reads this module before NumPy, so it imports nothing heavy.
 """
 
 from collections.abc import Sequence

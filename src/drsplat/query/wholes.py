@@ -71,7 +71,7 @@ def _best_descriptors(objects: Objects, query: Float32[np.ndarray, " D"]) -> Flo
 def highest_share(values: Float32[np.ndarray, " r"], groups: Int32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
     """Return per row the value that `SHARE` of the rows of its group reach; rows of group -1 keep their own.
 
-    Linear but for one sort. Values have to be finite. Twin: tests/test_objects_asked.py::slow_by_object.
+    Linear but for one sort. Values have to be finite. Twin: tests/query/test_objects_asked.py::slow_by_object.
     """
     result, counts = values.copy(), _counts(groups)
     for first, last in _runs(counts):

@@ -24,7 +24,7 @@ class MaskTrust:
     row i, weighted by W; votes of one photo keep their proportions, so that an edge stays where it is.
 
     Source: ours, in the manner of Dawid and Skene 1979, who weigh observers by how they agree with the others.
-    Twin: tests/test_aggregation.py::slow_trust.
+    Twin: tests/field/test_aggregation.py::slow_trust.
     """
 
     sharpness: float = 4.0

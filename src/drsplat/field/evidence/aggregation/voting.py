@@ -32,7 +32,7 @@ class ModeVoting:
 
     Source: NormLift (2026), mode voting. Of what we know of it d, g and the margin are open; they, and a, are
     ours.
-    Twin: tests/test_aggregation_voting.py::slow_donors.
+    Twin: tests/field/test_aggregation_voting.py::slow_donors.
     """
 
     neighbours: int = 20

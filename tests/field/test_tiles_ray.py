@@ -1,0 +1,82 @@
+"""Registration of tiles on a Ray cluster: the same bits, whoever is killed."""
+
+import os
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import drsplat as ds
+from drsplat.errors import InputError
+from drsplat.field.tiles.cutting import cut
+from drsplat.field.tiles.launching import Ray
+from drsplat.field.tiles.registering import Work, register_tiles
+from drsplat.formats.sources import blocks_of
+from drsplat.formats.tiles import read_tiles
+from places import IMPORTED
+from toy_capture import write_toy_capture
+
+ray = pytest.importorskip("ray", reason="needs ray")
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]  # of Ray's own
+
+
+@pytest.fixture(scope="module")
+def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = write_toy_capture(tmp_path_factory.mktemp("toy"))
+    cut(blocks_of([folder / "scene.ply"]), folder / "scene.tiles", 37)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Ray]:
+    """Two workers on this machine."""
+    os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
+    tests = IMPORTED
+    paths = os.pathsep.join([tests, str(Path(ds.__file__).parent.parent), os.environ.get("PYTHONPATH", "")])
+    try:
+        ray.init(
+            address="local", num_cpus=2, include_dashboard=False, log_to_driver=False, object_store_memory=80 << 20,
+            runtime_env={"env_vars": {"PYTHONPATH": paths}},
+        )  # fmt: skip
+    except (ConnectionError, RuntimeError, OSError) as error:
+        pytest.skip(f"no Ray cluster can be started here: {error}")
+    yield Ray("local")
+    ray.shutdown()
+
+
+def test_a_field_made_on_a_cluster_has_the_same_bits(toy, cluster, tmp_path):
+    tiles = read_tiles(toy / "scene.tiles")
+    views, features = ds.read_views(toy / "capture"), ds.read_features(toy / "capture/language_features")
+    told: list[Work] = []
+    how = {"parts": tmp_path / "parts", "launcher": cluster, "threads": 1}
+    made = register_tiles(tiles, views, features, **how, tell=told.append)
+    assert told[0].views == 4
+    at_once = ds.register(tiles.gaussians(), views, features)
+    made.to_field().save(tmp_path / "a.field")
+    at_once.to_field().save(tmp_path / "b.field")
+    for file in sorted((tmp_path / "a.field").iterdir()):
+        assert file.read_bytes() == (tmp_path / "b.field" / file.name).read_bytes(), file.name
+
+
+def _dies_once(item: Path) -> str:
+    if not item.exists():
+        item.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return item.name
+
+
+def _fails(item: int) -> None:
+    raise InputError(f"bad {item}")
+
+
+def test_a_killed_worker_is_replaced(cluster, tmp_path):
+    items = [tmp_path / str(number) for number in range(4)]
+    for item in items[1:]:
+        item.touch()
+    assert sorted(cluster.results(_dies_once, items)) == ["0", "1", "2", "3"]
+
+
+def test_an_error_of_a_task_is_that_of_the_run(cluster):
+    with pytest.raises(InputError, match="bad 1"):
+        list(cluster.results(_fails, [1]))

@@ -1,0 +1,285 @@
+"""`drsplat select | locate | segment` on the demo's room, where every Gaussian is known."""
+
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from command_line import Capture, answer_of, error_of, text_of
+from drsplat import Scene, WordEncoder, load_field, read_gaussians
+from drsplat.drawing.legend import class_colors, legend
+from drsplat.evaluation.demo import story as household
+from drsplat.formats.npy import write_npy
+from drsplat.formats.vocabulary import VocabularyEncoder, write_vocabulary
+from drsplat.photos.models.nouns import NOUNS
+from drsplat.query.thresholds import share_threshold
+from furnished.story import Story, intersection_over_union
+
+
+@pytest.fixture(scope="module")
+def room(story: Story, demo_folder: Path) -> Path:
+    return demo_folder
+
+
+def truth_of(story: Story, *names: str) -> np.ndarray:
+    return np.flatnonzero(story.room.members(*names))
+
+
+def pixels_of(path: Path) -> np.ndarray:
+    with Image.open(path) as picture:
+        return np.asarray(picture, int)
+
+
+def test_select_counts_and_saves_columns(room: Path, story: Story, tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "sofa.ply"
+    argv = ["select", room / "room.field", "green sofa", "--scene", room / "scene.ply"]
+    report = answer_of(capsys, *argv, "--save", out)
+    assert (report["threshold"], report["threshold_rule"]) == (WordEncoder.threshold, "encoder")
+    assert report["share"] == pytest.approx(report["num_selected"] / len(story.field))
+    saved = read_gaussians(out)
+    field = load_field(room / "room.field")
+    scores = field.scores(WordEncoder().encode_texts(["green sofa"])[0])
+    ids = field.gaussian_ids[scores > WordEncoder.threshold]
+    np.testing.assert_array_equal(np.flatnonzero(saved.extra["selected"]), ids)
+    assert set(np.unique(saved.extra["selected"])) == {0, 1}
+    np.testing.assert_array_equal(saved.extra["relevancy"], field.dense(scores))
+    assert intersection_over_union(ids, truth_of(story, "green sofa")) > 0.9
+    printed = text_of(capsys, *argv, "--save", out, "--overwrite")
+    assert f"{len(ids):,} of" in printed
+    assert "threshold 0.6, that of the encoder" in printed
+
+
+def test_select_saves_row_numbers_without_a_scene(room: Path, tmp_path: Path, capsys: Capture) -> None:
+    out = tmp_path / "ids.npy"
+    report = answer_of(capsys, "select", room / "room.field", "mug", "--save", out)
+    ids = np.load(out, allow_pickle=False)
+    assert (ids.dtype, len(ids)) == (np.int64, report["num_selected"])
+    assert "--overwrite" in error_of(capsys, "select", room / "room.field", "mug", "--save", out)
+    assert ".ply or .npy" in error_of(capsys, "select", room / "room.field", "mug", "--save", tmp_path / "ids.txt")
+    assert "pass --scene SCENE" in error_of(capsys, "select", room / "room.field", "mug", "--save", tmp_path / "a.ply")
+
+
+def test_a_share_is_that_of_the_registered(room: Path, story: Story, capsys: Capture) -> None:
+    report = answer_of(capsys, "select", room / "room.field", "mug", "--top-share", "0.02")
+    scores = story.field.scores(WordEncoder().encode_texts(["mug"])[0])
+    assert report["threshold"] == share_threshold(scores, 0.02)
+    assert report["num_selected"] == pytest.approx(0.02 * len(story.field), abs=1)
+    assert report["threshold_rule"] == "top share"
+    for bad in ("0", "1.5", "half"):
+        assert "share" in error_of(capsys, "select", "x", "y", "--top-share", bad, code=2)
+    both = ["--top-share", "0.1", "--threshold", "0.5"]
+    assert "not allowed with" in error_of(capsys, "select", "x", "y", *both, code=2)
+
+
+@pytest.mark.parametrize(
+    ("text", "things"),
+    [
+        ("red mug", ("red mug",)),
+        ("mug", ("red mug", "blue mug")),
+        ("couch", ("green sofa",)),
+        ("bicycle", ()),
+        ("elephant", ()),
+    ],
+)
+def test_the_automatic_threshold_finds_what_is_there(
+    text: str, things: tuple[str, ...], room: Path, story: Story, tmp_path: Path, capsys: Capture
+) -> None:
+    out = tmp_path / "ids.npy"
+    argv = ["select", room / "room.field", text, "--threshold", "auto", "--save", out]
+    report = answer_of(capsys, *argv)
+    assert (report["threshold_rule"], report["measure"]) == ("encoder", "cosine")
+    found = np.load(out, allow_pickle=False)
+    assert intersection_over_union(found, truth_of(story, *things)) > 0.85
+    if not things:
+        nothing = ["locate", *argv[1:5], "--scene", room / "scene.ply"]
+        assert text_of(capsys, *nothing).startswith("No match")
+
+
+@pytest.mark.parametrize("threshold", [[], ["--threshold", "auto"]])
+@pytest.mark.parametrize("text", ["mug", "elephant"])
+def test_a_vocabulary_is_contrasted_with_its_other_texts(
+    text: str, threshold: list[str], room: Path, story: Story, tmp_path: Path, capsys: Capture
+) -> None:
+    """The same embeddings from a file, which says nothing of a threshold."""
+    words = WordEncoder()
+    vocabulary, out = tmp_path / "words.safetensors", tmp_path / "ids.npy"
+    texts = texts_with(text)
+    known = VocabularyEncoder(words.identity, texts, words.encode_texts(texts))
+    write_vocabulary(vocabulary, known)
+    report = answer_of(
+        capsys, "select", room / "room.field", text, "--vocabulary", vocabulary, *threshold,
+        "--save", out,
+    )  # fmt: skip
+    assert (report["threshold_rule"], report["measure"]) == ("list", "relevancy")
+    found = np.load(out, allow_pickle=False)
+    meant = truth_of(story, *(["red mug", "blue mug"] if text == "mug" else []))
+    assert intersection_over_union(found, meant) > 0.85
+    answer = Scene(story.field, encoder=known).ask(text)
+    np.testing.assert_array_equal(answer.gaussian_ids, found)
+
+
+def texts_with(text: str) -> tuple[str, ...]:
+    return tuple(dict.fromkeys((text, *NOUNS[:60], "wooden table", "white wall", "green sofa")))
+
+
+def test_auto_is_of_cosines(room: Path, capsys: Capture) -> None:
+    for option in (["--relevancy"], ["--negatives", "floor"]):
+        argv = ["select", room / "room.field", "mug", "--threshold", "auto", *option]
+        assert "drop --relevancy" in error_of(capsys, *argv)
+
+
+@pytest.mark.parametrize("argv", [["mug, not red"], ["mug", "--exclude", "red"]])
+def test_not_leaves_one_mug(argv: list[str], room: Path, story: Story, capsys: Capture) -> None:
+    scene = ["--scene", room / "scene.ply"]
+    answer = answer_of(capsys, "locate", room / "room.field", *argv, *scene)
+    assert answer["query"] == "mug, not red"
+    assert answer["num_matches"] == 1
+    blue = story.gaussians.means[truth_of(story, "blue mug")]
+    center = answer["matches"][0]["center"]
+    np.testing.assert_allclose(center, (blue.min(0) + blue.max(0)) / 2, atol=0.03)
+    assert answer["score_range"][0] > -1
+    relevant = answer_of(capsys, "locate", room / "room.field", *argv, *scene, "--relevancy",
+                         "--negatives", "floor,wall,sofa", "--threshold", "0.9")  # fmt: skip
+    assert relevant["num_matches"] == 1
+
+
+def test_not_needs_words(room: Path, tmp_path: Path, capsys: Capture) -> None:
+    write_npy(tmp_path / "q.npy", WordEncoder().encode_texts(["ball"]))
+    argv = ["select", room / "room.field", "--vector", tmp_path / "q.npy", "--exclude", "red"]
+    assert "in words" in error_of(capsys, *argv)
+    assert "mug, not red" in error_of(capsys, "select", room / "room.field", "mug, not ")
+
+
+def test_a_click_finds_the_thing_that_is_clicked(room: Path, story: Story, tmp_path: Path, capsys: Capture) -> None:
+    """The pixel nearest to where the sofa's Gaussians are, on average, and that shows it."""
+    from drsplat.drawing.pictures import visible_share
+
+    ids, view = truth_of(story, "green sofa"), story.views[2]
+    share = visible_share(story.gaussians, view, ids)
+    rows, columns = np.nonzero(share > 0.95)
+    nearest = ((rows - rows.mean()) ** 2 + (columns - columns.mean()) ** 2).argmin()
+    click = f"{Path(view.name).stem}:{columns[nearest]},{rows[nearest]}.5"
+    argv = ["--click", click, "--views", room, "--scene", room / "scene.ply"]
+    for cut in ([], ["--threshold", "auto"]):
+        out = tmp_path / f"{len(cut)}.npy"
+        report = answer_of(capsys, "select", room / "room.field", *argv, *cut, "--save", out)
+        assert (report["query"], report["threshold_rule"]) == (click, "auto")
+        assert report["score_range"][1] == pytest.approx(1, abs=1e-4)
+        assert intersection_over_union(np.load(out, allow_pickle=False), ids) > 0.9
+
+
+def test_clicks_say_what_they_need(room: Path, capsys: Capture) -> None:
+    field, scene = room / "room.field", ["--scene", room / "scene.ply"]
+    message = error_of(capsys, "locate", field, "--click", "photo_001:5,5", *scene)
+    assert "--views" in message
+    for bad in ("photo_001", "photo_001:5", "photo_001:-5,3", ":1,2"):
+        message = error_of(capsys, "locate", field, "--click", bad, *scene, "--views", room)
+        assert "photo_003:210,140" in message
+    outside = [*scene, "--views", room, "--click", "photo_001:320,3"]
+    assert "320x240" in error_of(capsys, "locate", field, *outside)
+    both = [*scene, "--views", room, "--click", "photo_001:5,5"]
+    assert "exactly one of" in error_of(capsys, "locate", field, "mug", *both)
+
+
+CLASSES = {"sofa": "green sofa", "cat": "grey cat", "table": "wooden table", "elephant": None, "teddy": "brown teddy"}
+
+
+def test_segment_labels_and_colours(room: Path, story: Story, tmp_path: Path, capsys: Capture) -> None:
+    out, picture = tmp_path / "classes.ply", tmp_path / "classes.png"
+    scene = ["--scene", room / "scene.ply", "--views", room]
+    argv = ["segment", room / "room.field", "--classes", ", ".join(CLASSES), *scene]
+    report = answer_of(capsys, *argv, "--save", out, "--picture", picture)
+    assert [one["name"] for one in report["classes"]] == list(CLASSES)
+    saved = read_gaussians(out)
+    labels = saved.extra["class_id"]
+    assert report["num_labelled"] == (labels >= 0).sum()
+    for number, (one, name) in enumerate(zip(report["classes"], CLASSES.values(), strict=True)):
+        found = np.flatnonzero(labels == number)
+        assert one["num_gaussians"] == len(found)
+        truth = truth_of(story, name) if name else np.empty(0, int)
+        assert intersection_over_union(found, truth) > 0.9
+    rgb = 0.5 + 0.28209479 * saved.sh[:, 0]
+    colors = class_colors(len(CLASSES)) / 255
+    np.testing.assert_allclose(
+        rgb[labels == 1], np.broadcast_to(colors[1], (report["classes"][1]["num_gaussians"], 3)), atol=1e-3
+    )
+    assert np.ptp(rgb[labels < 0], axis=1).max() < 1e-3
+    assert saved.fingerprint == story.gaussians.fingerprint
+    pixels = pixels_of(picture)
+    assert pixels.shape[1] == 320
+    assert pixels.shape[0] > 240  # the legend
+    assert (np.ptp(pixels[:240], axis=-1) > 80).mean() > 0.01
+    printed = text_of(capsys, *argv)
+    assert "none of these" in printed
+    assert "elephant" in printed
+
+
+def test_segment_with_other_thresholds(room: Path, story: Story, tmp_path: Path, capsys: Capture) -> None:
+    listed = tmp_path / "classes.txt"
+    listed.write_text("sofa\n\nelephant\nmug, not red\n", encoding="utf-8")
+    argv = ["segment", room / "room.field", "--classes-file", listed]
+    every = answer_of(capsys, *argv, "--threshold", "-1")
+    assert every["num_labelled"] == pytest.approx(len(story.field), abs=len(story.field) // 20)
+    auto = answer_of(capsys, *argv, "--threshold", "auto")
+    sofa, elephant, mug = auto["classes"]
+    assert (elephant["num_gaussians"], mug["name"]) == (0, "mug, not red")
+    assert mug["num_gaussians"] == pytest.approx(len(truth_of(story, "blue mug")), rel=0.15)
+    assert sofa["threshold"] == mug["threshold"] == WordEncoder.threshold
+    relevant = answer_of(capsys, *argv, "--relevancy", "--threshold", "0.9")
+    assert relevant["measure"] == "relevancy"
+    assert relevant["num_labelled"] < every["num_labelled"]
+
+
+def test_segment_refuses_what_is_no_list_of_classes(room: Path, tmp_path: Path, capsys: Capture) -> None:
+    field = room / "room.field"
+    (tmp_path / "bad.txt").write_bytes(b"mug\n\xff\xfe")
+    (tmp_path / "empty.txt").write_text("\n\n")
+    for options, message in (
+        ([], "--classes-file"),
+        (["--classes", "a", "--classes-file", "b"], "--classes-file"),
+        (["--classes", " , "], "one or more different classes"),
+        (["--classes", "mug,bowl,mug"], "one or more different classes"),
+        (["--classes-file", tmp_path / "none.txt"], "no such file"),
+        (["--classes-file", tmp_path / "bad.txt"], "UTF-8"),
+        (["--classes-file", tmp_path / "empty.txt"], "got none"),
+    ):
+        assert message in error_of(capsys, "segment", field, *options)
+
+
+def test_colours_of_classes_differ() -> None:
+    colors = class_colors(40).astype(int)
+    apart = np.abs(colors[:, None] - colors[None]).sum(-1) + 1000 * np.eye(40, dtype=int)
+    assert apart.min() > 15
+    np.testing.assert_array_equal(class_colors(5), class_colors(40)[:5])
+
+
+def test_a_legend_of_many_names_has_more_rows() -> None:
+    few, many = (legend(320, [f"class {i}" for i in range(count)], class_colors(count)) for count in (3, 40))
+    assert few.shape[1] == many.shape[1] == 320
+    assert many.shape[0] > 3 * few.shape[0]
+    assert legend(320, [], class_colors(0)).shape[1] == 320
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_document_run(
+    household_story: household.Story, household_folder: Path, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch, capsys: Capture,
+) -> None:  # fmt: skip
+    text = (Path(__file__).parents[2] / "docs/tasks.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```bash\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    lines = "".join(blocks).replace("\\\n", " ").splitlines()
+    (tmp_path / "drsplat-demo").symlink_to(household_folder)
+    monkeypatch.chdir(tmp_path)
+    commands = [shlex.split(line) for line in lines]
+    assert {command[1] for command in commands} == {"demo", "select", "locate", "segment"}
+    printed = ""
+    for command in commands:
+        if command[1] != "demo":
+            printed += text_of(capsys, *command[1:])
+    assert "No match for 'laptop'" in printed
+    assert "of 'blue candle'" in printed
+    written = {path.name for path in tmp_path.iterdir()} - {"drsplat-demo"}
+    assert written == {"vase.ply", "vase_ids.npy", "duck.ply", "duck.png", "classes.ply", "classes.png"}

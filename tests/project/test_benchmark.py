@@ -1,0 +1,416 @@
+"""The benchmark that ships (benchmarks/suite): its page, its rival, and a run on shipped scenes."""
+
+import ast
+import importlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from benchmarks.suite import answers, chart, headline, masks, numbers, page, reading, rendered, running, scenes, stamps
+from benchmarks.suite import results as documents
+from benchmarks.suite.rivals import FITTED
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.sparse import csr_array
+from world import packing
+
+from drsplat.evaluation.lerf_ovs import read_lerf_scene
+from drsplat.evaluation.metrics import mean_interval, pearson
+from drsplat.formats.scannet import LabelledCloud, read_scannet_labels
+
+ROOT = Path(__file__).resolve().parents[2]
+RESULTS, PAGE = ROOT / "docs" / "evaluation.json", ROOT / "docs" / "evaluation.md"
+ANSWERS, PICTURE = ROOT / "docs" / "answers.json", ROOT / "docs" / "evaluation.svg"
+SHIPPED = sorted(path.parent for path in (ROOT / "world/scenes").glob("*/truth.json"))
+shipped = pytest.mark.skipif(not SHIPPED, reason="world/scenes has no packed scene")
+
+
+def test_the_page_is_what_the_results_make() -> None:
+    if not RESULTS.is_file():
+        pytest.skip("docs/evaluation.json is not there: nothing was run yet")
+    said = json.loads(ANSWERS.read_text("utf-8"))
+    assert PAGE.read_text(encoding="utf-8") == page.page(json.loads(RESULTS.read_text("utf-8")), said)
+    assert PICTURE.read_text(encoding="utf-8") == headline.picture(said)
+
+
+def record(scene: str, method: str, level: float, sweep: list[float]) -> dict[str, Any]:
+    """All numbers of one scene at one level."""
+    columns = {
+        name: {"miou": level, "seen": level + 0.05, "acc@0.25": level, "acc@0.5": level, "localization": level}
+        for name in ("fixed", "automatic")
+    }
+    whole = {"miou": level, "macc": level}
+    study = {"scene": scene, "voxel": level, "weighted": level**2, "unweighted": 1 - level}
+    return {
+        "scene": scene,
+        "masks": "true",
+        "method": method,
+        "lerf-ovs": {"columns": columns, "sweep": sweep, "leaked": []},
+        "scannet-volume": {"segmentation": whole, "columns": columns, "sweep": sweep},
+        "scannet-points": {"segmentation": whole},
+        "voxel": {"segmentation": whole, "study": study},
+    }
+
+
+def results() -> dict[str, Any]:
+    """Five scenes; robust is better by 10 in each of them."""
+    about = {
+        "seed": 1,
+        "cameras": "orbit",
+        "things": 2,
+        "photos": 3,
+        "labelled_photos": 1,
+        "pairs": 2,
+        "gaussians": 1234,
+        "points": 5,
+        "photos_and_truth": "ef",
+        "files": {"scene.compressed.ply": "ab12", "a.ply": "cd", "frame.json": "12"},
+    }
+    records = [
+        record(scene, method, level + gain, [level + gain, level + gain + 0.2, 0.1])
+        for scene, level in zip("abcde", (0.3, 0.35, 0.4, 0.45, 0.5), strict=True)
+        for method, gain in (("mean", 0.0), ("robust", 0.1))
+    ]
+    return {
+        "drsplat": "0",
+        "label_set": "household",
+        "sweep": [0.2, 0.4, 0.6],
+        "voxel_side": 0.05,
+        "encoder": {"name": "e", "weights": "w", "threshold": 0.5},
+        "segmenter": {"name": "graph", "version": 1, "weights": "w"},
+        "scenes": dict.fromkeys("abcde", about),
+        "records": records,
+    }
+
+
+def test_a_page_by_hand() -> None:
+    text = " ".join(page.page(results()).split())
+    low, high = mean_interval([30.0, 35.0, 40.0, 45.0, 50.0])
+    assert f"| `mean` | 40.0 [{low:.1f}, {high:.1f}] | 45.0 [{low + 5:.1f}, {high + 5:.1f}] |" in text
+    assert "| `robust` | +10.0 [+10.0, +10.0] |" in text
+    assert "| a | 1 | orbit | 2 | 3 | 1 | 2 | 1,234 | 5 |" in text
+    assert "| `mean` | 0.40 | 0.40 |" in text
+    assert "| Spearman with voxels | | 1.000 | -1.000 |" in text
+    assert "| e | `ab12` | `cd` | `ef` |" in text
+
+
+def asked_for(place: str, kind: str, masks: str, level: float) -> dict[str, Any]:
+    """Two words, 0.2 apart; objects are 0.1 better than plain, the best threshold is 0.3 better."""
+    ious = {
+        name: [level - 0.1 + more, level + 0.1 + more]
+        for name, more in zip(answers.COLUMNS, (0, 0.1, 0.3), strict=True)
+    }
+    shares = {"missed": {"plain": 0.0, "objects": 0.25}, "found": {"plain": 0.5, "objects": 0.05}}
+    return {
+        "place": place,
+        "kind": kind,
+        "masks": masks,
+        "words": 40,
+        "texts": ["a", "b"],
+        **ious,
+        **shares,
+        "absent": 20,
+        "seconds": 900,
+    }
+
+
+def words() -> dict[str, Any]:
+    records = [
+        asked_for("plush", "capture", "graph", 0.4), asked_for("desk", "capture", "graph", 0.5),
+        asked_for("table_1", "room", "graph", 0.6), asked_for("plush", "capture", "sam", 0.6),
+        asked_for("table_1", "room", "true", 0.6),
+    ]  # fmt: skip
+    return {"segmenter": {"version": 7}, "wrong": [0, 20], "seeds": 1, "records": records}
+
+
+def test_the_page_begins_with_answers_to_words() -> None:
+    text = page.page(results(), words())
+    first = " ".join(text.split("##")[0].split())
+    assert "(evaluation.svg)" in first
+    assert "overlaps the thing that is meant by 55 % in 2 real captures and 70 % in 1 made-up rooms" in first
+    assert "are better (+10.0 [+10.0, +10.0]) in 2 real captures" in first
+    assert "is worth +20 in 2 real captures" in first
+    assert "something all the same: 5 % in 2 real captures" in first
+    assert "find nothing: 25 % in 2 real captures" in first
+    assert "are worth +15 in 1 real captures and +0 in 1 made-up rooms" in first
+    low, high = 45 - 9.8, 45 + 9.8  # of two places of two words, each 10 from its mean: 1.96 * sqrt(2 * 100 / 2) / 2
+    assert f"| 2 real captures, CLIP's vectors, 40 words | `graph`, version 7 | 45.0 [{low:.1f}, {high:.1f}] |" in text
+    assert "| words in real captures | 3 | 0.8 |" in text
+    assert "| methods in rooms | 10 | not timed |" in text
+    assert text.count("<details") == text.count("</details>") == text.count("<summary>") >= 4
+
+
+def test_a_gain_that_other_words_may_turn_is_not_called_one() -> None:
+    made = words()
+    for one in made["records"]:
+        one["objects"] = [one["plain"][0] + 0.2, one["plain"][1] - 0.19]
+    text = " ".join(page.page(results(), made).split())
+    assert "are neither clearly better nor worse (+0.5 [-18.6, +19.6]) in 2 real captures" in text
+
+
+def test_answers_to_one_word_are_one_draw() -> None:
+    once = numbers.over_places([[10.0, 30.0]], [["a", "b"]])
+    assert once == pytest.approx((20, 20 - 1.96 * 200**0.5 / 2, 20 + 1.96 * 200**0.5 / 2))
+    assert numbers.over_places([[10.0, 30.0] * 6], [["a", "b"] * 6]) == pytest.approx(once)
+    assert numbers.over_places([[10.0, 30.0]] * 4, [["a", "b"]] * 4)[1] > once[1]
+
+
+def test_the_picture_is_to_scale() -> None:
+    root = ElementTree.fromstring(headline.picture(words()))
+    svg = "{http://www.w3.org/2000/svg}"
+    bars = [part for part in root.iter(f"{svg}rect") if part.find(f"{svg}title") is not None]
+    assert len(bars) == 3 * (1 + 2 + 1 + 1)  # mean, plush, desk; mean, table_1
+    heights = [float(bar.get("height")) for bar in bars]  # type: ignore[arg-type]
+    assert heights[2] / heights[0] == pytest.approx(75 / 45, abs=0.01)
+    assert "prefers-color-scheme:dark" in chart.STYLE
+    names = [text.text for text in root.iter(f"{svg}text")]
+    assert {"mean", "plush", "desk", "table 1", "2 real captures"} <= set(names)
+
+
+def test_what_was_run_before_is_kept_where_nothing_changed(tmp_path: Path) -> None:
+    now = results() | {"version": 2}
+    earlier = json.loads(json.dumps(now))
+    for masks_kind, method in (("true", "opengaussian"), ("graph", "mean")):
+        earlier["records"].append({**earlier["records"][0], "masks": masks_kind, "method": method})
+    path = tmp_path / "results.json"
+    documents.write_results(path, earlier)
+    now["records"] = now["records"][:1]
+    found = documents.with_earlier(now, path)["records"]
+    assert [(r["scene"], r["method"]) for r in found][:3] == [("a", "mean"), ("a", "robust"), ("a", "opengaussian")]
+    assert len(found) == 12
+    newer = documents.with_earlier(now | {"segmenter": {"name": "graph", "version": 2}}, path)["records"]
+    assert {r["masks"] for r in newer} == {"true"}
+    changed = {**now["scenes"], "a": {**now["scenes"]["a"], "photos_and_truth": "another"}}
+    assert {
+        r["scene"] for r in documents.with_earlier(now | {"scenes": changed, "records": []}, path)["records"]
+    } == set("bcde")
+    assert documents.with_earlier(now | {"sweep": []}, path)["records"] == now["records"]
+
+
+def test_the_page_names_what_older_code_made() -> None:
+    made = results()
+    made["code"] = {"mean": "new", "robust": "new"}
+    for one in made["records"]:
+        one["code"] = "new" if one["method"] == "mean" else "old"
+    assert "not run again: `robust`, true." in " ".join(page.page(made).split())
+    assert "before stamps of the code were kept" in " ".join(page.page(results()).split())
+
+
+def test_a_stamp_is_of_what_code_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stamps, "ROOT", tmp_path)
+    file = tmp_path / "rule.py"
+
+    def stamp_of(text: str) -> str:
+        file.write_text(text, encoding="utf-8")
+        return stamps.stamp.__wrapped__((tmp_path,))
+
+    first = stamp_of('CUT = 0.5\n\n\ndef cut():\n    "Where."\n    return CUT\n')
+    assert stamp_of('"""Rules."""\nCUT = 0.5  # of the peak\ndef cut():\n    return CUT\n') == first
+    assert stamp_of("CUT = 0.6\n\n\ndef cut():\n    return CUT\n") != first
+
+
+def test_stamps_are_of_files_that_are_there() -> None:
+    for listed in (stamps.METHODS, stamps.OBJECTS, stamps.RENDERED, stamps.FITTED, stamps.ANSWERS):
+        assert all(path.exists() for path in listed)
+
+
+@pytest.mark.parametrize(
+    ("module", "listed"), [("answers.py", stamps.ANSWERS), ("scoring.py", stamps.METHODS)], ids=["answers", "scoring"]
+)
+def test_what_a_part_imports_of_the_benchmark_is_in_its_stamp(module: str, listed: tuple[Path, ...]) -> None:
+    """A module that is added to the trials, and not to the stamp, would leave old parts in place."""
+    left, seen = [stamps.SUITE / module], set()
+    while left:
+        file = left.pop()
+        seen.add(file)
+        left += {path for path in imported_files(file) if path.is_file()} - seen
+    assert {path for path in seen if not any(path == one or one in path.parents for one in listed)} <= {
+        stamps.SUITE / "stamps.py", stamps.SUITE / "__init__.py",
+    }  # fmt: skip
+
+
+def imported_files(file: Path) -> Iterator[Path]:
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom):
+            beside = file.parents[node.level - 1] if node.level else ROOT
+            if node.level or (node.module or "").startswith("benchmarks"):
+                folder = beside.joinpath(*(node.module or "").split("."))
+                yield folder.with_suffix(".py")
+                yield from (folder / f"{name.name}.py" for name in node.names)
+
+
+@pytest.mark.slow
+def test_finished_parts_of_other_code_are_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = running.Task(tmp_path, "true", ("mean",), tmp_path, 1, 0)
+    key = running._for("mean", {}, task)
+    path = tmp_path / "mean.json"
+    path.write_text(json.dumps({"key": key, "record": {"scene": "a"}}), encoding="utf-8")
+    assert running._finished(path, running._for("mean", {}, task)) == {"scene": "a"}
+    monkeypatch.setattr(stamps, "stamp", lambda paths: "another")
+    assert running._finished(path, running._for("mean", {}, task)) is None
+
+
+def test_a_page_of_a_run_that_did_not_measure_what_is_seen_says_so() -> None:
+    made = results()
+    assert "did not measure" not in " ".join(page.page(made).split())
+    for column in (c for r in made["records"] for c in r["lerf-ovs"]["columns"].values()):
+        column.pop("seen", None)
+    text = " ".join(page.page(made).split())
+    assert "did not measure" in text
+    assert "| method | mIoU, fixed | Acc@0.25, fixed |" in text
+
+
+def test_the_tuned_threshold_is_the_best_over_all_scenes() -> None:
+    made = results()
+    assert numbers.tuned(made, "true", "mean", "lerf-ovs")[0] == 0.4
+    for found in made["records"]:
+        found["lerf-ovs"]["sweep"] = [0.5, 0.5, 0.5]
+    threshold, values = numbers.tuned(made, "true", "mean", "lerf-ovs")
+    assert (threshold, values) == (0.2, [50.0] * 5)
+
+
+def test_the_study_correlates_over_scenes() -> None:
+    found = numbers.correlations(numbers.records_of(results(), "true", "mean"))
+    levels = [0.3, 0.35, 0.4, 0.45, 0.5]
+    assert found["weighted"]["pearson"] == pytest.approx(pearson(levels, np.square(levels)))
+    assert found["unweighted"]["spearman"] == pytest.approx(-1)
+    assert numbers.correlations(numbers.records_of(results(), "true", "mean")[:2]) == {}
+
+
+@given(st.lists(st.floats(-50, 50), min_size=2, max_size=12))
+def test_a_verdict_turns_with_the_sign(values: list[float]) -> None:
+    opposite = {"more": "less", "less": "more"}
+    found = reading.verdict(values)
+    assert reading.verdict([-value for value in values]) == opposite.get(found, found)
+
+
+def test_least_squares_are_numpys() -> None:
+    rng = np.random.default_rng(0)
+    weights = rng.random((60, 8), np.float32) * (rng.random((60, 8)) < 0.6)
+    weights[:, 3] = 0  # no photo sees it
+    targets = rng.standard_normal((60, 4)).astype(np.float32)
+    found = rendered.least_squares(csr_array(weights.astype(np.float32)), targets, 40)
+    expected, *_ = np.linalg.lstsq(weights.astype(np.float64), targets, rcond=None)
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+    assert not found[3].any()
+
+
+def test_the_first_step_of_fitting_is_along_the_mean() -> None:
+    """From zero, the gradient is the weighted sum that registration normalises."""
+    rng = np.random.default_rng(1)
+    weights = rng.random((30, 5), np.float32)
+    targets = rng.standard_normal((30, 3)).astype(np.float32)
+    found = rendered.least_squares(csr_array(weights), targets, 1)
+    ratio = found / (weights.T @ targets)
+    np.testing.assert_allclose(ratio, np.full(ratio.shape, ratio[0, 0]), rtol=1e-4)
+    assert ratio[0, 0] > 0
+
+
+def test_gaussians_at_points_are_as_large_as_the_gaps() -> None:
+    line = np.zeros((4, 3), np.float32)
+    line[:, 0] = [0, 1, 2, 3]
+    made = scenes.at_points(line)
+    np.testing.assert_array_equal(made.means, line)
+    expected = np.array([2, 4 / 3, 4 / 3, 2], np.float32)  # mean of three distances
+    np.testing.assert_allclose(made.scales, np.repeat(expected[:, None], 3, axis=1), rtol=1e-6)
+    assert (made.opacities == np.float32(scenes.OPACITY)).all()
+
+
+def rendered_folder(place: Path, points: int) -> LabelledCloud:
+    """The parts of a rendered room that labels are packed from."""
+    labels, scan = place / "lerf_ovs/label/room", place / "scannet/room"
+    labels.mkdir(parents=True)
+    scan.mkdir(parents=True)
+    truth = {"scene": "room", "objects": [], "structures": [], "views": [{"name": "frame_00001.jpg"}]}
+    (place / "truth.json").write_text(json.dumps(truth), encoding="utf-8")
+    info = {"name": "frame_00001.jpg", "width": 8, "height": 6}
+    piece = {"category": "red mug", "bbox": [1, 1, 4, 4], "segmentation": [[1, 1], [4, 1], [4, 4]]}
+    document = {"info": info, "objects": [piece]}
+    (labels / "frame_00001.json").write_text(json.dumps(document), encoding="utf-8")
+    rng = np.random.default_rng(0)
+    cloud = LabelledCloud(rng.random((points, 3), np.float32), rng.integers(0, 40, points).astype(np.int32))
+    (scan / "room_vh_clean_2.labels.ply").write_bytes(packing._ply(cloud))
+    return cloud
+
+
+@pytest.mark.parametrize("points", [7, 2 * packing.LABELLED_POINTS + 1])
+def test_packed_labels_are_what_the_readers_read(points: int, tmp_path: Path) -> None:
+    cloud = rendered_folder(tmp_path / "rendered", points)
+    output = tmp_path / "scenes" / "small"
+    output.mkdir(parents=True)
+    for _ in range(2):  # again, over its own files
+        packing.pack_labels(tmp_path / "rendered", output)
+    found = read_scannet_labels(output / "small_vh_clean_2.labels.ply")
+    step = max(1, (points - 1) // (packing.LABELLED_POINTS - 1))
+    assert len(found.labels) == min(points, packing.LABELLED_POINTS)
+    np.testing.assert_array_equal(found.positions[0], cloud.positions[0])
+    np.testing.assert_array_equal(found.positions[-1], cloud.positions[-1])
+    np.testing.assert_array_equal(found.labels[1], cloud.labels[step])
+    frame = json.loads((tmp_path / "scenes/label/small/frame_00001.json").read_text("utf-8"))
+    assert frame["objects"][0]["category"] == "red mug"
+
+
+@pytest.mark.slow
+@shipped
+@pytest.mark.parametrize("folder", SHIPPED[:2], ids=lambda path: path.name)
+def test_shipped_scenes_are_whole(folder: Path) -> None:
+    scene = scenes.read_scene(folder)
+    known = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    assert sorted(f"{frame.name}.jpg" for frame in scene.lerf.frames) == sorted(known["held_out"])
+    assert not {view.name for view in scene.views} & set(known["held_out"])
+    assert read_lerf_scene(folder.parent, folder.name).categories == scene.lerf.categories
+    assert len(np.unique(scene.points.points.labels)) > 3
+    view = scene.views[0]
+    ids = scene.ids(view)
+    image = np.zeros((*ids.shape, 3), np.uint8)
+    cut = masks.true_masks(scene, view, image)["large"]
+    assert sum(cut.areas) == (ids >= 0).sum()
+    for index, number in enumerate(np.unique(ids[ids >= 0])):
+        np.testing.assert_array_equal(cut.full(index), ids == number)
+
+
+@pytest.mark.slow
+@shipped
+def test_registration_beats_lookup_of_rendered_features(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    task = running.Task(SHIPPED[0], "true", ("mean", rendered.RENDERED), tmp_path, 5, 0)
+    first = running.run([task], 1)
+    mean, rival = (numbers.MEASURES["selection"].pick(found) for found in first)
+    assert mean > rival + 0.1
+    assert first[0]["lerf-ovs"]["leaked"] == []
+    monkeypatch.setattr(running, "Workshop", None)  # nothing is made again
+    assert running.run([task], 1) == first
+    path = tmp_path / "results.json"
+    documents.write_results(path, documents.results_of([SHIPPED[0]], 5, first))
+    assert "| `mean` |" in page.page(json.loads(path.read_text(encoding="utf-8")))
+
+
+@pytest.mark.slow
+@shipped
+def test_rivals_are_scored_like_all_others(tmp_path: Path) -> None:
+    pytest.importorskip("torch")
+    task = running.Task(SHIPPED[0], "true", FITTED, tmp_path, 14, 0, dict.fromkeys(FITTED, 0.0003))
+    found = running.run([task], 1)
+    assert [record["effort"] for record in found] == [0.0003] * len(FITTED)
+    written = page.page(documents.results_of([SHIPPED[0]], 14, found))
+    assert f"`{FITTED[0]}` 0.03 %" in written
+    assert "<summary>What the papers report</summary>" in written
+
+
+def test_prose_of_the_page_is_at_most_120_wide() -> None:
+    lines = [line for line in page.page(results()).split("\n") if not line.startswith("|")]
+    assert 80 < max(map(len, lines)) <= 120
+
+
+@pytest.mark.parametrize("study", sorted(path.stem for path in (ROOT / "benchmarks").glob("study_*.py")))
+def test_studies_find_what_they_take_from_each_other(study: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))  # as where a script is run
+    try:
+        importlib.import_module(f"benchmarks.{study}")
+    except ModuleNotFoundError as error:
+        if str(error.name).split(".")[0] in ("benchmarks", "drsplat"):
+            raise
+        pytest.skip(f"{error.name} is not installed")

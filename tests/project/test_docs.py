@@ -1,0 +1,231 @@
+"""The documents are held to the code: snippets run, links lead somewhere, references exist.
+
+Snippets run in order in a folder with the small capture of toy_capture.py.
+"""
+
+import ast
+import json
+import re
+import shlex
+from dataclasses import replace
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import drsplat as ds
+from drsplat.cli import VERBS, main
+from drsplat.field.objects.choosing import Tree
+from drsplat.field.objects.describing import describe
+from drsplat.formats.tensors import map_tensors
+from toy_capture import NEGATIVES, PER_THING, THINGS, write_toy_capture
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "world/README.md"])
+WITH_SNIPPETS = ["README.md", "docs/api.md"]
+CODE_FOLDERS = ("", "src/drsplat", "native")
+
+every_document = pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory) -> Path:
+    return write_toy_capture(tmp_path_factory.mktemp("documents"))
+
+
+def blocks(document: str, language: str) -> list[str]:
+    text = (ROOT / document).read_text(encoding="utf-8")
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("document", WITH_SNIPPETS)
+def test_snippets_run(document, capture, tmp_path, monkeypatch):
+    snippets = blocks(document, "python")
+    assert snippets
+    for file in capture.iterdir():
+        (tmp_path / file.name).symlink_to(file)
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {"__name__": "snippet"}
+    for number, snippet in enumerate(snippets):
+        exec(compile(snippet, f"{document}, python block {number}", "exec"), names)
+    assert_is_the_mug(names["matches"])
+
+
+def test_the_readme_has_the_test_command_that_continuous_integration_runs() -> None:
+    ci = (ROOT / ".ci/run").read_text(encoding="utf-8")
+    pattern = re.search(r"grep -x '(.*)' README.md", ci)
+    assert pattern
+    lines = [line for block in blocks("README.md", "bash") for line in block.splitlines()]
+    assert [line for line in lines if re.fullmatch(pattern[1], line)] == ['pip install ".[dev]" && pytest']
+
+
+def assert_is_the_mug(matches: list[ds.Match]) -> None:
+    assert len(matches) == 1
+    assert np.abs(matches[0].center - THINGS["red mug"]).max() < 0.1
+    assert matches[0].gaussian_ids.max() < PER_THING
+
+
+@pytest.mark.slow
+def test_commands_run(capture, tmp_path, monkeypatch, capsys):
+    """Every `drsplat` line of the tour but those that take minutes or models."""
+    lines = "".join(blocks("docs/tour.md", "bash")).replace("\\\n", " ").splitlines()
+    commands = [shlex.split(line, comments=True) for line in lines if line.startswith("drsplat ")]
+    endless = {"view", "serve", "mcp"}
+    assert {command[1] for command in commands} - endless == set(VERBS) - endless - {"demo", "scan"}
+    left_out = {"scan", "capture", "train", "photograph", "embed", "codebook", "evaluate", "field", *endless} | (
+        {"catalogue"} if find_spec("lancedb") is None else set()
+    )
+    commands = [command[1:] for command in commands if command[1] not in left_out]
+    for file in capture.iterdir():
+        (tmp_path / file.name).symlink_to(file)
+    (tmp_path / "scenes/mugs").mkdir(parents=True)
+    for name, of in (("scene.ply", "scene.ply"), ("mugs.field", "scene.field")):
+        (tmp_path / "scenes/mugs" / name).symlink_to(tmp_path / of)
+    monkeypatch.chdir(tmp_path)
+    for command in commands:
+        assert main(command) == 0, f"{command}: {capsys.readouterr().err}"
+
+
+def test_the_tour_of_a_catalogue_runs(capture, tmp_path, monkeypatch, capsys):
+    pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
+    for file in capture.iterdir():
+        (tmp_path / file.name).symlink_to(file)
+    monkeypatch.chdir(tmp_path)
+    assert (
+        main(["register", "scene.ply", "capture", "--features", "capture/language_features", "-o", "scene.field"]) == 0
+    )
+    lines = "".join(blocks("docs/catalogue.md", "bash")).splitlines()
+    commands = [shlex.split(line, comments=True)[1:] for line in lines if line.startswith("drsplat ")]
+    assert [command[1] for command in commands[1:]] == ["add", "ask", "ask", "list", "remove"]
+    for command in commands:
+        assert main(command) == 0, f"{command}: {capsys.readouterr().err}"
+    assert (tmp_path / "mugs.jpg").exists()
+    assert "1 match for “red mug”" in capsys.readouterr().out
+    names: dict[str, object] = {}
+    with pytest.warns(ds.DrSplatWarning, match="no thumbnails"):  # the capture lies in another folder
+        exec("".join(blocks("docs/catalogue.md", "python")), names)
+    assert [entry.scene for entry in names["catalogue"].ask("red mug")] == ["kitchen"]
+
+
+def test_every_public_name_has_its_purpose_in_a_line():
+    text = (ROOT / "docs/api.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\| `(\w+)` \| .+ \|$", text.partition("## A scene")[0], re.MULTILINE)
+    assert sorted(listed) == sorted(ds.__all__)
+
+
+def without_code(text: str) -> str:
+    return re.sub(r"^```.*?^```$|`[^`\n]+`", "", text, flags=re.MULTILINE | re.DOTALL)
+
+
+def anchors(document: Path) -> set[str]:
+    """Of the headings, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.+)$", document.read_text(encoding="utf-8"), re.MULTILINE)
+    plain = [re.sub(r"[^\w\- ]", "", heading.strip().lower()) for heading in headings]
+    return {heading.replace(" ", "-") for heading in plain}
+
+
+@every_document
+def test_links_lead_somewhere(document):
+    links = re.findall(r"\]\(([^)\s]+)\)", without_code(document.read_text(encoding="utf-8")))
+    for link in links:
+        if re.match(r"[a-z]+:", link):
+            continue
+        path, _, anchor = link.partition("#")
+        target = (document.parent / path) if path else document
+        assert target.exists(), f"{link} in {document.name}"
+        assert not anchor or anchor in anchors(target), f"{link} in {document.name}"
+
+
+@every_document
+def test_lines_are_of_at_most_120_characters(document):
+    """But rows of tables and what has no space to break at, such as an address."""
+    lines = document.read_text(encoding="utf-8").splitlines()
+    too_long = [line for line in lines if len(line) > 120 and not line.startswith("|")]
+    assert document.name == "README.md" or not [line for line in too_long if " " in line.strip("-* ")]
+
+
+def references(document: Path) -> list[tuple[str, str]]:
+    """`file::name` in a document."""
+    text = document.read_text(encoding="utf-8")
+    return re.findall(r"`([\w./-]+\.(?:py|h|cpp))::([\w.]+)`", text)
+
+
+@lru_cache
+def defined(path: Path) -> frozenset[str]:
+    """Functions, classes, methods (Class.method) and constants of a file."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix != ".py":
+        return frozenset(re.findall(r"\w+", re.sub(r"//.*", "", text)))
+    names = set()
+    for node in ast.parse(text).body:
+        names |= names_of(node)
+        if isinstance(node, ast.ClassDef):
+            names |= {f"{node.name}.{name}" for part in node.body for name in names_of(part)}
+    return frozenset(names)
+
+
+def names_of(node: ast.stmt) -> set[str]:
+    if isinstance(node, ast.FunctionDef | ast.ClassDef):
+        return {node.name}
+    targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+    elements = [part for target in targets if target for part in ast.walk(target)]
+    return {part.id for part in elements if isinstance(part, ast.Name)}
+
+
+@every_document
+def test_references_exist(document):
+    for file, name in references(document):
+        found = [path for folder in CODE_FOLDERS if (path := ROOT / folder / file).is_file()]
+        assert found, f"{document.name} names {file}, which does not exist"
+        assert name in defined(found[0]), f"{document.name}: {file} has no {name}"
+
+
+def test_every_rule_of_the_method_has_code_and_a_test():
+    """In the tables of method.md, a row that says where a rule is also says what proves it."""
+    text = (ROOT / "docs/method.md").read_text(encoding="utf-8")
+    rows = [row for row in re.findall(r"^\|.+\|$", text, re.MULTILINE) if "::" in row]
+    assert len(rows) > 30
+    for row in rows:
+        files = [file for file, _ in re.findall(r"`([\w./-]+)::([\w.]+)`", row)]
+        proofs = [file for file in files if re.match(r"tests/\w+/test_", file)]
+        assert proofs, f"no proof: {row}"
+        assert set(files) - set(proofs), f"no code or twin: {row}"
+
+
+@pytest.fixture(scope="module")
+def field_folder(capture, tmp_path_factory) -> Path:
+    encoder = ds.WordEncoder()
+    folder = tmp_path_factory.mktemp("field") / "scene.field"
+    features = ds.read_features(capture / "capture/language_features", encoder=encoder.identity)
+    views = ds.read_views(capture / "capture")
+    gaussians = ds.read_gaussians(capture / "scene.ply")
+    field = ds.register(gaussians, views, features).to_field()
+    field = replace(field, growth=ds.register(gaussians, views, features).to_field(ds.Mixture()).growth)
+    node_of = (field.gaussian_ids // PER_THING).astype(np.int32)
+    roots, things = np.full(2, -1, np.int32), np.ones(2, np.uint8)
+    field = field.with_objects(describe(field, gaussians, Tree(node_of, roots, things, np.ones(2, np.float32))))
+    texts, vectors = tuple(NEGATIVES), encoder.encode_texts(NEGATIVES)
+    field.with_negatives(vectors, texts).with_contrast(vectors, texts).save(folder)
+    return folder
+
+
+def test_the_layout_of_a_field_is_as_documented(field_folder):
+    """formats.md lists | `file` | `name` | dtype |; `coarse*` are of residual codes, `view_times` of films."""
+    text = (ROOT / "docs/formats.md").read_text(encoding="utf-8")
+    listed = re.findall(r"^\| `(\w+\.safetensors)` \| `(\w+)` \| (\w+) \|", text, re.MULTILINE)
+    documented = {(file, name): dtype for file, name, dtype in listed}
+    for part in ("codes", "evidence", "negatives", "contrast", "objects", "growth"):
+        file = f"{part}.safetensors"
+        tensors, _ = map_tensors(field_folder / file)
+        for name, array in tensors.items():
+            assert documented.pop((file, name), None) == array.dtype.name, f"{file}: {name}"
+    assert {name for _, name in documented} == {"coarse", "coarse_ids", "view_times"}
+
+
+def test_the_manifest_of_a_field_is_as_documented(field_folder):
+    text = (ROOT / "docs/formats.md").read_text(encoding="utf-8")
+    keys = set(re.findall(r"^\| `field.json` \| `(\w+)` \|", text, re.MULTILINE))
+    assert keys == set(json.loads((field_folder / "field.json").read_text()))

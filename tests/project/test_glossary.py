@@ -1,0 +1,232 @@
+"""One word, one thing: the retired words of docs/glossary.md stand in no public name, option, key or heading."""
+
+import argparse
+import ast
+import asyncio
+import dataclasses
+import inspect
+import re
+from collections.abc import Iterable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import drsplat
+from drsplat.cli import VERBS, make_parser
+
+ROOT = Path(__file__).resolve().parents[2]
+GLOSSARY = ROOT / "docs" / "glossary.md"
+# `docs/evaluation.md` is generated; README.md quotes commands.
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), ROOT / "world/README.md"])
+KEYED = ("fronts/commands", "evaluation/demo", "fronts/serving", "evaluation")  # what makes JSON that people read
+THEIRS = {
+    "info", "objects", "things",  # files of LERF-OVS
+    "asked",  # what a worker is sent, between two processes of ours
+}  # fmt: skip
+VERB = "segment"  # is no noun: it stands alone
+PROSE = (
+    "speaks for", "speak for", "not meant", "and leave", "say what is in", "if wanted", "thing", "things", "unwanted",
+    "asked for", "instance",
+)  # fmt: skip
+NO_BEGINNING = (
+    "a", "an", "the", "of", "what", "who", "where", "how", "as", "also", "never", "in", "behind",
+    "this", "these", "it", "they", "things", "for",
+)  # fmt: skip
+
+
+def retired() -> set[str]:
+    """The third column of the glossary's tables."""
+    rows = re.findall(r"^\| [^|]+ \| [^|]+ \| ([^|]+) \|$", GLOSSARY.read_text(), re.MULTILINE)
+    return {word.strip() for row in rows for word in row.split(",")} - {"never", ""}
+
+
+def parts(name: str) -> str:
+    """ "mask_ids", "--min-gaussians" and "MaskIds" as words with spaces around each."""
+    spaced = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", name)
+    return f" {' '.join(re.findall('[a-z]+', spaced.lower()))} "
+
+
+def offenders(names: Iterable[str], words: Iterable[str]) -> set[str]:
+    words = list(words)
+    return {
+        name
+        for name in names
+        if any(f" {word} " in parts(name) for word in words)
+        or (f" {VERB} " in parts(name) and parts(name).strip() != VERB)
+    }
+
+
+def public_names() -> Iterator[str]:
+    for name in drsplat.__all__:
+        yield name
+        thing = getattr(drsplat, name)
+        if inspect.isclass(thing):
+            yield from (one for one in vars(thing) if not one.startswith("_"))
+            for _, method in inspect.getmembers(thing, callable):
+                yield from parameters(method)
+            if dataclasses.is_dataclass(thing):
+                yield from (one.name for one in dataclasses.fields(thing))
+        elif callable(thing):
+            yield from parameters(thing)
+
+
+def parameters(thing: Any) -> list[str]:
+    try:
+        return list(inspect.signature(thing).parameters)
+    except (TypeError, ValueError):  # of builtins
+        return []
+
+
+def verbs() -> dict[str, argparse.ArgumentParser]:
+    return next(action.choices for action in make_parser()._actions if action.choices)  # type: ignore[return-value]
+
+
+def options() -> Iterator[str]:
+    for parser in verbs().values():
+        for action in parser._actions:
+            yield from (action.option_strings or [action.dest])
+
+
+def helps() -> Iterator[tuple[str, str]]:
+    for verb, parser in verbs().items():
+        for action in parser._actions:
+            yield f"{verb} {'/'.join(action.option_strings) or action.dest}", action.help or ""
+
+
+def json_keys() -> Iterator[str]:
+    """The keys of dictionaries that are written out in the code that prints JSON."""
+    for folder in KEYED:
+        for path in (ROOT / "src/drsplat" / folder).glob("*.py"):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                keys = node.keys if isinstance(node, ast.Dict) else []
+                yield from (key.value for key in keys if isinstance(key, ast.Constant) and isinstance(key.value, str))
+
+
+def schema_keys(node: Any) -> Iterator[str]:
+    """Properties and parameters of a JSON schema or an OpenAPI document."""
+    if isinstance(node, dict):
+        yield from ((node.get("properties") or {}) if isinstance(node.get("properties"), dict) else ())
+        yield from (one["name"] for one in node.get("parameters") or () if isinstance(one, dict) and "name" in one)
+        for value in node.values():
+            yield from schema_keys(value)
+    elif isinstance(node, list):
+        for value in node:
+            yield from schema_keys(value)
+
+
+def descriptions(node: Any) -> Iterator[str]:
+    if isinstance(node, dict):
+        yield from (value for key, value in node.items() if key in ("description", "title") and isinstance(value, str))
+        for value in node.values():
+            yield from descriptions(value)
+    elif isinstance(node, list):
+        for value in node:
+            yield from descriptions(value)
+
+
+@pytest.fixture(scope="module")
+def openapi(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    pytest.importorskip("fastapi")
+    from drsplat.fronts.serving.app import Settings, create_app
+
+    folder = tmp_path_factory.mktemp("scenes")
+    (folder / "none").mkdir()
+    return create_app(Settings(str(folder))).openapi()
+
+
+@pytest.fixture(scope="module")
+def tools(tmp_path_factory: pytest.TempPathFactory) -> list[Any]:
+    pytest.importorskip("mcp")
+    from drsplat.fronts.serving.limits import Limits
+    from drsplat.fronts.serving.metrics import Metrics
+    from drsplat.fronts.serving.scene_folder import SceneFolder
+    from drsplat.fronts.serving.tools import make_server
+    from drsplat.fronts.serving.workbench import Workbench
+    from drsplat.fronts.serving.worker import Workplace
+
+    folder = tmp_path_factory.mktemp("scenes")
+    with closing(Workbench(Workplace(str(folder)), Metrics())) as bench:
+        return asyncio.run(make_server(SceneFolder(folder), bench, Limits()).list_tools())
+
+
+def test_the_glossary_names_what_is_retired() -> None:
+    assert {"segments", "thing", "instance", "question", "asked", "found", "unwanted"} <= retired()
+    terms = re.findall(r"^\| ([^|]+) \|", GLOSSARY.read_text(), re.MULTILINE)
+    terms = [term for term in terms if term != "term"]
+    assert len(terms) == len(set(terms)) > 30
+    assert not {term.split(" (")[0] for term in terms} & retired()
+
+
+@pytest.mark.parametrize(
+    "name", ["segment_id", "num_segments", "Segments", "--things", "found", "asked_for", "instance_index", "ThingCount"]
+)
+def test_it_can_fail(name: str) -> None:
+    assert offenders([name], retired()) == {name}
+
+
+def test_verbs_and_longer_words_may_stay() -> None:
+    assert not offenders(
+        ["segment", "load_segmenter", "Segmentation", "nothing", "find_scene_up"[5:], "foundry"], retired()
+    )
+
+
+def test_public_names() -> None:
+    assert not offenders(public_names(), retired())
+
+
+def test_options() -> None:
+    assert {"--threshold", "--min-gaussians"} <= set(options())
+    assert not offenders(options(), retired())
+
+
+def test_verbs_have_no_second_name() -> None:
+    assert set(verbs()) == set(VERBS)
+
+
+def test_json_keys() -> None:
+    keys = set(json_keys())
+    assert {"num_matches", "num_masks", "threshold_rule"} <= keys
+    assert not offenders(keys - THEIRS, retired())
+
+
+def test_http(openapi: dict[str, Any]) -> None:
+    keys = set(schema_keys(openapi))
+    assert {"matches", "top", "view"} <= keys
+    routes = [part for path in openapi["paths"] for part in path.split("/") if part]
+    assert not offenders([*keys, *routes], retired())
+
+
+def test_language_models(tools: list[Any]) -> None:
+    names = {key for tool in tools for key in schema_keys([tool.input_schema, tool.output_schema])}
+    assert {"text", "matches", "top"} <= names
+    assert not offenders([*names, *(tool.name for tool in tools)], retired())
+
+
+def test_headings_and_options_of_documents() -> None:
+    for document in DOCUMENTS:
+        text = document.read_text(encoding="utf-8")
+        plain = re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
+        headings = [re.sub(r"`[^`]*`", "", one) for one in re.findall(r"^#+ (.+)$", plain, re.MULTILINE)]
+        flags = re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)
+        bad = [one for one in headings if any(f" {word} " in parts(one) for word in retired() - {"asked"})]
+        assert not bad, document.name
+        assert not offenders(set(flags), retired()), document.name
+
+
+@pytest.mark.parametrize(("option", "text"), list(helps()), ids=[option for option, _ in helps()])
+def test_helps_begin_with_a_noun_or_a_verb(option: str, text: str) -> None:
+    first = re.split(r"[\s,:;]", text)[0]
+    assert re.match(r"[A-Za-z{.]", first), f"{option}: {text}"
+    assert first.lower() not in NO_BEGINNING, f"{option}: {text}"
+
+
+def test_nobody_speaks_of_things(openapi: dict[str, Any], tools: list[Any]) -> None:
+    told = [text for _, text in helps()] + [parser.description or "" for parser in verbs().values()]
+    told += [*descriptions(openapi), *(tool.description or "" for tool in tools)]
+    told += [text for tool in tools for text in descriptions([tool.input_schema, tool.output_schema])]
+    told = [
+        text.replace("object,things,stuff,texture", "").replace("object, things, stuff, texture", "") for text in told
+    ]
+    assert not [text for text in told if any(re.search(rf"\b{phrase}\b", text) for phrase in PROSE)]

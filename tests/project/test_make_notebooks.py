@@ -1,0 +1,64 @@
+"""The notebooks of examples/: what is in an example is in its notebook, and runs from there."""
+
+import contextlib
+import io
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "scripts"))
+import make_notebooks  # noqa: E402
+
+
+def source(cell: dict[str, Any]) -> str:
+    return "".join(cell["source"])
+
+
+@pytest.mark.parametrize("path", make_notebooks.examples(), ids=lambda path: path.stem)
+def test_a_notebook_has_prose_cells_and_a_picture(path: Path) -> None:
+    title, first, *cells = make_notebooks.notebook(path)["cells"]
+    assert source(title).startswith("# ")
+    assert first["cell_type"] == "markdown"
+    prose = [source(cell) for cell in cells if cell["cell_type"] == "markdown"]
+    code = [source(cell) for cell in cells if cell["cell_type"] == "code"]
+    assert len(prose) >= 2
+    assert all(text[0].isupper() and "%%" not in text for text in prose)
+    assert "__main__" not in "".join(code)
+    assert "def main" not in "".join(code)
+    assert sum(text.startswith(make_notebooks.SHOW) for text in code) == 1
+    assert all(cell["outputs"] == [] for cell in cells if cell["cell_type"] == "code")
+    for text in code:
+        compile(text, path.name, "exec")
+
+
+def test_a_notebook_for_each_example(tmp_path: Path) -> None:
+    made = make_notebooks.write(tmp_path)
+    assert [path.stem for path in made] == [path.stem for path in make_notebooks.examples()]
+
+
+def test_cells_run_as_the_example_does(tmp_path: Path) -> None:
+    example = tmp_path / "00_add.py"
+    example.write_text('"""Adds.\n\nTwice."""\n\nA = 2\n\n\ndef main(b: int = 3, *more: int) -> None:\n'
+                       '    # %% Adds\n    # them.\n    total = A + b + sum(more)\n\n    # %% Prints.\n'
+                       '    if total:\n        print(total)\n\n\nif __name__ == "__main__":\n    main()\n')  # fmt: skip
+    cells = make_notebooks.notebook(example)["cells"]
+    assert [(cell["cell_type"][0], source(cell)) for cell in cells] == [
+        ("m", "# Add"), ("m", "Adds.\n\nTwice."), ("c", "A = 2"), ("c", "b = 3\nmore = ()"), ("m", "Adds them."),
+        ("c", "total = A + b + sum(more)"), ("m", "Prints."), ("c", "if total:\n    print(total)"),
+    ]  # fmt: skip
+    names: dict[str, object] = {}
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        for cell in cells:
+            if cell["cell_type"] == "code":
+                exec(source(cell), names)
+    assert said.getvalue() == "5\n"
+
+
+def test_they_are_notebooks_to_others_too(tmp_path: Path) -> None:
+    nbformat = pytest.importorskip("nbformat", reason="nbformat is not installed")
+    for path in make_notebooks.write(tmp_path):
+        nbformat.validate(nbformat.read(path, 4))

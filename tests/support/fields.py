@@ -1,0 +1,73 @@
+"""Small evidence, codebooks and encoders for tests."""
+
+import json
+from collections.abc import Sequence
+from functools import lru_cache
+from inspect import signature
+from pathlib import Path
+
+import numpy as np
+from safetensors.numpy import save
+from scipy.sparse import csr_array, random_array
+
+from drsplat.field import LanguageField, build_field
+from drsplat.field.evidence.evidence import Evidence, MaskIds
+from drsplat.formats.checksums import DOCUMENT, TENSORS
+from drsplat.formats.tensors import map_tensors
+from drsplat.scene.encoders import EncoderIdentity
+
+OFFICIAL_INDEX = Path(__file__).resolve().parents[3] / "shared/data/official/pq_index.faiss"
+TOY = EncoderIdentity("toy", 32, "w0")
+SCENE = "600-0123456789abcdef"
+SEED = "rng" if "rng" in signature(random_array).parameters else "random_state"  # before SciPy 1.15
+
+
+def unit_rows(rng: np.random.Generator, count: int, dim: int) -> np.ndarray:
+    rows = rng.standard_normal((count, dim)).astype(np.float32)
+    return rows / np.linalg.norm(rows, axis=1, keepdims=True)
+
+
+def random_weights(rng: np.random.Generator, rows: int, columns: int, density: float) -> csr_array:
+    weights = random_array((rows, columns), density=density, format="csr", dtype=np.float32, **{SEED: rng})
+    return csr_array(weights)
+
+
+def random_evidence(rng: np.random.Generator, rows: int = 600, columns: int = 40, dim: int = 32) -> Evidence:
+    """Sparse enough that some rows are empty."""
+    views = np.sort(rng.integers(0, 3, columns)).astype(np.int32)
+    masks = MaskIds(("a.jpg", "b.jpg", "c.jpg"), views, np.arange(columns, dtype=np.int32))
+    weights = random_weights(rng, rows, columns, 2 / columns)
+    return Evidence(weights, masks, unit_rows(rng, columns, dim))
+
+
+@lru_cache
+def toy_field(seed: int = 0) -> LanguageField:
+    evidence = random_evidence(np.random.default_rng(seed))
+    return build_field(evidence, SCENE, TOY)
+
+
+class ToyEncoder:
+    """Every text its own direction; counts how often it is asked."""
+
+    def __init__(self, identity: EncoderIdentity = TOY) -> None:
+        self.identity, self.asked = identity, 0
+
+    def encode_texts(self, texts: Sequence[str]) -> np.ndarray:
+        self.asked += len(texts)
+        return np.concatenate([unit_rows(np.random.default_rng(list(t.encode())), 1, self.identity.dim) for t in texts])
+
+
+def as_version_2(folder: Path) -> None:
+    """A saved field as the second version wrote it: without checksums."""
+    manifest = json.loads((folder / "field.json").read_text()) | {"version": 2}
+    manifest.pop(DOCUMENT)
+    (folder / "field.json").write_text(json.dumps(manifest))
+    for path in folder.glob("*.safetensors"):
+        without_checksums(path)
+
+
+def without_checksums(path: Path) -> None:
+    """A safetensors file as the library safetensors writes it."""
+    tensors, metadata = map_tensors(path)
+    kept = {name: text for name, text in metadata.items() if not name.startswith(TENSORS)}
+    path.write_bytes(save({name: np.array(array) for name, array in tensors.items()}, kept))

@@ -1,0 +1,669 @@
+"""Training as a whole: it finds a known scene again, goes on after a kill to the same bits, writes what
+3DGS tools expect, and refuses what cannot work."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import drsplat as ds
+from captures_to_train import HEIGHT, WIDTH, known_scene, perturbed_points, photographed, ring
+from drsplat.cli import main
+from drsplat.errors import FormatError, InputError, MismatchError, MissingExtraError
+from drsplat.formats.captures import SparsePoints, read_sparse_points
+from drsplat.formats.ply import write_vertices
+from drsplat.formats.replacing import replacing
+from drsplat.formats.tensors import map_tensors, write_tensors
+from drsplat.kernels.cuda.devices import chosen_device
+from drsplat.scene.eight_bits import clamped_in_bytes
+from drsplat.training import everyday
+from furnished.capture import write_model
+from places import IMPORTED
+
+BUSY = ds.TrainingSettings(
+    iterations=120,
+    refine_from=20,
+    refine_every=20,
+    reset_every=60,
+    reset_recovery=20,
+    sh_degree=2,
+    sh_degree_every=30,
+    background="random",
+)
+"""Everything that happens in 30,000 iterations happens in 120."""
+CHAIN = replace(BUSY, strategy="mcmc", max_gaussians=400)
+FINE = replace(BUSY, antialiased=True)
+COARSE = replace(BUSY, full_size_from=80, opacity_penalty=0.01)
+LIMITED = replace(BUSY, colors_in_bytes=True, sh_rate=0.1)
+KINDS = {"default": BUSY, "mcmc": CHAIN, "coarse": COARSE, "antialiased": FINE, "colours in bytes": LIMITED}
+both = pytest.mark.parametrize("settings", KINDS.values(), ids=KINDS)
+
+
+@pytest.fixture(scope="module")
+def scene() -> ds.Gaussians:
+    return known_scene()
+
+
+@pytest.fixture(scope="module")
+def views(scene, tmp_path_factory) -> list[ds.View]:
+    return photographed(tmp_path_factory.mktemp("photos"), scene, ring(32))
+
+
+@pytest.fixture(scope="module")
+def points(scene) -> SparsePoints:
+    return perturbed_points(scene)
+
+
+@pytest.fixture(scope="module")
+def capture(scene, views, points, tmp_path_factory) -> Path:
+    """A COLMAP text model of every fourth view, with points."""
+    folder = tmp_path_factory.mktemp("capture")
+    (folder / "images").mkdir()
+    (folder / "sparse/0").mkdir(parents=True)
+    some = views[::4]
+    for view in some:
+        (folder / "images" / view.name).write_bytes(view.image_path.read_bytes())
+    write_model(folder / "sparse/0", some)
+    lines = [f"{i} {x} {y} {z} {r} {g} {b} 0.5\n" for i, ((x, y, z), (r, g, b)) in enumerate(zip(*points, strict=True))]
+    (folder / "sparse/0/points3D.txt").write_text("".join(lines))
+    return folder
+
+
+# --- it learns ---
+
+
+@pytest.mark.slow
+def test_a_known_scene_is_found_again_from_perturbed_points(views, points):
+    """benchmarks/check_refit.py goes on to 3,000 iterations and 33 dB; the start is at 17 dB."""
+    settings = ds.TrainingSettings(iterations=400, sh_degree=1)
+    start = ds.train(views, replace(settings, iterations=1), points=points, device="cpu")
+    training = ds.train(views, settings, points=points, device="cpu")
+    assert start.evaluation.psnr < 20
+    assert training.evaluation.psnr > 26
+    assert training.evaluation.ssim > start.evaluation.ssim + 0.2
+    assert [view.name for view in training.evaluation.views] == [f"photo_{index:02}.png" for index in (0, 8, 16, 24)]
+
+
+def test_the_chain_learns_within_its_budget(views, points):
+    settings = replace(CHAIN, iterations=300, max_gaussians=350, background="black")
+    training = ds.train(views, settings, points=points, device="cpu")
+    assert training.evaluation.psnr > 20
+    assert len(training.gaussians) == 350
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:held-out photos")
+def test_without_points_it_starts_from_found_and_random_ones_and_still_learns(views):
+    settings = ds.TrainingSettings(iterations=150, random_points=2000, sh_degree=0)
+    with pytest.warns(ds.DrSplatWarning, match="triangulating 14 photos gave"):
+        before = ds.train(views[::2], replace(settings, iterations=1), device="cpu").evaluation.psnr
+    with pytest.warns(ds.DrSplatWarning, match="2,000 random points as well"):
+        after = ds.train(views[::2], settings, device="cpu")
+    assert after.evaluation.psnr > before + 3
+    assert after.start["random"] == 2000
+    assert after.measures()["start"] == after.start
+
+
+def test_pixels_past_the_photo_teach_nothing(views, points):
+    """With a lens undone the photos have black corners; the scene must not."""
+    bent = [replace(view, distortion=(0.25, 0.0, 0.0, 0.0)) for view in views[:12]]
+    colors = np.full(points.colors.shape, 255, np.uint8)
+    bright = SparsePoints(points.positions * 3, colors)
+    settings = ds.TrainingSettings(iterations=1, test_every=0, sh_degree=0)
+    from drsplat.scene.photos import photo_coverage
+
+    outside = ~photo_coverage(bent[0])
+    assert outside.any()
+    seen = []
+
+    def spying(image, target, *rest, **options):
+        seen.append((image.copy(), target.copy()))
+        return original(image, target, *rest, **options)
+
+    from drsplat.training import run
+
+    original = run.photometric_loss
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(run, "photometric_loss", spying)
+        ds.train(bent, settings, points=bright, device="cpu")
+    image, target = seen[0]
+    assert image[outside].max() > 0.1
+    assert np.array_equal(image[outside], target[outside])
+    assert not np.array_equal(image[~outside], target[~outside])
+
+
+def test_an_antialiased_run_writes_a_scene_that_looks_as_it_was_measured(views, points, tmp_path):
+    training = ds.train(views, FINE, tmp_path / "model", points=points, device="cpu")
+    scene = ds.read_gaussians(tmp_path / "model")
+    assert training.gaussians.antialiased
+    assert scene.antialiased
+
+    def psnr(gaussians: ds.Gaussians) -> float:
+        drawn = np.clip(ds.render(gaussians, views[8]).rgb, 0, 1)
+        photo = np.asarray(Image.open(views[8].image_path), np.float32) / 255
+        return float(-10 * np.log10(np.mean((drawn - photo) ** 2)))
+
+    measured = next(view.psnr for view in training.evaluation.views if view.name == "photo_08.png")
+    assert psnr(scene) == pytest.approx(measured, abs=0.01)
+    assert abs(psnr(replace(scene, antialiased=False)) - measured) > 0.05  # so much does the mark say
+
+
+def test_colors_that_stay_in_bytes_are_what_viewers_of_the_web_show(views, points):
+    free = ds.train(views, replace(LIMITED, colors_in_bytes=False), points=points, device="cpu").gaussians
+    assert clamped_in_bytes(free).mean() > 0.01
+    assert not clamped_in_bytes(ds.train(views, LIMITED, points=points, device="cpu").gaussians).any()
+
+
+# --- the same bits ---
+
+
+def ply_of(folder: Path, iterations: int = 120) -> bytes:
+    return (folder / f"point_cloud/iteration_{iterations}/point_cloud.ply").read_bytes()
+
+
+@pytest.mark.slow
+@both
+def test_any_number_of_threads_gives_the_same_bits(settings, views, points, tmp_path):
+    settings = replace(settings, iterations=60)
+    for threads in (1, 2):
+        ds.train(views[::2], settings, tmp_path / str(threads), points=points, threads=threads, device="cpu")
+    assert ply_of(tmp_path / "1", 60) == ply_of(tmp_path / "2", 60)
+
+
+def test_an_everyday_run_finds_a_known_scene_again_and_is_planned_for_its_length(views, points, tmp_path):
+    settings = everyday(views, 400, sh_degree=1)
+    start = ds.train(views, replace(settings, iterations=1), points=points, device="cpu")
+    end = ds.train(views, settings, tmp_path / "m", points=points, device="cpu")
+    assert end.evaluation.psnr > start.evaluation.psnr + 7
+    assert len(end.gaussians) <= settings.max_gaussians
+    with pytest.raises(MismatchError, match=r"other settings \(.*means_rate_steps.*\)"):
+        ds.train(views, everyday(views, 500, sh_degree=1), tmp_path / "m", points=points, device="cpu")
+
+
+def test_nothing_said_is_everyday(views, points, monkeypatch):
+    def stop(job):
+        asked.append(job.settings)
+        raise KeyboardInterrupt
+
+    asked = []
+    monkeypatch.setattr("drsplat.training.loop.train", stop)
+    with pytest.raises(KeyboardInterrupt):
+        ds.train(views, points=points, device="cpu")
+    assert asked == [everyday(views)]
+
+
+def test_another_seed_gives_other_bits(views, points, tmp_path):
+    for seed in (0, 1):
+        settings = replace(BUSY, iterations=3, seed=seed)
+        ds.train(views[::4], settings, tmp_path / str(seed), points=points, device="cpu")
+    assert ply_of(tmp_path / "0", 3) != ply_of(tmp_path / "1", 3)
+
+
+KILLED = """
+import os, pickle, signal, sys
+import numpy as np
+import drsplat as ds
+import test_training as t
+from captures_to_train import known_scene, perturbed_points, ring
+from dataclasses import replace
+from pathlib import Path
+photos, folder, kind = sys.argv[1:]
+views = [replace(v, image_path=Path(photos) / v.name) for v in ring(32)][::2]
+def report(status):
+    if status.iteration == 97:
+        os.kill(os.getpid(), signal.SIGKILL)
+ds.train(views, t.KINDS[kind], folder, points=perturbed_points(known_scene()), report=report,
+         checkpoint_every=35, device="cpu")
+"""
+
+
+@pytest.mark.slow
+@both
+def test_a_killed_run_goes_on_to_the_same_bits(settings, views, points, tmp_path):
+    ds.train(views[::2], settings, tmp_path / "whole", points=points, device="cpu")
+    arguments = (
+        str(views[0].image_path.parent),
+        str(tmp_path / "killed"),
+        next(k for k in KINDS if KINDS[k] is settings),
+    )
+    code = KILLED.replace("pickle, ", "")
+    environment = os.environ | {"PYTHONPATH": IMPORTED}
+    killed = subprocess.run([sys.executable, "-c", code, *arguments], env=environment, check=False)
+    assert killed.returncode == -signal.SIGKILL
+    assert not (tmp_path / "killed/point_cloud").exists()
+    _, texts = map_tensors(tmp_path / "killed/checkpoint.safetensors")
+    assert texts["iteration"] == "70"
+    leftover = tmp_path / "killed/.0123456789abcdef.tmp"
+    leftover.write_bytes(b"half")
+    seen: list[int] = []
+    ds.train(
+        views[::2],
+        settings,
+        tmp_path / "killed",
+        points=points,
+        device="cpu",
+        report=lambda status: seen.append(status.iteration),
+    )
+    assert seen == list(range(71, 121))
+    assert ply_of(tmp_path / "killed") == ply_of(tmp_path / "whole")
+    assert not leftover.exists()
+    assert not (tmp_path / "killed/.lock").exists()
+
+
+# --- the folder ---
+
+
+def unfinished(folder: Path, views: list[ds.View], points: SparsePoints) -> Path:
+    """A folder whose run was stopped after iteration 30; the path of its checkpoint."""
+
+    def stop(status: ds.training.Status) -> None:  # type: ignore[name-defined]
+        if status.iteration == 33:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        ds.train(views, BUSY, folder, points=points, report=stop, checkpoint_every=10, device="cpu")
+    return folder / "checkpoint.safetensors"
+
+
+def test_an_unfinished_run_of_something_else_is_not_gone_on_with(views, points, tmp_path):
+    checkpoint = unfinished(tmp_path / "model", views, points)
+    before = checkpoint.read_bytes()
+    with pytest.raises(MismatchError, match=r"other settings \(seed\):.*overwrite=True"):
+        ds.train(views, replace(BUSY, seed=1), tmp_path / "model", points=points, device="cpu")
+    with pytest.raises(MismatchError, match="other poses and photos:"):
+        ds.train(views[1:], BUSY, tmp_path / "model", points=points, device="cpu")
+    fewer = SparsePoints(points.positions[1:], points.colors[1:])
+    with pytest.raises(MismatchError, match="other points:"):
+        ds.train(views, BUSY, tmp_path / "model", points=fewer, device="cpu")
+    assert checkpoint.read_bytes() == before
+    fresh = replace(BUSY, seed=1, iterations=5)
+    ds.train(views, fresh, tmp_path / "model", points=points, overwrite=True, device="cpu")
+    assert ply_of(tmp_path / "model", 5)
+
+
+def damaged(texts: dict[str, str], arrays: dict[str, np.ndarray], how: str) -> None:
+    if how == "rows":
+        arrays["first.means"] = arrays["first.means"][1:]
+    elif how == "axis":
+        for group in ("parameters", "first", "second"):
+            for name in ("means", "log_scales", "sh"):
+                arrays[f"{group}.{name}"] = arrays[f"{group}.{name}"][..., :2]
+    elif how == "view":
+        arrays["order.pending"] = arrays["order.pending"] + 1000
+    elif how == "beyond":
+        texts["iteration"] = "121"
+    elif how == "missing":
+        del arrays["order.pending"]
+    elif how == "type":
+        arrays["parameters.sh"] = arrays["parameters.sh"].astype(np.float64)
+    elif how == "version":
+        texts["version"] = "1"
+    else:
+        texts[how] = "nonsense"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "how", ["rows", "axis", "view", "beyond", "missing", "type", "version", "rng", "iteration", "cut"]
+)
+def test_a_damaged_checkpoint_is_refused(how, views, points, tmp_path):
+    checkpoint = unfinished(tmp_path / "model", views, points)
+    if how == "cut":
+        checkpoint.write_bytes(checkpoint.read_bytes()[:-8])
+    else:
+        mapped, texts = map_tensors(checkpoint)
+        arrays = {name: np.array(array) for name, array in mapped.items()}
+        damaged(texts, arrays, how)
+        write_tensors(checkpoint, arrays, texts, overwrite=True)
+    with pytest.raises(FormatError, match=r"checkpoint\.safetensors"):
+        ds.train(views, BUSY, tmp_path / "model", points=points, device="cpu")
+
+
+def test_a_flipped_bit_in_a_checkpoint_is_noticed(views, points, tmp_path):
+    checkpoint = unfinished(tmp_path / "model", views, points)
+    good = checkpoint.read_bytes()
+    for at in np.random.default_rng(0).integers(8, len(good), 24):
+        bad = bytearray(good)
+        bad[at] ^= 1 << int(at % 8)
+        checkpoint.write_bytes(bad)
+        with pytest.raises(FormatError, match=r"checkpoint\.safetensors.*remove it to start anew"):
+            ds.train(views, BUSY, tmp_path / "model", points=points, device="cpu")
+
+
+def test_a_folder_with_something_else_in_it_is_refused(views, points, tmp_path):
+    (tmp_path / "holiday.txt").write_text("mine")
+    with pytest.raises(InputError, match="not empty"):
+        ds.train(views, BUSY, tmp_path, points=points, device="cpu")
+    quick = replace(BUSY, iterations=1)
+    old = tmp_path / "point_cloud/iteration_30000/point_cloud.ply"
+    old.parent.mkdir(parents=True)
+    old.write_bytes(b"of another run")
+    ds.train(views, quick, tmp_path, points=points, overwrite=True, device="cpu")
+    assert (tmp_path / "holiday.txt").read_text() == "mine"
+    assert not old.exists()  # it would be taken for the latest
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="is a file"):
+        ds.train(views, quick, tmp_path / "file", points=points, device="cpu")
+
+
+FULL = """
+import resource, signal, sys
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
+from drsplat.cli import main
+sys.exit(main(["train", *sys.argv[1:]]))
+"""
+
+
+def test_a_full_disk_is_a_clear_error_and_leaves_nothing_half_written(capture, tmp_path):
+    """Files may grow to 40 kB here, which the first checkpoint does not fit into."""
+    folder = tmp_path / "model"
+    command = [sys.executable, "-c", FULL, str(capture), "-o", str(folder), "--iterations", "3"]
+    command += ["--checkpoint-every", "2", "--device", "cpu"]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ran.returncode == 1
+    assert "no room left" in ran.stderr
+    assert "free some space" in ran.stderr
+    assert "Traceback" not in ran.stderr
+    written = {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()}
+    assert written == {"cameras.json", "cfg_args", "input.ply", "settings.json"}
+
+
+def test_other_failures_to_write_stay_what_they_are(tmp_path):
+    with pytest.raises(PermissionError), replacing(tmp_path / "file"):
+        raise PermissionError("not yours")
+
+
+# --- the verb ---
+
+
+def run_verb(capsys, *arguments: str) -> dict[str, object]:
+    assert main(["train", *arguments, "--device", "cpu", "--json"]) == 0
+    answer: dict[str, object] = json.loads(capsys.readouterr().out)
+    return answer
+
+
+def test_the_verb_writes_the_layout_of_3dgs(capture, tmp_path, capsys):
+    folder = tmp_path / "model"
+    answer = run_verb(
+        capsys,
+        str(capture),
+        "-o",
+        str(folder),
+        "--iterations",
+        "30",
+        "--save-at",
+        "10",
+        "--eval-every",
+        "10",
+        "--sh-degree",
+        "1",
+        "--colors-in-bytes",
+    )
+    assert answer.keys() >= {"psnr_test", "ssim_test", "num_gaussians", "iterations", "seconds"}
+    assert (answer["iterations"], answer["num_gaussians"], answer["num_views"]) == (30, 300, 8)
+    files = {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()}
+    assert files == {
+        "point_cloud/iteration_10/point_cloud.ply",
+        "point_cloud/iteration_30/point_cloud.ply",
+        "cameras.json",
+        "cfg_args",
+        "checkpoint.safetensors",
+        "input.ply",
+        "results.json",
+        "settings.json",
+        "test/photo_00.png",
+    }
+    assert len(ds.read_gaussians(folder)) == 300
+    assert ds.read_gaussians(folder).sh_degree == 1
+    with pytest.warns(ds.DrSplatWarning, match="no photo"):
+        cameras = ds.read_views(folder / "cameras.json")
+    assert [view.name for view in cameras] == [view.name for view in ds.read_views(capture)]
+    results = json.loads((folder / "results.json").read_text())
+    assert results["psnr_test"] == answer["psnr_test"]
+    assert [entry["iteration"] for entry in results["history"]] == [10, 20]
+    settings = json.loads((folder / "settings.json").read_text())
+    assert (settings["iterations"], settings["colors_in_bytes"]) == (30, True)
+    arguments = (folder / "cfg_args").read_text()
+    assert arguments.startswith("Namespace(")
+    assert f"source_path='{capture}'" in arguments
+    picture = np.asarray(Image.open(folder / "test/photo_00.png"))
+    assert picture.shape == (HEIGHT, 3 * WIDTH, 3)
+    photo = np.asarray(Image.open(capture / "images/photo_00.png"))
+    assert np.array_equal(picture[:, :WIDTH], photo)
+
+
+@pytest.mark.parametrize(
+    ("resolution", "size"),
+    [((), (96, 72)), (("2",), (48, 36)), (("4",), (24, 18)), (("40",), (40, 30)), (("500",), (96, 72))],
+)
+def test_resolution_divides_or_is_the_longer_side(resolution, size, capture, tmp_path, capsys):
+    options = ("--resolution", *resolution) if resolution else ()
+    answer = run_verb(capsys, str(capture), "-o", str(tmp_path / "m"), "--iterations", "1", *options)
+    assert (answer["width"], answer["height"]) == size
+
+
+def test_the_verb_tells_people(capture, tmp_path, capsys):
+    assert main(["train", str(capture), "-o", str(tmp_path / "m"), "--iterations", "2", "--device", "cpu"]) == 0
+    out = capsys.readouterr().out
+    for said in ("trained:", "PSNR", "SSIM", "Gaussians", "ms an iteration"):
+        assert said in out
+
+
+def refused(capsys, *arguments: str) -> str:
+    assert main(["train", *arguments]) == 1
+    return capsys.readouterr().err
+
+
+def test_the_verb_refuses_views_without_photos(capture, tmp_path, capsys):
+    said = refused(capsys, str(capture / "sparse/0/cameras.txt"), "-o", str(tmp_path / "m"), "--images", str(tmp_path))
+    assert "no photo" in said
+    assert "--images" in said
+    assert not (tmp_path / "m").exists()
+
+
+def test_the_verb_refuses_points_that_are_not_finite(capture, tmp_path, capsys):
+    for name in ("cameras.txt", "images.txt"):
+        (tmp_path / name).write_bytes((capture / "sparse/0" / name).read_bytes())
+    (tmp_path / "points3D.txt").write_text("1 0 0 nan 1 2 3 0\n")
+    said = refused(capsys, str(tmp_path), "--images", str(capture / "images"), "-o", str(tmp_path / "m"))
+    assert "not finite" in said
+    assert not (tmp_path / "m").exists()
+
+
+def without_points(capture: Path, folder: Path) -> tuple[str, ...]:
+    """Arguments of the verb for a copy of the capture."""
+    for name in ("cameras.txt", "images.txt"):
+        (folder / name).write_bytes((capture / "sparse/0" / name).read_bytes())
+    return (str(folder), "--images", str(capture / "images"), "-o", str(folder / "m"))
+
+
+def test_the_verb_says_that_it_triangulates(capture, tmp_path, capsys):
+    options = ("--device", "cpu", "--max-gaussians", "500", "--iterations", "1")
+    assert main(["train", *without_points(capture, tmp_path), *options]) == 0
+    said = capsys.readouterr()
+    assert "has no points: triangulating" in said.err
+    assert "random points as well" in said.err
+    assert "500 random points" in said.out
+    assert len(ds.read_gaussians(tmp_path / "m")) == 500
+
+
+def test_the_verb_starts_from_a_file_of_points(capture, points, tmp_path, capsys):
+    write_vertices(tmp_path / "cloud.ply", dict(zip("xyz", points.positions.T, strict=True)))
+    options = ("--points", str(tmp_path / "cloud.ply"), "--iterations", "2")
+    answer = run_verb(capsys, *without_points(capture, tmp_path), *options)
+    assert answer["start"] == {"given": 300, "triangulated": 0, "random": 0}
+    started = read_sparse_points(capture, points=tmp_path / "m/input.ply")
+    assert started.positions == pytest.approx(points.positions, abs=1e-6)
+    assert (started.colors == 128).all()
+    assert "no such file of points" in refused(capsys, str(capture), "-o", str(tmp_path / "n"), "--points", "none.ply")
+
+
+# --- going on ---
+
+
+def scenes_of(folder: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*.ply")}
+
+
+def test_a_run_killed_before_its_first_checkpoint_goes_on(views, points, tmp_path, monkeypatch):
+    """Also after --save-at has written a scene."""
+
+    def killed(status: ds.training.Status) -> None:  # type: ignore[name-defined]
+        if status.iteration == 12:
+            raise RuntimeError("killed")
+
+    few = replace(BUSY, iterations=20)
+    ds.train(views[::4], few, tmp_path / "whole", points=points, save_at=(5,), device="cpu")
+    with pytest.raises(RuntimeError):
+        ds.train(views[::4], few, tmp_path / "m", points=points, save_at=(5,), report=killed, device="cpu")
+    assert (tmp_path / "m/cfg_args").is_file()
+    assert not (tmp_path / "m/results.json").exists()
+    ds.train(views[::4], few, tmp_path / "m", points=points, save_at=(5,), device="cpu")
+    assert scenes_of(tmp_path / "m") == scenes_of(tmp_path / "whole")
+
+
+def test_the_same_command_on_a_finished_run_gives_the_same_files(views, points, tmp_path):
+    few = replace(BUSY, iterations=20)
+    ds.train(views[::4], few, tmp_path, points=points, device="cpu")
+    before, results = scenes_of(tmp_path), (tmp_path / "results.json").read_text()
+    ds.train(views[::4], few, tmp_path, points=points, device="cpu")
+    assert scenes_of(tmp_path) == before
+    assert json.loads((tmp_path / "results.json").read_text())["psnr_test"] == json.loads(results)["psnr_test"]
+
+
+@pytest.mark.slow
+@both
+def test_a_finished_run_goes_on_as_if_it_had_been_longer(settings, views, points, tmp_path):
+    """Refinements of the last iteration included, which a run leaves out when it ends there."""
+    long, short = replace(settings, iterations=60), replace(settings, iterations=40)
+    ds.train(views[::4], long, tmp_path / "whole", points=points, device="cpu")
+    ds.train(views[::4], short, tmp_path / "m", points=points, device="cpu")
+    ds.train(views[::4], long, tmp_path / "m", points=points, device="cpu")
+    assert ply_of(tmp_path / "m", 60) == ply_of(tmp_path / "whole", 60)
+    assert json.loads((tmp_path / "m/settings.json").read_text())["iterations"] == 60
+    with pytest.raises(MismatchError, match="has done 59 iterations already, 40 are asked for"):
+        ds.train(views[::4], short, tmp_path / "m", points=points, device="cpu")
+
+
+def test_a_longer_run_that_cannot_be_the_planned_one_says_so(views, points, tmp_path):
+    """The reset after 60 was left out, because the run ended at 70."""
+    ds.train(views[::4], replace(BUSY, iterations=70), tmp_path, points=points, device="cpu")
+    with pytest.warns(ds.DrSplatWarning, match="planned for 70 iterations and left out an opacity"):
+        ds.train(views[::4], replace(BUSY, iterations=90), tmp_path, points=points, device="cpu")
+
+
+def test_photos_that_changed_are_not_mixed_in(views, points, tmp_path):
+    own = photographed(tmp_path, known_scene(), ring(32)[::4])
+    unfinished(tmp_path / "model", own, points)
+    Image.new("RGB", (WIDTH, HEIGHT), (255, 0, 255)).save(own[3].image_path)
+    with pytest.raises(MismatchError, match="other photos: go on with the same ones"):
+        ds.train(own, BUSY, tmp_path / "model", points=points, device="cpu")
+
+
+def test_a_scene_is_saved_before_the_opacity_reset(views, points, tmp_path):
+    settings = replace(BUSY, reset_every=10, evaluate_every=10, iterations=40)
+    training = ds.train(views[::4], settings, tmp_path, points=points, save_at=(10, 11), device="cpu")
+    at, after = (
+        ds.read_gaussians(tmp_path / f"point_cloud/iteration_{i}/point_cloud.ply").opacities.max() for i in (10, 11)
+    )
+    assert at > 0.1
+    assert after < 0.02
+    assert training.history[0]["psnr_test"] > 12
+
+
+INTERRUPTED = """
+import os, signal, sys, threading, time
+from pathlib import Path
+folder = Path(sys.argv[3])
+def press():
+    while not (folder / "checkpoint.safetensors").exists():
+        time.sleep(0.01)
+    time.sleep(0.3)
+    os.kill(os.getpid(), signal.SIGINT)
+threading.Thread(target=press, daemon=True).start()
+from drsplat.cli import main
+sys.exit(main(["train", *sys.argv[1:]]))
+"""
+
+
+def test_ctrl_c_writes_a_checkpoint_and_says_how_to_go_on(capture, tmp_path):
+    folder = tmp_path / "m"
+    command = [sys.executable, "-c", INTERRUPTED, str(capture), "-o", str(folder), "--iterations"]
+    ran = subprocess.run([*command, "30000", "--device", "cpu"], capture_output=True, text=True, check=False)
+    assert ran.returncode == 130
+    assert "the same command, without --overwrite, goes on from there" in ran.stderr
+    assert "Traceback" not in ran.stderr
+    _, texts = map_tensors(folder / "checkpoint.safetensors")
+    assert f"after iteration {int(texts['iteration']):,} of 30,000" in ran.stderr
+    assert int(texts["iteration"]) % 1000 != 0
+
+
+def test_two_runs_do_not_share_a_folder(views, points, tmp_path):
+    few = replace(BUSY, iterations=3)
+    said: list[str] = []
+
+    def second(status: ds.training.Status) -> None:  # type: ignore[name-defined]
+        with pytest.raises(InputError) as error:
+            ds.train(views[::4], few, tmp_path, points=points, overwrite=True, device="cpu")
+        said.append(str(error.value))
+
+    ds.train(views[::4], few, tmp_path, points=points, report=second, device="cpu")
+    assert f"is being written by process {os.getpid()} on " in said[0]
+    assert (tmp_path / "results.json").is_file()
+    ds.train(views[::4], few, tmp_path, points=points, overwrite=True, device="cpu")
+
+
+def test_held_out_photos_far_below_are_told_of(views, points, tmp_path):
+    """The photo that is held out shows something else."""
+    Image.new("RGB", (WIDTH, HEIGHT), (255, 255, 255)).save(tmp_path / "white.png")
+    mixed = [replace(views[0], image_path=tmp_path / "white.png"), *views[4::4]]
+    settings = replace(BUSY, iterations=100, background="black")
+    with pytest.warns(ds.DrSplatWarning, match=r"held-out photos are rendered at \d+\.\d dB"):
+        training = ds.train(mixed, settings, points=points, device="cpu")
+    assert training.measures()["held_out_far_below"]
+    assert training.psnr_train > training.evaluation.psnr + 10
+    well = ds.train(views[::4], replace(settings, iterations=30), points=points, device="cpu")
+    assert not well.held_out_far_below
+
+
+def test_points_move_with_their_views(capture, tmp_path):
+    """In nerfstudio's frame a point is seen in the same pixel."""
+    file = tmp_path / "dataparser_transforms.json"
+    turned = [[0.0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3]]
+    file.write_text(json.dumps({"transform": turned, "scale": 0.5}))
+    plain, moved = (read_sparse_points(capture), read_sparse_points(capture, dataparser_transforms=file))
+    view, there = ds.read_views(capture)[0], ds.read_views(capture, dataparser_transforms=file)[0]
+
+    def pixels(view: ds.View, positions: np.ndarray) -> np.ndarray:
+        seen = positions @ view.cam_from_world[:3, :3].T + view.cam_from_world[:3, 3]
+        return (seen / seen[:, 2:]) @ view.K.T
+
+    assert pixels(there, moved.positions) == pytest.approx(pixels(view, plain.positions), abs=1e-6)
+    assert np.abs(moved.positions - plain.positions).max() > 1
+
+
+def test_devices(monkeypatch):
+    from drsplat.kernels.cuda import devices
+
+    monkeypatch.setattr(devices, "unavailable", lambda: "pip install 'drsplat[cuda]'")
+    assert chosen_device("cpu") == chosen_device("auto") == "cpu"
+    with pytest.raises(MissingExtraError, match="pip install"):
+        chosen_device("cuda")
+    with pytest.raises(InputError, match="device"):
+        chosen_device("tpu")
+    monkeypatch.setattr(devices, "unavailable", lambda: None)
+    assert chosen_device("cuda") == chosen_device("auto") == "cuda"
+
+
+def test_an_optimisation_that_diverges_is_an_error(views, points):
+    settings = replace(BUSY, means_rate=1e38, means_rate_end=1e38)
+    with pytest.raises(ds.DrSplatError, match=r"iteration \d+: .* has left the finite numbers"):
+        ds.train(views, settings, points=points, device="cpu")
