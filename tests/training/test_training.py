@@ -207,7 +207,7 @@ def test_another_seed_gives_other_bits(views, points, tmp_path):
 
 
 KILLED = """
-import os, pickle, signal, sys
+import os, signal, sys
 import numpy as np
 import drsplat as ds
 import test_training as t
@@ -233,9 +233,8 @@ def test_a_killed_run_goes_on_to_the_same_bits(settings, views, points, tmp_path
         str(tmp_path / "killed"),
         next(k for k in KINDS if KINDS[k] is settings),
     )
-    code = KILLED.replace("pickle, ", "")
     environment = os.environ | {"PYTHONPATH": IMPORTED}
-    killed = subprocess.run([sys.executable, "-c", code, *arguments], env=environment, check=False)
+    killed = subprocess.run([sys.executable, "-c", KILLED, *arguments], env=environment, check=False)
     assert killed.returncode == -signal.SIGKILL
     assert not (tmp_path / "killed/point_cloud").exists()
     _, texts = map_tensors(tmp_path / "killed/checkpoint.safetensors")
