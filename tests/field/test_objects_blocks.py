@@ -21,6 +21,7 @@ from drsplat.field.objects.blocks import in_blocks
 from drsplat.field.objects.by_blocks import Division, at_once
 from drsplat.field.objects.uniting import fits_of, united
 from drsplat.field.tiles import finding as in_tiles
+from drsplat.field.tiles import store
 from drsplat.field.tiles.cutting import cut
 from drsplat.field.tiles.launching import OneProcess, Processes
 from drsplat.formats.sources import blocks_of
@@ -222,7 +223,7 @@ def test_no_room_is_told_and_nothing_is_lost(
 ) -> None:
     tiles, field = in_tiles_of(tmp_path)
     how = {"parts": str(tmp_path / "parts"), "views": [], "threads": 1}
-    writing, count = in_tiles.write_tensors, 0
+    writing, count = store.write_tensors, 0
 
     def full(path: Path, *given: object, **more: object) -> None:
         nonlocal count
@@ -231,10 +232,10 @@ def test_no_room_is_told_and_nothing_is_lost(
             raise OSError(28, "No space left on device", str(path))
         writing(path, *given, **more)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(in_tiles, "write_tensors", full)
+    monkeypatch.setattr(store, "write_tensors", full)
     with pytest.raises(OSError, match="No space left"):
         in_tiles.find_objects(field, tiles, **how)
-    monkeypatch.setattr(in_tiles, "write_tensors", writing)
+    monkeypatch.setattr(store, "write_tensors", writing)
     (kept,) = (tmp_path / "parts").rglob("*.nodes.safetensors")
     before = kept.stat().st_mtime_ns
     in_tiles.find_objects(field, tiles, **how)

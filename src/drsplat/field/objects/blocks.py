@@ -60,6 +60,15 @@ class BlockRows(NamedTuple):
         return csr_array((self.data, self.indices, self.indptr), shape=(len(self.rows), len(self.columns)))
 
 
+class MaskColumns(NamedTuple):
+    """Columns of W. kept: those that are looked at. masses: weights in the whole scene. views: never falling."""
+
+    kept: Bool[np.ndarray, " m"]
+    masses: Float64[np.ndarray, " m"]
+    views: Int32[np.ndarray, " m"]
+    embeddings: Float32[np.ndarray, "m k"]
+
+
 def in_blocks(points: Points, counts: Integer[np.ndarray, " n"], most: int) -> list[Block]:
     """Cut a scene in halves, at medians along its longest side, until no block has more than `most` weights.
 
@@ -83,13 +92,9 @@ def in_blocks(points: Points, counts: Integer[np.ndarray, " n"], most: int) -> l
 
 
 def rows_around(
-    block: Block, points: Points, weights: csr_array, kept: Bool[np.ndarray, " m"], sums: Float64[np.ndarray, " n"],
-    masses: Float64[np.ndarray, " m"], views: Int32[np.ndarray, " m"], embeddings: Float32[np.ndarray, "m k"],
-) -> BlockRows:  # fmt: skip
-    """Return the rows of W in a block and around it. kept: columns that are looked at; sums, masses: of rows, columns.
-
-    The order of the views of the columns never falls.
-    """
+    block: Block, points: Points, weights: csr_array, sums: Float64[np.ndarray, " n"], masks: MaskColumns
+) -> BlockRows:
+    """Return the rows of W in a block and around it. sums: the weight of each row."""
     parts = []
     for begin in range(0, len(points), AT_ONCE):
         parts.append(begin + np.flatnonzero(block.away(points[begin : begin + AT_ONCE]) <= 1))
@@ -97,12 +102,13 @@ def rows_around(
     rows = rows[_placed_order(points[rows], sums[rows])]
     matrix = csr_array(weights[rows])
     release(weights.indices, weights.data)
-    held = kept[matrix.indices] & (matrix.data > 0)
+    held = masks.kept[matrix.indices] & (matrix.data > 0)
     starts = np.append(0, np.cumsum(held))[matrix.indptr]
     columns, indices = np.unique(matrix.indices[held], return_inverse=True)
     return BlockRows(
         rows, block.away(points[rows]), points[rows], starts.astype(np.int64), indices.astype(np.int32),
-        matrix.data[held], columns.astype(np.int32), views[columns], masses[columns], embeddings[columns],
+        matrix.data[held], columns.astype(np.int32), masks.views[columns], masks.masses[columns],
+        masks.embeddings[columns],
     )  # fmt: skip
 
 

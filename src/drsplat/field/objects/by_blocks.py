@@ -16,7 +16,7 @@ from ...kernels import MergeRule
 from ..evidence.aggregation.entries import row_chunks
 from ..evidence.evidence import Evidence
 from .block_nodes import BlockNodes, nodes_of
-from .blocks import Block, BlockRows, in_blocks, rows_around
+from .blocks import Block, BlockRows, MaskColumns, in_blocks, rows_around
 from .uniting import Masses
 
 BLOCK_WEIGHTS = 8_000_000  # of a block, without what is around it
@@ -83,9 +83,8 @@ class Division:
 
     def rows(self, block: Block) -> BlockRows:
         """Return what there is to know of a block."""
-        weights, totals = self.evidence.weights, self.totals
-        of_columns = totals.masks, self.evidence.masks.views, self.embeddings
-        return rows_around(block, self.points, weights, self.kept, totals.rows, *of_columns)
+        masks = MaskColumns(self.kept, self.totals.masks, self.evidence.masks.views, self.embeddings)
+        return rows_around(block, self.points, self.evidence.weights, self.totals.rows, masks)
 
 
 def at_once(division: Division, threads: int = 0) -> Iterable[BlockNodes]:

@@ -8,6 +8,7 @@ run -> whose features its rows have               of the rows around, in whateve
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -15,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from ...base.arrays import Bool, Float32, Float64, Int64
 from ...base.contents import pieces
-from ...formats.tensors import map_tensors, write_tensors
+from ...formats.tensors import map_tensors
 from ...formats.tiles import Tile
 from ...kernels import default_isa, weighted_rows
 from ...scene.gaussians import Gaussians
@@ -25,11 +26,10 @@ from ..evidence.aggregation.outliers import OutlierRejection
 from ..evidence.aggregation.reliability import reliability
 from ..evidence.aggregation.trust import MaskTrust, Tally, tally
 from ..evidence.aggregation.voting import BLOCK, TIES, ModeVoting, Voters, nearest, nearest_first
-from ..evidence.columns import is_finished
 from ..evidence.evidence import Evidence, MaskIds
 from .launching import Launcher, followed
 from .seeing import Gallery
-from .store import Store
+from .store import Store, make_once
 from .transposing import ROWS, Run, joined_rows, rows_name
 
 EMBEDDINGS = "embeddings.npy"
@@ -91,16 +91,7 @@ class RowTask:
 
     def __call__(self, run: Run) -> bool:
         """Make the file of a run; return True if that was done now, and not before."""
-        store, name = self.rows.store, self.name(run)
-        path = store.bring(name)
-        is_new = not is_finished(path, {"key": self.key})
-        if is_new:
-            arrays = self.making(self.rows, run, self.threads)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_tensors(path, arrays, {"key": self.key}, overwrite=True)
-        if is_new or not store.has(name):
-            store.send(name)
-        return is_new
+        return make_once(self.rows.store, self.name(run), self.key, lambda: self.making(self.rows, run, self.threads))
 
     def name(self, run: Run) -> str:
         return rows_name(run, self.folder)
@@ -313,12 +304,19 @@ class TileAggregator:
 
     def _made(self, rows: RowFiles, key: str, making: Making, how: str, track: Track) -> tuple[RowFiles, str]:
         """Let tasks make a file of each run; return those files and their key. how: of all that decides `making`."""
-        key = _digest(f"{key} {how} {_of_embeddings(self.evidence)} {default_isa()}".encode())
+        key = _digest(f"{key} {how} {self._embeddings_hash} {default_isa()}".encode())
         task = RowTask(rows, making, f"made/{key}", key, self.threads)
         names = [run.name for run in self.runs]
         for _ in followed(self.launcher.results(task, self.runs), track, names, "weighing votes"):
             pass
         return RowFiles(self.store, rows.masks, task.folder), key
+
+    @cached_property
+    def _embeddings_hash(self) -> str:
+        digest = hashlib.blake2b(digest_size=16)
+        for piece in pieces(self.evidence.embeddings):
+            digest.update(piece)
+        return digest.hexdigest()
 
     def _joined(self, rows: RowFiles) -> Evidence:
         weights = joined_rows(self.runs, self.store, len(self.evidence.masks), rows.folder)
@@ -339,10 +337,3 @@ def _arrays(w: csr_array) -> dict[str, np.ndarray]:
 
 def _digest(content: bytes) -> str:
     return hashlib.blake2b(content, digest_size=16).hexdigest()
-
-
-def _of_embeddings(evidence: Evidence) -> str:
-    digest = hashlib.blake2b(digest_size=16)
-    for piece in pieces(evidence.embeddings):
-        digest.update(piece)
-    return digest.hexdigest()

@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 
 from ...base.arrays import Bool, Float32, Int32, Int64
 from ...base.contents import pieces
-from ...formats.tensors import map_tensors, write_tensors
+from ...formats.tensors import map_tensors
 from ...kernels import default_isa, weighted_rows
 from ...kernels.mixture import MAX_ATOMS, Encoded
 from ...scene.gaussians import Gaussians
@@ -21,12 +21,11 @@ from ..building import AT_ONCE, encode_features
 from ..codes import Codebook, Codes, Track, untracked
 from ..codes.mixture import Mixed, SceneAtoms, assemble, atoms_by_use, encode_rows, left_in, plan_of
 from ..evidence.aggregation import Aggregated, Aggregator
-from ..evidence.columns import is_finished
 from ..evidence.evidence import Evidence
 from .aggregating import EMBEDDINGS, OfTiles, TileAggregator, is_by_tasks
 from .launching import Launcher, followed
 from .seeing import Gallery
-from .store import Store
+from .store import Store, make_once
 from .transposing import Run, rows_name
 
 
@@ -99,16 +98,7 @@ class CodeTask:
 
     def __call__(self, run: Run) -> bool:
         """Code a run of rows; return True if that was done now, and not before."""
-        name = self.name(run)
-        path = self.store.bring(name)
-        is_new = not is_finished(path, {"key": self.key})
-        if is_new:
-            arrays = self.coding(self._rows(run), self.threads)
-            path.parent.mkdir(parents=True, exist_ok=True)
-            write_tensors(path, arrays, {"key": self.key}, overwrite=True)
-        if is_new or not self.store.has(name):  # who made it may have been killed before it was sent
-            self.store.send(name)
-        return is_new
+        return make_once(self.store, self.name(run), self.key, lambda: self.coding(self._rows(run), self.threads))
 
     def name(self, run: Run) -> str:
         """Name the file of rows, which may be coded twice, with other atoms: the key tells these apart."""

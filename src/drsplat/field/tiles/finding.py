@@ -34,7 +34,7 @@ from ..objects.describing import describe
 from ..objects.finding import cameras_of, pieces_of, seen_by, tree_of, with_pieces_joined
 from .launching import ONE_PROCESS, Launcher, followed
 from .seeing import Gallery, with_tiles
-from .store import Shared, Store, store_of
+from .store import Shared, Store, make_once, store_of
 from .transposing import filed
 
 FOLDER = "objects"
@@ -68,7 +68,7 @@ def find_objects(
     tree, seen = found.tree, seen_by(found, cameras)
     if seen:
         pieces = pieces_of(tree, ids, len(tiles))
-        tree = with_pieces_joined(tree, _borders(store, tiles, seen, pieces, launcher, threads, track))
+        tree = with_pieces_joined(tree, _borders(work, tiles, seen, pieces))
     return describe(field, scene, tree, threads=threads)
 
 
@@ -112,17 +112,13 @@ class BlockTask:
     def __call__(self, task: tuple[int, _BlockName]) -> tuple[int, _BlockName]:
         """Find the nodes of a block if they are not there yet; its rows go once they are."""
         number, name = task
-        nodes = self.store.bring(name.nodes)
-        is_new = not is_finished(nodes, {"key": name.key})
-        if is_new:
-            rows = self.store.bring(name.rows)
-            block = BlockRows(**read_tensors(rows)[0])
-            found = nodes_of(block, self.thresholds, self.rule, self.threads)
-            write_tensors(nodes, found._asdict(), {"key": name.key}, overwrite=True)
-        if is_new or not self.store.has(name.nodes):
-            self.store.send(name.nodes)
+        make_once(self.store, name.nodes, name.key, lambda: self._nodes(name))
         self.store.bring(name.rows).unlink(missing_ok=True)
         return number, name
+
+    def _nodes(self, name: _BlockName) -> dict[str, np.ndarray]:
+        block = BlockRows(**read_tensors(self.store.bring(name.rows))[0])
+        return nodes_of(block, self.thresholds, self.rule, self.threads)._asdict()
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,35 +185,29 @@ class BorderTask:
     def __call__(self, view: View) -> str:
         """Find them if they are not there yet; return the name of their file."""
         name = f"{FOLDER}/{part_name(view.name).replace('.columns.', f'.{self.key}.borders.')}"
-        path = self.store.bring(name)
-        is_new = not is_finished(path, {"key": self.key})
-        if is_new:
-            seen = self.gallery.visible_splats(view)
-            pieces = np.load(self.store.bring(self.pieces), mmap_mode="r")
-            of_seen = np.asarray(pieces if seen.rows is None else pieces[seen.rows])
-            path.parent.mkdir(parents=True, exist_ok=True)
-            found = borders_in(seen.splats, view, of_seen, threads=self.threads)
-            write_tensors(path, found._asdict(), {"key": self.key}, overwrite=True)
-        if is_new or not self.store.has(name):
-            self.store.send(name)
+        make_once(self.store, name, self.key, lambda: self._borders(view))
         return name
 
+    def _borders(self, view: View) -> dict[str, np.ndarray]:
+        seen = self.gallery.visible_splats(view)
+        pieces = np.load(self.store.bring(self.pieces), mmap_mode="r")
+        of_seen = np.asarray(pieces if seen.rows is None else pieces[seen.rows])
+        return borders_in(seen.splats, view, of_seen, threads=self.threads)._asdict()
 
-def _borders(
-    store: Store, tiles: Tiles, views: Sequence[View], pieces: Int32[np.ndarray, " n"], launcher: Launcher,
-    threads: int, track: Track,
-) -> Borders:  # fmt: skip
+
+def _borders(work: TileBlocks, tiles: Tiles, views: Sequence[View], pieces: Int32[np.ndarray, " n"]) -> Borders:
     """Return the borders of pieces in all views, a task for each."""
     digest = hashlib.blake2b(f"{tiles.digest} {default_isa()}".encode(), digest_size=16)
     for piece in pieces_of_bytes(pieces):
         digest.update(piece)
     key = digest.hexdigest()
     name = f"{FOLDER}/{key}.pieces.npy"
+    store = work.store
     filed(store.folder / name, np.int32, pieces.shape, [pieces])
     store.send(name)
     gallery = Gallery(tiles, store=None if isinstance(store, Shared) else with_tiles(store, tiles))
-    task = BorderTask(gallery, store, name, key, threads)
-    made = followed(launcher.results(task, views), track, [view.name for view in views], "looking at borders")
+    task, names = BorderTask(gallery, store, name, key, work.threads), [view.name for view in views]
+    made = followed(work.launcher.results(task, views), work.track, names, "looking at borders")
     return of_all_views(_read(store, made), int(pieces.max(initial=-1)) + 1)
 
 

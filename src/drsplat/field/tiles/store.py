@@ -3,14 +3,19 @@
 import hashlib
 import os
 import tempfile
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
+import numpy as np
+
 from ...base.system import is_ours, owner
 from ...errors import InputError, MissingExtraError
 from ...formats.replacing import replacing
+from ...formats.tensors import write_tensors
+from ..evidence.columns import is_finished
 
 
 @runtime_checkable
@@ -112,3 +117,19 @@ class Remote:
 def store_of(place: str | os.PathLike[str]) -> Store:
     """Return the store of a folder, or of an address with "://"."""
     return Remote(str(place)) if "://" in str(place) else Shared(Path(place))
+
+
+def make_once(store: Store, name: str, key: str, make: Callable[[], Mapping[str, np.ndarray]]) -> bool:
+    """Make a file of tensors, unless it is there, whole and with this key; return True if it was made now.
+
+    key: of all that decides what is in it.
+    """
+    path = store.bring(name)
+    is_new = not is_finished(path, {"key": key})
+    if is_new:
+        tensors = make()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_tensors(path, tensors, {"key": key}, overwrite=True)
+    if is_new or not store.has(name):  # who made it may have been killed before it was sent
+        store.send(name)
+    return is_new

@@ -12,11 +12,11 @@ from scipy.sparse import csr_array
 from ...base.arrays import Int64
 from ...base.contents import pieces
 from ...formats.replacing import replacing
-from ...formats.tensors import map_tensors, write_tensors
+from ...formats.tensors import map_tensors
 from ...formats.tiles import Tile
 from ...kernels import Triples
-from ..evidence.columns import is_finished, stacked
-from .store import Store
+from ..evidence.columns import stacked
+from .store import Store, make_once
 
 ROWS = "rows"  # folder of the rows as they are registered
 RUN_BYTES = 256 << 20  # of W that one task makes
@@ -57,23 +57,14 @@ class RowMaker:
 
     def __call__(self, run: Run) -> bool:
         """Make the rows of a run; return True if they were made, and not there already."""
-        name = rows_name(run)
-        path = self.store.bring(name)
-        is_new = not is_finished(path, {"key": self.key})
-        if is_new:
-            self._make(run, path)
-        if is_new or not self.store.has(name):  # who made it may have been killed before it was sent
-            self.store.send(name)
-        return is_new
+        return make_once(self.store, rows_name(run), self.key, lambda: self._rows(run))
 
-    def _make(self, run: Run, path: Path) -> None:
+    def _rows(self, run: Run) -> dict[str, np.ndarray]:
         parts = [_held(NOTHING)] * len(self.views)
         for view in run.views.tolist():
             parts[view] = _held(_part(self.store.bring(self.views[view]), run.first, run.num_rows))
         w = stacked(parts, self.widths, run.num_rows)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        tensors = {"indptr": w.indptr.astype(np.int64), "indices": w.indices, "data": w.data}
-        write_tensors(path, tensors, {"key": self.key}, overwrite=True)
+        return {"indptr": w.indptr.astype(np.int64), "indices": w.indices, "data": w.data}
 
 
 def _part(view: Path, first: int, count: int) -> Triples:
