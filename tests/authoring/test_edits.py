@@ -349,7 +349,7 @@ def test_where_there_is_no_plane_nothing_is_filled() -> None:
 
 
 def test_a_hole_that_is_larger_than_what_is_left_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("drsplat.authoring.editing.filling.MAX_SHIFTS", 1)
+    monkeypatch.setattr("drsplat.authoring.editing.closing.MAX_SHIFTS", 1)
     scene, thing = on_a_floor()
     near = (np.abs(scene.means[:, :2]) < 0.34).all(axis=1)
     small = scene.subset(near)

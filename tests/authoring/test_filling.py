@@ -87,9 +87,9 @@ def test_a_hole_is_within_what_is_left_of_its_plane(high: float, around: bool) -
 def test_where_little_can_be_closed_nothing_is_cloned(monkeypatch: pytest.MonkeyPatch) -> None:
     scene, thing = on_a_floor()
     gone = edited(scene, [of(thing, Remove())])
-    monkeypatch.setattr("drsplat.authoring.editing.filling.MAX_SHIFTS", 1)
+    monkeypatch.setattr("drsplat.authoring.editing.closing.MAX_SHIFTS", 1)
     assert len(filled(scene, thing)) > len(gone)  # so this can fail
-    monkeypatch.setattr("drsplat.authoring.editing.filling.CLOSED_OPACITY", 1.0)
+    monkeypatch.setattr("drsplat.authoring.editing.closing.CLOSED_OPACITY", 1.0)
     with pytest.warns(DrSplatWarning, match="of one plane 0% of the hole could be closed"):
         assert len(filled(scene, thing)) == len(gone)
 

@@ -47,3 +47,9 @@ def test_facts_of_a_field_need_no_matrix(story: Story, demo_folder: Path) -> Non
     inspected = loaded_by("inspect", demo_folder / "room.field")
     assert "drsplat.field.evidence.evidence" in inspected
     assert not inspected & (BUILDING | SLOW)
+
+
+def test_facts_of_a_folder_need_nothing_that_edits_or_cuts(story: Story, demo_folder: Path) -> None:
+    inspected = loaded_by("inspect", demo_folder)
+    assert {"drsplat.authoring.editing.stored", "drsplat.formats.langsplat"} <= inspected
+    assert not inspected & (BUILDING | TREES | {"scipy", "drsplat.authoring.editing.closing"})

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from ...base.arrays import Bool, Float64, Int32, Int64
 from ...errors import InputError
@@ -73,6 +72,8 @@ def overlaps(masks: Masks) -> Int64[np.ndarray, "n n"]:
     Every row of the image is cut wherever any mask begins or ends; the pieces are then inside or
     outside of a mask as a whole, and the answer is a sparse product over pieces instead of pixels.
     """
+    from scipy.sparse import csr_array  # which readers of features do without
+
     starts, ends, owners = _runs(masks)
     cuts = _marked(masks, starts, ends)
     first, last = np.searchsorted(cuts, starts), np.searchsorted(cuts, ends)

@@ -1,0 +1,117 @@
+"""How a hole that a removal leaves is closed: what is cloned from beside it, and what is left open."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+from scipy import ndimage
+
+from ...base.arrays import Bool, Float64, Int64
+from ...errors import DrSplatWarning, InputError
+from ...formats.runs import spans_of
+from ...scene.boxes import HAZE_OPACITY
+from .draft import Draft
+from .earlier_fills import EarlierGround, closed_as_earlier
+from .fill_record import FIRST_RECORDED_VERSION, Clones, FillRecord
+from .ground import Ground
+from .planes import planes_around, surfaces_around
+from .shifts import best_shift
+
+SEARCH_MARGIN_SHARE = 0.8  # of the object's size: how far around it planes are fitted and clones are taken
+MAX_SHIFTS = 16  # that clones are taken by
+CLOSED_OPACITY = 0.8  # of a cell's clones, from which on the cell is closed
+CLONE_MARGIN_CELLS = 2  # around cells that close: Gaussians there reach into them and are cloned too
+MIN_VISIBLE_GAUSSIANS = 10  # of an object that can leave a hole
+WARNED_CLOSED_SHARE = 0.9  # of a hole: where less is closed, a warning says so
+MIN_CLOSED_SHARE = 0.2  # of a hole: with less it stays open, for the fill would be specks
+Ids = Int64[np.ndarray, " m"]
+Cells = Bool[np.ndarray, "h w"]
+
+
+def closing(draft: Draft, ids: Ids, version: int) -> FillRecord:
+    """Return what a fill of a version does where some rows stood at first.
+
+    Raises: InputError: too few rows to leave a hole, or no plane was found. Warns: DrSplatWarning: a hole that could be
+    closed in part only.
+    """
+    seen = ids[draft.opacities[ids] >= HAZE_OPACITY]
+    if len(seen) < MIN_VISIBLE_GAUSSIANS:
+        raise InputError(
+            f"fill: {len(seen)} Gaussians that can be seen leave no hole: {MIN_VISIBLE_GAUSSIANS} are the fewest"
+        )
+    thing = draft.homes[seen].astype(np.float64)
+    near = _near(draft, ids, thing)
+    scene = draft.part(near)
+    around = scene.means[scene.opacities >= HAZE_OPACITY].astype(np.float64)
+    early = version < FIRST_RECORDED_VERSION
+    planes = (planes_around if early else surfaces_around)(thing, around)
+    if not planes:
+        raise InputError(
+            "fill: no ground and no wall was found beside what was there: it stands free, or nothing flat of "
+            "several sides is around it. The hole stays open"
+        )
+    removed, clones = np.zeros(len(near), bool), list[Clones]()
+    for plane in planes:
+        sight = scene, plane, [other for other in planes if other is not plane], thing
+        goes, more, open_share = (
+            closed_as_earlier(near, EarlierGround(*sight), version) if early else _closed(near, Ground(*sight))
+        )
+        _tell(open_share)
+        removed[goes] = True
+        clones += more
+    return FillRecord(spans_of(near[removed]), tuple(clones))
+
+
+def _near(draft: Draft, ids: Ids, thing: Float64[np.ndarray, "t 3"]) -> Int64[np.ndarray, " k"]:
+    """Return the rows that are there around what stood there, without itself."""
+    low, high = np.quantile(thing, (0.01, 0.99), axis=0)
+    reach = SEARCH_MARGIN_SHARE * float(np.linalg.norm(high - low))
+    near = ((draft.means >= low - reach) & (draft.means <= high + reach)).all(axis=1) & draft.present
+    near[ids] = False
+    return np.flatnonzero(near)
+
+
+def _closed(near: Int64[np.ndarray, " k"], ground: Ground) -> tuple[Ids, list[Clones], float]:
+    """Return which of the Gaussians near a thing go for a plane, what is cloned, and how much of the hole stays open.
+
+    A hole that the plane is not around, or that hardly anything could close, stays as it is.
+    """
+    clones, missing = _clones(near, ground) if ground.is_around_hole else ([], ground.hole)
+    open_share = missing.sum() / max(1, ground.hole.sum())
+    if open_share > 1 - MIN_CLOSED_SHARE:
+        return ground.standing, [], 1.0
+    return np.union1d(ground.standing, ground.guessed(ground.hole)), clones, float(open_share)
+
+
+def _clones(near: Int64[np.ndarray, " k"], ground: Ground) -> tuple[list[Clones], Cells]:
+    """Return what is cloned, and the cells of the hole that this leaves open."""
+    hole, scene, grid = ground.hole, ground.scene, ground.grid
+    surface = ground.surface(hole)
+    good, missing, seen_through = ground.cloneable(surface.known), hole, np.ones(grid.shape)
+    clones = []
+    for _ in range(MAX_SHIFTS):
+        shift, closed = best_shift(missing, good, surface)
+        rows = ground.own[grid.among(_margin(closed, shift), ground.places[ground.own])]
+        if not closed.any() or not len(rows):
+            break
+        clones.append(Clones(spans_of(near[rows]), -grid.shift(shift)))
+        means = (scene.means[rows] + clones[-1].by).astype(np.float32)
+        seen_through *= 1 - grid.coverage(replace(scene.subset(rows), means=means))
+        missing = hole & (seen_through > 1 - CLOSED_OPACITY)
+        surface = surface.closed(closed, shift)
+    return clones, missing
+
+
+def _margin(closed: Cells, shift: tuple[int, int]) -> Cells:
+    """Return the cells by a shift from those that it closes, and some around them."""
+    source = np.zeros_like(closed)
+    down, across = np.nonzero(closed)
+    source[down + shift[0], across + shift[1]] = True
+    return np.asarray(ndimage.binary_dilation(source, iterations=CLONE_MARGIN_CELLS))
+
+
+def _tell(open_share: float) -> None:
+    """Warn where much of a hole stays open."""
+    if open_share > 1 - WARNED_CLOSED_SHARE:
+        told = f"fill: of one plane {1 - open_share:.0%} of the hole could be closed"
+        warnings.warn(told, DrSplatWarning, stacklevel=5)
