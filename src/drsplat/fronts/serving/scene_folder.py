@@ -17,7 +17,7 @@ from ...formats.vocabulary import read_vocabulary
 from ...photos.models.loading import load_encoder
 from ...query import Scene, SceneFiles, find_scene, open_scene
 from ...query.catalogue import Catalogue
-from ...query.opening import CAMERAS
+from ...query.opening import CAMERA_FILES
 from ...scene.encoders import Encoder
 
 LISTED = 20
@@ -227,7 +227,7 @@ class SceneFolder:
 
 def version_of(files: SceneFiles) -> Version:
     """Return a version that changes when a file of a scene is replaced, cut short or written to."""
-    capture = [] if files.capture is None else [files.capture / name for name in CAMERAS]
+    capture = [] if files.capture is None else [files.capture / name for name in CAMERA_FILES]
     labels = LabelFile.beside(files.field).path
     return frozenset(_stats(files.field) | _stats(*files.scenes, *capture, labels))
 

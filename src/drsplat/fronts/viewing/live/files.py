@@ -19,7 +19,7 @@ from ....drawing.pictures import OtherPixels, as_pixels
 from ....drawing.rendering import render
 from ....errors import InputError
 from ....formats.json_files import document_in
-from ....query.sheets import AT_ONCE
+from ....query.sheets import OBJECTS_AT_ONCE
 from ...serving.pictures import jpeg, png
 from ..carrying import carried
 from ..exporting import export_session
@@ -108,8 +108,8 @@ class ObjectPictures:
     def _draw(self, stage: Stage, number: int) -> None:
         if number not in stage.listed:
             raise InputError(f"there is no object {number} of {len(stage.listed)}")
-        begin = stage.listed.index(number) // AT_ONCE * AT_ONCE
-        numbers = stage.listed[begin : begin + AT_ONCE]
+        begin = stage.listed.index(number) // OBJECTS_AT_ONCE * OBJECTS_AT_ONCE
+        numbers = stage.listed[begin : begin + OBJECTS_AT_ONCE]
         objects = stage.session.scene.objects
         for one, pixels in zip(numbers, pictures_of(stage.session, [objects[one] for one in numbers]), strict=True):
             self._keep(one, pixels)
