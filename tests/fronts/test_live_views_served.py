@@ -217,7 +217,7 @@ def test_a_photo_that_ends_the_process_is_refused_and_the_others_are_added(
         "os._exit(9) if 'photo_2.png' in [v.name for v in views] else embed(b, load, views); "
         "worker.main(int(sys.argv[1]), int(sys.argv[2]))"
     )
-    monkeypatch.setattr(workbench, "COMMAND", [sys.executable, "-c", dying])
+    monkeypatch.setattr(workbench, "WORKER_COMMAND", [sys.executable, "-c", dying])
     with opened(scenes) as service:
         for view in read_views(full_room)[2:]:
             assert send(service, posted(view)).status_code == 202

@@ -20,8 +20,8 @@ from ...query.catalogue import Catalogue
 from ...query.opening import CAMERA_FILES
 from ...scene.encoders import Encoder
 
-LISTED = 20
-_MOST_GAUSSIANS = (1 << 31) - 1
+MAX_NAMES_LISTED = 20
+_MAX_GAUSSIANS = (1 << 31) - 1
 T = TypeVar("T")
 Version = frozenset[tuple[str, int, int, int, int]]
 
@@ -159,7 +159,7 @@ class SceneFolder:
         """Read something of a scene's folder."""
         folders = self.folders()
         if name not in folders:
-            known = ", ".join(map(repr, list(folders)[:LISTED])) or "none"
+            known = ", ".join(map(repr, list(folders)[:MAX_NAMES_LISTED])) or "none"
             raise UnknownSceneError(f"there is no scene {name[:60]!r} here; there are: {known}")
         try:
             return read(folders[name])
@@ -269,7 +269,7 @@ def _has_field(folder: Path) -> bool:
 
 
 def _count(value: object) -> int:
-    return value if type(value) is int and 0 <= value <= _MOST_GAUSSIANS else 0
+    return value if type(value) is int and 0 <= value <= _MAX_GAUSSIANS else 0
 
 
 def _name(folder: Path) -> str:
