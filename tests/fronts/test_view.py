@@ -447,7 +447,7 @@ def test_without_a_folder_nothing_stays_on_the_disk(tmp_path: Path, monkeypatch:
     assert data == b"xy"
     assert not path.exists()
     assert list(tmp_path.iterdir()) == []
-    monkeypatch.setattr(saving, "MOST_SENT", 1)
+    monkeypatch.setattr(saving, "MAX_SENT_BYTES", 1)
     with pytest.raises(InputError, match="--save-dir"):
         saving.Saves(None).save("found", ".ply", lambda path: path.write_bytes(b"xy"))
 
@@ -459,7 +459,7 @@ def test_no_text_of_a_stranger_is_more_than_text() -> None:
     hostile = "<img src=x onerror=alert(1)>&\udcff\x1b[2J\u202e\n"
     assert texts.escaped(hostile) == "&lt;img src=x onerror=alert(1)&gt;&amp;" + "\ufffd" + "\ufffd[2J" + 2 * "\ufffd"
     assert texts.printable("é 日本 🍎") == "é 日本 🍎"
-    assert len(texts.printable("x" * 10_000)) == texts.MOST_SHOWN
+    assert len(texts.printable("x" * 10_000)) == texts.MAX_CHARACTERS_SHOWN
 
 
 # --- what to ask ---

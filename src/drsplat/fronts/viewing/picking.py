@@ -7,9 +7,9 @@ import numpy as np
 from ...base.arrays import Bool, Float64, Int64
 from ...scene.gaussians import Gaussians
 
-REACH = 3.0  # standard deviations at which a Gaussian ends
-LEAST_ALPHA = 1 / 255
-MOST_ALPHA = 0.99
+REACH_DEVIATIONS = 3.0  # standard ones, at which a Gaussian ends
+MIN_ALPHA = 1 / 255
+MAX_ALPHA = 0.99
 
 
 class Hit(NamedTuple):
@@ -54,9 +54,9 @@ def met_by_ray(
     near = _near(gaussians, origin, direction)
     near = near if visible is None else near[visible[near]]
     depth, alpha = _met(gaussians.subset(near), origin, direction)
-    kept = (alpha >= LEAST_ALPHA) & (depth > 0)
+    kept = (alpha >= MIN_ALPHA) & (depth > 0)
     order = np.flatnonzero(kept)[np.argsort(depth[kept], kind="stable")]
-    return Met(near[order], depth[order], np.minimum(alpha[order], MOST_ALPHA))
+    return Met(near[order], depth[order], np.minimum(alpha[order], MAX_ALPHA))
 
 
 def blended(met: Met, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]) -> Hit | None:
@@ -82,7 +82,7 @@ def _near(
     offsets = gaussians.means - origin.astype(np.float32)
     along = offsets @ direction.astype(np.float32)
     apart = np.einsum("ni,ni->n", offsets, offsets) - along**2
-    reach = REACH * gaussians.scales.max(axis=1)
+    reach = REACH_DEVIATIONS * gaussians.scales.max(axis=1)
     return np.flatnonzero((apart <= 1.01 * reach**2) & (along > -reach))
 
 

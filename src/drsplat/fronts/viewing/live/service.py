@@ -22,7 +22,7 @@ from .stage import Vector
 from .turns import Lanes
 
 GRACE_S = 5  # for what is being answered when the viewer stops
-WAITS = {**TIMEOUTS_S, Stage.BODY: 1800.0}  # seconds: a scene of gigabytes may come over a slow network
+VIEWER_TIMEOUTS_S = {**TIMEOUTS_S, Stage.BODY: 1800.0}  # a scene of gigabytes may come over a slow network
 
 
 class _Server(uvicorn.Server):
@@ -53,7 +53,7 @@ class Service:
         app = create_app(shared, self.lanes)
         gate = Gate(app, host, listening.getsockname()[1], self.token)
         options: dict[str, Any] = {"log_level": "error", "access_log": False, "timeout_graceful_shutdown": GRACE_S}
-        self._server = _Server(bounded(gate, WAITS, **options), app)
+        self._server = _Server(bounded(gate, VIEWER_TIMEOUTS_S, **options), app)
 
     def show(self, session: Session, up: Vector | None = None, text: str = "") -> None:
         """Show a session, and ask it something; before anybody has come."""

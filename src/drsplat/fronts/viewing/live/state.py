@@ -33,7 +33,7 @@ from .stage import Stage, Vector
 from .tiles import tiles_document
 
 MAX_PHOTOS, MAX_OBJECTS, MAX_MATCHES, MAX_LISTED = 200, 500, 100, 100
-MAX_SENTENCE_LENGTH = 600
+MAX_SENTENCE_CHARACTERS = 600
 FILM_FORMATS = (".mp4", ".webm", ".webp", ".gif")
 Document = dict[str, Any]
 
@@ -145,8 +145,8 @@ def _result(stage: Stage, number: int, result: Result) -> Document:
     answer = result.answer
     return {
         "text": printable(result.label),
-        "summary": printable(result.summary, MAX_SENTENCE_LENGTH),
-        "doubt": printable(answer.doubt, MAX_SENTENCE_LENGTH),
+        "summary": printable(result.summary, MAX_SENTENCE_CHARACTERS),
+        "doubt": printable(answer.doubt, MAX_SENTENCE_CHARACTERS),
         "threshold": result.threshold,
         "automatic": answer.threshold,
         "limits": list(result.limits),
