@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add nothing: `drsplat doctor` has no options of its own."""
 
 
-CACHED = {
+CACHE_TEXTS = {
     True: "in the local cache", False: "not in the local cache, downloaded at first use",
     None: "huggingface_hub is not installed",
 }  # fmt: skip
@@ -94,7 +94,7 @@ def show(answer: dict[str, Any]) -> None:
     show_table("Packages", ("name", "version", "for"), rows)
     print("Models")  # lines, because a table would cut their ids, which people copy
     for name, of in answer["models"].items():
-        print(f"  {name}: {of['for']}; {CACHED[of['cached']]}")
+        print(f"  {name}: {of['for']}; {CACHE_TEXTS[of['cached']]}")
     print("\nWhat can run")
     for name, ability in answer["can"].items():
         print(f"  {'yes' if ability['ready'] else 'NO '} {name}")

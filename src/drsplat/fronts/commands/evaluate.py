@@ -14,7 +14,7 @@ from .query_options import open_scene
 if TYPE_CHECKING:
     from ...evaluation.running import Judged
 
-HANDED_ON = (
+OPTIONS_HANDED_ON = (
     "relevancy", "threshold", "method", "automatic", "voxel_side", "figures", "score_only", "overwrite", "threads",
 )  # fmt: skip
 PROTOCOLS = ("lerf-ovs", "scannet-points", "scannet-volume", "voxel")
@@ -113,7 +113,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         without=partial(left_out, without=arguments.without) if arguments.without else None,
         files=[Path(path) for path in arguments.scene if Path(path).is_file()],
         track=tracker(arguments),
-        **{name: value for name, value in vars(arguments).items() if name in HANDED_ON},
+        **{name: value for name, value in vars(arguments).items() if name in OPTIONS_HANDED_ON},
     )
     return dict(without_nan(answer)) if arguments.json else answer
 

@@ -15,7 +15,7 @@ MAX_BODY_BYTES: Mapping[str, int] = {
     "/view/upload": MAX_SCENE_BYTES,
 }  # fmt: skip
 CONTENT_TYPES = ("application/json", "application/octet-stream")  # which a page of another site cannot send unasked
-REQUESTS_PER_SECOND, BURST_REQUESTS, MAX_PEERS = 120.0, 240.0, 1024  # of one address; addresses
+REQUESTS_PER_SECOND, BURST_REQUESTS, MAX_PEERS = 120.0, 240.0, 1024  # of one address; addresses noted
 CONTENT_POLICY = (
     "default-src 'none'; script-src 'self' blob:; worker-src blob:; style-src 'self' 'unsafe-inline'; "
     "img-src 'self' data: blob:; connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
