@@ -61,9 +61,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     models = parser.add_argument_group("models")
     models.add_argument(
         "--segmenter", type=words, metavar="NAME",
-        help=f"SAM, SAM 2, SAM 2.1, SAM 3 or EdgeTAM, an id of the Hugging Face hub or a folder; or graph, built in, "
-        f"no model to download, a fifth of a second for a photo, coarser masks (default: {DEFAULT_SEGMENTER}, the paper's; "
-        "on a CPU take graph, or facebook/sam2.1-hiera-tiny with --points auto --crop-layers 0: seconds for a photo)",
+        help="SAM, SAM 2, SAM 2.1, SAM 3 or EdgeTAM, an id of the Hugging Face hub or a folder; or graph, built in, "
+        f"no model to download, a fifth of a second for a photo, coarser masks (default: {DEFAULT_SEGMENTER}, the "
+        "paper's; on a CPU take graph, or facebook/sam2.1-hiera-tiny with --points auto --crop-layers 0: seconds for a "
+        "photo)",
     )  # fmt: skip
     models.add_argument(
         "--masks", metavar="DIR",
