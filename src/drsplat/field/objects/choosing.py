@@ -8,10 +8,10 @@ from ...base.arrays import Bool, Float32, Float64, Int32, Int64, Integer, UInt8
 from ...kernels import Forest
 from ..forest import GROUP, PART, THING
 
-APART = 0.4  # distance of embeddings (1: unrelated) of regions that are never one thing
-MOST = 0.5  # of all weight: what holds more is no group but the room
-SMALL, SEEN_ALONE = 0.1, 0.19  # of the size of what a small thing is on, and the fit that it needs
-SMALL_COUNT = 0.7  # power of the size that weighs nodes where small ones are looked for
+APART_DISTANCE = 0.4  # of embeddings (1: unrelated) of regions that are never one thing
+MAX_GROUP_SHARE = 0.5  # of all weight: what holds more is the room
+MAX_SMALL_SHARE, MIN_SMALL_FIT = 0.1, 0.19  # of the size of what a small thing is on; its fit
+SMALL_SIZE_POWER = 0.7  # weighs nodes where small things are looked for
 NONE = -1
 
 
@@ -33,19 +33,19 @@ def choose_among(forest: Forest, node_of: Integer[np.ndarray, " r"], smallest: i
     """Choose the hierarchy of parts, things and groups in a forest. node_of: a node of each row, -1 for none.
 
     Things are the disjoint nodes with the largest sum of weight times the root of fit; none merges regions whose
-    embeddings are `APART`. Small things on them are things of their own (`_small_things`), what is left of them
-    another, and together they are a group. Parts are the best nodes within each thing, groups nodes above that hold
-    several.
+    embeddings are `APART_DISTANCE` apart. Small things on them are things of their own (`_small_things`), what is left
+    of them another, and together they are a group. Parts are the best nodes within each thing, groups nodes above that
+    hold several.
     """
     (judged,) = np.nonzero(forest.sizes >= smallest)  # what is above them is larger
     parents, sizes, fits = _within(forest.parents, judged), forest.sizes[judged], forest.fits[judged].astype(np.float64)
-    worth, alike = forest.masses[judged] * np.sqrt(fits), forest.spreads[judged] <= APART
+    worth, alike = forest.masses[judged] * np.sqrt(fits), forest.spreads[judged] <= APART_DISTANCE
     things = best_nodes(parents, np.where(alike, worth, NONE))
     small = _small_things(parents, sizes, np.where(alike, fits, 0), things)
     crowded = np.zeros(len(parents), bool)
     crowded[_above(parents, things)[small]] = True
     total = float(forest.masses[forest.parents < 0].sum(dtype=np.float64))
-    groups = _several_branches(parents, things) & (forest.masses[judged] <= MOST * total)
+    groups = _several_branches(parents, things) & (forest.masses[judged] <= MAX_GROUP_SHARE * total)
     parts = _parts(parents, np.where(small | _holding(parents, small), NONE, worth), things | small)
     levels = np.full(len(parents), NONE)
     for level, nodes in ((PART, parts), (THING, things | small), (GROUP, groups | crowded)):
@@ -67,8 +67,8 @@ def _small_things(
     are taken. Where they are half of the thing, it is cut in pieces, and none is.
     """
     thing = _above(parents, things)
-    best = best_nodes(parents, np.where(thing >= 0, sizes**SMALL_COUNT * np.sqrt(fits), NONE))
-    small = best & (fits >= SEEN_ALONE) & (sizes <= SMALL * sizes[thing])
+    best = best_nodes(parents, np.where(thing >= 0, sizes**SMALL_SIZE_POWER * np.sqrt(fits), NONE))
+    small = best & (fits >= MIN_SMALL_FIT) & (sizes <= MAX_SMALL_SHARE * sizes[thing])
     taken = np.bincount(thing[small], sizes[small], minlength=len(parents))
     return np.asarray(small & (taken <= sizes / 2)[thing])
 

@@ -16,20 +16,20 @@ from ...scene.morton import morton_order
 from ...scene.placing import local_origin
 from ...scene.similarity import IDENTITY
 
-MOST_BLOCKS = 65_535
-SMALL = 0.99  # of all Gaussians
-ROWS = 1 << 17  # of a tile: 6 MB of shapes
+MAX_BLOCKS = 65_535
+SMALL_QUANTILE = 0.99  # of sizes
+TILE_ROWS = 1 << 17  # 6 MB of shapes
 
 
-def cut(blocks: Sequence[Block], output: Path, rows: int = ROWS, *, overwrite: bool = False) -> Tiles:
+def cut(blocks: Sequence[Block], output: Path, rows: int = TILE_ROWS, *, overwrite: bool = False) -> Tiles:
     """Write the Gaussians of all blocks, where they stand in the world, as tiles of at most so many `rows`.
 
     Holds places, sizes and order of all Gaussians, and the rows of one tile; a binary PLY may be of any size.
 
     Raises: InputError: no Gaussian is left, more blocks than 65,535 or `output` exists. FormatError: as reading them.
     """
-    if len(blocks) > MOST_BLOCKS:
-        raise InputError(f"expected at most {MOST_BLOCKS:,} blocks, got {len(blocks):,}: cut them in several scenes")
+    if len(blocks) > MAX_BLOCKS:
+        raise InputError(f"expected at most {MAX_BLOCKS:,} blocks, got {len(blocks):,}: cut them in several scenes")
     if rows < 1:
         raise InputError(f"rows: expected a positive number, got {rows}")
     placed = _placed(blocks)
@@ -54,7 +54,7 @@ class _Placed(NamedTuple):
 def _runs(placed: _Placed, rows: int) -> Iterator[Int64[np.ndarray, " m"]]:
     """Tile by tile: along the curve, the largest hundredth apart, since one of them makes a tile seen from afar."""
     order = morton_order(placed.positions)
-    large = placed.sizes[order] > np.quantile(placed.sizes, SMALL)
+    large = placed.sizes[order] > np.quantile(placed.sizes, SMALL_QUANTILE)
     for of_size in (order[~large], order[large]):
         for begin in range(0, len(of_size), rows):
             yield of_size[begin : begin + rows]
