@@ -6,7 +6,7 @@ import numpy as np
 
 from ..base.terminal import counted
 from ..drawing.cards import Card, card_sheet
-from ..drawing.cutouts import TILE_PX, cut_out
+from ..drawing.cutouts import TILE_PIXELS, cut_out
 from ..drawing.heat import heat_of
 from ..drawing.pictures import (
     OtherPixels,
@@ -34,7 +34,7 @@ MAX_ATTRIBUTES, ATTRIBUTE_SIDE_PIXELS = 12, 640  # pictures in a row; their long
 
 
 def object_picture(
-    scene: Scene, match: Match, view: View | None = None, size: tuple[int, int] = TILE_PX
+    scene: Scene, match: Match, view: View | None = None, size: tuple[int, int] = TILE_PIXELS
 ) -> OtherPixels:
     """Cut an object out of a photo of it, or of a rendering where there is no photo. view: None for the best one.
 

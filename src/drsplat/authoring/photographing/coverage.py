@@ -13,7 +13,7 @@ from ...photos.embedding.view_choice import SIGHTS_PER_GAUSSIAN, greedy
 from ...scene.views import View
 from .space import MAX_NEAR_SHARE, Space
 
-PLANNING_SIDE_PX = 252  # longer side of pictures for planning
+PLANNING_SIDE_PIXELS = 252  # longer side of pictures for planning
 ENOUGH_PIXELS = 1.0  # blending weight, summed over a picture's pixels, at which a Gaussian counts as seen
 SIGNIFICANT_WEIGHT = 0.98  # of all weight, each Gaussian counted by its best picture
 OFTEN = int(SIGHTS_PER_GAUSSIAN)  # pictures that show a Gaussian often enough
@@ -101,7 +101,7 @@ def sights(space: Space, views: Sequence[View], track: Track = untracked) -> Sig
     ids, weights, smears, accepted = [np.empty(0, np.int64)], [np.empty(0)], [], []
     sizes, positions = space.gaussians.scales.max(1), space.positions
     for view in track(views, "planning pictures"):
-        small = view.limited(PLANNING_SIDE_PX)
+        small = view.limited(PLANNING_SIDE_PIXELS)
         raster = np.zeros((small.height, small.width), np.int32)
         triples = view_weights(space.splats, small, raster, None, threads=space.threads)
         rows, seen = triples.gaussian_ids.astype(np.int64), triples.weights.astype(np.float64)

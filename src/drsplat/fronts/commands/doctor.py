@@ -44,7 +44,7 @@ MODELS = {
 }
 """The default models by id; written out because importing those who load them takes longer than all of this."""
 _PROBE = "import json; from drsplat.fronts.commands.doctor import probe; print(json.dumps(probe()))"
-_PROBE_SECONDS = 120
+_PROBE_S = 120
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -178,11 +178,11 @@ def _probed(asked: subprocess.Popen[str] | None) -> dict[str, Any]:
     if asked is None:
         return {}
     try:
-        out, errors = asked.communicate(timeout=_PROBE_SECONDS)
+        out, errors = asked.communicate(timeout=_PROBE_S)
     except subprocess.TimeoutExpired:
         asked.kill()
         asked.communicate()
-        out, errors = "", f"no answer in {_PROBE_SECONDS} s"
+        out, errors = "", f"no answer in {_PROBE_S} s"
     try:
         facts = json.loads((out.splitlines() or [""])[-1])
     except ValueError:
