@@ -191,7 +191,7 @@ def test_chunks_of_rows_do_not_show_in_trust(monkeypatch: pytest.MonkeyPatch) ->
     evidence = evidence_of(np.random.default_rng(5), rows=200)
     whole = MaskTrust()(evidence, 1).weights.data
     for module in ("entries", "trust"):
-        monkeypatch.setattr(f"drsplat.field.evidence.aggregation.{module}.ENTRIES", 37)
+        monkeypatch.setattr(f"drsplat.field.evidence.aggregation.{module}.PASS_ENTRIES", 37)
     assert_allclose(MaskTrust()(evidence, 1).weights.data, whole, rtol=1e-6)
 
 
