@@ -1,4 +1,4 @@
-"""Which nodes of a forest of merges are parts, things and groups."""
+"""Choice of parts, things and groups among the nodes of a forest of merges."""
 
 from typing import NamedTuple
 
@@ -16,7 +16,7 @@ NONE = -1
 
 
 class Tree(NamedTuple):
-    """The nodes that are kept, as in `Objects`: node_of per row, sure how well the masks of the photos fit a node."""
+    """The nodes that are kept, as in `Objects`. node_of: of each row. sure: how well masks of the photos fit a node."""
 
     node_of: Int32[np.ndarray, " r"]
     parents: Int32[np.ndarray, " t"]
@@ -64,7 +64,7 @@ def _small_things(
 
     A plate that shares masks with the table costs the table little of its fit: weighed by weight the two stay one.
     So nodes within are weighed by a power of their size, which favours small ones, and those that are small and fit
-    are taken. Where they are half of the thing, it is cut in pieces, and none is.
+    are taken. Where they make up half of a thing or more, it is only cut in pieces, and none is taken.
     """
     thing = _above(parents, things)
     best = best_nodes(parents, np.where(thing >= 0, sizes**SMALL_SIZE_POWER * np.sqrt(fits), NONE))
@@ -125,9 +125,9 @@ def _parts(
 ) -> Bool[np.ndarray, " t"]:
     """Return the best nodes strictly within things, where a thing has two or more."""
     thing = _above(parents, things)
-    found = best_nodes(parents, np.where(thing >= 0, worth, NONE))
-    several = np.bincount(thing[found], minlength=len(parents)) > 1
-    return np.asarray(found & several[thing])
+    best = best_nodes(parents, np.where(thing >= 0, worth, NONE))
+    several = np.bincount(thing[best], minlength=len(parents)) > 1
+    return np.asarray(best & several[thing])
 
 
 def _holding(parents: Int64[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -> Bool[np.ndarray, " t"]:
@@ -165,7 +165,7 @@ def _tree_of(
 
 
 def _with_rests(tree: Tree, crowded: Bool[np.ndarray, " t"]) -> Tree:
-    """Make crowded nodes groups of the things in them: a thing before each of them has what is in none of these."""
+    """Make each crowded node a group; a new thing before it gets the rows that are in none of its things."""
     number = np.append(np.arange(len(crowded)) + np.cumsum(crowded), NONE)  # -1 stays -1
     rest = number - np.append(crowded, False)
     new, count = number[:-1], len(crowded) + int(np.count_nonzero(crowded))

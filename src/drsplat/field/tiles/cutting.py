@@ -52,7 +52,10 @@ class _Placed(NamedTuple):
 
 
 def _runs(placed: _Placed, rows: int) -> Iterator[Int64[np.ndarray, " m"]]:
-    """Tile by tile: along the curve, the largest hundredth apart, since one of them makes a tile seen from afar."""
+    """Yield the rows of each tile, along the curve.
+
+    The largest hundredth gets tiles of its own: a single large Gaussian makes its tile seen from afar.
+    """
     order = morton_order(placed.positions)
     large = placed.sizes[order] > np.quantile(placed.sizes, SMALL_QUANTILE)
     for of_size in (order[~large], order[large]):
@@ -63,11 +66,11 @@ def _runs(placed: _Placed, rows: int) -> Iterator[Int64[np.ndarray, " m"]]:
 def _placed(blocks: Sequence[Block]) -> _Placed:
     parts = []
     for number, (source, place, keep) in enumerate(blocks):
-        here, sizes = source.positions(), source.sizes()
+        positions, sizes = source.positions(), source.sizes()
         if place is not IDENTITY:
-            here, sizes = place.positions(here), np.float32(place.scale) * sizes
-        kept = np.arange(len(here)) if keep is None else np.flatnonzero(keep.holds(here))
-        parts.append((here[kept], sizes[kept], np.full(len(kept), number, np.uint16), kept.astype(np.uint32)))
+            positions, sizes = place.positions(positions), np.float32(place.scale) * sizes
+        kept = np.arange(len(positions)) if keep is None else np.flatnonzero(keep.holds(positions))
+        parts.append((positions[kept], sizes[kept], np.full(len(kept), number, np.uint16), kept.astype(np.uint32)))
     return _Placed(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
@@ -75,7 +78,7 @@ def _tile(
     blocks: Sequence[Block], block_of: UInt16[np.ndarray, " m"], row_of: UInt32[np.ndarray, " m"],
     origin: Float64[np.ndarray, " 3"],
 ) -> Gaussians:  # fmt: skip
-    """Return some rows of some blocks, ordered by block and row, with positions counted from the origin."""
+    """Return some rows of some blocks, in the order given, with positions counted from the origin."""
     order = np.lexsort((row_of, block_of))  # files are read front to back
     parts = []
     for number in np.unique(block_of):
@@ -85,6 +88,6 @@ def _tile(
     whole = concatenated([replace(part, extra={}) for part in parts])
     means = (whole.positions - origin).astype(np.float32)
     extra = {"block": block_of[order], "source_row": row_of[order]}
-    back = np.empty(len(order), np.int64)
-    back[order] = np.arange(len(order))
-    return replace(whole, means=means, extra=extra, origin=origin).subset(back)
+    given_order = np.empty(len(order), np.int64)
+    given_order[order] = np.arange(len(order))
+    return replace(whole, means=means, extra=extra, origin=origin).subset(given_order)

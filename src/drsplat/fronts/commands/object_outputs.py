@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from ...query import Scene
 
 TABLE_FILE = "objects.json"
-FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r", "\n")  # with which a text begins that spreadsheets compute
+FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r", "\n")  # spreadsheets compute a text that begins with one
 BOX_NUMBERS = {"center": 3, "extent": 3, "axes": 9}
 
 
 def check(arguments: argparse.Namespace) -> None:
-    """Check all that can be known to be wrong before any work is done."""
+    """Check what can be checked before any work is done."""
     from ...errors import InputError
 
     if (arguments.label is None) != (arguments.id is None):
@@ -70,21 +70,21 @@ def _save_csv(path: Path, _: Scene, listed: list[dict[str, Any]], overwrite: boo
     from ...formats.replacing import replacing
 
     text = io.StringIO(newline="")
-    plain = ("id", "label", "name", "num_gaussians", "mass", "num_views", "sure")
+    columns = ("id", "label", "name", "num_gaussians", "mass", "num_views", "sure")
     rows = csv.writer(text)
     rows.writerow(
-        [*plain, *(f"{key}_{i}" for key, count in BOX_NUMBERS.items() for i in range(count)), "views", "agreed"]
+        [*columns, *(f"{key}_{i}" for key, count in BOX_NUMBERS.items() for i in range(count)), "views", "agreed"]
     )
-    for one in listed:
-        numbers = [*one["center"], *one["extent"], *chain(*one["axes"])]
-        views = _cell(";".join(one["views"]))
-        rows.writerow([*(_cell(one[key]) for key in plain), *numbers, views, int(one["agreed"])])
+    for document in listed:
+        numbers = [*document["center"], *document["extent"], *chain(*document["axes"])]
+        views = _cell(";".join(document["views"]))
+        rows.writerow([*(_cell(document[key]) for key in columns), *numbers, views, int(document["agreed"])])
     with replacing(path, overwrite) as file:
         file.write(text.getvalue().encode())
 
 
 def _cell(value: Any) -> Any:
-    """Return a value that no spreadsheet takes for a formula: such a text gets an apostrophe before it."""
+    """Return a value that no spreadsheet takes for a formula: one that looks like it gets an apostrophe before it."""
     return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA_SIGNS) else value
 
 
