@@ -32,7 +32,7 @@ from drsplat.fronts.viewing.session import Session
 from drsplat.fronts.viewing.shown import frame_of
 from drsplat.scene.gaussians import Gaussians
 
-JITTER, SECONDS = 0.1, 12  # in units of which the scene's radius has ten
+JITTER, MEASURED_S = 0.1, 12  # in units of which the scene's radius has ten
 
 
 def enlarged(gaussians: Gaussians, rows: int) -> Gaussians:
@@ -86,7 +86,7 @@ def measured(opened: Any, address: str, card: bool) -> None:
     page.evaluate(TURN)
     page.wait_for_timeout(4000)
     frames, begin, sorts = page.evaluate("() => drsplat.stage.frames"), time.perf_counter(), []
-    while time.perf_counter() - begin < SECONDS:
+    while time.perf_counter() - begin < MEASURED_S:
         page.wait_for_timeout(500)
         sorts.append(page.evaluate("() => drsplat.stage.sorted"))
     rate = (page.evaluate("() => drsplat.stage.frames") - frames) / (time.perf_counter() - begin)

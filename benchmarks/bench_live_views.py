@@ -25,7 +25,7 @@ from typing import Any
 from urllib.request import Request, urlopen
 
 import numpy as np
-from machine import arguments
+from machine import arguments, wait_for
 
 from drsplat import MiniEncoder, View, load_field, load_segmenter, read_features, read_gaussians, read_views
 from drsplat.field.codes import Smaller
@@ -171,15 +171,6 @@ def main() -> None:
         finally:
             server.terminate()
             server.wait(60)
-
-
-def wait_for(port: int) -> None:
-    for _ in range(600):
-        with socket.socket() as probe:
-            if probe.connect_ex(("127.0.0.1", port)) == 0:
-                return
-        time.sleep(0.1)
-    raise SystemExit("the service did not start")
 
 
 if __name__ == "__main__":

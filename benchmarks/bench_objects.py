@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 from drsplat import EncoderIdentity, Gaussians, LanguageField, Registration
 from drsplat.field.evidence.evidence import Evidence, MaskIds
 from drsplat.field.objects.choosing import choose
-from drsplat.field.objects.finding import SMALLEST, find_objects, grow
+from drsplat.field.objects.finding import MIN_GAUSSIANS, find_objects, grow
 
 SEEN, DIM, TWICE = 13, 64, 0.15
 
@@ -88,7 +88,7 @@ def main() -> None:
         assert field.evidence is not None
         start, cpu = time.perf_counter(), time.process_time()
         forest = grow(field.evidence, gaussians.means[field.gaussian_ids], threads=given.threads)
-        choose(forest, len(field), SMALLEST)
+        choose(forest, len(field), MIN_GAUSSIANS)
         grown, grown_cpu = time.perf_counter() - start, time.process_time() - cpu
         start, cpu = time.perf_counter(), time.process_time()
         with Most() as memory:

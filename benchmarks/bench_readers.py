@@ -35,7 +35,7 @@ from machine import arguments, interleaved
 
 from mutations import mutants
 
-ROUNDS, SMALL, MOST_SECONDS, MOST_BYTES = 5, 60, 20, 4 << 30
+ROUNDS, SMALL, MAX_S, MAX_BYTES = 5, 60, 20, 4 << 30
 Arrays = tuple[np.ndarray, ...]  # positions, rotations, sizes, opacities, harmonics in one or several
 
 
@@ -123,7 +123,7 @@ def worked(read: Callable[[Path], Arrays], places: "multiprocessing.Queue[Path |
 
     sys.stdout, sys.stderr = io.StringIO(), io.StringIO()
     np.seterr(all="ignore")
-    resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
+    resource.setrlimit(resource.RLIMIT_AS, (MAX_BYTES, MAX_BYTES))
     while (path := places.get()) is not None:
         answers.put(outcome(read, path))  # type: ignore[attr-defined]
 
@@ -145,7 +145,7 @@ def outcomes(read: Callable[[Path], Arrays], files: list[Path]) -> Counter[str]:
 
 
 def _answer(process: object, answers: object) -> str:
-    end = time.monotonic() + MOST_SECONDS
+    end = time.monotonic() + MAX_S
     while time.monotonic() < end:
         try:
             return str(answers.get(timeout=0.2))  # type: ignore[attr-defined]

@@ -23,7 +23,7 @@ from collections import Counter
 from pathlib import Path
 
 import numpy as np
-from machine import arguments
+from machine import arguments, wait_for
 from rooms import room
 
 from drsplat import LanguageField, WordEncoder, train_codebook, write_gaussians
@@ -193,15 +193,6 @@ def main() -> None:
         finally:
             server.terminate()
             print(f"stopped with {server.wait(60)}")
-
-
-def wait_for(port: int) -> None:
-    for _ in range(300):
-        with socket.socket() as probe:
-            if probe.connect_ex(("127.0.0.1", port)) == 0:
-                return
-        time.sleep(0.1)
-    raise SystemExit("the service did not start")
 
 
 if __name__ == "__main__":

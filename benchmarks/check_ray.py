@@ -35,7 +35,7 @@ import sys
 from drsplat.cli import main
 from drsplat.field.objects import by_blocks, finding
 from drsplat.field.tiles import transposing
-finding.MOST_WEIGHTS, by_blocks.BLOCK_WEIGHTS, transposing.RUN_BYTES = 0, 500_000, 4 << 20
+finding.MAX_WEIGHTS, by_blocks.BLOCK_WEIGHTS, transposing.RUN_BYTES = 0, 500_000, 4 << 20
 sys.exit(main(sys.argv[1:]))
 """
 

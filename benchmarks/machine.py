@@ -5,6 +5,7 @@ import gc
 import os
 import platform
 import re
+import socket
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -66,6 +67,16 @@ def interleaved(
             run()
             seconds[name][i] = clock() - start
     return seconds
+
+
+def wait_for(port: int) -> None:
+    """Wait up to a minute until a program on this machine takes connections at a port."""
+    for _ in range(600):
+        with socket.socket() as probe:
+            if probe.connect_ex(("127.0.0.1", port)) == 0:
+                return
+        time.sleep(0.1)
+    raise SystemExit("the service did not start")
 
 
 def resident_mib(peak: bool) -> float:

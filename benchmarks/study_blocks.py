@@ -50,8 +50,8 @@ def compared(one: np.ndarray, other: np.ndarray) -> tuple[float, int, int, int]:
 def in_blocks(evidence: Evidence, points: np.ndarray, parts: int) -> tuple[int, np.ndarray]:
     weights = evidence.weights.nnz
     with (
-        patch.object(finding, "MOST_WEIGHTS", 0),
-        patch.object(finding, "OF_A_ROW", weights),
+        patch.object(finding, "MAX_WEIGHTS", 0),
+        patch.object(finding, "WEIGHTS_PER_ROW", weights),
         patch.object(by_blocks, "BLOCK_WEIGHTS", int(1.02 * weights / parts)),
     ):
         return len(finding.divided(evidence, points).blocks), things(evidence, points)

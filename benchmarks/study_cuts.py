@@ -5,8 +5,9 @@
 Places, words and draws are those of `study_answers.py`, one draw of each kind with a fifth of the masks wrong; words
 that something is called by. IoU with objects: "rule", as drsplat answers; "no refusal", the same cut where no word is
 taken for absent, so that all words that are not there are found too; "cut", the best share of the way to the peak in
-place of the rule's (`query/contrast.py::OWN`), chosen with the truth for each place; "best", the best threshold of the
-plain field for each word. The last line has means of shares of the last one, and the best share for all places.
+place of the rule's (`query/contrast.py::OWN_THRESHOLD_SHARE`), chosen with the truth for each place; "best", the best
+threshold of the plain field for each word. The last line has means of shares of the last one, and the best share for
+all places.
 """
 
 import argparse
@@ -20,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmarks.suite.answers import Draws, best_iou, places_of
 from benchmarks.suite.places import Place
 from benchmarks.suite.vocabularies import Clip, Names, Vocabulary
-from drsplat.query.contrast import OWN, middle_threshold
+from drsplat.query.contrast import OWN_THRESHOLD_SHARE, middle_threshold
 
 SHARES = np.round(np.arange(0, 1.01, 0.05), 2)
 NEVER = -50.0  # clear margin that no word misses
@@ -37,7 +38,7 @@ def measured(place: Place, words: Vocabulary) -> dict[str, np.ndarray]:
             known = plain.background.contrast_for(text)
             assert known is not None
             cut = middle_threshold(own, known.peak, NEVER)
-            margin = np.log(cut / (1 - cut)) / OWN
+            margin = np.log(cut / (1 - cut)) / OWN_THRESHOLD_SHARE
             rule.append(case.iou(answer.values > answer.threshold, meant))
             best.append(best_iou(own, meant, case.mass))
             shares.append([case.iou(answer.values > 1 / (1 + np.exp(-share * margin)), meant) for share in SHARES])
@@ -53,7 +54,7 @@ def main() -> None:
     parser.add_argument("--kept", type=Path, required=True, help="folder of places that are registered already")
     arguments = parser.parse_args()
     words = Clip(arguments.clip) if arguments.clip else Names(arguments.names)
-    own, found = int(np.abs(SHARES - OWN).argmin()), []
+    own, found = int(np.abs(SHARES - OWN_THRESHOLD_SHARE).argmin()), []
     print("| place | rule | no refusal | cut | best |\n|---|--:|--:|--:|--:|")
     for given in arguments.places:
         for place in places_of(given, arguments.kept):

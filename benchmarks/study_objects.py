@@ -41,7 +41,7 @@ from drsplat.field.evidence.evidence import Evidence, evidence_from_tensors
 from drsplat.field.forest import THING
 from drsplat.field.objects.borders import some_views
 from drsplat.field.objects.choosing import Tree, _owners, choose
-from drsplat.field.objects.finding import SMALLEST, grow, of_pieces
+from drsplat.field.objects.finding import MIN_GAUSSIANS, grow, of_pieces
 from drsplat.formats.tensors import read_tensors, write_tensors
 
 MINI = MiniEncoder()
@@ -143,7 +143,7 @@ def ours(room: Room) -> np.ndarray:
 
 
 def _chosen(room: Room) -> Tree:
-    return choose(grow(room.evidence, room.gaussians.means[room.ids]), len(room.ids), SMALLEST)
+    return choose(grow(room.evidence, room.gaussians.means[room.ids]), len(room.ids), MIN_GAUSSIANS)
 
 
 def _things(tree: Tree) -> np.ndarray:
@@ -246,7 +246,7 @@ def best_nodes(room: Room) -> np.ndarray:
         if parent >= 0:
             shared[parent] += shared[node]
     ious = shared / (forest.sizes[:, None] + sizes[things] - shared)
-    return np.asarray(ious[forest.sizes >= SMALLEST].max(0))
+    return np.asarray(ious[forest.sizes >= MIN_GAUSSIANS].max(0))
 
 
 def print_nodes(folders: list[Path], masks: list[str], kept: Path) -> None:

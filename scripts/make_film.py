@@ -25,7 +25,7 @@ from drsplat.drawing.rendering import render
 ROOT = Path(__file__).resolve().parent.parent
 WORDS = "red vase"
 SIZE, FINER = (720, 450), 2  # pixels of the film; pictures are drawn so many times as large and made smaller
-FPS, SECONDS, STILL_AT_S = 12, 10.0, 3.75
+FPS, FILM_S, STILL_AT_S = 12, 10.0, 3.75
 TYPED_S, FOUND_S, CUT_S, AGAIN_S = (0.5, 1.5), (1.7, 2.5), (5.9, 7.0), (9.3, 10.0)
 STEPS = (("Ask", 0.0), ("Fly to it", 2.9), ("Cut it out", 5.9))  # names, and seconds from which each is lit
 AROUND_DEGREES, NEAR, ABOVE = 150.0, 0.62, 0.24  # of the last part: a turn, its distance and height in scene units
@@ -57,7 +57,7 @@ class Film:
 
     def pictures(self) -> Iterator[Image.Image]:
         first = self.picture(0)
-        for number in range(round(SECONDS * FPS)):
+        for number in range(round(FILM_S * FPS)):
             picture = Image.blend(self.picture(number), first, share_of(number / FPS, AGAIN_S))
             yield with_words(picture, number / FPS)
 
@@ -70,7 +70,7 @@ class Film:
 
     @cached_property
     def views(self) -> list[ds.View]:
-        return list(self.path.views(round(SECONDS * FPS), (FINER * SIZE[0], FINER * SIZE[1])))
+        return list(self.path.views(round(FILM_S * FPS), (FINER * SIZE[0], FINER * SIZE[1])))
 
     def room(self, view: ds.View, second: float) -> np.ndarray:
         """What the camera sees: the room, the answer over it, and in the end nothing else."""

@@ -15,6 +15,7 @@ from browsing import a_browser
 from drsplat.evaluation.demo import story as household
 from edited_rooms import write_room
 from furnished.story import Setup, Story, tell
+from growing_rooms import full_room, half_room  # noqa: F401  (fixtures)
 
 COSTLY = "household_story"
 SMALL = Setup(coarse=2.0, num_views=12, size=(320, 240))

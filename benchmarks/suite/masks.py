@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from drsplat import MiniEncoder, View, ViewFeatures, load_image
-from drsplat.fronts.commands.embed import COARSE_TO_FINE, NESTED
+from drsplat.fronts.commands.embed import COARSE_TO_FINE, NESTED_MASKS
 from drsplat.photos.models.graph import GraphSegmenter
 from drsplat.photos.models.point_masks import PointMaskSettings, PointSegmenter
 from drsplat.scene.masks.crops import crops
@@ -38,8 +38,8 @@ _PHOTO = PointMaskSettings(crop_layers=0, levels=("large",))
 ASKING = {
     "grid16": replace(_PHOTO, points_per_side=16),
     "grid32": _PHOTO,
-    "nested32": replace(_PHOTO, **NESTED),
-    "rounds": replace(_PHOTO, **COARSE_TO_FINE, **NESTED),
+    "nested32": replace(_PHOTO, **NESTED_MASKS),
+    "rounds": replace(_PHOTO, **COARSE_TO_FINE, **NESTED_MASKS),
 }
 """How a simulated SAM is asked: by a grid of 256 or of 1,024 points; by the latter, but masks within others stay, as in
 rounds; or coarse to fine, where no mask explains the photo."""

@@ -12,7 +12,7 @@ from textwrap import fill
 from typing import Any
 
 from drsplat.formats.replacing import replacing
-from drsplat.query.thresholds import CUT
+from drsplat.query.thresholds import CUT_SHARE
 
 from .headline import PLACES, Answers, headline_table, picture, places_table, systems_table
 from .numbers import Results, masks_of, measured, methods_of
@@ -172,7 +172,7 @@ def _protocols(results: Results) -> Iterator[str]:
         side=results["voxel_side"],
         missing="" if measured(results, "seen") else _MISSING,
         threshold=results["encoder"]["threshold"],
-        cut=CUT,
+        cut=CUT_SHARE,
         sweep=", ".join(f"{threshold:g}" for threshold in results["sweep"]),
     )
 

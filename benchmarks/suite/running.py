@@ -130,7 +130,7 @@ def code_of(method: str) -> str:
         return stamps.stamp(stamps.FITTED)
     if method in STEPS:
         return stamps.stamp(stamps.RENDERED)
-    return stamps.stamp(stamps.OBJECTS if method == OBJECTS else stamps.METHODS)
+    return stamps.stamp(stamps.METHODS)
 
 
 def threads_for(jobs: int) -> int:

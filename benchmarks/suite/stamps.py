@@ -21,9 +21,7 @@ SCORED = (PACKAGE / "evaluation", *(SUITE / name for name in ("masks.py", "scene
 FEATURES = (PACKAGE / "query" / "thresholds.py", *SCORED)  # how systems are scored that only have a feature a Gaussian
 
 METHODS = (*REGISTERED, *ASKED, *SCORED, SUITE / "aggregators", SUITE / "methods.py")
-"""What decides how an aggregator does in a made room."""
-OBJECTS = METHODS  # of which objects are a room
-"""The same of answers in whole objects."""
+"""What decides how an aggregator, or answers in whole objects, do in a made room."""
 RENDERED = (*REGISTERED, *FEATURES, SUITE / "rendered.py")
 """The same of features that are fitted to renderings."""
 FITTED = (*FEATURES, SUITE / "rivals")

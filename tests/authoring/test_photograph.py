@@ -14,7 +14,7 @@ from drsplat.authoring.filming.looking import looking_at
 from drsplat.authoring.filming.path_files import write_path
 from drsplat.authoring.filming.paths import CameraPath, KeyFrame
 from drsplat.authoring.photographing import candidates, taking
-from drsplat.authoring.photographing.coverage import OFTEN, Sights, chosen_views, sights
+from drsplat.authoring.photographing.coverage import ENOUGH_SIGHTS, Sights, chosen_views, sights
 from drsplat.authoring.photographing.settings import PhotographSettings
 from drsplat.authoring.photographing.space import Space
 from drsplat.authoring.photographing.taking import photograph
@@ -275,7 +275,7 @@ def test_more_pictures_cover_more_and_the_numbers_are_those_of_the_capture(tmp_p
     again = sights(Space(scene, UP), read_views(tmp_path / "40"))
     assert len(again.views) == many["num_pictures"] == 40
     counts = np.asarray((again.pixels >= 1).sum(axis=1)).reshape(-1)
-    assert (counts >= OFTEN).mean() > 0.5
+    assert (counts >= ENOUGH_SIGHTS).mean() > 0.5
 
 
 # --- refusals, and runs that are stopped ---

@@ -18,7 +18,7 @@ from drsplat.errors import InputError
 from drsplat.field.evidence.aggregation import Sampling
 from drsplat.formats.gaussian_ply import vertex_columns
 from drsplat.formats.ply import write_vertices
-from drsplat.fronts.viewing.picking import hit_by_ray
+from drsplat.fronts.viewing.picking import hit_by_ray, ray_along
 from drsplat.fronts.viewing.shown import shown_of
 from drsplat.kernels import splat_arrays
 from drsplat.query.places import nearest_gaussian
@@ -242,7 +242,7 @@ def test_places_are_in_the_coordinates_of_the_world(gaussians) -> None:
     with pytest.raises(InputError, match=r"is at 500000, 5400000, 900:.*, at 499999\.8"):
         nearest_gaussian(far, ids, (FAR[0], FAR[1], 900.0))
     eye, ahead = np.array([0.0, -6.0, 1.0]), np.array([0.0, 1.0, -1 / 6])
-    hit, known = hit_by_ray(far, eye + FAR, ahead), hit_by_ray(gaussians, eye, ahead)
+    hit, known = hit_by_ray(far, ray_along(eye + FAR, ahead)), hit_by_ray(gaussians, ray_along(eye, ahead))
     assert hit is not None
     assert known is not None
     assert_array_equal(hit.gaussian_ids, known.gaussian_ids)

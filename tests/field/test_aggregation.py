@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 from drsplat.errors import InputError
 from drsplat.field.evidence.aggregation import AGGREGATORS, Aggregator, aggregator
 from drsplat.field.evidence.aggregation.by_view import effective_views, view_sums
-from drsplat.field.evidence.aggregation.entries import BLOCK, canonical, column_counts, of_columns, with_weights
+from drsplat.field.evidence.aggregation.entries import BLOCK_ROWS, canonical, column_counts, of_columns, with_weights
 from drsplat.field.evidence.aggregation.outliers import OutlierRejection
 from drsplat.field.evidence.aggregation.reliability import reliability, resultant_lengths
 from drsplat.field.evidence.aggregation.trust import MaskTrust, tally
@@ -191,7 +191,7 @@ def test_chunks_of_rows_do_not_show_in_trust(monkeypatch: pytest.MonkeyPatch) ->
     evidence = evidence_of(np.random.default_rng(5), rows=200)
     whole = MaskTrust()(evidence, 1).weights.data
     for module in ("entries", "trust"):
-        monkeypatch.setattr(f"drsplat.field.evidence.aggregation.{module}.ENTRIES", 37)
+        monkeypatch.setattr(f"drsplat.field.evidence.aggregation.{module}.PASS_ENTRIES", 37)
     assert_allclose(MaskTrust()(evidence, 1).weights.data, whole, rtol=1e-6)
 
 
@@ -203,7 +203,7 @@ def test_the_entries_of_some_columns(seed: int) -> None:
     weights, kept = evidence.weights, rng.random(evidence.weights.shape[1]) < 0.5
     weights.data[rng.random(weights.nnz) < 0.1] = 0
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("drsplat.field.evidence.aggregation.entries.ENTRIES", int(rng.integers(1, 200)))
+        patch.setattr("drsplat.field.evidence.aggregation.entries.PASS_ENTRIES", int(rng.integers(1, 200)))
         found, counts = of_columns(evidence, kept).weights, column_counts(weights)
     whole = with_weights(evidence, np.where(kept[weights.indices], weights.data, np.float32(0))).weights
     for name in ("indptr", "indices", "data"):
@@ -298,7 +298,7 @@ def test_two_votes_have_no_majority() -> None:
 
 @every_weigher
 def test_any_number_of_threads_gives_the_same_bits(how: Aggregator) -> None:
-    evidence = evidence_of(np.random.default_rng(7), rows=BLOCK + 700)
+    evidence = evidence_of(np.random.default_rng(7), rows=BLOCK_ROWS + 700)
     one = how(evidence, threads=1).evidence.weights
     for threads in (2, 3):
         other = how(evidence, threads=threads).evidence.weights
@@ -313,7 +313,7 @@ def test_blocks_do_not_show(how: Aggregator, monkeypatch: pytest.MonkeyPatch) ->
 
     evidence = evidence_of(np.random.default_rng(8), rows=300)
     whole = how(evidence).evidence.weights
-    for name, size in (("BLOCK", 32), ("CELLS", 40)):
+    for name, size in (("BLOCK_ROWS", 32), ("BLOCK_CELLS", 40)):
         monkeypatch.setattr(entries, name, size)
         assert_array_equal(how(evidence).evidence.weights.toarray(), whole.toarray())
 

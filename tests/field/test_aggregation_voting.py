@@ -14,7 +14,7 @@ from drsplat.errors import InputError, MismatchError
 from drsplat.field import build_field
 from drsplat.field.evidence.aggregation import Aggregated, Aggregator, aggregator
 from drsplat.field.evidence.aggregation.reliability import reliability
-from drsplat.field.evidence.aggregation.voting import SAME, ModeVoting
+from drsplat.field.evidence.aggregation.voting import SUPPORT_TOLERANCE, ModeVoting
 from drsplat.field.evidence.evidence import Evidence, MaskIds
 from drsplat.scene.encoders import EncoderIdentity
 from drsplat.scene.gaussians import Gaussians
@@ -43,7 +43,7 @@ def slow_donors(voting: ModeVoting, evidence: Evidence, gaussians: Gaussians, re
             alike = np.exp((features[near] @ features[j] - 1) / voting.bandwidth)
             support[j] = trust[j] * (trust[near] * close * alike).sum()
         best = max(near, key=lambda j: support[j])
-        if support[best] > (1 + voting.margin) * (1 + SAME) * support.get(i, 0.0):
+        if support[best] > (1 + voting.margin) * (1 + SUPPORT_TOLERANCE) * support.get(i, 0.0):
             donors[i] = best
     return donors
 

@@ -13,8 +13,8 @@ from drsplat.field.evidence.provenance import Provenance, cameras_of
 from drsplat.field.forest import GROUP, PART, THING, check_forest
 from drsplat.field.objects.borders import Borders, borders
 from drsplat.field.objects.choosing import Tree
-from drsplat.field.objects.joining import RELIEF, Joined, join, with_joined
-from drsplat.field.objects.standing_out import FEW, Outlines, PieceSet, grown, refined
+from drsplat.field.objects.joining import MIN_RELIEF, Joined, join, with_joined
+from drsplat.field.objects.standing_out import RELIEF_PRIOR_PIXELS, Outlines, PieceSet, grown, refined
 from splat_captures import look_at
 
 SIZE = 200
@@ -243,7 +243,7 @@ def test_a_set_that_changes_is_the_set_counted_anew(seed: int, count: int, chang
     assert changed.members.tolist() == sorted(members)
     assert changed.area == outlines.areas[sorted(members)].sum()
     front, level, inner_front, inner_level = counted(outlines, members)
-    assert changed.relief == front / (front + level + FEW)
+    assert changed.relief == front / (front + level + RELIEF_PRIOR_PIXELS)
     assert changed.holds == (inner_level >= inner_front)
 
 
@@ -296,7 +296,7 @@ def test_sets_are_disjoint_and_follow_the_pieces(seed: int, count: int) -> None:
     found = join(mesh, sure)
     members = [member for joined in found for member in joined.members]
     assert len(members) == len(set(members))
-    assert all(len(joined.members) > 1 and RELIEF <= joined.relief <= 1 for joined in found)
+    assert all(len(joined.members) > 1 and MIN_RELIEF <= joined.relief <= 1 for joined in found)
     names = np.append(rng.permutation(count), count).astype(np.int32)
     places = np.argsort(names)
     renamed = mesh._replace(front=names[mesh.front], back=names[mesh.back], areas=mesh.areas[places])

@@ -40,8 +40,8 @@ def row_of_things(count: int = 6, each: int = 150, seed: int = 0) -> tuple[ds.Ga
 @pytest.fixture
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of three thousand weights each; three or four for a row of things."""
-    monkeypatch.setattr(finding, "MOST_WEIGHTS", 0)
-    monkeypatch.setattr(finding, "OF_A_ROW", 1000)
+    monkeypatch.setattr(finding, "MAX_WEIGHTS", 0)
+    monkeypatch.setattr(finding, "WEIGHTS_PER_ROW", 1000)
     monkeypatch.setattr("drsplat.field.objects.by_blocks.BLOCK_WEIGHTS", 3000)
 
 
@@ -88,8 +88,8 @@ def test_a_plank_across_blocks_is_one_object_and_what_lies_on_it_others(small_bl
 def test_one_block_has_the_forest_of_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
     scene, field = row_of_things(seed=1)
     whole = finding.find_objects(field, scene)
-    monkeypatch.setattr(finding, "MOST_WEIGHTS", 0)
-    monkeypatch.setattr(finding, "OF_A_ROW", 1000)
+    monkeypatch.setattr(finding, "MAX_WEIGHTS", 0)
+    monkeypatch.setattr(finding, "WEIGHTS_PER_ROW", 1000)
     assert len(divided(scene, field).blocks) == 1
     found = finding.find_objects(field, scene)
     assert_array_equal(found.thing_of(), whole.thing_of())

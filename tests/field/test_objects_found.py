@@ -151,8 +151,8 @@ def test_of_more_weights_those_of_some_views_are_looked_at(monkeypatch: pytest.M
     fewer = without_views(whole, np.arange(7) == np.flatnonzero(gone)[0])
     left = np.array(fewer.masks.view_names)[~views_beyond(fewer, int(2.5 * len(points)))]
     assert left.tolist() == names[~gone].tolist()  # a view that is not drawn changes nothing
-    monkeypatch.setattr("drsplat.field.objects.finding.MOST_WEIGHTS", int(2.5 * len(points)))
-    monkeypatch.setattr("drsplat.field.objects.finding.OF_A_ROW", 0)
+    monkeypatch.setattr("drsplat.field.objects.finding.MAX_WEIGHTS", int(2.5 * len(points)))
+    monkeypatch.setattr("drsplat.field.objects.finding.WEIGHTS_PER_ROW", 0)
     assert divided(whole, points.astype(np.float32)).kept.tolist() == (~gone)[whole.masks.views].tolist()
     assert find_objects(field, scene).num_views.tolist() == [7, 7, 7]  # described from all
 

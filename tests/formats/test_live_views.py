@@ -32,30 +32,16 @@ from drsplat.photos.models.loading import load_encoder
 from drsplat.query import open_scene
 from drsplat.scene.masks.masks import Masks
 from growing_fields import Killed, files_of, killed_at
-from growing_rooms import FEATURES, first_views, posted, registered, write_room
-from toy_capture import write_toy_capture
+from growing_rooms import FEATURES, posted, registered
 
 NAMES = ModelNames()
 LENS = {"fx": 100.0}
 STILL = {"cam_from_world": np.eye(4).tolist()}
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The scene with all four photos registered at once."""
-    made = write_toy_capture(tmp_path_factory.mktemp("live"))
-    return write_room(made / "scene.ply", made / "whole", read_views(made / "capture"), objects=True)
-
-
-@pytest.fixture(scope="module")
-def half(whole: Path) -> Path:
-    """The scene with two of them."""
-    return first_views(whole, whole.parent / "half", 2, objects=True)
-
-
 @pytest.fixture
-def room(half: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(half, tmp_path / "room"))
+def room(half_room: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(half_room, tmp_path / "room"))
 
 
 def sent(view: View, **changes: Any) -> SentView:
@@ -84,24 +70,26 @@ def as_png(image: Image.Image) -> bytes:
     return buffer.getvalue()
 
 
-def test_views_that_come_one_by_one_or_together_are_one_registration(room: Path, whole: Path) -> None:
-    one, other = read_views(whole)[2:]
+def test_views_that_come_one_by_one_or_together_are_one_registration(
+    room: Path, half_room: Path, full_room: Path
+) -> None:
+    one, other = read_views(full_room)[2:]
     assert [view.state for view in take(room, sent(one))] == ["waiting"]
     assert [view.name for view in add(room).added] == [one.name]
     take(room, sent(other))
     assert [view.name for view in add(room).added] == [other.name]
-    assert files_of(room / "room.field") == files_of(whole / "room.field")
-    again = Path(shutil.copytree(whole.parent / "half", room.parent / "again"))
+    assert files_of(room / "room.field") == files_of(full_room / "room.field")
+    again = Path(shutil.copytree(half_room, room.parent / "again"))
     take(again, sent(other), sent(one))
     outcome = add(again)
     assert outcome.change is not None
     assert outcome.change.added == (one.name, other.name)
-    assert files_of(again / "room.field") == files_of(whole / "room.field")
+    assert files_of(again / "room.field") == files_of(full_room / "room.field")
     assert load_field(room / "room.field").equals(registered(room, read_views(room), objects=True))
 
 
-def test_added_views_belong_to_the_capture_and_waiting_ones_do_not(room: Path, whole: Path) -> None:
-    views = read_views(whole)
+def test_added_views_belong_to_the_capture_and_waiting_ones_do_not(room: Path, full_room: Path) -> None:
+    views = read_views(full_room)
     take(room, sent(views[2]))
     assert [view.name for view in read_views(room)] == [view.name for view in views[:2]]
     add(room)
@@ -114,18 +102,18 @@ def test_added_views_belong_to_the_capture_and_waiting_ones_do_not(room: Path, w
     assert [view.name for view in read_views(room)] == [views[2].name]
 
 
-def test_a_camera_file_that_has_the_photos_as_well_counts(room: Path, whole: Path) -> None:
+def test_a_camera_file_that_has_the_photos_as_well_counts(room: Path, full_room: Path) -> None:
     """As after COLMAP has posed all photos anew."""
-    take(room, sent(read_views(whole)[2]))
+    take(room, sent(read_views(full_room)[2]))
     add(room)
-    shutil.copy(whole / "cameras.json", room)
-    shutil.copytree(whole / "images", room / "images", dirs_exist_ok=True)
+    shutil.copy(full_room / "cameras.json", room)
+    shutil.copytree(full_room / "images", room / "images", dirs_exist_ok=True)
     assert {view.image_path for view in read_views(room)} == {room / "images" / f"photo_{n}.png" for n in range(4)}
 
 
-def test_features_that_are_sent_are_taken_as_they_are(room: Path, whole: Path) -> None:
-    view = read_views(whole)[2]
-    features = sent_features(whole, room, view)
+def test_features_that_are_sent_are_taken_as_they_are(room: Path, full_room: Path) -> None:
+    view = read_views(full_room)[2]
+    features = sent_features(full_room, room, view)
     take(room, sent(view, features=features))
 
     def load(*_: object) -> PhotoModels:
@@ -133,20 +121,20 @@ def test_features_that_are_sent_are_taken_as_they_are(room: Path, whole: Path) -
 
     add(room, load)
     field = load_field(room / "room.field")
-    both = registered(whole, read_views(whole)[:3], objects=True)
+    both = registered(full_room, read_views(full_room)[:3], objects=True)
     assert field.equals(both)
 
 
-def sent_features(whole: Path, room: Path, view: View, rows: Any = None) -> bytes:
+def sent_features(full_room: Path, room: Path, view: View, rows: Any = None) -> bytes:
     """The bytes of a photo's features; rows: other embeddings."""
-    ids, own = read_features(whole / FEATURES, encoder=MiniEncoder().identity).stored(view.name)
+    ids, own = read_features(full_room / FEATURES, encoder=MiniEncoder().identity).stored(view.name)
     path = room.parent / f"sent{COMPACT}"
     write_compact(path, ids, own if rows is None else rows, overwrite=True)
     return path.read_bytes()
 
 
-def test_a_view_that_cannot_be_added_is_refused_and_the_others_are_added(room: Path, whole: Path) -> None:
-    one, other = read_views(whole)[2:]
+def test_a_view_that_cannot_be_added_is_refused_and_the_others_are_added(room: Path, full_room: Path) -> None:
+    one, other = read_views(full_room)[2:]
     cut = sent(other).photo[:-400]
     take(room, sent(one), sent(other, photo=cut))
     outcome = add(room)
@@ -159,7 +147,7 @@ def test_a_view_that_cannot_be_added_is_refused_and_the_others_are_added(room: P
     assert not live.photo(refused).exists()
     take(room, sent(other))
     add(room)
-    assert files_of(room / "room.field") == files_of(whole / "room.field")
+    assert files_of(room / "room.field") == files_of(full_room / "room.field")
     assert [view.state for view in live.every()] == ["added", "added"]
 
 
@@ -175,8 +163,8 @@ class Blind:
         return load_segmenter("graph").segment(image)  # type: ignore[return-value]
 
 
-def test_a_photo_without_a_mask_is_refused(room: Path, whole: Path) -> None:
-    one, other = read_views(whole)[2:]
+def test_a_photo_without_a_mask_is_refused(room: Path, full_room: Path) -> None:
+    one, other = read_views(full_room)[2:]
     white = as_png(Image.new("RGB", (one.width, one.height), "white"))
     take(room, sent(one, photo=white), sent(other))
     with pytest.warns(match="no mask was found"):
@@ -186,8 +174,10 @@ def test_a_photo_without_a_mask_is_refused(room: Path, whole: Path) -> None:
     assert [view.name for view in outcome.added] == [other.name]
 
 
-def test_one_view_that_cannot_be_embedded_or_registered_does_not_hold_up_the_others(room: Path, whole: Path) -> None:
-    one, other = read_views(whole)[2:]
+def test_one_view_that_cannot_be_embedded_or_registered_does_not_hold_up_the_others(
+    room: Path, full_room: Path
+) -> None:
+    one, other = read_views(full_room)[2:]
 
     class Failing(MiniEncoder):
         def encode_images(self, images: Any) -> Any:
@@ -207,18 +197,18 @@ def test_one_view_that_cannot_be_embedded_or_registered_does_not_hold_up_the_oth
     assert [view.name for view in outcome.refused] == [one.name]
 
 
-def test_a_view_that_was_removed_from_the_field_stays_out(room: Path, whole: Path) -> None:
+def test_a_view_that_was_removed_from_the_field_stays_out(room: Path, full_room: Path) -> None:
     scene, field = read_gaussians(room / "scene.ply"), load_field(room / "room.field")
     remove_views(field, scene, ["photo_1.png"]).field.save(room / "room.field", overwrite=True)
     cameras = json.loads((room / "cameras.json").read_text())
     (room / "cameras.json").write_text(json.dumps(cameras[:1]))
-    take(room, sent(read_views(whole)[1]))
+    take(room, sent(read_views(full_room)[1]))
     (refused,) = add(room).refused
     assert "stays out" in refused.reason
 
 
-def test_a_name_is_one_view(room: Path, whole: Path) -> None:
-    view = read_views(whole)[2]
+def test_a_name_is_one_view(room: Path, full_room: Path) -> None:
+    view = read_views(full_room)[2]
     (first,) = take(room, sent(view))
     assert take(room, sent(view)) == [first]
     for other in (
@@ -237,8 +227,8 @@ def test_a_name_is_one_view(room: Path, whole: Path) -> None:
     assert [one.name for one in read_views(room)] == ["front/photo_2.png", *(f"photo_{n}.png" for n in range(3))]
 
 
-def test_only_so_many_wait(room: Path, whole: Path) -> None:
-    one, other = read_views(whole)[2:]
+def test_only_so_many_wait(room: Path, full_room: Path) -> None:
+    one, other = read_views(full_room)[2:]
     take(room, sent(one), most_waiting=1)
     with pytest.raises(FullError, match="1 views of this scene wait"):
         take(room, sent(other), most_waiting=1)
@@ -273,16 +263,18 @@ WRONG: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("changes", "said"), WRONG, ids=range(len(WRONG)))
-def test_what_cannot_be_a_view_is_refused_at_once(changes: dict[str, Any], said: str, room: Path, whole: Path) -> None:
+def test_what_cannot_be_a_view_is_refused_at_once(
+    changes: dict[str, Any], said: str, room: Path, full_room: Path
+) -> None:
     with pytest.raises(InputError, match=said) as error:
-        take(room, sent(read_views(whole)[2], **changes), most_pixels=1_000_000)
+        take(room, sent(read_views(full_room)[2], **changes), most_pixels=1_000_000)
     assert "/tmp" not in str(error.value)
     assert not (room / "live_views").exists()
 
 
-def test_features_of_another_photo_or_encoder_are_refused(room: Path, whole: Path) -> None:
-    view = read_views(whole)[2]
-    ids, rows = read_features(whole / FEATURES, encoder=MiniEncoder().identity).stored(view.name)
+def test_features_of_another_photo_or_encoder_are_refused(room: Path, full_room: Path) -> None:
+    view = read_views(full_room)[2]
+    ids, rows = read_features(full_room / FEATURES, encoder=MiniEncoder().identity).stored(view.name)
     for changed, said in ((rows[:, :8], "dimensions"), (rows * 0, "no direction"), (rows[:1], "mask")):
         path = room.parent / f"sent{COMPACT}"
         write_compact(path, ids, np.ascontiguousarray(changed), overwrite=True)
@@ -296,8 +288,8 @@ def test_features_of_another_photo_or_encoder_are_refused(room: Path, whole: Pat
         take(room, sent(view, features=path.read_bytes()))
 
 
-def test_forms_of_a_pose_are_one(room: Path, whole: Path) -> None:
-    view = read_views(whole)[2]
+def test_forms_of_a_pose_are_one(room: Path, full_room: Path) -> None:
+    view = read_views(full_room)[2]
     matrix = view.cam_from_world
     x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat()
     opengl = np.linalg.inv(matrix) @ np.diag([1.0, -1, -1, 1])
@@ -321,19 +313,19 @@ def entry(pose: dict[str, Any], lens: dict[str, Any]) -> LiveView:
     return LiveView("a.jpg", pose, lens, None, False, "", 1.0)
 
 
-def test_a_scene_that_moves_needs_times(room: Path, whole: Path) -> None:
+def test_a_scene_that_moves_needs_times(room: Path, full_room: Path) -> None:
     moving = replace(target(room), moves=True)
-    view = sent(read_views(whole)[2])
+    view = sent(read_views(full_room)[2])
     with pytest.raises(InputError, match="this scene moves: expected when"):
         take_view(moving, view, NAMES)
     take_view(moving, replace(view, time=2.0), NAMES)
     assert LiveViews(room).posed(LiveViews(room).every()[0]).time == 2.0
 
 
-def test_a_view_of_a_scene_that_moves_is_registered_at_its_time(room: Path, whole: Path) -> None:
-    scene = read_scene(whole.parent / "frames")
-    views = [replace(view, time=float(number)) for number, view in enumerate(read_views(whole))]
-    features = read_features(whole / FEATURES, encoder=MiniEncoder().identity)
+def test_a_view_of_a_scene_that_moves_is_registered_at_its_time(room: Path, full_room: Path) -> None:
+    scene = read_scene(full_room.parent / "frames")
+    views = [replace(view, time=float(number)) for number, view in enumerate(read_views(full_room))]
+    features = read_features(full_room / FEATURES, encoder=MiniEncoder().identity)
     register(scene, views[:2], features).to_field().save(room / "room.field", overwrite=True)
     at = Target(room, load_field(room / "room.field"), (), moves=True)
     take_view(at, sent(views[2], time=2.0), NAMES)
@@ -344,8 +336,8 @@ def test_a_view_of_a_scene_that_moves_is_registered_at_its_time(room: Path, whol
     assert load_field(room / "room.field").equals(register(scene, views[:3], features).to_field())
 
 
-def test_photos_that_nobody_can_embed_here_are_refused_when_they_come(room: Path, whole: Path) -> None:
-    view = read_views(whole)[2]
+def test_photos_that_nobody_can_embed_here_are_refused_when_they_come(room: Path, full_room: Path) -> None:
+    view = read_views(full_room)[2]
     record = room / FEATURES / "embedding.json"
     shutil.copytree(room / FEATURES, room / "kept")
     record.unlink()
@@ -354,19 +346,19 @@ def test_photos_that_nobody_can_embed_here_are_refused_when_they_come(room: Path
     shutil.rmtree(room / FEATURES)
     with pytest.raises(InputError, match=r"no segmenter.*send the masks"):
         take(room, sent(view))
-    take(room, sent(view, features=sent_features(whole, room, view)))
+    take(room, sent(view, features=sent_features(full_room, room, view)))
     (known,) = add(room).added
     assert known.name == view.name
 
 
-def test_a_field_that_cannot_grow_takes_no_photo(room: Path, whole: Path) -> None:
+def test_a_field_that_cannot_grow_takes_no_photo(room: Path, full_room: Path) -> None:
     at = target(room)
     old = replace(at, field=replace(at.field, growth=None))
     with pytest.raises(InputError, match="does not say how it was made"):
-        take_view(old, sent(read_views(whole)[2]), NAMES)
+        take_view(old, sent(read_views(full_room)[2]), NAMES)
 
 
-def test_models_that_made_other_masks_are_refused_and_views_go_on_waiting(room: Path, whole: Path) -> None:
+def test_models_that_made_other_masks_are_refused_and_views_go_on_waiting(room: Path, full_room: Path) -> None:
     from drsplat.errors import MismatchError
     from drsplat.formats.checksums import sealed
 
@@ -375,14 +367,14 @@ def test_models_that_made_other_masks_are_refused_and_views_go_on_waiting(room: 
     document["settings"]["max_height"] = 500
     document["settings"]["algorithm"] = "0"
     record.write_text(json.dumps(sealed(document), indent=1))
-    take(room, sent(read_views(whole)[2]))
+    take(room, sent(read_views(full_room)[2]))
     with pytest.raises(MismatchError, match=r"otherwise \(algorithm\)"):
         add(room)
     assert [view.state for view in LiveViews(room).every()] == ["waiting"]
 
 
-def test_another_writer_makes_views_wait(room: Path, whole: Path) -> None:
-    take(room, sent(read_views(whole)[2]))
+def test_another_writer_makes_views_wait(room: Path, full_room: Path) -> None:
+    take(room, sent(read_views(full_room)[2]))
     for place in (room / "room.field",):
         with claimed_output(place), pytest.raises(ClaimedError, match="is being written by"):
             add(room)
@@ -408,17 +400,17 @@ def killed_anywhere(monkeypatch: pytest.MonkeyPatch, work: Any, renew: Any, step
 
 @pytest.mark.slow
 def test_a_kill_while_a_view_is_taken_leaves_it_whole_or_not_at_all(
-    half: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    half_room: Path, full_room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    view = read_views(whole)[2]
-    room, body, features = tmp_path / "room", sent(view), sent_features(whole, tmp_path / "x", view)
+    view = read_views(full_room)[2]
+    room, body, features = tmp_path / "room", sent(view), sent_features(full_room, tmp_path / "x", view)
     body = replace(body, features=features)
 
     def renew() -> None:
         shutil.rmtree(room, ignore_errors=True)
-        shutil.copytree(half, room)
+        shutil.copytree(half_room, room)
 
-    at = target(half)
+    at = target(half_room)
     steps = killed_anywhere(
         monkeypatch, lambda: take_view(replace(at, capture=room), body, NAMES), renew, range(100)
     )  # fmt: skip
@@ -436,10 +428,10 @@ def test_a_kill_while_a_view_is_taken_leaves_it_whole_or_not_at_all(
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # of a journal that was left open
 def test_a_kill_while_views_are_added_loses_none(
-    half: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    half_room: Path, full_room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    room, waiting = tmp_path / "room", Path(shutil.copytree(half, tmp_path / "waiting"))
-    take(waiting, *map(sent, read_views(whole)[2:]))
+    room, waiting = tmp_path / "room", Path(shutil.copytree(half_room, tmp_path / "waiting"))
+    take(waiting, *map(sent, read_views(full_room)[2:]))
 
     def renew() -> None:
         shutil.rmtree(room, ignore_errors=True)
@@ -452,7 +444,7 @@ def test_a_kill_while_views_are_added_loses_none(
         assert set(names) == {"photo_2.png", "photo_3.png"}, step
         load_field(room / "room.field").verify()
         add(room)
-        assert files_of(room / "room.field") == files_of(whole / "room.field"), step
+        assert files_of(room / "room.field") == files_of(full_room / "room.field"), step
         assert [view.state for view in LiveViews(room).every()] == ["added", "added"]
         assert not (room / "room.field.parts").exists()
     assert count > 15
@@ -470,9 +462,9 @@ def files_of_at_most(num_bytes: int) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("num_bytes", [10, 600])
-def test_a_full_disk_is_told_and_nothing_is_kept(num_bytes: int, room: Path, whole: Path) -> None:
+def test_a_full_disk_is_told_and_nothing_is_kept(num_bytes: int, room: Path, full_room: Path) -> None:
     """There is room for neither, or for the photo and not for what is said of it."""
-    view = sent(read_views(whole)[2], photo=as_png(Image.new("1", (96, 72))))
+    view = sent(read_views(full_room)[2], photo=as_png(Image.new("1", (96, 72))))
     at = target(room)
     assert len(view.photo) < 600
     with files_of_at_most(num_bytes), pytest.raises(NoRoom, match="there is no room left"):
@@ -482,19 +474,19 @@ def test_a_full_disk_is_told_and_nothing_is_kept(num_bytes: int, room: Path, who
 
 
 @pytest.mark.parametrize("num_bytes", [1000, 30_000])
-def test_a_full_disk_while_views_are_added_loses_none(num_bytes: int, room: Path, whole: Path) -> None:
+def test_a_full_disk_while_views_are_added_loses_none(num_bytes: int, room: Path, full_room: Path) -> None:
     before = files_of(room / "room.field")
-    take(room, *map(sent, read_views(whole)[2:]))
+    take(room, *map(sent, read_views(full_room)[2:]))
     with files_of_at_most(num_bytes), pytest.raises(NoRoom, match="there is no room left"):
         add(room)
     assert files_of(room / "room.field") == before
     assert [view.state for view in LiveViews(room).every()] == ["waiting", "waiting"]
     add(room)
-    assert files_of(room / "room.field") == files_of(whole / "room.field")
+    assert files_of(room / "room.field") == files_of(full_room / "room.field")
 
 
-def test_a_view_is_refused_from_outside_only_while_it_waits(room: Path, whole: Path) -> None:
-    one, other = read_views(whole)[2:]
+def test_a_view_is_refused_from_outside_only_while_it_waits(room: Path, full_room: Path) -> None:
+    one, other = read_views(full_room)[2:]
     take(room, sent(one), sent(other))
     refuse_view(room, one.name, "it ends the process")
     refuse_view(room, "nobody.png", "there is none")
@@ -505,8 +497,8 @@ def test_a_view_is_refused_from_outside_only_while_it_waits(room: Path, whole: P
     ]  # fmt: skip
 
 
-def test_damaged_entries_are_told(room: Path, whole: Path) -> None:
-    take(room, sent(read_views(whole)[2]))
+def test_damaged_entries_are_told(room: Path, full_room: Path) -> None:
+    take(room, sent(read_views(full_room)[2]))
     add(room)
     path = room / "live_views/added/photo_2.json"
     text = path.read_bytes()

@@ -59,7 +59,7 @@ def test_ask_remove_undo(session: Session, size: tuple[int, int], chromium: Any)
 def test_a_scene_comes_in_pieces_and_is_whole_with_its_answer(
     session: Session, chromium: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("drsplat.fronts.viewing.live.arrays.PIECE", len(session.scene.gaussians) // 7)
+    monkeypatch.setattr("drsplat.fronts.viewing.live.arrays.PIECE_ROWS", len(session.scene.gaussians) // 7)
     session.ask("red mug")
     with served(session) as address, a_page(chromium) as page:
         opened(page, address)

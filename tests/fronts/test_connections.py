@@ -14,7 +14,7 @@ pytest.importorskip("uvicorn", reason="the extra drsplat[serve] is not installed
 
 import uvicorn
 
-from drsplat.fronts.serving.connections import SECONDS, Stage, connection_class
+from drsplat.fronts.serving.connections import TIMEOUTS_S, Stage, connection_class
 
 QUICK = {Stage.IDLE: 1.0, Stage.HEAD: 0.5, Stage.BODY: 1.0}
 REQUEST = b"GET / HTTP/1.1\r\nHost: here\r\n\r\n"
@@ -78,7 +78,7 @@ def answered(port: int) -> bool:
 @pytest.mark.slow
 @pytest.mark.parametrize("stage", SLOW)
 def test_who_never_ends_a_request_is_closed(stage: Stage) -> None:
-    assert SECONDS.keys() == QUICK.keys()
+    assert TIMEOUTS_S.keys() == QUICK.keys()
     with serving() as port, closing(connected(port, SLOW[stage])) as one:
         said = received(one)
         assert said.startswith(b"HTTP/1.1 408") == (stage is Stage.HEAD)

@@ -79,7 +79,7 @@ def test_rows_come_in_pieces_of_which_none_is_large(viewer: Viewer, monkeypatch:
     whole = {path: viewer.get(path).content for path in paths}
     sizes = {path: len(content) // COUNT for path, content in whole.items()}
     assert sizes == {"/view/splats": 28, "/view/paint": 2, "/view/colors?mode=features": 3}
-    monkeypatch.setattr("drsplat.fronts.viewing.live.arrays.PIECE", 400)
+    monkeypatch.setattr("drsplat.fronts.viewing.live.arrays.PIECE_ROWS", 400)
     for path in paths:
         more = "&" if "?" in path else "?"
         parts = [viewer.get(f"{path}{more}from={begin}") for begin in range(0, COUNT, 400)]

@@ -137,7 +137,7 @@ def test_without_a_folder_files_are_only_sent(monkeypatch: pytest.MonkeyPatch, t
         assert "x-drsplat-saved" not in answer.headers
         assert answer.content.startswith(b"ply")
         assert list(tmp_path.iterdir()) == []
-        monkeypatch.setattr(saving, "MOST_SENT", 1)
+        monkeypatch.setattr(saving, "MAX_SENT_BYTES", 1)
         assert "--save-dir" in error_of(viewer.post("/view/save", {"what": "scene"}), 422)
 
 
@@ -191,7 +191,7 @@ def test_what_is_no_path_is_refused(viewer: Viewer, keys: list[Any]) -> None:
 
 
 def test_a_film_is_drawn_in_the_colours_of_the_moment(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(files, "FILM_SIZE", (64, 48))
+    monkeypatch.setattr(files, "FILM_SIZE_PIXELS", (64, 48))
     film = viewer.post("/view/film", {"keys": KEYS, "seconds": 0.25, "format": ".gif"})
     assert film.headers["content-disposition"] == 'attachment; filename="film.gif"'
     with Image.open(io.BytesIO(film.content)) as picture:

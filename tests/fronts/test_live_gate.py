@@ -25,7 +25,7 @@ from drsplat.fronts.serving.replies import BusyError
 from drsplat.fronts.viewing.listening import listening_socket
 from drsplat.fronts.viewing.live import gate, service
 from drsplat.fronts.viewing.live.acts import AnyAct
-from drsplat.fronts.viewing.live.events import MOST_STREAMS, Events
+from drsplat.fronts.viewing.live.events import MAX_STREAMS, Events
 from drsplat.fronts.viewing.live.shared import Shared
 from drsplat.fronts.viewing.live.turns import Turns
 from drsplat.fronts.viewing.live.uploads import UploadLimits, checked_path
@@ -272,7 +272,7 @@ def test_a_page_hears_of_what_another_does(viewer: Viewer) -> None:
 
 def test_no_more_pages_than_there_is_room_for(viewer: Viewer) -> None:
     async def opened() -> None:
-        pages = [await Stream(viewer).__aenter__() for _ in range(MOST_STREAMS)]
+        pages = [await Stream(viewer).__aenter__() for _ in range(MAX_STREAMS)]
         assert {page.status for page in pages} == {200}
         refused = await Stream(viewer).__aenter__()
         assert refused.status == 503
@@ -311,19 +311,19 @@ def test_an_address_that_asks_too_often_is_told_to_wait(viewer: Viewer, monkeypa
     paced, now = gate.Gate(viewer.app, "127.0.0.1", 8080), [100.0]
     monkeypatch.setattr(gate.time, "monotonic", lambda: now[0])
     scope = {"client": ("10.0.0.1", 1)}
-    assert all(paced._is_paced(scope) for _ in range(int(gate.AT_ONCE)))
+    assert all(paced._is_paced(scope) for _ in range(int(gate.BURST_REQUESTS)))
     assert not paced._is_paced(scope)
     assert paced._is_paced({"client": ("10.0.0.2", 1)})
     now[0] += 1
-    assert sum(paced._is_paced(scope) for _ in range(1000)) == int(gate.A_SECOND)
-    for number in range(2 * gate.MOST_PEERS):
+    assert sum(paced._is_paced(scope) for _ in range(1000)) == int(gate.REQUESTS_PER_SECOND)
+    for number in range(2 * gate.MAX_PEERS):
         paced._is_paced({"client": (f"10.1.{number // 256}.{number % 256}", 1)})
-    assert len(paced._paces) == gate.MOST_PEERS
+    assert len(paced._paces) == gate.MAX_PEERS
 
 
 def test_a_flood_is_told_to_wait_and_goes_on_later(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
     viewer.gate, now = gate.Gate(viewer.app, "127.0.0.1", 8080), [100.0]
-    monkeypatch.setattr(gate, "AT_ONCE", 3.0)
+    monkeypatch.setattr(gate, "BURST_REQUESTS", 3.0)
     monkeypatch.setattr(gate.time, "monotonic", lambda: now[0])
     assert [viewer.send("GET", "/client.js").status_code for _ in range(5)] == [200, 200, 200, 429, 429]
     now[0] += 1
@@ -373,7 +373,9 @@ def test_an_act_that_fails_leaves_the_thread_alive() -> None:
     turns.stop()
 
 
-@pytest.mark.parametrize(("path", "most"), [("/view/do", gate.MOST_ACT), ("/view/ask-picture", gate.MOST_PICTURE)])
+@pytest.mark.parametrize(
+    ("path", "most"), [("/view/do", gate.MAX_ACT_BYTES), ("/view/ask-picture", gate.MAX_PICTURE_BYTES)]
+)
 def test_bodies_are_bounded_whatever_their_head_says(viewer: Viewer, path: str, most: int) -> None:
     told = OWN | JSON | {"content-length": str(most + 1)}
     assert "at most" in error_of(viewer.send("POST", path, told, content=b""), 413)

@@ -111,7 +111,7 @@ def test_a_film_is_drawn_of_what_was_shown_when_it_was_asked_for(
         gate.wait()
         return np.zeros((48, 64, 3), np.uint8)
 
-    monkeypatch.setattr(files, "FILM_SIZE", (64, 48))
+    monkeypatch.setattr(files, "FILM_SIZE_PIXELS", (64, 48))
     monkeypatch.setattr(files, "picture_of", slow)
     body = {"keys": KEYS, "seconds": 0.25, "format": ".gif", "job": "mine"}
     with others() as pool:

@@ -31,31 +31,18 @@ from drsplat.fronts.serving.limits import Limits
 from drsplat.fronts.serving.live import list_views
 from drsplat.fronts.serving.scene_folder import SceneFolder
 from growing_fields import files_of
-from growing_rooms import first_of_demo, first_views, posted, write_room
+from growing_rooms import first_of_demo, posted
 from processes import children_of
-from toy_capture import write_toy_capture
 
 VIEWS = "/scenes/room/views"
 WITH_KEY = {"x-api-key": KEY}
 ASKED = {"vector": [1.0] * 512, "threshold": 0.5}
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The scene with all four photos registered at once."""
-    made = write_toy_capture(tmp_path_factory.mktemp("live"))
-    return write_room(made / "scene.ply", made / "whole", read_views(made / "capture"), objects=True)
-
-
-@pytest.fixture(scope="module")
-def half(whole: Path) -> Path:
-    return first_views(whole, whole.parent / "half", 2, objects=True)
-
-
 @pytest.fixture
-def scenes(half: Path, tmp_path: Path) -> Path:
+def scenes(half_room: Path, tmp_path: Path) -> Path:
     """A folder with the scene `room`, which has two photos."""
-    shutil.copytree(half, tmp_path / "scenes/room")
+    shutil.copytree(half_room, tmp_path / "scenes/room")
     return tmp_path / "scenes"
 
 
@@ -77,11 +64,11 @@ def wait_until_added(service: Service) -> None:
     wait_for(lambda: told(service("GET", VIEWS, headers=WITH_KEY))["num_waiting"] == 0)
 
 
-def test_photos_are_added_while_questions_are_answered(scenes: Path, whole: Path) -> None:
-    fields = {load_field(scenes / "room/room.field").fingerprint, load_field(whole / "room.field").fingerprint}
+def test_photos_are_added_while_questions_are_answered(scenes: Path, full_room: Path) -> None:
+    fields = {load_field(scenes / "room/room.field").fingerprint, load_field(full_room / "room.field").fingerprint}
     with opened(scenes) as service:
         answers = []
-        for view in read_views(whole)[2:]:
+        for view in read_views(full_room)[2:]:
             taken = send(service, posted(view))
             assert taken.status_code == 202
             assert (taken.json()["name"], taken.json()["state"]) == (view.name, "waiting")
@@ -101,18 +88,18 @@ def test_photos_are_added_while_questions_are_answered(scenes: Path, whole: Path
         assert len(told(service("GET", "/scenes/room", headers=WITH_KEY))["views"]) == 4
         photo = service("GET", "/scenes/room/photo", params={"view": "photo_3.png"}, headers=WITH_KEY)
         assert photo.headers["content-type"] == "image/png"
-        again = send(service, posted(read_views(whole)[3]))
+        again = send(service, posted(read_views(full_room)[3]))
         assert (again.status_code, again.json()["state"]) == (200, "added")
         lines = service("GET", "/metrics", headers=WITH_KEY).text.splitlines()
     for line in ('_views_total{outcome="taken"} 3.0', '_views_total{outcome="added"} 2.0', "_view_seconds_count 2.0",
                  '_views_total{outcome="refused"} 1.0', "_views_waiting 0.0"):  # fmt: skip
         assert f"drsplat{line}" in lines
-    assert files_of(scenes / "room/room.field") == files_of(whole / "room.field")
+    assert files_of(scenes / "room/room.field") == files_of(full_room / "room.field")
 
 
 @pytest.mark.slow
-def test_photos_are_taken_only_with_leave_a_key_and_from_here(scenes: Path, whole: Path, capsys: Capture) -> None:
-    body = posted(read_views(whole)[2])
+def test_photos_are_taken_only_with_leave_a_key_and_from_here(scenes: Path, full_room: Path, capsys: Capture) -> None:
+    body = posted(read_views(full_room)[2])
     with opened(scenes, takes_views=False) as closed:
         assert "takes no photos" in reason(send(closed, body), 403)
         assert told(closed("GET", VIEWS, headers=WITH_KEY)) == {"num_waiting": 0, "views": [], "problem": ""}
@@ -143,8 +130,8 @@ WRONG: list[tuple[dict[str, Any], str]] = [
 ]
 
 
-def test_what_is_no_view_gets_a_reason(scenes: Path, whole: Path) -> None:
-    view = read_views(whole)[2]
+def test_what_is_no_view_gets_a_reason(scenes: Path, full_room: Path) -> None:
+    view = read_views(full_room)[2]
     with opened(scenes) as service:
         for changes, said in WRONG:
             text = reason(send(service, posted(view, **changes)), 422)
@@ -160,11 +147,11 @@ def test_what_is_no_view_gets_a_reason(scenes: Path, whole: Path) -> None:
     with opened(scenes, limits=Limits(body_bytes=1000)) as small:
         assert "1,000 bytes" in reason(send(small, posted(view)), 413)
     with opened(scenes, limits=Limits(pixels=1000)) as small:
-        assert "at most 1,000" in reason(send(small, posted(read_views(whole)[3])), 422)
+        assert "at most 1,000" in reason(send(small, posted(read_views(full_room)[3])), 422)
 
 
-def test_a_full_queue_is_told_when_to_come_again(scenes: Path, whole: Path) -> None:
-    one, other = read_views(whole)[2:]
+def test_a_full_queue_is_told_when_to_come_again(scenes: Path, full_room: Path) -> None:
+    one, other = read_views(full_room)[2:]
     with claimed_output(scenes / "room/room.field"), opened(scenes, limits=Limits(workers=1, views=1)) as service:
         assert send(service, posted(one)).status_code == 202
         full = send(service, posted(other))
@@ -174,9 +161,9 @@ def test_a_full_queue_is_told_when_to_come_again(scenes: Path, whole: Path) -> N
         assert "drsplat_views_waiting 1.0" in service("GET", "/metrics", headers=WITH_KEY).text
 
 
-def test_the_list_tells_which_photos_are_being_added(scenes: Path, whole: Path) -> None:
+def test_the_list_tells_which_photos_are_being_added(scenes: Path, full_room: Path) -> None:
     with claimed_output(scenes / "room/room.field"), opened(scenes) as service:
-        for view in read_views(whole)[2:]:
+        for view in read_views(full_room)[2:]:
             send(service, posted(view))
     asked_for = {"working": ["photo_3.png"], "problem": "later"}
     listed = json.loads(list_views(SceneFolder(scenes).files("room"), asked_for).body)
@@ -185,13 +172,13 @@ def test_the_list_tells_which_photos_are_being_added(scenes: Path, whole: Path) 
 
 
 @pytest.mark.slow
-def test_another_writer_is_waited_for(scenes: Path, whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_writer_is_waited_for(scenes: Path, full_room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from drsplat.fronts.serving import adding
 
     monkeypatch.setattr(adding, "RETRY_S", 0.2)
     with opened(scenes) as service:
         with claimed_output(scenes / "room/room.field"):
-            send(service, posted(read_views(whole)[2]))
+            send(service, posted(read_views(full_room)[2]))
             wait_for(lambda: told(service("GET", VIEWS, headers=WITH_KEY))["problem"])
             text = told(service("GET", VIEWS, headers=WITH_KEY))["problem"]
             assert text.startswith("room/room.field is being written by")
@@ -202,8 +189,8 @@ def test_another_writer_is_waited_for(scenes: Path, whole: Path, monkeypatch: py
 
 
 @pytest.mark.slow
-def test_a_full_disk_is_told_and_loses_nothing(scenes: Path, whole: Path) -> None:
-    one, other = read_views(whole)[2:]
+def test_a_full_disk_is_told_and_loses_nothing(scenes: Path, full_room: Path) -> None:
+    one, other = read_views(full_room)[2:]
     with files_of_at_most(30_000), opened(scenes) as service:
         assert send(service, posted(one)).status_code == 202
         wait_for(lambda: "there is no room left" in told(service("GET", VIEWS, headers=WITH_KEY))["problem"])
@@ -216,12 +203,12 @@ def test_a_full_disk_is_told_and_loses_nothing(scenes: Path, whole: Path) -> Non
         send(service, posted(other))
         wait_until_added(service)
         assert set(states(service).values()) == {"added"}
-    assert files_of(scenes / "room/room.field") == files_of(whole / "room.field")
+    assert files_of(scenes / "room/room.field") == files_of(full_room / "room.field")
 
 
 @pytest.mark.slow
 def test_a_photo_that_ends_the_process_is_refused_and_the_others_are_added(
-    scenes: Path, whole: Path, monkeypatch: pytest.MonkeyPatch
+    scenes: Path, full_room: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     dying = (
         "import os, sys; from drsplat.photos.arriving.adding import _Batch; from drsplat.fronts.serving import worker; "
@@ -230,9 +217,9 @@ def test_a_photo_that_ends_the_process_is_refused_and_the_others_are_added(
         "os._exit(9) if 'photo_2.png' in [v.name for v in views] else embed(b, load, views); "
         "worker.main(int(sys.argv[1]), int(sys.argv[2]))"
     )
-    monkeypatch.setattr(workbench, "COMMAND", [sys.executable, "-c", dying])
+    monkeypatch.setattr(workbench, "WORKER_COMMAND", [sys.executable, "-c", dying])
     with opened(scenes) as service:
-        for view in read_views(whole)[2:]:
+        for view in read_views(full_room)[2:]:
             assert send(service, posted(view)).status_code == 202
         wait_until_added(service)
         assert states(service) == {"photo_2.png": "refused", "photo_3.png": "added"}
@@ -274,10 +261,10 @@ def fetch(port: int, path: str, body: Any = None) -> dict[str, Any]:
 @pytest.mark.slow
 @pytest.mark.parametrize("seconds", [0.0, 1.0, 2.5])
 def test_a_killed_service_goes_on_with_what_it_had_taken(
-    seconds: float, scenes: Path, whole: Path, key_file: str
+    seconds: float, scenes: Path, full_room: Path, key_file: str
 ) -> None:
     with served(scenes, key_file) as (server, port):
-        for view in read_views(whole)[2:]:
+        for view in read_views(full_room)[2:]:
             fetch(port, VIEWS, posted(view))
         time.sleep(seconds)
         server.send_signal(signal.SIGKILL)
@@ -288,8 +275,8 @@ def test_a_killed_service_goes_on_with_what_it_had_taken(
         adding = children_of(server.pid)
         for process in adding:
             os.kill(process, signal.SIGKILL)
-        assert fetch(port, VIEWS, posted(read_views(whole)[3]))["state"] == "added"
-    assert files_of(scenes / "room/room.field") == files_of(whole / "room.field")
+        assert fetch(port, VIEWS, posted(read_views(full_room)[3]))["state"] == "added"
+    assert files_of(scenes / "room/room.field") == files_of(full_room / "room.field")
 
 
 @pytest.mark.slow

@@ -13,8 +13,8 @@ from PIL import Image
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Scene, load_field, open_scene, read_gaussians, write_gaussians
-from drsplat.drawing.cards import GAP_PX, HEADING_PX, LINE_SPACING, MARGIN_PX, NOTE_PX
-from drsplat.drawing.cutouts import TILE_PX, cut_out
+from drsplat.drawing.cards import GAP_PIXELS, HEADING_PIXELS, LINE_SPACING, MARGIN_PIXELS, NOTE_PIXELS
+from drsplat.drawing.cutouts import TILE_PIXELS, cut_out
 from drsplat.drawing.pictures import PAPER
 from drsplat.errors import InputError
 from drsplat.formats.cameras_json import write_cameras_json
@@ -147,11 +147,11 @@ def test_the_sheet_shows_each_object_on_its_pale_surroundings(room: Path, capsys
     answer_of(capsys, *asked(room, "--views", room / "capture", "--picture", room / "sheet.png"))
     sheet = np.asarray(Image.open(room / "sheet.png").convert("RGB"))
     left, top = (
-        MARGIN_PX + 1,
-        MARGIN_PX + sum(round(LINE_SPACING * size) for size in (HEADING_PX, NOTE_PX)) + GAP_PX + 1,
+        MARGIN_PIXELS + 1,
+        MARGIN_PIXELS + sum(round(LINE_SPACING * size) for size in (HEADING_PIXELS, NOTE_PIXELS)) + GAP_PIXELS + 1,
     )
-    step = TILE_PX[0] + 2 + GAP_PX
-    assert sheet.shape[1] == 2 * MARGIN_PX + 3 * step - GAP_PX
+    step = TILE_PIXELS[0] + 2 + GAP_PIXELS
+    assert sheet.shape[1] == 2 * MARGIN_PIXELS + 3 * step - GAP_PIXELS
     tiles = [sheet[top : top + 240, left + n * step : left + n * step + 320].astype(int) for n in range(3)]
     for tile in tiles:
         lit = np.abs(tile - PHOTO).max(axis=2) < 12  # the object's place in the photo

@@ -438,7 +438,7 @@ def test_no_exception_of_a_request_ends_a_process(
 ) -> None:
     broken = f"import sys; from drsplat.fronts.serving import worker; worker.answered = lambda *_: {fault}; "
     monkeypatch.setattr(
-        workbench, "COMMAND", [sys.executable, "-c", broken + "worker.main(int(sys.argv[1]), int(sys.argv[2]))"]
+        workbench, "WORKER_COMMAND", [sys.executable, "-c", broken + "worker.main(int(sys.argv[1]), int(sys.argv[2]))"]
     )
     with closing(Service(folder, limits=Limits(workers=1))) as service:
         told(service("GET", "/scenes"))

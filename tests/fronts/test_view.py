@@ -119,14 +119,18 @@ def test_nothing_goes_black_and_where_nothing_fits_all_stays_as_it_is() -> None:
 # --- picking ---
 
 
+def ray(origin: tuple[float, float, float], direction: tuple[float, float, float]) -> picking.Ray:
+    return picking.ray_along(np.array(origin, np.float64), np.array(direction, np.float64))
+
+
 def test_a_ray_meets_what_is_in_front() -> None:
     scene = boxes_scene().gaussians
-    hit = picking.hit_by_ray(scene, np.array([-3.0, 0, 0]), np.array([1.0, 0, 0]))
+    hit = picking.hit_by_ray(scene, ray((-3.0, 0, 0), (1.0, 0, 0)))
     assert hit is not None
     assert hit.gaussian_ids[0] in rows(0)
     assert (np.diff(hit.weights) <= 0).all()
     assert 0 < hit.weights.sum() <= 1
-    back = picking.hit_by_ray(scene, np.array([3.0, 0, 0.3]), np.array([-1.0, 0, 0]))
+    back = picking.hit_by_ray(scene, ray((3.0, 0, 0.3), (-1.0, 0, 0)))
     assert back is not None
     assert back.gaussian_ids[0] in rows(2)
 
@@ -135,10 +139,10 @@ def test_a_ray_passes_what_is_hidden_and_what_lies_behind_it() -> None:
     scene = boxes_scene().gaussians
     visible = np.ones(len(scene), bool)
     visible[rows(0)] = False
-    hit = picking.hit_by_ray(scene, np.array([-3.0, 0, 0]), np.array([1.0, 0, 0]), visible)
+    hit = picking.hit_by_ray(scene, ray((-3.0, 0, 0), (1.0, 0, 0)), visible)
     assert hit is not None
     assert hit.gaussian_ids[0] in rows(1)
-    away = picking.hit_by_ray(scene, np.array([-9.0, 0, 0]), np.array([-1.0, 0, 0]))
+    away = picking.hit_by_ray(scene, ray((-9.0, 0, 0), (-1.0, 0, 0)))
     assert away is None
 
 
@@ -153,7 +157,7 @@ def test_a_ray_weighs_as_the_renderer_does_far_away() -> None:
     for row, column in np.argwhere(best.weights[..., 0] > 0.6)[::7]:
         pixel = np.linalg.solve(view.K, [column + 0.5, row + 0.5, 1.0])
         direction = view.cam_from_world[:3, :3].T @ pixel
-        hit = picking.hit_by_ray(scene, view.center, direction)
+        hit = picking.hit_by_ray(scene, picking.ray_along(view.center, direction))
         same += hit is not None and hit.gaussian_ids[0] == best.ids[row, column, 0]
     total = len(np.argwhere(best.weights[..., 0] > 0.6)[::7])
     assert total > 20
@@ -447,7 +451,7 @@ def test_without_a_folder_nothing_stays_on_the_disk(tmp_path: Path, monkeypatch:
     assert data == b"xy"
     assert not path.exists()
     assert list(tmp_path.iterdir()) == []
-    monkeypatch.setattr(saving, "MOST_SENT", 1)
+    monkeypatch.setattr(saving, "MAX_SENT_BYTES", 1)
     with pytest.raises(InputError, match="--save-dir"):
         saving.Saves(None).save("found", ".ply", lambda path: path.write_bytes(b"xy"))
 
@@ -459,7 +463,7 @@ def test_no_text_of_a_stranger_is_more_than_text() -> None:
     hostile = "<img src=x onerror=alert(1)>&\udcff\x1b[2J\u202e\n"
     assert texts.escaped(hostile) == "&lt;img src=x onerror=alert(1)&gt;&amp;" + "\ufffd" + "\ufffd[2J" + 2 * "\ufffd"
     assert texts.printable("é 日本 🍎") == "é 日本 🍎"
-    assert len(texts.printable("x" * 10_000)) == texts.MOST_SHOWN
+    assert len(texts.printable("x" * 10_000)) == texts.MAX_CHARACTERS_SHOWN
 
 
 # --- what to ask ---

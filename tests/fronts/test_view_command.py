@@ -228,7 +228,7 @@ def test_too_many_gaussians_are_refused(folder: Path, monkeypatch: pytest.Monkey
     from drsplat.fronts.viewing import page
     from drsplat.fronts.viewing.exporting import page_of
 
-    monkeypatch.setattr(page, "MOST", 10)
+    monkeypatch.setattr(page, "MAX_GAUSSIANS", 10)
     up = np.array([0.0, 0.0, 1.0])
     full = page_of(Session(boxes_scene()), ["mug"], (up, np.zeros(3)), up)
     with pytest.raises(InputError, match="up to 10"):

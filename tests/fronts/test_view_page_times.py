@@ -90,13 +90,13 @@ def test_what_stands_still_has_no_times(scene: Scene, tmp_path: Path) -> None:
 
 
 def test_a_large_film_is_thinned_or_refused(scene: Scene, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(page_times, "LEAST_TIMES", 3)
-    monkeypatch.setattr(page_times, "MOST_MOVED", 399)
+    monkeypatch.setattr(page_times, "MIN_TIMES", 3)
+    monkeypatch.setattr(page_times, "MAX_MOVED_PLACES", 399)
     found = times_of_page(Session(scene))
     assert found is not None
     assert found.times.tolist() == pytest.approx([0, 0.4, 1])
     assert found.summary == "100 of them move, at 3 of 6 times."
-    monkeypatch.setattr(page_times, "MOST_MOVED", 250)
+    monkeypatch.setattr(page_times, "MAX_MOVED_PLACES", 250)
     with pytest.raises(InputError, match=r"100 of the 300 Gaussians shown move.*room for 83 at 3 times.*max_gaussians"):
         export_page(tmp_path / "page.html", scene, ["red car"], up=UP)
     assert not list(tmp_path.iterdir())

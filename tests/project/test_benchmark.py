@@ -214,7 +214,7 @@ def test_a_stamp_is_of_what_code_does(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_stamps_are_of_files_that_are_there() -> None:
-    for listed in (stamps.METHODS, stamps.OBJECTS, stamps.RENDERED, stamps.FITTED, stamps.ANSWERS):
+    for listed in (stamps.METHODS, stamps.RENDERED, stamps.FITTED, stamps.ANSWERS):
         assert all(path.exists() for path in listed)
 
 

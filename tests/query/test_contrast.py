@@ -19,11 +19,11 @@ from drsplat.photos.models.mini import MiniEncoder
 from drsplat.photos.models.nouns import NOUNS, broad_list
 from drsplat.photos.models.word_list import MAX_TEXTS, list_vectors
 from drsplat.query.contrast import (
-    CLEARER,
-    CROWD,
-    MANY,
-    NEAR,
-    TILT,
+    CLEAR_MARGIN_PER_EFOLD,
+    CLEAR_MARGIN_ROWS,
+    SAME_MEANING_COSINE,
+    USUAL_COSINE_SHARE,
+    WORDS_PER_RIVAL,
     contrast,
     contrast_of,
     least_clear,
@@ -108,7 +108,7 @@ def test_the_same_by_hand(world: World, scene: tuple) -> None:
     known = contrast(field, world.texts[1:])
     cosines = field.scores(world.texts)
     pictures = field.evidence.embeddings
-    usual = TILT * (pictures @ world.texts.T).mean(0)
+    usual = USUAL_COSINE_SHARE * (pictures @ world.texts.T).mean(0)
     left = pictures @ world.texts[1:].T
     left = left - left.mean(0) - left.mean(1, keepdims=True) + left.mean()
     margins = (cosines - usual[:, None])[0] - (cosines - usual[:, None])[1:].max(0)
@@ -123,7 +123,7 @@ def test_a_synonym_in_the_list_does_not_compete(world: World, scene: tuple) -> N
     texts = np.concatenate([world.texts, other[None]])
     centred = texts - texts.mean(0)
     centred /= np.linalg.norm(centred, axis=1, keepdims=True)
-    assert centred[1] @ centred[-1] > NEAR > np.sort(centred[1] @ centred[:-1].T)[-2]
+    assert centred[1] @ centred[-1] > SAME_MEANING_COSINE > np.sort(centred[1] @ centred[:-1].T)[-2]
     values = contrast(field, texts).relevancy(other, field.scores(other))
     assert (values[truth == 1] > 0.5).mean() > 0.9
 
@@ -132,7 +132,7 @@ def test_a_word_has_to_be_among_the_best_of_every_three_hundred(scene: tuple) ->
     """Three words of 900 are better everywhere: the third decides."""
     field, _ = scene
     rng = np.random.default_rng(1)
-    texts = unit_rows(rng, 3 * CROWD, DIM)
+    texts = unit_rows(rng, 3 * WORDS_PER_RIVAL, DIM)
     known, query_vector = contrast(field, texts), unit_rows(rng, 1, DIM)[0]
     scores = field.scores(texts) - (texts @ known.usual)[:, None]
     own = field.scores(query_vector) - query_vector @ known.usual
@@ -174,30 +174,32 @@ def test_the_cut_is_that_of_the_peak_where_nothing_is_clear() -> None:
 
 
 def test_in_larger_scenes_a_peak_has_to_be_higher() -> None:
-    margin = np.log(1 / (1 / np.array([least_clear(rows) for rows in (1, MANY, 10 * MANY)]) - 1))
-    assert_allclose(margin, [0.45, 0.45, 0.45 + CLEARER * np.log(10)])
+    margin = np.log(
+        1 / (1 / np.array([least_clear(rows) for rows in (1, CLEAR_MARGIN_ROWS, 10 * CLEAR_MARGIN_ROWS)]) - 1)
+    )
+    assert_allclose(margin, [0.45, 0.45, 0.45 + CLEAR_MARGIN_PER_EFOLD * np.log(10)])
 
 
 def test_a_peak_above_many_words_has_to_be_higher_than_one_above_few() -> None:
     """A margin of 0.48 is found with a list of 299 words, and not with one of 300."""
     values = relevancies(np.where(np.arange(1000) < PEAK, 0.48, -2.0))
-    texts = np.eye(CROWD, dtype=np.float32)
-    few, many = (contrast_of(texts[:2], texts[:count]).clear_margin for count in (CROWD - 1, CROWD))
+    texts = np.eye(WORDS_PER_RIVAL, dtype=np.float32)
+    few, many = (contrast_of(texts[:2], texts[:count]).clear_margin for count in (WORDS_PER_RIVAL - 1, WORDS_PER_RIVAL))
     assert (values > middle_threshold(values, clear_margin=few)).sum() == PEAK
     assert not (values > middle_threshold(values, clear_margin=many)).any()
 
 
 def test_fewer_rows_have_to_stand_above_a_long_list_in_a_small_scene() -> None:
     """One row in 3,000, of 10 to PEAK; above a short list PEAK in any scene."""
-    texts = np.eye(CROWD, dtype=np.float32)
+    texts = np.eye(WORDS_PER_RIVAL, dtype=np.float32)
 
     def peak(words: int, rows: int) -> int:
         known = contrast_of(texts[:2], texts[:words])
         scores, best = (np.broadcast_to(array[:1], (rows, array.shape[1])) for array in (known.scores, known.words))
         return replace(known, scores=scores, words=best).peak
 
-    assert [peak(CROWD, rows) for rows in (2, 30_000, 60_000, 120_000, 10**7)] == [10, 10, 20, PEAK, PEAK]
-    assert [peak(CROWD - 1, rows) for rows in (2, 60_000, 10**7)] == [PEAK] * 3
+    assert [peak(WORDS_PER_RIVAL, rows) for rows in (2, 30_000, 60_000, 120_000, 10**7)] == [10, 10, 20, PEAK, PEAK]
+    assert [peak(WORDS_PER_RIVAL - 1, rows) for rows in (2, 60_000, 10**7)] == [PEAK] * 3
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 50])

@@ -12,7 +12,15 @@ from drsplat import Gaussians, LanguageField, View, WordEncoder
 from drsplat.errors import InputError, MismatchError
 from drsplat.kernels import splat_arrays, topk_contributions
 from drsplat.query import Answer, Query, Scene
-from drsplat.query.search import LOWEST, NEGATIVES, embed_query, feature_at, split_negation, text_negatives, without
+from drsplat.query.search import (
+    NEGATIVES,
+    UNSELECTED_COSINE,
+    embed_query,
+    feature_at,
+    split_negation,
+    text_negatives,
+    without,
+)
 from drsplat.scene.encoders import EncoderIdentity
 from fields import ToyEncoder, toy_field
 from furnished.story import Story
@@ -103,7 +111,7 @@ def test_a_thing_is_left_out_exactly_if_the_unwanted_word_is_true_of_it(
     feature = encoder.encode_texts([" ".join(sorted(said_of_it))])[0]
     scores = np.array([feature @ encoder.encode_texts([query])[0]], np.float32)
     rivals = np.array([feature @ encoder.encode_texts([f"{unwanted} {query}"])[0]], np.float32)
-    left_out = without(scores, rivals)[0] == LOWEST
+    left_out = without(scores, rivals)[0] == UNSELECTED_COSINE
     assert left_out == (unwanted in said_of_it)
 
 

@@ -7,14 +7,30 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from drsplat import MiniEncoder, View, load_segmenter, read_features, read_gaussians, read_views
 from drsplat.field import LanguageField
 from drsplat.field.objects.finding import find_objects
 from drsplat.field.registration import register
 from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.photos.embedding.embed import embed
+from toy_capture import write_toy_capture
 
 FEATURES = "language_features"
+
+
+@pytest.fixture(scope="module")
+def full_room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A toy scene with all four photos registered at once."""
+    made = write_toy_capture(tmp_path_factory.mktemp("live"))
+    return write_room(made / "scene.ply", made / "full", read_views(made / "capture"), objects=True)
+
+
+@pytest.fixture(scope="module")
+def half_room(full_room: Path) -> Path:
+    """The scene with the first two of them."""
+    return first_views(full_room, full_room.parent / "half", 2, objects=True)
 
 
 def write_room(source: Path, folder: Path, views: Sequence[View], *, objects: bool = False) -> Path:

@@ -9,8 +9,8 @@ from PIL import Image, ImageDraw, ImageFont
 from .pictures import FAINT, INK, PAPER, OtherPixels, fitting
 
 FRAME_COLOR = (214, 217, 223)
-GAP_PX, MARGIN_PX, PADDING_PX = 16, 24, 10  # between cards, around the sheet, of text in a card
-TITLE_PX, NOTE_PX, HEADING_PX = 18, 14, 30  # heights of letters
+GAP_PIXELS, MARGIN_PIXELS, PADDING_PIXELS = 16, 24, 10  # between cards, around the sheet, of text in a card
+TITLE_PIXELS, NOTE_PIXELS, HEADING_PIXELS = 18, 14, 30  # heights of letters
 LINE_SPACING = 1.45  # of the height of letters
 
 
@@ -28,27 +28,27 @@ def card_sheet(cards: Sequence[Card], columns: int, heading: str, note: str = ""
     drawn = [_drawn(card) for card in cards]
     columns = min(columns, len(drawn))
     wide, high = drawn[0].size
-    top = MARGIN_PX + sum(round(LINE_SPACING * size) for size in (HEADING_PX, NOTE_PX)) + GAP_PX
-    width = 2 * MARGIN_PX + columns * (wide + GAP_PX) - GAP_PX
-    height = top + -(-len(drawn) // columns) * (high + GAP_PX) - GAP_PX + MARGIN_PX
+    top = MARGIN_PIXELS + sum(round(LINE_SPACING * size) for size in (HEADING_PIXELS, NOTE_PIXELS)) + GAP_PIXELS
+    width = 2 * MARGIN_PIXELS + columns * (wide + GAP_PIXELS) - GAP_PIXELS
+    height = top + -(-len(drawn) // columns) * (high + GAP_PIXELS) - GAP_PIXELS + MARGIN_PIXELS
     sheet = Image.new("RGB", (width, height), PAPER)
-    _write(sheet, MARGIN_PX, MARGIN_PX, [(heading, HEADING_PX, INK), (note, NOTE_PX, FAINT)])
+    _write(sheet, MARGIN_PIXELS, MARGIN_PIXELS, [(heading, HEADING_PIXELS, INK), (note, NOTE_PIXELS, FAINT)])
     for number, card in enumerate(drawn):
         row, column = divmod(number, columns)
-        sheet.paste(card, (MARGIN_PX + column * (wide + GAP_PX), top + row * (high + GAP_PX)))
+        sheet.paste(card, (MARGIN_PIXELS + column * (wide + GAP_PIXELS), top + row * (high + GAP_PIXELS)))
     return np.asarray(sheet)
 
 
 def _drawn(card: Card) -> Image.Image:
     height, width = card.pixels.shape[:2]
-    lines = [(card.title, TITLE_PX, INK), *((note, NOTE_PX, FAINT) for note in card.notes)]
-    text = sum(round(LINE_SPACING * size) for _, size, _ in lines) + 2 * PADDING_PX
+    lines = [(card.title, TITLE_PIXELS, INK), *((note, NOTE_PIXELS, FAINT) for note in card.notes)]
+    text = sum(round(LINE_SPACING * size) for _, size, _ in lines) + 2 * PADDING_PIXELS
     drawn = Image.new("RGB", (width + 2, height + 2 + text), PAPER)
     drawn.paste(Image.fromarray(card.pixels), (1, 1))
     pen = ImageDraw.Draw(drawn)
     pen.rectangle((0, 0, drawn.width - 1, drawn.height - 1), outline=FRAME_COLOR)
     pen.line((0, height + 1, drawn.width, height + 1), FRAME_COLOR)
-    _write(drawn, PADDING_PX, height + 1 + PADDING_PX, lines)
+    _write(drawn, PADDING_PIXELS, height + 1 + PADDING_PIXELS, lines)
     return drawn
 
 

@@ -17,7 +17,7 @@ CORNERS = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)]) - 0.5
 EDGES = [(i, k) for i, k in combinations(range(8), 2) if (i ^ k).bit_count() == 1]
 SHADE_COLOR = (20, 22, 27)  # behind letters and beside lines, to make them legible on anything
 NEAR_SHARE = 1e-3  # of the distance to a mark's middle: nothing nearer to the camera is drawn
-LINES_PER_HEIGHT, MIN_LETTERS_PX = 28, 11
+LINES_PER_HEIGHT, MIN_LETTERS_PIXELS = 28, 11
 Spot = tuple[float, float]
 Color = tuple[int, int, int]
 Lines = Sequence[tuple[Spot, Spot]]
@@ -64,7 +64,7 @@ def marked(picture: Pixels, view: View, marks: Sequence[Mark], share: float = 1.
         return picture
     drawn = Image.fromarray(picture)
     pen = ImageDraw.Draw(drawn)
-    letters = ImageFont.load_default(max(MIN_LETTERS_PX, view.height / LINES_PER_HEIGHT))
+    letters = ImageFont.load_default(max(MIN_LETTERS_PIXELS, view.height / LINES_PER_HEIGHT))
     lines = [lines_of(mark, view) for mark in marks]
     order = np.argsort([-float(np.linalg.norm(mark.center - view.center)) for mark in marks], kind="stable").tolist()
     for number in order:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..base.arrays import Float32
-from ..query.thresholds import CUT, default_threshold
+from ..query.thresholds import CUT_SHARE, default_threshold
 from .predictions import AUTOMATIC, Chooser
 from .scorers import Scorer
 
@@ -14,7 +14,7 @@ def automatic_choosers(scorer: Scorer) -> dict[str, tuple[Chooser, str]]:
     Gaussians without a feature do not count; without any feature, nothing is selected.
     """
     least = scorer.least
-    how = "from" if least is None else f"the encoder's {least:g} or {CUT:g} of the peak of"
+    how = "from" if least is None else f"the encoder's {least:g} or {CUT_SHARE:g} of the peak of"
 
     def chosen(scores: Float32[np.ndarray, " N"]) -> float:
         finite = scores[np.isfinite(scores)]

@@ -16,7 +16,7 @@ from .report import Figure
 from .scannet import ScannetScene
 from .scorers import Scorer
 
-LONG_SIDE_PX = 480
+LONG_SIDE_PIXELS = 480
 SELECTED, OTHERS = (1.0, 0.85, 0.1), (0.1, 0.2, 0.65)  # Fig. S7: yellow, blue
 _HEAT = np.array([[0.05, 0.03, 0.2], [0.3, 0.07, 0.45], [0.72, 0.2, 0.35], [0.98, 0.55, 0.2], [0.98, 0.98, 0.7]])
 
@@ -74,8 +74,8 @@ def _answers(
 
 
 def small(view: View) -> View:
-    """Resize a view to a longer side of at most LONG_SIDE_PX."""
-    scale = min(1.0, LONG_SIDE_PX / max(view.width, view.height))
+    """Resize a view to a longer side of at most LONG_SIDE_PIXELS."""
+    scale = min(1.0, LONG_SIDE_PIXELS / max(view.width, view.height))
     return view.resized(max(1, round(view.width * scale)), max(1, round(view.height * scale)))
 
 

@@ -12,7 +12,7 @@ from ..errors import MismatchError
 from ..field import LanguageField, relevancy_from_scores
 from ..formats.peer_features import Rows
 from ..query import Scene
-from ..query.search import CHUNK, NEGATIVES, embed_query
+from ..query.search import NEGATIVES, QUERIES_AT_ONCE, embed_query
 from ..query.wholes import by_object, for_comparing
 from ..scene.encoders import Encoder
 from ..scene.views import pictures_kind, scenes_rendered
@@ -60,8 +60,8 @@ class Scorer:
         if self.several is None:
             yield from map(self.scores, texts)
             return
-        for begin in range(0, len(texts), CHUNK):
-            yield from self.several(texts[begin : begin + CHUNK])
+        for begin in range(0, len(texts), QUERIES_AT_ONCE):
+            yield from self.several(texts[begin : begin + QUERIES_AT_ONCE])
 
 
 def cosine_scorer(source: LanguageField, encoder: Encoder, name: str = "cosine", *, threads: int = 0) -> Scorer:

@@ -21,7 +21,7 @@ from .scenes import companion
 
 KIND, FORMAT, VERSION = "FeatureCollection", "drsplat annotations", 1
 MAX_ANNOTATIONS = 10_000  # of a file
-PATIENCE_SECONDS = 10.0  # for another process that writes
+PATIENCE_S = 10.0  # for another process that writes
 Annotations = tuple[Annotation, ...]
 
 
@@ -47,7 +47,7 @@ class AnnotationFile:
     @contextmanager
     def held(self) -> Iterator[None]:
         """Keep others from writing it while the block runs. Raises: InputError: another process does."""
-        with claimed_output(self.path, PATIENCE_SECONDS):
+        with claimed_output(self.path, PATIENCE_S):
             yield
 
     def write(self, annotations: Annotations) -> None:

@@ -15,7 +15,7 @@ from ..errors import InputError
 from .replacing import sweep
 
 LOCK = ".lock"
-POLL_SECONDS = 0.05
+POLL_S = 0.05
 _NO_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS)  # of a file system that has none
 _NO_FILE = (errno.ELOOP, errno.EISDIR, errno.ENXIO)  # a link, a folder, a socket
 
@@ -78,7 +78,7 @@ def _locked(lock: Path, output: Path, until: float) -> BinaryIO:
         if not _ours_now(file):
             with file:
                 if time.monotonic() < until:
-                    time.sleep(POLL_SECONDS)
+                    time.sleep(POLL_S)
                     continue
                 raise ClaimedError(
                     f"{output} is being written by {_holder(file)}: wait until it has ended, or name another output"

@@ -6,6 +6,7 @@ from typing import Literal
 MAPS, EMBEDDINGS = "_s.npy", "_f.npy"  # LangSplat's
 COMPACT = ".features.safetensors"
 Form = Literal["compact", "langsplat"]
+"""Forms that features of a photo are stored in; `langsplat.FORMS` says how each is opened."""
 
 
 def stems(directory: Path, ending: str) -> list[str]:

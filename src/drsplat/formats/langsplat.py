@@ -203,8 +203,8 @@ def write_features(
 
     Raises: InputError: wrong shapes, an id without a row, a stem that leaves the folder, existing files, another form.
     """
-    if form not in ("compact", "langsplat"):
-        raise InputError(f"form: expected 'compact' or 'langsplat', got {form!r}")
+    if form not in FORMS:
+        raise InputError(f"form: expected {' or '.join(map(repr, FORMS))}, got {form!r}")
     if mask_ids.ndim not in (2, 3) or (mask_ids.ndim == 3 and len(mask_ids) != len(LEVELS)):
         raise InputError(f"mask_ids: expected (4, H, W) or (H, W), got {mask_ids.shape}")
     if mask_ids.min(initial=0) < -1 or mask_ids.max(initial=-1) >= len(embeddings):
@@ -232,9 +232,9 @@ def has_features(directory: Path) -> bool:
     return any(next(directory.rglob(f"*{ending}"), None) for (ending, *_), _ in FORMS.values())
 
 
-def _listed_keys(directory: Path) -> dict[str, str]:
+def _listed_keys(directory: Path) -> dict[str, Form]:
     """Return the form of each photo's features. Raises: FormatError: a file is missing, or there are two forms."""
-    forms: dict[str, str] = {}
+    forms: dict[str, Form] = {}
     for name, ((first, *others), _) in FORMS.items():
         keys = stems(directory, first)
         for ending in others:
@@ -254,7 +254,7 @@ def _listed_keys(directory: Path) -> dict[str, str]:
 
 
 def stored_features(
-    directory: Path, stem: str, form: str
+    directory: Path, stem: str, form: Form
 ) -> tuple[Int32[np.ndarray, "*levels h w"], Float32[np.ndarray, "n d"]]:
     """See `FeatureFolder.stored`."""
     files = FORMS[form][1](directory, stem)
@@ -268,7 +268,7 @@ def _open_pair(directory: Path, stem: str) -> _Pair:
     return _Pair(embeddings, maps, _map_embeddings(embeddings))
 
 
-FORMS: Mapping[str, tuple[tuple[str, ...], Callable[[Path, str], FeatureFile]]] = {
+FORMS: Mapping[Form, tuple[tuple[str, ...], Callable[[Path, str], FeatureFile]]] = {
     "langsplat": ((MAPS, EMBEDDINGS), _open_pair),
     "compact": ((COMPACT,), lambda directory, stem: read_compact(directory / f"{stem}{COMPACT}")),
 }

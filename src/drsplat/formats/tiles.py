@@ -26,9 +26,9 @@ from .tensors import check_tensors, read_tensors, write_tensors
 
 TILES = "tiles.json"
 FORMAT, VERSION = "drsplat tiles", 1
-MOST_BYTES = 64 << 20  # of a manifest
+MAX_MANIFEST_BYTES = 64 << 20
 FAINTEST = 1 / 255 * 0.999  # opacity below which nothing is drawn, and a little less
-MOST_ROWS = (1 << 31) - 1
+MAX_ROWS = (1 << 31) - 1
 CURE = "Restore the folder from a copy, or cut the scene anew"
 _SHAPES = {
     "means": ("float32", "n xyz"),
@@ -149,7 +149,7 @@ def read_tiles(path: Path) -> Tiles:
     Raises: InputError: there are none. FormatError: a damaged manifest, or of a newer version.
     """
     where = str(path / TILES)
-    document = read_manifest(path, TILES, "tiled scene", MOST_BYTES)
+    document = read_manifest(path, TILES, "tiled scene", MAX_MANIFEST_BYTES)
     if document.get("format") != FORMAT or document.get("version") != VERSION:
         raise FormatError(f"{where}: expected '{FORMAT}' of version {VERSION}, got {excerpt(document.get('version'))}")
     check_seal(document, where, cure=CURE)
@@ -173,8 +173,8 @@ def _tile(entry: object, first: int, where: str) -> Tile:
     if not isinstance(name, str) or not name.isalnum():
         raise FormatError(f"{where}: expected a tile's name of letters and digits, got {excerpt(name)}")
     count = as_count(entry.get("count"), f"{where}: count")
-    if not 0 < count <= MOST_ROWS - first:
-        raise FormatError(f"{where}: tile {name}: expected 1 to {MOST_ROWS:,} rows in all, got {count}")
+    if not 0 < count <= MAX_ROWS - first:
+        raise FormatError(f"{where}: tile {name}: expected 1 to {MAX_ROWS:,} rows in all, got {count}")
     low, high = (as_vector(entry.get(end), 3, f"{where}: {end}") for end in ("low", "high"))
     sums = entry.get(DOCUMENT, {})
     if not isinstance(sums, dict) or not all(map(is_text, sums.values())):

@@ -14,7 +14,7 @@ from ..field.evidence.evidence import Explanation
 from ..scene.moving import Span
 from ..scene.views import View
 from .defaults import COSINE, GIVEN, LABEL, OBJECT, RELEVANCY
-from .search import LOWEST
+from .search import UNSELECTED_COSINE
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +88,7 @@ class Answer:
     @property
     def lowest(self) -> float:
         """The value of a Gaussian that no threshold selects."""
-        return 0.0 if self.measure == RELEVANCY else LOWEST
+        return 0.0 if self.measure == RELEVANCY else UNSELECTED_COSINE
 
     @property
     def is_exact(self) -> bool:

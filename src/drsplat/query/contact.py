@@ -12,12 +12,12 @@ from ..scene.boxes import solid
 from ..scene.parted import AnyGaussians
 
 FOOT_SHARE = 0.1  # of a thing's height above its lower side: what can touch
-DEVIATIONS = 2.0  # of two Gaussians, towards each other, within which they touch
-NEIGHBOURS = 8
+TOUCHING_DEVIATIONS = 2.0  # of two Gaussians, towards each other
+NUM_NEIGHBOURS = 8
 SPACING_NEIGHBOUR = 3  # whose median distance is the typical spacing
-LEAST_TOUCHING = 0.1  # of the foot's Gaussians
-ENCLOSED = np.pi  # widest angle without contact around what cannot fall off
-ONE_SIDED = 4 / 3 * np.pi  # the same where only the foot touches: photos see one side of a shelf
+MIN_TOUCHING_SHARE = 0.1  # of the foot's Gaussians
+MAX_ENCLOSED_GAP_RADIANS = np.pi  # without contact around what cannot fall off
+MAX_ONE_SIDED_GAP_RADIANS = 4 / 3 * np.pi  # the same where only the foot touches: photos see one side of a shelf
 
 Points = Float64[np.ndarray, "_ 3"]
 Ids = Integer[np.ndarray, " _"]
@@ -39,16 +39,16 @@ def rests_on(gaussians: AnyGaussians, thing: Ids, support: Ids, up: Up) -> bool:
     ankle = low + FOOT_SHARE * (high - low)
     foot, rest = own[heights <= ankle], own[heights > ankle]
     touching, touched = contacts(gaussians, own, foot, others)
-    if len(touching) < max(LEAST_TOUCHING * len(foot), 1):
+    if len(touching) < max(MIN_TOUCHING_SHARE * len(foot), 1):
         return False
     places = _centers(gaussians, touched)
     if heights.mean() <= (places @ up).mean():
         return False
     gap = widest_gap(places, _centers(gaussians, foot).mean(axis=0), up)
-    if ENCLOSED < gap <= ONE_SIDED:
+    if MAX_ENCLOSED_GAP_RADIANS < gap <= MAX_ONE_SIDED_GAP_RADIANS:
         beside = contacts(gaussians, own, rest, others)[1]
         return not len(beside) or bool((_centers(gaussians, beside) @ up).mean() <= ankle)
-    return gap <= ENCLOSED
+    return gap <= MAX_ENCLOSED_GAP_RADIANS
 
 
 def contacts(gaussians: AnyGaussians, thing: Ids, part: Ids, others: Ids) -> tuple[Ids, Ids]:
@@ -63,12 +63,12 @@ def contacts(gaussians: AnyGaussians, thing: Ids, part: Ids, others: Ids) -> tup
         return part[:0], others[:0]
     here, there = (_centers(gaussians, ids) for ids in (part, others))
     spacing = (_spacing(_centers(gaussians, thing)) + _spacing(there)) / 2
-    distances, nearest = cKDTree(there).query(here, np.arange(1, min(NEIGHBOURS, len(others)) + 1))
+    distances, nearest = cKDTree(there).query(here, np.arange(1, min(NUM_NEIGHBOURS, len(others)) + 1))
     first, second = np.repeat(part, nearest.shape[1]), others[nearest.ravel()]
     along = there[nearest.ravel()] - np.repeat(here, nearest.shape[1], axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
     deviations = _deviations(gaussians, first, along) + _deviations(gaussians, second, along)
-    touch = distances.ravel() <= DEVIATIONS * deviations + spacing
+    touch = distances.ravel() <= TOUCHING_DEVIATIONS * deviations + spacing
     return np.unique(first[touch]), np.unique(second[touch])
 
 

@@ -18,22 +18,23 @@ from ..field import LanguageField
 from ..kernels.ranking import keep_best
 from .thresholds import PEAK, clear_threshold, peak_score
 
-TILT = 0.5  # of a word's usual cosine, taken off: all of it would punish what is everywhere
-NEAR = 0.5  # cosine of two texts, seen from their mean: they mean the same and do not compete
-CROWD = 300  # words of which one may fit better than the query
-SPARE = 8  # words per row beyond those that count, for when some are near to the query
-SAMPLES = 4096  # pictures that say what is usual
-LEAST_SPREAD = 1e-3
-LEVEL = 0.5  # relevancy of what fits as well as the list
-CLEAR_MARGIN, CLEARER = 0.45, 0.05  # spreads that a peak stands above the list: in MANY rows, and for each e-fold more
-CLEAR_OF_MANY = 0.5  # the first of these for lists of CROWD words and more
-CLEAR_OF_KIND = 0.6  # and for words of one kind, such as colours, of which a photo has nearly all a little
-MANY = 50_000
-OWN, UPPER = 0.6, 0.7  # of the threshold against the level of the list, and of the way from the middle to the peak
-PEAK_SHARE, LEAST_PEAK = 1 / 3000, 10  # of the rows: a peak above a long list, in scenes of less than 120,000 rows
-TOP = 1 / 500  # of the rows: what they reach is the peak of large scenes
+USUAL_COSINE_SHARE = 0.5  # taken off a word's cosines: all of it would punish what is everywhere
+SAME_MEANING_COSINE = 0.5  # of two texts, seen from their mean: they do not compete
+WORDS_PER_RIVAL = 300  # one word of so many may fit better than the query
+SPARE_WORDS = 8  # per row, beyond those that count, for when some are near to the query
+MAX_USUAL_PICTURES = 4096
+MIN_SPREAD = 1e-3
+LIST_RELEVANCY = 0.5  # of what fits as well as the list
+CLEAR_MARGIN, CLEAR_MARGIN_PER_EFOLD = 0.45, 0.05  # spreads that a peak stands above the list, and more in more rows
+LONG_LIST_CLEAR_MARGIN = 0.5  # for lists of WORDS_PER_RIVAL words and more
+KIND_CLEAR_MARGIN = 0.6  # for words of one kind, such as colours, of which a photo has nearly all a little
+CLEAR_MARGIN_ROWS = 50_000  # that CLEAR_MARGIN is for
+OWN_THRESHOLD_SHARE = 0.6  # against the level of the list
+WAY_TO_PEAK_SHARE = 0.7  # from the middle
+PEAK_SHARE, MIN_PEAK_ROWS = 1 / 3000, 10  # of the rows: a peak above a long list, in scenes of less than 120,000 rows
+LARGE_SCENE_PEAK_SHARE = 1 / 500  # of the rows
 Score = Callable[[np.ndarray], np.ndarray]
-CHUNK = 8  # words scored at once
+WORDS_AT_ONCE = 8
 ROWS_AT_ONCE = 1 << 18
 
 
@@ -41,9 +42,10 @@ ROWS_AT_ONCE = 1 << 18
 class Contrast:
     """Scores that the words of a list reach at each row of a field.
 
-    vectors: their unit embeddings. usual: the mean picture, times TILT. spread: standard deviation of cosines of words
-    with pictures once the means of both are taken off: the unit of margins. scores, words: per row the best of the
-    list, best first, and which ones they are. of_kind: the words are of one kind, such as colours, and no broad list.
+    vectors: their unit embeddings. usual: the mean picture, times USUAL_COSINE_SHARE. spread: standard deviation of
+    cosines of words with pictures once the means of both are taken off: the unit of margins. scores, words:
+    per row the best of the list, best first, and which ones they are. of_kind: the words are of one kind, such as
+    colours, and no broad list.
     """
 
     vectors: Float32[np.ndarray, "n D"]
@@ -57,15 +59,15 @@ class Contrast:
     def clear_margin(self) -> float:
         """Spreads that the peak of a query has to stand above the list. Of few words one often fits nearly as well."""
         if self.of_kind:
-            return CLEAR_OF_KIND
-        return CLEAR_OF_MANY if len(self.vectors) >= CROWD else CLEAR_MARGIN
+            return KIND_CLEAR_MARGIN
+        return LONG_LIST_CLEAR_MARGIN if len(self.vectors) >= WORDS_PER_RIVAL else CLEAR_MARGIN
 
     @property
     def peak(self) -> int:
         """Rows that have to stand above the list. Of long lists fewer in small scenes, whose things have fewer rows."""
-        if len(self.vectors) < CROWD:
+        if len(self.vectors) < WORDS_PER_RIVAL:
             return PEAK
-        return min(PEAK, max(LEAST_PEAK, round(PEAK_SHARE * len(self.scores))))
+        return min(PEAK, max(MIN_PEAK_ROWS, round(PEAK_SHARE * len(self.scores))))
 
     def height(self, peak: int = PEAK) -> float:
         """Return the cosine that as many rows as make a thing reach with the word of the list that fits each best."""
@@ -75,7 +77,7 @@ class Contrast:
     def relevancy(
         self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]
     ) -> Float32[np.ndarray, " r"] | None:
-        """Return values in (0, 1): above 0.5 where the query fits better than all but one in CROWD of the words.
+        """Return values in (0, 1): above 0.5 where the query fits better than all words but one in WORDS_PER_RIVAL.
 
         query: the vector of a text. scores: its cosines. None: no word of the list means anything else.
         """
@@ -83,7 +85,7 @@ class Contrast:
         near = self._near(query)
         if near.all():
             return None
-        rank = max(1, round(int((~near).sum()) / CROWD))
+        rank = max(1, round(int((~near).sum()) / WORDS_PER_RIVAL))
         values, usual = np.empty(len(scores), np.float32), np.float32(query @ self.usual)
         for begin in range(0, len(scores), ROWS_AT_ONCE):
             run = slice(begin, begin + ROWS_AT_ONCE)
@@ -109,7 +111,7 @@ class Contrast:
         same = texts[:-1] @ texts[-1] > 1 - 1e-5
         texts -= texts.mean(0)
         norms = np.maximum(np.linalg.norm(texts, axis=1), 1e-12)
-        return np.asarray(same | (texts[:-1] @ texts[-1] / (norms[:-1] * norms[-1]) > NEAR))
+        return np.asarray(same | (texts[:-1] @ texts[-1] / (norms[:-1] * norms[-1]) > SAME_MEANING_COSINE))
 
     def _level(self, near: Bool[np.ndarray, " n"], rank: int, run: slice) -> Float32[np.ndarray, " r"]:
         """Return per row of a run the score of the `rank`-th best word that is not near, or of the last one kept."""
@@ -119,13 +121,13 @@ class Contrast:
 
 
 def contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], *, threads: int = 0) -> Contrast:
-    """Score a list of words once; 6 (n / CROWD + SPARE) bytes per row. The last one of a field is kept.
+    """Score a list of words once; 6 (n / WORDS_PER_RIVAL + SPARE_WORDS) bytes per row. The last one of a field is kept.
 
     Raises: MismatchError: vectors of another dimension.
     """
-    known = _LAST.get(field)
+    known = _LAST_CONTRASTS.get(field)
     if known is None or not np.array_equal(known.vectors, vectors):
-        known = _LAST[field] = _contrast(field, vectors, threads)
+        known = _LAST_CONTRASTS[field] = _contrast(field, vectors, threads)
     return known
 
 
@@ -150,12 +152,12 @@ def relevancy_threshold(
     relevancy: Float32[np.ndarray, " r"], peak: int = PEAK, clear_margin: float = CLEAR_MARGIN
 ) -> float:
     """Return 0.5, or the highest where too few rows stand clearly above: then nothing is found."""
-    return clear_threshold(relevancy, LEVEL, least_clear(len(relevancy), clear_margin), peak=peak)
+    return clear_threshold(relevancy, LIST_RELEVANCY, least_clear(len(relevancy), clear_margin), peak=peak)
 
 
 def least_clear(rows: int, margin: float = CLEAR_MARGIN) -> float:
     """Return the relevancy that the peak of a query has to exceed: of more rows more fit any word by chance."""
-    return _sigmoid(margin + CLEARER * float(np.log(max(rows, MANY) / MANY)))
+    return _sigmoid(margin + CLEAR_MARGIN_PER_EFOLD * float(np.log(max(rows, CLEAR_MARGIN_ROWS) / CLEAR_MARGIN_ROWS)))
 
 
 def middle_threshold(
@@ -168,12 +170,12 @@ def middle_threshold(
     fits in part. Where too few rows stand clearly above the list it is the highest, and nothing is found.
     """
     least = relevancy_threshold(relevancy, peak, clear_margin)
-    if least != LEVEL or not len(relevancy):
+    if least != LIST_RELEVANCY or not len(relevancy):
         return least
-    worse = np.sort(relevancy[relevancy < LEVEL])
+    worse = np.sort(relevancy[relevancy < LIST_RELEVANCY])
     middle = float(_margin(worse[[(len(worse) - 1) // 2, len(worse) // 2]]).mean()) if len(worse) else 0.0
-    height = float(_margin(np.array(peak_score(relevancy, max(peak, round(TOP * len(relevancy)))))))
-    return _sigmoid(OWN * (middle + UPPER * (height - middle)))
+    height = float(_margin(np.array(peak_score(relevancy, max(peak, round(LARGE_SCENE_PEAK_SHARE * len(relevancy)))))))
+    return _sigmoid(OWN_THRESHOLD_SHARE * (middle + WAY_TO_PEAK_SHARE * (height - middle)))
 
 
 def _margin(relevancy: Float[np.ndarray, "*any"]) -> Float64[np.ndarray, "*any"]:
@@ -182,7 +184,7 @@ def _margin(relevancy: Float[np.ndarray, "*any"]) -> Float64[np.ndarray, "*any"]
     return np.asarray(np.log(inside / (1 - inside)))
 
 
-def usual_pictures(field: LanguageField, most: int = SAMPLES) -> Float32[np.ndarray, "s D"]:
+def usual_pictures(field: LanguageField, most: int = MAX_USUAL_PICTURES) -> Float32[np.ndarray, "s D"]:
     """Return embeddings of masks spread over the photos; where they were not kept, features of Gaussians."""
     evidence = field.evidence
     count = len(field) if evidence is None else len(evidence.embeddings)
@@ -190,7 +192,7 @@ def usual_pictures(field: LanguageField, most: int = SAMPLES) -> Float32[np.ndar
     return field.feature(rows) if evidence is None else np.asarray(evidence.embeddings[rows])
 
 
-_LAST: "WeakKeyDictionary[LanguageField, Contrast]" = WeakKeyDictionary()
+_LAST_CONTRASTS: "WeakKeyDictionary[LanguageField, Contrast]" = WeakKeyDictionary()
 
 
 def _contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], threads: int) -> Contrast:
@@ -203,8 +205,8 @@ def _contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], threads
 def _usual(
     pictures: Float32[np.ndarray, "s D"], vectors: Float32[np.ndarray, "n D"]
 ) -> tuple[Float32[np.ndarray, " D"], float]:
-    """Return the mean picture times TILT, and the unit of margins."""
-    return (TILT * pictures.mean(0, dtype=np.float64)).astype(np.float32), _spread(pictures @ vectors.T)
+    """Return the mean picture times USUAL_COSINE_SHARE, and the unit of margins."""
+    return (USUAL_COSINE_SHARE * pictures.mean(0, dtype=np.float64)).astype(np.float32), _spread(pictures @ vectors.T)
 
 
 def _best_words(
@@ -214,14 +216,14 @@ def _best_words(
     threads: int = 1,
 ) -> tuple[Float32[np.ndarray, "r t"], UInt16[np.ndarray, "r t"]]:
     """Return the best words. runs: rows, and what gives the cosines (c, r) of some words with them."""
-    kept = min(len(vectors), max(1, round(len(vectors) / CROWD)) + SPARE)
+    kept = min(len(vectors), max(1, round(len(vectors) / WORDS_PER_RIVAL)) + SPARE_WORDS)
     rows = runs[-1][0].stop
     scores, words = scratch((kept, rows), np.float32), scratch((kept, rows), np.uint16)
     for run, score in runs:
         shape = kept, run.stop - run.start
         own, names = np.full(shape, -np.inf, np.float32), np.zeros(shape, np.uint16)
-        for begin in range(0, len(vectors), CHUNK):
-            some = vectors[begin : begin + CHUNK]
+        for begin in range(0, len(vectors), WORDS_AT_ONCE):
+            some = vectors[begin : begin + WORDS_AT_ONCE]
             keep_best(own, names, score(some) - (some @ usual)[:, None], begin, threads=threads)
         scores[:, run], words[:, run] = own, names
         release(scores, words)
@@ -241,4 +243,4 @@ def _spread(cosines: Float64[np.ndarray, "s n"] | Float32[np.ndarray, "s n"]) ->
     left = cosines - cosines.mean(0)
     if left.shape[1] > 1:
         left = left - left.mean(1, keepdims=True)
-    return max(float(left.std()), LEAST_SPREAD)
+    return max(float(left.std()), MIN_SPREAD)

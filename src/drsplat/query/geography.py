@@ -7,7 +7,7 @@ import numpy as np
 from ..base.arrays import Float64
 from ..formats.georeference import Georeference
 
-SIGNS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
+CORNER_SIGNS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
 DEGREE_DECIMALS, HEIGHT_DECIMALS = 9, 4  # a ten-thousandth of a metre
 
 
@@ -24,7 +24,7 @@ def earth_document(
     """
     if georeference is None:
         return {}
-    corners = center + SIGNS * extent / 2 @ axes
+    corners = center + CORNER_SIGNS * extent / 2 @ axes
     local = corners @ georeference.enu_from_world.T
     outline = hull(local[:, :2])
     ring = local[[*outline, outline[0]]]

@@ -7,14 +7,14 @@ from scipy.spatial import cKDTree
 
 from ..base.arrays import Float64, Int64, Integer
 
-NEIGHBOURS = 8
-BORDER = 0.5
+NUM_NEIGHBOURS = 8
+MIN_NEAR_SHARE = 0.5  # of what is joined to an object as its border
 LINK_FACTOR = 3.0  # links of up to this many typical spacings hold a thing together
 
 
 def components(points: Float64[np.ndarray, "n 3"], link_distance: float | None) -> Int64[np.ndarray, " n"]:
     """Label each point: those joined by steps of at most the link distance (None: typical spacings) share a label."""
-    k = min(NEIGHBOURS, len(points) - 1)
+    k = min(NUM_NEIGHBOURS, len(points) - 1)
     distances, neighbours = cKDTree(points).query(points, k=k + 1)
     reach = link_distance or _reach(distances)
     near = distances[:, 1:] <= reach
@@ -30,11 +30,11 @@ def join_to_held(
     """Give loose places of which half lies at an object that was selected as well its number: they are its border."""
     tree = cKDTree(points[held])
     distances, nearest = tree.query(points[loose])
-    among = min(NEIGHBOURS, len(held) - 1) + 1
+    among = min(NUM_NEIGHBOURS, len(held) - 1) + 1
     near = distances <= (link_distance or _reach(tree.query(points[held], among)[0]))
     _, component = np.unique(places[loose], return_inverse=True)
     share = np.bincount(component, near) / np.bincount(component)
-    joins = near & (share[component] >= BORDER)
+    joins = near & (share[component] >= MIN_NEAR_SHARE)
     for number in np.unique(component[joins]):
         of = np.bincount(places[held[nearest[joins & (component == number)]]])
         places[loose[component == number]] = of.argmax()

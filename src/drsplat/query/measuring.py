@@ -17,11 +17,20 @@ from .contrast import Contrast, contrast, contrast_of_kind, middle_threshold, re
 from .defaults import AUTO, COSINE, DEFAULT, ENCODER, GIVEN, LIST, RELEVANCY, RELEVANCY_THRESHOLD, SHARE
 from .naming import doubt_of
 from .query import Cut, Query
-from .search import CHUNK, LOWEST, NEGATIVES, embed_query, rival_scores, split_negation, text_negatives, without
+from .search import (
+    NEGATIVES,
+    QUERIES_AT_ONCE,
+    UNSELECTED_COSINE,
+    embed_query,
+    rival_scores,
+    split_negation,
+    text_negatives,
+    without,
+)
 from .thresholds import PEAK, default_threshold, peak_score, share_threshold
 from .wholes import by_object
 
-HALF = 0.6  # of the 40th highest cosine: half of what is asked for, and some more
+HALF_FIT_SHARE = 0.6  # of the 40th highest cosine; half, and some more
 
 _Default = tuple[float | None, str]
 
@@ -133,8 +142,8 @@ class Measuring:
     def of_texts(self, texts: Sequence[str]) -> Iterator[Answer]:
         """Answer each of several texts, scored several at a time."""
         field, encoder = self._field, self.background.encoder
-        for begin in range(0, len(texts), CHUNK):
-            split = [split_negation(text) for text in texts[begin : begin + CHUNK]]
+        for begin in range(0, len(texts), QUERIES_AT_ONCE):
+            split = [split_negation(text) for text in texts[begin : begin + QUERIES_AT_ONCE]]
             queries = [embed_query(encoder, field, wanted) for wanted, _ in split]
             scores = field.scores(np.stack(queries), threads=self.background.threads)
             for (wanted, unwanted), query, own in zip(split, queries, scores, strict=True):
@@ -169,9 +178,9 @@ class Measuring:
             return answer
         background = self.background
         rivals = rival_scores(self._field, background.encoder, wanted, unwanted, threads=background.threads)
-        left = without(by_object(self._field, scores), by_object(self._field, rivals)) == LOWEST
+        left = without(by_object(self._field, scores), by_object(self._field, rivals)) == UNSELECTED_COSINE
         values = np.where(left, np.float32(answer.lowest), answer.values)
-        return replace(answer, values=values, scores=np.where(left, np.float32(LOWEST), scores))
+        return replace(answer, values=values, scores=np.where(left, np.float32(UNSELECTED_COSINE), scores))
 
     def _of_words(
         self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"], text: str | None
@@ -277,7 +286,7 @@ def lower_partial_fits(
     """
     if not len(scores):
         return values
-    half = scores <= HALF * peak_score(scores, peak)
+    half = scores <= HALF_FIT_SHARE * peak_score(scores, peak)
     return np.where(half, np.minimum(values, np.float32(RELEVANCY_THRESHOLD)), values)
 
 

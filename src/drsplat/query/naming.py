@@ -13,12 +13,12 @@ from ..photos.models.mini import MiniEncoder
 from ..photos.models.mini.lexicon import COLORS, NAMES, STRUCTURES, nouns_in
 from ..photos.models.word_list import list_vectors
 from ..scene.encoders import Encoder
-from .contrast import LEAST_SPREAD, NEAR, TILT, usual_pictures
+from .contrast import MIN_SPREAD, SAME_MEANING_COSINE, USUAL_COSINE_SHARE, usual_pictures
 
 SAMPLED_ROWS = 1000
-NAMED_AGAINST = 1024  # pictures of the scene that say what is usual
-SURE, SURE_COLOR = 0.5, 1.0  # margins of a word that things are called by, in standard deviations
-ONLY_COLORS = (
+MAX_USUAL_PICTURES = 1024
+SURE_MARGIN, SURE_COLOR_MARGIN = 0.5, 1.0  # standard deviations of a word that things are called by
+ONLY_COLORS_DOUBT = (
     "the built-in encoder learnt nouns from made-up rooms and this scene looks unlike them, so only its colours can be "
     "trusted ('something red'): for names embed the photos with SAM and CLIP (`drsplat embed CAPTURE`), then register"
 )
@@ -42,7 +42,7 @@ def doubt_of(encoder: Encoder, field: LanguageField, text: str | None = None) ->
     """Return the reason not to believe the nouns of a text, or of names, in a scene; "" if there is none."""
     if text is not None and not nouns_in(text):
         return ""
-    return "" if knows_nouns(encoder, field) else ONLY_COLORS
+    return "" if knows_nouns(encoder, field) else ONLY_COLORS_DOUBT
 
 
 def own_vocabulary(encoder: Encoder, field: LanguageField) -> tuple[str, ...] | None:
@@ -79,13 +79,15 @@ def object_names(
         return [None] * len(nodes)
     field.check_encoder(encoder.identity)
     firsts = [objects.descriptors_of(node)[:1] for node in nodes]
-    seen = _Seen(usual_pictures(field, NAMED_AGAINST), np.concatenate(firsts), [len(first) > 0 for first in firsts])
+    seen = _Seen(
+        usual_pictures(field, MAX_USUAL_PICTURES), np.concatenate(firsts), [len(first) > 0 for first in firsts]
+    )
     if isinstance(encoder, MiniEncoder) and not words:
         return _household_names(encoder, seen, knows_nouns(encoder, field))
     texts = tuple(words) or own_vocabulary(encoder, field)
     if not texts:
         return [None] * len(nodes)
-    return _sure_texts(encoder, seen, texts, SURE, list_vectors(encoder) if words else None)
+    return _sure_texts(encoder, seen, texts, SURE_MARGIN, list_vectors(encoder) if words else None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,9 +106,9 @@ def _household_names(encoder: MiniEncoder, seen: _Seen, nouns: bool) -> list[str
     """
     texts = [f"something {color}" for color in COLORS]
     if not nouns:
-        return _sure_texts(encoder, seen, texts, SURE_COLOR)
-    paints = _sure(seen, texts, encoder.taught_colors, encoder.taught_colors, SURE_COLOR)
-    names = _sure_texts(encoder, seen, encoder.nouns, SURE)
+        return _sure_texts(encoder, seen, texts, SURE_COLOR_MARGIN)
+    paints = _sure(seen, texts, encoder.taught_colors, encoder.taught_colors, SURE_COLOR_MARGIN)
+    names = _sure_texts(encoder, seen, encoder.nouns, SURE_MARGIN)
     return [
         f"{paint.removeprefix('something ')} {name}" if paint and name in NAMES else name or paint
         for name, paint in zip(names, paints, strict=True)
@@ -143,15 +145,15 @@ def _sure_words(
     in standard deviations of cosines of words and pictures once the means of both are off, as of `Contrast.spread`.
     """
     cosines = seen.pictures @ every.T
-    scores = seen.rows @ every.T - np.float32(TILT) * cosines.mean(0)
+    scores = seen.rows @ every.T - np.float32(USUAL_COSINE_SHARE) * cosines.mean(0)
     best = scores[:, : len(vectors)].argmax(1)
     centered = every - every.mean(0, dtype=np.float64)
     centered /= np.maximum(np.linalg.norm(centered, axis=1, keepdims=True), 1e-12)
-    alike = (centered[best] @ centered.T > NEAR) | (vectors[best] @ every.T > 1 - 1e-5)
+    alike = (centered[best] @ centered.T > SAME_MEANING_COSINE) | (vectors[best] @ every.T > 1 - 1e-5)
     others = np.where(alike, -np.inf, scores).max(1)
     cosines -= cosines.mean(0)
     cosines -= cosines.mean(1, keepdims=True)
-    margins = (scores[np.arange(len(best)), best] - others) / max(float(cosines.std()), LEAST_SPREAD)
+    margins = (scores[np.arange(len(best)), best] - others) / max(float(cosines.std()), MIN_SPREAD)
     words: list[int] = np.where(margins >= least, best, -1).tolist()
     return words
 

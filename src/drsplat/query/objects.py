@@ -11,7 +11,7 @@ from ..field.evidence.evidence import Explanation
 from ..field.forest import Objects
 from .answer import Answer, Match
 
-SUPPORT = 3  # masks listed for an object
+MAX_SUPPORT_MASKS = 3  # listed for an object
 
 
 def objects_of(field: LanguageField) -> Objects:
@@ -48,7 +48,7 @@ def match_of(field: LanguageField, node: int, label: str | None = None) -> Match
         objects.extents[node],
         float(objects.sure[node]),
         field.gaussian_ids[rows].astype(np.int64),
-        tuple(support_of(field, node))[:SUPPORT],
+        tuple(support_of(field, node))[:MAX_SUPPORT_MASKS],
         number if number >= 0 and objects.things[number] == node else None,
         label,
     )

@@ -28,10 +28,10 @@ from .scene import Scene
 
 S = TypeVar("S", bound=Gaussians | Moving | Tiles)
 
-EDITS = ".edits.json"  # of NAME.ply, NAME.edits.json: a scene that people work on
-COPIES = (".glb", ".gltf", ".usda", ".usdc", ".usdz")
+EDITS_ENDING = ".edits.json"  # of NAME.ply, NAME.edits.json: a scene that people work on
+COPY_ENDINGS = (".glb", ".gltf", ".usda", ".usdc", ".usdz")
 """Suffixes of files with the same rows that `drsplat export` writes; what people trained is another file."""
-CAMERAS = ("sparse", "transforms.json", "cameras.json", "colmap", ADDED_POSES)
+CAMERA_FILES = ("sparse", "transforms.json", "cameras.json", "colmap", ADDED_POSES)
 
 
 @dataclass(frozen=True)
@@ -76,13 +76,13 @@ def find_scene(folder: str | PathLike[str]) -> SceneFiles:
     scenes = [path for path in entries if _is_folder_of_a_scene(path)] + scenes
     if (folder / "point_cloud").is_dir():
         scenes.append(folder)
-    edited = {path.name.removesuffix(EDITS) for path in entries if path.name.endswith(EDITS)}
+    edited = {path.name.removesuffix(EDITS_ENDING) for path in entries if path.name.endswith(EDITS_ENDING)}
     # what was saved of a scene lies beside it with the same rows
-    scenes.sort(key=lambda path: (path.stem not in edited, path.suffix.lower() in COPIES, _is_edited(path)))
+    scenes.sort(key=lambda path: (path.stem not in edited, path.suffix.lower() in COPY_ENDINGS, _is_edited(path)))
     if not scenes:
         kinds = f"{', '.join(SCENE_SUFFIXES)}, a folder NAME.motion, one of numbered PLY files, or one of tiles"
         raise InputError(f"{folder}: expected a scene ({kinds}) beside the field")
-    has_capture = any((folder / camera).exists() for camera in CAMERAS)
+    has_capture = any((folder / camera).exists() for camera in CAMERA_FILES)
     return SceneFiles(name, fields[0], tuple(scenes), folder if has_capture else None)
 
 

@@ -25,8 +25,8 @@ from .search import NEGATIVES, embed_query, split_negation
 from .thresholds import automatic_threshold, threshold_above
 
 MIN_OBJECTS = 1  # object that fits is enough
-CUT_OF_OBJECTS = 0.8  # of the way to the peak: values of whole objects are further apart than those of Gaussians
-LEAST_OF_OBJECTS = 0.35  # relevancy of a whole thing: some of its Gaussians fit no better than any word
+OBJECT_CUT_SHARE = 0.8  # of the way to the peak: values of whole objects are further apart than those of Gaussians
+MIN_OBJECT_RELEVANCY = 0.35  # some of its Gaussians fit no better than any word
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +133,7 @@ class Surroundings:
             return values, RELEVANCY, RELEVANCY_THRESHOLD, DEFAULT
         own = own_threshold(self.encoder) if query.text is not None else None
         if own is not None:
-            return cosines, COSINE, threshold_above(cosines, own, CUT_OF_OBJECTS, peak=MIN_OBJECTS), ENCODER
+            return cosines, COSINE, threshold_above(cosines, own, OBJECT_CUT_SHARE, peak=MIN_OBJECTS), ENCODER
         text = None if query.text is None else split_negation(query.text)[0]
         known = None if text is None else self._contrast_for(text)
         contrasted = None if known is None else self._contrasted(known, vector, objects, cosines)
@@ -167,12 +167,12 @@ class Surroundings:
             return least
         if cosines.max() <= least_peak(self.encoder, known, MIN_OBJECTS):
             return float(values.max())
-        return threshold_above(values, LEAST_OF_OBJECTS, CUT_OF_OBJECTS, peak=MIN_OBJECTS)
+        return threshold_above(values, MIN_OBJECT_RELEVANCY, OBJECT_CUT_SHARE, peak=MIN_OBJECTS)
 
     def _automatic(self, vector: Float32[np.ndarray, " D"], cosines: Float32[np.ndarray, " o"]) -> float:
         """Return a threshold between what objects usually reach and the best."""
         known = np.concatenate([self.usual @ vector, cosines])
-        return automatic_threshold(known, CUT_OF_OBJECTS, peak=MIN_OBJECTS) if len(known) else 0.0
+        return automatic_threshold(known, OBJECT_CUT_SHARE, peak=MIN_OBJECTS) if len(known) else 0.0
 
     def _excluded(self, query: Query, objects: Described, cosines: Float32[np.ndarray, " o"]) -> Bool[np.ndarray, " o"]:
         """Return objects that the text with an excluded word before it fits as well: "red mug", of "mug, not red"."""

@@ -22,9 +22,9 @@ OfTwo = Literal["on", "in", "next_to", "above", "left_of", "right_of"]  # what `
 SIDES: tuple[Side, ...] = get_args(Side)
 Up = Float64[np.ndarray, " 3"]
 
-INSIDE = 0.5  # of an object's Gaussians, in the box of what it is in
-SECTORS, WALLED = 16, 12  # directions around an object, and in how many there is a wall of what it is in
-BESIDE = 0.1  # of the lower one's height, that objects next to each other share
+MIN_INSIDE_SHARE = 0.5  # of an object's Gaussians in the box of what it is in
+NUM_SECTORS, MIN_WALLED_SECTORS = 16, 12  # around an object; with a wall of what it is in
+MIN_COMMON_HEIGHT_SHARE = 0.1  # of the lower of two objects next to each other
 _Holds = Callable[[AnyGaussians, Match, Match, Up], bool]
 
 
@@ -69,15 +69,15 @@ def lies_in(gaussians: AnyGaussians, thing: Match, container: Match, up: Up) -> 
     if np.linalg.norm(thing.extent) >= np.linalg.norm(container.extent):
         return False
     local = (points - container.center) @ container.axes.T
-    if (np.abs(local) <= container.extent / 2).all(axis=1).mean() < INSIDE:
+    if (np.abs(local) <= container.extent / 2).all(axis=1).mean() < MIN_INSIDE_SHARE:
         return False
     foot, head = np.quantile(points @ up, (0.02, 0.98))
     heights = walls @ up
     around = (walls - points.mean(axis=0))[(heights >= foot) & (heights <= head)]
     east = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     angles = np.arctan2(around @ np.cross(up, east), around @ east)
-    sectors = np.floor((angles / (2 * np.pi) + 0.5) * SECTORS).astype(int) % SECTORS
-    return len(np.unique(sectors)) >= WALLED
+    sectors = np.floor((angles / (2 * np.pi) + 0.5) * NUM_SECTORS).astype(int) % NUM_SECTORS
+    return len(np.unique(sectors)) >= MIN_WALLED_SECTORS
 
 
 def lies_above(gaussians: AnyGaussians, thing: Match, other: Match, up: Up) -> bool:
@@ -91,7 +91,7 @@ def lies_next_to(gaussians: AnyGaussians, thing: Match, other: Match, up: Up) ->
     """Return True if two things are beside each other, nearer than the mean of their boxes' longest sides."""
     (low, high), (foot, head) = (_heights(gaussians, one, up) for one in (thing, other))
     shared = min(high, head) - max(low, foot)
-    if shared < BESIDE * min(high - low, head - foot):
+    if shared < MIN_COMMON_HEIGHT_SHARE * min(high - low, head - foot):
         return False
     reach = float(thing.extent.max() + other.extent.max()) / 2
     apart = not any(

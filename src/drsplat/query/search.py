@@ -16,8 +16,8 @@ from .encoding import Embedded
 
 NEGATIVES = ("object", "things", "stuff", "texture")
 
-LOWEST = -1.0  # a cosine that no threshold selects
-CHUNK = 8  # queries whose scores are held at once
+UNSELECTED_COSINE = -1.0  # which no threshold selects
+QUERIES_AT_ONCE = 8  # whose scores are held
 _BUT_NOT = re.compile(r"\s*,\s*(?:(?:and|but)\s+)?not(?:\s+|$)|\s+but\s+not(?:\s+|$)", re.IGNORECASE)
 
 
@@ -66,8 +66,8 @@ def rival_scores(
 
 
 def without(scores: Float32[np.ndarray, " r"], rivals: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
-    """Return the scores, LOWEST where a rival fits as well or better."""
-    return np.asarray(np.where(rivals >= scores, np.float32(LOWEST), scores))
+    """Return the scores, UNSELECTED_COSINE where a rival fits as well or better."""
+    return np.asarray(np.where(rivals >= scores, np.float32(UNSELECTED_COSINE), scores))
 
 
 def row_of(field: LanguageField, gaussian_id: int) -> int:

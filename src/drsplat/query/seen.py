@@ -18,9 +18,9 @@ from ..scene.parted import AnyGaussians
 from ..scene.significance import most_significant
 from ..scene.views import View
 
-SAMPLED = 1000  # Gaussians whose mean is a place
-MOST_COMPARED = 6  # views, to find the one that shows most of something
-MOST_SEEN = 3_000_000  # Gaussians of tiles in one picture: 0.9 GB with harmonics of degree 3
+SAMPLED_GAUSSIANS = 1000  # whose mean is the place of a thing
+MAX_VIEWS_COMPARED = 6  # to find the one that shows most of something
+MAX_GAUSSIANS_SEEN = 3_000_000  # of tiles, in one picture: 0.9 GB with harmonics of degree 3
 
 
 class Seen(NamedTuple):
@@ -40,7 +40,8 @@ class Seen(NamedTuple):
         if self.num_left_out:
             warnings.warn(
                 f"view '{view.name}' may see {len(self.gaussians) + self.num_left_out:,} Gaussians, and a picture of "
-                f"tiles has room for {MOST_SEEN:,}: of far tiles the most significant are drawn; look from nearer",
+                f"tiles has room for {MAX_GAUSSIANS_SEEN:,}: of far tiles the most significant are drawn; look from "
+                "nearer",
                 DrSplatWarning,
                 stacklevel=3,
             )
@@ -55,14 +56,14 @@ class Seen(NamedTuple):
         return np.asarray(places[here], np.int64)
 
 
-def seen_of_tiles(tiles: Tiles, view: View, most: int = MOST_SEEN) -> Seen:
+def seen_of_tiles(tiles: Tiles, view: View, most: int = MAX_GAUSSIANS_SEEN) -> Seen:
     """Return the Gaussians of all tiles that a view may see; of more than `most`, those of far tiles thinned out.
 
     Raises: FormatError: a tile is damaged or missing.
     """
     chosen = [tiles.tiles[number] for number in np.flatnonzero(seen_tiles(tiles, view, tiles.near))]
     rooms = _rooms(tiles, chosen, view, most)
-    parts, rows = [_NOTHING], [np.empty(0, np.int64)]
+    parts, rows = [_NO_GAUSSIANS], [np.empty(0, np.int64)]
     for tile in chosen:
         part = tiles.tile(tile)
         kept = most_significant(part, rooms[tile.name])
@@ -118,12 +119,14 @@ def views_showing(
     """
     own = field.rows_of(ids)
     if field.evidence is None or not (own >= 0).any():
-        return _near_views(views, rows.shapes_of(ids[:: len(ids) // SAMPLED + 1]).positions.mean(axis=0))
+        return _near_views(views, rows.shapes_of(ids[:: len(ids) // SAMPLED_GAUSSIANS + 1]).positions.mean(axis=0))
     masks = field.evidence.masks
     weights = field.evidence.column_sums(np.unique(own[own >= 0]))
     shown = np.bincount(masks.views, weights, minlength=len(masks.view_names))
-    names = {masks.view_names[view] for view in np.argsort(-shown, kind="stable")[:MOST_COMPARED] if shown[view] > 0}
-    return [view for view in views if view.name in names] or list(views[:MOST_COMPARED])
+    names = {
+        masks.view_names[view] for view in np.argsort(-shown, kind="stable")[:MAX_VIEWS_COMPARED] if shown[view] > 0
+    }
+    return [view for view in views if view.name in names] or list(views[:MAX_VIEWS_COMPARED])
 
 
 def _near_views(views: Sequence[View], place: Float64[np.ndarray, " 3"]) -> list[View]:
@@ -135,10 +138,10 @@ def _near_views(views: Sequence[View], place: Float64[np.ndarray, " 3"]) -> list
     wide, high = np.array([(view.width, view.height) for view in views]).T
     inside = (local[:, 2] > 0) & (x >= 0) & (x <= wide) & (y >= 0) & (y <= high)
     order = np.lexsort((np.linalg.norm(local, axis=1), ~inside))
-    return [views[number] for number in order[:MOST_COMPARED].tolist()]
+    return [views[number] for number in order[:MAX_VIEWS_COMPARED].tolist()]
 
 
-_NOTHING = Gaussians(
+_NO_GAUSSIANS = Gaussians(
     np.empty((0, 3), np.float32), np.empty((0, 4), np.float32), np.empty((0, 3), np.float32),
     np.empty(0, np.float32), np.empty((0, 1, 3), np.float32),
 )  # fmt: skip

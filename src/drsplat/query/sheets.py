@@ -6,7 +6,7 @@ import numpy as np
 
 from ..base.terminal import counted
 from ..drawing.cards import Card, card_sheet
-from ..drawing.cutouts import TILE_PX, cut_out
+from ..drawing.cutouts import TILE_PIXELS, cut_out
 from ..drawing.heat import heat_of
 from ..drawing.pictures import (
     OtherPixels,
@@ -26,15 +26,15 @@ from .objects import objects_of, photos_of
 from .query import Query
 from .scene import Scene
 
-AT_ONCE = 16  # objects whose photos are compared together
-LOOKED_AT = 3  # photos of each, those that show most of it
-COLUMNS = 6
-MOST = 60  # objects on a sheet
-MOST_ATTRIBUTES, ATTRIBUTE_SIDE = 12, 640  # pictures in a row; pixels of their longer side
+OBJECTS_AT_ONCE = 16  # whose photos are compared together
+MAX_PHOTOS_PER_OBJECT = 3  # those that show most of it
+SHEET_COLUMNS = 6
+MAX_OBJECTS = 60  # on a sheet
+MAX_ATTRIBUTES, ATTRIBUTE_SIDE_PIXELS = 12, 640  # pictures in a row; their longer side
 
 
 def object_picture(
-    scene: Scene, match: Match, view: View | None = None, size: tuple[int, int] = TILE_PX
+    scene: Scene, match: Match, view: View | None = None, size: tuple[int, int] = TILE_PIXELS
 ) -> OtherPixels:
     """Cut an object out of a photo of it, or of a rendering where there is no photo. view: None for the best one.
 
@@ -57,9 +57,9 @@ def object_views(scene: Scene, matches: Sequence[Match]) -> list[View]:
     """
     scene.best_view()  # or the error that says what is missing
     found: list[View] = []
-    for begin in range(0, len(matches), AT_ONCE):
-        some = matches[begin : begin + AT_ONCE]
-        named = {name for match in some for name in _photos(scene, match)[:LOOKED_AT]}
+    for begin in range(0, len(matches), OBJECTS_AT_ONCE):
+        some = matches[begin : begin + OBJECTS_AT_ONCE]
+        named = {name for match in some for name in _photos(scene, match)[:MAX_PHOTOS_PER_OBJECT]}
         views = [view for view in scene.views if view.name in named] or list(scene.views)
         found += scene.best_views([one.gaussian_ids for one in some], views)
     return found
@@ -74,14 +74,14 @@ def object_sheet(scene: Scene, matches: Sequence[Match], names: Sequence[str | N
     """
     if not matches:
         raise InputError("this field has no object to draw")
-    shown = list(matches[:MOST])
+    shown = list(matches[:MAX_OBJECTS])
     cards = [
         Card(object_picture(scene, match, view), name or f"object {match.object_id}", _notes(match, view))
         for match, view, name in zip(shown, object_views(scene, shown), names, strict=False)
     ]
     largest = f"The {len(shown)} largest of " if len(shown) < len(matches) else ""
     heading = f"{largest}{counted(len(matches), 'object')} of {scene.name or 'the scene'}"
-    return card_sheet(cards, COLUMNS, heading, "Largest first. Lengths of the boxes in scene units.")
+    return card_sheet(cards, SHEET_COLUMNS, heading, "Largest first. Lengths of the boxes in scene units.")
 
 
 def _notes(match: Match, view: View) -> list[str]:
@@ -100,9 +100,9 @@ def attribute_row(
 
     Raises: InputError: no words or too many, none that the encoder knows, no views.
     """
-    if not 1 <= len(attributes) <= MOST_ATTRIBUTES:
-        raise InputError(f"attributes: expected 1 to {MOST_ATTRIBUTES} words, got {len(attributes)}")
-    view = (view or scene.best_view(match.gaussian_ids)).limited(ATTRIBUTE_SIDE)
+    if not 1 <= len(attributes) <= MAX_ATTRIBUTES:
+        raise InputError(f"attributes: expected 1 to {MAX_ATTRIBUTES} words, got {len(attributes)}")
+    view = (view or scene.best_view(match.gaussian_ids)).limited(ATTRIBUTE_SIDE_PIXELS)
     own = scene.seen(view)
     ids = own.local(match.gaussian_ids)
     shown = visible_share(own.gaussians, view, ids, splats=own.splats, threads=scene.threads)

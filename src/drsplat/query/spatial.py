@@ -15,7 +15,7 @@ from .query import Query
 from .scene import Scene
 from .tasks import sure_matches
 
-REACH = 0.05  # of its size: how far the middle of a thing may stand out of what it is over
+MAX_OVERHANG_SHARE = 0.05  # of a thing's size, that its middle may stand out of what it is over
 
 
 def gap(gaussians: AnyGaussians, one: Match, other: Match) -> float:
@@ -53,7 +53,7 @@ def is_over(
     flat = np.eye(3) - np.outer(up, up)
     size = float(np.linalg.norm(np.ptp(below @ flat, axis=0)))
     distance = cKDTree(below @ flat).query(above.mean(0) @ flat)[0]
-    return bool(distance <= REACH * size)
+    return bool(distance <= MAX_OVERHANG_SHARE * size)
 
 
 def solid_centers(gaussians: AnyGaussians, thing: Match) -> Float64[np.ndarray, "n 3"]:

@@ -9,7 +9,7 @@ from ..errors import InputError
 from ..field import LanguageField
 from ..field.evidence.evidence import Explanation
 from .answer import Answer, Match
-from .objects import SUPPORT, objects_of, support_of
+from .objects import MAX_SUPPORT_MASKS, objects_of, support_of
 
 
 def supporting_masks(
@@ -44,7 +44,7 @@ def support_in(match: Match, answer: Answer) -> tuple[Explanation, ...]:
     """Return the masks that support a match of an answer: those of its query, or of the object that it is."""
     field = answer.field
     if answer.vector is None and match.object_id is not None:
-        return tuple(islice(support_of(field, objects_of(field).thing(match.object_id)), SUPPORT))
+        return tuple(islice(support_of(field, objects_of(field).thing(match.object_id)), MAX_SUPPORT_MASKS))
     if field.evidence is None or answer.vector is None:
         return ()
-    return tuple(supporting_masks(field, match.gaussian_ids, answer.vector, top=SUPPORT))
+    return tuple(supporting_masks(field, match.gaussian_ids, answer.vector, top=MAX_SUPPORT_MASKS))

@@ -16,7 +16,7 @@ from .defaults import MIN_GAUSSIANS
 
 NO_CLASS = -1
 MASS_POWER = 0.1  # ten times the mass weighs as much as a score that is 1.26 times as high
-SURE = 0.85  # share of the best match's rank from which on another is meant as well
+SURE_RANK_SHARE = 0.85  # of the best match's rank: from it on another is meant as well
 
 
 def locate(
@@ -69,7 +69,7 @@ def sure_matches(matches: Sequence[Match], gaussians: AnyGaussians) -> list[Matc
     """Return the matches whose rank is near that of the best, in their order: those that a query certainly means."""
     ranks = [rank(match, gaussians) for match in matches]
     best = max(ranks, default=0.0)
-    return [match for match, own in zip(matches, ranks, strict=True) if own >= min(SURE * best, best)]
+    return [match for match, own in zip(matches, ranks, strict=True) if own >= min(SURE_RANK_SHARE * best, best)]
 
 
 def _places(answer: Answer, selected: Gaussians, link_distance: float | None) -> Int64[np.ndarray, " m"]:

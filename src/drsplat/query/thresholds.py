@@ -10,7 +10,7 @@ from ..base.arrays import Float
 from ..errors import InputError
 
 PEAK = 40  # rows: a thing of fewer is a speck
-CUT = 0.6  # of the way to the peak: from the median, or from 0
+CUT_SHARE = 0.6  # of the way to the peak: from the median, or from 0
 
 Scores = Float[np.ndarray, " r"]
 
@@ -24,7 +24,7 @@ def peak_score(scores: Scores, peak: int = PEAK) -> float:
     return _largest(scores, min(peak, len(scores)))
 
 
-def automatic_threshold(scores: Scores, cut: float = CUT, *, peak: int = PEAK) -> float:
+def automatic_threshold(scores: Scores, cut: float = CUT_SHARE, *, peak: int = PEAK) -> float:
     """Return `cut` of the way from the median to the peak, the highest score where the peak is no higher than it.
 
     Raises: InputError: no scores, or some that are not finite.
@@ -33,12 +33,12 @@ def automatic_threshold(scores: Scores, cut: float = CUT, *, peak: int = PEAK) -
     return float(middle + cut * (height - middle)) if height > middle else float(scores.max())
 
 
-def default_threshold(cosines: Scores, least: float | None, cut: float = CUT) -> float:
+def default_threshold(cosines: Scores, least: float | None, cut: float = CUT_SHARE) -> float:
     """Return a threshold of cosines: by `least`, the encoder's own threshold, or, without one, automatic."""
     return automatic_threshold(cosines, cut) if least is None else threshold_above(cosines, least, cut)
 
 
-def threshold_above(scores: Scores, least: float, cut: float = CUT, *, peak: int = PEAK) -> float:
+def threshold_above(scores: Scores, least: float, cut: float = CUT_SHARE, *, peak: int = PEAK) -> float:
     """Return `least`, an encoder's own threshold, or `cut` of the peak where that is higher.
 
     For scores of which 0 means "as well as not": what answers half of a query ("red", of "red mug") is left out

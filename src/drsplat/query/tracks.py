@@ -23,10 +23,10 @@ from .relations import RELATIONS, SIDES, Relation, Side, Up, is_beside, related
 from .scene import Scene
 from .tasks import sure_matches
 
-THERE = 0.1  # of the Gaussians that a match has where it has most: with fewer it is not there
-MOST_MEANT = 8  # matches of a query whose relations are examined
-NUM_CACHED = 2  # scenes of a time, and of a span, that are held
-SLIVER = 0.01  # of what the best photo shows of a match: a photo with less does not see it
+MIN_PRESENT_SHARE = 0.1  # of the Gaussians that a match has where it has most
+MAX_MATCHES_RELATED = 8  # of a query
+MAX_CACHED_SCENES = 2  # of a time, and of a span
+MIN_SHOWN_SHARE = 0.01  # of what the best photo shows of a match
 
 
 def tracks(moving: Moving, field: LanguageField, matches: Sequence[Match], up: Up | None = None) -> list[MatchTrack]:
@@ -43,7 +43,7 @@ def tracks(moving: Moving, field: LanguageField, matches: Sequence[Match], up: U
             ids = match.gaussian_ids
             counts[row, column] = np.count_nonzero(gaussians.opacities[ids] >= HAZE_OPACITY)
             boxes[row].append(tuple(box_of(gaussians, solid(gaussians, ids), up)))
-    there = counts >= THERE * counts.max(axis=1, keepdims=True, initial=1)
+    there = counts >= MIN_PRESENT_SHARE * counts.max(axis=1, keepdims=True, initial=1)
     there |= (counts.max(axis=1, initial=0) == 0)[:, None]  # haze at all times: it is what there is
     return [
         _track(match, moving.times, found, own, field) for match, found, own in zip(matches, boxes, there, strict=True)
@@ -72,7 +72,7 @@ def seen_during(field: LanguageField, match: Match) -> tuple[tuple[Span, ...], t
     masks, rows = field.evidence.masks, field.rows_of(match.gaussian_ids)
     weights = field.evidence.weights[rows[rows >= 0]]
     shown = np.bincount(masks.views[weights.indices], weights.data, minlength=len(masks.view_names))
-    sees = shown > SLIVER * shown.max(initial=0)
+    sees = shown > MIN_SHOWN_SHARE * shown.max(initial=0)
     stamps = np.unique(field.times)
     seen = np.isin(stamps, field.times[sees])
     return runs(stamps, seen), tuple(np.array(masks.view_names, object)[sees].tolist())
@@ -149,7 +149,7 @@ def of_span(scene: Scene, span: Span) -> Scene:
 def _cached(scene: Scene, key: tuple[str, object], make: Callable[[], Scene]) -> Scene:
     """Return a scene from the cache of the last ones, or make it, outside of any lock and at worst twice."""
     made = scene.kept.pop(key, None) or make()
-    for old in [other for other in list(scene.kept) if other[0] == key[0]][: 1 - NUM_CACHED]:
+    for old in [other for other in list(scene.kept) if other[0] == key[0]][: 1 - MAX_CACHED_SCENES]:
         scene.kept.pop(old, None)
     scene.kept[key] = made
     return made
@@ -178,7 +178,7 @@ def _spanned(scene: Scene, span: Span) -> Scene:
 
 def _meant(scene: Scene, what: Match | Query | str) -> list[Match]:
     """Return a match itself, or the sure ones of a query. Raises: InputError: it has none."""
-    matches = [what] if isinstance(what, Match) else sure_matches(scene.locate(what), scene.rows)[:MOST_MEANT]
+    matches = [what] if isinstance(what, Match) else sure_matches(scene.locate(what), scene.rows)[:MAX_MATCHES_RELATED]
     if not matches:
         asked = what.text if isinstance(what, Query) else what
         raise InputError(f"no match for '{str(asked)[:60]}': ask for other words, or lower the threshold")

@@ -8,9 +8,9 @@ from ..base.arrays import Float32, Int32, Int64, UInt32
 from ..field import LanguageField
 from ..field.forest import Objects
 
-SHARE = 0.25  # of an object's Gaussians that speak for it
+SPEAKING_SHARE = 0.25  # of an object's Gaussians
 ROWS_AT_ONCE = 1 << 18
-TRUST = 0.5  # in what an object says against what a Gaussian of it says
+OBJECT_TRUST = 0.5  # in what an object says against what a Gaussian of it says
 
 
 def by_object(field: LanguageField, values: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
@@ -25,16 +25,16 @@ def with_objects(
 ) -> Float32[np.ndarray, " r"]:
     """Return per row the mean of its own value and its object's; loose rows, of thing -1, keep their own.
 
-    An object's value is the one that `SHARE` of its rows reach: what single photos say of the rest is noise, most of it
-    where masks end. A row that fits far worse than the object stays out nevertheless: objects of real photos hold
-    pieces of what is beside them. Where its piece of the object has a higher value than the object that counts, so that
-    "bow" finds the bow of a doll; pieces: -1 for none. No row's value depends on another object, so no scrap that fits
-    well by chance hides a thing.
+    An object's value is the one that `SPEAKING_SHARE` of its rows reach: what single photos say of the rest is noise,
+    most of it where masks end. A row that fits far worse than the object stays out nevertheless: objects of real photos
+    hold pieces of what is beside them. Where its piece of the object has a higher value than the object that counts, so
+    that "bow" finds the bow of a doll; pieces: -1 for none. No row's value depends on another object, so no scrap that
+    fits well by chance hides a thing.
     """
     spoken = highest_share(values, things)
     if (pieces >= 0).any():
         spoken = np.where(pieces >= 0, np.maximum(spoken, highest_share(values, pieces)), spoken)
-    whole = np.float32(1 - TRUST) * values + np.float32(TRUST) * spoken
+    whole = np.float32(1 - OBJECT_TRUST) * values + np.float32(OBJECT_TRUST) * spoken
     return np.where(things >= 0, whole, values)
 
 
@@ -69,7 +69,7 @@ def _best_descriptors(objects: Objects, query: Float32[np.ndarray, " D"]) -> Flo
 
 
 def highest_share(values: Float32[np.ndarray, " r"], groups: Int32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
-    """Return per row the value that `SHARE` of the rows of its group reach; rows of group -1 keep their own.
+    """Return per row the value that `SPEAKING_SHARE` of the rows of its group reach; rows of group -1 keep their own.
 
     Linear but for one sort. Values have to be finite. Twin: tests/query/test_objects_asked.py::slow_by_object.
     """
@@ -80,7 +80,7 @@ def highest_share(values: Float32[np.ndarray, " r"], groups: Int32[np.ndarray, "
             continue
         own, sizes = groups[inside] - first, counts[first:last]
         keys = np.sort(own.astype(np.uint64) << np.uint64(32) | _descending(values[inside]))
-        quarter = np.cumsum(sizes) - sizes + np.ceil(SHARE * sizes).astype(np.int64) - 1
+        quarter = np.cumsum(sizes) - sizes + np.ceil(SPEAKING_SHARE * sizes).astype(np.int64) - 1
         best = _from_descending(keys[np.minimum(quarter, len(keys) - 1)].astype(np.uint32))
         result[inside] = best[own]
     return result
@@ -106,15 +106,15 @@ def _runs(counts: Int64[np.ndarray, " g"]) -> Iterator[tuple[int, int]]:
         first = last
 
 
-_SIGN = np.uint32(1 << 31)
+_SIGN_BIT = np.uint32(1 << 31)
 
 
 def _descending(values: Float32[np.ndarray, " r"]) -> UInt32[np.ndarray, " r"]:
     """Return numbers that fall as values rise. Floats are sign and magnitude: their bits rise with the magnitude."""
     bits = values.view(np.uint32)
-    return np.where(bits & _SIGN, bits, ~(bits | _SIGN))
+    return np.where(bits & _SIGN_BIT, bits, ~(bits | _SIGN_BIT))
 
 
 def _from_descending(numbers: UInt32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
     """Return the values of which `_descending` made numbers."""
-    return np.where(numbers & _SIGN, numbers, ~numbers & ~_SIGN).view(np.float32)
+    return np.where(numbers & _SIGN_BIT, numbers, ~numbers & ~_SIGN_BIT).view(np.float32)

@@ -2,11 +2,13 @@
 
 import math
 import os
+from collections.abc import Callable
 from functools import partial
 from typing import Any, cast
 
 import numpy as np
 
+from ..base.arrays import Anywhere
 from ..kernels.cuda.engine import Engine, memory_explained
 from ..kernels.cuda.places import on_host
 from ..kernels.cuda.training import (
@@ -22,9 +24,7 @@ from ..kernels.cuda.training import (
 )
 from ..kernels.training import Rates, SceneParameters
 from ..scene.views import View
-from .density import AdaptiveDensity
 from .job import Beginning
-from .mcmc import MonteCarlo
 from .optimizer import Optimizer, Slopes
 from .run import Outcome, Run
 from .schedules import active_sh_degree
@@ -115,10 +115,10 @@ class DeviceRun(Run):
         with memory_explained(lambda: f"at {len(optimizer):,} Gaussians, which are sent there: {CURE}"):
             return DeviceOptimizer.sent(optimizer, self.engine)
 
-    def _density(self) -> MonteCarlo | AdaptiveDensity:
-        if self.settings.strategy == "mcmc":
-            return MonteCarlo(self.settings, self.extent, len(self))
-        return AdaptiveDensity(self.settings, self.extent, len(self), self.engine.xp.zeros)
+    @property
+    def _zeros(self) -> Callable[..., Anywhere]:
+        zeros: Callable[..., Anywhere] = self.engine.xp.zeros
+        return zeros
 
     def _seen_and_compared(self, index: int, threads: int) -> tuple[Outcome, Slopes]:
         view = self._view(index)

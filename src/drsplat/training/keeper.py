@@ -23,7 +23,7 @@ from .start import Split
 from .start_points import Start, start_points
 from .training_photos import TrainingPhotos
 
-CHECKPOINT_SECONDS = 120.0
+CHECKPOINT_S = 120.0
 MAX_SCORED_TRAIN_PHOTOS = 16
 
 
@@ -91,7 +91,7 @@ class Keeper:
         run = self.run
         if run.iteration in self.job.save_at:
             folder.write_scene(run.iteration, run.gaussians())
-        late = time.monotonic() - self.saved > CHECKPOINT_SECONDS
+        late = time.monotonic() - self.saved > CHECKPOINT_S
         # from the last but one, a longer run goes on as if it had been planned so
         last = run.iteration == run.settings.iterations - 1
         if late or last or interrupted or run.iteration % self.job.checkpoint_every == 0:

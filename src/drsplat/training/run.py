@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ..base.arrays import Float32
+from ..base.arrays import Anywhere, Float32
 from ..errors import DrSplatError
 from ..kernels.training import Gradients, Loss, Rates, TrainingView, forward, photometric_loss
 from ..scene.gaussians import Gaussians
@@ -65,8 +65,14 @@ class Run:
         return optimizer
 
     def _density(self) -> MonteCarlo | AdaptiveDensity:
-        kind = MonteCarlo if self.settings.strategy == "mcmc" else AdaptiveDensity
-        return kind(self.settings, self.extent, len(self))
+        if self.settings.strategy == "mcmc":
+            return MonteCarlo(self.settings, self.extent, len(self))
+        return AdaptiveDensity(self.settings, self.extent, len(self), self._zeros)
+
+    @property
+    def _zeros(self) -> Callable[..., Anywhere]:
+        """`zeros` of the library whose arrays the gradients are."""
+        return np.zeros
 
     def step(self, threads: int = 0) -> Outcome:
         """Run the next iteration. Raises: DrSplatError: the loss is no longer a number."""

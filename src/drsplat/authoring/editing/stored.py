@@ -27,7 +27,7 @@ from .replacement import Replace
 from .targets import NAMED, Box, Copies, Everything, Rows, Target
 
 FORMAT, VERSION = "drsplat edits", 1
-PATIENCE_SECONDS = 10.0  # for another process that writes
+PATIENCE_S = 10.0  # for another process that writes
 Read = Callable[[object, str], Any]
 
 
@@ -83,7 +83,7 @@ class EditFile:
     @contextmanager
     def held(self) -> Iterator[None]:
         """Keep others from writing it while the block runs. Raises: InputError: another process does."""
-        with claimed_output(self.path, PATIENCE_SECONDS):
+        with claimed_output(self.path, PATIENCE_S):
             yield
 
     def write(self, listed: EditList) -> None:

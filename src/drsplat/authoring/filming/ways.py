@@ -14,9 +14,9 @@ from .looking import FOV_DEGREES, before, looking_at, swing
 from .paths import CameraPath, KeyFrame, Vector
 
 MAX_PHOTOS_PER_SECOND = 2.0  # more would show the shaking of a hand
-PHOTO_SECONDS_BOUNDS = (4.0, 30.0)
-ORBIT_SECONDS = 10.0
-SWING_SECONDS = 5.0
+PHOTO_BOUNDS_S = (4.0, 30.0)
+ORBIT_S = 10.0
+SWING_S = 5.0
 ORBIT_KEYS = 36
 SWING_KEYS = 24
 ORBIT_RISE = 0.5  # height of an orbit without photos, over its radius
@@ -42,7 +42,7 @@ def through_photos(views: Sequence[View], seconds: float | None = None) -> Camer
     """
     if len(views) < 2:
         raise InputError(f"a path through the photos needs two of them or more, got {len(views)}")
-    lasts = float(np.clip(len(views) / MAX_PHOTOS_PER_SECOND, *PHOTO_SECONDS_BOUNDS)) if seconds is None else seconds
+    lasts = float(np.clip(len(views) / MAX_PHOTOS_PER_SECOND, *PHOTO_BOUNDS_S)) if seconds is None else seconds
     count = int(np.clip(round(lasts * MAX_PHOTOS_PER_SECOND) + 1, 2, len(views)))
     chosen = np.linspace(0, len(views) - 1, count).round().astype(int)
     return CameraPath([KeyFrame.of(views[i]) for i in chosen], seconds=lasts)
@@ -65,7 +65,7 @@ def orbit(around: Around, up: Vector, views: Sequence[View] = ()) -> CameraPath:
     if arc is not None:
         turns = arc[0] + (arc[1] - arc[0]) * (0.5 + 0.5 * np.sin(turns))
     eyes = around.target + (arm @ up) * up + np.outer(np.cos(turns), level) + np.outer(np.sin(turns), aside)
-    return CameraPath(_looking(eyes, around, up), closed=True, even=True, seconds=ORBIT_SECONDS)
+    return CameraPath(_looking(eyes, around, up), closed=True, even=True, seconds=ORBIT_S)
 
 
 def _arc(arms: Sequence[Vector], level: Vector, aside: Vector) -> tuple[float, float] | None:
@@ -85,7 +85,7 @@ def _arc(arms: Sequence[Vector], level: Vector, aside: Vector) -> tuple[float, f
 def swinging(around: Around, up: Vector, turn_degrees: float = 60.0) -> CameraPath:
     """Return key frames to one side, to the other and back, slow at the turns: a loop that keeps to its first side."""
     eyes = np.array(swing(around.eye, around.target, up, SWING_KEYS, turn_degrees))
-    return CameraPath(_looking(eyes, around, up), closed=True, even=True, seconds=SWING_SECONDS)
+    return CameraPath(_looking(eyes, around, up), closed=True, even=True, seconds=SWING_S)
 
 
 def around_match(match: Match, gaussians: Gaussians, views: Sequence[View], up: Vector) -> Around:

@@ -13,10 +13,10 @@ from ...photos.embedding.view_choice import SIGHTS_PER_GAUSSIAN, greedy
 from ...scene.views import View
 from .space import MAX_NEAR_SHARE, Space
 
-PLANNING_SIDE_PX = 252  # longer side of pictures for planning
+PLANNING_SIDE_PIXELS = 252  # longer side of pictures for planning
 ENOUGH_PIXELS = 1.0  # blending weight, summed over a picture's pixels, at which a Gaussian counts as seen
 SIGNIFICANT_WEIGHT = 0.98  # of all weight, each Gaussian counted by its best picture
-OFTEN = int(SIGHTS_PER_GAUSSIAN)  # pictures that show a Gaussian often enough
+ENOUGH_SIGHTS = int(SIGHTS_PER_GAUSSIAN)  # of a Gaussian
 ENOUGH_SHARE = 0.98  # of the coverage by all candidates, at which the default number of pictures is reached
 DEFAULT_PICTURES_BOUNDS = (48, 150)
 SMEAR_SHARE = 0.1  # of a picture's height: a Gaussian with a larger standard deviation is a smear
@@ -42,7 +42,7 @@ class Coverage:
 
     def json(self) -> dict[str, object]:
         """Return the numbers for the record, with their definition."""
-        return {**asdict(self), "pictures": OFTEN, "pixels": ENOUGH_PIXELS}
+        return {**asdict(self), "pictures": ENOUGH_SIGHTS, "pixels": ENOUGH_PIXELS}
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,8 @@ class Sights:
         counts, possible = _counts(seen, np.array(chosen, np.int64)), _counts(seen, np.arange(seen.shape[1]))
         if not len(counts):
             return Coverage(0, 0.0, 0.0, 0.0)
-        often, once, reachable = ((counts >= OFTEN).mean(), (counts >= 1).mean(), (possible >= OFTEN).mean())
+        often, reachable = ((numbers >= ENOUGH_SIGHTS).mean() for numbers in (counts, possible))
+        once = (counts >= 1).mean()
         return Coverage(len(counts), float(often), float(once), float(reachable))
 
 
@@ -101,7 +102,7 @@ def sights(space: Space, views: Sequence[View], track: Track = untracked) -> Sig
     ids, weights, smears, accepted = [np.empty(0, np.int64)], [np.empty(0)], [], []
     sizes, positions = space.gaussians.scales.max(1), space.positions
     for view in track(views, "planning pictures"):
-        small = view.limited(PLANNING_SIDE_PX)
+        small = view.limited(PLANNING_SIDE_PIXELS)
         raster = np.zeros((small.height, small.width), np.int32)
         triples = view_weights(space.splats, small, raster, None, threads=space.threads)
         rows, seen = triples.gaussian_ids.astype(np.int64), triples.weights.astype(np.float64)

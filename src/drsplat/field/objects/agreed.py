@@ -4,8 +4,8 @@ import numpy as np
 
 from ...base.arrays import Bool, Float32, Float64, Integer
 
-LEAST_AGREEMENT = 0.25
-FEW_PHOTOS = 2  # of no object at all, counted with those of each object
+MIN_AGREEMENT = 0.25
+PRIOR_PHOTOS = 2  # of no object at all, counted with those of each object
 
 
 def agreed(sure: Float32[np.ndarray, " o"], num_views: Integer[np.ndarray, " o"]) -> Bool[np.ndarray, " o"]:
@@ -19,7 +19,7 @@ def agreed(sure: Float32[np.ndarray, " o"], num_views: Integer[np.ndarray, " o"]
 
     Source: chosen and measured by benchmarks/study_list.py.
     """
-    return np.asarray(agreement(sure, num_views) >= LEAST_AGREEMENT)
+    return np.asarray(agreement(sure, num_views) >= MIN_AGREEMENT)
 
 
 def agreement(sure: Float32[np.ndarray, " o"], num_views: Integer[np.ndarray, " o"]) -> Float64[np.ndarray, " o"]:
@@ -28,4 +28,4 @@ def agreement(sure: Float32[np.ndarray, " o"], num_views: Integer[np.ndarray, " 
     The two are there because a photo alone only agrees with itself. Arguments are those of `agreed`.
     """
     photos = num_views.astype(np.float64)
-    return np.asarray(sure * photos / (photos + FEW_PHOTOS))
+    return np.asarray(sure * photos / (photos + PRIOR_PHOTOS))

@@ -11,10 +11,10 @@ from .blocks import BlockRows
 from .choosing import NONE, _owners, pairs_above
 from .neighbours import neighbours
 
-AT_THE_EDGE = 0.9  # of the way to the end of the surroundings: what has rows beyond goes on outside
-SURE = 2 / 3  # of that way: rows up to there tell which nodes of two blocks are one
-SLIVER = 0.01  # of a block's weight in the best view: a view with less does not see it
-DUST = 1e-4  # of a mask's weight: less is rounding
+EDGE_SHARE = 0.9  # of the way to the end of the surroundings: what has rows beyond it goes on outside
+INNER_SHARE = 2 / 3  # of that way: rows within tell which nodes of two blocks are one
+MIN_SHOWN_SHARE = 0.01  # of a block's weight in the best view
+ROUNDING_SHARE = 1e-4  # of a mask's weight
 
 
 class BlockNodes(NamedTuple):
@@ -45,7 +45,7 @@ def nodes_of(block: BlockRows, thresholds: tuple[float, ...], rule: MergeRule, t
     """Grow the forest of a block and what is around it. The same bits at any number of threads."""
     weights, count = block.weights, len(block.rows)
     rest = np.maximum(block.masses - np.bincount(block.indices, block.data, len(block.columns)), 0)
-    elsewhere = csr_array(np.where(rest > DUST * block.masses, rest, 0).astype(np.float32)[None])
+    elsewhere = csr_array(np.where(rest > ROUNDING_SHARE * block.masses, rest, 0).astype(np.float32)[None])
     everything = csr_array(vstack([weights, elsewhere]))  # a row without neighbours: what masks hold beyond the block
     edges = neighbours(block.points, threads)
     forest = agglomerate(everything, block.views, block.embeddings, edges, thresholds, rule, threads=threads)
@@ -55,11 +55,11 @@ def nodes_of(block: BlockRows, thresholds: tuple[float, ...], rule: MergeRule, t
     lowest = number[owners][:count]
     (nodes,) = np.nonzero(judged)
     parents, inside = number[forest.parents[nodes]], block.away == 0
-    cut = _holding_any(parents, lowest[block.away > AT_THE_EDGE])
+    cut = _holding_any(parents, lowest[block.away > EDGE_SHARE])
     sums = _sums(weights, np.where(inside, lowest, NONE), parents, cut)
     order = np.argsort(block.rows)
     return BlockNodes(
-        block.rows[order], lowest[order].astype(np.int32), inside[order], (block.away <= SURE)[order],
+        block.rows[order], lowest[order].astype(np.int32), inside[order], (block.away <= INNER_SHARE)[order],
         parents.astype(np.int32), _ranks(forest, thresholds)[nodes], forest.fits[nodes], forest.spreads[nodes], cut,
         sums.indptr.astype(np.int64), block.columns[sums.indices], sums.data.astype(np.float32), _seeing(block, inside),
     )  # fmt: skip
@@ -69,7 +69,7 @@ def _seeing(block: BlockRows, inside: Bool[np.ndarray, " n"]) -> Int32[np.ndarra
     """Return the views with more than a sliver of the weight that the best view has inside the block."""
     held = np.repeat(inside, np.diff(block.indptr))
     shown = np.bincount(block.views[block.indices[held]], block.data[held])
-    return np.flatnonzero(shown > SLIVER * shown.max(initial=0)).astype(np.int32)
+    return np.flatnonzero(shown > MIN_SHOWN_SHARE * shown.max(initial=0)).astype(np.int32)
 
 
 def _holding_any(parents: Int64[np.ndarray, " t"], nodes: Int64[np.ndarray, " k"]) -> Bool[np.ndarray, " t"]:

@@ -12,10 +12,10 @@ from ...base.arrays import Bool, Float32, Float64, Int32, Int64, Integer
 from ...base.contents import release
 from ...scene.morton import morton_codes
 
-AROUND = 0.3  # of a block's longest side: how far its surroundings reach
-BULK = (0.01, 0.99)  # quantiles of places between which a side is measured: strays do not count
-CELLS = 10  # bits of each coordinate along the curve
-AT_ONCE = 1 << 20  # rows
+SURROUNDINGS_SHARE = 0.3  # of a block's longest side
+BULK_QUANTILES = (0.01, 0.99)  # of places: a side is measured between them, without strays
+CURVE_BITS = 10  # of each coordinate
+ROWS_AT_ONCE = 1 << 20
 
 Points = Float32[np.ndarray, "n 3"]
 
@@ -78,12 +78,12 @@ def in_blocks(points: Points, counts: Integer[np.ndarray, " n"], most: int) -> l
     waiting = [(np.arange(len(points)), np.full(3, -np.inf), np.full(3, np.inf))]
     while waiting:
         rows, low, high = waiting.pop()
-        sides = np.subtract(*np.quantile(points[rows], BULK[::-1], axis=0)) if len(rows) else np.zeros(3)
+        sides = np.subtract(*np.quantile(points[rows], BULK_QUANTILES[::-1], axis=0)) if len(rows) else np.zeros(3)
         axis = int(sides.argmax())
         middle = np.median(points[rows, axis]) if len(rows) else 0.0
         below = points[rows, axis] < middle
         if int(counts[rows].sum(dtype=np.int64)) <= most or not below.any():
-            blocks.append(Block(low, high, max(AROUND * float(sides[axis]), 1e-9)))
+            blocks.append(Block(low, high, max(SURROUNDINGS_SHARE * float(sides[axis]), 1e-9)))
             continue
         upper, lower = low.copy(), high.copy()
         upper[axis] = lower[axis] = middle
@@ -96,8 +96,8 @@ def rows_around(
 ) -> BlockRows:
     """Return the rows of W in a block and around it. sums: the weight of each row."""
     parts = []
-    for begin in range(0, len(points), AT_ONCE):
-        parts.append(begin + np.flatnonzero(block.away(points[begin : begin + AT_ONCE]) <= 1))
+    for begin in range(0, len(points), ROWS_AT_ONCE):
+        parts.append(begin + np.flatnonzero(block.away(points[begin : begin + ROWS_AT_ONCE]) <= 1))
     rows = np.concatenate(parts or [np.empty(0, np.int64)])
     rows = rows[_placed_order(points[rows], sums[rows])]
     matrix = csr_array(weights[rows])
@@ -116,5 +116,5 @@ def _placed_order(points: Points, sums: Float64[np.ndarray, " n"]) -> Int64[np.n
     """Return an order along a curve that only places decide, and sums of weights where places are equal."""
     if not len(points):
         return np.empty(0, np.int64)
-    codes = morton_codes(np.clip(points, *np.quantile(points, BULK, axis=0)), CELLS)
+    codes = morton_codes(np.clip(points, *np.quantile(points, BULK_QUANTILES, axis=0)), CURVE_BITS)
     return np.lexsort((sums, points[:, 2], points[:, 1], points[:, 0], codes))

@@ -15,15 +15,15 @@ from ...scene.gaussians import Gaussians
 from ...scene.views import View
 from ..learning import drawn
 
-SIDE = 336  # pixels of a photo's longer side: borders need no more
-MOST_VIEWS = 60  # that are looked at
-HEAVIEST = 8  # Gaussians of a pixel
-SEEN = 0.5  # opacity of a pixel that shows something
-JUMP = 1.5  # least jump of depth, in what STRIDE pixels are across there: below it depth goes on
-FAR = 2.0  # jump from which on a border is never a valley
-STRIDE = 5  # pixels between the depths on both sides: nearer ones are mixtures of both
-REACH = 8  # pixels from the border to the far end of a slope
-BEND = 1.0  # between the slopes on both sides, away from the camera: a mug's foot on a table, the corner of a room
+MAX_SIDE_PIXELS = 336  # of a photo: borders need no more
+MAX_VIEWS = 60
+GAUSSIANS_PER_PIXEL = 8  # the heaviest
+MIN_SEEN_OPACITY = 0.5  # of a pixel that shows something
+MIN_JUMP = 1.5  # of depth, in what STRIDE_PIXELS are across there: below it depth goes on
+FAR_JUMP = 2.0  # from which on a border is never a valley
+STRIDE_PIXELS = 5  # between the depths on both sides: nearer ones are mixtures of both
+REACH_PIXELS = 8  # from the border to the far end of a slope
+MAX_BEND = 1.0  # between the slopes on both sides, away from the camera: a mug's foot on a table, the corner of a room
 NONE = -1
 
 Labels = Int32[np.ndarray, "h w"]
@@ -58,8 +58,8 @@ class Borders(NamedTuple):
 
 
 def some_views(views: Iterable[View]) -> list[View]:
-    """Return up to MOST_VIEWS views, which a hash of their names draws."""
-    return sorted(views, key=lambda view: (drawn(view.name), view.name))[:MOST_VIEWS]
+    """Return up to MAX_VIEWS views, which a hash of their names draws."""
+    return sorted(views, key=lambda view: (drawn(view.name), view.name))[:MAX_VIEWS]
 
 
 def borders(
@@ -76,11 +76,11 @@ def borders(
 
 def borders_in(splats: SplatArrays, view: View, pieces: Int32[np.ndarray, " n"], *, threads: int = 0) -> ViewBorders:
     """Return the borders that a view shows. pieces: of each of the splats, -1 for none."""
-    seen, labels, depth = _seen(splats, view.limited(SIDE), pieces, threads)
+    seen, labels, depth = _seen(splats, view.limited(MAX_SIDE_PIXELS), pieces, threads)
     shown, areas = np.unique(labels[labels >= 0], return_counts=True)
     pairs, counts = np.empty((2, 0), np.int64), np.empty((0, 2), np.int64)
     for front, back, jump in _crossings(labels, depth, float(seen.K[0, 0])):
-        within = np.stack([jump < JUMP, np.ones(len(jump), bool)], axis=1)
+        within = np.stack([jump < MIN_JUMP, np.ones(len(jump), bool)], axis=1)
         pairs = np.concatenate([pairs, np.stack([front, back]).astype(np.int64)], axis=1)
         counts = np.concatenate([counts, within.astype(np.int64)])
     most = int(shown.max(initial=NONE)) + 1
@@ -114,8 +114,10 @@ def _seen(
 ) -> tuple[View, Labels, Float32[np.ndarray, "h w"]]:
     """Return the piece that each pixel shows most of, -1 for none, and its depth."""
     drawing = render_channels(splats, view, np.empty((len(pieces), 0), np.float32), threads=threads)
-    most = heaviest_labels(topk_contributions(splats, view, HEAVIEST, threads=threads), pieces, threads=threads)
-    return view, np.where(drawing.alpha < SEEN, NONE, most).astype(np.int32), drawing.depth
+    most = heaviest_labels(
+        topk_contributions(splats, view, GAUSSIANS_PER_PIXEL, threads=threads), pieces, threads=threads
+    )
+    return view, np.where(drawing.alpha < MIN_SEEN_OPACITY, NONE, most).astype(np.int32), drawing.depth
 
 
 def _crossings(
@@ -123,23 +125,23 @@ def _crossings(
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Return the pairs of neighbouring pixels of two pieces, along rows and then along columns.
 
-    The nearer piece, the further one, and the jump between them in what STRIDE pixels are across there. Of a slanted
+    The nearer piece, the further one, and the jump between them in what STRIDE_PIXELS are across there. Of a slanted
     surface depth changes without any jump: both sides are prolonged to the border, and the smaller difference counts.
     Where depth goes on, but in a valley, two things touch: such pixels are left out.
     """
     for shown, far in ((labels, depth), (labels.T, depth.T)):
-        left, right = shown[:, REACH + 1 : -REACH - 2], shown[:, REACH + 2 : -REACH - 1]
+        left, right = shown[:, REACH_PIXELS + 1 : -REACH_PIXELS - 2], shown[:, REACH_PIXELS + 2 : -REACH_PIXELS - 1]
         y, x = np.nonzero((left != right) & (left >= 0) & (right >= 0))
-        x = x + REACH + 1
+        x = x + REACH_PIXELS + 1
         clear = _clear(shown, y, x)
         y, x = y[clear], x[clear]
         before, after = far[y, x - 2], far[y, x + 3]
         slopes = (before - far[y, x - 5]) / 3, (far[y, x + 6] - after) / 3
         prolonged = np.abs(before + 2.5 * slopes[0] - (after - 2.5 * slopes[1]))
         pixel = np.minimum(before, after) / focal
-        jump = np.minimum(np.abs(before - after), prolonged) / (STRIDE * pixel)
-        bend = (before - far[y, x - REACH] - far[y, x + REACH + 1] + after) / ((REACH - 2) * pixel)
-        kept = (bend <= BEND) | (jump >= FAR)
+        jump = np.minimum(np.abs(before - after), prolonged) / (STRIDE_PIXELS * pixel)
+        bend = (before - far[y, x - REACH_PIXELS] - far[y, x + REACH_PIXELS + 1] + after) / ((REACH_PIXELS - 2) * pixel)
+        kept = (bend <= MAX_BEND) | (jump >= FAR_JUMP)
         y, x, jump, nearer = y[kept], x[kept], jump[kept], (before < after)[kept]
         one, other = shown[y, x], shown[y, x + 1]
         yield np.where(nearer, one, other), np.where(nearer, other, one), jump

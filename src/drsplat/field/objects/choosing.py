@@ -1,4 +1,4 @@
-"""Which nodes of a forest of merges are parts, things and groups."""
+"""Choice of parts, things and groups among the nodes of a forest of merges."""
 
 from typing import NamedTuple
 
@@ -8,15 +8,15 @@ from ...base.arrays import Bool, Float32, Float64, Int32, Int64, Integer, UInt8
 from ...kernels import Forest
 from ..forest import GROUP, PART, THING
 
-APART = 0.4  # distance of embeddings (1: unrelated) of regions that are never one thing
-MOST = 0.5  # of all weight: what holds more is no group but the room
-SMALL, SEEN_ALONE = 0.1, 0.19  # of the size of what a small thing is on, and the fit that it needs
-SMALL_COUNT = 0.7  # power of the size that weighs nodes where small ones are looked for
+APART_DISTANCE = 0.4  # of embeddings (1: unrelated) of regions that are never one thing
+MAX_GROUP_SHARE = 0.5  # of all weight: what holds more is the room
+MAX_SMALL_SHARE, MIN_SMALL_FIT = 0.1, 0.19  # of the size of what a small thing is on; its fit
+SMALL_SIZE_POWER = 0.7  # weighs nodes where small things are looked for
 NONE = -1
 
 
 class Tree(NamedTuple):
-    """The nodes that are kept, as in `Objects`: node_of per row, sure how well the masks of the photos fit a node."""
+    """The nodes that are kept, as in `Objects`. node_of: of each row. sure: how well masks of the photos fit a node."""
 
     node_of: Int32[np.ndarray, " r"]
     parents: Int32[np.ndarray, " t"]
@@ -33,19 +33,19 @@ def choose_among(forest: Forest, node_of: Integer[np.ndarray, " r"], smallest: i
     """Choose the hierarchy of parts, things and groups in a forest. node_of: a node of each row, -1 for none.
 
     Things are the disjoint nodes with the largest sum of weight times the root of fit; none merges regions whose
-    embeddings are `APART`. Small things on them are things of their own (`_small_things`), what is left of them
-    another, and together they are a group. Parts are the best nodes within each thing, groups nodes above that hold
-    several.
+    embeddings are `APART_DISTANCE` apart. Small things on them are things of their own (`_small_things`), what is left
+    of them another, and together they are a group. Parts are the best nodes within each thing, groups nodes above that
+    hold several.
     """
     (judged,) = np.nonzero(forest.sizes >= smallest)  # what is above them is larger
     parents, sizes, fits = _within(forest.parents, judged), forest.sizes[judged], forest.fits[judged].astype(np.float64)
-    worth, alike = forest.masses[judged] * np.sqrt(fits), forest.spreads[judged] <= APART
+    worth, alike = forest.masses[judged] * np.sqrt(fits), forest.spreads[judged] <= APART_DISTANCE
     things = best_nodes(parents, np.where(alike, worth, NONE))
     small = _small_things(parents, sizes, np.where(alike, fits, 0), things)
     crowded = np.zeros(len(parents), bool)
     crowded[_above(parents, things)[small]] = True
     total = float(forest.masses[forest.parents < 0].sum(dtype=np.float64))
-    groups = _several_branches(parents, things) & (forest.masses[judged] <= MOST * total)
+    groups = _several_branches(parents, things) & (forest.masses[judged] <= MAX_GROUP_SHARE * total)
     parts = _parts(parents, np.where(small | _holding(parents, small), NONE, worth), things | small)
     levels = np.full(len(parents), NONE)
     for level, nodes in ((PART, parts), (THING, things | small), (GROUP, groups | crowded)):
@@ -64,11 +64,11 @@ def _small_things(
 
     A plate that shares masks with the table costs the table little of its fit: weighed by weight the two stay one.
     So nodes within are weighed by a power of their size, which favours small ones, and those that are small and fit
-    are taken. Where they are half of the thing, it is cut in pieces, and none is.
+    are taken. Where they make up half of a thing or more, it is only cut in pieces, and none is taken.
     """
     thing = _above(parents, things)
-    best = best_nodes(parents, np.where(thing >= 0, sizes**SMALL_COUNT * np.sqrt(fits), NONE))
-    small = best & (fits >= SEEN_ALONE) & (sizes <= SMALL * sizes[thing])
+    best = best_nodes(parents, np.where(thing >= 0, sizes**SMALL_SIZE_POWER * np.sqrt(fits), NONE))
+    small = best & (fits >= MIN_SMALL_FIT) & (sizes <= MAX_SMALL_SHARE * sizes[thing])
     taken = np.bincount(thing[small], sizes[small], minlength=len(parents))
     return np.asarray(small & (taken <= sizes / 2)[thing])
 
@@ -125,9 +125,9 @@ def _parts(
 ) -> Bool[np.ndarray, " t"]:
     """Return the best nodes strictly within things, where a thing has two or more."""
     thing = _above(parents, things)
-    found = best_nodes(parents, np.where(thing >= 0, worth, NONE))
-    several = np.bincount(thing[found], minlength=len(parents)) > 1
-    return np.asarray(found & several[thing])
+    best = best_nodes(parents, np.where(thing >= 0, worth, NONE))
+    several = np.bincount(thing[best], minlength=len(parents)) > 1
+    return np.asarray(best & several[thing])
 
 
 def _holding(parents: Int64[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -> Bool[np.ndarray, " t"]:
@@ -165,7 +165,7 @@ def _tree_of(
 
 
 def _with_rests(tree: Tree, crowded: Bool[np.ndarray, " t"]) -> Tree:
-    """Make crowded nodes groups of the things in them: a thing before each of them has what is in none of these."""
+    """Make each crowded node a group; a new thing before it gets the rows that are in none of its things."""
     number = np.append(np.arange(len(crowded)) + np.cumsum(crowded), NONE)  # -1 stays -1
     rest = number - np.append(crowded, False)
     new, count = number[:-1], len(crowded) + int(np.count_nonzero(crowded))

@@ -25,7 +25,7 @@ from .heaviest import heaviest
 
 ROWS_AT_ONCE = 1 << 20
 NO_BOXES = Boxes(np.empty((0, 3)), np.empty((0, 3, 3)), np.empty((0, 3)))
-SLIVER = 0.01  # of what the best photo of a node shows of it: a photo with less does not see it
+MIN_SHOWN_SHARE = 0.01  # of what the best photo of a node shows of it
 
 
 def describe(field: LanguageField, gaussians: Gaussians, tree: Tree, *, threads: int = 0) -> Objects:
@@ -163,7 +163,7 @@ def _num_views(weights: csr_array, evidence: Evidence) -> Int32[np.ndarray, " T"
     nodes = np.repeat(np.arange(shown.shape[0]), np.diff(shown.indptr))
     most = np.zeros(shown.shape[0])
     np.maximum.at(most, nodes, shown.data)
-    return np.bincount(nodes[shown.data > SLIVER * most[nodes]], minlength=shown.shape[0]).astype(np.int32)
+    return np.bincount(nodes[shown.data > MIN_SHOWN_SHARE * most[nodes]], minlength=shown.shape[0]).astype(np.int32)
 
 
 def _masks(weights: csr_array) -> tuple[Int64[np.ndarray, " T1"], Int32[np.ndarray, " E"], Float32[np.ndarray, " E"]]:

@@ -14,11 +14,11 @@ from ...kernels import weighted_rows
 from ..forest import MAX_DESCRIPTORS_PER_NODE
 from .heaviest import heaviest
 
-LOOKED_AT = 64  # masks of a node, those of the largest weights
-ALIKE = 0.8  # cosine; what is as near as this to a centre needs none of its own
-SUBSTANTIAL = 0.05  # of a node's weight: masks with less together are left out
-ROUNDS = 4  # of Lloyd's algorithm, after each new centre
-BLOCK = 4096  # entries that are compared at once
+MAX_MASKS_CLUSTERED = 64  # of a node, those of the largest weights
+ALIKE_COSINE = 0.8  # what is as near as this to a centre needs none of its own
+MIN_CLUSTER_SHARE = 0.05  # of a node's weight: masks with less together are left out
+LLOYD_ROUNDS = 4  # after each new centre
+ENTRIES_AT_ONCE = 4096
 
 
 def descriptors(
@@ -29,7 +29,7 @@ def descriptors(
     The first centre is the weighted mean; a further one starts from the mask that is served worst, weight times
     (1 - cosine), as long as one is unlike all centres. The same bits at any number of threads.
     """
-    clusters = _Clusters(heaviest(weights, LOOKED_AT), embeddings, threads)
+    clusters = _Clusters(heaviest(weights, MAX_MASKS_CLUSTERED), embeddings, threads)
     labels = np.zeros(clusters.weights.nnz, np.int64)
     part = np.arange(len(labels))  # entries of rows that may need more
     for count in range(1, MAX_DESCRIPTORS_PER_NODE):
@@ -44,7 +44,10 @@ def descriptors(
 
 @dataclass(frozen=True, eq=False)
 class _Clusters:
-    """weights: (T, M), the entries that are put into clusters, MAX_DESCRIPTORS_PER_NODE for each row."""
+    """Up to MAX_DESCRIPTORS_PER_NODE clusters in each row. weights: (T, M), with the entries that are put into them.
+
+    labels: the cluster of each entry, counted in its row. part: numbers of some of the entries.
+    """
 
     weights: csr_array
     embeddings: Float32[np.ndarray, "M D"]
@@ -56,17 +59,17 @@ class _Clusters:
 
     def settle(self, labels: Int64[np.ndarray, " e"], part: Int64[np.ndarray, " p"], count: int) -> None:
         """Move the entries of `part` to the cluster of the nearest centre, the first of equal ones, in some rounds."""
-        for _ in range(ROUNDS):
-            found = self.cosines(labels, part, count).argmax(axis=1)
-            if (found == labels[part]).all():
+        for _ in range(LLOYD_ROUNDS):
+            nearest = self.cosines(labels, part, count).argmax(axis=1)
+            if (nearest == labels[part]).all():
                 break
-            labels[part] = found
+            labels[part] = nearest
 
     def worst_served(
         self, part: Int64[np.ndarray, " p"], cosines: Float32[np.ndarray, " p"]
     ) -> Int64[np.ndarray, " t"]:
         """Return the place of each row's worst served entry of `part`, among those that are unlike all centres."""
-        served = np.where(cosines < ALIKE, self.weights.data[part] * (1 - cosines.astype(np.float64)), 0)
+        served = np.where(cosines < ALIKE_COSINE, self.weights.data[part] * (1 - cosines.astype(np.float64)), 0)
         rows = self.rows[part]
         most = np.zeros(self.weights.shape[0])
         np.maximum.at(most, rows, served)
@@ -88,20 +91,20 @@ class _Clusters:
     def cosines(
         self, labels: Int64[np.ndarray, " e"], part: Int64[np.ndarray, " p"], count: int
     ) -> Float32[np.ndarray, "p k"]:
-        """Return the cosines of the entries of `part` with the first centres of their rows, the lowest with empty ones.
+        """Return the cosines of the entries of `part` with the first `count` centres of their rows, -1 with empty ones.
 
         BLAS is avoided: its bits depend on the number of its threads.
         """
         means = self.means(labels)
-        there = np.asarray(means.any(axis=2))
-        found = np.empty((len(part), count), np.float32)
-        for begin in range(0, len(part), BLOCK):
-            entries = part[begin : begin + BLOCK]
+        filled = np.asarray(means.any(axis=2))
+        cosines = np.empty((len(part), count), np.float32)
+        for begin in range(0, len(part), ENTRIES_AT_ONCE):
+            entries = part[begin : begin + ENTRIES_AT_ONCE]
             rows, own = self.rows[entries], self.embeddings[self.weights.indices[entries]]
             for k in range(count):
-                cosines = np.einsum("ed,ed->e", own, means[rows, k])
-                found[begin : begin + BLOCK, k] = np.where(there[rows, k], cosines, -1)
-        return found
+                row_cosines = np.einsum("ed,ed->e", own, means[rows, k])
+                cosines[begin : begin + ENTRIES_AT_ONCE, k] = np.where(filled[rows, k], row_cosines, -1)
+        return cosines
 
     def centers(self, labels: Int64[np.ndarray, " e"]) -> tuple[Int64[np.ndarray, " T1"], Float32[np.ndarray, "P D"]]:
         """Return the row starts and unit means, the heaviest cluster of each row first, without specks."""
@@ -109,8 +112,8 @@ class _Clusters:
         shape = means.shape[:2]
         clusters = self.rows * MAX_DESCRIPTORS_PER_NODE + labels
         mass = np.bincount(clusters, self.weights.data, shape[0] * shape[1]).reshape(shape)
-        mass[~means.any(axis=2) | (mass < SUBSTANTIAL * mass.sum(axis=1, keepdims=True))] = 0
+        mass[~means.any(axis=2) | (mass < MIN_CLUSTER_SHARE * mass.sum(axis=1, keepdims=True))] = 0
         order = np.argsort(-mass, axis=1, kind="stable")
         sorted_means = np.take_along_axis(means, order[..., None], axis=1)
-        there = np.take_along_axis(mass, order, axis=1) > 0
-        return np.append(0, np.cumsum(there.sum(axis=1))), np.asarray(sorted_means[there])
+        filled = np.take_along_axis(mass, order, axis=1) > 0
+        return np.append(0, np.cumsum(filled.sum(axis=1))), np.asarray(sorted_means[filled])

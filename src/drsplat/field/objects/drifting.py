@@ -9,7 +9,7 @@ from ...base.arrays import Float64, Int64, Integer
 from ...errors import InputError
 from .. import LanguageField
 
-CLEAR = 0.8  # of a Gaussian's weight in masks of one object
+CLEAR_SHARE = 0.8  # of a Gaussian's weight in masks of one object
 
 
 class Drifting(NamedTuple):
@@ -83,7 +83,7 @@ def _judged(field: LanguageField, sums: _Sums, num_times: int) -> Drifting:
     overall = np.zeros(len(field))
     np.maximum.at(overall, pairs // width, np.bincount(place, sums.weight))
     shares = overall / totals
-    (found,) = np.nonzero((clear >= CLEAR) & (shares < CLEAR))
+    (found,) = np.nonzero((clear >= CLEAR_SHARE) & (shares < CLEAR_SHARE))
     strongest = sums.thing[np.lexsort((sums.weight, sums.at))][np.cumsum(np.bincount(of)) - 1]  # of each time
     begin = np.searchsorted(known, found * num_times)
     end = np.searchsorted(known, (found + 1) * num_times) - 1

@@ -29,13 +29,13 @@ from .joining import join, with_joined
 from .neighbours import along_a_curve, neighbours
 from .uniting import united
 
-THRESHOLDS = tuple(k / 100 for k in range(95, 10, -5))
-SOFT = 0.55  # of what a photo shows of a Gaussian in the mean
-SIGHT = 1.2e-4  # of the weight of a photo
-SMALLEST = 30  # Gaussians
-DIRECTIONS = 32  # of embeddings that are looked at
-MOST_WEIGHTS = 32_000_000  # that are held at once, in some 66 bytes each: of more there are blocks
-OF_A_ROW = 64  # weights in the mean, of scenes in blocks: of more those of some views are looked at
+MERGE_THRESHOLDS = tuple(k / 100 for k in range(95, 10, -5))
+SOFT_SIGHT_SHARE = 0.55  # of what a photo shows of a Gaussian on average
+FAR_PHOTO_SHARE = 1.2e-4  # of the weight of a photo
+MIN_GAUSSIANS = 30  # of a node
+MAX_DIRECTIONS = 32  # of embeddings
+MAX_WEIGHTS = 32_000_000  # held at once, in some 66 bytes each: scenes of more are cut into blocks
+WEIGHTS_PER_ROW = 64  # on average, of scenes in blocks: of more, those of some views are looked at
 MASKS_AT_ONCE = 1 << 16
 
 
@@ -45,7 +45,7 @@ def find_objects(
     """Find the things of a scene, with their parts and groups, in the evidence that its field keeps.
 
     views: whose cameras tell which pieces are one thing (`joining`); None: those that the field keeps. No encoder is
-    needed. Time is linear in the weights, and memory up to MOST_WEIGHTS; a scene of more is looked at in blocks
+    needed. Time is linear in the weights, and memory up to MAX_WEIGHTS; a scene of more is looked at in blocks
     (`by_blocks`). The same bits at any number of threads.
 
     Raises: InputError: the field keeps no evidence. MismatchError: it is of another scene.
@@ -94,27 +94,27 @@ def tree_of(
     """Find the parts, things and groups that masks tell of; what they are pieces of is not yet known.
 
     points: centres of the rows' Gaussians. work: who finds the nodes of blocks, of which there are some where the
-    evidence has more than MOST_WEIGHTS; None: this process.
+    evidence has more than MAX_WEIGHTS; None: this process.
     """
-    if evidence.weights.nnz <= MOST_WEIGHTS:
-        return Found(choose(grow(evidence, points, threads=threads), len(points), SMALLEST), [])
+    if evidence.weights.nnz <= MAX_WEIGHTS:
+        return Found(choose(grow(evidence, points, threads=threads), len(points), MIN_GAUSSIANS), [])
     division, names = divided(evidence, points), np.array(evidence.masks.view_names, object)
     parts = list(at_once(division, threads) if work is None else work(division))
     found = united(parts, division.masses)
     seeing = [set(names[part.views]) for part in parts]
-    return Found(choose_among(found.forest, found.node_of, SMALLEST), seeing)
+    return Found(choose_among(found.forest, found.node_of, MIN_GAUSSIANS), seeing)
 
 
 def divided(evidence: Evidence, points: Float32[np.ndarray, "r 3"]) -> Division:
-    """Cut a scene in blocks. Of more than OF_A_ROW weights a row those of some views are looked at."""
+    """Cut a scene in blocks. Of more weights than WEIGHTS_PER_ROW, those of some views are looked at."""
     masks = evidence.masks
-    gone = views_beyond(evidence, max(MOST_WEIGHTS, OF_A_ROW * len(evidence)))
+    gone = views_beyond(evidence, max(MAX_WEIGHTS, WEIGHTS_PER_ROW * len(evidence)))
     kept = ~gone[masks.views]
     totals = Totals.of(evidence, kept)
     embeddings, unit = _fewer_directions(evidence.embeddings)
     total = float(f"{totals.masks.sum():.9g}")  # however rows are ordered
     rule = _rule(total, totals.sights, len(np.unique(masks.views[kept])), unit)
-    return Division(evidence, points, kept, totals, embeddings, THRESHOLDS, rule)
+    return Division(evidence, points, kept, totals, embeddings, MERGE_THRESHOLDS, rule)
 
 
 def of_pieces(
@@ -171,7 +171,7 @@ def grow(evidence: Evidence, means: Float32[np.ndarray, "r 3"], *, threads: int 
     total = float(weights.data.sum(dtype=np.float64))
     rule = _rule(total, _sights(weights, views), len(np.unique(views)), unit)
     edges = neighbours(means[order], threads)
-    forest = agglomerate(csr_array(weights[order]), views, embeddings, edges, THRESHOLDS, rule, threads=threads)
+    forest = agglomerate(csr_array(weights[order]), views, embeddings, edges, MERGE_THRESHOLDS, rule, threads=threads)
     places = np.arange(len(forest.parents))
     places[order] = np.arange(len(order))
     return Forest(*(values[places] for values in forest))
@@ -179,8 +179,8 @@ def grow(evidence: Evidence, means: Float32[np.ndarray, "r 3"], *, threads: int 
 
 def _rule(total: float, sights: int, views: int, unit: float) -> MergeRule:
     """Return the rule of a scene. total: weight of all rows; sights: views that see a row, of all rows together."""
-    soft, far = SOFT * total / max(sights, 1), SIGHT * total / max(views, 1)
-    return MergeRule(max(soft, 1e-6), max(far, 1e-6), unit=unit, smallest=SMALLEST)
+    soft, far = SOFT_SIGHT_SHARE * total / max(sights, 1), FAR_PHOTO_SHARE * total / max(views, 1)
+    return MergeRule(max(soft, 1e-6), max(far, 1e-6), unit=unit, smallest=MIN_GAUSSIANS)
 
 
 def _by_view(evidence: Evidence) -> tuple[csr_array, np.ndarray, np.ndarray]:
@@ -214,7 +214,7 @@ def _fewer_directions(embeddings: Float32[np.ndarray, "m d"]) -> tuple[Float32[n
         spread += exact.T @ exact
         release(embeddings)
     unit = max(1 - float(np.square(mean).sum()), 1e-3) if count else 1.0
-    directions = np.linalg.eigh(spread)[1][:, -DIRECTIONS:]
+    directions = np.linalg.eigh(spread)[1][:, -MAX_DIRECTIONS:]
     # rounded: sums of other orders, as libraries make them on other machines, then give the same bits
     fewer = np.empty((count, directions.shape[1]), np.float32)
     for begin in range(0, count, MASKS_AT_ONCE):

@@ -18,13 +18,13 @@ from .borders import Borders
 from .choosing import NONE, Tree, _above, _owners
 from .standing_out import Outlines, PieceSet, grown, refined
 
-RELIEF, GAIN = 0.7, 0.1  # least relief of a thing, and over the mean of its pieces by area
-WHOLE = 0.6  # sureness of what single masks hold as a whole, which is not joined
-ALONE = 0.85  # relief of a piece that stands out by itself, which is not joined
-FINISHED = 0.8  # share of a set: a piece of so much that stands out by itself is a thing, with things on it
-LARGE = 0.02  # share of a set: pieces that may not stand out more than all of it
-MAX_UNITED = 16  # sets whose unions are looked at
-MIN_AREA = 200  # pixels, over all photos, of a piece that a set is grown from
+MIN_RELIEF, MIN_GAIN = 0.7, 0.1  # of a thing, and over the mean of its pieces by area
+WHOLE_SURENESS = 0.6  # of what single masks hold as a whole, which is not joined
+ALONE_RELIEF = 0.85  # of a piece that stands out by itself, which is not joined
+FINISHED_SHARE = 0.8  # of a set: a piece of so much that stands out by itself is a thing, with things on it
+LARGE_SHARE = 0.02  # of a set: pieces of so much may not stand out more than all of it
+MAX_SETS_UNITED = 16
+MIN_AREA_PIXELS = 200  # over all photos, of a piece that a set is grown from
 
 
 class Joined(NamedTuple):
@@ -39,16 +39,18 @@ def join(found: Borders, sure: Float32[np.ndarray, " n"]) -> list[Joined]:
 
     From each piece, large ones first, a set is grown and refined (`standing_out`), and so are unions of the best sets.
     Those that are one thing are taken by how much more they stand out than their pieces do, times their area. sure: how
-    well single masks fit each piece; pieces that masks hold as a whole (`WHOLE`) or that stand out by themselves
-    (`ALONE`) are left as they are, also small ones that lie on a thing and hide some of its outline.
+    well single masks fit each piece; pieces that masks hold as a whole (`WHOLE_SURENESS`) or that stand out by
+    themselves (`ALONE_RELIEF`) are left as they are, also small ones that lie on a thing and hide some of its outline.
     """
     outlines = Outlines.of(found)
-    free = (sure < WHOLE) & (outlines.reliefs < ALONE)
+    free = (sure < WHOLE_SURENESS) & (outlines.reliefs < ALONE_RELIEF)
     candidates = _Candidates(outlines, free)
     for seed in np.argsort(-outlines.areas, kind="stable").tolist():
-        if free[seed] and outlines.areas[seed] >= MIN_AREA:
+        if free[seed] and outlines.areas[seed] >= MIN_AREA_PIXELS:
             candidates.add(grown(outlines, seed, free))
-    for one, other in combinations(candidates.best(MAX_UNITED), 2):  # a head and a body, each the best around itself
+    for one, other in combinations(
+        candidates.best(MAX_SETS_UNITED), 2
+    ):  # a head and a body, each the best around itself
         candidates.add(np.union1d(one.members, other.members))
     taken, joined = np.zeros(len(free), bool), []
     for best in candidates.best():
@@ -85,14 +87,14 @@ class _Candidates:
     def _is_thing(self, covered: PieceSet) -> bool:
         members = covered.members[self.free[covered.members]]
         reliefs, shares = self.outlines.reliefs[members], self.outlines.areas[members] / covered.area
-        finished = (shares >= FINISHED) & (reliefs >= RELIEF)
+        finished = (shares >= FINISHED_SHARE) & (reliefs >= MIN_RELIEF)
         return (
             len(members) > 1
-            and covered.relief >= RELIEF
+            and covered.relief >= MIN_RELIEF
             and covered.holds
-            and self._gain(covered) >= GAIN
+            and self._gain(covered) >= MIN_GAIN
             and not finished.any()
-            and not (reliefs[shares >= LARGE] > covered.relief).any()
+            and not (reliefs[shares >= LARGE_SHARE] > covered.relief).any()
         )
 
 

@@ -13,12 +13,12 @@ from scipy.sparse import csr_array
 from ...base.arrays import Bool, Float64, Int64
 from .borders import Borders
 
-GOES_ON = 0.5  # least share of the borders within a set along which depth goes on
-FEW = 30  # pixels of outline that a relief is held against
+MIN_LEVEL_SHARE = 0.5  # of the borders within a set: depth goes on along so many
+RELIEF_PRIOR_PIXELS = 30  # of outline that does not stand out, added to every outline
 MAX_PIECES = 100  # of a thing
-MAX_SHARE = 0.5  # of the area of all pieces: what has more is the room
-SMALL = 0.1  # share of a set: what is no piece of it may lie on it up to this size
-SLACK = 1e-9
+MAX_AREA_SHARE = 0.5  # of the area of all pieces: what has more is the room
+MAX_SMALL_SHARE = 0.1  # of a set: what is no piece of it may lie on it up to this size
+RELIEF_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,17 +60,17 @@ class Outlines:
     @cached_property
     def largest(self) -> float:
         """Pixels that a set may have at most."""
-        return MAX_SHARE * float(self.areas.sum())
+        return MAX_AREA_SHARE * float(self.areas.sum())
 
 
 def relief(front: Float64[np.ndarray, " *s"], level: Float64[np.ndarray, " *s"]) -> Float64[np.ndarray, " *s"]:
     """Return the relief of an outline, from its pixels in front and those where depth goes on; near 0 for a few."""
-    return np.asarray(front / (front + level + FEW))
+    return np.asarray(front / (front + level + RELIEF_PRIOR_PIXELS))
 
 
 def goes_on(level: Float64[np.ndarray, " *s"], front: Float64[np.ndarray, " *s"]) -> Bool[np.ndarray, " *s"]:
     """Return whether borders hold a set together, from their pixels where depth goes on and where it jumps."""
-    return np.asarray(level >= GOES_ON * (level + front))
+    return np.asarray(level >= MIN_LEVEL_SHARE * (level + front))
 
 
 class PieceSet:
@@ -106,13 +106,13 @@ class PieceSet:
     def changes(self, free: Bool[np.ndarray, " n"]) -> Int64[np.ndarray, " c"]:
         """Return the pieces that may be added or taken out: pieces of the set, and what depth goes on to from it.
 
-        free: pieces that may be added. Of others those that are small in the set may (`SMALL`): a bow on a doll is
-        whole by itself, and hides some of the doll's outline. Nothing is added that makes the set too large.
+        free: pieces that may be added. Of others those that are small in the set may (`MAX_SMALL_SHARE`): a bow on a
+        doll is whole by itself, and hides some of the doll's outline. Nothing is added that makes the set too large.
         """
         pieces = np.flatnonzero(self.within | (self.beside > 0))
         areas, within = self.outlines.areas[pieces], self.within[pieces]
         together = self.area + areas
-        fits = (free[pieces] | (areas <= SMALL * together)) & (together <= self.outlines.largest)
+        fits = (free[pieces] | (areas <= MAX_SMALL_SHARE * together)) & (together <= self.outlines.largest)
         return pieces[within | fits]
 
     def reliefs(self, pieces: Int64[np.ndarray, " c"]) -> Float64[np.ndarray, " c"]:
@@ -155,7 +155,7 @@ def grown(outlines: Outlines, seed: int, free: Bool[np.ndarray, " n"]) -> Int64[
 
     Each time the neighbour is added with which the set stands out most, also where that is less than before: a thing
     of many pieces stands out little until most of it is there. Along half of the borders within the returned set depth
-    goes on (`GOES_ON`). free: see `PieceSet.changes`.
+    goes on (`MIN_LEVEL_SHARE`). free: see `PieceSet.changes`.
     """
     growing = PieceSet(outlines, np.array([seed]))
     order, best, length = [seed], growing.relief, 1
@@ -184,7 +184,7 @@ def refined(outlines: Outlines, members: Int64[np.ndarray, " k"], free: Bool[np.
             pieces = pieces[~growing.within[pieces]]
         pieces = pieces[growing.holding(pieces)]
         reliefs = growing.reliefs(pieces)
-        if not len(pieces) or reliefs.max() <= growing.relief + SLACK:
+        if not len(pieces) or reliefs.max() <= growing.relief + RELIEF_TOLERANCE:
             break
         growing.change(int(pieces[reliefs.argmax()]))
     return growing

@@ -16,8 +16,8 @@ from ...kernels import Forest
 from .block_nodes import BlockNodes
 from .choosing import NONE
 
-WHOLE = 0.8  # of a region's rows: a node that has as many, and is not cut, tells how well masks fit it
-SHARED = 0.5  # of the rows of both that both blocks look at: above this each region has one partner at most
+WHOLE_SHARE = 0.8  # of a region's rows: a node that has as many, and is not cut, tells how well masks fit it
+PARTNER_IOU = 0.5  # of the rows that both blocks look at: above it each region has one partner at most
 
 
 class Shared(NamedTuple):
@@ -161,7 +161,7 @@ def _matches(
         sizes.append(np.bincount(at, counts)[at])
     pairs, first, at = np.unique(np.stack([one, other]), axis=1, return_index=True, return_inverse=True)
     both = np.bincount(at.ravel(), counts, minlength=pairs.shape[1])
-    alike = both > SHARED * (sizes[0][first] + sizes[1][first] - both)
+    alike = both > PARTNER_IOU * (sizes[0][first] + sizes[1][first] - both)
     return np.asarray(pairs[:, alike & (pairs >= 0).all(axis=0)])
 
 
@@ -178,7 +178,7 @@ def _judged(
     best = np.full(len(sizes), NONE)
     best[of[order]] = order
     judged[of[order]] = fits[nodes[order]]
-    partly = cut[nodes[best]] | (rows[best] < WHOLE * sizes)
+    partly = cut[nodes[best]] | (rows[best] < WHOLE_SHARE * sizes)
     pieces = partly[of] & cut[nodes]
     number = np.cumsum(partly) - 1
     place = number[of[pieces]], (np.cumsum(cut) - 1)[nodes[pieces]]

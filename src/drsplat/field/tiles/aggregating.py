@@ -25,22 +25,29 @@ from ..evidence.aggregation import Aggregated, Aggregator
 from ..evidence.aggregation.outliers import OutlierRejection
 from ..evidence.aggregation.reliability import reliability
 from ..evidence.aggregation.trust import MaskTrust, Tally, tally
-from ..evidence.aggregation.voting import BLOCK, TIES, ModeVoting, Voters, nearest, nearest_first
+from ..evidence.aggregation.voting import (
+    RECEIVERS_AT_ONCE,
+    SPARE_NEIGHBOURS,
+    ModeVoting,
+    Voters,
+    nearest,
+    nearest_first,
+)
 from ..evidence.evidence import Evidence, MaskIds
 from .launching import Launcher, followed
 from .seeing import Gallery
 from .store import Store, make_once
-from .transposing import ROWS, Run, joined_rows, rows_name
+from .transposing import ROWS_FOLDER, Run, joined_rows, rows_name
 
-EMBEDDINGS = "embeddings.npy"
-NOWHERE = np.iinfo(np.int64).max  # index of a neighbour that there is none of
+EMBEDDINGS_FILE = "embeddings.npy"
+NO_NEIGHBOUR = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True, eq=False)
 class OfTiles(Aggregated):
     """Features whose rows lie in files, one of each run. folder: of these; key: of all that decides what is in them."""
 
-    folder: str = ROWS
+    folder: str = ROWS_FOLDER
     key: str = ""
 
 
@@ -69,7 +76,7 @@ class RowFiles:
         return csr_array((arrays["data"], arrays["indices"], arrays["indptr"]), shape=shape)
 
     def embeddings(self) -> Float32[np.ndarray, "m d"]:
-        return np.asarray(np.load(self.store.bring(EMBEDDINGS), mmap_mode="r"))
+        return np.asarray(np.load(self.store.bring(EMBEDDINGS_FILE), mmap_mode="r"))
 
     def evidence(self, run: Run) -> Evidence:
         return Evidence(self.weights(run), self.masks, self.embeddings())
@@ -149,8 +156,8 @@ class Voting:
         points = np.concatenate([self._shapes(tile).means for tile in run.tiles])
         distances, near = self._nearest(run, points[receivers - run.first], threads)
         held = _Held(self, rows)
-        for begin in range(0, len(receivers) if near.shape[1] else 0, BLOCK):
-            some = slice(begin, begin + BLOCK)
+        for begin in range(0, len(receivers) if near.shape[1] else 0, RECEIVERS_AT_ONCE):
+            some = slice(begin, begin + RECEIVERS_AT_ONCE)
             voters = Voters(receivers[some], near[some], distances[some])
             donors[voters.rows - run.first] = self.voting.elected(voters, *held.about(voters.present, threads))
         made = held.weights(donors)
@@ -171,7 +178,7 @@ class Voting:
         """
         count = self.voting.neighbours + 1
         distances = np.full((len(points), count), np.inf)
-        near = np.full((len(points), count), NOWHERE)
+        near = np.full((len(points), count), NO_NEIGHBOUR)
         for other in (run, *(one for one in self.runs if one.first != run.first)):
             trust = self._trust(other)
             for tile in other.tiles:
@@ -179,7 +186,7 @@ class Voting:
                 (asking,) = np.nonzero(_distances_to_box(points, tile) <= distances[:, -1])
                 if len(givers) and len(asking):
                     tree = cKDTree(self._shapes(tile).means[givers])
-                    further, which = nearest(tree, points[asking], count + TIES, threads)
+                    further, which = nearest(tree, points[asking], count + SPARE_NEIGHBOURS, threads)
                     both = np.concatenate([distances[asking], further], axis=1)
                     rows = np.concatenate([near[asking], tile.first + givers[which]], axis=1)
                     distances[asking], near[asking] = nearest_first(both, rows, count)
@@ -265,11 +272,11 @@ class TileAggregator:
 
     def __call__(self, how: Aggregator, track: Track) -> OfTiles:
         """Return the features of all rows, which lie in files."""
-        self.store.send(EMBEDDINGS)
-        rows, key = RowFiles(self.store, self.evidence.masks, ROWS), self.key
+        self.store.send(EMBEDDINGS_FILE)
+        rows, key = RowFiles(self.store, self.evidence.masks, ROWS_FOLDER), self.key
         for step in how.steps:
             rows, key = self._weighed(rows, key, step, track)  # type: ignore[arg-type]
-        evidence = self.evidence if rows.folder == ROWS else self._joined(rows)
+        evidence = self.evidence if rows.folder == ROWS_FOLDER else self._joined(rows)
         if how.voting is None:
             return OfTiles(evidence, None, how.record(), rows.folder, key)
         chosen, key = self._voted(rows, key, how.voting, track)
@@ -298,7 +305,7 @@ class TileAggregator:
 
     def _voted(self, rows: RowFiles, key: str, voting: ModeVoting, track: Track) -> tuple[RowFiles, str]:
         believed, _ = self._made(rows, key, Believing(), "reliability", track)
-        registered = RowFiles(self.store, self.evidence.masks, ROWS)
+        registered = RowFiles(self.store, self.evidence.masks, ROWS_FOLDER)
         making = Voting(voting, registered, believed, self.gallery, self.runs)
         return self._made(rows, key, making, f"{voting!r} {self.gallery.tiles.digest}", track)
 

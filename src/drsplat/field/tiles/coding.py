@@ -22,7 +22,7 @@ from ..codes import Codebook, Codes, Track, untracked
 from ..codes.mixture import Mixed, SceneAtoms, assemble, atoms_by_use, encode_rows, left_in, plan_of
 from ..evidence.aggregation import Aggregated, Aggregator
 from ..evidence.evidence import Evidence
-from .aggregating import EMBEDDINGS, OfTiles, TileAggregator, is_by_tasks
+from .aggregating import EMBEDDINGS_FILE, OfTiles, TileAggregator, is_by_tasks
 from .launching import Launcher, followed
 from .seeing import Gallery
 from .store import Store, make_once
@@ -106,7 +106,7 @@ class CodeTask:
 
     def _rows(self, run: Run) -> Rows:
         tensors, _ = map_tensors(self.store.bring(rows_name(run, self.folder)))
-        embeddings = np.load(self.store.bring(EMBEDDINGS), mmap_mode="r")
+        embeddings = np.load(self.store.bring(EMBEDDINGS_FILE), mmap_mode="r")
         starts = tensors["indptr"].astype(np.int32)
         starts = starts[np.append(True, np.diff(starts) > 0)]  # rows without any weight have no code
         matrix = csr_array((tensors["data"], tensors["indices"], starts), shape=(len(starts) - 1, len(embeddings)))
@@ -185,7 +185,7 @@ class TileCoder:
     def _coded(self, features: OfTiles, coding: Mixing | Quantising, track: Track) -> dict[str, np.ndarray]:
         """Return the coded arrays of all rows that have weights, one after another."""
         task = CodeTask(self.store, coding, features.folder, self._key_of(features, coding), self.threads)
-        self.store.send(EMBEDDINGS)
+        self.store.send(EMBEDDINGS_FILE)
         names = [run.name for run in self.runs]
         for _ in followed(self.launcher.results(task, self.runs), track, names, "coding Gaussians"):
             pass

@@ -16,20 +16,20 @@ from ...scene.morton import morton_order
 from ...scene.placing import local_origin
 from ...scene.similarity import IDENTITY
 
-MOST_BLOCKS = 65_535
-SMALL = 0.99  # of all Gaussians
-ROWS = 1 << 17  # of a tile: 6 MB of shapes
+MAX_BLOCKS = 65_535
+SMALL_QUANTILE = 0.99  # of sizes
+TILE_ROWS = 1 << 17  # 6 MB of shapes
 
 
-def cut(blocks: Sequence[Block], output: Path, rows: int = ROWS, *, overwrite: bool = False) -> Tiles:
+def cut(blocks: Sequence[Block], output: Path, rows: int = TILE_ROWS, *, overwrite: bool = False) -> Tiles:
     """Write the Gaussians of all blocks, where they stand in the world, as tiles of at most so many `rows`.
 
     Holds places, sizes and order of all Gaussians, and the rows of one tile; a binary PLY may be of any size.
 
     Raises: InputError: no Gaussian is left, more blocks than 65,535 or `output` exists. FormatError: as reading them.
     """
-    if len(blocks) > MOST_BLOCKS:
-        raise InputError(f"expected at most {MOST_BLOCKS:,} blocks, got {len(blocks):,}: cut them in several scenes")
+    if len(blocks) > MAX_BLOCKS:
+        raise InputError(f"expected at most {MAX_BLOCKS:,} blocks, got {len(blocks):,}: cut them in several scenes")
     if rows < 1:
         raise InputError(f"rows: expected a positive number, got {rows}")
     placed = _placed(blocks)
@@ -52,9 +52,12 @@ class _Placed(NamedTuple):
 
 
 def _runs(placed: _Placed, rows: int) -> Iterator[Int64[np.ndarray, " m"]]:
-    """Tile by tile: along the curve, the largest hundredth apart, since one of them makes a tile seen from afar."""
+    """Yield the rows of each tile, along the curve.
+
+    The largest hundredth gets tiles of its own: a single large Gaussian makes its tile seen from afar.
+    """
     order = morton_order(placed.positions)
-    large = placed.sizes[order] > np.quantile(placed.sizes, SMALL)
+    large = placed.sizes[order] > np.quantile(placed.sizes, SMALL_QUANTILE)
     for of_size in (order[~large], order[large]):
         for begin in range(0, len(of_size), rows):
             yield of_size[begin : begin + rows]
@@ -63,11 +66,11 @@ def _runs(placed: _Placed, rows: int) -> Iterator[Int64[np.ndarray, " m"]]:
 def _placed(blocks: Sequence[Block]) -> _Placed:
     parts = []
     for number, (source, place, keep) in enumerate(blocks):
-        here, sizes = source.positions(), source.sizes()
+        positions, sizes = source.positions(), source.sizes()
         if place is not IDENTITY:
-            here, sizes = place.positions(here), np.float32(place.scale) * sizes
-        kept = np.arange(len(here)) if keep is None else np.flatnonzero(keep.holds(here))
-        parts.append((here[kept], sizes[kept], np.full(len(kept), number, np.uint16), kept.astype(np.uint32)))
+            positions, sizes = place.positions(positions), np.float32(place.scale) * sizes
+        kept = np.arange(len(positions)) if keep is None else np.flatnonzero(keep.holds(positions))
+        parts.append((positions[kept], sizes[kept], np.full(len(kept), number, np.uint16), kept.astype(np.uint32)))
     return _Placed(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
 
@@ -75,7 +78,7 @@ def _tile(
     blocks: Sequence[Block], block_of: UInt16[np.ndarray, " m"], row_of: UInt32[np.ndarray, " m"],
     origin: Float64[np.ndarray, " 3"],
 ) -> Gaussians:  # fmt: skip
-    """Return some rows of some blocks, ordered by block and row, with positions counted from the origin."""
+    """Return some rows of some blocks, in the order given, with positions counted from the origin."""
     order = np.lexsort((row_of, block_of))  # files are read front to back
     parts = []
     for number in np.unique(block_of):
@@ -85,6 +88,6 @@ def _tile(
     whole = concatenated([replace(part, extra={}) for part in parts])
     means = (whole.positions - origin).astype(np.float32)
     extra = {"block": block_of[order], "source_row": row_of[order]}
-    back = np.empty(len(order), np.int64)
-    back[order] = np.arange(len(order))
-    return replace(whole, means=means, extra=extra, origin=origin).subset(back)
+    given_order = np.empty(len(order), np.int64)
+    given_order[order] = np.arange(len(order))
+    return replace(whole, means=means, extra=extra, origin=origin).subset(given_order)

@@ -37,8 +37,8 @@ from .seeing import Gallery, with_tiles
 from .store import Shared, Store, make_once, store_of
 from .transposing import filed
 
-FOLDER = "objects"
-SHAPES: dict[str, tuple[int, ...]] = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": ()}  # of a row
+OBJECTS_FOLDER = "objects"
+ROW_SHAPES: dict[str, tuple[int, ...]] = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": ()}  # of a row
 
 
 def find_objects(
@@ -61,7 +61,7 @@ def find_objects(
     if field.evidence is None:
         raise InputError("objects are found in the evidence, and this field was saved without: register again")
     store, cameras = store_of(parts), cameras_of(field) if views is None else views
-    scene = mapped(tiles, store.folder / FOLDER)
+    scene = mapped(tiles, store.folder / OBJECTS_FOLDER)
     ids = field.gaussian_ids
     work = TileBlocks(store, launcher, threads, track)
     found = tree_of(field.evidence, np.asarray(scene.means[ids]), work, threads=threads)
@@ -80,7 +80,7 @@ def mapped(tiles: Tiles, folder: Path) -> Gaussians:
             folder / f"{name}.npy", np.float32, (len(tiles), *shape),
             (getattr(tiles.shapes(tile), name) for tile in tiles.tiles),
         )
-        for name, shape in SHAPES.items()
+        for name, shape in ROW_SHAPES.items()
     )  # fmt: skip
     colours = np.broadcast_to(np.zeros((1, 1, 3), np.float32), (len(tiles), 1, 3))
     return Gaussians(means, quats, scales, opacities, colours, origin=tiles.origin, antialiased=tiles.antialiased)
@@ -93,11 +93,11 @@ class _BlockName(NamedTuple):
 
     @property
     def rows(self) -> str:
-        return f"{FOLDER}/{self.key}.rows.safetensors"
+        return f"{OBJECTS_FOLDER}/{self.key}.rows.safetensors"
 
     @property
     def nodes(self) -> str:
-        return f"{FOLDER}/{self.key}.nodes.safetensors"
+        return f"{OBJECTS_FOLDER}/{self.key}.nodes.safetensors"
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +184,7 @@ class BorderTask:
 
     def __call__(self, view: View) -> str:
         """Find them if they are not there yet; return the name of their file."""
-        name = f"{FOLDER}/{part_name(view.name).replace('.columns.', f'.{self.key}.borders.')}"
+        name = f"{OBJECTS_FOLDER}/{part_name(view.name).replace('.columns.', f'.{self.key}.borders.')}"
         make_once(self.store, name, self.key, lambda: self._borders(view))
         return name
 
@@ -201,7 +201,7 @@ def _borders(work: TileBlocks, tiles: Tiles, views: Sequence[View], pieces: Int3
     for piece in pieces_of_bytes(pieces):
         digest.update(piece)
     key = digest.hexdigest()
-    name = f"{FOLDER}/{key}.pieces.npy"
+    name = f"{OBJECTS_FOLDER}/{key}.pieces.npy"
     store = work.store
     filed(store.folder / name, np.int32, pieces.shape, [pieces])
     store.send(name)

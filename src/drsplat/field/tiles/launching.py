@@ -19,8 +19,8 @@ from ..codes import Track
 
 T = TypeVar("T")
 R = TypeVar("R")
-TRIES = 3  # of work whose process dies
-AHEAD = 2  # tasks per worker that wait to be done
+MAX_TRIES = 3  # of a task whose process dies
+TASKS_PER_WORKER = 2  # under way or waiting
 
 
 @runtime_checkable
@@ -50,7 +50,7 @@ class Processes:
 
     def results(self, work: Callable[[T], R], items: Sequence[T]) -> Iterator[R]:
         left = set(range(len(items)))
-        for _ in range(TRIES):
+        for _ in range(MAX_TRIES):
             done_before = len(left)
             try:
                 yield from self._of_one_pool(work, items, left)
@@ -61,8 +61,8 @@ class Processes:
             if not left:
                 return
         raise DrSplatError(
-            f"a process that worked on {len(left)} tasks was killed {TRIES} times: there may be too little memory for "
-            f"{self.count} at once. Start fewer; the same command goes on where this one ended"
+            f"a process that worked on {len(left)} tasks was killed {MAX_TRIES} times: there may be too little memory "
+            f"for {self.count} at once. Start fewer; the same command goes on where this one ended"
         )
 
     def _of_one_pool(self, work: Callable[[T], R], items: Sequence[T], left: set[int]) -> Iterator[R]:
@@ -72,7 +72,7 @@ class Processes:
             running: dict[Future[Any], int] = {}
             try:
                 while True:
-                    for number in _next(waiting, self.count * AHEAD - len(running)):
+                    for number in _next(waiting, self.count * TASKS_PER_WORKER - len(running)):
                         running[pool.submit(_do, items[number])] = number
                     if not running:
                         return
@@ -118,7 +118,7 @@ class Ray:
         except ImportError:
             raise MissingExtraError('--ray needs Ray: pip install "drsplat[ray]"') from None
         self._ray = ray
-        self._options = {"num_cpus": threads, "max_retries": TRIES} | ({"memory": memory} if memory else {})
+        self._options = {"num_cpus": threads, "max_retries": MAX_TRIES} | ({"memory": memory} if memory else {})
         if not ray.is_initialized():
             os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is told to anybody
             start: dict[str, Any] = {"include_dashboard": False} if address == "local" else {}
@@ -132,7 +132,7 @@ class Ray:
         shared = ray.put(work)  # once, not with every task
         task = ray.remote(_of_shared).options(**self._options)
         waiting, running = iter(items), list[Any]()
-        most = AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1) // self._options["num_cpus"]))
+        most = TASKS_PER_WORKER * max(1, int(ray.cluster_resources().get("CPU", 1) // self._options["num_cpus"]))
         while True:
             running += [task.remote(shared, item) for item in _next(waiting, most - len(running))]
             if not running:
@@ -149,7 +149,9 @@ class Ray:
             cause = error.cause if isinstance(error.cause, Exception) else error
             raise cause from error
         except ray.exceptions.RayError as error:
-            raise DrSplatError(f"a task was lost {TRIES} times: {error}. The same command goes on from here") from error
+            raise DrSplatError(
+                f"a task was lost {MAX_TRIES} times: {error}. The same command goes on from here"
+            ) from error
 
 
 def followed(results: Iterable[R], track: Track, items: Sequence[str], description: str) -> Iterator[R]:

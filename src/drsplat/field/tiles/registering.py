@@ -36,7 +36,7 @@ from ..registration import (
     warn_of_missing,
     with_features,
 )
-from .aggregating import EMBEDDINGS
+from .aggregating import EMBEDDINGS_FILE
 from .coding import TileCoder
 from .launching import ONE_PROCESS, Launcher, followed
 from .seeing import Gallery, with_tiles
@@ -174,4 +174,4 @@ def _key(tiles: Tiles, made: Sequence[ViewReport]) -> str:
 def _embeddings(store: Store, columns: Sequence[str], count: int, dim: int) -> Float32[np.ndarray, "m d"]:
     """Return the embeddings of all masks, mapped from a file."""
     parts = (map_tensors(store.bring(embeddings_file(Path(name)).name))[0]["embeddings"] for name in columns)
-    return filed(store.folder / EMBEDDINGS, np.float32, (count, dim), parts)
+    return filed(store.folder / EMBEDDINGS_FILE, np.float32, (count, dim), parts)

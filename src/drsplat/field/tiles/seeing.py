@@ -14,11 +14,11 @@ from ...scene.views import View
 from ..evidence.columns import VisibleSplats
 from .store import Shared, Store
 
-BLUR = 0.3  # pixels squared that a projected covariance is widened by (3DGS)
-CLAMP = 1.3  # times half the field of view: where the Jacobian of the projection stops growing
-SPARE = 24.0  # pixels: a tile of the raster, what a radius is rounded up by, and what float32 may be off
+BLUR_VARIANCE_PIXELS2 = 0.3  # that a projected covariance is widened by (3DGS)
+CLAMP_HALF_FIELDS = 1.3  # of view: where the Jacobian of the projection stops growing
+SPARE_PIXELS = 24.0  # a tile of the raster, what a radius is rounded up by, and what float32 may be off
 HELD_BYTES = 512 << 20
-NOTHING = SplatArrays(np.empty((3, 0), np.float32), np.empty((6, 0), np.float32), np.empty(0, np.float32))
+NO_SPLATS = SplatArrays(np.empty((3, 0), np.float32), np.empty((6, 0), np.float32), np.empty(0, np.float32))
 NO_ROWS = np.empty(0, np.uint32)
 
 
@@ -43,9 +43,9 @@ def seen_tiles(tiles: Tiles, view: View, near: float) -> Bool[np.ndarray, " t"]:
 def _borders(view: View) -> list[tuple[Float64[np.ndarray, " 3"], float]]:
     """Return what is positive inside of each border of the raster, in camera coordinates, and what a deviation adds."""
     fx, fy, cx, cy = view.K[0, 0], view.K[1, 1], view.K[0, 2], view.K[1, 2]
-    slanted = (CLAMP * view.width / (2 * fx)) ** 2 + (CLAMP * view.height / (2 * fy)) ** 2
+    slanted = (CLAMP_HALF_FIELDS * view.width / (2 * fx)) ** 2 + (CLAMP_HALF_FIELDS * view.height / (2 * fy)) ** 2
     steepest = 3 * max(fx, fy) * np.sqrt(1 + slanted)
-    margin = 3 * np.sqrt(BLUR) + SPARE
+    margin = 3 * np.sqrt(BLUR_VARIANCE_PIXELS2) + SPARE_PIXELS
     rows = (
         (fx, 0.0, cx + margin),
         (-fx, 0.0, view.width - cx + margin),
@@ -94,7 +94,7 @@ class Gallery:
         parts = [self._splats(tile) for tile in chosen]
         rows = [np.arange(tile.first, tile.first + tile.num_rows, dtype=np.uint32) for tile in chosen]
         means, covariances, opacities = (
-            np.concatenate([part[k] for part in (NOTHING, *parts)], axis=-1) for k in range(3)
+            np.concatenate([part[k] for part in (NO_SPLATS, *parts)], axis=-1) for k in range(3)
         )
         splats = SplatArrays(means, covariances, opacities, self.near, self.tiles.origin, self.tiles.antialiased)
         return VisibleSplats(splats, np.concatenate([NO_ROWS, *rows]))

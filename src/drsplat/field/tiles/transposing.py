@@ -18,10 +18,10 @@ from ...kernels import Triples
 from ..evidence.columns import stacked
 from .store import Store, make_once
 
-ROWS = "rows"  # folder of the rows as they are registered
+ROWS_FOLDER = "rows"  # as they are registered
 RUN_BYTES = 256 << 20  # of W that one task makes
 WEIGHT_BYTES = 20  # while it does
-NOTHING = Triples(np.empty(0, np.uint32), np.empty(0, np.int32), np.empty(0, np.float32))
+NO_TRIPLES = Triples(np.empty(0, np.uint32), np.empty(0, np.int32), np.empty(0, np.float32))
 
 
 class Run(NamedTuple):
@@ -60,7 +60,7 @@ class RowMaker:
         return make_once(self.store, rows_name(run), self.key, lambda: self._rows(run))
 
     def _rows(self, run: Run) -> dict[str, np.ndarray]:
-        parts = [_held(NOTHING)] * len(self.views)
+        parts = [_held(NO_TRIPLES)] * len(self.views)
         for view in run.views.tolist():
             parts[view] = _held(_part(self.store.bring(self.views[view]), run.first, run.num_rows))
         w = stacked(parts, self.widths, run.num_rows)
@@ -93,11 +93,11 @@ def runs_of(tiles: Sequence[Tile], num_weights: int, held: Sequence[bytes]) -> l
     return [Run(tuple(tiles[n] for n in run), np.flatnonzero(has[:, run].any(axis=1))) for run in runs]
 
 
-def rows_name(run: Run, folder: str = ROWS) -> str:
+def rows_name(run: Run, folder: str = ROWS_FOLDER) -> str:
     return f"{folder}/{run.name}.rows.safetensors"
 
 
-def joined_rows(runs: Sequence[Run], store: Store, num_masks: int, of: str = ROWS) -> csr_array:
+def joined_rows(runs: Sequence[Run], store: Store, num_masks: int, of: str = ROWS_FOLDER) -> csr_array:
     """Return W, all rows one after another, in files that are mapped: memory holds those in use.
 
     of: the folder of their files.

@@ -103,7 +103,7 @@ def _known_distance(arguments: argparse.Namespace) -> KnownDistance | None:
 
 
 class Stages:
-    """A `Meter` for each stage that is told of, one after the other."""
+    """Progress of one stage after the other, each with a `Meter` of its own."""
 
     def __init__(self, quiet: bool) -> None:
         self._quiet, self._stage = quiet, ""
@@ -117,7 +117,7 @@ class Stages:
             self._meter.__exit__(None, None, None)
 
     def update(self, stage: str, done: int, total: int) -> None:
-        """Show that so much of a stage is done; the first word of another stage ends the one before."""
+        """Show how much of a stage is done; the first call for another stage ends the one before."""
         from ...base.progress import Meter
 
         if stage != self._stage or self._meter is None:
@@ -142,14 +142,14 @@ def show(answer: dict[str, Any]) -> None:
             "posed": f"{text_of(registered)} of {text_of(photos)} photos",
             **({} if answer["video"] is None else {"frames": _frames_text(answer["video"])}),
             "points": f"{text_of(answer['num_points'])}, {answer['reprojection_error_px']:.2f} px on average",
-            "lengths": "in metres, from " + answer["scale_from"] if answer["unit"] == "m" else "in units of no length",
+            "lengths": "in metres, from " + answer["scale_from"] if answer["unit"] == "m" else "in an unknown unit",
             "up": f"+z, from {answer['up_from']}" if answer["up"] else "unknown",
             "GPS": "not used" if residual is None else f"{residual:.2f} m from the cameras (median)",
             "peak memory": size_text(answer["peak_memory_bytes"]),
         },
     )
     if answer["left_out"]:
-        rows = [(one["name"], one["reason"]) for one in answer["left_out"]]
+        rows = [(photo["name"], photo["reason"]) for photo in answer["left_out"]]
         show_table("Photos without a pose", ("photo", "why"), rows)
 
 

@@ -29,7 +29,7 @@ A scene is a folder as `drsplat serve` takes it, with objects (`drsplat objects`
 again, it takes its own place. Needs LanceDB: pip install "drsplat[catalogue]". `index` makes answers about more than
 100,000 objects quick."""
 DAILY = ("name", "top", "exclude", "scene", "picture", "encoder")
-ASKED = fields(Place.COMMAND_LINE, Place.CATALOGUE)
+QUERY_FIELDS = fields(Place.COMMAND_LINE, Place.CATALOGUE)
 ACTIONS = ("add", "remove", "list", "ask", "index")
 MAX_MATCHES = 1000
 
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     asking.add_argument(
         "--top", type=up_to(MAX_MATCHES), default=10, metavar="N", help="objects to list, best first (default: 10)"
     )
-    add_fields(asking, ASKED[1:])
+    add_fields(asking, QUERY_FIELDS[1:])
     asking.add_argument(
         "--scene", type=words, action="append", default=[], metavar="NAME", help="scene to search; may be repeated"
     )
@@ -151,7 +151,7 @@ def _ask(arguments: argparse.Namespace, catalogue: Catalogue) -> dict[str, Any]:
 def _query(arguments: argparse.Namespace) -> Query:
     from ...query import Query
 
-    return Query(" ".join(arguments.given) or None, **values_of(arguments, ASKED))
+    return Query(" ".join(arguments.given) or None, **values_of(arguments, QUERY_FIELDS))
 
 
 def _scene_json(one: Any) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .embed import ENCODER, ENCODER_HELP, add_device, image_encoder
+from .embed import DEFAULT_ENCODER, ENCODER_HELP, add_device, image_encoder
 from .options import add_overwrite, count, count_or_all, tracker, whole, words
 from .parts import COMPLETE, new_or_complete, parts_of, was_complete
 
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="embed at most N patches, drawn at random, or 'all'. Training takes 16,384 of them in any case, all "
         f"others only cost time (default: {DEFAULT_PATCHES}; patches under 100 pixels are left out)",
     )  # fmt: skip
-    source.add_argument("--encoder", type=words, default=ENCODER, metavar="NAME", help=ENCODER_HELP)
+    source.add_argument("--encoder", type=words, default=DEFAULT_ENCODER, metavar="NAME", help=ENCODER_HELP)
     add_device(source)
     method = parser.add_argument_group("method")
     method.add_argument(

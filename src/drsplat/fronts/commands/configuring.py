@@ -23,7 +23,7 @@ from ...errors import InputError
 if TYPE_CHECKING:
     from .parsing import Given, VerbParser
 
-NOT_KEPT = ("config", "print_config", "help", "help_all", "debug", "log")
+OPTIONS_NOT_KEPT = ("config", "print_config", "help", "help_all", "debug", "log")
 MAX_FILE_BYTES = 1 << 15  # tomllib's time grows with the square of the length of some lines
 _NUMBER = re.compile(r"-?(0|[1-9]\d*)(\.\d+)?")
 
@@ -65,7 +65,7 @@ def configuration(parser: VerbParser) -> str:
 
 def options_of(parser: VerbParser) -> dict[str, argparse.Action]:
     """Return the options that a file can set, by their long names without the dashes."""
-    kept = (option for option in parser.options if option.dest not in NOT_KEPT)
+    kept = (option for option in parser.options if option.dest not in OPTIONS_NOT_KEPT)
     return {next(flag for flag in option.option_strings if flag.startswith("--"))[2:]: option for option in kept}
 
 

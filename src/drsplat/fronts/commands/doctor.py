@@ -44,14 +44,14 @@ MODELS = {
 }
 """The default models by id; written out because importing those who load them takes longer than all of this."""
 _PROBE = "import json; from drsplat.fronts.commands.doctor import probe; print(json.dumps(probe()))"
-_PROBE_SECONDS = 120
+_PROBE_S = 120
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add nothing: `drsplat doctor` has no options of its own."""
 
 
-CACHED = {
+CACHE_TEXTS = {
     True: "in the local cache", False: "not in the local cache, downloaded at first use",
     None: "huggingface_hub is not installed",
 }  # fmt: skip
@@ -94,7 +94,7 @@ def show(answer: dict[str, Any]) -> None:
     show_table("Packages", ("name", "version", "for"), rows)
     print("Models")  # lines, because a table would cut their ids, which people copy
     for name, of in answer["models"].items():
-        print(f"  {name}: {of['for']}; {CACHED[of['cached']]}")
+        print(f"  {name}: {of['for']}; {CACHE_TEXTS[of['cached']]}")
     print("\nWhat can run")
     for name, ability in answer["can"].items():
         print(f"  {'yes' if ability['ready'] else 'NO '} {name}")
@@ -178,11 +178,11 @@ def _probed(asked: subprocess.Popen[str] | None) -> dict[str, Any]:
     if asked is None:
         return {}
     try:
-        out, errors = asked.communicate(timeout=_PROBE_SECONDS)
+        out, errors = asked.communicate(timeout=_PROBE_S)
     except subprocess.TimeoutExpired:
         asked.kill()
         asked.communicate()
-        out, errors = "", f"no answer in {_PROBE_SECONDS} s"
+        out, errors = "", f"no answer in {_PROBE_S} s"
     try:
         facts = json.loads((out.splitlines() or [""])[-1])
     except ValueError:

@@ -31,19 +31,19 @@ EXAMPLES = """\
 
 A stopped run resumes when the same command is given again, without --overwrite."""
 DAILY = ("output", "segmenter", "encoder", "scene", "device", "overwrite")
-SEGMENTER = "facebook/sam-vit-huge"
-ENCODER = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
+DEFAULT_SEGMENTER = "facebook/sam-vit-huge"
+DEFAULT_ENCODER = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 ENCODER_HELP = (
     "model that embeds, an id of the Hugging Face hub or a folder: CLIP, MetaCLIP 2, SigLIP, SigLIP 2 or TIPSv2, or "
     "DINOv2 or DINOv3, which know no words; hf-hub:ID for a model of open_clip, such as hf-hub:timm/PE-Core-B-16; or "
-    f"drsplat-mini, built in, which knows 37 household objects (default: {ENCODER}, the paper's)"
+    f"drsplat-mini, built in, which knows 37 household objects (default: {DEFAULT_ENCODER}, the paper's)"
 )
 _LEVELS = {"four": ("default", "small", "medium", "large"), "large": ("large",)}
 MAX_POINTS_PER_SIDE = 1024
 AUTO, ALL = "auto", "all"
 COARSE_TO_FINE = {"first_points_per_side": 4, "points_per_side": 64, "most_points": 128}
 """Rounds of 4, 8, 16, 32 and 64 points a side, where no mask explains the photo yet."""
-NESTED = {"mask_inner": 0.0}
+NESTED_MASKS = {"mask_inner": 0.0}
 """Settings of large masks in rounds: what stands on a thing stays beside the mask of both."""
 
 
@@ -61,16 +61,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     models = parser.add_argument_group("models")
     models.add_argument(
         "--segmenter", type=words, metavar="NAME",
-        help=f"SAM, SAM 2, SAM 2.1, SAM 3 or EdgeTAM, an id of the Hugging Face hub or a folder; or graph, built in, "
-        f"no model to download, a fifth of a second for a photo, coarser masks (default: {SEGMENTER}, the paper's; on "
-        "a CPU take graph, or facebook/sam2.1-hiera-tiny with --points auto --crop-layers 0: seconds for a photo)",
+        help="SAM, SAM 2, SAM 2.1, SAM 3 or EdgeTAM, an id of the Hugging Face hub or a folder; or graph, built in, "
+        f"no model to download, a fifth of a second for a photo, coarser masks (default: {DEFAULT_SEGMENTER}, the "
+        "paper's; on a CPU take graph, or facebook/sam2.1-hiera-tiny with --points auto --crop-layers 0: seconds for a "
+        "photo)",
     )  # fmt: skip
     models.add_argument(
         "--masks", metavar="DIR",
         help="features of the same photos, of which the masks are kept: only the encoder is another, for `drsplat "
         "register --weights-of` (default: cut the photos anew)",
     )  # fmt: skip
-    models.add_argument("--encoder", type=words, default=ENCODER, metavar="NAME", help=ENCODER_HELP)
+    models.add_argument("--encoder", type=words, default=DEFAULT_ENCODER, metavar="NAME", help=ENCODER_HELP)
     add_device(models)
     _add_method(parser.add_argument_group("method"))
     _add_scene(parser.add_argument_group("with the scene, which makes it faster"))
@@ -275,7 +276,7 @@ def _segmenter(arguments: argparse.Namespace) -> Segmenter | FeatureFolder:
     from ...photos.models.sam import load_segmenter
 
     if arguments.masks is None:
-        arguments.segmenter = arguments.segmenter or SEGMENTER
+        arguments.segmenter = arguments.segmenter or DEFAULT_SEGMENTER
         return load_segmenter(
             arguments.segmenter, arguments.device, point_settings(arguments), threads=arguments.threads
         )
@@ -318,7 +319,7 @@ def point_settings(arguments: argparse.Namespace) -> PointMaskSettings | None:
     default = "large" if arguments.crops == "objects" else "four"
     levels = arguments.levels or default
     if given.get("points_per_side") == AUTO:
-        given |= COARSE_TO_FINE | (NESTED if levels == "large" else {})
+        given |= COARSE_TO_FINE | (NESTED_MASKS if levels == "large" else {})
     if arguments.segmenter != GraphSegmenter.name:
         return PointMaskSettings(**given, levels=_LEVELS[levels])
     if given or arguments.levels == "four":

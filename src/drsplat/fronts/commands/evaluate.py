@@ -14,7 +14,7 @@ from .query_options import open_scene
 if TYPE_CHECKING:
     from ...evaluation.running import Judged
 
-HANDED_ON = (
+OPTIONS_HANDED_ON = (
     "relevancy", "threshold", "method", "automatic", "voxel_side", "figures", "score_only", "overwrite", "threads",
 )  # fmt: skip
 PROTOCOLS = ("lerf-ovs", "scannet-points", "scannet-volume", "voxel")
@@ -113,7 +113,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
         without=partial(left_out, without=arguments.without) if arguments.without else None,
         files=[Path(path) for path in arguments.scene if Path(path).is_file()],
         track=tracker(arguments),
-        **{name: value for name, value in vars(arguments).items() if name in HANDED_ON},
+        **{name: value for name, value in vars(arguments).items() if name in OPTIONS_HANDED_ON},
     )
     return dict(without_nan(answer)) if arguments.json else answer
 
@@ -132,7 +132,7 @@ def show(answer: dict[str, Any]) -> None:
 
 
 def _check(arguments: argparse.Namespace) -> None:
-    """Check all that can be known to be wrong before any work is done."""
+    """Check what can be checked before any work is done."""
     from ...base.terminal import counted
     from ...errors import InputError
 
@@ -147,13 +147,13 @@ def _check(arguments: argparse.Namespace) -> None:
         if given and len(given) != count:
             raise InputError(f"--{option} is given {counted(len(given), 'time')} and --scene {counted(count, 'time')}")
     if arguments.decoder and not arguments.features:
-        raise InputError("--decoder is of --features: give the checkpoint that it decodes")
+        raise InputError("--decoder needs --features: give the checkpoint that it decodes")
     if arguments.features and not (arguments.vocabulary or arguments.encoder):
         raise InputError("--features needs --vocabulary or --encoder: what turns texts into vectors")
 
 
 def _check_data(arguments: argparse.Namespace) -> None:
-    """Refuse what holds no truth to score by."""
+    """Refuse data without the truth to score by."""
     from ...errors import InputError
 
     data, with_labels = Path(arguments.data), arguments.protocol == "lerf-ovs"
@@ -163,8 +163,8 @@ def _check_data(arguments: argparse.Namespace) -> None:
         )
         got = "no label/ in it" if data.is_dir() else "no such folder"
         raise InputError(
-            f"{data}: expected the data of {arguments.protocol}, which has what is true ({layout}), got {got}: fields "
-            "are scored on it and named with --field"
+            f"{data}: expected the data of {arguments.protocol} with its truth ({layout}), got {got}: fields are "
+            "scored on it and named with --field"
         )
 
 
@@ -175,14 +175,15 @@ def _names(arguments: argparse.Namespace) -> list[str]:
     if arguments.name:
         return list(arguments.name)
     place = Path(arguments.data, "label") if arguments.protocol == "lerf-ovs" else Path(arguments.data)
-    found = sorted(path.name for path in place.iterdir() if path.is_dir()) if place.is_dir() else []
-    if len(found) != 1 or len(arguments.scene) != 1:
-        listed = ", ".join(found[:6]) or "none"
+    folders = sorted(path.name for path in place.iterdir() if path.is_dir()) if place.is_dir() else []
+    if len(folders) != 1 or len(arguments.scene) != 1:
+        listed = ", ".join(folders[:6]) or "none"
         raise InputError(f"name the scenes of {place} that these are with --name (there: {listed})")
-    return found
+    return folders
 
 
 def _judged(arguments: argparse.Namespace, index: int) -> Judged:
+    """Return the scene of a field, or Gaussians with features of another system, and the encoder for these."""
     from ... import load_encoder, read_gaussians, read_vocabulary
     from ...formats.peer_features import read_peer_features
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ...scene.views import View
 
 SCENE, MATCH = "scene", "match"
-SAME = "-"  # --side-by-side without a value
+SAME_SCENE = "-"  # --side-by-side without a value
 
 
 def size(text: str) -> tuple[int, int]:
@@ -55,7 +55,7 @@ def add_film_options(parser: argparse.ArgumentParser) -> None:
         "1280, else 1280x720)",
     )  # fmt: skip
     group.add_argument(
-        "--side-by-side", nargs="?", const=SAME, metavar="SCENE",
+        "--side-by-side", nargs="?", const=SAME_SCENE, metavar="SCENE",
         help="show the scene without the answer in the left half, or another scene: before and after an edit",
     )  # fmt: skip
 
@@ -85,7 +85,13 @@ def film(
     output = new_output(arguments.output_dir, arguments.overwrite)
     check_film(output, plan.size, plan.fps)
     other = arguments.side_by_side
-    beside = scene if other == SAME else None if other is None else as_edited(other, read_scene(other), arguments.edits)
+    beside = (
+        scene
+        if other == SAME_SCENE
+        else None
+        if other is None
+        else as_edited(other, read_scene(other), arguments.edits)
+    )
     filmed = Film(
         scene, plan.views, plan.fps, answer, beside, BACKGROUNDS[arguments.background], arguments.near,
         arguments.threads, notes,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from .options import whole, words
 
-EVERY = "every:"
+EVERY_PREFIX = "every:"
 
 
 def add_without(parser: argparse._ActionsContainer) -> None:
@@ -28,7 +28,7 @@ def left_out(names: Sequence[str], without: str | None) -> set[str]:
 
     if without is None:
         return set()
-    chosen = _every(names, without) if without.startswith(EVERY) else _listed(names, without)
+    chosen = _every(names, without) if without.startswith(EVERY_PREFIX) else _listed(names, without)
     if not chosen or len(chosen) == len(set(names)):
         raise InputError(
             f"--without {without}: leaves out {len(chosen)} of {len(set(names))} photos: name some, not all"
@@ -40,7 +40,7 @@ def _every(names: Sequence[str], without: str) -> set[str]:
     from ...errors import InputError
 
     try:
-        step = whole(without.removeprefix(EVERY), least=2)
+        step = whole(without.removeprefix(EVERY_PREFIX), least=2)
     except argparse.ArgumentTypeError as error:
         raise InputError(f"--without {without}: {error}") from None
     return set(sorted(names)[::step])

@@ -1,4 +1,4 @@
-"""--log FILE: what is said on stderr, in a file too."""
+"""--log FILE: a copy of what is written to stderr, with times."""
 
 import os
 import sys
@@ -14,7 +14,7 @@ from ...base.terminal import plain
 from ...errors import InputError
 
 
-class _Both(TextIOBase):
+class _Tee(TextIOBase):
     """Stream that writes to a terminal and, with the time before each line, to a file.
 
     It does not claim to be a terminal, so that progress comes in lines.
@@ -46,9 +46,9 @@ class _Both(TextIOBase):
 
 
 def path_of(options: Sequence[str]) -> str | None:
-    """Return the path of the last --log, as argparse reads it; None where it is no path, which is an error later.
+    """Return the path of the last --log, as argparse reads it; None for what is no path, which is an error later.
 
-    The log begins before the line is parsed, so that it has the errors of that too.
+    The log begins before the line is parsed, so that it has errors in the line too.
     """
     pairs = zip(options, [*options[1:], ""], strict=False)
     paths = [after if text == "--log" else text[6:] for text, after in pairs if text.split("=")[0] == "--log"]
@@ -65,17 +65,17 @@ def logged(path: str | None, begin: str) -> Iterator[None]:
     if path is None:
         yield
         return
-    before = sys.stderr
+    terminal = sys.stderr
     with _opened(path) as file:
-        both = _Both(before, file)
+        tee = _Tee(terminal, file)
         one_line = plain(begin).replace("\n", "\\n")
         file.write(f"{_now()} {one_line}\n")
-        sys.stderr = both
+        sys.stderr = tee
         try:
             yield
         finally:
-            sys.stderr = before
-            both.flush()
+            sys.stderr = terminal
+            tee.flush()
 
 
 def _opened(path: str) -> TextIO:

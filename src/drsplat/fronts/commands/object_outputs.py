@@ -15,13 +15,13 @@ from .options import new_output
 if TYPE_CHECKING:
     from ...query import Scene
 
-TABLE = "objects.json"
-FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r", "\n")  # with which a text begins that spreadsheets compute
-BOXES = {"center": 3, "extent": 3, "axes": 9}
+TABLE_FILE = "objects.json"
+FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r", "\n")  # spreadsheets compute a text that begins with one
+BOX_NUMBERS = {"center": 3, "extent": 3, "axes": 9}
 
 
 def check(arguments: argparse.Namespace) -> None:
-    """Check all that can be known to be wrong before any work is done."""
+    """Check what can be checked before any work is done."""
     from ...errors import InputError
 
     if (arguments.label is None) != (arguments.id is None):
@@ -31,14 +31,14 @@ def check(arguments: argparse.Namespace) -> None:
             raise InputError(f"{option}: there is no folder {Path(output).parent}: make it first")
     if arguments.picture and Path(arguments.picture).suffix.lower() not in (".jpg", ".jpeg", ".png"):
         raise InputError(f"{arguments.picture}: pictures are written as .png or .jpg")
-    if arguments.save and Path(arguments.save).suffix.lower() not in _WAYS:
+    if arguments.save and Path(arguments.save).suffix.lower() not in _WRITERS:
         raise InputError(
             f"{arguments.save}: expected a name that ends in .npy, .ply, .json or .csv, or that of a folder"
         )
 
 
 def save(path: str, scene: Scene, listed: list[dict[str, Any]], overwrite: bool) -> None:
-    _WAYS[Path(path).suffix.lower()](Path(path), scene, listed, overwrite)
+    _WRITERS[Path(path).suffix.lower()](Path(path), scene, listed, overwrite)
 
 
 def _save_npy(path: Path, scene: Scene, _: list[dict[str, Any]], overwrite: bool) -> None:
@@ -70,19 +70,21 @@ def _save_csv(path: Path, _: Scene, listed: list[dict[str, Any]], overwrite: boo
     from ...formats.replacing import replacing
 
     text = io.StringIO(newline="")
-    plain = ("id", "label", "name", "num_gaussians", "mass", "num_views", "sure")
+    columns = ("id", "label", "name", "num_gaussians", "mass", "num_views", "sure")
     rows = csv.writer(text)
-    rows.writerow([*plain, *(f"{key}_{i}" for key, count in BOXES.items() for i in range(count)), "views", "agreed"])
-    for one in listed:
-        numbers = [*one["center"], *one["extent"], *chain(*one["axes"])]
-        views = _cell(";".join(one["views"]))
-        rows.writerow([*(_cell(one[key]) for key in plain), *numbers, views, int(one["agreed"])])
+    rows.writerow(
+        [*columns, *(f"{key}_{i}" for key, count in BOX_NUMBERS.items() for i in range(count)), "views", "agreed"]
+    )
+    for document in listed:
+        numbers = [*document["center"], *document["extent"], *chain(*document["axes"])]
+        views = _cell(";".join(document["views"]))
+        rows.writerow([*(_cell(document[key]) for key in columns), *numbers, views, int(document["agreed"])])
     with replacing(path, overwrite) as file:
         file.write(text.getvalue().encode())
 
 
 def _cell(value: Any) -> Any:
-    """Return a value that no spreadsheet takes for a formula: such a text gets an apostrophe before it."""
+    """Return a value that no spreadsheet takes for a formula: one that looks like it gets an apostrophe before it."""
     return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA_SIGNS) else value
 
 
@@ -91,10 +93,10 @@ def _save_folder(path: Path, scene: Scene, listed: list[dict[str, Any]], overwri
     from ... import write_gaussians
     from ...formats.field_folder import replacing_folder
 
-    with replacing_folder(path, overwrite, TABLE) as folder:
+    with replacing_folder(path, overwrite, TABLE_FILE) as folder:
         for match in scene.objects:
             write_gaussians(folder / f"object_{match.object_id:04d}.ply", scene.gaussians.subset(match.gaussian_ids))
-        _save_json(folder / TABLE, scene, listed, False)
+        _save_json(folder / TABLE_FILE, scene, listed, False)
 
 
-_WAYS = {".npy": _save_npy, ".ply": _save_ply, ".json": _save_json, ".csv": _save_csv, "": _save_folder}
+_WRITERS = {".npy": _save_npy, ".ply": _save_ply, ".json": _save_json, ".csv": _save_csv, "": _save_folder}

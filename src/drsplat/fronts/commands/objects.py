@@ -81,21 +81,21 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     scene = _with_objects(arguments)
     if arguments.label is not None:
         scene.label(objects_of(scene.field).thing(arguments.id), arguments.label)
-    every = object_documents(scene, scene.objects)
+    documents = object_documents(scene, scene.objects)
     if arguments.save or arguments.picture:
         note_own_scene(scene.path, scene.rows if scene.has_gaussians else None)
     with together():
         if arguments.save:
-            save(arguments.save, scene, every, arguments.overwrite)
+            save(arguments.save, scene, documents, arguments.overwrite)
         if arguments.picture:
-            _draw(arguments, scene, _listed(every, arguments.all))
+            _draw(arguments, scene, _listed(documents, arguments.all))
     return {
         "field": arguments.field,
-        "num_objects": len(every),
-        "num_agreed": sum(one["agreed"] for one in every),
+        "num_objects": len(documents),
+        "num_agreed": sum(document["agreed"] for document in documents),
         "num_registered": len(scene.field),
-        "num_in_objects": sum(one["num_gaussians"] for one in every),
-        "objects": every,
+        "num_in_objects": sum(document["num_gaussians"] for document in documents),
+        "objects": documents,
         "all": arguments.all,
         "pictures": pictures_kind(scene.field.rendered_from),
         "rendered_from": scenes_rendered(scene.field.rendered_from),
@@ -112,17 +112,15 @@ def show(answer: dict[str, Any]) -> None:
     from .tables import show_table, text_of
 
     listed = _listed(answer["objects"], answer["all"])
-    inside, every = (
-        text_of(sum(one["num_gaussians"] for one in listed)),
-        counted(answer["num_registered"], "Gaussian"),
-    )
+    inside = text_of(sum(document["num_gaussians"] for document in listed))
+    registered = counted(answer["num_registered"], "Gaussian")
     unsure = answer["num_objects"] - len(listed)
     pictures = answer["pictures"]
     photos_agree = f" that {pictures} agree on" if unsure else ""
-    title = f"{counted(len(listed), 'object')}{photos_agree}, {inside} of {every} in them; lengths in scene units"
+    title = f"{counted(len(listed), 'object')}{photos_agree}, {inside} of {registered} in them; lengths in scene units"
     columns = ("object", "name", "Gaussians", "centre", "extent", pictures, "sure")
     largest = listed if answer["all"] else listed[:MAX_ROWS_SHOWN]
-    show_table(title, columns, [_row(one) for one in largest])
+    show_table(title, columns, [_row(document) for document in largest])
     if len(listed) > len(largest):
         print(f"and {len(listed) - len(largest):,} with less mass: --json, or --save OUT.csv, has all")
     if unsure:
@@ -142,7 +140,7 @@ def show(answer: dict[str, Any]) -> None:
 
 def _listed(objects: list[dict[str, Any]], every: bool) -> list[dict[str, Any]]:
     """Return the objects that photos agree on, or all."""
-    return [one for one in objects if every or one["agreed"]]
+    return [document for document in objects if every or document["agreed"]]
 
 
 def _drifting(scene: Scene) -> dict[str, Any] | None:
@@ -153,10 +151,10 @@ def _drifting(scene: Scene) -> dict[str, Any] | None:
 
     if scene.field.times is None:
         return None
-    found = drifting(scene.field)
-    pairs = Counter(zip(found.first.tolist(), found.last.tolist(), strict=True))
+    drift = drifting(scene.field)
+    pairs = Counter(zip(drift.first.tolist(), drift.last.tolist(), strict=True))
     most = [{"from": first, "to": last, "num_gaussians": count} for (first, last), count in pairs.most_common(5)]
-    return {"num_gaussians": len(found.gaussian_ids), "between": most, "gaussian_ids": found.gaussian_ids}
+    return {"num_gaussians": len(drift.gaussian_ids), "between": most, "gaussian_ids": drift.gaussian_ids}
 
 
 def _drifting_text(drift: dict[str, Any]) -> str:
@@ -164,15 +162,15 @@ def _drifting_text(drift: dict[str, Any]) -> str:
 
     if not drift["num_gaussians"]:
         return "No Gaussian changes what it belongs to over time."
-    between = ", ".join(f"{one['from']} to {one['to']}: {one['num_gaussians']:,}" for one in drift["between"])
+    between = ", ".join(f"{pair['from']} to {pair['to']}: {pair['num_gaussians']:,}" for pair in drift["between"])
     changes = counted(drift["num_gaussians"], "Gaussian changes", "Gaussians change")
     return f"{changes} what it belongs to over time, by objects (-1: none): {between}"
 
 
-def _row(one: dict[str, Any]) -> tuple[str, ...]:
-    places = (" ".join(f"{x:.2f}" for x in one[key]) for key in ("center", "extent"))
-    name = one["label"] or one["name"] or ""
-    return str(one["id"]), name, f"{one['num_gaussians']:,}", *places, str(one["num_views"]), f"{one['sure']:.2f}"
+def _row(document: dict[str, Any]) -> tuple[str, ...]:
+    places = (" ".join(f"{x:.2f}" for x in document[key]) for key in ("center", "extent"))
+    name, count = document["label"] or document["name"] or "", f"{document['num_gaussians']:,}"
+    return str(document["id"]), name, count, *places, str(document["num_views"]), f"{document['sure']:.2f}"
 
 
 def _with_objects(arguments: argparse.Namespace) -> Scene:
@@ -191,8 +189,8 @@ def _with_objects(arguments: argparse.Namespace) -> Scene:
     from ...field.objects.finding import find_objects
 
     with claimed_output(path):
-        found = find_objects(scene.field, gaussians, threads=arguments.threads)
-        scene.field.with_objects(found).save(path, overwrite=True)
+        objects = find_objects(scene.field, gaussians, threads=arguments.threads)
+        scene.field.with_objects(objects).save(path, overwrite=True)
     return open_scene(arguments)
 
 
@@ -208,7 +206,7 @@ def _find_in_tiles(arguments: argparse.Namespace, path: Path, tiles: Tiles) -> N
     if field.objects is not None and not arguments.again:
         return
     with claimed_output(path):
-        found = find_objects(
+        objects = find_objects(
             field,
             tiles,
             parts=parts,
@@ -216,7 +214,7 @@ def _find_in_tiles(arguments: argparse.Namespace, path: Path, tiles: Tiles) -> N
             threads=arguments.threads,
             track=tracker(arguments),
         )
-        field.with_objects(found).save(path, overwrite=True)
+        field.with_objects(objects).save(path, overwrite=True)
     if arguments.parts is None:
         shutil.rmtree(parts, ignore_errors=True)
 
@@ -229,6 +227,6 @@ def _draw(arguments: argparse.Namespace, scene: Scene, listed: list[dict[str, An
     if scene.objects and not listed:
         raise InputError(f"photos agree on none of the {len(scene.objects)} objects well: --all draws them")
     matches = scene.objects
-    names = [one["label"] or one["name"] for one in listed]
-    sheet = object_sheet(scene, [matches[one["id"]] for one in listed], names)
+    names = [document["label"] or document["name"] for document in listed]
+    sheet = object_sheet(scene, [matches[document["id"]] for document in listed], names)
     write_picture(arguments.picture, sheet, arguments.overwrite)

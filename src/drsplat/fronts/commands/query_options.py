@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from ...scene.views import View
 
 
-WITHOUT_SCENE = (".npy", ".json", ".csv")  # outputs that hold no Gaussians
+ENDINGS_WITHOUT_SCENE = (".npy", ".json", ".csv")  # of outputs that hold no Gaussians
 FIELD_HELP = "field that `drsplat register` wrote, or a folder with a field, its scene and photos"
 
 
@@ -130,7 +130,7 @@ def open_scene_for_output(arguments: argparse.Namespace) -> Scene:
     """Open the scene, if --save and --picture can be made of it. Raises: InputError: they cannot; as `open_scene`."""
     scene = open_scene(arguments)
     drawn = arguments.picture is not None
-    if drawn or (arguments.save is not None and not arguments.save.lower().endswith(WITHOUT_SCENE)):
+    if drawn or (arguments.save is not None and not arguments.save.lower().endswith(ENDINGS_WITHOUT_SCENE)):
         _ = scene.rows  # or the error that says what is missing, before any work
     if drawn:
         scene.best_view()

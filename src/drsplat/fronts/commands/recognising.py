@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from pathlib import Path
 
-KINDS = {
+FORMAT_KINDS = {
     "drsplat labels": "labels",
     "drsplat edits": "edits",
     "drsplat annotations": "annotations",
     "drsplat-path": "camera path",
 }
-FOLDERS = {"field.json": "field", "tiles.json": "tiles", "lod-meta.json": "scene", "tileset.json": "scene"}
-MANIFESTS = {"field.json": "field", "tiles.json": "tiles", "checksums.json": "catalogue", "embedding.json": "features"}
+FOLDER_KINDS = {"field.json": "field", "tiles.json": "tiles", "lod-meta.json": "scene", "tileset.json": "scene"}
+MANIFEST_KINDS = {
+    "field.json": "field",
+    "tiles.json": "tiles",
+    "checksums.json": "catalogue",
+    "embedding.json": "features",
+}
 
 
 def kind_of(path: Path) -> str:
@@ -27,7 +32,7 @@ def kind_of(path: Path) -> str:
         return _file_kind(path)
     if not path.is_dir():
         raise InputError(f"{path}: there is no such file or folder")
-    for manifest, kind in FOLDERS.items():
+    for manifest, kind in FOLDER_KINDS.items():
         if (path / manifest).is_file():
             return kind
     if (path / "objects.lance").is_dir():
@@ -46,7 +51,7 @@ def kind_of(path: Path) -> str:
 
 def place_of(path: Path, kind: str) -> Path:
     """Return the folder that a manifest stands for; any other path is its own place."""
-    return path.parent if path.is_file() and MANIFESTS.get(path.name) == kind else path
+    return path.parent if path.is_file() and MANIFEST_KINDS.get(path.name) == kind else path
 
 
 def _has_field(path: Path) -> bool:
@@ -69,7 +74,7 @@ def _file_kind(path: Path) -> str:
     if path.suffix == ".safetensors":
         return _tensors_kind(path)
     if path.suffix == ".json":
-        return MANIFESTS.get(path.name) or _json_kind(path)
+        return MANIFEST_KINDS.get(path.name) or _json_kind(path)
     if path.suffix in (".bin", ".txt"):
         return "capture"
     return "codebook" if path.suffix == ".faiss" or is_faiss(path) else "scene"
@@ -93,8 +98,8 @@ def _json_kind(path: Path) -> str:
     if is_sog_meta(document):
         return "scene"
     about = document if isinstance(document, dict) else {}
-    if str(about.get("format")) in KINDS:
-        return KINDS[str(about["format"])]
+    if str(about.get("format")) in FORMAT_KINDS:
+        return FORMAT_KINDS[str(about["format"])]
     if about.get("type") == "FeatureCollection":
         return "annotations"
     if isinstance(about.get("camera_path"), list):

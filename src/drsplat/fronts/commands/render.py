@@ -41,7 +41,7 @@ EXAMPLES = """\
 TEXT_CUT = fields(Place.COMMAND_LINE, Place.WORDS)
 DAILY = ("views", "view", "all", "path", "output_dir", "field", "query", "overwrite", "size", "seconds")
 BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "grey": (0.5, 0.5, 0.5)}
-PICTURES = "renders"
+DEFAULT_FOLDER = "renders"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -243,7 +243,7 @@ def _stills(
     from ...query import view_named
     from ...scene.moving import Moving
 
-    arguments.output_dir = arguments.output_dir or PICTURES
+    arguments.output_dir = arguments.output_dir or DEFAULT_FOLDER
     views = views if arguments.all else [view_named(views, arguments.view)]
     splats = None if isinstance(scene, Moving) else splat_arrays(scene, arguments.near)
     written = []

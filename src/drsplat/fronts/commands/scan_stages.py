@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ..scanning.inputs import ScanInput
 
 FIELD, FEATURES, PAGE = "scene.field", "features", "index.html"
-CPU_SIDE_PX = 800  # longer side of photos that a CPU trains on
+CPU_SIDE_PIXELS = 800  # longer side of photos that a CPU trains on
 SAM_ON_A_CPU = {"points": "auto", "crop-layers": "0", "levels": "large"}
 """Options of embed: few points. Fewer photos and crops may cost answers on real photos (docs/embedding.md)."""
 DEFAULT_VIDEO_PHOTOS = 100  # until the frames of a video are chosen
@@ -144,7 +144,7 @@ def _training(arguments: argparse.Namespace, capture: str, model: str, common: S
     given += [] if arguments.iterations is None else ["--iterations", str(arguments.iterations)]
     defaults: dict[str, str] = {}
     if chosen_device(verb_line("train", given, common).arguments.device) == "cpu":
-        defaults["resolution"] = str(CPU_SIDE_PX)
+        defaults["resolution"] = str(CPU_SIDE_PIXELS)
     return verb_line("train", given, common, defaults)
 
 

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...errors import DrSplatError, InputError
 from .common import add_common
-from .configuring import NOT_KEPT, place, table_keys
+from .configuring import OPTIONS_NOT_KEPT, place, table_keys
 from .parsing import VerbParser, did_you_mean
 
 if TYPE_CHECKING:
     from ..scanning.display import Display
 
-SETTLED = ("output", "output-dir", "overwrite", "json", "features", "scene", "views", "export", "ask", "masks")
+SETTLED_OPTIONS = ("output", "output-dir", "overwrite", "json", "features", "scene", "views", "export", "ask", "masks")
 """Options that a scan settles itself, so that a file of --config may not."""
-NOT_RECORDED = (*NOT_KEPT, "threads", "json")
+OPTIONS_NOT_RECORDED = (*OPTIONS_NOT_KEPT, "threads", "json")
 STARTED, DONE = "started", "done"
 
 
@@ -50,11 +50,16 @@ def verb_line(
     if more:
         parser, arguments = _parsed(verb, [*given, *(text for pair in more for text in pair), *common])
     arguments.overwrite = False  # what a scan replaces, it removes itself
-    ours = {text[2:] for text in given if text.startswith("--")} & set(SETTLED)
+    ours = {text[2:] for text in given if text.startswith("--")} & set(SETTLED_OPTIONS)
     options: dict[str, Any] = {}
     for use in parser.given:
         flags = [flag[2:] for flag in use.option.option_strings if flag.startswith("--")]
-        if flags and not ours & set(flags) and place(use.option) not in NOT_RECORDED and use.option.dest != "overwrite":
+        if (
+            flags
+            and not ours & set(flags)
+            and place(use.option) not in OPTIONS_NOT_RECORDED
+            and use.option.dest != "overwrite"
+        ):
             options.setdefault(flags[0], []).append(use.texts)
     return VerbLine(arguments, options)
 
@@ -76,7 +81,7 @@ def check_tables(path: str, verbs: Sequence[str]) -> None:
         if verb not in verbs and meant:
             raise InputError(f"{path}: there is no verb {verb}{meant}")
         others = {"views"} if verb == "embed" else set()  # there it is a number of photos, no path
-        settled = sorted(keys & set(SETTLED) - others) if verb in verbs and verb != "scan" else []
+        settled = sorted(keys & set(SETTLED_OPTIONS) - others) if verb in verbs and verb != "scan" else []
         if settled:
             raise InputError(f"{path}: [{verb}] {settled[0]} is settled by drsplat scan: drop it")
 

@@ -37,12 +37,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ...base.progress import Stopwatch
     from ...base.system import peak_memory_bytes
-    from ...field.tiles.cutting import ROWS, cut
+    from ...field.tiles.cutting import TILE_ROWS, cut
     from ...formats.sources import blocks_of
 
     output, watch = new_output(arguments.output, arguments.overwrite), Stopwatch()
     blocks = blocks_of([Path(scene) for scene in arguments.scenes])
-    tiles = cut(blocks, output, getattr(arguments, "rows", ROWS), overwrite=arguments.overwrite)
+    tiles = cut(blocks, output, getattr(arguments, "rows", TILE_ROWS), overwrite=arguments.overwrite)
     watch.lap("cut")
     return {
         "tiles": str(output),

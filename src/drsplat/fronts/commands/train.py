@@ -26,7 +26,7 @@ DAILY = ("output_dir", "overwrite", "iterations", "resolution", "device", "image
 RESOLUTION_DIVISORS = (1, 2, 4, 8)
 STARTS = {"given": "given", "triangulated": "triangulated from the photos", "random": "random"}
 EVERYDAY_ITERATIONS, ORIGINAL_ITERATIONS = 4000, 30_000  # of the two schedules
-MAX_SIDE_PX = 1600  # as 3DGS: larger photos are scaled down unless --resolution says otherwise
+MAX_SIDE_PIXELS = 1600  # as 3DGS: larger photos are scaled down unless --resolution says otherwise
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,7 +44,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--resolution", "-r", type=count, metavar="R",
         help=f"divisor of the photos' sides (1, 2, 4 or 8), or else their longer side in pixels, from 64 on: smaller "
-        f"ones teach little, and sides under 11 are refused (default: as they are, but at most {MAX_SIDE_PX})",
+        f"ones teach little, and sides under 11 are refused (default: as they are, but at most {MAX_SIDE_PIXELS})",
     )  # fmt: skip
     add_kernel_device(parser)
     _add_method(parser)
@@ -132,7 +132,7 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     device = chosen_device(arguments.device)
     divisor = arguments.resolution if arguments.resolution in RESOLUTION_DIVISORS else None
     views = [
-        view.limited(max(view.width, view.height) / divisor if divisor else arguments.resolution or MAX_SIDE_PX)
+        view.limited(max(view.width, view.height) / divisor if divisor else arguments.resolution or MAX_SIDE_PIXELS)
         for view in _with_photo(arguments)
     ]
     settings = _settings(arguments, views)

@@ -19,8 +19,8 @@ from ...photos.models.sam import CPU_SEGMENTER, DEFAULT_SEGMENTER
 
 AUTO = "auto"
 HUB_PATIENCE_S = 5.0
-DOWNLOAD = "have a network, or name folders that hold them as segmenter and encoder"
-MEANING = (
+DOWNLOAD_CURE = "have a network, or name folders that hold them as segmenter and encoder"
+MINI_MEANING = (
     "they know colours, and household words in made-up rooms only, so of real photos ask for colours ('something red')"
 )
 
@@ -48,11 +48,11 @@ class ModelChoice:
     def sentence(self) -> str:
         """Sentence that says which models work, what that means and what would be better."""
         if not self.reason:
-            words = MEANING if self.is_built_in else "any words can be asked"
+            words = MINI_MEANING if self.is_built_in else "any words can be asked"
             return f"{self.segmenter} cuts the photos into masks and {self.encoder} embeds them: {words}."
         noun = "models" if self.is_built_in and self.segmenter == GraphSegmenter.name else "model"
         names = [name for name in (self.segmenter, self.encoder) if name in (GraphSegmenter.name, MiniEncoder.name)]
-        meaning = MEANING if self.is_built_in else "its masks are coarser than those of SAM"
+        meaning = MINI_MEANING if self.is_built_in else "its masks are coarser than those of SAM"
         return (
             f"The built-in {noun} ({' and '.join(names)}) work, because {self.reason}; {meaning}. For SAM and CLIP: "
             f"{self.cure}, and run drsplat scan with --overwrite."
@@ -75,7 +75,7 @@ def choose_models(segmenter: str, encoder: str, device: str = AUTO) -> ModelChoi
     reasons = [_why_not(name) for choice, name in named if choice == AUTO]
     reason = next(filter(None, reasons), "")
     if reason:
-        return _built_in(segmenter, encoder, reason, DOWNLOAD)
+        return _built_in(segmenter, encoder, reason, DOWNLOAD_CURE)
     return ModelChoice(*(name if choice == AUTO else choice for choice, name in named))
 
 

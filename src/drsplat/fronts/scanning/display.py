@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from ...base.progress import Meter, duration, followed
 
-IN_ONE_METER = ("train", "embed")  # stages whose meter counts all of their work
+ONE_METER_STAGES = ("train", "embed")  # one meter counts all of their work
 
 
 class Cost(NamedTuple):
@@ -74,7 +74,7 @@ class Display:
         names = list(self.expected)
         later = sum(self.expected[name] for name in names[names.index(self._stage) + 1 :])
         own = self.expected[self._stage] * pace - (time.monotonic() - self._begin)
-        return (job_left if self._stage in IN_ONE_METER else max(job_left, own)) + later * pace
+        return (job_left if self._stage in ONE_METER_STAGES else max(job_left, own)) + later * pace
 
     def _pace(self) -> float:
         """Return how many times longer stages take here than expected."""

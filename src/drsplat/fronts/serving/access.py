@@ -10,7 +10,7 @@ import re
 from collections.abc import Sequence
 
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
-EVERYWHERE = ("", "0.0.0.0", "::")
+ALL_INTERFACES = ("", "0.0.0.0", "::")
 _HOST = re.compile(r"(\[[0-9a-f:.]*\]|[a-z0-9._-]+)(?::\d{1,5})?")
 
 
@@ -24,7 +24,7 @@ def is_loopback(host: str) -> bool:
 
 def names_of(host: str) -> tuple[str, ...] | None:
     """Return the names that requests to a server on `host` may use, None for any, where it listens everywhere."""
-    if host in EVERYWHERE:
+    if host in ALL_INTERFACES:
         return None
     own = f"[{host}]" if ":" in host and not host.startswith("[") else host
     return tuple(dict.fromkeys((*LOOPBACK_NAMES, own.lower())))

@@ -23,7 +23,7 @@ from .pictures import jpeg, png
 from .query_fields import Request, asks_something, cut_of, query_of, values_of
 from .replies import JPEG, PLY, PNG, Reply
 
-OBJECT_SIZE = (640, 480)
+OBJECT_SIZE_PIXELS = (640, 480)
 
 
 class Answering(NamedTuple):
@@ -71,7 +71,7 @@ def objects(scene: Scene, asked: requests.Objects, _: Limits) -> models.ObjectLi
 
 
 def object_photo(scene: Scene, asked: requests.OneObject, _: Limits) -> bytes:
-    return jpeg(object_picture(scene, _numbered(scene, asked), size=OBJECT_SIZE))
+    return jpeg(object_picture(scene, _numbered(scene, asked), size=OBJECT_SIZE_PIXELS))
 
 
 def object_ply(scene: Scene, asked: requests.OneObject, _: Limits) -> bytes:

@@ -24,8 +24,9 @@ class Stage(Enum):
     SERVED = "the answer"
 
 
-MOST, OTHERS = 2048, 512  # connections; other open files, and connections that are being answered
-SECONDS: Mapping[Stage, float] = {Stage.IDLE: 30.0, Stage.HEAD: 10.0, Stage.BODY: 40.0}
+MAX_CONNECTIONS = 2048
+OTHER_OPEN_FILES = 512  # and connections that are being answered
+TIMEOUTS_S: Mapping[Stage, float] = {Stage.IDLE: 30.0, Stage.HEAD: 10.0, Stage.BODY: 40.0}
 
 
 class Lobby:
@@ -129,10 +130,10 @@ class Connection(H11Protocol):
 
 def room() -> int:
     """Return how many connections may be open, once this process may open as many files as it is allowed to."""
-    return max(allow_open_files(MOST + OTHERS) - OTHERS, 16)
+    return max(allow_open_files(MAX_CONNECTIONS + OTHER_OPEN_FILES) - OTHER_OPEN_FILES, 16)
 
 
-def connection_class(most: int, seconds: Mapping[Stage, float] = SECONDS) -> type[Connection]:
+def connection_class(most: int, seconds: Mapping[Stage, float] = TIMEOUTS_S) -> type[Connection]:
     """Return the class of a service's connections, for uvicorn. most: as in `Lobby`. seconds: longest wait by stage."""
     return type("Connection", (Connection,), {"lobby": Lobby(most), "seconds": seconds})
 
@@ -142,7 +143,7 @@ def run(app: Any, listening: socket.socket, **options: Any) -> None:
     run_server(uvicorn.Server(bounded(app, **options)), listening)
 
 
-def bounded(app: Any, seconds: Mapping[Stage, float] = SECONDS, **options: Any) -> uvicorn.Config:
+def bounded(app: Any, seconds: Mapping[Stage, float] = TIMEOUTS_S, **options: Any) -> uvicorn.Config:
     """Return settings for a server with bounded connections. seconds: as of `connection_class`. options: uvicorn's."""
     protocol = connection_class(room(), seconds)
     return uvicorn.Config(app, http=protocol, ws="none", server_header=False, **options)

@@ -42,14 +42,14 @@ from .pictures import png
 from .query_fields import values_of
 from .requests import Tool
 
-MAX_MATCHES, MAX_OBJECTS, MAX_NAMES, MAX_TEXT_LENGTH, MAX_PHOTOS = 20, 100, 100, 200, 8
+MAX_MATCHES, MAX_OBJECTS, MAX_NAMES, MAX_TEXT_CHARACTERS, MAX_PHOTOS = 20, 100, 100, 200, 8
 MAX_TRACK_TIMES = 12  # a model reads every number
 PICTURE_SIDE_PIXELS = 768
 
-Text = Annotated[str, Field(description="query in a few words, e.g. 'red mug'", max_length=MAX_TEXT_LENGTH)]
+Text = Annotated[str, Field(description="query in a few words, e.g. 'red mug'", max_length=MAX_TEXT_CHARACTERS)]
 On = Annotated[
     str | None,
-    Field(description="only those that stand on this, e.g. 'table'", min_length=1, max_length=MAX_TEXT_LENGTH),
+    Field(description="only those that stand on this, e.g. 'table'", min_length=1, max_length=MAX_TEXT_CHARACTERS),
 ]
 Names = Annotated[
     list[str] | None, Field(description="words to choose from; may be left out for encoders that know a list")
@@ -422,9 +422,9 @@ def _advice(text: str, every: list[engine.Match], found: list[engine.Match], on:
 
 
 def _text(text: str) -> str:
-    if not text.strip() or len(text) > MAX_TEXT_LENGTH:
+    if not text.strip() or len(text) > MAX_TEXT_CHARACTERS:
         raise InputError(
-            f"text: expected a few words that name an object, at most {MAX_TEXT_LENGTH} characters; got {len(text)}"
+            f"text: expected a few words that name an object, at most {MAX_TEXT_CHARACTERS} characters; got {len(text)}"
         )
     return text
 
@@ -434,8 +434,8 @@ def _query_of(text: str, cut: dict[str, Any]) -> engine.Query:
 
 
 def _names(names: list[str] | None) -> list[str] | None:
-    if names is not None and (not 1 <= len(names) <= MAX_NAMES or any(len(one) > MAX_TEXT_LENGTH for one in names)):
-        raise InputError(f"names: expected 1 to {MAX_NAMES} texts of at most {MAX_TEXT_LENGTH} characters")
+    if names is not None and (not 1 <= len(names) <= MAX_NAMES or any(len(one) > MAX_TEXT_CHARACTERS for one in names)):
+        raise InputError(f"names: expected 1 to {MAX_NAMES} texts of at most {MAX_TEXT_CHARACTERS} characters")
     return names
 
 

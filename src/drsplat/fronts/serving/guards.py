@@ -17,8 +17,8 @@ Receive = Callable[[], Awaitable[Message]]
 Send = Callable[[Message], Awaitable[None]]
 App = Callable[[Message, Receive, Send], Awaitable[None]]
 
-LARGE = 64 << 10  # bytes of a body: texts are smaller, pictures are not
-OPEN = ("/health",)  # for those who watch the service and have no key
+LARGE_BODY_BYTES = 64 << 10  # texts are smaller, pictures are not
+KEYLESS_PATHS = ("/health",)  # for monitors of the service, which have no key
 
 
 class TooLargeError(HTTPException):
@@ -53,7 +53,7 @@ class DoorKeeper:
         return bool(answer.status)
 
     def _is_let_in(self, path: str, headers: dict[bytes, bytes]) -> bool:
-        if self.key is None or path in OPEN:
+        if self.key is None or path in KEYLESS_PATHS:
             return True
         given = headers.get(b"x-api-key") or _bearer(headers.get(b"authorization", b""))
         return is_secret(given, self.key)
@@ -168,7 +168,7 @@ class Body:
         self.seen += len(message.get("body", b""))
         if self.seen > self.most:
             raise TooLargeError(self.most)
-        if self.seen > LARGE and not self.is_large:
+        if self.seen > LARGE_BODY_BYTES and not self.is_large:
             if self.counter.large >= self.counter.limits.large_bodies:
                 raise HTTPException(503, f"{self.counter.large} large bodies are here: come again")
             self.counter.large, self.is_large = self.counter.large + 1, True

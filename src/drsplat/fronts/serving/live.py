@@ -27,7 +27,7 @@ TAKE, LIST, ADD, REFUSE = "take-view", "list-views", "add-views", "refuse-view"
 ACTS = (TAKE, LIST, ADD, REFUSE)
 ACTS_ON_FILES = (LIST, ADD, REFUSE)
 """Acts for which the scene need not be open."""
-LISTED = 1000  # views of an answer
+MAX_VIEWS_LISTED = 1000
 Numbers4 = Annotated[list[Finite], Field(min_length=4, max_length=4)]
 Numbers3 = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Size = Annotated[int, Field(ge=1, le=1 << 17)]
@@ -157,7 +157,7 @@ def list_views(files: SceneFiles, asked: Mapping[str, Any]) -> Reply:
     """List the views that were sent. asked: `working`, names that are being added; `problem`."""
     working, capture = set(asked["working"]), capture_of(files)
     views = LiveViews(capture).every()
-    states = [_state(view, view.name in working) for view in views[-LISTED:]]
+    states = [_state(view, view.name in working) for view in views[-MAX_VIEWS_LISTED:]]
     for state in states:
         state.reason = without_paths(state.reason, (capture, capture.resolve()))
     waiting = sum(view.state == "waiting" for view in views)

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Counter, Gauge, Histogram, generate_latest
 
-SECONDS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30)
-VIEW_SECONDS = (0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600)
+ANSWER_BUCKETS_S = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30)
+VIEW_BUCKETS_S = (0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600)
 
 
 class Metrics:
@@ -22,7 +22,7 @@ class Metrics:
             "drsplat_request_seconds",
             "From the first byte to the answer",
             ("route",),
-            buckets=SECONDS,
+            buckets=ANSWER_BUCKETS_S,
             registry=self.registry,
         )
         self.computing = Gauge("drsplat_computing", "Requests that compute now", registry=self.registry)
@@ -34,7 +34,7 @@ class Metrics:
         self._view_seconds = Histogram(
             "drsplat_view_seconds",
             "From the arrival of a view to being in the field",
-            buckets=VIEW_SECONDS,
+            buckets=VIEW_BUCKETS_S,
             registry=self.registry,
         )
         self.views_waiting = Gauge("drsplat_views_waiting", "Views that wait to be added", registry=self.registry)

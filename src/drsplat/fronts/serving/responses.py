@@ -7,13 +7,13 @@ from fastapi import Path, Response
 from .replies import Reply
 
 FIELD_HEADER = "x-drsplat-field"
-COME_AGAIN = (429, 503)
+RETRY_STATUSES = (429, 503)
 Scene = Annotated[str, Path(min_length=1, max_length=200, description="a name from /scenes")]
 
 
 def sent(reply: Reply, headers: Any = None) -> Response:
     """Return a response with the field's fingerprint, and when to come again where that helps."""
-    more = {"retry-after": "1"} if reply.status in COME_AGAIN else {}
+    more = {"retry-after": "1"} if reply.status in RETRY_STATUSES else {}
     if reply.field:
         more[FIELD_HEADER] = reply.field
     return Response(reply.body, reply.status, {**(headers or {}), **more}, media_type=reply.media_type)

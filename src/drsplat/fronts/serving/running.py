@@ -5,7 +5,7 @@ import socket
 from .app import Settings, create_app
 from .connections import run
 
-GRACE = 5  # seconds beyond the longest request
+GRACE_S = 5  # beyond the longest request
 
 
 def serve(settings: Settings, listening: socket.socket, quiet: bool = False) -> None:
@@ -19,6 +19,6 @@ def serve(settings: Settings, listening: socket.socket, quiet: bool = False) -> 
         listening,
         log_level="warning" if quiet else "info",
         access_log=False,
-        timeout_graceful_shutdown=int(settings.limits.seconds) + GRACE,
+        timeout_graceful_shutdown=int(settings.limits.seconds) + GRACE_S,
         timeout_keep_alive=30,
     )

@@ -17,11 +17,11 @@ from ...formats.vocabulary import read_vocabulary
 from ...photos.models.loading import load_encoder
 from ...query import Scene, SceneFiles, find_scene, open_scene
 from ...query.catalogue import Catalogue
-from ...query.opening import CAMERAS
+from ...query.opening import CAMERA_FILES
 from ...scene.encoders import Encoder
 
-LISTED = 20
-_MOST_GAUSSIANS = (1 << 31) - 1
+MAX_NAMES_LISTED = 20
+_MAX_GAUSSIANS = (1 << 31) - 1
 T = TypeVar("T")
 Version = frozenset[tuple[str, int, int, int, int]]
 
@@ -159,7 +159,7 @@ class SceneFolder:
         """Read something of a scene's folder."""
         folders = self.folders()
         if name not in folders:
-            known = ", ".join(map(repr, list(folders)[:LISTED])) or "none"
+            known = ", ".join(map(repr, list(folders)[:MAX_NAMES_LISTED])) or "none"
             raise UnknownSceneError(f"there is no scene {name[:60]!r} here; there are: {known}")
         try:
             return read(folders[name])
@@ -227,7 +227,7 @@ class SceneFolder:
 
 def version_of(files: SceneFiles) -> Version:
     """Return a version that changes when a file of a scene is replaced, cut short or written to."""
-    capture = [] if files.capture is None else [files.capture / name for name in CAMERAS]
+    capture = [] if files.capture is None else [files.capture / name for name in CAMERA_FILES]
     labels = LabelFile.beside(files.field).path
     return frozenset(_stats(files.field) | _stats(*files.scenes, *capture, labels))
 
@@ -269,7 +269,7 @@ def _has_field(folder: Path) -> bool:
 
 
 def _count(value: object) -> int:
-    return value if type(value) is int and 0 <= value <= _MOST_GAUSSIANS else 0
+    return value if type(value) is int and 0 <= value <= _MAX_GAUSSIANS else 0
 
 
 def _name(folder: Path) -> str:

@@ -12,7 +12,7 @@ from mcp.server import MCPServer
 from .connections import run
 from .guards import DoorKeeper
 
-STOPPED = 130  # as shells say that Ctrl-C ended a program
+INTERRUPTED_EXIT_CODE = 130  # of shells, for Ctrl-C
 
 
 def over_stdio(server: MCPServer) -> None:
@@ -21,7 +21,7 @@ def over_stdio(server: MCPServer) -> None:
     The SDK reads stdin in a thread that nothing can interrupt, so Ctrl-C would wait for the next line for ever:
     the process ends at once, which costs nothing, for it only reads.
     """
-    for number, code in ((signal.SIGINT, STOPPED), (signal.SIGTERM, 0)):
+    for number, code in ((signal.SIGINT, INTERRUPTED_EXIT_CODE), (signal.SIGTERM, 0)):
         signal.signal(number, _leave(code))
     anyio.run(server.run_stdio_async)
 

@@ -31,7 +31,7 @@ nothing like it, or another word for it. Check counts with show, which returns a
 
 T = TypeVar("T", bound=Body)
 SceneName = Annotated[str, Field(description="name from list_scenes; may be left out where there is only one")]
-READS = ToolAnnotations(read_only_hint=True, idempotent_hint=True, open_world_hint=False)
+READ_ONLY = ToolAnnotations(read_only_hint=True, idempotent_hint=True, open_world_hint=False)
 
 
 class _Server(MCPServer):  # type: ignore[type-arg]
@@ -130,7 +130,7 @@ def make_server(scene_folder: SceneFolder, bench: Workbench, limits: Limits) -> 
 
 
 def _add_scenes(server: MCPServer, asking: _Asking) -> None:
-    @server.tool(title="List scenes", annotations=READS)
+    @server.tool(title="List scenes", annotations=READ_ONLY)
     async def list_scenes() -> SceneList:
         """List the scenes that can be searched, and how large they are."""
         return await asking.list_scenes()
@@ -153,7 +153,7 @@ def _add_tool(server: MCPServer, asking: _Asking, name: str, tool: ToolEntry) ->
     returned = Annotated[CallToolResult, RenderedView] if body is RenderedPicture else body
     parameters = [*(one.replace(kind=keyword) for one in own), *cut, where]
     answer.__signature__ = inspect.Signature(parameters, return_annotation=returned)  # type: ignore[attr-defined]
-    server.add_tool(answer, name, title=tool.title, description=tool.method.__doc__, annotations=READS)
+    server.add_tool(answer, name, title=tool.title, description=tool.method.__doc__, annotations=READ_ONLY)
 
 
 def _with_picture(found: RenderedPicture) -> CallToolResult:
@@ -163,7 +163,7 @@ def _with_picture(found: RenderedPicture) -> CallToolResult:
 
 
 def _add_catalogue(server: MCPServer, asking: _Asking) -> None:
-    @server.tool(title="Search all scenes", annotations=READS)
+    @server.tool(title="Search all scenes", annotations=READ_ONLY)
     async def search_all_scenes(
         text: Text,
         top: Annotated[int, Field(ge=1, le=MAX_MATCHES, description="most matches to list")] = 5,

@@ -25,9 +25,9 @@ from .metrics import Metrics
 from .replies import BusyError, LostError, Reply, unpacked
 from .worker import Workplace
 
-OPENING = 600.0  # seconds that a worker may take to open a scene and load its models
-LONGEST = 1 << 30  # bytes of an answer
-COMMAND = [sys.executable, "-P", "-m", "drsplat.fronts.serving.worker"]
+OPENING_TIMEOUT_S = 600.0  # for a worker to open a scene and load its models
+MAX_ANSWER_BYTES = 1 << 30
+WORKER_COMMAND = [sys.executable, "-P", "-m", "drsplat.fronts.serving.worker"]
 
 
 @dataclass(eq=False)
@@ -176,7 +176,7 @@ class WorkerProcess:
         for last in (False, True):
             first = job.scene not in self._opened
             try:
-                reply = self._reply(job, "open", {"for": job.act}, seconds=OPENING if first else None)
+                reply = self._reply(job, "open", {"for": job.act}, seconds=OPENING_TIMEOUT_S if first else None)
             except LostError:
                 if last or job.ended:
                     raise
@@ -196,7 +196,7 @@ class WorkerProcess:
             line.send_bytes(message.encode())
             if not line.poll(seconds):
                 raise TimeoutError(f"not within {seconds:g} s")
-            return unpacked(line.recv_bytes(LONGEST))
+            return unpacked(line.recv_bytes(MAX_ANSWER_BYTES))
         except (OSError, EOFError) as error:
             raise LostError(f"{self._lost(error)}: try again") from error
         finally:
@@ -216,7 +216,7 @@ def _process(place: Workplace) -> "tuple[subprocess.Popen[bytes], Connection]":
     ours, theirs = socket.socketpair()
     with theirs:
         process = subprocess.Popen(
-            [*COMMAND, str(theirs.fileno()), str(os.getpid())],
+            [*WORKER_COMMAND, str(theirs.fileno()), str(os.getpid())],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             pass_fds=[theirs.fileno()],

@@ -18,7 +18,7 @@ from ...scene.gaussians import Gaussians
 from ...scene.moving import Moving, canonical_of
 
 NO_FIELD = "this scene has no field, so nothing can be asked: drsplat embed and drsplat register make one"
-CAMERAS = "cameras.json"  # of a trained model
+CAMERAS_FILE = "cameras.json"  # of a trained model
 
 
 def is_bare(path: Path) -> bool:
@@ -37,7 +37,7 @@ def open_bare(path: Path, capture: str | None = None, threads: int = 0) -> Scene
 
     Raises: as `read_scene` and `read_views`.
     """
-    own = path if path.is_dir() and (path / CAMERAS).is_file() else None
+    own = path if path.is_dir() and (path / CAMERAS_FILE).is_file() else None
     cameras = capture if capture is not None else own
     views = () if cameras is None else tuple(read_views(cameras))
     scene, name = tiles_or_scene(path), path.resolve().stem

@@ -8,7 +8,7 @@ from ...authoring.filming.looking import Vector
 from ...scene.views import View
 from .shown import RADIUS, Frame
 
-OUTSIDE = 2.7  # radii of the scene: a ball of one radius fits into 55 degrees from 2.2 on
+OUTSIDE_RADII = 2.7  # a ball of one radius fits into 55 degrees from 2.2 on
 
 
 def first_look(views: Sequence[View], frame: Frame, up: Vector) -> tuple[Vector, Vector]:
@@ -16,7 +16,7 @@ def first_look(views: Sequence[View], frame: Frame, up: Vector) -> tuple[Vector,
     if not views:
         side = np.array([0.8, 0.5, 0.3])
         side = side - (side @ up) * up + 0.4 * up
-        return frame.center + OUTSIDE * RADIUS / frame.scale * side / np.linalg.norm(side), frame.center
+        return frame.center + OUTSIDE_RADII * RADIUS / frame.scale * side / np.linalg.norm(side), frame.center
     view = views[len(views) // 2]
     ahead = view.cam_from_world[2, :3]
     reach = max(float(ahead @ (frame.center - view.center)), 1 / frame.scale)

@@ -17,15 +17,15 @@ from ...query import Scene
 from .bare import NO_FIELD
 from .cameras import first_look
 from .naming import words_of
-from .page import MOST, MOST_WORDS, Page, PageAnswer, write_page
+from .page import MAX_GAUSSIANS, MAX_WORDS, Page, PageAnswer, write_page
 from .page_parts import annotations_of_page, object_numbers, objects_of_page
 from .page_times import PageTimes, boxes_of, times_of_page
 from .playing import placed_now
 from .results import Result, result_of
 from .session import Mode, Session
 
-WORD_SAMPLE, WORD_BLOCK, WORDS_A_ROW = 20_000, 4096, 3
-MOST_MATCHES = 254  # of one query: a byte per Gaussian says which
+SAMPLED_ROWS, ROWS_AT_ONCE, WORDS_PER_ROW = 20_000, 4096, 3
+MAX_MATCHES = 254  # of one query: a byte per Gaussian says which
 
 
 def export_page(
@@ -54,7 +54,10 @@ def export_page(
     that the encoder does not know; more that moves than a page has room for. MismatchError: another encoder.
     """
     session = Session(
-        scene, min(max_gaussians or MOST, MOST), words, edits_kept=not without_kept(edits, changes=False, saves=False)
+        scene,
+        min(max_gaussians or MAX_GAUSSIANS, MAX_GAUSSIANS),
+        words,
+        edits_kept=not without_kept(edits, changes=False, saves=False),
     )
     up = up_direction(scene) if up is None else up
     page = _filmed_page(session, queries, up, title, path_name)
@@ -70,7 +73,7 @@ def export_session(
 
     Raises: as `export_page`.
     """
-    page = _filmed_page(session.unasked(MOST), queries, up, "", ORBIT)
+    page = _filmed_page(session.unasked(MAX_GAUSSIANS), queries, up, "", ORBIT)
     write_page(path, page)
     return page
 
@@ -133,7 +136,7 @@ def _shown(session: Session, values: Shaped[np.ndarray, " n"]) -> Shaped[np.ndar
 def _answer(session: Session, text: str, up: Float64[np.ndarray, " 3"], times: PageTimes | None) -> PageAnswer:
     scene = session.scene
     result = result_of(scene, text, scene.ask(text))
-    matches = [placed_now(session, match) for match in result.matches[:MOST_MATCHES]]
+    matches = [placed_now(session, match) for match in result.matches[:MAX_MATCHES]]
     warm = heat_of(result.answer.values, result.threshold)
     return PageAnswer(
         text,
@@ -148,7 +151,7 @@ def _answer(session: Session, text: str, up: Float64[np.ndarray, " 3"], times: P
 
 def _owners(result: Result, scene: Scene) -> UInt8[np.ndarray, " n"]:
     owners = np.zeros(len(scene.gaussians), np.uint8)
-    for number, one in enumerate(result.matches[:MOST_MATCHES]):
+    for number, one in enumerate(result.matches[:MAX_MATCHES]):
         owners[one.gaussian_ids] = number + 1
     return owners
 
@@ -156,7 +159,7 @@ def _owners(result: Result, scene: Scene) -> UInt8[np.ndarray, " n"]:
 def _words(scene: Scene, given: Sequence[str] | None) -> tuple[Sequence[str], UInt16[np.ndarray, " n"] | None]:
     """Return the words of a click, and each Gaussian's best; none for an encoder that does not know them."""
     try:
-        words = _fitting(scene, tuple(dict.fromkeys(given or words_of(scene)))[:MOST_WORDS])
+        words = _fitting(scene, tuple(dict.fromkeys(given or words_of(scene)))[:MAX_WORDS])
         return words, (scene.segment(words).labels + 1).astype(np.uint16)
     except DrSplatError:
         return (), None
@@ -165,12 +168,12 @@ def _words(scene: Scene, given: Sequence[str] | None) -> tuple[Sequence[str], UI
 def _fitting(scene: Scene, words: tuple[str, ...]) -> tuple[str, ...]:
     """Return the words that are among the best of any row of a sample; the others would name nothing here."""
     rows = len(scene.field)
-    if not rows or len(words) <= WORDS_A_ROW:
+    if not rows or len(words) <= WORDS_PER_ROW:
         return words
-    chosen = np.sort(np.random.default_rng(0).permutation(rows)[:WORD_SAMPLE])
+    chosen = np.sort(np.random.default_rng(0).permutation(rows)[:SAMPLED_ROWS])
     vectors = np.asarray(scene.encoder.encode_texts(words), np.float32)
     best = np.zeros(len(words), bool)
-    for begin in range(0, len(chosen), WORD_BLOCK):
-        scores = scene.field.feature(chosen[begin : begin + WORD_BLOCK]) @ vectors.T
-        best[np.argpartition(-scores, WORDS_A_ROW - 1, axis=1)[:, :WORDS_A_ROW]] = True
+    for begin in range(0, len(chosen), ROWS_AT_ONCE):
+        scores = scene.field.feature(chosen[begin : begin + ROWS_AT_ONCE]) @ vectors.T
+        best[np.argpartition(-scores, WORDS_PER_ROW - 1, axis=1)[:, :WORDS_PER_ROW]] = True
     return tuple(word for word, fits in zip(words, best, strict=True) if fits)

@@ -7,9 +7,9 @@ from ...base.arrays import Float64, Int32, Int64
 from ...kernels import SplatArrays, view_weights
 from ...scene.views import View
 
-HEAVIEST = 8  # Gaussians of each pixel that count: those behind what is seen have next to no weight
-LEAST_INSIDE = 0.5  # share of a Gaussian's weight in the picture that lies inside the outline
-LEAST_WEIGHT = 0.02  # of a Gaussian in the whole picture, in pixels
+GAUSSIANS_PER_PIXEL = 8  # the heaviest: those behind what is seen have next to no weight
+MIN_INSIDE_SHARE = 0.5  # of a Gaussian's weight in the picture
+MIN_WEIGHT_PIXELS = 0.02  # of a Gaussian in the whole picture
 
 
 def inside_outline(
@@ -19,12 +19,12 @@ def inside_outline(
 
     outline: corners of a polygon, in pixels of the view.
     """
-    seen = view_weights(splats, view, _filled(view, outline), HEAVIEST, threads=threads)
+    seen = view_weights(splats, view, _filled(view, outline), GAUSSIANS_PER_PIXEL, threads=threads)
     weights = seen.weights.astype(np.float64)
     count = len(splats.opacities)
     every = np.bincount(seen.gaussian_ids, weights, minlength=count)
     inside = np.bincount(seen.gaussian_ids, weights * (seen.mask_ids == 1), minlength=count)
-    return np.flatnonzero((inside > LEAST_INSIDE * every) & (every >= LEAST_WEIGHT))
+    return np.flatnonzero((inside > MIN_INSIDE_SHARE * every) & (every >= MIN_WEIGHT_PIXELS))
 
 
 def _filled(view: View, outline: Float64[np.ndarray, "p 2"]) -> Int32[np.ndarray, "h w"]:

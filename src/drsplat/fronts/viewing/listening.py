@@ -5,7 +5,7 @@ import socket
 from ...errors import InputError
 from ..serving.listening import TakenError, bound_socket
 
-TRIES = 20  # ports, where others are taken
+MAX_PORTS_TRIED = 20
 
 
 def listening_socket(host: str, port: int) -> socket.socket:
@@ -13,7 +13,7 @@ def listening_socket(host: str, port: int) -> socket.socket:
 
     Raises: InputError: the address is not one of this machine; no port is free.
     """
-    for candidate in range(port, max(port + 1, min(port + TRIES, 65536))):
+    for candidate in range(port, max(port + 1, min(port + MAX_PORTS_TRIED, 65536))):
         try:
             return bound_socket(host, candidate)
         except TakenError:

@@ -14,7 +14,7 @@ from ...query.naming import own_vocabulary
 from .picking import Hit
 from .results import Result, result_of
 
-EVIDENCE, PICTURE_SIDE = 3, 480
+MAX_EVIDENCE_MASKS, PICTURE_SIDE_PIXELS = 3, 480
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ def this_is(scene: Scene, hit: Hit, words: Sequence[str] | None = None) -> This:
         first,
         hit.point,
         named(scene, first, words),
-        [] if scene.field.evidence is None else scene.field.explain(first, feature, EVIDENCE),
+        [] if scene.field.evidence is None else scene.field.explain(first, feature, MAX_EVIDENCE_MASKS),
         holding[0] if holding else None,
         alike,
     )
@@ -78,7 +78,7 @@ def photo_of(scene: Scene, this: This) -> UInt8[np.ndarray, "_ _ 3"] | None:
     best = best_photo(scene, this)
     if best is None or this.match is None:
         return None
-    return scene.picture(best, this.match.gaussian_ids, photo=True, max_side=PICTURE_SIDE)
+    return scene.picture(best, this.match.gaussian_ids, photo=True, max_side=PICTURE_SIDE_PIXELS)
 
 
 def best_photo(scene: Scene, this: This) -> str | None:

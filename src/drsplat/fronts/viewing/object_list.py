@@ -7,7 +7,7 @@ from ...query import Match
 from ...query.sheets import object_picture, object_views
 from .session import Session
 
-SIZE = (200, 150)
+PICTURE_SIZE_PIXELS = (200, 150)
 
 
 def pictures_of(session: Session, matches: list[Match]) -> list[OtherPixels | None]:
@@ -16,8 +16,9 @@ def pictures_of(session: Session, matches: list[Match]) -> list[OtherPixels | No
         return [None] * len(matches)
     views = object_views(session.scene, matches)
     return [
-        object_picture(session.scene, match, view, SIZE) for match, view in zip(matches, views, strict=True)
-    ]  # fmt: skip
+        object_picture(session.scene, match, view, PICTURE_SIZE_PIXELS)
+        for match, view in zip(matches, views, strict=True)
+    ]
 
 
 def names_of(session: Session) -> list[str]:

@@ -31,11 +31,11 @@ from .places import match_document, rounded
 from .shown import Frame, Shown
 from .texts import printable
 
-MOST = 200_000
+MAX_GAUSSIANS = 200_000
 """Gaussians in a page: some 5 MB of text, and what an old laptop can draw."""
-MOST_WORDS = 65_535
-FILM_STEPS_PER_SECOND, FILM_SECONDS, MOST_FILM_SECONDS = 12, 8.0, 60.0
-KINDS = {"float32": "f4", "float16": "f2", "uint8": "u1", "uint16": "u2", "uint32": "u4"}
+MAX_WORDS = 65_535
+FILM_STEPS_PER_SECOND, FILM_S, MAX_FILM_S = 12, 8.0, 60.0
+TYPE_CODES = {"float32": "f4", "float16": "f2", "uint8": "u1", "uint16": "u2", "uint32": "u4"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,9 +87,9 @@ class Page:
 
 
 def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False) -> None:
-    """Write the page. Raises: InputError: more Gaussians than `MOST`; the file exists and not `overwrite`."""
-    if len(page.shown) > MOST:
-        raise InputError(f"a page holds up to {MOST:,} Gaussians, got {len(page.shown):,}: show fewer of them")
+    """Write the page. Raises: InputError: more Gaussians than `MAX_GAUSSIANS`; the file exists and not `overwrite`."""
+    if len(page.shown) > MAX_GAUSSIANS:
+        raise InputError(f"a page holds up to {MAX_GAUSSIANS:,} Gaussians, got {len(page.shown):,}: show fewer of them")
     order = _order(page)
     layout, blob = packed(_arrays(page, order))
     header = json.dumps(_header(page) | {"arrays": layout})
@@ -104,7 +104,7 @@ def packed(arrays: Mapping[str, np.ndarray]) -> tuple[list[tuple[str, str, int, 
     layout, parts, offset = [], [], 0
     for name, array in arrays.items():
         data = np.ascontiguousarray(array, array.dtype.newbyteorder("<")).tobytes()
-        layout.append((name, KINDS[array.dtype.name], offset, array.size))
+        layout.append((name, TYPE_CODES[array.dtype.name], offset, array.size))
         parts.append(data + bytes(-len(data) % 4))
         offset += len(parts[-1])
     return layout, b"".join(parts)
@@ -159,7 +159,7 @@ def _header(page: Page) -> dict[str, Any]:
         "clock": None if page.times is None else header_of(page.times),
         "film": None if page.path is None else film_document(frame, page.path, page.target),
         "plays": page.plays,
-        "vocabulary": list(page.words)[:MOST_WORDS],
+        "vocabulary": list(page.words)[:MAX_WORDS],
         "annotations": list(page.annotations),
         "answers": [_answer(frame, number, answer) for number, answer in enumerate(page.answers)],
     }
@@ -188,7 +188,7 @@ def film_document(frame: Frame, path: CameraPath, target: Float64[np.ndarray, " 
 
     Each looks at something as far off as `target`, in the world.
     """
-    seconds = min(path.seconds or FILM_SECONDS, MOST_FILM_SECONDS)
+    seconds = min(path.seconds or FILM_S, MAX_FILM_S)
     shares = np.linspace(0, 1, max(2, round(seconds * FILM_STEPS_PER_SECOND)))
     keys = path.at(shares)
     ahead = [max(float(key.rotation[2] @ (target - key.eye)), 1 / frame.scale) for key in keys]

@@ -19,8 +19,8 @@ from .session import Session
 from .texts import printable
 
 POINT_SIZE = 1.0  # of the browser's units
-MOST_OBJECTS = 60  # listed: the largest that photos agree on; and as many of the others, behind "more"
-PICTURES, PICTURE_SIZE, QUALITY = 24, (112, 84), 70  # some 3 KB each
+MAX_OBJECTS_LISTED = 60  # the largest that photos agree on; and as many of the others, behind "more"
+MAX_PICTURES, PICTURE_SIZE_PIXELS, JPEG_QUALITY = 24, (112, 84), 70  # some 3 KB each
 
 
 def objects_of_page(
@@ -35,7 +35,7 @@ def objects_of_page(
     scene, frame = session.scene, session.shown.frame
     every, names, agreed, numbers = scene.objects, names_of(session), scene.agreed, listed_numbers(session)
     matches = [placed_now(session, every[number]) for number in numbers]
-    pictures = [_data_url(picture) for picture in pictures_of(session, matches[:PICTURES])]
+    pictures = [_data_url(picture) for picture in pictures_of(session, matches[:MAX_PICTURES])]
     pictures += [""] * (len(matches) - len(pictures))
     return [
         box_document(frame, match.center, match.axes, match.extent)
@@ -58,7 +58,7 @@ def objects_of_page(
 def listed_numbers(session: Session) -> list[int]:
     """Return the numbers of the objects that a page lists, those that photos agree on first."""
     sure, unsure = in_order(session)
-    return [*sure[:MOST_OBJECTS], *unsure[:MOST_OBJECTS]]
+    return [*sure[:MAX_OBJECTS_LISTED], *unsure[:MAX_OBJECTS_LISTED]]
 
 
 def object_numbers(session: Session) -> UInt16[np.ndarray, " n"] | None:
@@ -94,5 +94,7 @@ def _data_url(pixels: np.ndarray | None) -> str:
     if pixels is None:
         return ""
     out = io.BytesIO()
-    Image.fromarray(pixels).resize(PICTURE_SIZE, Image.Resampling.LANCZOS).save(out, "JPEG", quality=QUALITY)
+    Image.fromarray(pixels).resize(PICTURE_SIZE_PIXELS, Image.Resampling.LANCZOS).save(
+        out, "JPEG", quality=JPEG_QUALITY
+    )
     return f"data:image/jpeg;base64,{base64.b64encode(out.getvalue()).decode()}"

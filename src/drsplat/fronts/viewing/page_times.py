@@ -15,14 +15,14 @@ from ...scene.moving import Moving
 from .session import Session
 from .shown import Frame, Shown
 
-MOST_TIMES, LEAST_TIMES = 120, 8
-MOST_MOVED = 1_000_000
+MAX_TIMES, MIN_TIMES = 120, 8
+MAX_MOVED_PLACES = 1_000_000
 """Gaussians that move, times times: 19 bytes each before they are packed."""
-STILL = 2e-3  # of the browser's units: what moves less stands still
-SAME = 0.02  # of a Gaussian's spread: what turns or grows less does not
-SEEN = 1 / 255
-LEVELS = 65_535  # of a place along an axis
-TIMES_PER_SECOND, MIN_SECONDS, MAX_SECONDS = 15, 2.0, 10.0
+MAX_STILL_DISTANCE = 2e-3  # of the browser's units: what moves less stands still
+MAX_STILL_SPREAD_SHARE = 0.02  # what turns or grows by less of its spread does not
+MIN_SEEN_OPACITY = 1 / 255
+STEPS_PER_AXIS = 65_535  # that 16 bits count
+TIMES_PER_SECOND, MIN_PLAYING_S, MAX_PLAYING_S = 15, 2.0, 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,24 +53,24 @@ class PageTimes:
 def times_of_page(session: Session) -> PageTimes | None:
     """Return None where nothing moves. The session is left at its first time.
 
-    Raises: InputError: so much moves that a page has no room for it at `LEAST_TIMES` times.
+    Raises: InputError: so much moves that a page has no room for it at `MIN_TIMES` times.
     """
     if session.scene.motion is None:
         return None
     known = session.scene.motion.times
-    times = _evenly(known, MOST_TIMES)
+    times = _evenly(known, MAX_TIMES)
     session.time = float(times[0])
     moves = _moving(session, times)
     count = int(moves.sum())
     if not count:
         return None
-    if MOST_MOVED // count < min(LEAST_TIMES, len(times)):
-        most = MOST_MOVED // min(LEAST_TIMES, len(times))
+    if MAX_MOVED_PLACES // count < min(MIN_TIMES, len(times)):
+        most = MAX_MOVED_PLACES // min(MIN_TIMES, len(times))
         raise InputError(
-            f"{count:,} of the {len(moves):,} Gaussians shown move, and a page has room for {most:,} at {LEAST_TIMES} "
+            f"{count:,} of the {len(moves):,} Gaussians shown move, and a page has room for {most:,} at {MIN_TIMES} "
             f"times: show fewer, e.g. max_gaussians={most // 1000 * 1000 or most}"
         )
-    times = _evenly(times, MOST_MOVED // count)
+    times = _evenly(times, MAX_MOVED_PLACES // count)
     order = np.argsort(~moves, kind="stable")
     return _collected(session, times, order, count, len(known))
 
@@ -87,14 +87,14 @@ def _collected(
         opacities[number] = np.round(drawn.opacities[rows] * 255)
     seen = centers[opacities > 0]
     low, high = seen.min(0).astype(np.float64), seen.max(0).astype(np.float64)
-    step = np.maximum((high - low) / LEVELS, 1e-12)
-    places = np.clip(np.round((centers - low) / step), 0, LEVELS).astype(np.uint16)
+    step = np.maximum((high - low) / STEPS_PER_AXIS, 1e-12)
+    places = np.clip(np.round((centers - low) / step), 0, STEPS_PER_AXIS).astype(np.uint16)
     return PageTimes(times, order, places, low, step, covariances, opacities, playing_seconds(num_known), num_known)
 
 
 def playing_seconds(num_times: int) -> float:
     """Return how long a scene that moves is played."""
-    return float(np.clip(num_times / TIMES_PER_SECOND, MIN_SECONDS, MAX_SECONDS))
+    return float(np.clip(num_times / TIMES_PER_SECOND, MIN_PLAYING_S, MAX_PLAYING_S))
 
 
 def _moving(session: Session, times: Float64[np.ndarray, " t"]) -> Bool[np.ndarray, " m"]:
@@ -103,9 +103,11 @@ def _moving(session: Session, times: Float64[np.ndarray, " t"]) -> Bool[np.ndarr
     spread = first.covariances[:, [0, 3, 5]].sum(1)
     moves = np.zeros(len(first), bool)
     for drawn in _drawn(session, times):
-        away = np.abs(drawn.centers - first.centers).max(1) > STILL
-        away |= np.abs(drawn.covariances - first.covariances).max(1) > SAME * spread
-        moves |= away & (drawn.opacities >= SEEN) | (np.abs(drawn.opacities - first.opacities) >= SEEN)
+        away = np.abs(drawn.centers - first.centers).max(1) > MAX_STILL_DISTANCE
+        away |= np.abs(drawn.covariances - first.covariances).max(1) > MAX_STILL_SPREAD_SHARE * spread
+        moves |= away & (drawn.opacities >= MIN_SEEN_OPACITY) | (
+            np.abs(drawn.opacities - first.opacities) >= MIN_SEEN_OPACITY
+        )
     return moves
 
 

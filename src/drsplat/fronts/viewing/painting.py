@@ -18,14 +18,14 @@ ACCENTS = (
 """Colours of several queries at once, in the order of the queries."""
 
 LUMA = palette.LUMA.astype(np.float32)
-DIM, DIM_FLOOR = 0.52, 0.08  # what a Gaussian keeps of its light where another is meant: dimmed, never black
-GREYED = 0.72  # share of its colour that it loses
-TINT = 0.35  # share of the query's colour in what was found, where several are told apart
-LOOK = {"dim": DIM, "floor": DIM_FLOOR, "greyed": GREYED, "tint": TINT}
+DIMMED_SHARE, DIM_FLOOR = 0.52, 0.08  # of its light that a Gaussian keeps where another is meant: dimmed, never black
+GREYED_SHARE = 0.72  # of its colour that it loses
+TINT_SHARE = 0.35  # of a query's colour in its matches, where there are several queries
+LOOK = {"dim": DIMMED_SHARE, "floor": DIM_FLOOR, "greyed": GREYED_SHARE, "tint": TINT_SHARE}
 """The numbers above, as the client is told them: it paints answers as `highlighted` does."""
-OBJECT_TINT = 0.42  # share of an object's colour, where every object has one of its own
-TURN, CHROMA, CHROMA_STEP, DEPTH = 0.618034, 0.5, 0.18, 0.8  # of a hue for each object; how loud it is
-FEATURE_SAMPLE = 20_000
+OBJECT_TINT_SHARE = 0.42  # of an object's colour, where every object has one of its own
+HUE_TURNS_PER_OBJECT, CHROMA, CHROMA_STEP, CHROMA_DEPTH_SHARE = 0.618034, 0.5, 0.18, 0.8
+SAMPLED_ROWS = 20_000
 
 
 def accent(number: int) -> tuple[int, int, int]:
@@ -35,7 +35,7 @@ def accent(number: int) -> tuple[int, int, int]:
 def dimmed(rgb: Colors) -> Colors:
     """Return colours with half their light and little of their hue, so that what is not dimmed stands out."""
     grey = (rgb @ LUMA)[:, None]
-    return np.asarray(DIM_FLOOR + DIM * (GREYED * grey + (1 - GREYED) * rgb), np.float32)
+    return np.asarray(DIM_FLOOR + DIMMED_SHARE * (GREYED_SHARE * grey + (1 - GREYED_SHARE) * rgb), np.float32)
 
 
 def highlighted(rgb: Colors, owners: Int32[np.ndarray, " n"], accents: Sequence[Sequence[int]]) -> Colors:
@@ -51,7 +51,7 @@ def highlighted(rgb: Colors, owners: Int32[np.ndarray, " n"], accents: Sequence[
         return rgb
     painted = dimmed(rgb)
     palette = np.array(accents, np.float32).reshape(-1, 3) / 255
-    tint = 0.0 if len(palette) == 1 else TINT
+    tint = 0.0 if len(palette) == 1 else TINT_SHARE
     shade = (0.45 + 0.55 * (rgb[found] @ LUMA))[:, None]
     painted[found] = (1 - tint) * rgb[found] + tint * palette[owners[found]] * shade
     return np.clip(painted, 0, 1).astype(np.float32)
@@ -69,9 +69,9 @@ def class_painted(rgb: Colors, labels: Int32[np.ndarray, " n"], palette: UInt8[n
 def object_colors(count: int) -> Float32[np.ndarray, "c 3"]:
     """Return the colours of objects, as the client has them: hues far from each other, none of them loud."""
     numbers = np.arange(count)
-    places = (np.array([5.0, 3.0, 1.0]) + (6 * (numbers * TURN % 1))[:, None]) % 6
+    places = (np.array([5.0, 3.0, 1.0]) + (6 * (numbers * HUE_TURNS_PER_OBJECT % 1))[:, None]) % 6
     chroma = CHROMA + CHROMA_STEP * (numbers % 3)
-    lost = DEPTH * chroma[:, None] * np.clip(np.minimum(places, 4 - places), 0, 1)
+    lost = CHROMA_DEPTH_SHARE * chroma[:, None] * np.clip(np.minimum(places, 4 - places), 0, 1)
     return np.asarray(1 - lost, np.float32)
 
 
@@ -79,7 +79,9 @@ def object_painted(rgb: Colors, labels: Int32[np.ndarray, " n"], count: int) -> 
     """Return objects with a share of a colour of their own, as the client paints them; the rest dimmed."""
     painted, found = dimmed(rgb), labels >= 0
     shade = (0.35 + 0.65 * (rgb[found] @ LUMA))[:, None]
-    painted[found] = (1 - OBJECT_TINT) * rgb[found] + OBJECT_TINT * shade * object_colors(count)[labels[found]]
+    painted[found] = (1 - OBJECT_TINT_SHARE) * rgb[found] + OBJECT_TINT_SHARE * shade * object_colors(count)[
+        labels[found]
+    ]
     return painted
 
 
@@ -87,12 +89,12 @@ def feature_colors(field: LanguageField, rgb: Colors, registered: Bool[np.ndarra
     """Return the three main directions of the field's features as red, green and blue; dimmed without a feature.
 
     rgb, registered: of every Gaussian of the scene. The directions are those of a sample of
-    `FEATURE_SAMPLE` rows, and each colour spans 98 of 100 of these.
+    `SAMPLED_ROWS` rows, and each colour spans 98 of 100 of these.
     """
     painted, rows = dimmed(rgb), len(field)
     if rows < 3:
         return painted
-    chosen = np.random.default_rng(seed).permutation(rows)[:FEATURE_SAMPLE]
+    chosen = np.random.default_rng(seed).permutation(rows)[:SAMPLED_ROWS]
     sample = field.feature(np.sort(chosen)).astype(np.float64)
     middle = sample.mean(0)
     axes = np.linalg.eigh((sample - middle).T @ (sample - middle))[1][:, :-4:-1].T

@@ -7,9 +7,16 @@ import numpy as np
 from ...base.arrays import Bool, Float64, Int64
 from ...scene.gaussians import Gaussians
 
-REACH = 3.0  # standard deviations at which a Gaussian ends
-LEAST_ALPHA = 1 / 255
-MOST_ALPHA = 0.99
+REACH_DEVIATIONS = 3.0  # standard ones, at which a Gaussian ends
+MIN_ALPHA = 1 / 255
+MAX_ALPHA = 0.99
+
+
+class Ray(NamedTuple):
+    """A half-line. direction: of length 1, as `ray_along` makes it."""
+
+    origin: Float64[np.ndarray, " 3"]
+    direction: Float64[np.ndarray, " 3"]
 
 
 class Hit(NamedTuple):
@@ -20,19 +27,20 @@ class Hit(NamedTuple):
     point: Float64[np.ndarray, " 3"]
 
 
-def hit_by_ray(
-    gaussians: Gaussians,
-    origin: Float64[np.ndarray, " 3"],
-    direction: Float64[np.ndarray, " 3"],
-    visible: Bool[np.ndarray, " n"] | None = None,
-) -> Hit | None:
+def ray_along(origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]) -> Ray:
+    """Return the ray in a direction, also in one so short or long that its square is 0 or infinite."""
+    scaled = direction / np.abs(direction).max()
+    return Ray(origin, np.asarray(scaled / np.linalg.norm(scaled)))
+
+
+def hit_by_ray(gaussians: Gaussians, ray: Ray, visible: Bool[np.ndarray, " n"] | None = None) -> Hit | None:
     """Return the Gaussians along a ray in the world by blending weight, None where it meets nothing.
 
     Each is taken where it is densest along the ray, front to back, as one pixel would blend them.
 
     Source: 3DGS Eq. 3, in 3D instead of in the picture.
     """
-    return blended(met_by_ray(gaussians, origin, direction, visible), origin, direction)
+    return blended(met_by_ray(gaussians, ray, visible), ray)
 
 
 class Met(NamedTuple):
@@ -43,56 +51,41 @@ class Met(NamedTuple):
     alphas: Float64[np.ndarray, " h"]
 
 
-def met_by_ray(
-    gaussians: Gaussians,
-    origin: Float64[np.ndarray, " 3"],
-    direction: Float64[np.ndarray, " 3"],
-    visible: Bool[np.ndarray, " n"] | None = None,
-) -> Met:
-    """Return the Gaussians that a ray meets, the nearest first."""
-    direction, origin = unit(direction), origin - gaussians.origin
-    near = _near(gaussians, origin, direction)
+def met_by_ray(gaussians: Gaussians, ray: Ray, visible: Bool[np.ndarray, " n"] | None = None) -> Met:
+    """Return the Gaussians that a ray in the world meets, the nearest first."""
+    local = ray._replace(origin=ray.origin - gaussians.origin)
+    near = _near(gaussians, local)
     near = near if visible is None else near[visible[near]]
-    depth, alpha = _met(gaussians.subset(near), origin, direction)
-    kept = (alpha >= LEAST_ALPHA) & (depth > 0)
+    depth, alpha = _met(gaussians.subset(near), local)
+    kept = (alpha >= MIN_ALPHA) & (depth > 0)
     order = np.flatnonzero(kept)[np.argsort(depth[kept], kind="stable")]
-    return Met(near[order], depth[order], np.minimum(alpha[order], MOST_ALPHA))
+    return Met(near[order], depth[order], np.minimum(alpha[order], MAX_ALPHA))
 
 
-def blended(met: Met, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]) -> Hit | None:
+def blended(met: Met, ray: Ray) -> Hit | None:
     """Return what a ray meets by falling blending weight, None for nothing. met: the nearest first."""
     if not len(met.depths):
         return None
     weights = met.alphas * np.concatenate([[1.0], np.cumprod(1 - met.alphas)[:-1]])
     ranked = np.argsort(-weights, kind="stable")
-    point = origin + met.depths[ranked[0]] * unit(direction)
+    point = ray.origin + met.depths[ranked[0]] * ray.direction
     return Hit(met.gaussian_ids[ranked], weights[ranked], point)
 
 
-def unit(direction: Float64[np.ndarray, " 3"]) -> Float64[np.ndarray, " 3"]:
-    """Return a direction of length 1, also of one so short or long that its square is none."""
-    scaled = direction / np.abs(direction).max()
-    return np.asarray(scaled / np.linalg.norm(scaled))
-
-
-def _near(
-    gaussians: Gaussians, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]
-) -> Int64[np.ndarray, " m"]:
+def _near(gaussians: Gaussians, ray: Ray) -> Int64[np.ndarray, " m"]:
     """Return the Gaussians whose bounding sphere the ray passes: all that can be met, and few of the scene."""
-    offsets = gaussians.means - origin.astype(np.float32)
-    along = offsets @ direction.astype(np.float32)
+    offsets = gaussians.means - ray.origin.astype(np.float32)
+    along = offsets @ ray.direction.astype(np.float32)
     apart = np.einsum("ni,ni->n", offsets, offsets) - along**2
-    reach = REACH * gaussians.scales.max(axis=1)
+    reach = REACH_DEVIATIONS * gaussians.scales.max(axis=1)
     return np.flatnonzero((apart <= 1.01 * reach**2) & (along > -reach))
 
 
-def _met(
-    part: Gaussians, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]
-) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
+def _met(part: Gaussians, ray: Ray) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
     """Return depth along the ray of the densest place, and the opacity there."""
     axes = part.whitening()
-    start = np.einsum("nij,nj->ni", axes, origin - part.means.astype(np.float64))
-    step = axes @ direction
+    start = np.einsum("nij,nj->ni", axes, ray.origin - part.means.astype(np.float64))
+    step = axes @ ray.direction
     depth = -np.einsum("ni,ni->n", start, step) / np.einsum("ni,ni->n", step, step)
     at = start + depth[:, None] * step
     alpha = part.opacities * np.exp(-0.5 * np.einsum("ni,ni->n", at, at))

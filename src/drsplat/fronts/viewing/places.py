@@ -10,7 +10,7 @@ from ...query import Match, documents
 from .shown import Frame
 from .texts import printable
 
-MAX_NAME_LENGTH = 60
+MAX_NAME_CHARACTERS = 60
 DECIMALS = 5  # a browser's unit is a twentieth of the scene
 
 
@@ -31,7 +31,7 @@ def match_document(frame: Frame, match: Match, eye: Float64[np.ndarray, " 3"], n
         "eye": rounded(frame.shown(eye)),
         "size": size_text(match.extent),
         "place": place_text(match.center),
-        "name": printable(name, MAX_NAME_LENGTH),
+        "name": printable(name, MAX_NAME_CHARACTERS),
     }
 
 

@@ -13,7 +13,7 @@ from ...query import Answer, Match, Scene
 from ...query.defaults import OBJECT
 from ...scene.boxes import solid
 
-SEVERAL = ";"
+QUERY_SEPARATOR = ";"
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ def cut_at(scene: Scene, result: Result, threshold: float) -> Result:
 
 def split_queries(text: str) -> list[str]:
     """Split "mug; lamp" into two queries; the same one twice is one."""
-    return list(dict.fromkeys(part.strip() for part in text.split(SEVERAL) if part.strip()))
+    return list(dict.fromkeys(part.strip() for part in text.split(QUERY_SEPARATOR) if part.strip()))
 
 
 def joined(parts: Sequence[Int64[np.ndarray, " _"]]) -> Int64[np.ndarray, " m"]:

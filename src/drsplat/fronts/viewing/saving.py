@@ -23,10 +23,10 @@ from .session import Session
 from .tiled import TiledSession
 
 BACKGROUND = np.array([0.078, 0.086, 0.106], np.float32)
-GIF_SIZE, GIF_FRAMES, GIF_MILLISECONDS = (480, 360), 40, 60
-COLORS = 128
-MOST_FILES, MOST_BYTES = 200, 8 << 30  # of a session
-MOST_SENT = 64 << 20  # bytes of a file that a browser is given
+GIF_SIZE_PIXELS, GIF_FRAMES, GIF_FRAME_MS = (480, 360), 40, 60
+GIF_COLORS = 128
+MAX_FILES, MAX_BYTES = 200, 8 << 30  # of a session
+MAX_SENT_BYTES = 64 << 20  # of a file for a browser
 
 
 def save_scene(path: str | PathLike[str], session: Session, *, selected_only: bool = False) -> int:
@@ -64,16 +64,16 @@ def flight_gif(
 ) -> bytes:
     """Render a swing around a target in the world as an endless GIF."""
     places = swing(eye, target, up, frames)
-    pictures = [picture_of(session, looking_at(at, target, up, GIF_SIZE)) for at in places]
+    pictures = [picture_of(session, looking_at(at, target, up, GIF_SIZE_PIXELS)) for at in places]
     return gif_of(pictures)
 
 
 def gif_of(pictures: Sequence[UInt8[np.ndarray, "h w 3"]]) -> bytes:
     """Write frames with one palette, so that colours do not flicker."""
-    palette = Image.fromarray(pictures[0]).quantize(COLORS)
+    palette = Image.fromarray(pictures[0]).quantize(GIF_COLORS)
     frames = [Image.fromarray(one).quantize(palette=palette) for one in pictures]
     out = io.BytesIO()
-    frames[0].save(out, "GIF", save_all=True, append_images=frames[1:], duration=GIF_MILLISECONDS, loop=0)
+    frames[0].save(out, "GIF", save_all=True, append_images=frames[1:], duration=GIF_FRAME_MS, loop=0)
     return out.getvalue()
 
 
@@ -83,7 +83,7 @@ class Saves:
     folder: made when something is first saved; None for none.
     """
 
-    def __init__(self, folder: Path | None, most_files: int = MOST_FILES, most_bytes: int = MOST_BYTES) -> None:
+    def __init__(self, folder: Path | None, most_files: int = MAX_FILES, most_bytes: int = MAX_BYTES) -> None:
         self.folder, self.files_left, self.bytes_left = folder, most_files, most_bytes
 
     def save(self, stem: str, suffix: str, write: Callable[[Path], object]) -> tuple[Path, bytes]:
@@ -105,7 +105,7 @@ class Saves:
         write(path)
         size = path.stat().st_size
         self.bytes_left -= size
-        if size <= MOST_SENT:
+        if size <= MAX_SENT_BYTES:
             return path, path.read_bytes()
         if self.folder is None:
             raise InputError(f"{size / 1e6:,.0f} MB are too much to send: start drsplat view with --save-dir FOLDER")

@@ -30,7 +30,7 @@ from . import painting, results
 from .edits import Edits
 from .lasso import inside_outline
 from .naming import This, known_words, this_is
-from .picking import hit_by_ray
+from .picking import hit_by_ray, ray_along
 from .results import Result
 from .shown import Shown, shown_of
 
@@ -235,8 +235,8 @@ class Session:
         visible = np.zeros(len(self.scene.gaussians), bool)
         visible[self.scene.field.gaussian_ids] = True
         visible &= ~self.hidden
-        start = self.shown.frame.world(origin)
-        hit = hit_by_ray(self.edits.standing, start, direction, visible)
+        ray = ray_along(self.shown.frame.world(origin), direction)
+        hit = hit_by_ray(self.edits.standing, ray, visible)
         self.clicked, self.chosen = None if hit is None else this_is(self.scene, hit, self.words), None
         if hit is not None and self.has_objects:
             self._choose(chosen_at(self.scene, hit.gaussian_ids, hit.weights))

@@ -12,9 +12,9 @@ from ...scene.significance import most_significant
 RADIUS = (
     10.0  # of what is shown, in the browser's units: a Gaussian of a thousandth is 1e-4 squared, which float16 holds
 )
-WITHIN = 0.9  # of the solid Gaussians lie within that radius
-MIDDLE = (0.02, 0.98)  # quantiles along each axis whose mean is the middle: few floaters move it little
-MOST_VARIANCE = 6e4  # float16 ends at 65504
+WITHIN_RADIUS_SHARE = 0.9  # of the solid Gaussians
+MIDDLE_QUANTILES = (0.02, 0.98)  # along each axis, whose mean is the middle: few floaters move it little
+MAX_VARIANCE = 6e4  # float16 ends at 65504
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ def _shown_covariances(part: Gaussians, frame: Frame) -> Float32[np.ndarray, "m 
     for begin in range(0, len(part), block):
         rows = np.arange(begin, min(begin + block, len(part)))
         shown = part.subset(rows).covariances() * frame.scale**2
-        covariances[rows] = np.clip(shown, -MOST_VARIANCE, MOST_VARIANCE)
+        covariances[rows] = np.clip(shown, -MAX_VARIANCE, MAX_VARIANCE)
     return covariances
 
 
@@ -113,9 +113,9 @@ def base_colors(gaussians: Gaussians) -> Float32[np.ndarray, "n 3"]:
 
 
 def frame_of(gaussians: Gaussians) -> Frame:
-    """Return a frame in the middle of the solid Gaussians, `WITHIN` of which are inside of `RADIUS`."""
+    """Return a frame in the middle of the solid Gaussians, `WITHIN_RADIUS_SHARE` of which are inside of `RADIUS`."""
     solid = gaussians.positions[gaussians.opacities >= 0.1]
     points = solid if len(solid) else gaussians.positions
-    center = np.quantile(points, MIDDLE, axis=0).mean(axis=0)
-    reach = float(np.quantile(np.linalg.norm(points - center, axis=1), WITHIN))
+    center = np.quantile(points, MIDDLE_QUANTILES, axis=0).mean(axis=0)
+    reach = float(np.quantile(np.linalg.norm(points - center, axis=1), WITHIN_RADIUS_SHARE))
     return Frame(center, RADIUS / reach if reach > 0 else 1.0)

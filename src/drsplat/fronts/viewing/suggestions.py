@@ -8,9 +8,9 @@ from ...errors import DrSplatError
 from ...query import Scene
 from .naming import words_of
 
-SAMPLE = 4096  # Gaussians that are named
-LARGE = 0.05  # of them: walls and tables, which nobody asks for first
-TRIED = 24
+SAMPLED_GAUSSIANS = 4096
+LARGE_SHARE = 0.05  # of the sample: walls and tables, which nobody asks for first
+MAX_WORDS_TRIED = 24
 
 
 def suggestions(scene: Scene, words: Sequence[str] | None = None, most: int = 4) -> list[str]:
@@ -29,12 +29,12 @@ def _likely(scene: Scene, words: Sequence[str]) -> list[str]:
     rows = len(scene.field)
     if not rows:
         return []
-    chosen = np.sort(np.random.default_rng(0).permutation(rows)[:SAMPLE])
+    chosen = np.sort(np.random.default_rng(0).permutation(rows)[:SAMPLED_GAUSSIANS])
     vectors = np.asarray(scene.encoder.encode_texts(words), np.float32)
     best = (scene.field.feature(chosen) @ vectors.T).argmax(axis=1)
     share = np.bincount(best, minlength=len(words)) / len(chosen)
-    order = np.lexsort((-share, share > LARGE))
-    return [words[at] for at in order if share[at]][:TRIED]
+    order = np.lexsort((-share, share > LARGE_SHARE))
+    return [words[at] for at in order if share[at]][:MAX_WORDS_TRIED]
 
 
 def _finds(scene: Scene, word: str) -> bool:

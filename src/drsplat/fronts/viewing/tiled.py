@@ -26,13 +26,13 @@ from ...scene.views import View
 from . import painting, results
 from .lasso import inside_outline
 from .naming import This, this_is
-from .picking import REACH, Hit, Met, blended, met_by_ray, unit
+from .picking import REACH_DEVIATIONS, Hit, Met, Ray, blended, met_by_ray, ray_along
 from .session import Mode, Session
 from .shown import RADIUS, Frame, Shown, base_colors
 
 COARSE_SHARE = 0.25  # of the Gaussians that a browser gets: of all tiles, the most significant of each
-ROOMS = 1.5  # half diagonals of a middling tile in a browser's RADIUS: a city has the scale of a room there
-ALL_STOPPED = 1e-4  # share of light beyond which a click goes no further
+RADIUS_HALF_DIAGONALS = 1.5  # of a middling tile in a browser's RADIUS: a city has the scale of a room there
+MIN_LIGHT_SHARE = 1e-4  # where less is left a click goes no further
 UNEDITED = (
     "a scene in tiles is not edited here, nor written as one file: edit what it was cut from, or write all of it with "
     "`drsplat export --tiles3d`"
@@ -226,36 +226,34 @@ class TiledSession(Session):
     def click(self, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]) -> This | None:
         if not (np.isfinite(origin).all() and np.isfinite(direction).all() and direction.any()):
             raise InputError("a click needs a place and a direction")
-        hit = self._hit(self.shown.frame.world(origin), unit(direction))
+        hit = self._hit(ray_along(self.shown.frame.world(origin), direction))
         self.clicked, self.chosen = None if hit is None else this_is(self.scene, hit, self.words), None
         if hit is not None and self.has_objects:
             self._choose(chosen_at(self.scene, hit.gaussian_ids, hit.weights))
         return self.clicked
 
-    def _hit(self, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]) -> Hit | None:
+    def _hit(self, ray: Ray) -> Hit | None:
         """Return what a ray meets, read tile after tile until no light reaches the next one."""
         met = Met(np.empty(0, np.int64), np.empty(0), np.empty(0))
-        for entered, tile in self._along(origin, direction):
+        for entered, tile in self._along(ray):
             before = met.depths < entered
-            if np.prod(1 - met.alphas[before]) < ALL_STOPPED:
+            if np.prod(1 - met.alphas[before]) < MIN_LIGHT_SHARE:
                 break
             rows = np.arange(tile.first, tile.first + tile.num_rows)
-            own = met_by_ray(self.tiles.shapes(tile), origin, direction, self.scene.field.rows_of(rows) >= 0)
+            own = met_by_ray(self.tiles.shapes(tile), ray, self.scene.field.rows_of(rows) >= 0)
             own = own._replace(gaussian_ids=own.gaussian_ids + tile.first)
             both = Met(*(np.concatenate(pair) for pair in zip(met, own, strict=True)))
             order = np.lexsort((both.gaussian_ids, both.depths))
             met = Met(*(column[order] for column in both))
-        return blended(met, origin, direction)
+        return blended(met, ray)
 
-    def _along(
-        self, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]
-    ) -> Iterator[tuple[float, Tile]]:
+    def _along(self, ray: Ray) -> Iterator[tuple[float, Tile]]:
         """Yield the tiles whose boxes, widened by what their Gaussians reach, a ray meets: how far it is to each."""
-        start = origin - self.tiles.origin
+        start = ray.origin - self.tiles.origin
         with np.errstate(divide="ignore", invalid="ignore"):
             ends = [
-                np.sort([(tile.low - REACH * tile.largest - start) / direction,
-                         (tile.high + REACH * tile.largest - start) / direction], axis=0)
+                np.sort([(tile.low - REACH_DEVIATIONS * tile.largest - start) / ray.direction,
+                         (tile.high + REACH_DEVIATIONS * tile.largest - start) / ray.direction], axis=0)
                 for tile in self.tiles.tiles
             ]  # fmt: skip
         entered = np.nanmax(np.array([end[0] for end in ends]), axis=1)
@@ -288,5 +286,8 @@ def frame_of_tiles(tiles: Tiles) -> Frame:
     middles = (low + high) / 2
     center = np.average(middles, axis=0, weights=sizes)
     halves = np.linalg.norm(high - low, axis=1) / 2
-    reach = min(ROOMS * float(np.median(halves)), float((np.linalg.norm(middles - center, axis=1) + halves).max()))
+    reach = min(
+        RADIUS_HALF_DIAGONALS * float(np.median(halves)),
+        float((np.linalg.norm(middles - center, axis=1) + halves).max()),
+    )
     return Frame(center + tiles.origin, RADIUS / reach if reach > 0 else 1.0)

@@ -30,10 +30,10 @@ Vector = tuple[float, float, float]
 HEIF_ENDS = {".heic", ".heif"}
 INSTALL = 'pip install "drsplat[capture]"'
 MAX_PIXELS = 200_000_000
-MIN_SIDE_PX = 64
+MIN_SIDE_PIXELS = 64
 JPEG_QUALITY = 95
 ALL_LEFT_OUT = "its mask leaves all of it out: white is kept, black is left out (invert_masks=True turns that round)"
-LOOK_SIDE_PX = 512  # of the small picture for measuring sharpness
+LOOK_SIDE_PIXELS = 512  # of the small picture for measuring sharpness
 ORIENTATION_TAG = 0x0112
 DIGEST_LETTERS = 24
 _BLOCK_BYTES = 1 << 20
@@ -159,7 +159,7 @@ def _decoded(source: Source) -> _Decoded:
 
 
 def _from_coded(coded: Image.Image) -> _Decoded:
-    if min(coded.size) < MIN_SIDE_PX:
+    if min(coded.size) < MIN_SIDE_PIXELS:
         raise UnreadablePhoto(f"{coded.width}x{coded.height} pixels are too few")
     if coded.mode in ("I", "F"):
         raise UnreadablePhoto(f"its pixels are of mode {coded.mode}: save it with 8 or 16 bits a channel")
@@ -170,7 +170,7 @@ def _from_coded(coded: Image.Image) -> _Decoded:
     suffix = ".jpg" if is_jpeg or coded.format == "HEIF" else ".png"
     if orientation == 1 and plain and (is_jpeg or coded.format == "PNG"):
         width, height = coded.size
-        coded.draft("L", (LOOK_SIDE_PX, LOOK_SIDE_PX))
+        coded.draft("L", (LOOK_SIDE_PIXELS, LOOK_SIDE_PIXELS))
         return _Decoded(None, width, height, suffix, _sharpness_of(coded), exif)
     upright = ImageOps.exif_transpose(as_rgb(coded))
     exif = replace(exif, down=turned_down(exif.down, orientation))
@@ -202,7 +202,7 @@ def as_rgb(coded: Image.Image) -> Image.Image:
 
 def _sharpness_of(picture: Image.Image) -> float:
     grey = picture.convert("L")
-    grey.thumbnail((LOOK_SIDE_PX, LOOK_SIDE_PX), Image.Resampling.BOX)
+    grey.thumbnail((LOOK_SIDE_PIXELS, LOOK_SIDE_PIXELS), Image.Resampling.BOX)
     return sharpness(np.asarray(grey))
 
 

@@ -20,7 +20,7 @@ from .program import ColmapFailure, ask_colmap
 from .settings import LENSES
 from .work import Work
 
-FEATURES_SIDE_PX = 1200  # longer side of photos for finding features
+FEATURES_SIDE_PIXELS = 1200  # longer side of photos for finding features
 DEFAULT_FOCAL_SHARE = 1.2 * 0.8  # of the diagonal: COLMAP's guess, 1.2 times the longer side of a photo of 4:3
 FISHEYE_FOCAL_SHARE = 0.35  # of the diagonal: some 160 degrees from corner to corner
 MIN_POSED_SHARE = 0.95  # of overlapping photos: if global mapping poses fewer, incremental mapping is tried
@@ -93,7 +93,7 @@ class Posing:
             groups.setdefault(key, []).append(photo.file)
         listed = [{"camera_id": key[0], "masks": key[1], "names": names} for key, names in groups.items()]
         self._ask(
-            "extract", groups=listed, max_side=FEATURES_SIDE_PX,
+            "extract", groups=listed, max_side=FEATURES_SIDE_PIXELS,
             report=lambda done: self.progress("features", done, len(self.photos)),
         )  # fmt: skip
 

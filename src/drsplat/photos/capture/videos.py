@@ -16,7 +16,7 @@ from .photos import INSTALL, JPEG_QUALITY, MAX_PIXELS, sharpness
 from .posing import Progress
 from .work import Work
 
-LOOK_WIDTH_PX = 256  # of the small frames that are measured
+LOOK_WIDTH_PIXELS = 256  # of the small frames that are measured
 MAX_FRAMES = 500_000
 RECORD = "frames.json"
 
@@ -72,9 +72,9 @@ def _measured(video: Path, progress: Progress) -> Film:
     with _opened(video) as (container, stream):
         total = stream.frames or 0
         for frame in _decoded(container, stream, video):
-            height = max(64, round(LOOK_WIDTH_PX * frame.height / frame.width))
+            height = max(64, round(LOOK_WIDTH_PIXELS * frame.height / frame.width))
             small = frame.reformat(
-                width=LOOK_WIDTH_PX, height=min(height, 4 * LOOK_WIDTH_PX), format="gray"
+                width=LOOK_WIDTH_PIXELS, height=min(height, 4 * LOOK_WIDTH_PIXELS), format="gray"
             ).to_ndarray()
             sharp.append(sharpness(small))
             moved.append(0.0 if before is None else movement(before, small))

@@ -11,7 +11,7 @@ from ...scene.masks.masks import tight_box
 
 Box = tuple[int, int, int, int]
 """x0, y0, x1, y1 in pixels, ends excluded."""
-_CROP_EDGE_PX = 20  # Source: segment-anything utils/amg.py, is_box_near_crop_edge
+_CROP_EDGE_PIXELS = 20  # Source: segment-anything utils/amg.py, is_box_near_crop_edge
 
 
 def point_grid(side: int) -> Float64[np.ndarray, "p 2"]:
@@ -69,8 +69,8 @@ def cut_by_crop(box: Box, crop: Box, size: tuple[int, int]) -> bool:
     Such a mask may continue outside; the whole image or a neighbouring crop has it in full.
     """
     corners = np.subtract(box, (0, 0, 1, 1))  # pixels, both included, as in the source
-    near_crop = np.abs(corners - crop) <= _CROP_EDGE_PX
-    near_image = np.abs(corners - (0, 0, size[1], size[0])) <= _CROP_EDGE_PX
+    near_crop = np.abs(corners - crop) <= _CROP_EDGE_PIXELS
+    near_image = np.abs(corners - (0, 0, size[1], size[0])) <= _CROP_EDGE_PIXELS
     return bool((near_crop & ~near_image).any())
 
 

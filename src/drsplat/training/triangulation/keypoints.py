@@ -14,9 +14,9 @@ from ...scene.photo_masks import load_mask
 from ...scene.photos import load_image, photo_size
 from ...scene.views import View
 
-MAX_SIDE_PX = 640  # more cost more, and 3DGS starts no better from them
+MAX_SIDE_PIXELS = 640  # more cost more, and 3DGS starts no better from them
 MAX_KEYPOINTS = 1000  # of a photo, those of the largest scale first
-MIN_SIDE_PX = 24  # SIFT has no octave on less
+MIN_SIDE_PIXELS = 24  # SIFT has no octave on less
 MIN_CONTRAST = 0.005  # of differences of Gaussians; Lowe's 0.03 / 3 leaves a blurred phone photo without any
 
 
@@ -94,14 +94,14 @@ def _shrunk(view: View) -> View:
     if view.image_path is None:
         raise InputError(f"view '{view.name}' has no photo: read it with images=FOLDER")
     width, height = photo_size(view.image_path)
-    scale = min(1.0, MAX_SIDE_PX / max(width, height))
+    scale = min(1.0, MAX_SIDE_PIXELS / max(width, height))
     return view.resized(max(1, round(width * scale)), max(1, round(height * scale)))
 
 
 @np.errstate(all="ignore")  # a patch without gradients divides by their sum
 def _detected(photo: UInt8[np.ndarray, "h w 3"]) -> Any:
     """Return a SIFT with its keypoints, or None for a photo without texture."""
-    if min(photo.shape[:2]) < MIN_SIDE_PX:
+    if min(photo.shape[:2]) < MIN_SIDE_PIXELS:
         return None
     sift: Any = SIFT(upsampling=1, c_dog=MIN_CONTRAST)  # type: ignore[no-untyped-call]
     try:

@@ -37,8 +37,8 @@ class Triangulation(NamedTuple):
 def triangulate(views: Sequence[View], *, threads: int = 0) -> Triangulation:
     """Triangulate the scene's surfaces: return points where rays of the photos meet.
 
-    Equal views give equal bits, at any number of threads. Memory is bounded by MAX_PHOTOS photos of at most MOST
-    keypoints.
+    Equal views give equal bits, at any number of threads. Memory is bounded by MAX_PHOTOS photos of at most
+    MAX_KEYPOINTS each.
 
     Raises: InputError, FormatError: as `load_image`.
     Source: Hartley and Zisserman, "Multiple View Geometry" (2004), Ch. 9 and 12.

@@ -18,9 +18,9 @@ from ....base.arrays import Bool, Float32, Float64, Int64, Integer
 from ....base.contents import release
 from ..evidence import Evidence, MaskIds
 
-BLOCK = 1024  # rows: the embeddings of a step, 2 MB at 512 numbers, stay in the processor's cache
-CELLS = 1 << 19  # largest number of cells in a block's tables: rows of many votes come in smaller blocks
-ENTRIES = 1 << 20  # of W at once, in passes over all of them: bounds the memory beside it
+BLOCK_ROWS = 1024  # the embeddings of a step, 2 MB at 512 numbers, stay in the processor's cache
+BLOCK_CELLS = 1 << 19  # at most, in a block's tables: rows of many votes come in smaller blocks
+PASS_ENTRIES = 1 << 20  # of W at once, in passes over all of them: bounds the memory beside it
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,10 +85,10 @@ def entry_values(evidence: Evidence, rule: Rule, threads: int = 0) -> Float32[np
 
 
 def _blocks(order: Int64[np.ndarray, " r"], lengths: Integer[np.ndarray, " n"]) -> Iterator[Int64[np.ndarray, " b"]]:
-    """Yield rows by falling length in blocks of at most BLOCK rows, and CELLS entries unless one row has more."""
+    """Yield rows by falling length in blocks of at most BLOCK_ROWS, and BLOCK_CELLS entries unless one row has more."""
     begin = 0
     while begin < len(order):
-        size = min(BLOCK, max(1, CELLS // int(lengths[order[begin]])))
+        size = min(BLOCK_ROWS, max(1, BLOCK_CELLS // int(lengths[order[begin]])))
         yield order[begin : begin + size]
         begin += size
 
@@ -107,8 +107,8 @@ def with_weights(evidence: Evidence, data: Float32[np.ndarray, " e"]) -> Evidenc
 
 
 def row_chunks(weights: csr_array) -> Iterator[slice]:
-    """Yield slices of rows with about ENTRIES entries each; a memory-mapped W is never in memory as a whole."""
-    ends = np.arange(ENTRIES, weights.indptr[-1] + ENTRIES, ENTRIES)
+    """Yield slices of rows with about PASS_ENTRIES entries each; a memory-mapped W is never in memory as a whole."""
+    ends = np.arange(PASS_ENTRIES, weights.indptr[-1] + PASS_ENTRIES, PASS_ENTRIES)
     stops = np.unique([0, *np.searchsorted(weights.indptr, ends), len(weights.indptr) - 1])
     for begin, end in pairwise(stops[stops < len(weights.indptr)].tolist()):
         yield slice(begin, end)

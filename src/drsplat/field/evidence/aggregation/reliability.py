@@ -7,7 +7,7 @@ from ....kernels import weighted_rows
 from ..evidence import Evidence
 from .by_view import effective_views
 
-BLOCK = 8192  # rows at once
+ROWS_AT_ONCE = 8192
 
 
 def resultant_lengths(evidence: Evidence, threads: int = 0) -> Float64[np.ndarray, " r"]:
@@ -18,8 +18,8 @@ def resultant_lengths(evidence: Evidence, threads: int = 0) -> Float64[np.ndarra
     ones = np.ones((len(evidence.embeddings), 1), np.float32)
     table = np.concatenate([evidence.embeddings, ones], axis=1)
     lengths = np.zeros(rows)
-    for begin in range(0, rows, BLOCK):
-        end = min(begin + BLOCK, rows)
+    for begin in range(0, rows, ROWS_AT_ONCE):
+        end = min(begin + ROWS_AT_ONCE, rows)
         csr = weights.indptr, weights.indices, weights.data
         mixed = weighted_rows(*csr, table, begin, end, threads=threads)
         totals = mixed[:, -1].astype(np.float64)

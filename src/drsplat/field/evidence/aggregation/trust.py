@@ -7,10 +7,10 @@ import numpy as np
 
 from ....base.arrays import Float32, Float64, Integer
 from ..evidence import Evidence
-from .entries import ENTRIES, RowBlock, entry_values, row_chunks, with_weights
+from .entries import PASS_ENTRIES, RowBlock, entry_values, row_chunks, with_weights
 from .outliers import agreements
 
-EXACT = float(1 << 28)  # parts of a pixel: sums of 2^53 of them are exact, 33 million pixels
+PARTS_PER_PIXEL = float(1 << 28)  # sums of 2^53 of them are exact, 33 million pixels
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class MaskTrust:
 class Tally(NamedTuple):
     """Surpluses of masks by weight, and weights, summed over rows.
 
-    Whole numbers of 1 / EXACT pixels: sums of parts of W, in any order, have the same bits.
+    Whole numbers of 1 / PARTS_PER_PIXEL pixels: sums of parts of W, in any order, have the same bits.
     """
 
     surpluses: Float64[np.ndarray, " m"]
@@ -75,11 +75,11 @@ def tally(evidence: Evidence, threads: int = 0) -> Tally:
     weights, entries = evidence.weights, entry_values(evidence, surplus, threads)
     count = weights.shape[1]
     total, held = np.zeros(count), np.zeros(count)
-    for begin in range(0, len(entries), ENTRIES):
-        part = slice(begin, begin + ENTRIES)
+    for begin in range(0, len(entries), PASS_ENTRIES):
+        part = slice(begin, begin + PASS_ENTRIES)
         columns, w = weights.indices[part], weights.data[part].astype(np.float64)
-        total += np.bincount(columns, np.rint(w * entries[part] * EXACT), count)
-        held += np.bincount(columns, np.rint(w * EXACT), count)
+        total += np.bincount(columns, np.rint(w * entries[part] * PARTS_PER_PIXEL), count)
+        held += np.bincount(columns, np.rint(w * PARTS_PER_PIXEL), count)
     return Tally(total, held)
 
 

@@ -12,10 +12,10 @@ from ....scene.gaussians import Gaussians
 from ..evidence import Evidence
 from .reliability import reliability
 
-SAME = 1e-5  # relative difference of support that counts as equal: float32 products differ between processors
-EXACT = float(1 << 21)  # parts of 1: products of two are sums of 2^-42, and 2^53 of those are exact
-TIES = 4  # neighbours more than are asked for, as equally near ones come in no order
-BLOCK = 512  # receivers at once, near each other: they share most neighbours
+SUPPORT_TOLERANCE = 1e-5  # relative: float32 products differ between processors
+PARTS_PER_ONE = float(1 << 21)  # products of two are sums of 2^-42, and 2^53 of those are exact
+SPARE_NEIGHBOURS = 4  # more than are asked for, as equally near ones come in no order
+RECEIVERS_AT_ONCE = 512  # near each other: they share most neighbours
 
 Points = Float32[np.ndarray, "r 3"]
 
@@ -92,7 +92,7 @@ class ModeVoting:
         support = trust[candidates] * (alike * believed[:, None, :]).sum(axis=2)
         own = np.where(candidates == rows[:, None], support, 0).max(axis=1)
         best = support.argmax(axis=1)[:, None]
-        wins = np.take_along_axis(support, best, 1)[:, 0] > (1 + self.margin) * (1 + SAME) * own
+        wins = np.take_along_axis(support, best, 1)[:, 0] > (1 + self.margin) * (1 + SUPPORT_TOLERANCE) * own
         taken = np.take_along_axis(candidates, best, 1)[:, 0]
         return np.where(wins, taken, np.where(trust[rows] > 0, rows, -1))
 
@@ -125,14 +125,14 @@ def _near_each_other(
     rank[tree.indices] = np.arange(tree.n)
     nearest = tree.query(means[receivers], workers=threads or -1)[1]
     ordered = receivers[np.argsort(rank[nearest], kind="stable")]
-    yield from (ordered[begin : begin + BLOCK] for begin in range(0, len(ordered), BLOCK))
+    yield from (ordered[begin : begin + RECEIVERS_AT_ONCE] for begin in range(0, len(ordered), RECEIVERS_AT_ONCE))
 
 
 def nearest(
     tree: cKDTree, points: Points, count: int, threads: int
 ) -> tuple[Float64[np.ndarray, "b k"], Int64[np.ndarray, "b k"]]:
     """Return distances and indices of the nearest points of the tree, nearest first; equally near ones by index."""
-    more = min(count + TIES, tree.n)
+    more = min(count + SPARE_NEIGHBOURS, tree.n)
     distances, near = tree.query(points, k=np.arange(1, more + 1), workers=threads or -1)
     return nearest_first(distances, near, count)
 
@@ -164,9 +164,9 @@ def _likeness(
 ) -> Float64[np.ndarray, "b k k"]:
     """Return g of all pairs of candidates of each row, from one table of all pairs.
 
-    Features are whole numbers of 1 / EXACT, so that no sum is rounded, in whatever order BLAS makes it.
+    Features are whole numbers of 1 / PARTS_PER_ONE, so that no sum is rounded, in whatever order BLAS makes it.
     """
-    whole = np.rint(features.astype(np.float64) * EXACT)
-    cosines = (whole @ whole.T) / EXACT**2
+    whole = np.rint(features.astype(np.float64) * PARTS_PER_ONE)
+    cosines = (whole @ whole.T) / PARTS_PER_ONE**2
     pairs = np.minimum(cosines[candidates[:, :, None], candidates[:, None, :]], 1)
     return np.asarray(np.exp((pairs - 1) / bandwidth))

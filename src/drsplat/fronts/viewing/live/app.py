@@ -24,15 +24,15 @@ from ..saving import Saves
 from ..texts import printable
 from . import files
 from .acts import AnyAct, Open, SlowAct, begun, done, read_act
-from .arrays import HEADER, ROWS, Packed
-from .cameras import MOST_SIDE, Body, Camera, Path, Text, flight_document
+from .arrays import ARRAYS_HEADER, ROWS_HEADER, Packed
+from .cameras import MAX_SIDE_PIXELS, Body, Camera, Path, Text, flight_document
 from .events import Events
 from .shared import Shared
 from .stage import Stage
 from .turns import Lanes
 
-MOST_PIXELS = 40_000_000  # of a picture that is sent
-WORDED = {"extra_forbidden": "there is no such field"}
+MAX_PICTURE_PIXELS = 40_000_000
+FAULT_TEXTS = {"extra_forbidden": "there is no such field"}
 T = TypeVar("T")
 B = TypeVar("B", bound=BaseModel)
 Handler = Callable[[Request], Coroutine[Any, Any, Response]]
@@ -124,8 +124,8 @@ class Viewer:
 
     async def photo(self, request: Request) -> Response:
         name, side = request.query_params.get("name", ""), _number(request, "side", "960")
-        if not 16 <= side <= MOST_SIDE:
-            raise InputError(f"side: expected 16 to {MOST_SIDE} pixels, got {side}")
+        if not 16 <= side <= MAX_SIDE_PIXELS:
+            raise InputError(f"side: expected 16 to {MAX_SIDE_PIXELS} pixels, got {side}")
         return Response(await self.turns.take(lambda: files.photo(self.shared.stage, name, side)), media_type=JPEG)
 
     async def object_picture(self, request: Request) -> Response:
@@ -158,7 +158,7 @@ class Viewer:
         name, body = request.query_params.get("name", "picture"), await request.body()
 
         def ask() -> dict[str, Any]:
-            self.shared.say(self.shared.session.ask_picture(decoded(body, MOST_PIXELS), printable(name, 60)))
+            self.shared.say(self.shared.session.ask_picture(decoded(body, MAX_PICTURE_PIXELS), printable(name, 60)))
             self.shared.note()
             return self.shared.state()
 
@@ -268,7 +268,7 @@ def _refusals(shared: Shared) -> dict[Any, Any]:
         return _sent(refusal(error, shared.without_folders(str(error))))
 
     async def invalid(_: Request, error: ValidationError) -> Response:
-        return _sent(problem(422, faults_of(error.errors(), WORDED), "invalid"))
+        return _sent(problem(422, faults_of(error.errors(), FAULT_TEXTS), "invalid"))
 
     async def http(request: Request, error: HTTPException) -> Response:
         said = f"there is nothing at {request.url.path!a:.80}" if error.status_code == 404 else str(error.detail)
@@ -296,7 +296,9 @@ def _sent(reply: Reply) -> Response:
 
 def _binary(packed: Packed) -> Response:
     return Response(
-        packed.data, headers={HEADER: packed.layout, ROWS: str(packed.rows)}, media_type="application/octet-stream"
+        packed.data,
+        headers={ARRAYS_HEADER: packed.layout, ROWS_HEADER: str(packed.rows)},
+        media_type="application/octet-stream",
     )
 
 

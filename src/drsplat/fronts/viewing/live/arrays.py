@@ -15,10 +15,10 @@ from ..page import packed
 from ..session import Mode
 from .stage import Stage
 
-HEADER, ROWS = "x-drsplat-arrays", "x-drsplat-rows"
-PIECE = 1 << 17  # rows of an answer
-MOST_NUMBER = 65_534  # of objects that 16 bits tell apart, with one for none
-COLOURED = (Mode.FEATURES, Mode.CLASSES)
+ARRAYS_HEADER, ROWS_HEADER = "x-drsplat-arrays", "x-drsplat-rows"
+PIECE_ROWS = 1 << 17  # of an answer
+MAX_OBJECTS = 65_534  # that 16 bits tell apart, with a number for none
+COLOUR_MODES = (Mode.FEATURES, Mode.CLASSES)
 
 
 class Packed(NamedTuple):
@@ -38,7 +38,7 @@ def splats(stage: Stage, begin: int) -> Packed:
 
     Raises: InputError: there is no such row.
     """
-    drawn, rows = stage.session.drawn, stage.order[begin : begin + PIECE]
+    drawn, rows = stage.session.drawn, stage.order[begin : begin + PIECE_ROWS]
     part: Rows = {
         "centers": drawn.centers[rows],
         "covariances": drawn.covariances[rows].astype(np.float16),
@@ -49,8 +49,8 @@ def splats(stage: Stage, begin: int) -> Packed:
 
 
 def piece(arrays: Rows, begin: int) -> Packed:
-    """Return `PIECE` rows from a row on, or as many as there are. Raises: InputError: there is no such row."""
-    part = {name: values[begin : begin + PIECE] for name, values in arrays.items()}
+    """Return `PIECE_ROWS` rows from a row on, or as many as there are. Raises: InputError: there is no such row."""
+    part = {name: values[begin : begin + PIECE_ROWS] for name, values in arrays.items()}
     return _packed(part, begin, len(next(iter(arrays.values()))))
 
 
@@ -69,8 +69,8 @@ def paint(stage: Stage) -> Rows:
 
 def colors(stage: Stage, mode: str) -> Rows:
     """Return the colours of a mode that only this side can compute. Raises: InputError: another mode."""
-    if mode not in COLOURED:
-        raise InputError(f"mode: expected {' or '.join(COLOURED)}, got {mode!a:.40}")
+    if mode not in COLOUR_MODES:
+        raise InputError(f"mode: expected {' or '.join(COLOUR_MODES)}, got {mode!a:.40}")
     session = stage.session
     before, session.mode = session.mode, Mode(mode)
     try:
@@ -98,7 +98,7 @@ def _drawn(stage: Stage, values: Shaped[np.ndarray, " n"]) -> Shaped[np.ndarray,
 
 
 def _numbered(ids: Shaped[np.ndarray, " n"]) -> Shaped[np.ndarray, " n"]:
-    return (np.minimum(ids, MOST_NUMBER - 1) + 1).astype(np.uint16)
+    return (np.minimum(ids, MAX_OBJECTS - 1) + 1).astype(np.uint16)
 
 
 def as_bytes(values: Shaped[np.ndarray, "*any"]) -> UInt8[np.ndarray, "*any"]:

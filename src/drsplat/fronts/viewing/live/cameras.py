@@ -12,16 +12,16 @@ from ....scene.views import View
 from ..page import film_document
 from .stage import Stage
 
-MOST_TEXT = 500  # characters that are typed
-MOST_SIDE = 1600  # pixels of a picture that is drawn
-MOST_KEYS = 200
-MOST_SECONDS, SECONDS = 60.0, 8.0  # of a film
-FPS, FILM_SIZE = 24.0, (960, 720)
+MAX_TEXT_CHARACTERS = 500
+MAX_SIDE_PIXELS = 1600  # of a picture that is drawn
+MAX_KEYS = 200
+MAX_FILM_S, FILM_S = 60.0, 8.0
+FPS, FILM_SIZE_PIXELS = 24.0, (960, 720)
 
 Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e9, le=1e9)]
 Point = tuple[Finite, Finite, Finite]
 Span = tuple[Finite, Finite]
-Text = Annotated[str, StringConstraints(min_length=1, max_length=MOST_TEXT)]
+Text = Annotated[str, StringConstraints(min_length=1, max_length=MAX_TEXT_CHARACTERS)]
 Degrees = Annotated[float, Field(ge=1, le=170, allow_inf_nan=False)]
 Side = Annotated[int, Field(ge=16, le=8192)]
 Number = Annotated[int, Field(ge=0, le=2**31 - 1)]
@@ -51,12 +51,12 @@ class Camera(Key):
 class Path(Body):
     """A path through key frames. closed: the last leads to the first."""
 
-    keys: Annotated[list[Key], Field(min_length=2, max_length=MOST_KEYS)]
-    seconds: Annotated[float, Field(gt=0, le=MOST_SECONDS, allow_inf_nan=False)] = SECONDS
+    keys: Annotated[list[Key], Field(min_length=2, max_length=MAX_KEYS)]
+    seconds: Annotated[float, Field(gt=0, le=MAX_FILM_S, allow_inf_nan=False)] = FILM_S
     closed: bool = False
 
 
-def view_of(stage: Stage, camera: Camera, most_side: int = MOST_SIDE) -> View:
+def view_of(stage: Stage, camera: Camera, most_side: int = MAX_SIDE_PIXELS) -> View:
     """Return a camera in the world, with pixels of the same shape but not too many.
 
     Raises: InputError: it stands where it looks.
@@ -66,8 +66,8 @@ def view_of(stage: Stage, camera: Camera, most_side: int = MOST_SIDE) -> View:
 
 def path_through(stage: Stage, path: Path) -> CameraPath:
     """Return a path in the world. Raises: InputError: a key frame stands where it looks."""
-    keys = [KeyFrame.of(_view(stage, key, FILM_SIZE)) for key in path.keys]
-    return CameraPath(tuple(keys), path.closed, False, path.seconds, FPS, FILM_SIZE)
+    keys = [KeyFrame.of(_view(stage, key, FILM_SIZE_PIXELS)) for key in path.keys]
+    return CameraPath(tuple(keys), path.closed, False, path.seconds, FPS, FILM_SIZE_PIXELS)
 
 
 def flight_document(stage: Stage, path: Path) -> dict[str, Any]:
@@ -81,16 +81,16 @@ def flight_document(stage: Stage, path: Path) -> dict[str, Any]:
 
 def path_document(stage: Stage, path: CameraPath) -> dict[str, Any]:
     """Return a path of the world as browsers take it. Raises: InputError: more key frames than they take."""
-    if len(path.keys) > MOST_KEYS:
-        raise InputError(f"a path of the viewer has up to {MOST_KEYS} key frames, this one has {len(path.keys):,}")
-    lasts = path.seconds or (path.keys[-1].seconds or 0) - (path.keys[0].seconds or 0) or SECONDS
+    if len(path.keys) > MAX_KEYS:
+        raise InputError(f"a path of the viewer has up to {MAX_KEYS} key frames, this one has {len(path.keys):,}")
+    lasts = path.seconds or (path.keys[-1].seconds or 0) - (path.keys[0].seconds or 0) or FILM_S
     frame = stage.session.shown.frame
     keys = [
         {"eye": frame.shown(key.eye).tolist(), "target": (frame.shown(key.eye) + key.rotation[2]).tolist(),
          "fov": key.fov_degrees}
         for key in path.keys
     ]  # fmt: skip
-    return {"keys": keys, "seconds": float(np.clip(lasts, 1.0, MOST_SECONDS)), "closed": path.closed}
+    return {"keys": keys, "seconds": float(np.clip(lasts, 1.0, MAX_FILM_S)), "closed": path.closed}
 
 
 def _view(stage: Stage, key: Key, size: tuple[int, int]) -> View:

@@ -7,14 +7,14 @@ from typing import Any
 
 from starlette.exceptions import HTTPException
 
-MOST_STREAMS = 16
+MAX_STREAMS = 16
 BEAT_S = 15.0
 
 
 class Events:
     """Streams of a service. summary: what a line says. Only the latest is sent to a page that reads slowly."""
 
-    def __init__(self, summary: Callable[[], dict[str, Any]], most: int = MOST_STREAMS, beat_s: float = BEAT_S) -> None:
+    def __init__(self, summary: Callable[[], dict[str, Any]], most: int = MAX_STREAMS, beat_s: float = BEAT_S) -> None:
         self.summary, self.most, self.beat_s, self.is_closed = summary, most, beat_s, False
         self._streams: dict[asyncio.Event, asyncio.AbstractEventLoop] = {}
 

@@ -19,7 +19,7 @@ from ....drawing.pictures import OtherPixels, as_pixels
 from ....drawing.rendering import render
 from ....errors import InputError
 from ....formats.json_files import document_in
-from ....query.sheets import AT_ONCE
+from ....query.sheets import OBJECTS_AT_ONCE
 from ...serving.pictures import jpeg, png
 from ..carrying import carried
 from ..exporting import export_session
@@ -27,13 +27,13 @@ from ..naming import photo_of
 from ..object_list import pictures_of
 from ..saving import Saves, flight_gif, picture_of, save_scene, write_bytes
 from ..tiled import UNEDITED
-from .cameras import FILM_SIZE, FPS, Body, Camera, Path, path_document, path_through, view_of
+from .cameras import FILM_SIZE_PIXELS, FPS, Body, Camera, Path, path_document, path_through, view_of
 from .stage import Stage
 from .state import film_formats
 
-SPLIT_SIDE = 960  # pixels of each side of before and after
-MOST_PICTURES = 256  # of objects that are kept
-MOST_PAGE_QUERIES = 6  # suggested words that a page answers, where nothing was asked
+SPLIT_SIDE_PIXELS = 960  # longer side of before, and of after
+MAX_PICTURES_KEPT = 256  # of objects
+MAX_PAGE_QUERIES = 6  # suggested words that a page answers, where nothing was asked
 
 
 class Saved(NamedTuple):
@@ -83,7 +83,7 @@ def shown_picture(stage: Stage, camera: Camera) -> bytes:
 def before_after(stage: Stage, camera: Camera) -> bytes:
     """Return the scene before its edits and after them, side by side, as PNG. Raises: InputError: nothing is left."""
     session = stage.session
-    view = view_of(stage, camera, SPLIT_SIDE)
+    view = view_of(stage, camera, SPLIT_SIDE_PIXELS)
     after = session.edited()[0]
     sides = session.here.gaussians, after
     drawn = [as_pixels(render(one, view, threads=session.scene.threads).rgb) for one in sides]
@@ -108,8 +108,8 @@ class ObjectPictures:
     def _draw(self, stage: Stage, number: int) -> None:
         if number not in stage.listed:
             raise InputError(f"there is no object {number} of {len(stage.listed)}")
-        begin = stage.listed.index(number) // AT_ONCE * AT_ONCE
-        numbers = stage.listed[begin : begin + AT_ONCE]
+        begin = stage.listed.index(number) // OBJECTS_AT_ONCE * OBJECTS_AT_ONCE
+        numbers = stage.listed[begin : begin + OBJECTS_AT_ONCE]
         objects = stage.session.scene.objects
         for one, pixels in zip(numbers, pictures_of(stage.session, [objects[one] for one in numbers]), strict=True):
             self._keep(one, pixels)
@@ -118,7 +118,7 @@ class ObjectPictures:
         if pixels is None:
             raise InputError("this scene has no photos: open it with its capture to see its objects")
         self._kept[number] = jpeg(np.ascontiguousarray(pixels))
-        while len(self._kept) > MOST_PICTURES:
+        while len(self._kept) > MAX_PICTURES_KEPT:
             self._kept.popitem(last=False)
 
 
@@ -145,7 +145,7 @@ def film(saves: Saves, stage: Stage, asked: Film, is_gone: Event, progress: "Pro
     if asked.format not in film_formats():
         raise InputError(f"{asked.format} needs the program ffmpeg: expected {' or '.join(film_formats())}")
     path, count = path_through(stage, asked), frame_count(asked.seconds, FPS)
-    views = path.views(count, FILM_SIZE)
+    views = path.views(count, FILM_SIZE_PIXELS)
 
     def pictures() -> Iterator[UInt8[np.ndarray, "h w 3"]]:
         for number, view in enumerate(views):
@@ -197,7 +197,7 @@ def page_file(saves: Saves, stage: Stage) -> Saved:
     session = stage.session
     if session.scene.tiles is not None:
         raise InputError(UNEDITED)
-    queries = (session.asked or stage.words[:MOST_PAGE_QUERIES]) if session.is_askable else ()
+    queries = (session.asked or stage.words[:MAX_PAGE_QUERIES]) if session.is_askable else ()
     return _save(saves, "page", ".html", lambda path: export_session(path, session, queries, up=stage.up))
 
 

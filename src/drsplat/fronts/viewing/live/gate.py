@@ -9,19 +9,19 @@ from ...serving.access import is_addressed, is_own_page, is_secret, names_of
 from ...serving.guards import Answer, App, Body, DoorKeeper, Message, Receive, Send, refused_length
 from ...serving.limits import Limits
 
-MOST_ACT, MOST_PICTURE, MOST_SCENE = 1 << 20, 20 << 20, 4 << 30  # bytes of a body
-BODIES: Mapping[str, int] = {
-    "/view/ask-picture": MOST_PICTURE, "/view/load-path": MOST_PICTURE, "/view/open": MOST_SCENE,
-    "/view/upload": MOST_SCENE,
+MAX_ACT_BYTES, MAX_PICTURE_BYTES, MAX_SCENE_BYTES = 1 << 20, 20 << 20, 4 << 30
+MAX_BODY_BYTES: Mapping[str, int] = {
+    "/view/ask-picture": MAX_PICTURE_BYTES, "/view/load-path": MAX_PICTURE_BYTES, "/view/open": MAX_SCENE_BYTES,
+    "/view/upload": MAX_SCENE_BYTES,
 }  # fmt: skip
-TAKEN = ("application/json", "application/octet-stream")  # which a page of another site cannot send unasked
-A_SECOND, AT_ONCE, MOST_PEERS = 120.0, 240.0, 1024  # requests of one address; addresses that are remembered
-POLICY = (
+CONTENT_TYPES = ("application/json", "application/octet-stream")  # which a page of another site cannot send unasked
+REQUESTS_PER_SECOND, BURST_REQUESTS, MAX_PEERS = 120.0, 240.0, 1024  # of one address; addresses noted
+CONTENT_POLICY = (
     "default-src 'none'; script-src 'self' blob:; worker-src blob:; style-src 'self' 'unsafe-inline'; "
     "img-src 'self' data: blob:; connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 )
 SAFE_HEADERS = (
-    (b"content-security-policy", POLICY.encode()), (b"x-content-type-options", b"nosniff"),
+    (b"content-security-policy", CONTENT_POLICY.encode()), (b"x-content-type-options", b"nosniff"),
     (b"referrer-policy", b"no-referrer"), (b"cross-origin-resource-policy", b"same-origin"),
     (b"cache-control", b"no-store"),
 )  # fmt: skip
@@ -46,7 +46,7 @@ class Gate(DoorKeeper):
         answer = Answer(_safe(send))
         if await self._turned_away(scope, answer) or await self._led_home(scope, answer):
             return None
-        most = BODIES.get(scope["path"], MOST_ACT)
+        most = MAX_BODY_BYTES.get(scope["path"], MAX_ACT_BYTES)
         if await refused_length(scope, most, answer):
             return None
         body = Body(receive, self, most)
@@ -66,9 +66,9 @@ class Gate(DoorKeeper):
         elif not self._is_known(scope, headers):
             await answer.refuse(401, "unauthorised", "open the address that drsplat view printed, with its token")
         elif not self._is_paced(scope):
-            await answer.refuse(429, "too fast", f"{A_SECOND:g} requests a second are answered: come again")
-        elif scope["method"] == "POST" and headers.content_type not in TAKEN:
-            await answer.refuse(415, "media type", f"expected the header Content-Type: {' or '.join(TAKEN)}")
+            await answer.refuse(429, "too fast", f"{REQUESTS_PER_SECOND:g} requests a second are answered: come again")
+        elif scope["method"] == "POST" and headers.content_type not in CONTENT_TYPES:
+            await answer.refuse(415, "media type", f"expected the header Content-Type: {' or '.join(CONTENT_TYPES)}")
         return bool(answer.status)
 
     def _is_known(self, scope: Message, headers: "_Headers") -> bool:
@@ -81,10 +81,10 @@ class Gate(DoorKeeper):
         """Return whether an address has not asked too often; what it may ask at once comes back with time."""
         peer = scope["client"][0] if scope.get("client") else ""
         now = time.monotonic()
-        left, last = self._paces.pop(peer, (AT_ONCE, now))
-        left = min(AT_ONCE, left + (now - last) * A_SECOND)
+        left, last = self._paces.pop(peer, (BURST_REQUESTS, now))
+        left = min(BURST_REQUESTS, left + (now - last) * REQUESTS_PER_SECOND)
         self._paces[peer] = max(left - 1, 0), now
-        if len(self._paces) > MOST_PEERS:
+        if len(self._paces) > MAX_PEERS:
             self._paces.popitem(last=False)
         return left >= 1
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import uvicorn
 
-from ...serving.access import EVERYWHERE, is_loopback
-from ...serving.connections import SECONDS, Stage, bounded, run_server
+from ...serving.access import ALL_INTERFACES, is_loopback
+from ...serving.connections import TIMEOUTS_S, Stage, bounded, run_server
 from ...serving.listening import address_of
 from ...serving.replies import BusyError
 from ..session import Session
@@ -22,7 +22,7 @@ from .stage import Vector
 from .turns import Lanes
 
 GRACE_S = 5  # for what is being answered when the viewer stops
-WAITS = {**SECONDS, Stage.BODY: 1800.0}  # seconds: a scene of gigabytes may come over a slow network
+VIEWER_TIMEOUTS_S = {**TIMEOUTS_S, Stage.BODY: 1800.0}  # a scene of gigabytes may come over a slow network
 
 
 class _Server(uvicorn.Server):
@@ -49,11 +49,11 @@ class Service:
         self.shared, self.lanes, self.listening = shared, Lanes(), listening
         self.token = None if is_loopback(host) else secrets.token_urlsafe(24)
         query = "" if self.token is None else f"/?token={self.token}"
-        self.address = address_of(listening, socket.gethostname() if host in EVERYWHERE else host) + query
+        self.address = address_of(listening, socket.gethostname() if host in ALL_INTERFACES else host) + query
         app = create_app(shared, self.lanes)
         gate = Gate(app, host, listening.getsockname()[1], self.token)
         options: dict[str, Any] = {"log_level": "error", "access_log": False, "timeout_graceful_shutdown": GRACE_S}
-        self._server = _Server(bounded(gate, WAITS, **options), app)
+        self._server = _Server(bounded(gate, VIEWER_TIMEOUTS_S, **options), app)
 
     def show(self, session: Session, up: Vector | None = None, text: str = "") -> None:
         """Show a session, and ask it something; before anybody has come."""

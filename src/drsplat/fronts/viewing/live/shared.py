@@ -17,12 +17,12 @@ from . import arrays, tiles
 from .arrays import Packed, Rows
 from .shelf import Shelf
 from .stage import Stage, Vector
-from .state import MAX_SENTENCE_LENGTH, film_formats, header_of, state_of
+from .state import MAX_SENTENCE_CHARACTERS, film_formats, header_of, state_of
 from .uploads import Uploads
 
 NOTHING_OPEN = "no scene is open: search the catalogue and open one, or open a file"
 FOLDERS = re.compile(r"(?<![\w.])/(?:[^/\s'\",:;]+/)+")
-CLOSED = {
+CLOSED_STATE = {
     "mode": "as it is", "selection": 0, "results": [], "clicked": None, "chosen": None, "classes": None,
     "annotations": [], "time": None, "edits": [], "can_undo": False, "can_redo": False, "kept": False,
 }  # fmt: skip
@@ -85,7 +85,7 @@ class Shared:
         """Say something to all, safe to show; None: what the session says of its answers."""
         own = "" if self._stage is None else self._stage.session.summary
         lines = (own if text is None else text).splitlines()
-        self.message = "\n".join(printable(line.strip(), MAX_SENTENCE_LENGTH) for line in lines)
+        self.message = "\n".join(printable(line.strip(), MAX_SENTENCE_CHARACTERS) for line in lines)
 
     def without_folders(self, message: str) -> str:
         """Return a message for others than the one who started the viewer: it names no folder of this machine."""
@@ -161,7 +161,7 @@ class Shared:
         """Return the state, made once after each change: all pages ask for it then."""
         revision = self._counters.revision
         if self._sent_state is None or self._sent_state[0] != revision:
-            state = CLOSED if self._stage is None else state_of(self._stage)
+            state = CLOSED_STATE if self._stage is None else state_of(self._stage)
             self._sent_state = revision, vars(self._counters) | {"message": self.message, "fault": None} | state
         return self._sent_state[1]
 

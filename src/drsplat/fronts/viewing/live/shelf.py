@@ -9,7 +9,7 @@ from ....errors import InputError
 from ....query.catalogue import Catalogue, Entry
 from ..texts import printable
 
-MOST_ENTRIES = 12
+MAX_ENTRIES = 12
 
 
 @dataclass(eq=False)
@@ -22,7 +22,7 @@ class Shelf:
 
     def ask(self, text: str) -> dict[str, Any]:
         """Search all scenes. Raises: InputError: no words, or such as the encoder does not know."""
-        answer = self.catalogue.answer(text, top=MOST_ENTRIES)
+        answer = self.catalogue.answer(text, top=MAX_ENTRIES)
         self.entries = answer.entries
         matches = counted(len(self.entries), "match", "matches")
         return {

@@ -17,7 +17,7 @@ from ..playing import placed_now
 from ..session import Session
 from ..suggestions import suggestions
 
-MOST_WORDS = 4  # that are suggested
+MAX_WORDS_SUGGESTED = 4
 Vector = Float64[np.ndarray, " 3"]
 
 
@@ -63,7 +63,7 @@ class Stage:
         """Find names of the objects and words to suggest, which loads the encoder, and return what takes them."""
         session = self.session
         names = names_of(session) if session.has_objects else []
-        words = suggestions(session.scene, session.words, MOST_WORDS) if session.is_askable else []
+        words = suggestions(session.scene, session.words, MAX_WORDS_SUGGESTED) if session.is_askable else []
 
         def take() -> None:
             self.names, self.words = names, words

@@ -33,7 +33,7 @@ from .stage import Stage, Vector
 from .tiles import tiles_document
 
 MAX_PHOTOS, MAX_OBJECTS, MAX_MATCHES, MAX_LISTED = 200, 500, 100, 100
-MAX_SENTENCE_LENGTH = 600
+MAX_SENTENCE_CHARACTERS = 600
 FILM_FORMATS = (".mp4", ".webm", ".webp", ".gif")
 Document = dict[str, Any]
 
@@ -71,13 +71,13 @@ def header_of(stage: Stage) -> Document:
 
 def about(session: Session) -> str:
     scene = session.scene
-    none = "" if session.is_askable else f" {NO_FIELD}"
+    note = "" if session.is_askable else f" {NO_FIELD}"
     counts = f"{len(scene.rows):,} Gaussians, {len(scene.field):,} with a feature."
-    return f"{counts} {session.shown.summary}".strip() + none
+    return f"{counts} {session.shown.summary}".strip() + note
 
 
 def _words(stage: Stage) -> list[str]:
-    """Return what one may type: suggestions first, then the names of objects, each once."""
+    """Return the words that are offered while somebody types: suggestions, then names of objects, each once."""
     names = [name for number in stage.listed if (name := stage.names[number].rpartition(" · ")[0])]
     return list(dict.fromkeys(printable(word, 60) for word in (*stage.words, *names)))[:MAX_LISTED]
 
@@ -93,11 +93,11 @@ def _objects(stage: Stage) -> list[Document]:
 
 
 def _object(stage: Stage, number: int, match: Match) -> Document:
-    now = stage.placed(match)
-    return _box(stage, now.center, now.axes, now.extent) | {
+    placed = stage.placed(match)
+    return _box(stage, placed.center, placed.axes, placed.extent) | {
         "number": number,
         "name": printable(stage.names[number], 60),
-        "size": size_text(now.extent),
+        "size": size_text(placed.extent),
         "num_gaussians": len(match),
     }
 
@@ -135,7 +135,7 @@ def state_of(stage: Stage) -> Document:
         "clicked": None if session.clicked is None else _clicked(session, session.clicked),
         "chosen": _chosen(session),
         "classes": _classes(session),
-        "annotations": [_annotation(stage, one) for one in session.edits.annotations[:MAX_LISTED]],
+        "annotations": [_annotation(stage, annotation) for annotation in session.edits.annotations[:MAX_LISTED]],
         "time": None if session.time is None else {"at": session.time, "during": session.during},
         **_edits(session),
     }
@@ -145,8 +145,8 @@ def _result(stage: Stage, number: int, result: Result) -> Document:
     answer = result.answer
     return {
         "text": printable(result.label),
-        "summary": printable(result.summary, MAX_SENTENCE_LENGTH),
-        "doubt": printable(answer.doubt, MAX_SENTENCE_LENGTH),
+        "summary": printable(result.summary, MAX_SENTENCE_CHARACTERS),
+        "doubt": printable(answer.doubt, MAX_SENTENCE_CHARACTERS),
         "threshold": result.threshold,
         "automatic": answer.threshold,
         "limits": list(result.limits),
@@ -160,9 +160,9 @@ def _result(stage: Stage, number: int, result: Result) -> Document:
 
 
 def _match(stage: Stage, result: Result, match: Match) -> Document:
-    now = stage.placed(match)
-    eye = stage.eye_before(now.center, now.extent)
-    return match_document(stage.session.shown.frame, now, eye, match.label or result.label)
+    placed = stage.placed(match)
+    eye = stage.eye_before(placed.center, placed.extent)
+    return match_document(stage.session.shown.frame, placed, eye, match.label or result.label)
 
 
 def _clicked(session: Session, this: This) -> Document:
@@ -220,13 +220,13 @@ def _edits(session: Session) -> Document:
     }
 
 
-def _annotation(stage: Stage, one: Annotation) -> Document:
-    text = {"text": printable(one.text)}
-    if one.outline is not None:
-        return text | _box(stage, one.center, one.outline.axes, one.outline.extent)
+def _annotation(stage: Stage, annotation: Annotation) -> Document:
+    text, center, outline = {"text": printable(annotation.text)}, annotation.center, annotation.outline
+    if outline is not None:
+        return text | _box(stage, center, outline.axes, outline.extent)
     frame = stage.session.shown.frame
-    eye = stage.eye_before(one.center, np.full(3, POINT_SIZE / frame.scale))
-    return text | {"center": rounded(frame.shown(one.center)), "eye": rounded(frame.shown(eye))}
+    eye = stage.eye_before(center, np.full(3, POINT_SIZE / frame.scale))
+    return text | {"center": rounded(frame.shown(center)), "eye": rounded(frame.shown(eye))}
 
 
 # --- numbers and words ---

@@ -10,10 +10,10 @@ from ..places import rounded
 from ..session import Mode
 from ..shown import shown_part
 from ..tiled import TiledSession
-from .arrays import COLOURED, MOST_NUMBER, Packed, Rows, as_bytes, packed_rows
+from .arrays import COLOUR_MODES, MAX_OBJECTS, Packed, Rows, as_bytes, packed_rows
 from .stage import Stage
 
-MOST_PARTS, MOST_ROWS = 64, 1 << 19  # of one answer
+MAX_PARTS, MAX_ROWS = 64, 1 << 19  # of one answer
 
 
 def tiles_document(stage: Stage) -> dict[str, Any] | None:
@@ -53,8 +53,8 @@ def tile_paint(stage: Stage, parts: Sequence[int]) -> Packed:
     rows = np.concatenate([session.rows_of(number) for number in parts])
     arrays: Rows = {"heat": as_bytes(session.heat_at(rows)), "owner": (session.owners_at(rows) + 1).astype(np.uint8)}
     if session.has_objects:
-        arrays["object"] = (np.minimum(session.objects_at(rows), MOST_NUMBER - 1) + 1).astype(np.uint16)
-    if session.mode in COLOURED and session.mode is Mode.CLASSES:
+        arrays["object"] = (np.minimum(session.objects_at(rows), MAX_OBJECTS - 1) + 1).astype(np.uint16)
+    if session.mode in COLOUR_MODES and session.mode is Mode.CLASSES:
         own = np.concatenate([shown_part(session.part(number)[0], session.shown.frame)[2] for number in parts])
         arrays["rgb"] = as_bytes(session.colors_at(own, rows))
     return packed_rows(arrays, len(rows))
@@ -64,13 +64,13 @@ def _checked(stage: Stage, parts: Sequence[int]) -> TiledSession:
     session = stage.session
     if not isinstance(session, TiledSession):
         raise InputError("parts: this scene is not in tiles")
-    if not 1 <= len(parts) <= MOST_PARTS or len(set(parts)) < len(parts):
-        raise InputError(f"parts: expected 1 to {MOST_PARTS} different numbers, got {len(parts)}")
+    if not 1 <= len(parts) <= MAX_PARTS or len(set(parts)) < len(parts):
+        raise InputError(f"parts: expected 1 to {MAX_PARTS} different numbers, got {len(parts)}")
     counts = [
         session.num_coarse(tile) if number % 2 == 0 else tile.num_rows - session.num_coarse(tile)
         for number in parts
         for tile in [session.tile_of(number)]
     ]
-    if sum(counts) > MOST_ROWS and len(parts) > 1:
-        raise InputError(f"parts: {sum(counts):,} Gaussians at once, and up to {MOST_ROWS:,} are sent: ask for fewer")
+    if sum(counts) > MAX_ROWS and len(parts) > 1:
+        raise InputError(f"parts: {sum(counts):,} Gaussians at once, and up to {MAX_ROWS:,} are sent: ask for fewer")
     return session

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from ...serving.replies import BusyError
 
-MOST_WAITING = 64
+MAX_REQUESTS_WAITING = 64
 GRACE_S = 5.0
 T = TypeVar("T")
 
@@ -17,7 +17,7 @@ T = TypeVar("T")
 class Turns:
     """A thread that does what it is given in that order. Exceptions go to whoever waits for the result."""
 
-    def __init__(self, most_waiting: int = MOST_WAITING, name: str = "viewer") -> None:
+    def __init__(self, most_waiting: int = MAX_REQUESTS_WAITING, name: str = "viewer") -> None:
         self.most_waiting, self.waiting = most_waiting, 0
         self._jobs: SimpleQueue[tuple[Future[Any], Callable[[], Any]] | None] = SimpleQueue()
         self._latest: dict[Hashable, object] = {}

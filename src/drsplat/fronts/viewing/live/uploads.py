@@ -15,7 +15,7 @@ from ....formats.photo_files import safe_name
 from ....formats.recognising import FIELD_SUFFIX
 from ....formats.replacing import replacing
 
-MOST_DEPTH = 8  # folders in each other
+MAX_FOLDER_DEPTH = 8
 _BATCH = re.compile(r"[A-Za-z0-9_-]{1,64}")
 _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)  # files of no disk, on Windows
 
@@ -134,8 +134,8 @@ class Uploads:
 def checked_path(name: str) -> Path:
     """Return the path of a file inside a folder. Raises: FormatError, InputError: it would leave it, or is no file."""
     parts = Path(safe_name(name, "name")).parts
-    if len(parts) > MOST_DEPTH or any(_is_odd(part) for part in parts):
-        raise InputError(f"name: expected a plain file, in {MOST_DEPTH} folders at most; got {name!a:.80}")
+    if len(parts) > MAX_FOLDER_DEPTH or any(_is_odd(part) for part in parts):
+        raise InputError(f"name: expected a plain file, in {MAX_FOLDER_DEPTH} folders at most; got {name!a:.80}")
     return Path(*parts)
 
 
