@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     models.add_argument(
         "--segmenter", type=words, metavar="NAME",
         help=f"SAM, SAM 2, SAM 2.1, SAM 3 or EdgeTAM, by Hugging Face id or folder; or graph, built in: no "
-        f"download, a fifth of a second per photo, coarser masks (default: {SEGMENTER}, the paper's; on "
+        f"download, an eighth of a second per photo, coarser masks (default: {SEGMENTER}, the paper's; on "
         "a CPU use graph, or facebook/sam2.1-hiera-tiny with --points auto --crop-layers 0, seconds per photo)",
     )  # fmt: skip
     models.add_argument(
