@@ -107,7 +107,7 @@ def main() -> None:
         f"transformers, {costs.point:.3f} s by drsplat, a crop {costs.crop:.3f} s\n"
     )
     print(
-        "| | photos | points a photo | masks | embedded crops | seconds a photo of SAM | seconds in all | of before |"
+        "| | photos | points per photo | masks | embedded crops | SAM seconds per photo | seconds in total | speed-up |"
     )
     print("|---" * 8 + "|")
     everything = costs.image + 256 * costs.own_point

@@ -158,7 +158,7 @@ def main() -> None:
         theirs=["ply", "spz", "spz4", "compressed.ply", "glb"], only=[*OURS],
     )  # fmt: skip
     print(f"{given.gaussians:,} Gaussians of degree {given.degree}, {given.objects} objects\n")
-    print("| format | program | CPU s | s | MB | MiB at most |")
+    print("| format | program | CPU s | s | MB | peak MiB |")
     print("|---|---|--:|--:|--:|--:|")
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -80,8 +80,8 @@ def box_by(case: Case, strays: float) -> Box:
 
 Way = Callable[[Case], Box]
 WAYS: dict[str, Way] = {
-    "all of it": partial(box_by, strays=0.0),
-    "without strays": partial(box_by, strays=MAX_STRAY_SHARE),
+    "all Gaussians": partial(box_by, strays=0.0),
+    "without outliers": partial(box_by, strays=MAX_STRAY_SHARE),
 }
 
 

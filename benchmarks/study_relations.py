@@ -81,7 +81,7 @@ def main() -> None:
     parser.add_argument("--kept", type=Path, default=Path("kept"))
     arguments = parser.parse_args()
     faults = []
-    print("| masks | rule | precision | recall | right, of true, of said |\n|---|---|--:|--:|---|")
+    print("| masks | rule | precision | recall | right, of true, of reported |\n|---|---|--:|--:|---|")
     for masks in arguments.masks:
         known = [answer for folder in arguments.scenes for answer in answers(folder, masks, arguments.kept)]
         true = np.array([truth for _, truth, _ in known])

@@ -55,7 +55,7 @@ def main() -> None:
     views = ds.read_views(given.demo)
     views = views[:: -(-len(views) // given.photos)]
     print(f"{len(scene):,} Gaussians of degree {scene.sh_degree}, {len(views)} photos\n")
-    print("| written by | CPU s | MB | MiB at most | PSNR |")
+    print("| written by | CPU s | MB | peak MiB | PSNR |")
     print("|---|--:|--:|--:|--:|")
     with tempfile.TemporaryDirectory() as name:
         source = Path(name) / "scene.ply"

@@ -160,7 +160,7 @@ def make_parser(verbs: Sequence[str] = VERBS) -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--print-completion", action=_Completion, metavar="SHELL",
-        help="print what bash, zsh, tcsh or fish needs to complete verbs and options, and exit",
+        help="print the completion script for bash, zsh, tcsh or fish, and exit",
     )  # fmt: skip
     subparsers = parser.add_subparsers(metavar="VERB", required=True, parser_class=VerbParser)
     for name, summary in SUMMARIES.items():

@@ -63,7 +63,7 @@ SUBJECTS = (
     QueryField("vector", "vector", "VECTOR", "embedding to search for instead of words", (*PROGRAMS, Place.CATALOGUE)),
     QueryField(
         "image", "picture", "PICTURE",
-        "picture to search for instead of words; best cut out, on black or transparent, as masks are",
+        "picture to search for instead of words; best cut out, on black or transparent, like masks",
         (*PROGRAMS, Place.CATALOGUE),
     ),
     QueryField(
@@ -81,14 +81,14 @@ EXCLUDE = QueryField(
 CUT = (
     QueryField(
         "threshold", "threshold", "T|auto",
-        "select what scores above this (default: auto, which follows the scene: words of CLIP-like encoders have to "
-        "fit better than a list of words, those of a built-in encoder exceed its own threshold; for vectors, pictures "
-        "and clicks it lies 0.6 of the way from the median cosine to the highest ones)",
+        "select scores above this (default: auto, which adapts to the scene: with CLIP-like encoders, words must fit "
+        "better than a list of words; with a built-in encoder, they must exceed its own threshold; for vectors, "
+        "pictures and clicks, it is 0.6 of the way from the median cosine to the highest ones)",
         (*PROGRAMS, Place.CATALOGUE, Place.WORDS), group="cut",
     ),
     QueryField(
         "top_share", "share", "S",
-        "select this share of the Gaussians that have a feature, e.g. 0.02, whatever their scores", group="cut",
+        "select this share of the Gaussians with a feature, e.g. 0.02, whatever their scores", group="cut",
     ),
     QueryField(
         "relevancy", "flag", "True",
@@ -97,17 +97,17 @@ CUT = (
     ),
     QueryField(
         "negatives", "negatives", "WORDS",
-        "texts to measure relevancy against, which implies it (default: those stored in the field, else object, "
+        "texts to measure relevancy against; implies relevancy (default: those stored in the field, else object, "
         "things, stuff, texture)", most=32,
     ),
     QueryField(
         "during", "span", "START END",
-        "start and end of a span of time of a scene that moves: only what photos of it have shown is asked (default: "
-        "all times)", FRONTS,
+        "start and end of a time span of a moving scene: search only what its photos in this span show (default: all "
+        "times)", FRONTS,
     ),
     QueryField(
         "objects", "choice", "auto|never",
-        "auto: objects answer as wholes, where the field has them; never: every Gaussian answers for itself (default: "
+        "auto: select whole objects if the field has them; never: select single Gaussians (default: "
         "auto)", (*PROGRAMS, Place.MCP, Place.WORDS), AUTO, choices=(AUTO, NEVER),
     ),
 )  # fmt: skip

@@ -25,9 +25,9 @@ EXAMPLES = """\
   drsplat add room.field capture --features capture/language_features --scene scene.ply --watch
   drsplat add room.field capture --features capture/language_features --scene scene.ply --views IMG_0017
 
-CAPTURE may hold all views or only the new ones: those with features that are not in the field yet are added, but for
-those that were removed from it or kept out of it: --views brings them back. How they are registered is what the field
-says: no option changes it. A stopped run goes on when the same command is given again."""
+CAPTURE may hold all views or only the new ones. Views that have features and are not in the field yet are added,
+except those that were removed or left out before: --views adds them. The settings of the registration come from the
+field. To resume a stopped run, give the same command again."""
 DAILY = ("scene", "features", "views", "watch")
 
 
@@ -36,21 +36,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_features(parser)
     parser.add_argument(
         "--views", nargs="+", type=words, metavar="NAME",
-        help="only these, even if they were removed or left out before: names of photos, with or without suffix, or "
-        "patterns with * and ? (default: all that were not removed or left out)",
+        help="views to add, even if removed or left out before: names of photos, with or without suffix, or patterns "
+        "with * and ? (default: all that were not removed or left out)",
     )  # fmt: skip
     parser.add_argument(
         "--replace", action="store_true",
-        help="compare the views that are in the field already as well, and replace those whose masks, embeddings or "
-        "poses are others now (default: they are not looked at)",
+        help="compare views already in the field too, and replace those whose masks, embeddings or poses have changed "
+        "(default: skip them)",
     )  # fmt: skip
     parser.add_argument(
         "--watch", action="store_true",
-        help="wait for further views, as a capture writes them, and add each once its pose and features are whole, "
+        help="wait for new views while a capture is written, and add each once its pose and features are complete, "
         "until Ctrl-C",
     )  # fmt: skip
     parser.add_argument(
-        "--idle", type=finite, metavar="SECONDS", help="with --watch: end when nothing has come for so long"
+        "--idle", type=finite, metavar="SECONDS", help="with --watch: stop after this time without a new view"
     )
     add_capture_options(parser)
     add_invert_masks(parser)

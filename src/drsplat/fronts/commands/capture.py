@@ -21,9 +21,9 @@ EXAMPLES = """\
   drsplat capture photos --output capture --places places.csv --known-distance corner door 2.4 --overwrite
   drsplat train capture --output-dir model
 
-The photos are only read. A stopped run goes on where it was when the same command is given again, also with more
-photos. Where there is a capture and only --scale or --known-distance is new, --overwrite keeps its poses. Needs
-COLMAP's package: pip install "drsplat[capture]"."""
+The photos are never changed. To resume a stopped run, give the same command again, also with more photos. If the
+capture exists and only --scale or --known-distance is new, --overwrite keeps its poses. Needs COLMAP's package: pip
+install "drsplat[capture]"."""
 LENSES = ("pinhole", "radial", "opencv", "fisheye")
 
 
@@ -37,25 +37,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add_overwrite(parser)
     add_invert_masks(parser)
-    size = parser.add_argument_group("how long a metre is (default: by the photos' GPS, else lengths have no unit)")
+    size = parser.add_argument_group("metric scale (default: from the photos' GPS, else lengths have no unit)")
     size.add_argument(
         "--known-distance", nargs="+", metavar="PLACE",
-        help="metres between two places: PHOTO X Y PHOTO X Y METRES, each by a pixel (x right, y down) of an upright "
-        "photo in its full size, or with --places NAME NAME METRES",
+        help="distance between two places in metres: PHOTO X Y PHOTO X Y METRES, in pixels (x right, y down) of the "
+        "upright photo at full size, or with --places NAME NAME METRES",
     )  # fmt: skip
     size.add_argument(
         "--places", metavar="FILE.csv",
-        help="table of named places for --known-distance: the line name,photo,x,y first, then a pixel in each; a place "
-        "that is given in two photos or more is where their rays meet",
+        help="table of named places for --known-distance: the header name,photo,x,y, then a pixel per line; a place "
+        "with pixels in two or more photos is triangulated",
     )  # fmt: skip
     size.add_argument(
-        "--scale", type=length, metavar="FACTOR", help="metres of a unit that the capture has without this option"
+        "--scale",
+        type=length,
+        metavar="FACTOR",
+        help="length in metres of the unit that the capture has without this option",
     )
     parser.add_argument(
         "--lens", choices=LENSES, default="radial",
-        help="lens, by what it does to straight lines: pinhole nothing, radial one term (phones, cameras), opencv two "
-        "radial and two tangential terms (wide angles); photos of fisheye are written as a pinhole sees them "
-        "(default: radial)",
+        help="model of the lens distortion: pinhole none, radial one term (phones, cameras), opencv two radial and two "
+        "tangential terms (wide angles); fisheye photos are undistorted to a pinhole (default: radial)",
     )  # fmt: skip
 
 

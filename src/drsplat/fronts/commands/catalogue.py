@@ -25,9 +25,9 @@ EXAMPLES = """\
   drsplat catalogue remove flats.catalogue kitchen
   drsplat catalogue index flats.catalogue
 
-A scene is a folder as `drsplat serve` takes it, with objects (`drsplat objects` finds them), or a field alone; added
-again, it takes its own place. Needs LanceDB: pip install "drsplat[catalogue]". `index` makes answers about more than
-100,000 objects quick."""
+A scene is a folder as for `drsplat serve`, with objects (`drsplat objects` finds them), or a field alone; adding it
+again replaces its entries. Needs LanceDB: pip install "drsplat[catalogue]". `index` makes searches over more than
+100,000 objects fast."""
 DAILY = ("name", "top", "exclude", "scene", "picture", "encoder")
 QUERY_FIELDS = fields(Place.COMMAND_LINE, Place.CATALOGUE)
 ACTIONS = ("add", "remove", "list", "ask", "index")
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     adding = parser.add_argument_group("add")
     adding.add_argument("--name", type=words, help="name of the scene in the catalogue (default: that of its folder)")
-    adding.add_argument("--views", metavar="CAPTURE", help="posed photos for the thumbnails, if they lie elsewhere")
+    adding.add_argument("--views", metavar="CAPTURE", help="posed photos for the thumbnails, if they are elsewhere")
     asking = parser.add_argument_group("ask")
     asking.add_argument(
         "--top", type=up_to(MAX_MATCHES), default=10, metavar="N", help="objects to list, best first (default: 10)"
@@ -54,13 +54,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     asking.add_argument(
         "--box", type=words, metavar="X,Y,Z,X,Y,Z",
-        help="two corners of a box in the worlds of the scenes, the lowest first, that centres lie in",
+        help="lowest and highest corner of a box, in scene coordinates, that contains the centres",
     )  # fmt: skip
     asking.add_argument(
-        "--area", type=words, metavar="W,S,E,N", help="degrees that centres lie in, of scenes with a georeference"
+        "--area",
+        type=words,
+        metavar="W,S,E,N",
+        help="bounds in degrees that contain the centres, for scenes with a georeference",
     )
-    asking.add_argument("--since", type=words, metavar="TIME", help="time of the oldest addition, as 2026-11-22T14:00")
-    asking.add_argument("--picture", metavar="OUT.jpg", help="write a sheet of the objects, cut out of their photos")
+    asking.add_argument(
+        "--since", type=words, metavar="TIME", help="time of the earliest addition, such as 2026-11-22T14:00"
+    )
+    asking.add_argument(
+        "--picture", metavar="OUT.jpg", help="write a contact sheet of the objects, cut out of their photos"
+    )
     add_overwrite(asking)
     add_query_encoders(parser)
 

@@ -23,7 +23,7 @@ EXAMPLES = """\
   drsplat register scene.ply capture --features capture/language_features --codebook clip.safetensors \\
       --output scene.field
 
-A stopped run resumes when the same command is given again; drsplat inspect describes a codebook."""
+To resume a stopped run, give the same command again. drsplat inspect describes a codebook."""
 DAILY = ("output", "lvis", "images", "encoder_name", "overwrite")
 DEFAULT_PATCHES = 17_500  # 64 for each of 256 centroids to train on, and 5 % held out
 HELD_OUT_SHARE, MAX_HELD_OUT_ROWS = 0.05, 10_000
@@ -38,17 +38,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_overwrite(parser)
     source = parser.add_argument_group("source")
     source.add_argument(
-        "--lvis", metavar="FILE", help="file of annotations of LVIS v1 or COCO, JSON: polygons or run lengths"
+        "--lvis", metavar="FILE", help="annotations of LVIS v1 or COCO, JSON: polygons or run lengths"
     )  # fmt: skip
-    source.add_argument("--images", metavar="DIR", help="folder of their photos, e.g. that of train2017 and val2017")
+    source.add_argument("--images", metavar="DIR", help="folder of their photos, e.g. with train2017 and val2017")
     source.add_argument(
         "--encoder-name", type=words, metavar="NAME",
         help="encoder that made FEATURES.npy, e.g. ViT-B-16/laion2b_s34b_b88k"
     )  # fmt: skip
     source.add_argument(
         "--limit", type=count_or_all, default=DEFAULT_PATCHES, metavar="N",
-        help="embed at most N patches, drawn at random, or 'all'. Training takes 16,384 of them in any case, all "
-        f"others only cost time (default: {DEFAULT_PATCHES}; patches under 100 pixels are left out)",
+        help="embed at most N randomly drawn patches, or 'all'. Training uses 16,384 in any case, so more only "
+        f"cost time (default: {DEFAULT_PATCHES}; patches under 100 pixels are left out)",
     )  # fmt: skip
     source.add_argument("--encoder", type=words, default=DEFAULT_ENCODER, metavar="NAME", help=ENCODER_HELP)
     add_device(source)

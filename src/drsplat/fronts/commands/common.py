@@ -13,10 +13,10 @@ def add_common(common: "argparse._ArgumentGroup") -> None:
         help="CPU threads; results are the same for any number (default: 0, all cores)",
     )  # fmt: skip
     common.add_argument(
-        "--config", metavar="FILE", help="TOML with options under [VERB]; an option that is given here counts instead"
+        "--config", metavar="FILE", help="TOML file with options under [VERB]; the command line overrides it"
     )
     common.add_argument(
-        "--print-config", action="store_true", help="print the options given here as such a file, and exit"
+        "--print-config", action="store_true", help="print the options of this command as such a file, and exit"
     )
-    common.add_argument("--log", metavar="FILE", help="append the lines of stderr to a file, with times")
+    common.add_argument("--log", metavar="FILE", help="append stderr to a file, with timestamps")
     common.add_argument("--debug", action="store_true", help="show the traceback of an error")

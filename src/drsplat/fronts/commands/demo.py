@@ -12,7 +12,7 @@ EXAMPLES = """\
   drsplat locate drsplat-demo "red vase"        (afterwards)
   drsplat view drsplat-demo                     (afterwards, in a browser)
 
-A stopped run goes on when the same command is given again, without --overwrite."""
+To resume a stopped run, give the same command again without --overwrite."""
 CAPTION = (
     "The photos are renderings of a made-up room that neither the segmenter nor the encoder learned from; both are "
     "built in, small, and know this kind of room only. Real photos need SAM and CLIP: see drsplat embed --help."

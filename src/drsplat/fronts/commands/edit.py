@@ -46,10 +46,11 @@ EXAMPLES = """\
   drsplat edit scene.ply --undo
   drsplat edit drsplat-demo --query "red vase" --annotate "from Delft"
 
-Changes are kept in NAME.edits.json beside the scene NAME.ply, in the order given; words are turned into rows once.
---save without a change writes the scene with all kept edits. --save with a change writes the scene with that change
-alone and keeps nothing; --edits kept does it after the kept edits and keeps it. What is saved has a column object_id
-where the field has objects: every verb, and SuperSplat, open it. Annotations are kept in NAME.annotations.json."""
+Changes are kept in NAME.edits.json beside the scene NAME.ply, in order; a query is turned into rows once. --save
+without a change writes the scene with all kept edits. --save with a change writes the scene with only that change
+and keeps nothing; with --edits kept, the change is applied after the kept edits and kept too. Saved scenes have a
+column object_id if the field has objects; every verb, and SuperSplat, open them. Annotations are kept in
+NAME.annotations.json."""
 DAILY = (
     "field",
     "text",
@@ -81,11 +82,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     output = parser.add_argument_group("output")
     output.add_argument(
         "--save", metavar="OUT.ply",
-        help="write the scene with the changes of this call alone or, without any, with all kept edits",
+        help="write the scene with only the changes of this command or, without any, with all kept edits",
     )  # fmt: skip
     add_kept_edits(output, "none with a change and --save, else kept")
     output.add_argument("--picture", metavar="OUT.png", help="write the scene before and after, side by side")
-    output.add_argument("--views", metavar="CAPTURE", help="poses, for --picture and to know what is up")
+    output.add_argument("--views", metavar="CAPTURE", help="poses, for --picture and to find up")
     output.add_argument(
         "--view", type=words, metavar="NAME", help="view for --picture (default: the one that shows most of it)"
     )

@@ -51,14 +51,14 @@ class _Axis(argparse.Action):
 
 
 def add_target_options(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("what is edited (one of these)")
+    group = parser.add_argument_group("target of the edit (one of these)")
     which = group.add_mutually_exclusive_group()
     which.add_argument("--query", dest="text", type=words, metavar="WORDS", help="all matches of a query, together")
     which.add_argument("--object", type=whole, metavar="NUMBER", help="object, as `drsplat objects` numbers them")
-    which.add_argument("--label", type=words, metavar="NAME", help="object with a name that people gave it")
+    which.add_argument("--label", type=words, metavar="NAME", help="object with a label")
     which.add_argument(
         "--box", type=finite, nargs=6, metavar=("X", "Y", "Z", "SX", "SY", "SZ"),
-        help="box along the axes of the world: its middle and its full lengths, in scene units",
+        help="axis-aligned box: its centre and its full side lengths, in scene units",
     )  # fmt: skip
     which.add_argument("--rows", metavar="IDS.npy", help="rows of the scene, as `drsplat select --save` writes them")
     which.add_argument("--copies", type=count, metavar="NUMBER", help="Gaussians that an earlier edit added")
@@ -66,35 +66,37 @@ def add_target_options(parser: argparse.ArgumentParser) -> None:
 
 
 def add_change_options(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("what is done, one after the other")
+    group = parser.add_argument_group("changes, applied in order")
 
     def then(flag: str, **more: Any) -> None:
         group.add_argument(flag, action=_Then, default=argparse.SUPPRESS, **more)
 
     then("--remove", nargs=0, help="remove it")
     then("--isolate", nargs=0, help="remove everything else")
-    then("--fill", nargs=0, help="close the hole where it stood at first, with clones of the ground or wall beside it")
-    then("--recolour", type=words, metavar="COLOUR", help="one hue with its own light and shade, e.g. #2060ff")
-    then("--palette", type=words, metavar="COLOURS", help="colours in place of its own, e.g. '#203040,#d0c0a0'")
-    then("--like-photo", metavar="PICTURE", help="colours with the mean and the spread of those in a picture")
-    then("--opacity", type=finite, metavar="FACTOR", help="opacity times this; 0.3 makes it faint")
+    then("--fill", nargs=0, help="fill the hole that it leaves with clones of the ground or wall beside it")
+    then("--recolour", type=words, metavar="COLOUR", help="give it one hue but keep its shading, e.g. #2060ff")
+    then("--palette", type=words, metavar="COLOURS", help="replace its colours by these, e.g. '#203040,#d0c0a0'")
+    then("--like-photo", metavar="PICTURE", help="match the mean and spread of its colours to those of a picture")
+    then("--opacity", type=finite, metavar="FACTOR", help="multiply its opacity; 0.3 makes it faint")
     then("--move", type=finite, nargs=3, metavar=("X", "Y", "Z"), help="move it by this, in scene units")
-    then("--turn", type=finite, metavar="DEGREES", help="turn it about --axis through its middle")
-    then("--scale", type=length, metavar="FACTOR", help="make it larger or smaller; its foot stays where it is")
+    then("--turn", type=finite, metavar="DEGREES", help="rotate it about --axis through its centre")
+    then("--scale", type=length, metavar="FACTOR", help="make it larger or smaller; its base stays in place")
     then(
-        "--duplicate", type=finite, nargs=3, metavar=("X", "Y", "Z"), help="copy it, the copy moved by this; --copies "
-        "edits the copy later",
+        "--duplicate", type=finite, nargs=3, metavar=("X", "Y", "Z"), help="copy it and move the copy by this; "
+        "--copies edits the copy later",
     )  # fmt: skip
     then(
-        "--replace", metavar="OTHER", help="replace it by another scene, or by --with-object of it, in its place, size "
-        "and on its floor",
+        "--replace", metavar="OTHER", help="replace it by another scene, or by --with-object of that, at its position, "
+        "size and base",
     )  # fmt: skip
-    group.add_argument("--amount", type=finite, default=1.0, metavar="A", help="share of --recolour (default: 1)")
+    group.add_argument("--amount", type=finite, default=1.0, metavar="A", help="strength of --recolour (default: 1)")
     group.add_argument(
         "--axis", nargs="+", action=_Axis, metavar="AXIS", help="axis of --turn: x, -z, or three numbers (default: up)"
     )
     group.add_argument("--with-object", type=whole, metavar="NUMBER", help="object of the field in the folder OTHER")
-    group.add_argument("--up", metavar="+z", help="direction that is up, +x to -z (default: what the photos call up)")
+    group.add_argument(
+        "--up", metavar="+z", help="axis that points up, +x to -z (default: from the orientation of the photos)"
+    )
     parser.set_defaults(changes=None)
 
 
@@ -102,8 +104,10 @@ def add_list_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("the list")
     group.add_argument("--list", action="store_true", help="print the edits and annotations (default without a change)")
     group.add_argument("--undo", type=count, nargs="?", const=1, metavar="N", help="undo the last edit, or the last N")
-    group.add_argument("--redo", type=count, nargs="?", const=1, metavar="N", help="redo what was undone last, or N")
-    group.add_argument("--annotate", type=words, metavar="TEXT", help="keep a text at its box, or at the point --at")
+    group.add_argument(
+        "--redo", type=count, nargs="?", const=1, metavar="N", help="redo the last undone edit, or the last N"
+    )
+    group.add_argument("--annotate", type=words, metavar="TEXT", help="attach a text to its box, or to the point --at")
     group.add_argument("--at", type=finite, nargs=3, metavar=("X", "Y", "Z"), help="point of the world for --annotate")
     group.add_argument("--drop-annotation", type=count, metavar="NUMBER", help="remove an annotation")
 
@@ -111,7 +115,7 @@ def add_list_options(parser: argparse.ArgumentParser) -> None:
 def add_kept_edits(parser: argparse._ActionsContainer, default: str) -> None:
     parser.add_argument(
         "--edits", choices=("kept", "none"),
-        help=f"kept: with the edits that are kept beside the scene; none: without them (default: {default})",
+        help=f"kept: with the edits kept beside the scene; none: without them (default: {default})",
     )  # fmt: skip
 
 

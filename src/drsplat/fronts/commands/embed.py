@@ -29,13 +29,13 @@ EXAMPLES = """\
   drsplat embed capture --encoder google/siglip2-base-patch16-224 --output capture/siglip2 --json
   drsplat embed capture --masks capture/language_features --encoder facebook/dinov2-base --output capture/dinov2
 
-A stopped run resumes when the same command is given again, without --overwrite."""
+To resume a stopped run, give the same command again without --overwrite."""
 DAILY = ("output", "segmenter", "encoder", "scene", "device", "overwrite")
 DEFAULT_SEGMENTER = "facebook/sam-vit-huge"
 DEFAULT_ENCODER = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 ENCODER_HELP = (
-    "model that embeds, an id of the Hugging Face hub or a folder: CLIP, MetaCLIP 2, SigLIP, SigLIP 2 or TIPSv2, or "
-    "DINOv2 or DINOv3, which know no words; hf-hub:ID for a model of open_clip, such as hf-hub:timm/PE-Core-B-16; or "
+    "embedding model, by Hugging Face id or folder: CLIP, MetaCLIP 2, SigLIP, SigLIP 2 or TIPSv2, or DINOv2 or "
+    "DINOv3, which know no words; hf-hub:ID for an open_clip model, such as hf-hub:timm/PE-Core-B-16; or "
     f"drsplat-mini, built in, which knows 37 household objects (default: {DEFAULT_ENCODER}, the paper's)"
 )
 _LEVELS = {"four": ("default", "small", "medium", "large"), "large": ("large",)}
@@ -54,22 +54,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--langsplat", action="store_true",
-        help="write LangSplat's <photo>_s.npy and <photo>_f.npy, for other programs: the same, some hundred times as "
-        "large (default: <photo>.features.safetensors)",
+        help="write LangSplat's <photo>_s.npy and <photo>_f.npy for other programs: the same data, about a hundred "
+        "times as large (default: <photo>.features.safetensors)",
     )  # fmt: skip
     add_overwrite(parser)
     models = parser.add_argument_group("models")
     models.add_argument(
         "--segmenter", type=words, metavar="NAME",
-        help="SAM, SAM 2, SAM 2.1, SAM 3 or EdgeTAM, an id of the Hugging Face hub or a folder; or graph, built in, "
-        f"no model to download, a fifth of a second for a photo, coarser masks (default: {DEFAULT_SEGMENTER}, the "
-        "paper's; on a CPU take graph, or facebook/sam2.1-hiera-tiny with --points auto --crop-layers 0: seconds for a "
-        "photo)",
+        help=f"SAM, SAM 2, SAM 2.1, SAM 3 or EdgeTAM, by Hugging Face id or folder; or graph, built in: no "
+        f"download, an eighth of a second per photo, coarser masks (default: {DEFAULT_SEGMENTER}, the paper's; on "
+        "a CPU use graph, or facebook/sam2.1-hiera-tiny with --points auto --crop-layers 0, seconds per photo)",
     )  # fmt: skip
     models.add_argument(
         "--masks", metavar="DIR",
-        help="features of the same photos, of which the masks are kept: only the encoder is another, for `drsplat "
-        "register --weights-of` (default: cut the photos anew)",
+        help="features of the same photos whose masks are reused: only the encoder changes, for `drsplat register "
+        "--weights-of` (default: cut the photos again)",
     )  # fmt: skip
     models.add_argument("--encoder", type=words, default=DEFAULT_ENCODER, metavar="NAME", help=ENCODER_HELP)
     add_device(models)
@@ -83,14 +82,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_method(method: argparse._ArgumentGroup) -> None:
     method.add_argument(
         "--levels", choices=tuple(_LEVELS),
-        help="four: default, small, medium and large as LangSplat has them; large: only these masks, stored as all "
-        "four levels as Dr. Splat does, which is all that register uses unless told otherwise (default: four, with "
-        "--crops objects large; graph has only these)",
+        help="four: default, small, medium and large as in LangSplat; large: only large masks, stored in all four "
+        "levels as in Dr. Splat, all that register uses by default (default: four; large with --crops objects; graph "
+        "has only large)",
     )  # fmt: skip
     method.add_argument(
         "--points", type=_auto_or(up_to(MAX_POINTS_PER_SIDE)), metavar="N",
-        help="SAM: grid of N x N points on each photo and on each crop; time grows with N squared. auto asks coarse to "
-        "fine, only where no mask explains the photo yet, 128 points at most (default: 32, LangSplat's)",
+        help="SAM: grid of N x N points on each photo and each crop; time grows with N squared. auto refines the grid "
+        "only where no mask covers the photo yet, with 128 points at most (default: 32, LangSplat's)",
     )  # fmt: skip
     method.add_argument(
         "--crop-layers", type=int, choices=range(3),
@@ -105,19 +104,17 @@ def _add_method(method: argparse._ArgumentGroup) -> None:
 
 def _add_scene(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
-        "--scene",
-        metavar="SCENE",
-        help="Gaussians of the same photos, as `drsplat train` leaves them; it must not move",
+        "--scene", metavar="SCENE", help="Gaussians of the same photos, as `drsplat train` writes them; no moving scene"
     )
     parser.add_argument(
         "--views", type=_auto_or(count, ALL), default=ALL, metavar="N",
-        help="number of photos to embed: all; N, those that show most of the scene together; or auto, as many as show "
-        "all of it often enough (default: all; others need --scene)",
+        help="photos to embed: all; N, the N that together show most of the scene; or auto, enough to show all of it "
+        "often enough (default: all; the others need --scene)",
     )  # fmt: skip
     parser.add_argument(
         "--crops", choices=("masks", "objects"), default="masks",
-        help="pictures to embed: one of each mask of each photo; or, of large masks, a few of each object of the scene "
-        "(default: masks; objects needs --scene)",
+        help="crops to embed: one per mask and photo, or, for large masks, a few per object of the scene (default: "
+        "masks; objects needs --scene)",
     )  # fmt: skip
 
 
@@ -129,7 +126,7 @@ def _auto_or(number: Callable[[str], int], *others: str) -> Callable[[str], int 
 def add_device(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--device", choices=("auto", "cpu", "cuda", "mps"), default="auto",
-        help="device of the models; auto is a GPU where there is one (default: auto)",
+        help="device of the models; auto is a GPU if there is one (default: auto)",
     )  # fmt: skip
 
 

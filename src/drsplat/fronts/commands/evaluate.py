@@ -25,28 +25,28 @@ EXAMPLES = """\
   drsplat evaluate lerf-ovs lerf_ovs --name teatime --scene teatime.ply --features per_gaussian.npy \\
       --vocabulary clip_texts.json --report peer
 
-Predictions are written to REPORT/predictions and scored from there. Leave the labelled photos out when you
-register (the report says whether you did). Tables have a fixed threshold, chosen without these scenes, and one
-tuned on them, as the papers have it: never compare the one with the other."""
+Predictions are written to REPORT/predictions and scored from there. Leave the labelled photos out when you register
+(the report says whether you did). Tables give results with a fixed threshold, chosen without these scenes, and with
+one tuned on them, as in the papers: never compare one with the other."""
 DAILY = ("name", "scene", "field", "report", "threshold", "encoder", "overwrite")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("protocol", choices=PROTOCOLS, help="protocol to score by")
-    parser.add_argument("data", help="folder with a folder per scene; of lerf-ovs also with label/")
+    parser.add_argument("data", help="folder with a folder per scene; for lerf-ovs also with label/")
     each = parser.add_argument_group("for each scene, in the same order")
     each.add_argument("--name", type=words, action="append", help="folder in DATA (default: the only one there)")
     each.add_argument("--scene", action="append", required=True, help="scene that was registered")
     each.add_argument("--field", action="append", help="field that `drsplat register` wrote")
     each.add_argument(
         "--features", action="append", metavar="FILE.npy",
-        help="features of any system, instead of --field: (N, D) float16 or float32, a row per Gaussian, zeros where "
-        "there is none (.npy, .safetensors), OpenGaussian's cluster_lang.npz, or a checkpoint of PyTorch's with one "
-        "such tensor; with --vocabulary or --encoder for the texts",
+        help="features of any system, instead of --field: (N, D) float16 or float32, a row per Gaussian, zeros for no "
+        "feature (.npy, .safetensors), OpenGaussian's cluster_lang.npz, or a PyTorch checkpoint with one such tensor; "
+        "with --vocabulary or --encoder for the texts",
     )  # fmt: skip
     each.add_argument(
         "--decoder", action="append", metavar="FILE.pth",
-        help="LangSplat's autoencoder, where --features is its checkpoint: three numbers per Gaussian, decoded to 512",
+        help="LangSplat's autoencoder, if --features is its checkpoint: three numbers per Gaussian, decoded to 512",
     )  # fmt: skip
     parser.add_argument("--report", required=True, metavar="DIR", help="folder for the report and the predictions")
     parser.add_argument(
@@ -60,11 +60,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--threshold", type=finite, metavar="T", help="fixed threshold (default: the encoder's own, else 0.5)"
     )
     parser.add_argument(
-        "--automatic", action="store_true", help="score with a threshold per query as well, chosen from its scores"
+        "--automatic", action="store_true", help="score with a threshold per query, too, chosen from its scores"
     )
     _add_classes(parser)
     parser.add_argument("--figures", type=whole, default=6, metavar="N", help="pictures per scene (default: 6)")
-    parser.add_argument("--score-only", action="store_true", help="score the predictions that are in REPORT already")
+    parser.add_argument("--score-only", action="store_true", help="score the predictions that REPORT already has")
     add_query_encoders(parser)
     add_without(parser)
     add_overwrite(parser)
@@ -74,8 +74,8 @@ def _add_classes(parser: argparse.ArgumentParser) -> None:
     """Add the options of ScanNet's classes, and of how their volumes are counted."""
     parser.add_argument(
         "--label-set", type=words, default="scannet19", metavar="SET",
-        help="classes: scannet19, scannet15, scannet10, scannet200, household, or a file of lines id, name, prompt "
-        "with tabs between (default: scannet19)",
+        help="classes: scannet19, scannet15, scannet10, scannet200, household, or a tab-separated file of id, name, "
+        "prompt (default: scannet19)",
     )  # fmt: skip
     parser.add_argument(
         "--label-table", metavar="FILE",

@@ -32,10 +32,10 @@ EXAMPLES = """\
   drsplat export film.field --scene film.motion --at 1.5 --output moment.glb
   drsplat export tiles --output city/lod-meta.json
 
-A .glb has a table of the objects (number, name, score, box, group), and of each Gaussian which one it belongs to; with
---query also its relevancy, and the matches as named nodes. Other formats keep what they can, and the answer says what
-they left out. Objects are those of `drsplat objects`: run it first where the field has none. Edits that are kept beside
-the scene are applied; annotations go along."""
+A .glb has a table of the objects (number, name, score, box, group) and the object of each Gaussian; with --query,
+also the relevancy of each Gaussian, and the matches as named nodes. Other formats hold what they can, and the
+command reports what they omit. Objects come from `drsplat objects`: run it first if the field has none. Kept edits
+are applied, and annotations are written too."""
 DAILY = ("output", "field", "scene", "text", "only", "object", "label", "edits", "overwrite")
 QUERIES = tuple(field.name for field in SUBJECTS)
 
@@ -48,33 +48,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--output", "-o", required=True, metavar="FILE|DIR", help=f"file to write: {_suffixes()}; a folder of 3D Tiles"
     )
     parser.add_argument(
-        "--tiles3d", action="store_true", help="write 3D Tiles into the folder --output: levels of detail for maps"
+        "--tiles3d", action="store_true", help="write 3D Tiles, levels of detail for maps, to the folder --output"
     )
-    parser.add_argument("--field", help="field of the scene, for objects with names and for queries")
-    parser.add_argument("--scene", help="scene that was registered, where SCENE is a field")
+    parser.add_argument("--field", help="field of the scene, for named objects and queries")
+    parser.add_argument("--scene", help="scene that was registered, if SCENE is a field")
     parser.add_argument("--at", dest="time", type=finite, metavar="TIME", help="time of a scene that moves")
-    what = parser.add_argument_group("what is written (default: all of it)")
-    what.add_argument("--query", dest="text", type=words, metavar="WORDS", help="query whose answer goes along")
+    what = parser.add_argument_group("content (default: everything)")
+    what.add_argument("--query", dest="text", type=words, metavar="WORDS", help="query whose answer is also written")
     what.add_argument("--only", action="store_true", help="write only what matches the query")
     what.add_argument("--object", type=whole, metavar="NUMBER", help="write only this object of `drsplat objects`")
-    what.add_argument("--label", type=words, metavar="NAME", help="write only what people gave this name")
+    what.add_argument("--label", type=words, metavar="NAME", help="write only the object with this label")
     what.add_argument(
-        "--embeddings", action="store_true", help="keep the embedding of each object, where the format can hold it"
+        "--embeddings", action="store_true", help="write the embedding of each object, if the format can hold it"
     )
     what.add_argument(
-        "--photos", action="store_true", help="keep the photos and their cameras, where the format can hold them: .rrd"
+        "--photos", action="store_true", help="write the photos and their cameras, if the format can hold them: .rrd"
     )
     what.add_argument(
-        "--fit-8bit", action="store_true", help="fit colours to viewers of the web, which keep and clamp them in bytes"
+        "--fit-8bit", action="store_true", help="fit colours to web viewers, which store and clamp them as bytes"
     )
     what.add_argument(
-        "--spz-version", type=int, choices=(3, 4), default=3, help="version of a .spz: 3, which most programs read, or "
-        "4, which keeps objects and names (default: 3)",
+        "--spz-version", type=int, choices=(3, 4), default=3, help="version of an .spz: 3, which most programs read, "
+        "or 4, which holds objects and names (default: 3)",
     )  # fmt: skip
     add_kept_edits(what, "kept")
     add_overwrite(parser)
     add_fields(parser.add_argument_group("other queries"), (*SUBJECTS[1:], EXCLUDE))
-    parser.add_argument("--views", metavar="CAPTURE", help="photos and their poses, for --click and to know what is up")
+    parser.add_argument("--views", metavar="CAPTURE", help="posed photos, for --click and to find up")
     add_query_encoders(parser)
     add_fields(parser, CUT)
     add_capture_options(parser)

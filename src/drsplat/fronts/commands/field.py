@@ -19,15 +19,15 @@ EXAMPLES = """\
   drsplat field carry room.field room.spz --scene scene.ply --output room_spz.field
   drsplat locate room_spz.field "red mug" --scene room.spz
 
-Compressing to SOG, SPZ and the like moves Gaussians a little and puts them in another order, and a field is refused
-with any scene but its own. Each Gaussian is found again by its place, opacity and colour; features, evidence, objects
-and names go with it. It is refused where more than one in a hundred is not found again."""
+Compression to SOG, SPZ and the like moves Gaussians slightly and reorders them, and a field works only with its own
+scene. `field carry` matches each Gaussian by position, opacity and colour, and transfers features, evidence,
+objects and labels. It fails if more than one in a hundred Gaussians has no match."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("action", choices=("carry",), help="action, the only one")
     add_field_options(parser)
-    parser.add_argument("new_scene", metavar="NEW_SCENE", help="scene, in another file or format")
+    parser.add_argument("new_scene", metavar="NEW_SCENE", help="registered scene in another file or format")
     parser.add_argument("--output", "-o", required=True, metavar="DIR", help="folder to write the new field to")
     add_overwrite(parser)
 

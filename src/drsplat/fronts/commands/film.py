@@ -39,15 +39,17 @@ def add_film_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("film")
     group.add_argument(
         "--around", type=around, default=SCENE, metavar="scene|match|NUMBER",
-        help="center of an orbit or a swing: what the photos look at (scene), the best match of --query, or an object "
-        "of its field (default: scene)",
+        help="centre of an orbit or swing: the point that the photos look at (scene), the best match of --query, or an "
+        "object of the field (default: scene)",
     )  # fmt: skip
-    group.add_argument("--up", metavar="AXIS", help="up for orbits: +x, -x ... -z (default: as the photos were held)")
-    group.add_argument("--fps", type=finite, metavar="N", help="pictures a second (default: those of FILE, else 30)")
+    group.add_argument(
+        "--up", metavar="AXIS", help="up for orbits: +x, -x ... -z (default: from the orientation of the photos)"
+    )
+    group.add_argument("--fps", type=finite, metavar="N", help="frames per second (default: that of FILE, else 30)")
     group.add_argument(
         "--seconds", type=length, metavar="S",
-        help="length (default: that of FILE, else 10 for an orbit, 5 for a swing, half of one for each photo up to "
-        "30, two from one key frame to the next)",
+        help="length (default: that of FILE, else 10 for an orbit, 5 for a swing, half a second per photo up to 30, "
+        "two seconds between key frames)",
     )  # fmt: skip
     group.add_argument(
         "--size", type=size, metavar="WxH",
@@ -56,7 +58,7 @@ def add_film_options(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     group.add_argument(
         "--side-by-side", nargs="?", const=SAME_SCENE, metavar="SCENE",
-        help="show the scene without the answer in the left half, or another scene: before and after an edit",
+        help="show the scene without the answer, or another scene, in the left half: before and after an edit",
     )  # fmt: skip
 
 

@@ -21,9 +21,9 @@ EXAMPLES = """\
   drsplat inspect room.field --json
   drsplat inspect room.field --verify
 
---verify names the damaged file and ends with exit code 1 if any bit of a field, tiles, a film (NAME.motion),
-a catalogue or embedded features has changed since they were written. Other kinds have no checksums; for them it
-reports what it has read."""
+--verify names the damaged file and exits with code 1 if any bit of a field, tiles, a film (NAME.motion), a catalogue
+or embedded features has changed since it was written. Other kinds have no checksums; for them, it reports what it
+read."""
 DAILY = ("verify",)
 PERCENTILES = (1, 50, 99)
 
@@ -32,8 +32,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("path", help="file or folder of any of these")
     parser.add_argument(
         "--verify", action="store_true",
-        help="compare every byte with its checksum; where there are no checksums, report what was read instead "
-        "(other verbs compare only what they use)",
+        help="compare every byte with its checksum; without checksums, report what was read (other verbs check only "
+        "what they use)",
     )  # fmt: skip
     add_capture_options(parser)
 

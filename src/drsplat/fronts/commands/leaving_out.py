@@ -14,7 +14,7 @@ EVERY_PREFIX = "every:"
 def add_without(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--without", type=words, metavar="FILE|every:N",
-        help="photos to leave out: a file with a name on each line, or every Nth by name from the first on, as "
+        help="photos to leave out: a file with a name per line, or every Nth by name, starting with the first, as "
         "`drsplat train` holds them out (default: none)",
     )  # fmt: skip
 

@@ -19,18 +19,18 @@ def add_listening(parser: argparse.ArgumentParser, port: int) -> None:
     parser.add_argument("--port", type=PORT, default=port, metavar="N", help=f"port to listen on (default: {port})")
     parser.add_argument(
         "--api-key-file", metavar="FILE",
-        help="file with the key that every request has to send: Authorization: Bearer KEY",
+        help="file with the key that every request must send: Authorization: Bearer KEY",
     )  # fmt: skip
-    parser.add_argument("--open", action="store_true", help="allow another --host without a key, for anyone")
+    parser.add_argument("--open", action="store_true", help="allow another --host without a key, open to anyone")
 
 
 def add_computing(parser: argparse.ArgumentParser, workers: int) -> None:
     parser.add_argument(
         "--workers", type=up_to(MAX_WORKERS), default=workers, metavar="N",
-        help=f"processes that compute, one request at a time each; others wait (default: {workers})",
+        help=f"worker processes, one request each at a time; others wait (default: {workers})",
     )  # fmt: skip
     parser.add_argument(
-        "--timeout", type=length, default=30.0, metavar="SECONDS", help="longest time of a request (default: 30)"
+        "--timeout", type=length, default=30.0, metavar="SECONDS", help="time limit of a request (default: 30)"
     )
 
 

@@ -23,9 +23,9 @@ EXAMPLES = """\
   drsplat locate film.field "toy car" --scene film.motion --tracks --during 0 0.5
   drsplat locate room.field "red mug" --scene scene.ply --picture mug.png --views capture --view photo_003
 
-Which threshold? Cosines of one encoder's texts are near 1 for what fits, those of CLIP between texts and photos
-seldom exceed 0.3. Relevancy has the same scale for every encoder; words with --encoder are measured by it. With
---threshold auto each query has a threshold of its own. For other queries look at the printed range."""
+Which threshold? Cosines between texts of one encoder are near 1 for a match; those between texts and photos in CLIP
+seldom exceed 0.3. Relevancy has the same scale for every encoder and is the measure for words with --encoder. With
+--threshold auto, each query has its own threshold. For other queries, look at the printed range."""
 DAILY = ("scene", "threshold", "top", "encoder", "save", "picture", "views", "overwrite", "click")
 
 
@@ -34,18 +34,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--top", type=count, default=10, metavar="N", help="matches to list, best first (default: 10)")
     parser.add_argument(
         "--min-gaussians", type=count, default=MIN_GAUSSIANS, metavar="N",
-        help=f"Gaussians of the smallest match; what is smaller is a speck (default: {MIN_GAUSSIANS})",
+        help=f"minimum number of Gaussians in a match (default: {MIN_GAUSSIANS})",
     )  # fmt: skip
     parser.add_argument(
         "--box", choices=("upright", "free"), default="upright",
-        help="upright: boxes stand on the ground, where the photos told which way is up; free: along the match's own "
+        help="upright: boxes stand upright, if the photos show which way is up; free: boxes follow the match's own "
         "axes (default: upright)",
     )  # fmt: skip
     parser.add_argument(
         "--tracks", action="store_true",
-        help="list where each match is at all times of a scene that moves, and when photos see it",
+        help="list where each match is at all times of a moving scene, and when photos see it",
     )  # fmt: skip
-    saved = "write the scene with two more columns: relevancy, the measured values; match_id, the match's number or -1"
+    saved = "write the scene with two more columns: relevancy, the measured value; match_id, the match's number or -1"
     add_output_options(parser, saved)
 
 

@@ -16,14 +16,14 @@ EXAMPLES = """\
   drsplat mcp drsplat-demo --http --port 8766
   drsplat mcp scenes --http --host 0.0.0.0 --api-key-file key.txt
 
-scenes is a folder with a field and its scene, or with one of these in each subfolder. Without --http the protocol is
-spoken on stdin and stdout, for programs that start the server themselves: {"command": "drsplat", "args": ["mcp",
+"scenes" is a folder with a field and its scene, or a folder of such folders. Without --http, the server uses stdin
+and stdout, for programs that start the server themselves: {"command": "drsplat", "args": ["mcp",
 "/path/to/scenes"]}."""
 DAILY = ("http", "port", "encoder")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("folder", help="folder of a scene, or folder of such folders")
+    parser.add_argument("folder", help="folder of a scene, or of several such folders")
     parser.add_argument("--http", action="store_true", help="serve streamable HTTP at /mcp instead of stdin and stdout")
     add_listening(parser, port=8766)
     add_computing(parser, workers=1)

@@ -12,15 +12,15 @@ EXAMPLES = """\
   drsplat motion spacetime.ply --output film.motion
   drsplat motion film.motion --output frames
 
-Read are folders of numbered PLY files with the same rows, PLY files of SpacetimeGaussians, and NAME.motion. A name that
-ends in .motion is written as that, any other as a folder of frame0000.ply and so on, one for each time."""
+SCENE may be a folder of numbered PLY files with the same rows, a PLY file of SpacetimeGaussians, or NAME.motion. An
+OUT that ends in .motion is written as such; any other becomes a folder of frame0000.ply and so on, one per time."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", help="folder of numbered PLY files, PLY of SpacetimeGaussians, or NAME.motion")
     parser.add_argument(
         "--times", type=finite, nargs=2, metavar=("FIRST", "LAST"),
-        help="times of the first and last of numbered PLY files, the others evenly between (default: their numbers)",
+        help="times of the first and last numbered PLY file, the others evenly spaced (default: their numbers)",
     )  # fmt: skip
     parser.add_argument("--output", "-o", metavar="OUT", help="NAME.motion, or a folder for numbered PLY files")
     add_overwrite(parser)

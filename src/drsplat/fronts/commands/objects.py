@@ -26,7 +26,7 @@ EXAMPLES = """\
   drsplat objects room.field --scene scene.ply --save cut_out
   drsplat objects room.field --label "my mug" --id 7
 
-The list has the objects that photos agree on, and those with a label; --all adds the others, most of which are scraps.
+The list has the objects on which the photos agree, and those with a label; --all adds the others, mostly fragments.
 
 The first run finds the objects, which takes the scene, and stores them in the field. ids.npy has an int32 for each
 Gaussian of the scene: its object, or -1. objects.ply is the scene with these numbers as a column object_id; a folder
@@ -41,30 +41,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("field", help=FIELD_HELP)
     parser.add_argument("--scene", help="scene that was registered; needed to find objects, for PLYs and for --picture")
     parser.add_argument(
-        "--again", action="store_true", help="find objects anew, even if the field has some; labels stay"
+        "--again", action="store_true", help="find objects again, even if the field has some; labels stay"
     )
     parser.add_argument(
-        "--all", action="store_true", help="list and draw also the objects that photos agree less on; files have all"
+        "--all",
+        action="store_true",
+        help="list and draw objects on which the photos agree less, too; files always have all",
     )
-    parser.add_argument("--label", type=words, metavar="NAME", help="name to give to the object --id")
-    parser.add_argument("--id", type=whole, metavar="NUMBER", help="number of the object that --label names")
+    parser.add_argument("--label", type=words, metavar="NAME", help="label for the object --id")
+    parser.add_argument("--id", type=whole, metavar="NUMBER", help="number of the object for --label")
     output = parser.add_argument_group("output")
     output.add_argument(
         "--save", metavar="OUT",
         help="OUT.npy: object of each Gaussian, int32; OUT.ply: scene with a column object_id; OUT.json, OUT.csv: "
-        "table with boxes; another name: folder of a PLY of each object",
+        "table with boxes; any other name: folder with a PLY per object",
     )  # fmt: skip
     output.add_argument(
         "--picture", metavar="OUT.jpg",
-        help="write a sheet: each object cut out of the photo that shows it best, the 60 largest of the list",
+        help="write a contact sheet: the 60 largest objects of the list, each cut out of the photo that shows it best",
     )  # fmt: skip
     output.add_argument("--views", metavar="CAPTURE", help="poses and photos, for --picture")
     add_overwrite(output)
     tiles = parser.add_argument_group("tiles")
     tiles.add_argument(
         "--parts", metavar="DIR",
-        help="folder for the finished blocks of an unfinished run, or an address such as s3://bucket/run; kept "
-        "(default: FIELD.parts, removed at the end)",
+        help="folder for the finished blocks of an unfinished run, or an address such as s3://bucket/run; never "
+        "removed (default: FIELD.parts, removed at the end)",
     )  # fmt: skip
     add_workers(tiles)
     add_query_encoders(parser)

@@ -111,16 +111,16 @@ def add_capture_options(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     group.add_argument(
         "--times", type=words, metavar="PATTERN|FILE.csv",
-        help="when the photos of a moving scene were taken: a pattern of their names, e.g. cam*/frame_{time}.png, or a "
-        "table with the line name,time first (default: time in transforms.json, else unknown)",
+        help="capture times of the photos of a moving scene: a pattern of their names, e.g. cam*/frame_{time}.png, or "
+        "a table with the header name,time (default: time in transforms.json, else unknown)",
     )  # fmt: skip
 
 
 def add_invert_masks(parser: argparse._ActionsContainer) -> None:
     parser.add_argument(
         "--invert-masks", action="store_true",
-        help="use pixels that are black in the photos' masks (masks/ beside images/), not white ones (default: white "
-        "ones are used)",
+        help="use the black pixels of the photos' masks (masks/ beside images/) instead of the white ones (default: "
+        "white)",
     )  # fmt: skip
 
 
@@ -143,7 +143,7 @@ def add_query_encoders(parser: argparse.ArgumentParser) -> None:
     """Add --encoder, --device and --vocabulary, which turn words into vectors."""
     parser.add_argument(
         "--encoder", type=words, metavar="NAME",
-        help="model that embedded the masks, for queries in words or by picture: a folder or an id such as "
+        help="model that embedded the masks, for queries by words or picture: a folder or an id such as "
         "laion/CLIP-ViT-B-16-laion2B-s34B-b88K (default: none; fields of the built-in words encoder need none)",
     )  # fmt: skip
     parser.add_argument(
@@ -151,8 +151,8 @@ def add_query_encoders(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--vocabulary", metavar="FILE",
-        help="texts and their vectors from the encoder that embedded the masks, instead of the encoder itself: JSON "
-        "{text: [numbers]} or safetensors",
+        help="texts with their vectors from the encoder that embedded the masks, instead of the encoder: JSON {text: "
+        "[numbers]} or safetensors",
     )  # fmt: skip
 
 
@@ -160,7 +160,7 @@ def add_kernel_device(parser: argparse._ActionsContainer) -> None:
     """Add --device of a verb that computes with kernels of our own and no models."""
     parser.add_argument(
         "--device", choices=("auto", "cpu", "cuda"), default="auto",
-        help="device to compute on; auto is CUDA where CuPy and a GPU are at hand (default: auto)",
+        help="device to compute on; auto is CUDA if CuPy and a GPU are available (default: auto)",
     )  # fmt: skip
 
 
@@ -173,7 +173,7 @@ def add_search_device(parser: argparse.ArgumentParser) -> None:
     """Add --search-device."""
     parser.add_argument(
         "--search-device", choices=("auto", "cpu", "cuda"), default="cpu",
-        help="device that features are searched on (default: cpu)",
+        help="device for searching features (default: cpu)",
     )  # fmt: skip
 
 

@@ -24,9 +24,9 @@ EXAMPLES = """\
   drsplat photograph film.motion --output capture --time 0.5
   drsplat embed capture && drsplat register scene.spz capture --features capture/language_features -o scene.field
 
-Poses are planned from the scene: all around in the free space of a room, on spheres around a thing, chosen so that as
-much of it as can be is seen in three pictures. capture/photograph.json says that the pictures are renderings, and what
-is made from them says so, too. A stopped run leaves nothing: give the same command again."""
+Poses are planned from the scene, in the free space of a room or on spheres around an object, so that as much of it
+as possible is seen in three pictures. capture/photograph.json marks the pictures as renderings, and so do all
+results made from them. A stopped run leaves nothing: give the same command again."""
 DAILY = ("output", "overwrite", "number", "size", "up", "path", "time")
 MAX_PICTURES = 10_000
 
@@ -43,24 +43,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_overwrite(parser)
     parser.add_argument(
         "--number", type=up_to(MAX_PICTURES), metavar="N",
-        help="number of pictures (default: as many as coverage takes, 48 to 150; 60 along a path)",
+        help="number of pictures (default: as many as coverage needs, 48 to 150; 60 along a path)",
     )  # fmt: skip
     parser.add_argument(
         "--size", "--resolution", type=size, metavar="WxH",
         help="width and height in pixels (default: those of FILE, else 1024x768)",
     )  # fmt: skip
-    parser.add_argument(
-        "--fov", type=finite, metavar="DEGREES", help="lens, from the top to the bottom of a picture (default: 60)"
-    )
+    parser.add_argument("--fov", type=finite, metavar="DEGREES", help="vertical field of view (default: 60)")
     parser.add_argument(
         "--up", type=_direction, metavar="AXIS",
-        help="up in the pictures: +x, -x ... -z, or three numbers such as 0,-0.9,0.3 (default: what the scene's shape "
-        "suggests; look at the pictures)",
+        help="up in the pictures: +x, -x ... -z, or three numbers such as 0,-0.9,0.3 (default: estimated from the "
+        "scene's shape; check the pictures)",
     )  # fmt: skip
     parser.add_argument(
         "--path", metavar="orbit|swing|FILE",
-        help="take pictures along a path instead: as `drsplat render` films it, or through key frames (ours, as the "
-        "viewer saves them, or nerfstudio's camera_path.json), with its lens",
+        help="take pictures along a path instead: that of `drsplat render`, or key frames (saved by the viewer, or "
+        "nerfstudio's camera_path.json) with their lens",
     )  # fmt: skip
     parser.add_argument("--time", type=finite, metavar="T", help="time at which a moving scene is photographed")
     parser.add_argument(

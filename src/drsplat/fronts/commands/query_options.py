@@ -58,16 +58,16 @@ def add_fields(parser: argparse._ActionsContainer, offered: Iterable[QueryField]
 
 def add_output_options(parser: argparse.ArgumentParser, saved: str) -> None:
     """Add --scene, --save, --picture and the poses for it."""
-    parser.add_argument("--scene", help="scene that was registered; needed for places, --save and --picture")
+    parser.add_argument("--scene", help="scene that was registered; needed for positions, --save and --picture")
     output = parser.add_argument_group("output")
     output.add_argument("--save", metavar="OUT.ply", help=saved)
     output.add_argument(
-        "--picture", metavar="OUT.png", help="write a photo with the answer in colour and the rest grey"
+        "--picture", metavar="OUT.png", help="write a photo with the answer in colour and the rest in grey"
     )
     output.add_argument("--views", metavar="CAPTURE", help="poses and photos, for --picture and --click")
     output.add_argument(
         "--view", type=words, metavar="NAME",
-        help="photo for --picture (default: the one that shows most of the answer)",
+        help="photo for --picture (default: the photo that shows most of the answer)",
     )  # fmt: skip
     add_overwrite(output)
     add_capture_options(parser)

@@ -51,7 +51,7 @@ EXAMPLES = """\
   drsplat tile city.ply --output city.tiles
   drsplat register city.tiles capture --features capture/language_features --workers 8 --output city.field
 
-A stopped run resumes when the same command is given again."""
+To resume a stopped run, give the same command again."""
 DAILY = ("output", "features", "codebook", "encoder_name", "overwrite", "images")
 
 
@@ -76,15 +76,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--weights-of", metavar="FIELD",
-        help="field of the same scene, photos and masks, of which only the embeddings are others: its weights are "
-        "taken, with its level, topk, first hits and near plane, and no photo is looked at",
+        help="field of the same scene, photos and masks with other embeddings: reuse its weights, level, topk, first "
+        "hits and near plane; no photo is read",
     )  # fmt: skip
     add_overwrite(parser)
     _add_method(parser.add_argument_group("method"))
     parser.add_argument(
         "--parts", metavar="DIR",
-        help="folder for the finished views of an unfinished run, of tiles also an address such as s3://bucket/run; "
-        "kept (default: FIELD.parts, removed at the end)",
+        help="folder for the finished views of an unfinished run, or for tiles an address such as s3://bucket/run; "
+        "never removed (default: FIELD.parts, removed at the end)",
     )  # fmt: skip
     add_kernel_device(parser)
     add_workers(parser.add_argument_group("tiles"))
@@ -105,24 +105,24 @@ def _add_method(method: argparse._ArgumentGroup) -> None:
     )
     method.add_argument(
         "--topk", "--top-k", "-k", type=count_or_all, default=argparse.SUPPRESS, metavar="K",
-        help="Gaussians per pixel that are kept, by weight: a number or 'all' (default: 40, or the aggregator's)",
+        help="Gaussians to keep per pixel, by weight: a number or 'all' (default: 40, or the aggregator's)",
     )  # fmt: skip
     method.add_argument(
         "--first-hits", type=count, metavar="N",
-        help="take the top K only among the first N of each ray; the published code has 100 (default: no limit)",
+        help="take the top K only among the first N hits of each ray; the published code uses 100 (default: no limit)",
     )  # fmt: skip
     method.add_argument(
         "--aggregator", type=words, default="mean", metavar="NAME",
-        help="rule by which the masks that see a Gaussian become its feature: mean (the paper), official (what its "
-        "published code does), inliers, trusted or robust; see docs/aggregators.md (default: mean)",
+        help="rule that combines the masks that see a Gaussian into its feature: mean (the paper), official (its "
+        "published code), inliers, trusted or robust; see docs/aggregators.md (default: mean)",
     )  # fmt: skip
     add_near(method)
     _add_code(method)
     method.add_argument(
         "--encoder-name", type=words, metavar="NAME",
         help="encoder of embeddings that `drsplat embed` did not make, e.g. ViT-B-16/laion2b_s34b_b88k; "
-        "'drsplat-words' is the built-in one. Queries and codebooks of other encoders are then refused (default: what "
-        "`drsplat embed` noted, which nothing overrules, else the codebook's, else unknown)",
+        "'drsplat-words' is built in. Queries and codebooks of other encoders are then refused (default: the encoder "
+        "that `drsplat embed` recorded, which cannot be changed, else the codebook's, else unknown)",
     )  # fmt: skip
 
 
@@ -139,11 +139,11 @@ def _add_code(method: argparse._ArgumentGroup) -> None:
     )  # fmt: skip
     method.add_argument(
         "--codebook", metavar="FILE",
-        help="codebook to code features with, .safetensors or the authors' .faiss (default: trained on this scene)",
+        help="codebook for coding features, .safetensors or the authors' .faiss (default: trained on this scene)",
     )  # fmt: skip
     method.add_argument(
         "--subvectors", type=count, metavar="L",
-        help="bytes per Gaussian of a codebook that is trained here (default: 128, or what divides the embedding size)",
+        help="bytes per Gaussian of a codebook trained here (default: 128, or what divides the embedding size)",
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""drsplat remove: take views out of a field, as if they had never been registered."""
+"""drsplat remove: remove views from a field, as if they had never been registered."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ EXAMPLES = """\
   drsplat remove room.field --scene scene.ply --views IMG_0017 IMG_0018.jpg
   drsplat remove room.field --scene scene.ply --views 'blurred/*'
 
-The field is then the same, to the bit, as one registered at once from the views that are left. It
-remembers the others: `drsplat add` leaves them out, and brings back those that its --views names."""
+The field is then the same, to the bit, as one registered from the remaining views. It remembers the removed ones:
+`drsplat add` leaves them out, unless its --views names them."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_field_options(parser)
     parser.add_argument(
         "--views", required=True, nargs="+", type=words, metavar="NAME",
-        help="views to remove: names of photos, with or without suffix, or patterns of these with * and ?",
+        help="views to remove: names of photos, with or without suffix, or patterns with * and ?",
     )  # fmt: skip
 
 

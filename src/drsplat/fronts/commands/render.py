@@ -47,20 +47,20 @@ DEFAULT_FOLDER = "renders"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("scene", help="Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder")
     parser.add_argument(
-        "--views", metavar="CAPTURE", help="poses to render from; a film along FILE, or of an orbit, needs none"
+        "--views", metavar="CAPTURE", help="poses to render from; not needed for a film along FILE or an orbit"
     )
     which = parser.add_mutually_exclusive_group()
     which.add_argument("--view", type=words, metavar="NAME", help="name of one photo, with or without suffix")
     which.add_argument("--all", action="store_true", help="render from all photos")
     which.add_argument(
         "--path", metavar="orbit|swing|photos|FILE",
-        help="film along a path: around as far as there are photos, 60 degrees to and fro, through the photos, or "
-        "through key frames (ours, as the viewer saves them, or nerfstudio's camera_path.json)",
+        help="film along a path: an orbit as far as there are photos, a swing of 60 degrees to and fro, through the "
+        "photos, or through key frames (saved by the viewer, or nerfstudio's camera_path.json)",
     )  # fmt: skip
     parser.add_argument(
         "--output-dir", "--output", "-o", metavar="DIR|FILE",
-        help="folder for the PNGs (default: renders); of --path the film, .mp4, .webm, .webp or .gif; of --attributes "
-        "the picture",
+        help="folder for the PNGs (default: renders); with --path, the film, .mp4, .webm, .webp or .gif; with "
+        "--attributes, the picture",
     )  # fmt: skip
     add_overwrite(parser)
     _add_picture_options(parser)
@@ -77,11 +77,9 @@ def _add_picture_options(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--depth", action="store_true",
-        help="write NAME.depth.npy as well: expected camera z in scene units, float32 (H, W), 0 where nothing is",
+        help="write NAME.depth.npy, too: expected camera z in scene units, float32 (H, W), 0 where the scene is empty",
     )  # fmt: skip
-    parser.add_argument(
-        "--alpha", action="store_true", help="write NAME.alpha.png as well: opacity, 255 where nothing shines through"
-    )
+    parser.add_argument("--alpha", action="store_true", help="write NAME.alpha.png, too: opacity, 255 where opaque")
     add_near(parser)
     add_kept_edits(parser, "kept")
 
@@ -89,20 +87,20 @@ def _add_picture_options(parser: argparse.ArgumentParser) -> None:
 def _add_answer_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--field", help="field of the scene, for --query")
     parser.add_argument(
-        "--query", type=words, metavar="WORDS", help="query whose matches stay in colour, the rest grey"
+        "--query", type=words, metavar="WORDS", help="query whose matches stay in colour while the rest is grey"
     )
     add_fields(parser, TEXT_CUT)
     parser.add_argument("--boxes", action="store_true", help="draw the matches of --query with boxes and names")
     parser.add_argument(
         "--heat-map", action="store_true",
-        help="show how well everything fits --query in colours, yellow-green at the threshold, instead of its matches",
+        help="colour everything by how well it fits --query, yellow-green at the threshold, instead of the matches",
     )  # fmt: skip
     parser.add_argument(
         "--annotations", action="store_true", help="draw the annotations that `drsplat edit` keeps beside the scene"
     )
     parser.add_argument(
         "--attributes", type=words, nargs="+", metavar="WORDS",
-        help="one row of pictures of the best match of --query: as it is, and a heat map for each of these words",
+        help="draw a row of pictures of the best match of --query: plain, and a heat map for each of these words",
     )  # fmt: skip
 
 

@@ -24,8 +24,8 @@ EXAMPLES = """\
   drsplat locate room "red mug"           (afterwards)
   drsplat view room                       (afterwards, in a browser)
 
-A capture is photos with poses, as `drsplat capture` and other programs make it. A stopped run goes on where it was when
-the same command is given again. Each stage is a verb (capture, train, embed, register, objects, view) and takes its
+A capture is a folder of posed photos, as `drsplat capture` and other programs write it. To resume a stopped run,
+give the same command again. Each stage is a verb (capture, train, embed, register, objects, view) and takes its
 options from its table in --config. Poses need COLMAP's package: pip install "drsplat[capture]"."""
 DAILY = ("output", "ask", "iterations", "segmenter", "encoder", "overwrite", "config")
 
@@ -33,11 +33,11 @@ DAILY = ("output", "ask", "iterations", "segmenter", "encoder", "overwrite", "co
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("input", help="folder of photos, a video, or posed photos (a capture)")
     parser.add_argument(
-        "--output", "-o", metavar="DIR", help="folder for all that is made (default: the input's name and -scan, here)"
+        "--output", "-o", metavar="DIR", help="folder for all results (default: ./NAME-scan, with the input's name)"
     )
     parser.add_argument(
         "--ask", type=words, action="append", default=[], metavar="TEXT",
-        help='query that the page answers; several: "mug; lamp", or the option again (default: words that find '
+        help='query that the page answers; for several, "mug; lamp" or repeat the option (default: words that find '
         "something)",
     )  # fmt: skip
     parser.add_argument(
@@ -46,17 +46,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--segmenter", type=words, metavar="NAME",
-        help="model that cuts the photos into masks, as of drsplat embed (default: auto, SAM where it is installed and "
-        "its weights can be had, else graph)",
+        help="model that cuts the photos into masks, as in drsplat embed (default: auto, SAM if it is installed and "
+        "its weights are available, else graph)",
     )  # fmt: skip
     parser.add_argument(
         "--encoder", type=words, metavar="NAME",
-        help="model that embeds them, as of drsplat embed (default: auto, CLIP where it is installed and its weights "
-        "can be had, else drsplat-mini)",
+        help="model that embeds the masks, as in drsplat embed (default: auto, CLIP if it is installed and its weights "
+        "are available, else drsplat-mini)",
     )  # fmt: skip
     parser.add_argument(
         "--overwrite", action="store_true",
-        help="make anew what other photos or other options change, and keep the rest (default: refuse)",
+        help="redo the stages that changed photos or options affect, and keep the rest (default: refuse)",
     )  # fmt: skip
 
 

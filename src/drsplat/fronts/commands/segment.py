@@ -27,9 +27,9 @@ EXAMPLES = """\
   drsplat segment room.field --classes-file scannet20.txt --encoder models/clip --threshold 0 --scene scene.ply
   drsplat segment room.field --classes "mug,bowl,table" --scene scene.ply --picture classes.png --views capture
 
-A Gaussian is of the class of the highest score, if that is above the threshold, and otherwise none of these.
-The paper labels everything: --threshold -1, or 0 for relevancy. With --threshold auto each class has a threshold of its
-own. classes.ply has a column class_id, -1 for none, and the colours of the classes in any viewer."""
+A Gaussian gets the class with the highest score if that exceeds the threshold, and otherwise none. The paper labels
+every Gaussian: --threshold -1, or 0 for relevancy. With --threshold auto, each class has its own threshold.
+classes.ply has a column class_id, -1 for none, and shows the colours of the classes in any viewer."""
 DAILY = ("classes", "classes_file", "scene", "encoder", "save", "picture", "views", "overwrite")
 
 

@@ -18,14 +18,14 @@ EXAMPLES = """\
   drsplat select room.field "mug, not red" --scene scene.ply --picture mug.png --views capture
   drsplat select room.field --click photo_003:210,140 --views capture --scene scene.ply --save same.ply
 
-mug.ply is the scene with relevancy and selected (0 or 1) as columns; `splat-transform mug.ply -V selected,gt,0 cut.ply`
-cuts the mug out. mug_ids.npy are row numbers of the scene."""
+mug.ply is the scene with the columns relevancy and selected (0 or 1); `splat-transform mug.ply -V selected,gt,0
+cut.ply` cuts the mug out. mug_ids.npy holds row numbers of the scene."""
 DAILY = ("scene", "threshold", "top_share", "encoder", "save", "picture", "views", "overwrite")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_query_options(parser)
-    saved = "OUT.ply: scene with two more columns, relevancy, the measured values, and selected, 0 or 1; OUT.npy: row "
+    saved = "OUT.ply: scene with two more columns, relevancy, the measured value, and selected, 0 or 1; OUT.npy: row "
     add_output_options(parser, saved + "numbers of the selected Gaussians in the scene, int64")
 
 

@@ -17,29 +17,29 @@ EXAMPLES = """\
   drsplat serve scenes --host 0.0.0.0 --api-key-file key.txt --encoder laion/CLIP-ViT-B-16-laion2B-s34B-b88K
   curl -s localhost:8765/scenes/drsplat-demo/locate -H 'content-type: application/json' -d '{"text": "red vase"}'
 
-"scenes" is a folder with a field and its scene, or with such folders in it. /docs and /openapi.json describe all
+"scenes" is a folder with a field and its scene, or a folder of such folders. /docs and /openapi.json describe all
 routes; docs/serve.md has examples."""
 DAILY = ("host", "port", "api_key_file", "encoder")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("folder", help="folder of a scene, or folder of such folders")
+    parser.add_argument("folder", help="folder of a scene, or of several such folders")
     add_listening(parser, port=8765)
     add_computing(parser, workers=2)
     parser.add_argument(
         "--allow-origin", action="append", default=[], metavar="ORIGIN",
-        help="origin of pages whose scripts may read answers, e.g. https://example.org (default: none); may be "
-        "repeated",
+        help="origin of web pages whose scripts may read answers (CORS), e.g. https://example.org (default: none); may "
+        "be repeated",
     )  # fmt: skip
     parser.add_argument(
         "--take-views", action="store_true",
-        help="take posed photos at /scenes/SCENE/views and add them to the fields; needs --api-key-file",
+        help="accept posed photos at /scenes/SCENE/views and add them to the fields; needs --api-key-file",
     )  # fmt: skip
     parser.add_argument(
         "--segmenter", type=words, metavar="NAME",
-        help="segmenter that cuts these photos, the one that cut those of the scenes (default: only the built-in one)",
+        help="segmenter for these photos, the same as for the scenes (default: only the built-in one)",
     )  # fmt: skip
-    parser.add_argument("--catalogue", metavar="CATALOGUE", help="catalogue to answer from as well, at /catalogue")
+    parser.add_argument("--catalogue", metavar="CATALOGUE", help="catalogue to serve as well, at /catalogue")
     add_query_encoders(parser)
     add_search_device(parser)
 

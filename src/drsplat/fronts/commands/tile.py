@@ -14,11 +14,11 @@ EXAMPLES = """\
   drsplat tile blocks.json --output city.tiles
   drsplat tile streamed/lod-meta.json --output city.tiles
 
-blocks.json is a list of {"file": "block_a.ply", "transform": 4x4 rows, "keep": {"low": [x, y, z], "high": [x, y, z]}};
-transform goes from the block to the world, and Gaussians outside of keep are left out.
+blocks.json is a list of {"file": "block_a.ply", "transform": 4x4 rows, "keep": {"low": [x, y, z], "high": [x, y,
+z]}}; transform maps the block to the world, and Gaussians outside of keep are left out.
 
-The folder is a scene for every verb. Its rows are in an order of their own; the columns block and source_row say
-where each Gaussian came from."""
+Every verb takes the folder as a scene. Its rows have a new order; the columns block and source_row say where each
+Gaussian came from."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -20,8 +20,8 @@ EXAMPLES = """\
   drsplat train capture --output-dir model --schedule original --iterations 7000
   drsplat train capture --output-dir model --strategy mcmc --max-gaussians 300000 --json
 
-A run that was stopped, with Ctrl-C or otherwise, goes on where it was when the same command is given again, without
---overwrite; a finished one of --schedule original goes on with more --iterations."""
+To resume a stopped run, give the same command again without --overwrite. A finished run of --schedule original
+continues with more --iterations."""
 DAILY = ("output_dir", "overwrite", "iterations", "resolution", "device", "images")
 RESOLUTION_DIVISORS = (1, 2, 4, 8)
 STARTS = {"given": "given", "triangulated": "triangulated from the photos", "random": "random"}
@@ -38,13 +38,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_overwrite(parser)
     parser.add_argument(
         "--iterations", type=count, metavar="N",
-        help=f"iterations; an everyday schedule is planned for them, the original one of {ORIGINAL_ITERATIONS} is "
-        f"left when they are over (default: {EVERYDAY_ITERATIONS} everyday, else {ORIGINAL_ITERATIONS})",
+        help=f"iterations; the everyday schedule is scaled to them, the original one of {ORIGINAL_ITERATIONS} ends "
+        f"after them (default: {EVERYDAY_ITERATIONS} everyday, else {ORIGINAL_ITERATIONS})",
     )  # fmt: skip
     parser.add_argument(
         "--resolution", "-r", type=count, metavar="R",
-        help=f"divisor of the photos' sides (1, 2, 4 or 8), or else their longer side in pixels, from 64 on: smaller "
-        f"ones teach little, and sides under 11 are refused (default: as they are, but at most {MAX_SIDE_PIXELS})",
+        help=f"divisor of the photos' sides (1, 2, 4 or 8), or their longer side in pixels, at least 64 for good "
+        f"results; sides under 11 are refused (default: unchanged, but at most {MAX_SIDE_PIXELS})",
     )  # fmt: skip
     add_kernel_device(parser)
     _add_method(parser)
@@ -55,8 +55,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument(
         "--points", metavar="FILE",
-        help="PLY of points to start from, in the frame of the capture's camera file (default: those of the capture, "
-        "else they are triangulated from its photos)",
+        help="PLY of initial points, in the frame of the capture's camera file (default: the capture's points, else "
+        "points triangulated from its photos)",
     )  # fmt: skip
     group.add_argument(
         "--dataparser-transforms", metavar="FILE",
@@ -70,17 +70,16 @@ def _add_method(parser: argparse.ArgumentParser) -> None:
     method = parser.add_argument_group("method")
     method.add_argument(
         "--schedule", choices=("everyday", "original"), default="everyday",
-        help="numbers of the optimisation: drsplat's, which take minutes, or those of 3DGS (default: everyday)",
+        help="schedule of the optimisation: drsplat's, which takes minutes, or that of 3DGS (default: everyday)",
     )  # fmt: skip
     method.add_argument(
         "--strategy", choices=("default", "mcmc"), default="default",
-        help="way to add and remove Gaussians: adaptive density control, or relocation within a "
-        "budget (default: default)",
+        help="densification strategy: adaptive density control, or relocation within a budget (default: default)",
     )  # fmt: skip
     method.add_argument(
         "--max-gaussians", type=count, metavar="N",
-        help="most Gaussians at any time (default: half as many as a photo has pixels, more for more than 100 photos; "
-        "no limit with --schedule original, where mcmc needs one)",
+        help="maximum number of Gaussians (default: half the pixels of a photo, more for more than 100 photos; no "
+        "limit with --schedule original, where mcmc needs one)",
     )  # fmt: skip
     method.add_argument(
         "--background", choices=("black", "white", "random"), default="black",
@@ -92,11 +91,12 @@ def _add_method(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     method.add_argument(
         "--antialiased", action="store_true",
-        help="train opacities for viewers that draw antialiased (mip): the scene keeps its look from farther away",
+        help="train opacities for viewers with antialiasing (mip): the scene keeps its look from farther away",
     )  # fmt: skip
     method.add_argument(
         "--colors-in-bytes", action="store_true",
-        help="keep constant colours from 0 to 1, all that viewers with 8-bit colours show (default: any, as in 3DGS)",
+        help="limit constant colours to 0 to 1, the range of viewers with 8-bit colours (default: no limit, as in "
+        "3DGS)",
     )  # fmt: skip
     method.add_argument("--seed", type=whole, default=0, metavar="N", help="random seed (default: 0)")
     method.add_argument(
@@ -109,16 +109,16 @@ def _add_course(parser: argparse.ArgumentParser) -> None:
     course = parser.add_argument_group("course of the run")
     course.add_argument(
         "--eval-every", type=whole, default=0, metavar="N",
-        help="iterations between measurements of the held-out photos (default: at the end only)",
+        help="iterations between evaluations on the held-out photos (default: at the end only)",
     )  # fmt: skip
     course.add_argument(
         "--save-at", type=count, nargs="*", default=[7000], metavar="N",
-        help="iterations after which the scene is written as well, before an opacity reset that is due then (default: "
+        help="iterations after which the scene is also saved, before an opacity reset that is due then (default: "
         "7000)",
     )  # fmt: skip
     course.add_argument(
         "--checkpoint-every", type=count, default=1000, metavar="N",
-        help="iterations between checkpoints, at most two minutes (default: 1000)",
+        help="iterations between checkpoints, but at most two minutes (default: 1000)",
     )  # fmt: skip
 
 

@@ -26,8 +26,8 @@ EXAMPLES = """\
   drsplat view --catalogue flats.catalogue
 
 Needs pip install "drsplat[viewer]"; --export needs nothing. The address is only for this machine; with --host
-0.0.0.0 it has a token, and whoever knows that can look, search and save from elsewhere. A scene without a field can
-only be looked at."""
+0.0.0.0 it has a token, and anyone who knows it can view, search and save from elsewhere. A scene without a field can
+only be viewed."""
 DAILY = ("scene", "views", "ask", "encoder", "port", "export", "overwrite")
 MAX_GAUSSIANS, MAX_PAGE_GAUSSIANS = 1_000_000, 200_000
 
@@ -36,12 +36,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "field",
         nargs="?",
-        help="folder with a field, its scene and photos; field that `drsplat register` wrote; scene, or folder of a "
-        "trained model, without a field",
+        help="folder with a field, its scene and photos; field that `drsplat register` wrote; or, without a field, a "
+        "scene or the folder of a trained model",
     )
     parser.add_argument(
         "--catalogue", metavar="CATALOGUE",
-        help="catalogue to search instead of one scene; thumbnails of its answers open their scenes",
+        help="catalogue to search instead of a scene; thumbnails of its answers open their scenes",
     )  # fmt: skip
     parser.add_argument("--scene", metavar="SCENE", help="scene that was registered")
     parser.add_argument("--views", metavar="CAPTURE", help="posed photos, for cameras and supporting photos")
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--words", type=words, metavar="A,B,C",
-        help="words to name a clicked place with (default: the encoder's own, else household objects)",
+        help="words for naming a clicked point (default: the encoder's own, else household objects)",
     )  # fmt: skip
     parser.add_argument(
         "--max-gaussians", type=count, metavar="N",
@@ -59,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--up", type=words, metavar="AXIS",
-        help="axis that points up: +x -x +y -y +z or -z (default: as the photos were held)",
+        help="axis that points up: +x -x +y -y +z or -z (default: from the orientation of the photos)",
     )  # fmt: skip
     _add_serving(parser.add_argument_group("viewer"))
     _add_page(parser.add_argument_group("page"))
@@ -75,11 +75,11 @@ def _add_serving(parser: argparse._ArgumentGroup) -> None:
     )  # fmt: skip
     parser.add_argument(
         "--port", type=PORT, default=8080, metavar="N",
-        help="port to listen on, or else the next free one (default: 8080)",
+        help="port to listen on; if taken, the next free one (default: 8080)",
     )  # fmt: skip
     parser.add_argument(
         "--save-dir", metavar="DIR",
-        help="folder to save files to, under new names (default: none, the browser downloads them)",
+        help="folder for saved files, under new names (default: none, the browser downloads them)",
     )  # fmt: skip
 
 
@@ -87,10 +87,10 @@ def _add_page(parser: argparse._ArgumentGroup) -> None:
     parser.add_argument("--export", metavar="PAGE.html", help="write a page with the answers to --ask, and exit")
     parser.add_argument(
         "--path", metavar="orbit|swing|photos|FILE",
-        help="path of the film that the page of --export plays, as of drsplat render (default: orbit)",
+        help="path of the film in the page of --export, as for drsplat render (default: orbit)",
     )  # fmt: skip
     parser.add_argument(
-        "--play", action="store_true", help="play the film when the page of --export is opened (default: when asked to)"
+        "--play", action="store_true", help="play the film when the page of --export opens (default: on demand)"
     )
 
 

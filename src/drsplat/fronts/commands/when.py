@@ -15,9 +15,9 @@ EXAMPLES = """\
   drsplat when film.field "toy car" next_to "white vase" --scene film.motion
   drsplat when film.field "toy car" left_of "white vase" --scene film.motion --views capture --view cam00/frame_0000
 
-Each query stands for its best match and for those nearly as good: the relation holds when it holds between any of the
-first and any of the second. Left and right are as seen from the camera of the photo --view, which is taken to stand
-still. Spans go from the first to the last of the scene's times without a gap."""
+Each query stands for its best match and those nearly as good: the relation holds if it holds between any of the
+first and any of the second. Left and right are seen from the camera of the photo --view, which is assumed to be
+still. The spans cover the scene's times from first to last without gaps."""
 DAILY = ("scene", "view", "views", "threshold", "encoder")
 
 
@@ -28,9 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("other", type=words, help="second object, in words")
     parser.add_argument("--scene", help="moving scene that was registered")
     parser.add_argument("--views", metavar="CAPTURE", help="posed photos, for --view")
-    parser.add_argument(
-        "--view", type=words, metavar="NAME", help="photo from whose camera left_of and right_of are judged"
-    )
+    parser.add_argument("--view", type=words, metavar="NAME", help="photo whose camera defines left_of and right_of")
     add_fields(parser.add_argument_group("both queries"), TEXT_CUT)
     add_query_encoders(parser)
     add_capture_options(parser)

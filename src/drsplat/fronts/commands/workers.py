@@ -24,15 +24,15 @@ if TYPE_CHECKING:
 def add_workers(group: argparse._ArgumentGroup) -> None:
     group.add_argument(
         "--workers", type=count, metavar="N",
-        help="processes that work on a scene in tiles, each with --threads threads (default: this one)",
+        help="processes for a tiled scene, each with --threads threads (default: this process only)",
     )  # fmt: skip
     group.add_argument(
         "--ray", type=words, metavar="ADDRESS",
-        help="Ray cluster that does, e.g. auto or ray://head:10001; local starts one on this machine. Its nodes see "
-        "scene, DIR and the folder of --parts under the same names, or --parts is an address",
+        help="Ray cluster for a tiled scene, e.g. auto or ray://head:10001; local starts one on this machine. Its "
+        "nodes must see the scene, DIR and the folder of --parts under the same names, or --parts is an address",
     )  # fmt: skip
     group.add_argument(
-        "--ray-memory", type=count, metavar="MB", help="memory of a task, by which Ray limits how many run on a node"
+        "--ray-memory", type=count, metavar="MB", help="memory per task, which limits how many Ray runs on a node"
     )
 
 
