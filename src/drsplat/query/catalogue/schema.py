@@ -64,7 +64,7 @@ def _stored(vectors: Float32[np.ndarray, "P D"]) -> Int8[np.ndarray, "P D"]:
     largest = np.abs(vectors).max(axis=1, initial=0, keepdims=True)
     if not (np.isfinite(largest) & (largest > 0)).all():
         raise InputError("descriptors: expected finite vectors, none of them zero")
-    return np.rint(vectors * (LARGEST / largest)).astype(np.int8)
+    return np.asarray(np.rint(vectors * (LARGEST / largest)), np.int8)
 
 
 def described_of(column: Any, path: Path) -> Described:
