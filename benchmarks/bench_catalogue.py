@@ -35,7 +35,10 @@ from machine import arguments
 
 from drsplat import DrSplatWarning, Query
 from drsplat.query.catalogue import Catalogue, Conditions, table
+from drsplat.query.catalogue.lance import libraries
 from drsplat.query.catalogue.nearest import Search, nearest_objects
+from drsplat.query.catalogue.schema import batch, described_of
+from drsplat.query.catalogue.snapshot import ROW_ID, current
 from drsplat.query.sketch import Sketch
 
 KINDS, AT_ONCE, TOP = 5000, 25, 10
@@ -62,7 +65,7 @@ class Simulated:
         objects = self.each * len(names)
         counts = self.counts(objects)
         vectors = self.drawn.masks(np.repeat(self.kinds[self.rng.integers(0, KINDS, objects)], counts, axis=0))
-        parts = np.split(vectors.astype(np.float16), np.cumsum(counts)[:-1])
+        parts = np.split(vectors, np.cumsum(counts)[:-1])
         return rows_of(names, parts, self.each, lambda: self.rng.bytes(self.thumbnail) if self.thumbnail else None)
 
     def queries(self, count: int) -> np.ndarray:
@@ -73,7 +76,7 @@ class Simulated:
 
 def rows_of(names: list[str], parts: list[np.ndarray], each: int, thumbnail: object) -> object:
     """`each` objects of each scene, and the scene's own row."""
-    empty = np.empty((0, CLIP.dim), np.float16)
+    empty = np.empty((0, CLIP.dim), np.float32)
     descriptors, numbers, scenes = [], [], []
     for at, name in enumerate(names):
         descriptors += [*parts[at * each : (at + 1) * each], empty]
@@ -94,12 +97,12 @@ def rows_of(names: list[str], parts: list[np.ndarray], each: int, thumbnail: obj
             for data in [*[None] * each, sketch(parts[at * each : (at + 1) * each]).to_bytes()]
         ],
     }  # fmt: skip
-    return table.batch(columns, descriptors, CLIP)
+    return batch(columns, descriptors, CLIP)
 
 
 def sketch(parts: list[np.ndarray]) -> Sketch:
     """A scene whose Gaussians are as the descriptors of their objects are."""
-    vectors = np.concatenate(parts).astype(np.float32)
+    vectors = np.concatenate(parts)
     numbers = np.repeat(np.arange(len(parts), dtype=np.int32), [len(part) for part in parts])
     solid = np.full(len(parts), 40, np.int32)
     pictures = vectors[:128] / np.linalg.norm(vectors[:128], axis=1, keepdims=True)
@@ -107,7 +110,7 @@ def sketch(parts: list[np.ndarray]) -> Sketch:
 
 
 def marked(name: str, vector: np.ndarray) -> object:
-    return rows_of([name], [vector[None].astype(np.float16)] * MARKED, MARKED, lambda: None)
+    return rows_of([name], [vector[None]] * MARKED, MARKED, lambda: None)
 
 
 @contextmanager
@@ -119,12 +122,12 @@ def timed(what: str) -> Iterator[None]:
 
 def filled(path: Path, simulated: Simulated, scenes: int) -> Catalogue:
     """With what an earlier run has left of it."""
-    known = table.opened(path)
+    known = current(path)
     there = 0 if known is None else known.count("object_id = -1 AND scene LIKE 'scene %'")
     print(f"{there} scenes are there already")
     for begin in range(there, scenes, AT_ONCE):
         names = [f"scene {number:05d}" for number in range(begin, min(begin + AT_ONCE, scenes))]
-        known = table.opened(path)
+        known = current(path)
         if known is None:
             table.replace_scene(path, names[0], simulated.scenes(names), CLIP)
         else:
@@ -172,7 +175,7 @@ def ranked(catalogue: Catalogue, queries: np.ndarray, find: Callable[[np.ndarray
     snapshot, half = catalogue._snapshot(), len(queries) // 2
     shares = []
     for count in (TOP, RANKED):
-        exact = [snapshot.nearest(query, "", count)[table.ROW_ID].to_pylist() for query in queries]
+        exact = [snapshot.nearest(query, "", count)[ROW_ID].to_pylist() for query in queries]
         find(queries[0], RANKED)
         cpu = time.process_time()
         found = [find(query, RANKED)[:count] for query in queries]
@@ -190,32 +193,35 @@ def by_codes(catalogue: Catalogue) -> Callable[[np.ndarray, int], list[int]]:
     codes = catalogue._codes.of(snapshot)
 
     def find(query: np.ndarray, count: int) -> list[int]:
-        rows: list[int] = nearest_objects(snapshot, codes, Search(query, "", count, 0)).rows[table.ROW_ID].to_pylist()
+        rows: list[int] = nearest_objects(snapshot, codes, Search(query, "", count, 0)).rows[ROW_ID].to_pylist()
         return rows
 
     return find
 
 
-def peers(catalogue: Catalogue, queries: np.ndarray) -> None:
-    """LanceDB's index of the smallest codes over the same table, in partitions of a thousand objects."""
+def peers(catalogue: Catalogue, queries: np.ndarray, folder: Path) -> None:
+    """LanceDB's index of the smallest codes over the same descriptors in 16 bits a number, a thousand a partition."""
     from lancedb.index import IvfRq
 
-    partitions, own = max(16, len(catalogue) // 1000), table.opened(catalogue.path)
-    assert own is not None
+    lancedb, pa = libraries()
+    snapshot, partitions = catalogue._snapshot(), max(16, len(catalogue) // 1000)
+    rows = snapshot.take(snapshot.row_ids("true"), ["descriptors"])
+    described = described_of(rows["descriptors"], catalogue.path)
+    halves = pa.array(described.descriptors.astype(np.float16).ravel())
+    vectors = pa.FixedSizeListArray.from_arrays(halves, CLIP.dim)
+    lists = pa.ListArray.from_arrays(pa.array(described.starts, pa.int32()), vectors)
+    own = lancedb.connect(folder).create_table("peer", data=pa.table({"row": rows[ROW_ID], "descriptors": lists}))
     with timed("LanceDB's IVF_RQ"):
-        kind = IvfRq(distance_type="cosine", num_partitions=partitions)
-        own.table.create_index("descriptors", config=kind, name="peer", replace=True)
+        own.create_index("descriptors", config=IvfRq(distance_type="cosine", num_partitions=partitions))
     for probes, factor in ((partitions // 3, 2), (partitions // 2, 2), (partitions // 2, 10)):
         how = f"  IVF_RQ, {probes} of {partitions} partitions, refine_factor {factor}"
-        ranked(catalogue, queries, partial(by_lancedb, own.table, probes, factor), how)
-    own.table.drop_index("peer")
+        ranked(catalogue, queries, partial(by_lancedb, own, probes, factor), how)
 
 
 def by_lancedb(opened: Any, probes: int, factor: int, query: np.ndarray, count: int) -> list[int]:
     search = opened.search(query, vector_column_name="descriptors", query_type="vector").distance_type("cosine")
-    search = search.where("object_id >= 0", prefilter=False).limit(count).nprobes(probes).refine_factor(factor)
-    columns = [*table.COMPARED, "_distance"]
-    rows: list[int] = search.select(columns).with_row_id(True).to_arrow()[table.ROW_ID].to_pylist()
+    search = search.limit(count).nprobes(probes).refine_factor(factor)
+    rows: list[int] = search.select(["row", "descriptors", "_distance"]).to_arrow()["row"].to_pylist()
     return rows
 
 
@@ -272,7 +278,7 @@ def real(path: Path, folders: list[Path]) -> None:
     for folder in folders:
         with timed(f"add {folder}"):
             listed = catalogue.add(folder)
-        known = table.opened(path)
+        known = current(path)
         assert known is not None
         sizes = [len(data) for data in known.rows("thumbnail IS NOT NULL", ["thumbnail"])["thumbnail"].to_pylist()]
         print(f"  {listed.num_objects} objects; thumbnails so far: {np.mean(sizes or [0]):,.0f} bytes on average")
@@ -306,7 +312,7 @@ def main() -> None:
         some = np.concatenate([queries[:each], queries[-each:]])
         ranked(catalogue, some, by_codes(catalogue), "by codes")
         if given.peers:
-            peers(catalogue, some)
+            peers(catalogue, some, folder / "peer")
         under_load(path, catalogue, given.clients, given.seconds)
     finally:
         if given.keep is None:

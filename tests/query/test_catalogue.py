@@ -36,6 +36,8 @@ pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not insta
 
 from drsplat.query.catalogue import Catalogue, Conditions, record, table
 from drsplat.query.catalogue.conditions import quoted
+from drsplat.query.catalogue.schema import KEY, batch, schema_of
+from drsplat.query.catalogue.snapshot import current
 from drsplat.query.catalogue.thumbnails import MAX_BYTES, thumbnail
 
 ANYWHERE = Conditions()
@@ -80,8 +82,8 @@ def rows_of(name: str, vectors: np.ndarray, encoder: EncoderIdentity, each: int 
         "extent": [[1.0, 1, 1]] * count + [None],
     }
     columns["sketch"] = [None] * count + [plain_sketch(vectors, count).to_bytes()]
-    descriptors = np.split(vectors.astype(np.float16), count) if count else []
-    return table.batch(columns, [*descriptors, np.empty((0, encoder.dim), np.float16)], encoder)
+    descriptors = np.split(vectors, count) if count else []
+    return batch(columns, [*descriptors, np.empty((0, encoder.dim), np.float32)], encoder)
 
 
 def plain_sketch(vectors: np.ndarray, count: int) -> Sketch:
@@ -163,7 +165,10 @@ def test_exact_answers_are_those_of_all_descriptors(tmp_path: Path) -> None:
     table.replace_scene(tmp_path / "c", "one", rows_of("one", vectors[:500], encoder), encoder)
     table.replace_scene(tmp_path / "c", "two", rows_of("two", vectors[500:], encoder), encoder)
     query = unit(rng, 24)
-    best = (vectors.astype(np.float16).astype(np.float32).reshape(400, 2, 24) @ query).max(1)
+    stored = np.rint(vectors * (127 / np.abs(vectors).max(axis=1, keepdims=True)))
+    stored /= np.linalg.norm(stored, axis=1, keepdims=True)
+    np.testing.assert_allclose(stored @ query, vectors @ query, atol=0.01)
+    best = (stored.astype(np.float32).reshape(400, 2, 24) @ query).max(1)
     order = np.argsort(-best)[:20]
     expected = [("one", int(at)) if at < 250 else ("two", int(at) - 250) for at in order]
     catalogue = Catalogue.open(tmp_path / "c")
@@ -262,11 +267,11 @@ def test_a_scene_that_is_added_again_takes_its_place(scenes: Path, tmp_path: Pat
     catalogue = Catalogue.open(tmp_path / "c")
     catalogue.add(scenes / "kitchen")
     field = load_field(scenes / "kitchen/a.field")
-    version = table.opened(catalogue.path).version  # type: ignore[union-attr]
+    version = current(catalogue.path).version  # type: ignore[union-attr]
     opened = Scene(boxes_of(("red mug", "red bowl", "red rug"), known_scene()), known_scene(), name="kitchen")
     with pytest.warns(DrSplatWarning, match="no thumbnails"):
         listed = catalogue.add(opened)
-    assert table.opened(catalogue.path).version == version + 1  # type: ignore[union-attr]
+    assert current(catalogue.path).version == version + 1  # type: ignore[union-attr]
     assert listed.field != field.fingerprint
     assert found(catalogue, "green plant") == []
     assert found(catalogue, "red rug") == [("kitchen", 2)]
@@ -398,7 +403,7 @@ def test_files_are_put_together_in_time(tmp_path: Path, monkeypatch: pytest.Monk
         )
 
     def fragments() -> int:
-        known = table.opened(path)
+        known = current(path)
         assert known is not None
         return int(known.table.stats()["fragment_stats"]["num_fragments"])
 
@@ -418,7 +423,7 @@ def test_nobody_waits_while_files_are_put_together(tmp_path: Path, monkeypatch: 
     for number in range(8):
         own = vectors[number : number + 1]
         table.replace_scene(path, f"s{number}", rows_of(f"s{number}", own, encoder, 1), encoder)
-    known = table.opened(path)
+    known = current(path)
     assert known is not None
     optimize = type(known.table).optimize
 
@@ -592,10 +597,11 @@ def test_a_table_of_somebody_else(tmp_path: Path) -> None:
     ("document", "said"),
     [
         ({"version": 1, "encoder": {"name": "a", "dim": 4, "weights": ""}}, "version 1.*add its scenes again"),
-        ({"version": 3, "encoder": {"name": "a", "dim": 4, "weights": ""}}, "version 3"),
-        ({"version": 2, "encoder": {"name": "a", "dim": 4, "weights": ""}}, "other columns"),
-        ({"version": 2, "encoder": {"name": "a", "dim": 10**9, "weights": ""}}, "not of a catalogue"),
-        ({"version": 2, "encoder": {"name": 7, "dim": 4, "weights": ""}}, "not of a catalogue"),
+        ({"version": 2, "encoder": {"name": "a", "dim": 4, "weights": ""}}, "version 2.*add its scenes again"),
+        ({"version": 4, "encoder": {"name": "a", "dim": 4, "weights": ""}}, "version 4"),
+        ({"version": 3, "encoder": {"name": "a", "dim": 4, "weights": ""}}, "other columns"),
+        ({"version": 3, "encoder": {"name": "a", "dim": 10**9, "weights": ""}}, "not of a catalogue"),
+        ({"version": 3, "encoder": {"name": 7, "dim": 4, "weights": ""}}, "not of a catalogue"),
         ([], "not of a catalogue"),
     ],
 )
@@ -603,27 +609,34 @@ def test_a_table_that_says_it_is_a_catalogue(tmp_path: Path, document: object, s
     import lancedb
     import pyarrow as pa
 
-    data = pa.table({"a": [1]}).replace_schema_metadata({table.KEY: json.dumps(document)})
+    data = pa.table({"a": [1]}).replace_schema_metadata({KEY: json.dumps(document)})
     lancedb.connect(tmp_path).create_table("objects", data=data)
     with pytest.raises(FormatError, match=said):
         Catalogue.open(tmp_path)
 
 
-@pytest.mark.parametrize("wrong", ["nan", "zero", "box", "scene"])
-def test_rows_that_are_no_objects(tmp_path: Path, wrong: str) -> None:
-    encoder = EncoderIdentity("test", 8)
+@pytest.mark.parametrize("value", [np.nan, np.inf, 0.0])
+def test_descriptors_without_a_direction_are_refused(value: float) -> None:
     vectors = unit(np.random.default_rng(0), 4, 8)
-    columns = rows_of("one", vectors, encoder, 1)
-    if wrong in ("nan", "zero"):
-        vectors[1] = np.nan if wrong == "nan" else 0
-        columns = rows_of("one", vectors, encoder, 1)
-    else:
-        import pyarrow as pa
+    vectors[1] = value
+    with pytest.raises(InputError, match="descriptors: expected finite vectors"):
+        batch({}, [vectors], EncoderIdentity("test", 8))
 
-        name, value = {"box": ("x", [None, 1.0, 1.0, 1.0, None]), "scene": ("scene", [None] * 5)}[wrong]
-        at = columns.schema.get_field_index(name)
-        columns = columns.set_column(at, name, pa.array(value, columns.schema.field(name).type))
-        columns = columns.replace_schema_metadata(table.schema_of(encoder).metadata)
+
+@pytest.mark.parametrize("wrong", ["zero", "box", "scene"])
+def test_rows_that_are_no_objects(tmp_path: Path, wrong: str) -> None:
+    import pyarrow as pa
+
+    encoder = EncoderIdentity("test", 8)
+    columns = rows_of("one", unit(np.random.default_rng(0), 4, 8), encoder, 1)
+    name, value = {
+        "zero": ("descriptors", [[[1] * 8], [[0] * 8], [[1] * 8], [[1] * 8], []]),
+        "box": ("x", [None, 1.0, 1.0, 1.0, None]),
+        "scene": ("scene", [None] * 5),
+    }[wrong]
+    at = columns.schema.get_field_index(name)
+    columns = columns.set_column(at, name, pa.array(value, columns.schema.field(name).type))
+    columns = columns.replace_schema_metadata(schema_of(encoder).metadata)
     table.replace_scene(tmp_path / "c", "one", columns, encoder)
     with pytest.raises(FormatError, match="damaged"):
         Catalogue.open(tmp_path / "c").ask(Query(vector=np.ones(8, np.float32), threshold=-1.0))

@@ -18,9 +18,10 @@ pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not insta
 
 from test_catalogue import rows_of, unit
 
-from drsplat.query.catalogue import Catalogue, Conditions, codes, nearest, table
+from drsplat.query.catalogue import Catalogue, Conditions, codes, coding, nearest, table
 from drsplat.query.catalogue.manifest import fragments_of, manifest_of
 from drsplat.query.catalogue.nearest import Search, nearest_objects
+from drsplat.query.catalogue.snapshot import current
 
 ENCODER = EncoderIdentity("test", 64)
 ANYWHERE = Conditions()
@@ -113,7 +114,7 @@ def test_what_is_removed_or_replaced_is_never_answered(coded: tuple[Catalogue, n
 def test_codes_of_many_deleted_rows_are_passed_over(coded: tuple[Catalogue, np.ndarray, np.ndarray]) -> None:
     """All that are nearest are gone: those after them are found."""
     catalogue, _, words = coded
-    opened = table.opened(catalogue.path)
+    opened = current(catalogue.path)
     assert opened is not None
     opened.table.delete("object_id >= 20")  # of 300, in each scene
     table.record(catalogue.path)
@@ -146,7 +147,7 @@ def test_files_that_were_put_together_are_coded(
     catalogue, _, words = coded
     encoded: list[object] = []
     monkeypatch.setattr(table, "_is_scattered", lambda _: True)
-    monkeypatch.setattr(codes, "_encoded", lambda *given: encoded.append(given))
+    monkeypatch.setattr(coding, "_encoded", lambda *given: encoded.append(given))
     before = {file.name for file in (catalogue.path / "codes").rglob("*")}
     catalogue.remove("s3")
     table.tidy(catalogue.path)
@@ -161,13 +162,13 @@ def test_files_that_were_put_together_are_coded(
 
 KILLED = """
 import os, sys
-from drsplat.query.catalogue import Catalogue, codes
-real, times = codes.{name}, []
+from drsplat.query.catalogue import Catalogue, coding
+real, times = coding.{name}, []
 def killed(*given, **how):
     times.append(1)
     os.kill(os.getpid(), 9) if len(times) == {at} else None
     return real(*given, **how)
-codes.{name} = killed
+coding.{name} = killed
 Catalogue.open(sys.argv[1]).build_index()
 """
 
@@ -252,7 +253,7 @@ def test_a_version_never_uses_codes_of_a_later_one(
     near = np.repeat(words[:1], 20, axis=0)
     add(catalogue.path, "late", near)
     older = catalogue._snapshot()
-    opened = table.opened(catalogue.path)
+    opened = current(catalogue.path)
     assert opened is not None
     opened.table.delete("scene = 'late' AND object_id >= 4")
     monkeypatch.undo()

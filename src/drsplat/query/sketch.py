@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array
 
-from ..base.arrays import Float32, Int8, Int32, Int64, Integer
+from ..base.arrays import Float32, Int8, Int32, Int64, Integer, UInt8
 from ..errors import FormatError
 from ..field import LanguageField
 from ..field.codes.code import Best, Hits
@@ -27,12 +27,13 @@ from .query import Query
 from .scene import Scene
 from .thresholds import PEAK
 
-MOST_OF_OBJECT, MOST_LOOSE = 4, 32  # vectors for one object, and for all Gaussians that belong to none
-ROWS_EACH = 16  # that a vector is the mean of, at least
-LEARNED_FROM = 1024  # rows of an object, spread over all of it, that say which are alike
-MOST_PICTURES = 128
-MOST_ROWS = 20_000  # that all vectors together stand for; large scenes are thinned
+MAX_VECTORS_OF_OBJECT, MAX_LOOSE_VECTORS = 4, 32  # loose: for all Gaussians that belong to no object
+MIN_ROWS_PER_VECTOR = 16  # that it is the mean of
+SAMPLED_ROWS = 1024  # of an object, spread over all of it, that say which are alike
+MAX_PICTURES = 128
+MAX_ROWS = 20_000  # that all vectors together stand for; large scenes are thinned
 SEED = 0
+LARGEST = 31  # of a vector's numbers in a file: six bits
 RELEVANCY_ERROR = 0.02  # that values of a sketch are off by: what lies nearer to the threshold is left out
 VECTORS, NUMBERS = ("features", "pictures", "words"), ("counts", "numbers", "solid")
 
@@ -54,14 +55,14 @@ class Sketch:
     solid: Int32[np.ndarray, " o"]
 
     def to_bytes(self) -> bytes:
-        """Return it as a file of safetensors, a byte for each number of a vector."""
+        """Return it as a file of safetensors, six bits for each number of a vector."""
         from safetensors.numpy import save
 
         arrays = {name: getattr(self, name) for name in NUMBERS}
         for name in VECTORS:
             vectors = getattr(self, name)
-            steps = np.maximum(np.abs(vectors).max(axis=0, initial=0) / 127, 1e-12).astype(np.float32)
-            arrays |= {name: np.round(vectors / steps).astype(np.int8), f"{name}_steps": steps}
+            steps = np.maximum(np.abs(vectors).max(axis=0, initial=0) / LARGEST, 1e-12).astype(np.float32)
+            arrays |= {name: _packed(np.round(vectors / steps).astype(np.int8)), f"{name}_steps": steps}
         return bytes(save(arrays))
 
     @classmethod
@@ -85,7 +86,7 @@ def sketch_of(scene: Scene) -> Sketch:
     """Return the sketch of a scene. Raises: InputError: nobody has looked for its objects."""
     field, objects = scene.field, objects_of(scene.field)
     number_of_row = objects.thing_of()
-    thinned = max(1.0, len(field) / MOST_ROWS)
+    thinned = max(1.0, len(field) / MAX_ROWS)
     parts = [_summary(field, np.flatnonzero(number_of_row == number), number) for number in range(-1, len(objects))]
     features, counts, numbers = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     fewer = np.minimum(counts, np.maximum(PEAK, counts / thinned)).astype(np.int32)
@@ -93,7 +94,7 @@ def sketch_of(scene: Scene) -> Sketch:
     if scene.has_gaussians:
         solid = scene.rows.opacities_of(field.gaussian_ids) >= HAZE_OPACITY
     return Sketch(
-        features, fewer, numbers, usual_pictures(field, MOST_PICTURES),
+        features, fewer, numbers, usual_pictures(field, MAX_PICTURES),
         np.empty((0, field.encoder.dim), np.float32) if field.contrast is None else field.contrast.embeddings,
         np.bincount(number_of_row[solid] + 1, minlength=len(objects) + 1)[1:].astype(np.int32),
     )  # fmt: skip
@@ -103,12 +104,12 @@ def _summary(
     field: LanguageField, rows: Int64[np.ndarray, " r"], number: int
 ) -> tuple[Float32[np.ndarray, "p D"], Int32[np.ndarray, " p"], Int32[np.ndarray, " p"]]:
     """Return the means of some rows that are alike, how many rows each is of, and the number once for each."""
-    most = MOST_LOOSE if number < 0 else MOST_OF_OBJECT
-    count = int(np.clip(len(rows) // ROWS_EACH, min(1, len(rows)), most))
+    most = MAX_LOOSE_VECTORS if number < 0 else MAX_VECTORS_OF_OBJECT
+    count = int(np.clip(len(rows) // MIN_ROWS_PER_VECTOR, min(1, len(rows)), most))
     features = field.feature(rows)
     nearest = np.zeros(len(rows), np.int32)
     if count > 1:
-        spread = features[np.linspace(0, len(rows) - 1, min(len(rows), LEARNED_FROM)).astype(np.int64)]
+        spread = features[np.linspace(0, len(rows) - 1, min(len(rows), SAMPLED_ROWS)).astype(np.int64)]
         nearest = nearest_centres(features, spherical_kmeans(spread, count, SEED, threads=1), threads=1)
     groups = [features[nearest == group] for group in np.unique(nearest)]
     means = [group.mean(axis=0, dtype=np.float64) for group in groups]
@@ -116,13 +117,28 @@ def _summary(
     return vectors, np.array([len(group) for group in groups], np.int32), np.full(len(groups), number, np.int32)
 
 
-def _vectors(data: Int8[np.ndarray, "p D"], steps: Float32[np.ndarray, " D"], dim: int) -> Float32[np.ndarray, "p D"]:
-    """Return vectors that were stored in bytes. Raises: ValueError: other shapes or steps than they have."""
-    if data.dtype != np.int8 or steps.dtype != np.float32 or data.shape[1:] != (dim,) or steps.shape != (dim,):
-        raise ValueError(f"expected vectors of {dim} bytes, got {data.dtype} {data.shape}")
+def _packed(numbers: Int8[np.ndarray, "p D"]) -> UInt8[np.ndarray, "p b"]:
+    """Return numbers from -31 to 31 in six bits each, four of a row in three bytes."""
+    padded = np.pad(numbers + LARGEST, ((0, 0), (0, -numbers.shape[1] % 4))).astype(np.uint8)
+    a, b, c, d = (padded[:, at::4] for at in range(4))
+    return np.stack([a << 2 | b >> 4, b << 4 | c >> 2, c << 6 | d], axis=2).reshape(len(numbers), 3 * a.shape[1])
+
+
+def _unpacked(data: UInt8[np.ndarray, "p b"], dim: int) -> Int8[np.ndarray, "p D"]:
+    """Return what `_packed` packed."""
+    a, b, c = (data[:, at::3] for at in range(3))
+    numbers = np.stack([a >> 2, (a << 4 | b >> 4) & 63, (b << 2 | c >> 6) & 63, c & 63], axis=2)
+    return numbers.reshape(len(data), 4 * a.shape[1])[:, :dim].astype(np.int8) - np.int8(LARGEST)
+
+
+def _vectors(data: UInt8[np.ndarray, "p b"], steps: Float32[np.ndarray, " D"], dim: int) -> Float32[np.ndarray, "p D"]:
+    """Return vectors that were packed. Raises: ValueError: other shapes or steps than they have."""
+    expected = -(-dim // 4) * 3
+    if data.dtype != np.uint8 or steps.dtype != np.float32 or data.shape[1:] != (expected,) or steps.shape != (dim,):
+        raise ValueError(f"expected vectors of {expected} bytes, got {data.dtype} {data.shape}")
     if not ((steps >= 0) & (steps <= 1)).all():
         raise ValueError("expected steps between 0 and 1")
-    return np.asarray(data * steps, np.float32)
+    return np.asarray(_unpacked(data, dim) * steps, np.float32)
 
 
 def _unit(vectors: Float32[np.ndarray, "p D"]) -> Float32[np.ndarray, "p D"]:
@@ -139,7 +155,7 @@ def _check(
 ) -> None:  # fmt: skip
     """Check a sketch. Raises: FormatError: numbers that do not fit each other, or more rows than sketches have."""
     fits = counts.shape == numbers.shape == features.shape[:1] and solid.shape == (num_objects,)
-    most = MOST_ROWS + PEAK * counts.size
+    most = MAX_ROWS + PEAK * counts.size
     if not fits or not len(pictures) or (counts < 1).any() or counts.sum(dtype=np.int64) > most:
         raise FormatError("a sketch of a scene whose parts do not fit each other")
     if len(numbers) and not -1 <= numbers.min() <= numbers.max() < num_objects:

@@ -13,7 +13,8 @@ from ...scene.encoders import Encoder
 from .. import Query
 from ..sketch import Sketch, SketchedScene
 from .conditions import scenes_sql
-from .table import CURE, Snapshot
+from .lance import CURE
+from .snapshot import Snapshot
 
 MAX_CACHED_SCENES = 64  # sketches in memory
 COLUMNS = ("scene", "object_id", "label", "sketch")

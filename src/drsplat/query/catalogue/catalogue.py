@@ -25,13 +25,14 @@ from ..ranking import Surroundings
 from . import table
 from .agreeing import SceneRules
 from .codes import CodeReader, has_codebook
-from .codes import verify as verify_codes
+from .coding import verify as verify_codes
 from .conditions import Conditions, checked_name, of_scene
 from .entries import CatalogueAnswer, Entry, SceneEntry
 from .nearest import Search, nearest_objects
 from .reading import entries_of, listed_of, thumbnail_of
 from .rows import SceneRows, rows_of
-from .table import Snapshot
+from .schema import batch
+from .snapshot import OF_OBJECTS, Snapshot, current
 
 LARGE_ROWS = 100_000  # from here on an index is worth its time
 MIN_INDEX_OBJECTS = 256  # that its centroids are trained on
@@ -87,13 +88,13 @@ class Catalogue:
         installed.
         """
         opened = cls(Path(path), vocabulary, encoder, device, threads, load)
-        table.opened(opened.path)
+        current(opened.path)
         return opened
 
     def __len__(self) -> int:
         """Return the number of objects."""
-        snapshot = table.opened(self.path)
-        return 0 if snapshot is None else snapshot.count(table.OF_OBJECTS)
+        snapshot = current(self.path)
+        return 0 if snapshot is None else snapshot.count(OF_OBJECTS)
 
     @property
     def encoder(self) -> EncoderIdentity:
@@ -125,7 +126,7 @@ class Catalogue:
             georeference = read_georeference(files.field.parent, files.capture)
         called = checked_name(name or opened.name)
         refuse_missing_parent(self.path)
-        snapshot = table.opened(self.path)
+        snapshot = current(self.path)
         if snapshot is not None:
             snapshot.check_encoder(opened.field.encoder)
             _check_folder(snapshot, called, folder)
@@ -158,7 +159,7 @@ class Catalogue:
 
     def scenes(self) -> list[SceneEntry]:
         """Return the scenes by name, and whether their fields have changed. Raises: FormatError: damaged."""
-        snapshot = table.opened(self.path)
+        snapshot = current(self.path)
         return [] if snapshot is None else listed_of(snapshot)
 
     def scene(self, name: str) -> Scene:
@@ -175,7 +176,7 @@ class Catalogue:
     @property
     def wants_index(self) -> bool:
         """True where the table has no index and is so large that every answer takes long."""
-        snapshot = table.opened(self.path)
+        snapshot = current(self.path)
         return snapshot is not None and snapshot.num_rows > LARGE_ROWS and not has_codebook(self.path)
 
     def build_index(self) -> int:
@@ -187,7 +188,7 @@ class Catalogue:
         """
         with table.arranging(self.path, table.PATIENCE_S):
             snapshot = self._snapshot()
-            objects = snapshot.count(table.OF_OBJECTS)
+            objects = snapshot.count(OF_OBJECTS)
             if objects < MIN_INDEX_OBJECTS:
                 raise InputError(
                     f"an index takes {MIN_INDEX_OBJECTS} objects or more, there are {objects:,}: asking is quick "
@@ -245,7 +246,7 @@ class Catalogue:
         with self._opening:
             state = table.state_of(self.path)
             if self._current is None or self._current[0] != state:
-                snapshot = table.opened(self.path)
+                snapshot = current(self.path)
                 if snapshot is None:
                     raise InputError(
                         f"{self.path}: no catalogue is here: `drsplat catalogue add {self.path} SCENE` makes one"
@@ -262,12 +263,12 @@ class Catalogue:
     def _write(self, name: str, folder: str, rows: SceneRows, encoder: EncoderIdentity) -> None:
         """Write the rows of a scene in turn with other writers; checks are repeated after the wait."""
         with claimed_output(self.path, table.PATIENCE_S):
-            snapshot = table.opened(self.path)
+            snapshot = current(self.path)
             if snapshot is not None:
                 snapshot.check_encoder(encoder)
                 _check_folder(snapshot, name, folder)
                 encoder = snapshot.encoder
-            table.replace_scene(self.path, name, table.batch(rows.columns, rows.descriptors, encoder), encoder)
+            table.replace_scene(self.path, name, batch(rows.columns, rows.descriptors, encoder), encoder)
         table.tidy(self.path)
 
     def _surroundings(self, snapshot: Snapshot) -> Surroundings:

@@ -7,7 +7,9 @@ import numpy as np
 from ...base.arrays import Float32, Int64
 from ..ranking import Described
 from .codes import Coded
-from .table import ROW_ID, Snapshot, described_of, libraries
+from .lance import libraries
+from .schema import described_of
+from .snapshot import ROW_ID, Snapshot
 
 REFINE_FACTOR = 4  # candidates compared exactly, per wanted object
 FEW_ROWS = 20_000  # that meet a condition: comparing them all is quicker than the codes of all

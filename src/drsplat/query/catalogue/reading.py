@@ -14,7 +14,8 @@ from ..ranking import Ranked
 from .agreeing import SceneRules
 from .conditions import of_scene
 from .entries import Entry, Position, SceneEntry, checked_jpeg
-from .table import CURE, ROW_ID, Snapshot, libraries
+from .lance import CURE, libraries
+from .snapshot import ROW_ID, Snapshot
 
 TEXTS = ("scene", "field", "added", "label", "name", "photo", "mask", "thumbnail")
 NUMBERS = ("x", "y", "z", "sure", "num_gaussians", "num_views", "object_id", "tile")

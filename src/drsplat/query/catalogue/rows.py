@@ -24,7 +24,7 @@ UNTILED = 0
 
 @dataclass(frozen=True, eq=False)
 class SceneRows:
-    """Rows of one scene. columns: by name, of one length; descriptors: of each row (k, D) float16.
+    """Rows of one scene. columns: by name, of one length; descriptors: of each row (k, D) float32.
 
     pictured: number with a thumbnail.
     """
@@ -58,8 +58,8 @@ def rows_of(
     common = {"scene": name, "field": scene.field.fingerprint, "added": added}
     own = {"tile": UNTILED, "object_id": -1, "folder": folder, "sketch": sketch_of(scene).to_bytes()}
     rows = [common | row for row in [*rows, own]]
-    descriptors = [_halves(objects.descriptors_of(node)) for node in objects.things.tolist()]
-    descriptors.append(np.empty((0, scene.field.encoder.dim), np.float16))
+    descriptors = [objects.descriptors_of(node) for node in objects.things.tolist()]
+    descriptors.append(np.empty((0, scene.field.encoder.dim), np.float32))
     columns = {key: [row.get(key) for row in rows] for key in dict.fromkeys(key for row in rows for key in row)}
     return SceneRows(columns, descriptors, sum(picture[0] is not None for picture in pictures))
 
@@ -126,7 +126,3 @@ def _positions(matches: Sequence[Match], georeference: Georeference | None) -> l
         return [None] * len(matches)
     positions = georeference.positions(np.stack([match.center for match in matches]))
     return [Position(*row) for row in positions.tolist()]
-
-
-def _halves(descriptors: np.ndarray) -> np.ndarray:
-    return descriptors.astype(np.float16)

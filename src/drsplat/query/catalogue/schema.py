@@ -1,0 +1,108 @@
+"""Columns of a catalogue's table, rows of them, and descriptors in a byte for each number."""
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...base.arrays import Float32, Int8
+from ...errors import FormatError, InputError
+from ...scene.encoders import EncoderIdentity, identity_json
+from ..ranking import Described
+from .lance import CURE, libraries
+
+KEY = b"drsplat catalogue"  # of the table's metadata
+VERSION = 3
+MAX_DIM = 1 << 16
+LARGEST = 127  # of a descriptor's numbers, as it is stored
+HEAD = ("scene", "tile", "object_id")  # key of a row
+COMPARED = (*HEAD, "descriptors")  # columns that a search reads of every object that it compares
+
+
+def schema_of(encoder: EncoderIdentity) -> Any:
+    """Return the columns of a catalogue of one encoder."""
+    _, pa = libraries()
+    vectors = pa.list_(pa.list_(pa.int8(), encoder.dim))
+    texts = dict.fromkeys(("label", "name", "photo", "folder"), pa.string())
+    places = dict.fromkeys(("x", "y", "z", "longitude", "latitude", "height"), pa.float64())
+    columns = {
+        "scene": pa.string(), "tile": pa.int32(), "object_id": pa.int32(), "field": pa.string(),
+        "added": pa.timestamp("ms", tz="UTC"), **places, "axes": pa.list_(pa.float64(), 9),
+        "extent": pa.list_(pa.float64(), 3), "num_gaussians": pa.int32(), "num_views": pa.int32(),
+        "sure": pa.float32(), "mask": pa.int32(), **texts, "descriptors": vectors, "thumbnail": pa.binary(),
+        "sketch": pa.binary(),
+    }  # fmt: skip
+    about = {"version": VERSION, "encoder": identity_json(encoder)}
+    return pa.schema(list(columns.items()), metadata={KEY: json.dumps(about)})
+
+
+def batch(columns: Mapping[str, Sequence[Any]], descriptors: Sequence[np.ndarray], encoder: EncoderIdentity) -> Any:
+    """Return rows as an Arrow table; missing columns are null. descriptors: of each row (k, D), of any length.
+
+    Raises: InputError: a descriptor without a direction.
+    """
+    _, pa = libraries()
+    schema = schema_of(encoder)
+    flat = _stored(np.concatenate([np.empty((0, encoder.dim), np.float32), *descriptors], dtype=np.float32))
+    starts = np.append(0, np.cumsum([len(rows) for rows in descriptors]))
+    vectors = pa.FixedSizeListArray.from_arrays(pa.array(flat.ravel()), encoder.dim)
+    arrays = {"descriptors": pa.ListArray.from_arrays(pa.array(starts, pa.int32()), vectors)}
+    nothing = [None] * len(descriptors)
+    for column in schema:
+        if column.name not in arrays:
+            arrays[column.name] = pa.array(columns.get(column.name, nothing), column.type)
+    return pa.table([arrays[name] for name in schema.names], schema=schema)
+
+
+def _stored(vectors: Float32[np.ndarray, "P D"]) -> Int8[np.ndarray, "P D"]:
+    """Return directions in a byte for each number, the largest of a vector 127: their lengths need no room.
+
+    Raises: InputError: numbers that are not finite, or a vector without a direction.
+    """
+    largest = np.abs(vectors).max(axis=1, initial=0, keepdims=True)
+    if not (np.isfinite(largest) & (largest > 0)).all():
+        raise InputError("descriptors: expected finite vectors, none of them zero")
+    return np.asarray(np.rint(vectors * (LARGEST / largest)), np.int8)
+
+
+def described_of(column: Any, path: Path) -> Described:
+    """Return the descriptors of each row, brought back to unit length. Raises: FormatError: some have no direction."""
+    _, pa = libraries()
+    lists = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
+    lengths = np.asarray(lists.value_lengths().fill_null(0), np.int64)
+    vectors = lists.flatten()
+    flat = np.asarray(vectors.flatten(), np.int8).astype(np.float32).reshape(-1, vectors.type.list_size)
+    norms = np.sqrt(np.einsum("pd,pd->p", flat, flat))
+    if len(flat) != lengths.sum() or not (norms > 0).all():
+        raise FormatError(f"{path}: descriptors without a direction: {CURE}")
+    flat /= norms[:, None]
+    return Described(flat, np.append(0, np.cumsum(lengths)))
+
+
+def encoder_of(path: Path, schema: Any) -> EncoderIdentity:
+    """Return the encoder of the descriptors. Raises: FormatError: other columns than a catalogue has."""
+    encoder = _identity(path, (schema.metadata or {}).get(KEY))
+    expected = schema_of(encoder)
+    if not schema.equals(expected):
+        types = {column.name: column.type for column in schema}
+        wrong = [column.name for column in expected if types.get(column.name) != column.type]
+        raise FormatError(f"{path}: other columns than a catalogue's: {', '.join(wrong) or 'more of them'}")
+    return encoder
+
+
+def _identity(path: Path, about: bytes | None) -> EncoderIdentity:
+    try:
+        document = json.loads(about or b"null")
+        encoder, version = document["encoder"], document["version"]
+        texts = [encoder["name"], encoder["weights"], encoder.get("preprocessing", "")]
+        dim = encoder["dim"]
+        if type(dim) is not int or not 1 <= dim <= MAX_DIM or not all(type(text) is str for text in texts):
+            raise ValueError("encoder")
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise FormatError(f"{path}: a LanceDB table, but not of a catalogue that drsplat made") from error
+    if version != VERSION:
+        cure = "remove the folder and add its scenes again" if version in (1, 2) else "install the drsplat that made it"
+        raise FormatError(f"{path}: a catalogue of version {version!a:.20}; this drsplat reads {VERSION}: {cure}")
+    return EncoderIdentity(texts[0], dim, texts[1], texts[2])
