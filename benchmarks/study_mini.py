@@ -35,7 +35,7 @@ from drsplat.photos.models.mini.lexicon import COLORS, NAMES
 from drsplat.photos.models.word_list import list_vectors
 from drsplat.query.contrast import contrast, relevancy_threshold
 from drsplat.query.naming import fit_of
-from drsplat.query.thresholds import PEAK, peak_score, threshold_above
+from drsplat.query.thresholds import PEAK_ROWS, peak_score, threshold_above
 from drsplat.scene.masks.crops import crop
 
 FIXED = (0.125, 0.15, 0.175, 0.2, 0.25, 0.3)
@@ -105,7 +105,7 @@ def study(folders: list[Path], kept: Path) -> None:
         for (kind, text), ids in questions(folder, labels).items():
             truth = np.isin(labels, ids)
             for rule, selected in selections(field, text):
-                enough = selected.sum() >= PEAK
+                enough = selected.sum() >= PEAK_ROWS
                 both, either = mass[selected & truth].sum(), mass[selected | truth].sum()
                 iou = float(both / either) if enough else 0.0
                 found[rule][kind].append(iou if ids else float(not enough))

@@ -36,12 +36,12 @@ from benchmarks.suite.vocabularies import KINDS, Clip, unit
 from drsplat import Gaussians, ViewFeatures, load_image, register
 from drsplat.field.evidence.evidence import Evidence
 from drsplat.query.contrast import Contrast, _contrast, middle_threshold, relevancy_threshold
-from drsplat.query.thresholds import PEAK, automatic_threshold
+from drsplat.query.thresholds import PEAK_ROWS, automatic_threshold
 from drsplat.scene.masks.masks import LEVELS
 from drsplat.scene.masks.selection import mask_maps
 
 ROWS, OF = 12_000, 50_000  # Gaussians looked at, and of a scene
-PEAK_HERE = round(PEAK * ROWS / OF)
+PEAK_HERE = round(PEAK_ROWS * ROWS / OF)
 WRONG = (0.0, 0.2, 0.4)
 
 

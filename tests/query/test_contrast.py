@@ -30,7 +30,7 @@ from drsplat.query.contrast import (
     middle_threshold,
     relevancy_threshold,
 )  # fmt: skip
-from drsplat.query.thresholds import PEAK
+from drsplat.query.thresholds import PEAK_ROWS
 from fields import SCENE, ToyEncoder, unit_rows
 
 DIM, GAP = 64, 0.25
@@ -144,11 +144,11 @@ def test_a_word_has_to_be_among_the_best_of_every_three_hundred(scene: tuple) ->
 
 def test_few_rows_that_fit_are_no_thing() -> None:
     values = np.full(1000, 0.2, np.float32)
-    values[: PEAK - 1] = 0.9
+    values[: PEAK_ROWS - 1] = 0.9
     assert relevancy_threshold(values) == pytest.approx(0.9)  # nothing is above
-    values[PEAK - 1] = 0.9
+    values[PEAK_ROWS - 1] = 0.9
     assert relevancy_threshold(values) == 0.5
-    values[:PEAK] = 0.55  # better than the list, but by a hair
+    values[:PEAK_ROWS] = 0.55  # better than the list, but by a hair
     assert relevancy_threshold(values) == pytest.approx(0.55)
 
 
@@ -182,15 +182,15 @@ def test_in_larger_scenes_a_peak_has_to_be_higher() -> None:
 
 def test_a_peak_above_many_words_has_to_be_higher_than_one_above_few() -> None:
     """A margin of 0.48 is found with a list of 299 words, and not with one of 300."""
-    values = relevancies(np.where(np.arange(1000) < PEAK, 0.48, -2.0))
+    values = relevancies(np.where(np.arange(1000) < PEAK_ROWS, 0.48, -2.0))
     texts = np.eye(WORDS_PER_RIVAL, dtype=np.float32)
     few, many = (contrast_of(texts[:2], texts[:count]).clear_margin for count in (WORDS_PER_RIVAL - 1, WORDS_PER_RIVAL))
-    assert (values > middle_threshold(values, clear_margin=few)).sum() == PEAK
+    assert (values > middle_threshold(values, clear_margin=few)).sum() == PEAK_ROWS
     assert not (values > middle_threshold(values, clear_margin=many)).any()
 
 
 def test_fewer_rows_have_to_stand_above_a_long_list_in_a_small_scene() -> None:
-    """One row in 3,000, of 10 to PEAK; above a short list PEAK in any scene."""
+    """One row in 3,000, of 10 to PEAK_ROWS; above a short list PEAK_ROWS in any scene."""
     texts = np.eye(WORDS_PER_RIVAL, dtype=np.float32)
 
     def peak(words: int, rows: int) -> int:
@@ -198,8 +198,14 @@ def test_fewer_rows_have_to_stand_above_a_long_list_in_a_small_scene() -> None:
         scores, best = (np.broadcast_to(array[:1], (rows, array.shape[1])) for array in (known.scores, known.words))
         return replace(known, scores=scores, words=best).peak
 
-    assert [peak(WORDS_PER_RIVAL, rows) for rows in (2, 30_000, 60_000, 120_000, 10**7)] == [10, 10, 20, PEAK, PEAK]
-    assert [peak(WORDS_PER_RIVAL - 1, rows) for rows in (2, 60_000, 10**7)] == [PEAK] * 3
+    assert [peak(WORDS_PER_RIVAL, rows) for rows in (2, 30_000, 60_000, 120_000, 10**7)] == [
+        10,
+        10,
+        20,
+        PEAK_ROWS,
+        PEAK_ROWS,
+    ]
+    assert [peak(WORDS_PER_RIVAL - 1, rows) for rows in (2, 60_000, 10**7)] == [PEAK_ROWS] * 3
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 50])
@@ -283,24 +289,24 @@ def faint_room(level: float, mug: float) -> LanguageField:
     rest of every picture is nothing that a word speaks of."""
     words = MINI.encode_texts(["floor", "table", "mug"])
     nothing = np.linalg.svd(MINI.encode_texts(MINI.nouns), full_matrices=True)[2][-1]
-    shown = np.repeat([0, 1, 2], [400, 400, 2 * PEAK])
+    shown = np.repeat([0, 1, 2], [400, 400, 2 * PEAK_ROWS])
     share = (np.array([1.0, 1.0, mug]) * level)[shown, None]
     pictures = share * words[shown] + np.sqrt(1 - share**2) * nothing
     return build_field(evidence_of(pictures.astype(np.float32)), SCENE, MINI.identity, Mixture(1))
 
 
 @pytest.mark.parametrize("level", [0.12, 0.8])
-@pytest.mark.parametrize(("mug", "found"), [(0.6, 2 * PEAK), (0.3, 0)])
+@pytest.mark.parametrize(("mug", "found"), [(0.6, 2 * PEAK_ROWS), (0.3, 0)])
 def test_what_the_built_in_encoder_has_to_reach_follows_the_scene(level: float, mug: float, found: int) -> None:
     """A mug fits its rows best in all of these; where it hardly fits, for this scene, there is none."""
     field = faint_room(level, mug)
     answer = Scene(field, encoder=MINI).ask("mug")
-    assert (answer.values[-2 * PEAK :] > 0.5).all()
+    assert (answer.values[-2 * PEAK_ROWS :] > 0.5).all()
     assert len(answer.gaussian_ids) == found
 
 
 def test_the_height_of_a_list_is_what_enough_rows_reach() -> None:
     field = faint_room(0.5, 1.0)
     vectors = MINI.encode_texts(MINI.nouns)
-    expected = np.sort(field.scores(vectors).max(0))[-PEAK]
+    expected = np.sort(field.scores(vectors).max(0))[-PEAK_ROWS]
     assert_allclose(contrast(field, vectors).height(), expected, atol=1e-5)

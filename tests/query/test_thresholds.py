@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drsplat.errors import InputError
-from drsplat.query.thresholds import CUT_SHARE, PEAK, automatic_threshold, peak_score, share_threshold
+from drsplat.query.thresholds import CUT_SHARE, PEAK_ROWS, automatic_threshold, peak_score, share_threshold
 
 RULES = (automatic_threshold, lambda s: share_threshold(s, 0.3))
 every_rule = pytest.mark.parametrize("rule", RULES, ids=["automatic", "share"])
@@ -35,9 +35,9 @@ def test_the_peak_is_what_as_many_rows_reach_as_make_a_thing() -> None:
 
 
 def test_the_automatic_cut_lies_between_the_median_and_the_peak() -> None:
-    scores = np.repeat([0.1, 0.3], [1000, PEAK])
+    scores = np.repeat([0.1, 0.3], [1000, PEAK_ROWS])
     assert automatic_threshold(scores) == pytest.approx(0.1 + CUT_SHARE * 0.2)
-    short = np.repeat([0.1, 0.3], [1000, PEAK - 1])  # a speck is no peak
+    short = np.repeat([0.1, 0.3], [1000, PEAK_ROWS - 1])  # a speck is no peak
     assert automatic_threshold(short) == 0.3
 
 

@@ -16,7 +16,7 @@ from ..base.arrays import Bool, Float, Float32, Float64, UInt16
 from ..base.contents import release, scratch
 from ..field import LanguageField
 from ..kernels.ranking import keep_best
-from .thresholds import PEAK, clear_threshold, peak_score
+from .thresholds import PEAK_ROWS, clear_threshold, peak_score
 
 USUAL_COSINE_SHARE = 0.5  # taken off a word's cosines: all of it would punish what is everywhere
 SAME_MEANING_COSINE = 0.5  # of two texts, seen from their mean: they do not compete
@@ -66,10 +66,10 @@ class Contrast:
     def peak(self) -> int:
         """Rows that have to stand above the list. Of long lists fewer in small scenes, whose things have fewer rows."""
         if len(self.vectors) < WORDS_PER_RIVAL:
-            return PEAK
-        return min(PEAK, max(MIN_PEAK_ROWS, round(PEAK_SHARE * len(self.scores))))
+            return PEAK_ROWS
+        return min(PEAK_ROWS, max(MIN_PEAK_ROWS, round(PEAK_SHARE * len(self.scores))))
 
-    def height(self, peak: int = PEAK) -> float:
+    def height(self, peak: int = PEAK_ROWS) -> float:
         """Return the cosine that as many rows as make a thing reach with the word of the list that fits each best."""
         levels = (self.vectors @ self.usual)[self.words]
         return peak_score((self.scores + levels).max(1), peak) if len(self.scores) else 0.0
@@ -149,7 +149,7 @@ def contrast_of(
 
 
 def relevancy_threshold(
-    relevancy: Float32[np.ndarray, " r"], peak: int = PEAK, clear_margin: float = CLEAR_MARGIN
+    relevancy: Float32[np.ndarray, " r"], peak: int = PEAK_ROWS, clear_margin: float = CLEAR_MARGIN
 ) -> float:
     """Return 0.5, or the highest where too few rows stand clearly above: then nothing is found."""
     return clear_threshold(relevancy, LIST_RELEVANCY, least_clear(len(relevancy), clear_margin), peak=peak)
@@ -161,7 +161,7 @@ def least_clear(rows: int, margin: float = CLEAR_MARGIN) -> float:
 
 
 def middle_threshold(
-    relevancy: Float32[np.ndarray, " r"], peak: int = PEAK, clear_margin: float = CLEAR_MARGIN
+    relevancy: Float32[np.ndarray, " r"], peak: int = PEAK_ROWS, clear_margin: float = CLEAR_MARGIN
 ) -> float:
     """Return a threshold above the list's level where nearly all of what fits stands high above that level.
 

@@ -27,7 +27,7 @@ from .search import (
     text_negatives,
     without,
 )
-from .thresholds import PEAK, default_threshold, peak_score, share_threshold
+from .thresholds import PEAK_ROWS, default_threshold, peak_score, share_threshold
 from .wholes import by_object
 
 HALF_FIT_SHARE = 0.6  # of the 40th highest cosine; half, and some more
@@ -271,14 +271,14 @@ def own_threshold(encoder: Encoder) -> float | None:
     return None if hasattr(encoder, "nouns") else getattr(encoder, "threshold", None)
 
 
-def least_peak(encoder: Encoder, known: Contrast | None, peak: int = PEAK) -> float:
+def least_peak(encoder: Encoder, known: Contrast | None, peak: int = PEAK_ROWS) -> float:
     """Return the cosine that the best rows exceed: a share of what the list reaches, for encoders that have one."""
     share = getattr(encoder, "least_share", None)
     return -np.inf if share is None or known is None else float(share * known.height(peak))
 
 
 def lower_partial_fits(
-    scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"], peak: int = PEAK
+    scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"], peak: int = PEAK_ROWS
 ) -> Float32[np.ndarray, " r"]:
     """Return relevancies, those of rows that fit half of the query lowered where others fit all of it.
 

@@ -25,7 +25,7 @@ from .measuring import Background, Measuring
 from .objects import objects_of
 from .query import Query
 from .scene import Scene
-from .thresholds import PEAK
+from .thresholds import PEAK_ROWS
 
 MAX_VECTORS_OF_OBJECT, MAX_LOOSE_VECTORS = 4, 32  # loose: for all Gaussians that belong to no object
 MIN_ROWS_PER_VECTOR = 16  # that it is the mean of
@@ -89,7 +89,7 @@ def sketch_of(scene: Scene) -> Sketch:
     thinned = max(1.0, len(field) / MAX_ROWS)
     parts = [_summary(field, np.flatnonzero(number_of_row == number), number) for number in range(-1, len(objects))]
     features, counts, numbers = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
-    fewer = np.minimum(counts, np.maximum(PEAK, counts / thinned)).astype(np.int32)
+    fewer = np.minimum(counts, np.maximum(PEAK_ROWS, counts / thinned)).astype(np.int32)
     solid = np.ones(len(field), np.bool_)
     if scene.has_gaussians:
         solid = scene.rows.opacities_of(field.gaussian_ids) >= HAZE_OPACITY
@@ -155,7 +155,7 @@ def _check(
 ) -> None:  # fmt: skip
     """Check a sketch. Raises: FormatError: numbers that do not fit each other, or more rows than sketches have."""
     fits = counts.shape == numbers.shape == features.shape[:1] and solid.shape == (num_objects,)
-    most = MAX_ROWS + PEAK * counts.size
+    most = MAX_ROWS + PEAK_ROWS * counts.size
     if not fits or not len(pictures) or (counts < 1).any() or counts.sum(dtype=np.int64) > most:
         raise FormatError("a sketch of a scene whose parts do not fit each other")
     if len(numbers) and not -1 <= numbers.min() <= numbers.max() < num_objects:

@@ -9,13 +9,13 @@ import numpy as np
 from ..base.arrays import Float
 from ..errors import InputError
 
-PEAK = 40  # rows: a thing of fewer is a speck
+PEAK_ROWS = 40  # rows: a thing of fewer is a speck
 CUT_SHARE = 0.6  # of the way to the peak: from the median, or from 0
 
 Scores = Float[np.ndarray, " r"]
 
 
-def peak_score(scores: Scores, peak: int = PEAK) -> float:
+def peak_score(scores: Scores, peak: int = PEAK_ROWS) -> float:
     """Return the `peak`-th highest score, or the lowest of fewer: as many rows as make a thing reach it.
 
     Raises: InputError: no scores, or some that are not finite.
@@ -24,7 +24,7 @@ def peak_score(scores: Scores, peak: int = PEAK) -> float:
     return _largest(scores, min(peak, len(scores)))
 
 
-def automatic_threshold(scores: Scores, cut: float = CUT_SHARE, *, peak: int = PEAK) -> float:
+def automatic_threshold(scores: Scores, cut: float = CUT_SHARE, *, peak: int = PEAK_ROWS) -> float:
     """Return `cut` of the way from the median to the peak, the highest score where the peak is no higher than it.
 
     Raises: InputError: no scores, or some that are not finite.
@@ -38,7 +38,7 @@ def default_threshold(cosines: Scores, least: float | None, cut: float = CUT_SHA
     return automatic_threshold(cosines, cut) if least is None else threshold_above(cosines, least, cut)
 
 
-def threshold_above(scores: Scores, least: float, cut: float = CUT_SHARE, *, peak: int = PEAK) -> float:
+def threshold_above(scores: Scores, least: float, cut: float = CUT_SHARE, *, peak: int = PEAK_ROWS) -> float:
     """Return `least`, an encoder's own threshold, or `cut` of the peak where that is higher.
 
     For scores of which 0 means "as well as not": what answers half of a query ("red", of "red mug") is left out
@@ -47,7 +47,7 @@ def threshold_above(scores: Scores, least: float, cut: float = CUT_SHARE, *, pea
     return max(least, cut * peak_score(scores, peak)) if len(scores) else least
 
 
-def clear_threshold(scores: Scores, least: float, clear: float, *, peak: int = PEAK) -> float:
+def clear_threshold(scores: Scores, least: float, clear: float, *, peak: int = PEAK_ROWS) -> float:
     """Return `least` where the `peak`-th highest score stands above `clear`, else the highest: nothing is found.
 
     No scores: `least`.
