@@ -32,7 +32,6 @@ MASKS = {ROOM: ("graph", "true"), CAPTURE: ("graph", "sam")}
 COLUMNS = ("plain", "objects", "best")
 ASKED = ("plain", "objects")
 SMALL = 0.01
-STAMP = stamp(CODE)  # of what is loaded, whatever becomes of the files during a run
 
 
 class Answered(NamedTuple):
@@ -146,7 +145,8 @@ def run(
     vectors: the folder that the words are from.
     """
     hashes = {path.name: hash_file(path) for path in sorted(vectors.iterdir()) if path.is_file()}
-    known = {"version": VERSION, "code": STAMP, "vectors": hashes, "wrong": list(draws.wrong)}
+    code = stamp(CODE)  # once: of what is loaded, whatever becomes of the files meanwhile
+    known = {"version": VERSION, "code": code, "vectors": hashes, "wrong": list(draws.wrong)}
     work.mkdir(parents=True, exist_ok=True)
     for one in given:
         for masks in MASKS[kind_of(one)]:
@@ -157,7 +157,7 @@ def run(
             if record is None:
                 record = {"place": path.name.partition(".")[0], "kind": kind_of(one), "masks": masks}
                 record |= {"words": len(words.words), **record_of(draws.of(place, words))}
-                record |= {"code": STAMP, "seconds": round(time.perf_counter() - start, 1)}
+                record |= {"code": code, "seconds": round(time.perf_counter() - start, 1)}
                 with replacing(path, overwrite=True) as file:
                     file.write(json.dumps({"key": key, "record": record}).encode())
             yield record

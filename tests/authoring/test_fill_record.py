@@ -49,6 +49,7 @@ def file(tmp_path: Path) -> EditFile:
     return EditFile(tmp_path / "scene.edits.json")
 
 
+@pytest.mark.slow
 def test_a_list_is_done_again_without_the_objects(file: EditFile) -> None:
     scene, block, _, _ = a_thing_in_a_hole()
     edits = removed_and_filled(block)
@@ -119,6 +120,7 @@ def test_a_list_meets_no_other_scene(file: EditFile) -> None:
 # --- in the viewer and in the command ---
 
 
+@pytest.mark.slow
 def test_the_viewer_keeps_the_record(tmp_path: Path) -> None:
     scene, block, _, _ = a_thing_in_a_hole()
     path = tmp_path / "scene.ply"

@@ -216,6 +216,7 @@ def test_command_scores_features_of_others(judged: dict[str, str], capsys) -> No
     assert again["columns"] == answer["columns"]
 
 
+@pytest.mark.slow
 def test_command_shows_tables(judged: dict[str, str], capsys) -> None:
     assert evaluate(judged, "--figures", "1") == 0
     shown = capsys.readouterr().out

@@ -88,6 +88,7 @@ def test_any_order_of_adding_and_removing_with_kills_is_one_registration(tmp_pat
         assert files_of(path) == files_of(folder / "b.field")
 
 
+@pytest.mark.slow
 def test_only_rows_that_are_seen_are_coded_again():
     """Or the test above would show nothing."""
     coded, total = [], []

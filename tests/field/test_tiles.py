@@ -247,6 +247,7 @@ def test_what_is_left_out_was_not_seen(tmp_path_factory, seed, eye, at, width, f
     assert_array_equal(some.mask_ids, whole.mask_ids)
 
 
+@pytest.mark.slow
 def test_what_is_behind_is_not_loaded(tmp_path):
     tiles = tiled(scattered(3000), tmp_path)
     view = look_at_view((0.0, 0.0, 0.3), (30.0, 0.0, 0.0), width=64, height=48)
@@ -510,6 +511,7 @@ def test_work_that_kills_is_given_up():
         list(Processes(1).results(_always_dies, [1, 2]))
 
 
+@pytest.mark.slow
 def test_an_error_of_a_worker_is_that_of_the_run():
     with pytest.raises(InputError, match="bad 1"):
         list(Processes(1).results(_fails, [1]))

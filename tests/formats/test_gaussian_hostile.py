@@ -211,6 +211,7 @@ def test_mutants_are_reproducible_and_differ() -> None:
     assert sum(mutant != data for mutant in first) > 280
 
 
+@pytest.mark.slow
 def test_errors_within_a_table_leave_nothing_that_cannot_be_collected() -> None:
     """An SPZ 4 refused at its second stream, many times, with the errors kept in cycles."""
     scene = random_gaussians(np.random.default_rng(0), 20, 1)
@@ -227,6 +228,7 @@ def test_errors_within_a_table_leave_nothing_that_cannot_be_collected() -> None:
     assert isinstance(holder["error"], FormatError)
 
 
+@pytest.mark.slow
 def test_damaged_tables_of_names(tmp_path: Path, bounded_memory: None) -> None:
     data, rng, path = labelled_glb(random_gaussians(np.random.default_rng(0), 20, 0)), seeded(7), tmp_path / "a.glb"
     read = refused = 0

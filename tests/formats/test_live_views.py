@@ -473,6 +473,7 @@ def test_a_full_disk_is_told_and_nothing_is_kept(num_bytes: int, room: Path, ful
     take(room, view)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("num_bytes", [1000, 30_000])
 def test_a_full_disk_while_views_are_added_loses_none(num_bytes: int, room: Path, full_room: Path) -> None:
     before = files_of(room / "room.field")

@@ -120,6 +120,7 @@ def test_a_codebook_is_finer_where_errors_weigh_more() -> None:
     assert_allclose(halved, 1.5 * np.log((1 + np.exp(6)) / 2), rtol=0.01)
 
 
+@pytest.mark.slow
 def test_a_palette_of_many_rows_is_near_all_of_them() -> None:
     """70,000 rows about 500 points, as far apart as 1: entries are within the rows' own spread."""
     rng = np.random.default_rng(0)

@@ -109,6 +109,7 @@ def test_a_missing_chunk_is_told(tmp_path):
         ds.read_gaussians(tmp_path)
 
 
+@pytest.mark.slow
 @given(st.data())
 @settings(max_examples=60, deadline=None)
 def test_damaged_indices_are_refused_or_read(tmp_path_factory, data):

@@ -209,6 +209,7 @@ def test_register_refuses_what_is_no_field_before_it_works(room: Path, tmp_path:
     assert not (tmp_path / "notes.parts").exists()
 
 
+@pytest.mark.slow
 def test_register_counts_the_coarse_id_of_residual_codes(
     room: Path, story: Story, tmp_path: Path, capsys: Capture
 ) -> None:

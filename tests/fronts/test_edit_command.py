@@ -296,6 +296,7 @@ def test_what_would_go_nowhere_is_refused(
     assert not (room / "scene.edits.json").exists()
 
 
+@pytest.mark.slow
 def test_a_page_and_a_rendering_say_which_edits_are_in_them(room: Path, capsys: Capture) -> None:
     scene, field = room / "scene.ply", room / "room.field"
     answer_of(capsys, "edit", scene, "--box", -0.7, 0, 0, 1, 1, 1, "--remove")
@@ -318,6 +319,7 @@ def test_a_page_and_a_rendering_say_which_edits_are_in_them(room: Path, capsys: 
     assert own == bare != shown == saved
 
 
+@pytest.mark.slow
 def test_an_answer_is_drawn_where_edits_have_put_it(room: Path, capsys: Capture) -> None:
     scene, field = room / "scene.ply", room / "room.field"
     drawn = ["render", scene, "--views", room / "capture", "--view", "photo_0", "--field", field, "--query", "red mug"]

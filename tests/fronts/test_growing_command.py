@@ -102,6 +102,7 @@ def test_what_people_read(room: Path, capsys: Capture) -> None:
     assert "1 view: photo_3.png" in text_of(capsys, *remove(room, field, "*_3"))
 
 
+@pytest.mark.slow
 def test_a_view_that_was_removed_comes_back_when_it_is_named(room: Path, capsys: Capture) -> None:
     field, features = register(room, capsys, "a.field", *PHOTOS[:3]), room / "capture/language_features"
     before = files_of(field)

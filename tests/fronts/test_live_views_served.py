@@ -161,6 +161,7 @@ def test_a_full_queue_is_told_when_to_come_again(scenes: Path, full_room: Path) 
         assert "drsplat_views_waiting 1.0" in service("GET", "/metrics", headers=WITH_KEY).text
 
 
+@pytest.mark.slow
 def test_the_list_tells_which_photos_are_being_added(scenes: Path, full_room: Path) -> None:
     with claimed_output(scenes / "room/room.field"), opened(scenes) as service:
         for view in read_views(full_room)[2:]:

@@ -84,6 +84,7 @@ def test_small_regions_are_those_of_scikit_image(seed: int, height: int, width: 
         assert_array_equal(photo_regions.small_regions(lab, scale / 255, least), expected)
 
 
+@pytest.mark.slow
 def test_colours_near_each_other_are_sorted_to_the_last_bit() -> None:
     """Most costs of a slow ramp are alike in the bits by which they are sorted first."""
     ramp = (np.arange(400)[:, None, None] // 7 + np.arange(20)[None, :, None] // 3 + np.arange(3)).astype(np.int32)

@@ -375,6 +375,7 @@ VIEW = look_at_view((0, -6, 1), width=WIDTH, height=HEIGHT)
 seeds = st.integers(0, 2**32 - 1)
 
 
+@pytest.mark.slow
 @laws
 @given(seeds)
 def test_moving_scene_and_camera_together_changes_nothing(seed):

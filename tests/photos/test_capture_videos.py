@@ -115,6 +115,7 @@ def test_a_film_of_the_room_is_posed(tmp_path: Path, capsys: pytest.CaptureFixtu
     )
 
 
+@pytest.mark.slow
 @has_colmap
 @has_av
 def test_films_that_show_nothing_are_errors(tmp_path: Path) -> None:

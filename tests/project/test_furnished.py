@@ -66,6 +66,7 @@ def test_quaternions_turn_z_to_the_normal() -> None:
     np.testing.assert_allclose(turned, normals, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_room_is_deterministic_and_depends_on_the_seed() -> None:
     first, again, other = (build_room(4.0, seed) for seed in (0, 0, 1))
     assert first.gaussians.fingerprint == again.gaussians.fingerprint

@@ -25,11 +25,16 @@ SKIPPED_WHOLE = (
     "import os, pytest\nif 'EXTRA' not in os.environ: pytest.skip(allow_module_level=True)\ndef test_a(): pass"
 )
 
+NEVER_SKIPPED = "open('imported.txt', 'a').close()\ndef test_runs(): pass"
+
 
 @pytest.mark.slow
 @pytest.mark.parametrize("processes", [0, 1])
 def test_last_skipped_runs_what_was_skipped(tmp_path: Path, processes: int) -> None:
-    for name, text in (("conftest", CONFTEST), ("test_half", HALF_SKIPPED), ("test_whole", SKIPPED_WHOLE)):
+    texts = {
+        "conftest": CONFTEST, "test_half": HALF_SKIPPED, "test_whole": SKIPPED_WHOLE, "test_fine": NEVER_SKIPPED,
+    }  # fmt: skip
+    for name, text in texts.items():
         (tmp_path / f"{name}.py").write_text(text)
 
     def summary(*arguments: str, **environment: str) -> str:
@@ -45,9 +50,11 @@ def test_last_skipped_runs_what_was_skipped(tmp_path: Path, processes: int) -> N
         return (done.stdout + done.stderr).strip().splitlines()[-1]
 
     assert "no run is recorded" in summary("--last-skipped")
-    assert "1 passed, 2 skipped" in summary()
+    assert "2 passed, 2 skipped" in summary()
     assert "1 passed" in summary("test_half.py")  # a part of the suite, which is not recorded
+    (tmp_path / "imported.txt").unlink()
     for _ in range(2):  # the record stays
         after_install = summary("--last-skipped", EXTRA="1")
         assert "2 passed" in after_install
         assert "skipped" not in after_install
+    assert not (tmp_path / "imported.txt").exists()

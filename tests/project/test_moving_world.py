@@ -15,6 +15,7 @@ from drsplat.scene.boxes import solid
 from drsplat.scene.moving import Frames, Moving
 
 
+@pytest.mark.slow
 def test_the_same_seed_makes_the_same_film() -> None:
     one, other = make_film(0), make_film(0)
     assert one.moving.canonical.fingerprint == other.moving.canonical.fingerprint
@@ -60,6 +61,7 @@ def test_a_moving_car_is_found_where_it_is() -> None:
         assert np.abs(found.extent - true.extent).max() < 0.04
 
 
+@pytest.mark.slow
 def test_a_film_in_files_is_registered_as_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Of the first and the last time."""
     whole = make_film(0)

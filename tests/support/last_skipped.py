@@ -3,6 +3,8 @@
 After `pip install` of an extra, the tests that waited for it run without repeating all the others.
 """
 
+from pathlib import Path
+
 import pytest
 
 CACHE_KEY = "drsplat/skipped"
@@ -31,10 +33,14 @@ class SkipRecord:
 
 
 class SkippedOnly:
-    """Plugin that deselects every test that the last whole run did not skip."""
+    """Plugin that deselects every test that the last whole run did not skip; files without any are not imported."""
 
-    def __init__(self, ids: list[str]) -> None:
+    def __init__(self, root: Path, ids: list[str]) -> None:
         self._ids = frozenset(ids)
+        self._files = {root / node.split("::")[0] for node in ids}
+
+    def pytest_ignore_collect(self, collection_path: Path) -> bool | None:
+        return True if collection_path.suffix == ".py" and collection_path not in self._files else None
 
     def pytest_collection_modifyitems(self, config: pytest.Config, items: list[pytest.Item]) -> None:
         chosen = [item for item in items if {item.nodeid, item.nodeid.split("::")[0]} & self._ids]
@@ -53,6 +59,6 @@ def register(config: pytest.Config, whole_suite: bool) -> None:
         ids = config.cache.get(CACHE_KEY, None)
         if ids is None:
             raise pytest.UsageError("--last-skipped: no run is recorded; run pytest without arguments first")
-        config.pluginmanager.register(SkippedOnly(ids), "skipped_only")
+        config.pluginmanager.register(SkippedOnly(config.rootpath, ids), "skipped_only")
     elif whole_suite and not hasattr(config, "workerinput"):
         config.pluginmanager.register(SkipRecord(), "skip_record")

@@ -155,6 +155,7 @@ def test_an_antialiased_run_writes_a_scene_that_looks_as_it_was_measured(views, 
     assert abs(psnr(replace(scene, antialiased=False)) - measured) > 0.05  # so much does the mark say
 
 
+@pytest.mark.slow
 def test_colors_that_stay_in_bytes_are_what_viewers_of_the_web_show(views, points):
     free = ds.train(views, replace(LIMITED, colors_in_bytes=False), points=points, device="cpu").gaussians
     assert clamped_in_bytes(free).mean() > 0.01
@@ -177,6 +178,7 @@ def test_any_number_of_threads_gives_the_same_bits(settings, views, points, tmp_
     assert ply_of(tmp_path / "1", 60) == ply_of(tmp_path / "2", 60)
 
 
+@pytest.mark.slow
 def test_an_everyday_run_finds_a_known_scene_again_and_is_planned_for_its_length(views, points, tmp_path):
     settings = everyday(views, 400, sh_degree=1)
     start = ds.train(views, replace(settings, iterations=1), points=points, device="cpu")
@@ -325,6 +327,7 @@ def test_a_damaged_checkpoint_is_refused(how, views, points, tmp_path):
         ds.train(views, BUSY, tmp_path / "model", points=points, device="cpu")
 
 
+@pytest.mark.slow
 def test_a_flipped_bit_in_a_checkpoint_is_noticed(views, points, tmp_path):
     checkpoint = unfinished(tmp_path / "model", views, points)
     good = checkpoint.read_bytes()
@@ -361,6 +364,7 @@ sys.exit(main(["train", *sys.argv[1:]]))
 """
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_a_clear_error_and_leaves_nothing_half_written(capture, tmp_path):
     """Files may grow to 40 kB here, which the first checkpoint does not fit into."""
     folder = tmp_path / "model"
@@ -620,6 +624,7 @@ def test_two_runs_do_not_share_a_folder(views, points, tmp_path):
     ds.train(views[::4], few, tmp_path, points=points, overwrite=True, device="cpu")
 
 
+@pytest.mark.slow
 def test_held_out_photos_far_below_are_told_of(views, points, tmp_path):
     """The photo that is held out shows something else."""
     Image.new("RGB", (WIDTH, HEIGHT), (255, 255, 255)).save(tmp_path / "white.png")

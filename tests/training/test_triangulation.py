@@ -144,6 +144,7 @@ def started(views: list[ds.View], **settings):
     return start_points(None, views, some, np.random.default_rng(0))
 
 
+@pytest.mark.slow
 def test_wrong_poses_are_said_in_numbers(views):
     poses = [view.cam_from_world for view in views]
     mixed = [replace(view, cam_from_world=pose) for view, pose in zip(views, [*poses[2:], *poses[:2]], strict=True)]
