@@ -4,8 +4,9 @@
     python benchmarks/bench_block.py demo OFFICIAL FOLDER [--views 50 100 200 400] [--rooms 30] [--side 80]
     python benchmarks/bench_block.py demo OFFICIAL FOLDER --views 100 --blocks 3 --ray    # two Ray nodes
 
-A block is a street of copies of the demo's room: 30 of them have 3 million Gaussians. With --blocks, neighbours overlap
-by one room, half of which each keeps. --views: photos of each room, of --side pixels, from slightly other places.
+A block is a street of copies of the demo's room: 30 of them have 3 million Gaussians. Several --blocks lie side by
+side, overlap by a tenth of a room, and keep half of that each. --views: photos of each room, of --side pixels, from
+slightly other places.
 
 Every stage is a command of its own, as people would give it: `drsplat tile`, the embedding of photos, `drsplat
 register`, `drsplat objects`, `drsplat locate`. Masks are the demo's, on smaller photos. Embeddings are drawn with the
@@ -47,6 +48,7 @@ from drsplat.scene.gaussians import concatenated
 
 KINDS = 40
 LOOK_S = 0.02
+APART = 0.9  # of a room, from a block to the next one
 DRSPLAT = [sys.executable, "-m", "drsplat"]
 EACH = ["--threads", "1", "--json"]
 
@@ -92,11 +94,6 @@ class Block(NamedTuple):
     blocks: int
     side: int
 
-    @property
-    def street(self) -> int:
-        """Rooms of all blocks, which share one with each neighbour."""
-        return self.blocks * (self.rooms - 1) + 1
-
 
 def write_scene(block: Block) -> None:
     """Write the Gaussians of a block, and where the blocks lie."""
@@ -104,15 +101,16 @@ def write_scene(block: Block) -> None:
     step = step_of(room)
     rooms = [replace(room, means=room.means + np.array([k * step, 0, 0], np.float32)) for k in range(block.rooms)]
     ds.write_gaussians(block.place / "block.ply", concatenated(rooms))
+    low, high = np.quantile(room.means[:, 1], (0.001, 0.999))
     entries = []
     for number in range(block.blocks):
-        first, transform = number * (block.rooms - 1), np.eye(4)
-        transform[0, 3] = first * step
-        low, high = [-1e6] * 3, [1e6] * 3
-        low[0] = low[0] if number == 0 else first * step
-        high[0] = high[0] if number == block.blocks - 1 else (first + block.rooms - 1) * step
-        keep = {} if block.blocks == 1 else {"keep": {"low": low, "high": high}}
-        entries.append({"file": "block.ply", "transform": transform.tolist(), **keep})
+        place, keep = np.eye(4), {"low": [-1e6] * 3, "high": [1e6] * 3}
+        place[1, 3] = number * APART * (high - low)
+        if number > 0:
+            keep["low"][1] = place[1, 3] + low + (1 - APART) / 2 * (high - low)
+        if number < block.blocks - 1:
+            keep["high"][1] = place[1, 3] + high - (1 - APART) / 2 * (high - low)
+        entries.append({"file": "block.ply", "transform": place.tolist(), "keep": keep})
     (block.place / "blocks.json").write_text(json.dumps(entries))
 
 
@@ -135,8 +133,16 @@ def write_seeds(block: Block) -> list[ds.View]:
 def write_capture(block: Block, views: list[ds.View], per_room: int) -> Path:
     """Write the photos of the street, their cameras and their masks; photos of one picture are one file."""
     capture = block.place / f"capture{per_room}"
-    step = step_of(ds.read_gaussians(block.demo / "scene.compressed.ply"))
-    walked, seeds = walk(views, block.street, per_room, step, block.side)
+    room = ds.read_gaussians(block.demo / "scene.compressed.ply")
+    low, high = np.quantile(room.means[:, 1], (0.001, 0.999))
+    street, seed_of = walk(views, block.rooms, per_room, step_of(room), block.side)
+    walked, seeds = [], {}
+    for number in range(block.blocks):
+        for view in street:
+            pose = view.cam_from_world.copy()
+            pose[:3, 3] -= pose[:3, 1] * number * APART * (high - low)
+            walked.append(replace(view, name=f"block{number}_{view.name}", cam_from_world=pose))
+        seeds |= {f"block{number}_{stem}": seed for stem, seed in seed_of.items()}
     for folder in ("sparse", "images", "masks"):
         (capture / folder).mkdir(parents=True)
     write_colmap(capture / "sparse", walked, np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
@@ -240,7 +246,14 @@ def run(block: Block, official: Path, per_room: int, views: list[ds.View], ray: 
         cost = measured(stage.command, ray is not None and name in ("register", "objects"))
         held = f"{cost.own / 2**30:.2f}", f"{cost.whole / 2**30:.2f}"
         disk = f"{bytes_on_disk(stage.left) / 2**30:.2f}" if stage.left else ""
-        row = f"{block.street * per_room:,}", name, f"{cost.clock_s:.0f}", f"{cost.cpu_s:.1f}", *held, disk
+        row = (
+            f"{block.blocks * block.rooms * per_room:,}",
+            name,
+            f"{cost.clock_s:.0f}",
+            f"{cost.cpu_s:.1f}",
+            *held,
+            disk,
+        )
         print("|".join(("", *row, "")), flush=True)
     made, found = ds.load_field(capture.with_suffix(".field")), json.loads(cost.output)
     assert made.evidence is not None
