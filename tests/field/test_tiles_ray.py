@@ -80,3 +80,23 @@ def test_a_killed_worker_is_replaced(cluster, tmp_path):
 def test_an_error_of_a_task_is_that_of_the_run(cluster):
     with pytest.raises(InputError, match="bad 1"):
         list(cluster.results(_fails, [1]))
+
+
+class Remembering:
+    """Work that knows which process it is in and how much it has done there."""
+
+    def __init__(self) -> None:
+        self.done = 0
+
+    def __call__(self, item: int) -> tuple[int, int, int]:
+        self.done += 1
+        return item, os.getpid(), self.done
+
+
+def test_a_worker_keeps_what_the_work_holds_from_task_to_task(cluster):
+    for _ in range(2):  # other work is other work
+        results = sorted(cluster.results(Remembering(), list(range(12))))
+        assert [item for item, _, _ in results] == list(range(12))
+        for worker in {pid for _, pid, _ in results}:
+            counts = sorted(done for _, pid, done in results if pid == worker)
+            assert counts == list(range(1, len(counts) + 1))

@@ -134,7 +134,7 @@ class Ray:
         waiting, running = iter(items), list[Any]()
         most = TASKS_PER_WORKER * max(1, int(ray.cluster_resources().get("CPU", 1) // self._options["num_cpus"]))
         while True:
-            running += [task.remote(shared, item) for item in _next(waiting, most - len(running))]
+            running += [task.remote([shared], item) for item in _next(waiting, most - len(running))]
             if not running:
                 return
             done, running = ray.wait(running)
@@ -160,5 +160,18 @@ def followed(results: Iterable[R], track: Track, items: Sequence[str], descripti
         yield result
 
 
-def _of_shared(work: Callable[[T], R], item: T) -> R:
-    return work(item)
+_last_work: dict[str, Callable[[Any], Any]] = {}  # of a worker of Ray, by the id of what it was unpickled from
+
+
+def _of_shared(shared: Sequence[Any], item: Any) -> Any:
+    """Do a task with work that a worker unpickles once, so that it keeps the tiles that it holds from task to task.
+
+    shared: a reference to the work, in a list: Ray would unpickle the work for each task otherwise.
+    """
+    import ray
+
+    (reference,) = shared
+    if reference.hex() not in _last_work:
+        _last_work.clear()
+        _last_work[reference.hex()] = ray.get(reference)
+    return _last_work[reference.hex()](item)

@@ -39,7 +39,7 @@ class Snapshot:
                 f"{identity_text(identity)}: a catalogue has one encoder; use that one, or another catalogue"
             )
 
-    @property
+    @cached_property
     def version(self) -> int:
         with reading(self.path):
             return int(self.table.version)
