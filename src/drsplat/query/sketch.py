@@ -182,7 +182,8 @@ class _Copies:
         return len(self.of_row)
 
     def scores(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Float32[np.ndarray, "q n"]:
-        return np.asarray((queries @ self.vectors.T)[:, self.of_row], np.float32)
+        # Not by BLAS, whose threads would spin for longer than so few products take.
+        return np.asarray(np.einsum("qd,pd->qp", queries, self.vectors)[:, self.of_row], np.float32)
 
     def select(
         self, query: Float32[np.ndarray, " D"], threshold: float, floor: Float32[np.ndarray, " n"] | None = None,
