@@ -10,10 +10,10 @@ the mean that it is. --descriptors 0: 1 to 4 of an object, as often as in two re
 --keep: use what an earlier run left there. --peers: LanceDB's IVF_RQ beside it, with 2 and 10
 times as many candidates compared exactly.
 
-Exact answers, to so many words and pictures as --compared says, compare all descriptors; recall is the share of their first 10 that the codes find too, and of the first
-256 objects that are ranked. Then --clients threads ask for --seconds, while one writer adds, replaces and removes
-scenes of 50 objects: an answer is wrong where an object that is always there is missing, or a scene that comes and goes
-is there in part.
+Exact answers, to --compared words and as many pictures, compare all descriptors; recall is the share of their first 10
+that the codes find too, and of the first 256 objects that are ranked. Then --clients threads ask for --seconds, while
+one writer adds, replaces and removes scenes of 50 objects: an answer is wrong where an object that is always there is
+missing, or a scene that comes and goes is there in part.
 """
 
 import resource
@@ -287,8 +287,8 @@ def real(path: Path, folders: list[Path]) -> None:
 
 def main() -> None:
     given = arguments(
-        __doc__, "official", scenes=1000, each=300, descriptors=0, thumbnail=4096, queries=200, compared=10, seconds=30.0,
-        clients=16, peers=False, real=[Path()], keep=Path,
+        __doc__, "official", scenes=1000, each=300, descriptors=0, thumbnail=4096, queries=200, compared=10,
+        seconds=30.0, clients=16, peers=False, real=[Path()], keep=Path,
     )  # fmt: skip
     folder = given.keep or Path(tempfile.mkdtemp(prefix="drsplat-catalogue-"))
     folder.mkdir(parents=True, exist_ok=True)
