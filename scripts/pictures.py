@@ -72,7 +72,7 @@ MADE: dict[str, Made] = {
     ),
     "fill.jpg": Made(
         "python benchmarks/study_fill.py FOLDER... --kept FOLDER --picture docs/images/fill.jpg",
-        (PACKAGE / "authoring" / "editing" / "filling.py", ROOT / "benchmarks" / "study_fill.py"),
+        (PACKAGE / "authoring" / "editing" / "closing.py", ROOT / "benchmarks" / "study_fill.py"),
     ),
 }
 
