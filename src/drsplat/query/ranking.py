@@ -56,7 +56,11 @@ class Described:
         return np.asarray(np.maximum.reduceat(values, self.starts[:-1]), np.float32)
 
     def cosines(self, vector: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, " o"]:
-        return self.best(np.einsum("pd,d->p", self.descriptors, vector))  # not by BLAS, whose threads would spin
+        return self.best(self.products(vector))
+
+    def products(self, vector: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, " P"]:
+        """Return each descriptor's inner product with a vector."""
+        return _products(self.descriptors, vector)
 
 
 class Ranked(NamedTuple):
@@ -129,7 +133,7 @@ class Surroundings:
     ) -> tuple[Float32[np.ndarray, " o"], str, float, str]:
         if query.measures_relevancy:
             rivals = (objects.descriptors @ self._negatives(query).T).max(axis=1)
-            values = objects.best(relevancy_from_scores(objects.descriptors @ vector, rivals))
+            values = objects.best(relevancy_from_scores(objects.products(vector), rivals))
             return values, RELEVANCY, RELEVANCY_THRESHOLD, DEFAULT
         own = own_threshold(self.encoder) if query.text is not None else None
         if own is not None:
@@ -151,7 +155,7 @@ class Surroundings:
     def _contrasted(
         self, known: Contrast, vector: Float32[np.ndarray, " D"], objects: Described, cosines: Float32[np.ndarray, " o"]
     ) -> Float32[np.ndarray, " o"] | None:
-        values = known.at(objects.descriptors).relevancy(vector, objects.descriptors @ vector)
+        values = known.at(objects.descriptors).relevancy(vector, objects.products(vector))
         if values is None:
             return None
         values = objects.best(values)
@@ -171,7 +175,7 @@ class Surroundings:
 
     def _automatic(self, vector: Float32[np.ndarray, " D"], cosines: Float32[np.ndarray, " o"]) -> float:
         """Return a threshold between what objects usually reach and the best."""
-        known = np.concatenate([self.usual @ vector, cosines])
+        known = np.concatenate([_products(self.usual, vector), cosines])
         return automatic_threshold(known, OBJECT_CUT_SHARE, peak=MIN_OBJECTS) if len(known) else 0.0
 
     def _excluded(self, query: Query, objects: Described, cosines: Float32[np.ndarray, " o"]) -> Bool[np.ndarray, " o"]:
@@ -198,3 +202,8 @@ def _unit(vector: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, " D"]:
     if not np.isfinite(length) or not length > 0:
         raise InputError("embeddings to compare with must be finite and not zero")
     return np.asarray(vector / length, np.float32)
+
+
+def _products(rows: Float32[np.ndarray, "p D"], vector: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, " p"]:
+    """Return inner products, not by BLAS, whose threads would spin for longer than so few of them take."""
+    return np.asarray(np.einsum("pd,d->p", rows, vector), np.float32)
