@@ -35,6 +35,7 @@ def test_no_model_has_learned_from_the_scene() -> None:
 FULL = """
 import resource, sys
 from drsplat.cli import main
+sys.dont_write_bytecode = True
 resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 sys.exit(main(["demo", "--output-dir", sys.argv[1]]))
 """

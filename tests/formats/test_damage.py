@@ -305,6 +305,7 @@ from drsplat.formats.npy import write_npy
 from drsplat.drawing.pictures import write_picture
 folder = Path(sys.argv[1])
 field = load_field(folder / "a.field")
+sys.dont_write_bytecode = True
 resource.setrlimit(resource.RLIMIT_FSIZE, (5000, 5000))
 noise = np.random.default_rng(0).integers(0, 255, (64, 64, 3)).astype(np.uint8)
 writers = {"b.npy": lambda p: write_npy(p, noise), "b.png": lambda p: write_picture(p, noise), "b.field": field.save}

@@ -2,10 +2,8 @@
 
 import io
 import json
-import resource
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,6 +29,7 @@ from drsplat.photos.arriving.taking import SentView, Target, take_view
 from drsplat.photos.models.loading import load_encoder
 from drsplat.query import open_scene
 from drsplat.scene.masks.masks import Masks
+from full_disk import files_of_at_most
 from growing_fields import Killed, files_of, killed_at
 from growing_rooms import FEATURES, posted, registered
 
@@ -448,17 +447,6 @@ def test_a_kill_while_views_are_added_loses_none(
         assert [view.state for view in LiveViews(room).every()] == ["added", "added"]
         assert not (room / "room.field.parts").exists()
     assert count > 15
-
-
-@contextmanager
-def files_of_at_most(num_bytes: int) -> Iterator[None]:
-    """In the block, no file can become larger, as on a full disk."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (num_bytes, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 @pytest.mark.parametrize("num_bytes", [10, 600])

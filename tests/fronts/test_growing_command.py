@@ -279,6 +279,7 @@ def test_a_command_that_was_killed_when_it_had_ended_is_given_again(verb: str, r
 FULL = """
 import resource, sys
 from drsplat.cli import main
+sys.dont_write_bytecode = True
 resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
 sys.exit(main({argv}))
 """

@@ -18,7 +18,6 @@ from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
-from test_live_views import files_of_at_most
 from test_serve import KEY, Service, asked, reason, told, wait_for
 
 from command_line import Capture, error_of
@@ -30,6 +29,7 @@ from drsplat.fronts.serving import workbench
 from drsplat.fronts.serving.limits import Limits
 from drsplat.fronts.serving.live import list_views
 from drsplat.fronts.serving.scene_folder import SceneFolder
+from full_disk import files_of_at_most
 from growing_fields import files_of
 from growing_rooms import first_of_demo, posted
 from processes import children_of

@@ -522,6 +522,7 @@ def test_fisheye_photos_become_what_a_pinhole_sees(views: list[View], tmp_path: 
 
 LIMITED = """
 import resource, sys
+sys.dont_write_bytecode = True
 resource.setrlimit(resource.RLIMIT_FSIZE, ({limit}, {limit}))
 from drsplat.cli import main
 sys.exit(main(sys.argv[1:]))

@@ -358,6 +358,7 @@ def test_a_folder_with_something_else_in_it_is_refused(views, points, tmp_path):
 FULL = """
 import resource, signal, sys
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+sys.dont_write_bytecode = True
 resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
 from drsplat.cli import main
 sys.exit(main(["train", *sys.argv[1:]]))
