@@ -22,18 +22,16 @@ import hashlib
 import json
 import os
 import shutil
-import subprocess
 import sys
-import threading
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from bench_tiles import _held, step_of, walk
+from bench_tiles import step_of, walk
 from check_ray import children, cluster
 from drawn_embeddings import CLIP, Drawn
 from machine import arguments
@@ -45,9 +43,9 @@ from drsplat.formats.colmap_writing import write_colmap
 from drsplat.formats.langsplat import FeatureFolder, level_index, write_features
 from drsplat.photos.embedding.embed import embed
 from drsplat.scene.gaussians import concatenated
+from processes import cost_of
 
 KINDS = 40
-LOOK_S = 0.02
 APART = 0.9  # of a room, from a block to the next one
 DRSPLAT = [sys.executable, "-m", "drsplat"]
 EACH = ["--threads", "1", "--json"]
@@ -162,57 +160,10 @@ def embed_photos(official: Path, capture: Path) -> None:
     np.save(capture / "query.npy", encoder.drawn.texts(encoder.things[:1])[0])
 
 
-class Cost(NamedTuple):
-    """What a command took. own, whole: bytes at most, without and with the pages of mapped files."""
-
-    clock_s: float
-    cpu_s: float
-    own: int
-    whole: int
-    output: str
-
-
-class Watching(threading.Thread):
-    """Look at the memory of some processes until `done`: own and whole, bytes at most."""
-
-    def __init__(self, pids: Callable[[], list[int]]) -> None:
-        super().__init__(daemon=True)
-        self.pids, self.own, self.whole, self.done = pids, 0, 0, threading.Event()
-        self.start()
-
-    def run(self) -> None:
-        looked_at, pids = 0.0, []
-        while not self.done.wait(LOOK_S):
-            if time.monotonic() - looked_at > 0.5:
-                looked_at, pids = time.monotonic(), self.pids()
-            held = [_held(pid) for pid in pids]
-            self.own = max(self.own, sum(own for own, _ in held))
-            self.whole = max(self.whole, sum(whole for _, whole in held))
-
-
 def machine_seconds() -> float:
     """Return the processor's seconds of the whole machine so far, in user and system."""
     user, nice, system = Path("/proc/stat").read_text().split()[1:4]
     return (int(user) + int(nice) + int(system)) / os.sysconf("SC_CLK_TCK")
-
-
-def children_seconds() -> float:
-    """Return the processor's seconds of the processes of this one that have ended."""
-    times = os.times()
-    return times.children_user + times.children_system
-
-
-def measured(command: list[str], on_ray: bool) -> Cost:
-    """Run a command, and look at its processes, those of Ray as well where it uses that."""
-    seconds = machine_seconds if on_ray else children_seconds
-    start, before = time.perf_counter(), seconds()
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    watching = Watching(lambda: [process.pid, *(children("ray::") if on_ray else [])])
-    output, errors = process.communicate()
-    watching.done.set()
-    if process.returncode:
-        raise SystemExit(f"{command}: {errors[-3000:]}")
-    return Cost(time.perf_counter() - start, seconds() - before, watching.own, watching.whole, output)
 
 
 def bytes_on_disk(place: Path) -> int:
@@ -243,7 +194,8 @@ def run(block: Block, official: Path, per_room: int, views: list[ds.View], ray: 
     capture = write_capture(block, views, per_room)
     stages = stages_of(block, official, capture, ray)
     for name, stage in stages.items():
-        cost = measured(stage.command, ray is not None and name in ("register", "objects"))
+        on_ray = ray is not None and name in ("register", "objects")
+        cost = cost_of(stage.command, machine_seconds, partial(children, "ray::")) if on_ray else cost_of(stage.command)
         held = f"{cost.own / 2**30:.2f}", f"{cost.whole / 2**30:.2f}"
         disk = f"{bytes_on_disk(stage.left) / 2**30:.2f}" if stage.left else ""
         row = (

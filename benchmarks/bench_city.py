@@ -13,20 +13,16 @@ a second run finds them. Each command is a process of its own, looked at every 5
 
 import argparse
 import json
-import os
-import resource
 import shutil
 import socket
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 from urllib.request import Request, urlopen
 
 import numpy as np
-from bench_tiles import Repeated, _held, step_of, street, walk
+from bench_tiles import Repeated, step_of, street, walk
 
 import drsplat as ds
 from drsplat.field.codes import Smaller
@@ -34,21 +30,13 @@ from drsplat.field.objects.finding import find_objects
 from drsplat.field.tiles.registering import register_tiles
 from drsplat.formats.colmap_writing import write_colmap
 from drsplat.formats.tiles import read_tiles
+from processes import cost_of, family, held, seconds_of
 
 SERVED: list[tuple[str, dict[str, object] | None]] = [
     ("", None), ("/{}", None), ("/{}/select", {"text": "red vase"}), ("/{}/locate", {"text": "red vase"}),
     ("/{}/locate", {"text": "candle"}), ("/{}/objects", None), ("/{}/what-is", {"point": [-0.14, 0.21, 0.79]}),
     ("/{}/picture", {"text": "candle"}), ("/{}/picture", {"text": "candle"}),
 ]  # fmt: skip
-
-
-class Cost(NamedTuple):
-    """What a process took. own, whole: bytes at most, without and with the pages of mapped files."""
-
-    cpu_s: float
-    own: int
-    whole: int
-    output: str
 
 
 def make(demo: Path, place: Path, rooms: int, per_room: int, side: int) -> None:
@@ -64,34 +52,6 @@ def make(demo: Path, place: Path, rooms: int, per_room: int, side: int) -> None:
     shutil.rmtree(place / "parts")
     (place / "sparse").mkdir()
     write_colmap(place / "sparse", walked, np.zeros((0, 3)), np.zeros((0, 3), np.uint8))
-
-
-def cost_of(command: Sequence[str]) -> Cost:
-    """Run a command and look at its memory until it ends."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    own = whole = 0
-    while process.poll() is None:
-        held = _held(process.pid)
-        own, whole = max(own, held[0]), max(whole, held[1])
-        time.sleep(0.005)
-    output, errors = process.communicate()
-    if process.returncode:
-        raise SystemExit(errors)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return Cost(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, own, whole, output)
-
-
-def family(pid: int) -> list[int]:
-    """Return a process and all below it."""
-    lists = [path.read_text() for path in Path(f"/proc/{pid}/task").glob("*/children")]
-    return [pid, *(below for line in lists for child in line.split() for below in family(int(child)))]
-
-
-def seconds_of(pids: Sequence[int]) -> float:
-    """Return the processor's seconds of some processes so far."""
-    fields = [Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split() for pid in pids]
-    return sum(int(one[11]) + int(one[12]) for one in fields) / os.sysconf("SC_CLK_TCK")
 
 
 def serve(place: Path) -> None:
@@ -113,11 +73,9 @@ def serve(place: Path) -> None:
             where = f"http://127.0.0.1:{port}/scenes{path.format(place.name)}"
             data = None if body is None else json.dumps(body).encode()
             urlopen(Request(where, data, {"content-type": "application/json"}), timeout=60).read()
-            held = [_held(pid) for pid in family(service.pid)]
-            spent, own, whole = (
-                seconds_of(family(service.pid)) - before,
-                *(sum(part) >> 20 for part in zip(*held, strict=True)),
-            )
+            pids = family(service.pid)
+            spent = seconds_of(pids) - before
+            own, whole = (sum(part) >> 20 for part in zip(*map(held, pids), strict=True))
             print(f"|{path} {body or ''}|{spent:.1f}|{own}|{whole}|", flush=True)
     finally:
         service.terminate()

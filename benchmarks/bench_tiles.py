@@ -21,7 +21,6 @@ import heapq
 import os
 import resource
 import tempfile
-import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -45,6 +44,7 @@ from drsplat.formats.sources import Block, sources_of
 from drsplat.formats.tiles import Tiles, read_tiles
 from drsplat.scene.masks.features import ViewFeatures
 from drsplat.scene.similarity import Similarity
+from processes import Watching, family
 
 BYTES = 44  # of a Gaussian's shape
 CORES = 16  # of a node
@@ -154,45 +154,6 @@ def cpu() -> float:
     return sum(used.ru_utime + used.ru_stime for used in kinds)
 
 
-class Memory(threading.Thread):
-    """Looks every 20 ms at what this process and its workers hold together: the most of their own (anonymous) and the
-    most in all, with the pages of files that they have mapped; bytes.
-    """
-
-    def __init__(self) -> None:
-        super().__init__(daemon=True)
-        self.own = self.whole = 0
-        self.start()
-
-    def run(self) -> None:
-        while True:
-            held = [_held(pid) for pid in (os.getpid(), *_children())]
-            self.own = max(self.own, sum(own for own, _ in held))
-            self.whole = max(self.whole, sum(whole for _, whole in held))
-            time.sleep(0.02)
-
-
-def _children() -> list[int]:
-    lists = [_text(one) for one in Path("/proc/self/task").glob("*/children")]
-    return [int(pid) for pids in lists for pid in pids.split()]
-
-
-def _text(path: Path) -> str:
-    """Nothing of a process or a thread that is gone."""
-    try:
-        return path.read_text()
-    except OSError:
-        return ""
-
-
-def _held(pid: int) -> tuple[int, int]:
-    """Anonymous and resident bytes."""
-    lines = _text(Path(f"/proc/{pid}/status")).splitlines()
-    parts = (line.partition(":") for line in lines if line.endswith("kB"))
-    told = {name: int(rest.split()[0]) << 10 for name, _, rest in parts}
-    return told.get("RssAnon", 0), told.get("VmRSS", 0)
-
-
 class Street(NamedTuple):
     """What registering a street took. kinds: CPU seconds of each kind of task. learn_s: of learning the code, which
     no more views make longer; rest_s: of what else one process does. moved: bytes that tasks read and write.
@@ -207,7 +168,7 @@ class Street(NamedTuple):
 
 def measured(given: argparse.Namespace, room: ds.Gaussians, views: list[ds.View], rooms: int, place: Path) -> Street:
     scene, folder = given.demo / "scene.compressed.ply", ds.read_features(given.demo / "language_features")
-    memory, start = Memory(), time.perf_counter()
+    memory, start = Watching(lambda: family(os.getpid())), time.perf_counter()
     tiles = street(room, place, scene, rooms)
     cut_s = time.perf_counter() - start
     walked, keys = walk(views, rooms, given.views, step_of(room), given.side)
@@ -246,7 +207,7 @@ def measured(given: argparse.Namespace, room: ds.Gaussians, views: list[ds.View]
 
 def objects_of(path: Path, tiles: Path, parts: Path, workers: int) -> str:
     """What finding the objects takes."""
-    memory, start = Memory(), cpu()
+    memory, start = Watching(lambda: family(os.getpid())), cpu()
     field, launcher = ds.load_field(path), Processes(workers) if workers > 1 else OneProcess()
     found = find_objects(field, read_tiles(tiles), parts=str(parts), launcher=launcher, threads=2 // workers)
     spent, own, whole = cpu() - start, memory.own / 2**30, memory.whole / 2**30

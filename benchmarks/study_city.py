@@ -16,9 +16,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from bench_city import seconds_of
-from bench_tiles import _held
 from PIL import Image
+
+from processes import held, seconds_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests/support"))
@@ -42,7 +42,7 @@ class Watched:
         self.server, self.start = server, time.perf_counter()
 
     def say(self, what: str, here: Any = "") -> None:
-        own, whole = _held(self.server.pid)
+        own, whole = held(self.server.pid)
         spent, wall = seconds_of([self.server.pid]), time.perf_counter() - self.start
         print(f"|{what}|{wall:.1f}|{spent:.1f}|{own >> 20}|{whole >> 20}|{here}|", flush=True)
 
