@@ -56,7 +56,7 @@ def closing(draft: Draft, ids: Ids, version: int) -> FillRecord:
         goes, more, open_share = (
             closed_as_earlier(near, EarlierGround(*sight), version) if early else _closed(near, Ground(*sight))
         )
-        _tell(open_share)
+        _warn_if_open(open_share)
         removed[goes] = True
         clones += more
     return FillRecord(spans_of(near[removed]), tuple(clones))
@@ -110,8 +110,8 @@ def _margin(closed: Cells, shift: tuple[int, int]) -> Cells:
     return np.asarray(ndimage.binary_dilation(source, iterations=CLONE_MARGIN_CELLS))
 
 
-def _tell(open_share: float) -> None:
+def _warn_if_open(open_share: float) -> None:
     """Warn where much of a hole stays open."""
     if open_share > 1 - WARNED_CLOSED_SHARE:
-        told = f"fill: of one plane {1 - open_share:.0%} of the hole could be closed"
-        warnings.warn(told, DrSplatWarning, stacklevel=5)
+        message = f"fill: of one plane {1 - open_share:.0%} of the hole could be closed"
+        warnings.warn(message, DrSplatWarning, stacklevel=5)

@@ -145,8 +145,8 @@ def register_tiles(
     tasks = chosen if isinstance(store, Shared) else _Bringing(chosen, features)
     if not isinstance(store, Shared):
         task = replace(task, features={})
-    told = launcher.results(task, tasks)
-    made = sorted(followed(told, track, [view.name for view, _ in chosen], "registering views"))
+    reports = launcher.results(task, tasks)
+    made = sorted(followed(reports, track, [view.name for view, _ in chosen], "registering views"))
     check_one_size({one.dim: one.view_name for one in made})
     names, widths = [part_name(one.view_name) for one in made], [one.num_masks for one in made]
     runs = runs_of(tiles.tiles, sum(one.num_weights for one in made), [one.tiles for one in made])
@@ -167,8 +167,8 @@ def register_tiles(
 
 
 def _key(tiles: Tiles, made: Sequence[ViewReport]) -> str:
-    told = repr([(one.view_name, one.num_masks, one.key) for one in made])
-    return hashlib.blake2b(f"{tiles.digest} {told}".encode(), digest_size=16).hexdigest()
+    parts = repr([(one.view_name, one.num_masks, one.key) for one in made])
+    return hashlib.blake2b(f"{tiles.digest} {parts}".encode(), digest_size=16).hexdigest()
 
 
 def _embeddings(store: Store, columns: Sequence[str], count: int, dim: int) -> Float32[np.ndarray, "m d"]:
