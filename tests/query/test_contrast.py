@@ -208,6 +208,36 @@ def test_fewer_rows_have_to_stand_above_a_long_list_in_a_small_scene() -> None:
     assert [peak(WORDS_PER_RIVAL - 1, rows) for rows in (2, 60_000, 10**7)] == [PEAK_ROWS] * 3
 
 
+def test_a_row_that_stands_for_several_counts_as_these() -> None:
+    world = World(400)
+    features, pictures = world.pictures(np.arange(30)), world.pictures(np.arange(50))
+    counts = np.random.default_rng(1).integers(1, 200, 30)
+    short = replace(contrast_of(features, world.texts, pictures=pictures), counts=counts)
+    long = contrast_of(np.repeat(features, counts, axis=0), world.texts, pictures=pictures)
+    assert (short.num_rows, short.peak, short.spread) == (long.num_rows, long.peak, long.spread)
+    for peak in (1, 40, 1000):
+        assert_allclose(short.height(peak), long.height(peak), rtol=1e-6)
+    for query in world.texts[:3]:
+        scores = np.repeat(features @ query, counts)
+        values, expected = short.relevancy(query, scores), long.relevancy(query, scores)
+        assert values is not None
+        assert_allclose(values, expected, rtol=1e-4)
+
+
+def test_each_query_and_each_list_has_its_own_near_words() -> None:
+    """The last answer is kept for the next scene: another query, or another list, is another question."""
+    world, other = World(40), World(40, seed=1)
+    features = world.pictures(np.arange(40))
+    for texts in (world.texts, other.texts, world.texts):
+        known, alone = contrast_of(features, texts), contrast_of(features, texts.copy())
+        for query in texts[:2]:
+            scores = features @ query
+            values, expected = known.relevancy(query, scores), alone.relevancy(query, scores)
+            assert values is not None
+            assert expected is not None
+            assert_array_equal(values, expected)
+
+
 @pytest.mark.parametrize("count", [1, 2, 5, 50])
 def test_any_vocabulary_answers(count: int, world: World, scene: tuple) -> None:
     field, truth = scene

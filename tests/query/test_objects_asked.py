@@ -58,6 +58,19 @@ def test_a_thing_has_the_value_that_a_quarter_of_its_rows_reach(values: np.ndarr
             np.testing.assert_array_equal(whole[mine] > threshold, is_meant)
 
 
+@given(
+    arrays(np.float32, st.integers(0, 30), elements=st.floats(-1, 1, width=32)),
+    st.integers(0, 5),
+    st.integers(0, 2**32 - 1),
+)
+def test_a_row_that_stands_for_several_counts_as_these(values: np.ndarray, count: int, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    things, counts = rng.integers(-1, count, len(values)).astype(np.int32), rng.integers(1, 9, len(values))
+    whole = highest_share(values, things, counts)
+    expected = slow_by_object(np.repeat(values, counts), np.repeat(things, counts))
+    np.testing.assert_array_equal(np.repeat(whole, counts), expected)
+
+
 def test_a_row_of_an_object_has_the_mean_of_its_own_value_and_the_objects(scene: Scene) -> None:
     field = scene.field
     values = np.random.default_rng(0).random(len(field), np.float32)

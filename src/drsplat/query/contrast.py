@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ..base.arrays import Bool, Float, Float32, Float64, UInt16
+from ..base.arrays import Bool, Float, Float32, Float64, Integer, UInt16
 from ..base.contents import release, scratch
 from ..field import LanguageField
 from ..kernels.ranking import keep_best
@@ -35,6 +35,7 @@ PEAK_SHARE, MIN_PEAK_ROWS = 1 / 3000, 10  # of the rows: a peak above a long lis
 LARGE_SCENE_PEAK_SHARE = 1 / 500  # of the rows
 Score = Callable[[np.ndarray], np.ndarray]
 WORDS_AT_ONCE = 8
+MAX_WORDS_AT_ONCE, MAX_SCORES_AT_ONCE = 256, 1 << 20  # of few rows, whose products with 8 words at once would be slow
 ROWS_AT_ONCE = 1 << 18
 
 
@@ -45,7 +46,7 @@ class Contrast:
     vectors: their unit embeddings. usual: the mean picture, times USUAL_COSINE_SHARE. spread: standard deviation of
     cosines of words with pictures once the means of both are taken off: the unit of margins. scores, words:
     per row the best of the list, best first, and which ones they are. of_kind: the words are of one kind, such as
-    colours, and no broad list.
+    colours, and no broad list. counts: rows of the field that each row here stands for, in order; None for one.
     """
 
     vectors: Float32[np.ndarray, "n D"]
@@ -54,6 +55,11 @@ class Contrast:
     scores: Float32[np.ndarray, "r t"]
     words: UInt16[np.ndarray, "r t"]
     of_kind: bool = False
+    counts: Integer[np.ndarray, " r"] | None = None
+
+    @property
+    def num_rows(self) -> int:
+        return len(self.scores) if self.counts is None else int(self.counts.sum())
 
     @property
     def clear_margin(self) -> float:
@@ -67,12 +73,12 @@ class Contrast:
         """Rows that have to stand above the list. Of long lists fewer in small scenes, whose things have fewer rows."""
         if len(self.vectors) < WORDS_PER_RIVAL:
             return PEAK_ROWS
-        return min(PEAK_ROWS, max(MIN_PEAK_ROWS, round(PEAK_SHARE * len(self.scores))))
+        return min(PEAK_ROWS, max(MIN_PEAK_ROWS, round(PEAK_SHARE * self.num_rows)))
 
     def height(self, peak: int = PEAK_ROWS) -> float:
         """Return the cosine that as many rows as make a thing reach with the word of the list that fits each best."""
         levels = (self.vectors @ self.usual)[self.words]
-        return peak_score((self.scores + levels).max(1), peak) if len(self.scores) else 0.0
+        return peak_score(self._of_each((self.scores + levels).max(1)), peak) if len(self.scores) else 0.0
 
     def relevancy(
         self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]
@@ -82,9 +88,11 @@ class Contrast:
         query: the vector of a text. scores: its cosines. None: no word of the list means anything else.
         """
         query = query / np.linalg.norm(query)
-        near = self._near(query)
+        near = _near(self.vectors, query)
         if near.all():
             return None
+        if self.counts is not None:
+            scores = scores[np.cumsum(self.counts) - self.counts]
         rank = max(1, round(int((~near).sum()) / WORDS_PER_RIVAL))
         values, usual = np.empty(len(scores), np.float32), np.float32(query @ self.usual)
         for begin in range(0, len(scores), ROWS_AT_ONCE):
@@ -92,7 +100,11 @@ class Contrast:
             margins = (scores[run] - usual - self._level(near, rank, run)) / self.spread
             values[run] = 1 / (1 + np.exp(-np.clip(margins, -50, 50)))
             release(self.scores, self.words)
-        return values
+        return self._of_each(values)
+
+    def _of_each(self, values: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " f"]:
+        """Return the values of all rows of the field."""
+        return values if self.counts is None else np.repeat(values, self.counts)
 
     def speaks(self, query: Float32[np.ndarray, " D"]) -> bool:
         """Return whether a vector lies with the words rather than with the pictures."""
@@ -102,22 +114,28 @@ class Contrast:
 
     def at(self, features: Float32[np.ndarray, "m D"]) -> "Contrast":
         """Return what the words reach at other unit features, held against the same pictures."""
-        scores, words = _best_words(self.vectors, self.usual, _features_scored(features))
+        scores, words = _best_words_of(features, self.vectors, self.usual)
         return replace(self, scores=scores, words=words)
-
-    def _near(self, query: Float32[np.ndarray, " D"]) -> Bool[np.ndarray, " n"]:
-        """Mark the words that mean the same as the query."""
-        texts = np.concatenate([self.vectors, query[None]]).astype(np.float64)
-        same = texts[:-1] @ texts[-1] > 1 - 1e-5
-        texts -= texts.mean(0)
-        norms = np.maximum(np.linalg.norm(texts, axis=1), 1e-12)
-        return np.asarray(same | (texts[:-1] @ texts[-1] / (norms[:-1] * norms[-1]) > SAME_MEANING_COSINE))
 
     def _level(self, near: Bool[np.ndarray, " n"], rank: int, run: slice) -> Float32[np.ndarray, " r"]:
         """Return per row of a run the score of the `rank`-th best word that is not near, or of the last one kept."""
         better = np.cumsum(np.take(~near, self.words[run].T), axis=0, dtype=np.uint16) < rank
         places = np.minimum(better.sum(0, dtype=np.uint16), len(better) - 1)
         return np.asarray(self.scores[run][np.arange(len(places)), places])
+
+
+def _near(vectors: Float32[np.ndarray, "n D"], query: Float32[np.ndarray, " D"]) -> Bool[np.ndarray, " n"]:
+    """Mark the words that mean the same as the query. The last answer is kept: many scenes ask with one list."""
+    global _last_near
+    last = _last_near
+    if last is None or last[0] is not vectors or not np.array_equal(last[1], query):
+        texts = np.concatenate([vectors, query[None]]).astype(np.float64)
+        same = texts[:-1] @ texts[-1] > 1 - 1e-5
+        texts -= texts.mean(0)
+        norms = np.maximum(np.linalg.norm(texts, axis=1), 1e-12)
+        near = np.asarray(same | (texts[:-1] @ texts[-1] / (norms[:-1] * norms[-1]) > SAME_MEANING_COSINE))
+        last = _last_near = vectors, query, near
+    return last[2]
 
 
 def contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], *, threads: int = 0) -> Contrast:
@@ -140,11 +158,15 @@ def contrast_of_kind(field: LanguageField, vectors: Float32[np.ndarray, "n D"], 
 
 
 def contrast_of(
-    features: Float32[np.ndarray, "m D"], vectors: Float32[np.ndarray, "n D"], *, of_kind: bool = False
+    features: Float32[np.ndarray, "m D"],
+    vectors: Float32[np.ndarray, "n D"],
+    *,
+    pictures: Float32[np.ndarray, "s D"] | None = None,
+    of_kind: bool = False,
 ) -> Contrast:
-    """Score words at unit features without a field; the features are the pictures of the scene as well."""
-    usual, spread = _usual(features, vectors)
-    scores, words = _best_words(vectors, usual, _features_scored(features))
+    """Score words at unit features without a field. pictures: of the scene; None: the features themselves."""
+    usual, spread = _usual(features if pictures is None else pictures, vectors)
+    scores, words = _best_words_of(features, vectors, usual)
     return Contrast(vectors, usual, spread, scores, words, of_kind)
 
 
@@ -192,6 +214,7 @@ def usual_pictures(field: LanguageField, most: int = MAX_USUAL_PICTURES) -> Floa
     return field.feature(rows) if evidence is None else np.asarray(evidence.embeddings[rows])
 
 
+_last_near: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 _LAST_CONTRASTS: "WeakKeyDictionary[LanguageField, Contrast]" = WeakKeyDictionary()
 
 
@@ -214,24 +237,28 @@ def _best_words(
     usual: Float32[np.ndarray, " D"],
     runs: Sequence[tuple[slice, Score]],
     threads: int = 1,
+    at_once: int = WORDS_AT_ONCE,
 ) -> tuple[Float32[np.ndarray, "r t"], UInt16[np.ndarray, "r t"]]:
-    """Return the best words. runs: rows, and what gives the cosines (c, r) of some words with them."""
+    """Return the best words. runs: rows, and what gives the cosines (c, r) of `at_once` words with them."""
     kept = min(len(vectors), max(1, round(len(vectors) / WORDS_PER_RIVAL)) + SPARE_WORDS)
     rows = runs[-1][0].stop
     scores, words = scratch((kept, rows), np.float32), scratch((kept, rows), np.uint16)
     for run, score in runs:
         shape = kept, run.stop - run.start
         own, names = np.full(shape, -np.inf, np.float32), np.zeros(shape, np.uint16)
-        for begin in range(0, len(vectors), WORDS_AT_ONCE):
-            some = vectors[begin : begin + WORDS_AT_ONCE]
+        for begin in range(0, len(vectors), at_once):
+            some = vectors[begin : begin + at_once]
             keep_best(own, names, score(some) - (some @ usual)[:, None], begin, threads=threads)
         scores[:, run], words[:, run] = own, names
         release(scores, words)
     return scores.T, words.T
 
 
-def _features_scored(features: Float32[np.ndarray, "m D"]) -> list[tuple[slice, Score]]:
-    return [(slice(0, len(features)), lambda some: some @ features.T)]
+def _best_words_of(
+    features: Float32[np.ndarray, "m D"], vectors: Float32[np.ndarray, "n D"], usual: Float32[np.ndarray, " D"]
+) -> tuple[Float32[np.ndarray, "m t"], UInt16[np.ndarray, "m t"]]:
+    at_once = max(WORDS_AT_ONCE, min(MAX_WORDS_AT_ONCE, MAX_SCORES_AT_ONCE // max(len(features), 1)))
+    return _best_words(vectors, usual, [(slice(0, len(features)), lambda some: some @ features.T)], at_once=at_once)
 
 
 def _sigmoid(margin: float) -> float:

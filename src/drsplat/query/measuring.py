@@ -92,6 +92,10 @@ class Background:
             return self.least_peak
         return least_peak(self.encoder, known)
 
+    def by_object(self, field: LanguageField, values: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
+        """Return values per row of the field, with or without objects, as whole objects have them."""
+        return by_object(field, values)
+
     @cached_property
     def negatives(self) -> Negatives:
         """Those stored in the field, else LERF's.
@@ -178,7 +182,8 @@ class Measuring:
             return answer
         background = self.background
         rivals = rival_scores(self._field, background.encoder, wanted, unwanted, threads=background.threads)
-        left = without(by_object(self._field, scores), by_object(self._field, rivals)) == UNSELECTED_COSINE
+        wholes = (background.by_object(self._field, of) for of in (scores, rivals))
+        left = without(*wholes) == UNSELECTED_COSINE
         values = np.where(left, np.float32(answer.lowest), answer.values)
         return replace(answer, values=values, scores=np.where(left, np.float32(UNSELECTED_COSINE), scores))
 
@@ -240,7 +245,7 @@ class Measuring:
         default: _Default,
     ) -> Answer:
         """Choose the threshold by values of single Gaussians; what objects make of them is compared with it."""
-        answered = by_object(self._field, values)
+        answered = self.background.by_object(self._field, values)
         threshold, rule = self._threshold(values, answered, default)
         return Answer(self._field, query, answered, measure, threshold, rule, scores)
 

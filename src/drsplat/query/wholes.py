@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..base.arrays import Float32, Int32, Int64, UInt32
+from ..base.arrays import Float32, Int32, Int64, Integer, UInt32
 from ..field import LanguageField
 from ..field.forest import Objects
 
@@ -21,9 +21,14 @@ def by_object(field: LanguageField, values: Float32[np.ndarray, " r"]) -> Float3
 
 
 def with_objects(
-    values: Float32[np.ndarray, " r"], things: Int32[np.ndarray, " r"], pieces: Int32[np.ndarray, " r"]
+    values: Float32[np.ndarray, " r"],
+    things: Int32[np.ndarray, " r"],
+    pieces: Int32[np.ndarray, " r"],
+    counts: Integer[np.ndarray, " r"] | None = None,
 ) -> Float32[np.ndarray, " r"]:
     """Return per row the mean of its own value and its object's; loose rows, of thing -1, keep their own.
+
+    counts: rows that each stands for, None for one.
 
     An object's value is the one that `SPEAKING_SHARE` of its rows reach: what single photos say of the rest is noise,
     most of it where masks end. A row that fits far worse than the object stays out nevertheless: objects of real photos
@@ -31,9 +36,9 @@ def with_objects(
     that "bow" finds the bow of a doll; pieces: -1 for none. No row's value depends on another object, so no scrap that
     fits well by chance hides a thing.
     """
-    spoken = highest_share(values, things)
+    spoken = highest_share(values, things, counts)
     if (pieces >= 0).any():
-        spoken = np.where(pieces >= 0, np.maximum(spoken, highest_share(values, pieces)), spoken)
+        spoken = np.where(pieces >= 0, np.maximum(spoken, highest_share(values, pieces, counts)), spoken)
     whole = np.float32(1 - OBJECT_TRUST) * values + np.float32(OBJECT_TRUST) * spoken
     return np.where(things >= 0, whole, values)
 
@@ -68,39 +73,49 @@ def _best_descriptors(objects: Objects, query: Float32[np.ndarray, " D"]) -> Flo
     return best
 
 
-def highest_share(values: Float32[np.ndarray, " r"], groups: Int32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
+def highest_share(
+    values: Float32[np.ndarray, " r"], groups: Int32[np.ndarray, " r"], counts: Integer[np.ndarray, " r"] | None = None
+) -> Float32[np.ndarray, " r"]:
     """Return per row the value that `SPEAKING_SHARE` of the rows of its group reach; rows of group -1 keep their own.
 
-    Linear but for one sort. Values have to be finite. Twin: tests/query/test_objects_asked.py::slow_by_object.
+    counts: rows that each stands for, None for one. Linear but for one sort. Values have to be finite. Twin:
+    tests/query/test_objects_asked.py::slow_by_object.
     """
-    result, counts = values.copy(), _counts(groups)
-    for first, last in _runs(counts):
+    result, lengths = values.copy(), _lengths(groups)
+    for first, last in _runs(lengths):
         (inside,) = np.nonzero((groups >= first) & (groups < last))
         if not len(inside):
             continue
-        own, sizes = groups[inside] - first, counts[first:last]
-        keys = np.sort(own.astype(np.uint64) << np.uint64(32) | _descending(values[inside]))
-        quarter = np.cumsum(sizes) - sizes + np.ceil(SPEAKING_SHARE * sizes).astype(np.int64) - 1
-        best = _from_descending(keys[np.minimum(quarter, len(keys) - 1)].astype(np.uint32))
+        own = groups[inside] - first
+        keys = own.astype(np.uint64) << np.uint64(32) | _descending(values[inside])
+        if counts is None:
+            keys, sizes = np.sort(keys), lengths[first:last]
+            ends = np.arange(1, len(keys) + 1)
+        else:
+            order = np.argsort(keys)
+            keys, ends = keys[order], np.cumsum(counts[inside][order], dtype=np.int64)
+            sizes = np.bincount(own, counts[inside], last - first).astype(np.int64)
+        reached = np.cumsum(sizes) - sizes + np.ceil(SPEAKING_SHARE * sizes).astype(np.int64)
+        best = _from_descending(keys[np.searchsorted(ends, reached)].astype(np.uint32))
         result[inside] = best[own]
     return result
 
 
-def _counts(groups: Int32[np.ndarray, " r"]) -> Int64[np.ndarray, " g"]:
+def _lengths(groups: Int32[np.ndarray, " r"]) -> Int64[np.ndarray, " g"]:
     """Return how many rows each group has."""
-    counts = np.zeros(int(groups.max(initial=-1)) + 1, np.int64)
+    lengths = np.zeros(int(groups.max(initial=-1)) + 1, np.int64)
     for begin in range(0, len(groups), ROWS_AT_ONCE):
         some = groups[begin : begin + ROWS_AT_ONCE]
-        counts += np.bincount(some[some >= 0], minlength=len(counts))
-    return counts
+        lengths += np.bincount(some[some >= 0], minlength=len(lengths))
+    return lengths
 
 
-def _runs(counts: Int64[np.ndarray, " g"]) -> Iterator[tuple[int, int]]:
+def _runs(lengths: Int64[np.ndarray, " g"]) -> Iterator[tuple[int, int]]:
     """Yield groups that follow each other and have ROWS_AT_ONCE rows together, or one that has more."""
-    ends = np.cumsum(counts)
+    ends = np.cumsum(lengths)
     first = 0
-    while first < len(counts):
-        before = int(ends[first] - counts[first])
+    while first < len(lengths):
+        before = int(ends[first] - lengths[first])
         last = max(first + 1, int(np.searchsorted(ends, before + ROWS_AT_ONCE, "right")))
         yield first, last
         first = last

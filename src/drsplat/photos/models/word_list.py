@@ -16,10 +16,9 @@ MAX_TEXTS = 2000  # of a vocabulary: more make a first question slow
 
 def list_vectors(encoder: Encoder) -> Float32[np.ndarray, "n D"]:
     """Return all texts of a vocabulary, the encoder's own nouns, or those that ship."""
-    if isinstance(encoder, VocabularyEncoder):
-        return np.asarray(encoder.encode_texts(_of_vocabulary(encoder.texts)), np.float32)
     if encoder not in _EMBEDDED:
-        _EMBEDDED[encoder] = _embedded_nouns(encoder)
+        own = _of_vocabulary(encoder) if isinstance(encoder, VocabularyEncoder) else _embedded_nouns(encoder)
+        _EMBEDDED[encoder] = own
     return _EMBEDDED[encoder]
 
 
@@ -57,8 +56,12 @@ def _if_known(encoder: Encoder, noun: str) -> Sequence[Float32[np.ndarray, " D"]
         return ()
 
 
-def _of_vocabulary(texts: Sequence[str]) -> Sequence[str]:
-    """Return all of them, or of a large vocabulary the nouns of the list and others spread over it."""
+def _of_vocabulary(encoder: VocabularyEncoder) -> Float32[np.ndarray, "n D"]:
+    return np.asarray(encoder.encode_texts(_spread_over(encoder.texts)), np.float32)
+
+
+def _spread_over(texts: Sequence[str]) -> Sequence[str]:
+    """Return all texts, or of a large vocabulary the nouns of the list and others spread over it."""
     if len(texts) <= MAX_TEXTS:
         return texts
     nouns = [text for text in texts if text in set(NOUNS)]
