@@ -32,19 +32,24 @@ from typing import Any
 import numpy as np
 from drawn_embeddings import CLIP, Drawn
 from machine import arguments
+from scipy.spatial.transform import Rotation
 
 from drsplat import DrSplatWarning, Query
+from drsplat.formats.vocabulary import VocabularyEncoder, write_vocabulary
 from drsplat.query.catalogue import Catalogue, Conditions, table
 from drsplat.query.catalogue.lance import libraries
 from drsplat.query.catalogue.nearest import Search, nearest_objects
+from drsplat.query.catalogue.record import read_record
 from drsplat.query.catalogue.schema import batch, described_of
 from drsplat.query.catalogue.snapshot import ROW_ID, current
+from drsplat.query.packed import Packed
 from drsplat.query.sketch import Sketch
 
 KINDS, AT_ONCE, TOP = 5000, 25, 10
 OFTEN = (38, 64, 75, 48)  # objects of 1 to 4 descriptors, of the room of `drsplat demo` and of a phone's capture
 MARKED = 50  # objects of a scene that comes and goes
 RANKED = 256  # objects that a query ranks
+LISTED, LISTED_QUERIES = 1000, 60  # words of a list, and of these that are asked
 
 
 class Simulated:
@@ -83,13 +88,16 @@ def rows_of(names: list[str], parts: list[np.ndarray], each: int, thumbnail: obj
         numbers += [*range(each), -1]
         scenes += [name] * (each + 1)
     rows = len(numbers)
-    place = np.random.default_rng(rows).uniform(-5, 5, (3, rows)).tolist()
+    rng = np.random.default_rng(rows)
+    place, extent = rng.uniform(-5, 5, (3, rows)).tolist(), rng.uniform(0.05, 1, (rows, 3)).tolist()
+    axes = Rotation.random(rows, rng).as_matrix().reshape(rows, 9).tolist()
     columns = {
         "scene": scenes, "tile": [0] * rows, "object_id": numbers, "field": ["0" * 32] * rows,
-        "added": [datetime.now(UTC)] * rows, **dict(zip("xyz", place, strict=True)), "sure": [0.8] * rows,
-        "num_gaussians": [500] * rows, "num_views": [12] * rows, "photo": ["frame_00042.jpg"] * rows,
-        "mask": [7] * rows, "name": ["mug"] * rows, "extent": [[0.1, 0.2, 0.3]] * rows,
-        "axes": [[1.0, 0, 0, 0, 1, 0, 0, 0, 1]] * rows,
+        "added": [datetime.now(UTC)] * rows, **dict(zip("xyz", place, strict=True)), "sure": rng.random(rows).tolist(),
+        "num_gaussians": rng.integers(40, 5000, rows).tolist(), "num_views": rng.integers(2, 40, rows).tolist(),
+        "photo": [f"frame_{number:05d}.jpg" for number in rng.integers(0, 200, rows)],
+        "mask": rng.integers(0, 60, rows).tolist(), "name": [f"word {number}" for number in rng.integers(0, 300, rows)],
+        "axes": axes, "extent": extent,
         "thumbnail": [thumbnail() if number >= 0 else None for number in numbers],  # type: ignore[operator]
         "sketch": [
             data
@@ -106,7 +114,8 @@ def sketch(parts: list[np.ndarray]) -> Sketch:
     numbers = np.repeat(np.arange(len(parts), dtype=np.int32), [len(part) for part in parts])
     solid = np.full(len(parts), 40, np.int32)
     pictures = vectors[:128] / np.linalg.norm(vectors[:128], axis=1, keepdims=True)
-    return Sketch(vectors, np.full(len(vectors), 40, np.int32), numbers, pictures, vectors[:0], solid)
+    features, shown, words = (Packed.of(some) for some in (vectors, pictures, vectors[:0]))
+    return Sketch(features, np.full(len(vectors), 40, np.int32), numbers, shown, words, solid, {})
 
 
 def marked(name: str, vector: np.ndarray) -> object:
@@ -132,12 +141,17 @@ def filled(path: Path, simulated: Simulated, scenes: int) -> Catalogue:
             table.replace_scene(path, names[0], simulated.scenes(names), CLIP)
         else:
             known.table.add(simulated.scenes(names))
+    if there < scenes:
+        table.record(path)
     return Catalogue.open(path)
 
 
 def told(path: Path, catalogue: Catalogue) -> None:
-    size = sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+    """Sizes without the files of older versions, which are deleted in time."""
+    record = read_record(path)
+    table_bytes = sum(file.num_bytes for file in record.files.values()) if record else 0
     indexed = sum(file.stat().st_size for file in (path / "codes").rglob("*") if file.is_file())
+    size = table_bytes + indexed
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
     print(
         f"{len(catalogue):,} objects: {size / 1e9:.2f} GB, {size / len(catalogue):,.0f} bytes an object, of which the "
@@ -158,6 +172,24 @@ def measured(catalogue: Catalogue, queries: np.ndarray, exact: bool, where: Cond
     each = (time.process_time() - cpu) / (len(queries) + 1) * 1000
     print(f"{said}: median {p50:.0f} ms, 99 of 100 within {p99:.0f} ms, {each:.0f} ms of processor", flush=True)
     return found
+
+
+def listed(path: Path, simulated: Simulated, file: Path) -> None:
+    """Texts whose objects have to fit better than the other words of a list, here and in their scenes."""
+    words = [f"word {number}" for number in range(LISTED)]
+    vectors = simulated.drawn.texts(simulated.kinds[:LISTED])
+    write_vocabulary(file, VocabularyEncoder(CLIP, words, vectors), overwrite=True)
+    catalogue, seconds, cpu = Catalogue.open(path, vocabulary=str(file)), [], 0.0
+    for word in words[: LISTED_QUERIES + 1]:
+        start, before = time.perf_counter(), time.process_time()
+        catalogue.ask(word, top=TOP)
+        seconds.append(time.perf_counter() - start)
+        cpu += time.process_time() - before
+    p50, p99 = np.percentile(seconds[1:], (50, 99)) * 1000
+    print(
+        f"texts against a list of {LISTED:,} words: median {p50:.0f} ms, 99 of 100 within {p99:.0f} ms, "
+        f"{cpu / len(seconds) * 1000:.0f} ms of processor; the first {seconds[0]:.1f} s", flush=True
+    )  # fmt: skip
 
 
 def recall(found: list[list[tuple]], exact: list[list[tuple]]) -> str:
@@ -311,6 +343,7 @@ def main() -> None:
         found = measured(catalogue, queries, False, everywhere, "by codes")
         print(recall([found[at] for at in ends], exact))
         measured(catalogue, queries[:50], False, Conditions(scenes=("scene 00001",)), "one scene")
+        listed(path, simulated, folder / "words.safetensors")
         ranked(catalogue, some, by_codes(catalogue), "by codes")
         if given.peers:
             peers(catalogue, some, folder / "peer")

@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -51,12 +52,13 @@ def answer(catalogue: Catalogue, vector: np.ndarray, where: Conditions = ANYWHER
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray, np.ndarray]:
-    """A catalogue of four scenes with codes, its descriptors and words."""
+    """A catalogue of four scenes with codes, each in a file of its own, its descriptors and words."""
     path = tmp_path_factory.mktemp("coded") / "c"
     vectors, words = drawn(np.random.default_rng(0), 4)
     for number, own in enumerate(np.split(vectors, 4)):
         add(path, f"s{number}", own)
-    assert Catalogue.open(path).build_index() == 4 * OBJECTS
+    with mock.patch.object(table, "_put_together"):
+        assert Catalogue.open(path).build_index() == 4 * OBJECTS
     return path, vectors, words
 
 
@@ -88,6 +90,10 @@ def test_codes_find_what_comparing_all_finds(coded: tuple[Catalogue, np.ndarray,
             shares.append(len(set(ids[0]) & set(ids[1])) / 256)
         assert np.mean(shares) > 0.9
     assert answer(catalogue, words[0]) == answer(catalogue, words[0], exact=True)
+
+
+def test_of_larger_tables_more_candidates_are_compared() -> None:
+    assert [nearest.refine_factor(rows) for rows in (0, 300_000, 750_000, 3_000_000, 30_000_000)] == [4, 4, 4, 8, 25]
 
 
 def test_the_same_answer_with_any_number_of_threads(coded: tuple[Catalogue, np.ndarray, np.ndarray]) -> None:
@@ -160,6 +166,18 @@ def test_files_that_were_put_together_are_coded(
     assert any(name.startswith("codes/") for name in catalogue.verify())
 
 
+def test_an_index_puts_files_together(coded: tuple[Catalogue, np.ndarray, np.ndarray]) -> None:
+    catalogue, _, words = coded
+    expected = [answer(catalogue, word) for word in words[:3]]
+    assert catalogue.build_index() == 4 * OBJECTS
+    snapshot = Catalogue.open(catalogue.path)._snapshot()
+    assert snapshot.fragments is not None
+    assert [one.num_rows for one in snapshot.fragments] == [4 * (OBJECTS + 1)]
+    assert uncoded(catalogue) == 0
+    assert [answer(catalogue, word) for word in words[:3]] == expected
+    catalogue.verify()
+
+
 KILLED = """
 import os, sys
 from drsplat.query.catalogue import Catalogue, coding
@@ -174,7 +192,7 @@ Catalogue.open(sys.argv[1]).build_index()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "at"), [("write_tensors", 1), ("write_tensors", 3), ("publish", 1), ("sweep", 1)])
+@pytest.mark.parametrize(("name", "at"), [("write_tensors", 1), ("write_tensors", 2), ("publish", 1), ("sweep", 1)])
 def test_a_kill_while_codes_are_written_leaves_the_old_ones(
     coded: tuple[Catalogue, np.ndarray, np.ndarray], name: str, at: int
 ) -> None:
@@ -210,7 +228,8 @@ def test_damaged_codes_are_told_and_written_anew(coded: tuple[Catalogue, np.ndar
         with pytest.raises(FormatError, match=re.escape(file.name)):
             answer(Catalogue.open(catalogue.path), words[0])
         assert answer(Catalogue.open(catalogue.path), words[0], exact=True) == expected
-        catalogue.build_index()
+        with mock.patch.object(table, "_put_together"):
+            catalogue.build_index()
         assert answer(Catalogue.open(catalogue.path), words[0]) == expected
 
 

@@ -194,7 +194,7 @@ class Catalogue:
                     f"an index takes {MIN_INDEX_OBJECTS} objects or more, there are {objects:,}: asking is quick "
                     "without"
                 )
-            table.index(snapshot)
+            table.index(self.path)
         return objects
 
     # --- asking ---

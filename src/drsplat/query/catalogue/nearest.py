@@ -1,5 +1,6 @@
 """The objects of the highest cosines with a query: by codes, of which the best are compared exactly, or all."""
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -8,10 +9,11 @@ from ...base.arrays import Float32, Int64
 from ..ranking import Described
 from .codes import Coded
 from .lance import libraries
-from .schema import described_of
+from .schema import cosines_of, described_of
 from .snapshot import ROW_ID, Snapshot
 
-REFINE_FACTOR = 4  # candidates compared exactly, per wanted object
+REFINE_FACTOR = 4  # candidates compared exactly, per wanted object; of large tables more
+LARGE_ROWS = 750_000  # from here on the factor grows with the root of the rows
 FEW_ROWS = 20_000  # that meet a condition: comparing them all is quicker than the codes of all
 
 
@@ -47,8 +49,8 @@ def nearest_objects(snapshot: Snapshot, codes: Coded | None, search: Search) -> 
 
 
 def _by_codes(snapshot: Snapshot, codes: Coded, search: Search, allowed: Int64[np.ndarray, " a"] | None) -> Any:
-    """Return the rows of the best codes, four times as many as are wanted; codes of deleted ones are passed over."""
-    least = count = REFINE_FACTOR * search.wanted
+    """Return the rows of the best codes, several for each that is wanted; codes of deleted ones are passed over."""
+    least = count = refine_factor(snapshot.num_rows) * search.wanted
     while True:
         found = codes.nearest(search.vector, count, allowed, search.threads)
         rows = snapshot.take(found.row_ids)
@@ -57,10 +59,15 @@ def _by_codes(snapshot: Snapshot, codes: Coded, search: Search, allowed: Int64[n
         count *= 2
 
 
+def refine_factor(rows: int) -> int:
+    """Return how many candidates are compared for each wanted object: of more rows codes put more before the best."""
+    return max(REFINE_FACTOR, round(REFINE_FACTOR * math.sqrt(rows / LARGE_ROWS)))
+
+
 def _best(snapshot: Snapshot, parts: list[Any], search: Search) -> tuple[Any, Described]:
     _, pa = libraries()
     rows = pa.concat_tables(parts)
-    described = described_of(rows["descriptors"], snapshot.path)
     row_ids = np.asarray(rows[ROW_ID]).astype(np.int64)
-    best = np.lexsort((row_ids, -described.cosines(search.vector)))[: search.wanted]
-    return rows.take(best), described.rows(best)
+    cosines = cosines_of(rows["descriptors"], search.vector, snapshot.path)
+    rows = rows.take(np.lexsort((row_ids, -cosines))[: search.wanted])
+    return rows, described_of(rows["descriptors"], snapshot.path)

@@ -1,10 +1,12 @@
 """Rows of the table to entries, checked on the way: the files may come from anybody."""
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from ...base.arrays import Int64
 from ...errors import DrSplatError, FormatError, InputError
 from ...field.objects.agreed import agreed
 from ...formats.field_folder import read_manifest
@@ -29,16 +31,24 @@ def entries_of(
 
     Raises: FormatError: rows that are no objects, or a damaged scene.
     """
-    heads = [nearest[name].to_pylist() for name in ("scene", "tile", "object_id")]
-    selected = sorted(
-        np.flatnonzero(ranked.selected).tolist(), key=lambda at: (-float(ranked.values[at]), *(h[at] for h in heads))
-    )
-    keys = [(heads[0][at], heads[2][at]) for at in selected]
-    chosen = [selected[place] for place in rules.first(query, keys, top)]
-    row_ids = np.asarray(nearest[ROW_ID]).astype(np.int64)[chosen]
-    rows = {row[ROW_ID]: row for row in snapshot.take(row_ids, SHOWN).to_pylist()}
-    scores = zip(row_ids.tolist(), ranked.values[chosen].tolist(), strict=True)
-    return [_entry(snapshot.path, rows[row_id], score) for row_id, score in scores]
+    heads = list(zip(*(nearest[name].to_pylist() for name in ("scene", "object_id")), strict=True))
+    if any(None in head for head in heads):
+        raise FormatError(f"{snapshot.path}: an object without a number or a scene: {CURE}")
+    selected = sorted(np.flatnonzero(ranked.selected).tolist(), key=lambda at: (-float(ranked.values[at]), *heads[at]))
+    keys = [heads[at] for at in selected]
+    row_ids = np.asarray(nearest[ROW_ID]).astype(np.int64)[selected]
+    with ThreadPoolExecutor(1) as pool:  # while the rules decide: the first are nearly always chosen
+        ahead = pool.submit(_shown, snapshot, row_ids[:top])
+        places = rules.first(query, keys, top)
+        rows = ahead.result()
+    rows |= _shown(snapshot, row_ids[[place for place in places if place >= top]])
+    scores = ranked.values[selected]
+    return [_entry(snapshot.path, rows[int(row_ids[place])], float(scores[place])) for place in places]
+
+
+def _shown(snapshot: Snapshot, row_ids: Int64[np.ndarray, " r"]) -> dict[int, dict[str, Any]]:
+    """Return what an entry tells, by the ids of rows."""
+    return {row[ROW_ID]: row for row in snapshot.take(row_ids, SHOWN).to_pylist()} if len(row_ids) else {}
 
 
 def thumbnail_of(snapshot: Snapshot, scene: str, object_id: int, tile: int) -> bytes:

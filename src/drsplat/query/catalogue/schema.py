@@ -7,35 +7,37 @@ from typing import Any
 
 import numpy as np
 
-from ...base.arrays import Float32, Int8
+from ...base.arrays import Float32, Int8, Int64
 from ...errors import FormatError, InputError
 from ...scene.encoders import EncoderIdentity, identity_json
 from ..ranking import Described
 from .lance import CURE, libraries
 
 KEY = b"drsplat catalogue"  # of the table's metadata
-VERSION = 3
+VERSION = 4
 MAX_DIM = 1 << 16
 LARGEST = 127  # of a descriptor's numbers, as it is stored
+AT_ONCE = 128  # descriptors that are compared while they are in a processor's cache
 HEAD = ("scene", "tile", "object_id")  # key of a row
-COMPARED = (*HEAD, "descriptors")  # columns that a search reads of every object that it compares
+COMPARED = ("scene", "object_id", "descriptors")  # columns that a search reads of every object that it compares
 
 
 def schema_of(encoder: EncoderIdentity) -> Any:
     """Return the columns of a catalogue of one encoder."""
     _, pa = libraries()
     vectors = pa.list_(pa.list_(pa.int8(), encoder.dim))
+    # Compressed, a sketch would be a twentieth smaller, and read twice as slowly.
+    sketch = pa.field("sketch", pa.binary(), metadata={"lance-encoding:compression": "none"})
     texts = dict.fromkeys(("label", "name", "photo", "folder"), pa.string())
     places = dict.fromkeys(("x", "y", "z", "longitude", "latitude", "height"), pa.float64())
     columns = {
         "scene": pa.string(), "tile": pa.int32(), "object_id": pa.int32(), "field": pa.string(),
-        "added": pa.timestamp("ms", tz="UTC"), **places, "axes": pa.list_(pa.float64(), 9),
-        "extent": pa.list_(pa.float64(), 3), "num_gaussians": pa.int32(), "num_views": pa.int32(),
+        "added": pa.timestamp("ms", tz="UTC"), **places, "axes": pa.list_(pa.float32(), 9),
+        "extent": pa.list_(pa.float32(), 3), "num_gaussians": pa.int32(), "num_views": pa.int32(),
         "sure": pa.float32(), "mask": pa.int32(), **texts, "descriptors": vectors, "thumbnail": pa.binary(),
-        "sketch": pa.binary(),
     }  # fmt: skip
     about = {"version": VERSION, "encoder": identity_json(encoder)}
-    return pa.schema(list(columns.items()), metadata={KEY: json.dumps(about)})
+    return pa.schema([*columns.items(), sketch], metadata={KEY: json.dumps(about)})
 
 
 def batch(columns: Mapping[str, Sequence[Any]], descriptors: Sequence[np.ndarray], encoder: EncoderIdentity) -> Any:
@@ -69,16 +71,50 @@ def _stored(vectors: Float32[np.ndarray, "P D"]) -> Int8[np.ndarray, "P D"]:
 
 def described_of(column: Any, path: Path) -> Described:
     """Return the descriptors of each row, brought back to unit length. Raises: FormatError: some have no direction."""
+    numbers, starts = _numbers_of(column, path)
+    vectors = numbers.astype(np.float32)
+    return Described(vectors / _lengths(vectors, path)[:, None], starts)
+
+
+def cosines_of(column: Any, vector: Float32[np.ndarray, " D"], path: Path) -> Float32[np.ndarray, " r"]:
+    """Return the highest cosine of a unit vector with a descriptor of each row, -inf for rows without any.
+
+    Raises: FormatError: some have no direction.
+    """
+    numbers, starts = _numbers_of(column, path)
+    cosines = np.empty(len(numbers), np.float32)
+    for begin in range(0, len(numbers), AT_ONCE):
+        run = slice(begin, begin + AT_ONCE)
+        vectors = numbers[run].astype(np.float32)
+        cosines[run] = np.einsum("pd,d->p", vectors, vector) / _lengths(vectors, path)
+    best = np.full(len(starts) - 1, -np.inf, np.float32)
+    (shown,) = np.nonzero(np.diff(starts))
+    if len(shown):
+        best[shown] = np.maximum.reduceat(cosines, starts[shown])
+    return best
+
+
+def _numbers_of(column: Any, path: Path) -> tuple[Int8[np.ndarray, "P D"], Int64[np.ndarray, " r1"]]:
+    """Return the descriptors as they are stored; row i has those from starts[i] to starts[i + 1]."""
     _, pa = libraries()
     lists = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
     lengths = np.asarray(lists.value_lengths().fill_null(0), np.int64)
     vectors = lists.flatten()
-    flat = np.asarray(vectors.flatten(), np.int8).astype(np.float32).reshape(-1, vectors.type.list_size)
-    norms = np.sqrt(np.einsum("pd,pd->p", flat, flat))
-    if len(flat) != lengths.sum() or not (norms > 0).all():
-        raise FormatError(f"{path}: descriptors without a direction: {CURE}")
-    flat /= norms[:, None]
-    return Described(flat, np.append(0, np.cumsum(lengths)))
+    numbers = np.asarray(vectors.flatten(), np.int8).reshape(-1, vectors.type.list_size)
+    if len(numbers) != lengths.sum():
+        raise _without_direction(path)
+    return numbers, np.append(0, np.cumsum(lengths))
+
+
+def _lengths(vectors: Float32[np.ndarray, "P D"], path: Path) -> Float32[np.ndarray, " P"]:
+    lengths = np.sqrt(np.einsum("pd,pd->p", vectors, vectors))
+    if not (lengths > 0).all():
+        raise _without_direction(path)
+    return np.asarray(lengths)
+
+
+def _without_direction(path: Path) -> FormatError:
+    return FormatError(f"{path}: descriptors without a direction: {CURE}")
 
 
 def encoder_of(path: Path, schema: Any) -> EncoderIdentity:
@@ -103,6 +139,10 @@ def _identity(path: Path, about: bytes | None) -> EncoderIdentity:
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise FormatError(f"{path}: a LanceDB table, but not of a catalogue that drsplat made") from error
     if version != VERSION:
-        cure = "remove the folder and add its scenes again" if version in (1, 2) else "install the drsplat that made it"
+        cure = (
+            "remove the folder and add its scenes again"
+            if version in range(1, VERSION)
+            else "install the drsplat that made it"
+        )
         raise FormatError(f"{path}: a catalogue of version {version!a:.20}; this drsplat reads {VERSION}: {cure}")
     return EncoderIdentity(texts[0], dim, texts[1], texts[2])

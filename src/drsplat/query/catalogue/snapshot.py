@@ -15,7 +15,7 @@ from ..ranking import Described
 from .lance import CURE, libraries, reading, session
 from .manifest import Fragment, fragments_of, manifest_of
 from .record import read_record
-from .schema import COMPARED, HEAD, described_of, encoder_of
+from .schema import COMPARED, HEAD, cosines_of, described_of, encoder_of
 
 NAME = "objects"
 OF_OBJECTS = "object_id >= 0"
@@ -61,6 +61,13 @@ class Snapshot:
             raise FormatError(f"{self.path}: {CURE} (a manifest is missing)")
         return fragments_of(manifest)
 
+    @cached_property
+    def own_rows(self) -> dict[str, int]:
+        """Per scene the id of its row that is of no object."""
+        with reading(self.path):
+            rows = self.table.search().where("object_id = -1").select(["scene"]).with_row_id(True).to_arrow()
+            return dict(zip(rows["scene"].to_pylist(), rows[ROW_ID].to_pylist(), strict=True))
+
     def nearest(self, vector: Float32[np.ndarray, " D"], where: str, count: int) -> Any:
         """Return the objects whose descriptors have the highest cosines with a unit vector, all compared.
 
@@ -70,11 +77,10 @@ class Snapshot:
         with reading(self.path):
             search = self.table.search().where(f"{OF_OBJECTS} AND {where}" if where else OF_OBJECTS)
             for rows in search.select(["descriptors"]).with_row_id(True).to_batches(ROWS_AT_ONCE):
-                described = described_of(rows["descriptors"], self.path)
-                (shown,) = np.nonzero(np.diff(described.starts))
-                ids = np.append(ids, np.asarray(rows[ROW_ID]).astype(np.int64)[shown])
-                cosines = np.append(cosines, described.rows(shown).cosines(vector))
+                ids = np.append(ids, np.asarray(rows[ROW_ID]).astype(np.int64))
+                cosines = np.append(cosines, cosines_of(rows["descriptors"], vector, self.path))
                 best = np.lexsort((ids, -cosines))[:count]
+                best = best[np.isfinite(cosines[best])]
                 ids, cosines = ids[best], cosines[best]
         return self.take(np.sort(ids))
 

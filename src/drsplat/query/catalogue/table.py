@@ -7,12 +7,12 @@ version: never half of a change.
 import math
 import os
 import warnings
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager, ExitStack, suppress
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
-from ...errors import DrSplatWarning, InputError
+from ...errors import DrSplatWarning, FormatError, InputError
 from ...formats.claiming import claimed_output
 from ...scene.encoders import EncoderIdentity
 from . import coding
@@ -160,12 +160,21 @@ def _put_together(snapshot: Snapshot) -> None:
             raise
 
 
-def index(snapshot: Snapshot) -> None:
-    """Write codes of all descriptors by a new codebook, and build the index of scenes' names; others write meanwhile.
+def index(path: Path) -> None:
+    """Merge files of rows, write codes of all descriptors by a new codebook, and build the index of scenes' names.
 
-    What they have written is coded in their turn, before the codebook takes the place of a former one.
+    A query reads rows of many files more slowly. Others write meanwhile: what they have written is coded in their turn,
+    before the codebook takes the place of a former one.
     """
-    path, codebook = snapshot.path, coding.trained(snapshot)
+    before = latest(path)
+    assert before is not None
+    _put_together(before)
+    with suppress(FormatError):  # damaged codes, which are written anew
+        _write_codes(path, ALL_ROWS, before)
+    _record_arranged(path)
+    snapshot = current(path)
+    assert snapshot is not None
+    codebook = coding.trained(snapshot)
     coding.write_missing(snapshot, codebook, ALL_ROWS, anew=True)
     _index_names(path)
     with claimed_output(path, PATIENCE_S):
