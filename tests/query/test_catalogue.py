@@ -31,11 +31,12 @@ from drsplat.formats.tiles import write_tiles
 from drsplat.query.objects import support_of
 from drsplat.query.packed import Packed
 from drsplat.query.sketch import Sketch
+from drsplat.query.sketched import SketchedScene
 from known_objects import CENTERS, EACH, known_scene
 
 pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
 
-from drsplat.query.catalogue import Catalogue, Conditions, record, table
+from drsplat.query.catalogue import Catalogue, Conditions, agreeing, record, table
 from drsplat.query.catalogue.conditions import quoted
 from drsplat.query.catalogue.schema import KEY, batch, schema_of
 from drsplat.query.catalogue.snapshot import current
@@ -490,6 +491,34 @@ def test_writers_take_turns(scenes: Path, tmp_path: Path) -> None:
         _, error = process.communicate(timeout=120)
         assert process.returncode == 0, error.decode()
     assert [(one.scene, one.num_objects) for one in Catalogue.open(path).scenes()] == [("kitchen", 3), ("o'hara", 3)]
+
+
+class EveryOther(SketchedScene):
+    """A scene that answers with its object if its name is an even number."""
+
+    def __init__(self, name: str) -> None:
+        self.is_even = int(name) % 2 == 0
+
+    def answers(self, query: Query) -> np.ndarray:
+        return np.array([self.is_even])
+
+
+def test_no_more_scenes_are_asked_than_answers_are_missing(filled: Catalogue, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every other scene agrees: 10 are asked for 10 answers, then 5 for those that are missing, then at least 4."""
+    asked = []
+
+    def read(_: object, names: Sequence[str], __: object) -> dict[str, SketchedScene]:
+        asked.append(sorted(map(int, names)))
+        return {name: EveryOther(name) for name in names}
+
+    monkeypatch.setattr(agreeing, "_read", read)
+    rules = agreeing.SceneRules(filled._snapshot(), WordEncoder)
+    objects = [(str(number), 0) for number in range(40)]
+    assert rules.first(Query("mug"), objects, 10) == list(range(0, 20, 2))
+    assert asked == [[*range(10)], [*range(10, 15)], [*range(15, 19)]]
+    assert rules.first(Query("mug"), objects, 25) == list(range(0, 40, 2))
+    with pytest.raises(FormatError, match="are not whole"):
+        rules.first(Query("mug"), [("0", 1)], 1)
 
 
 ADDING = """

@@ -180,26 +180,33 @@ def test_an_index_puts_files_together(coded: tuple[Catalogue, np.ndarray, np.nda
 
 KILLED = """
 import os, sys
-from drsplat.query.catalogue import Catalogue, coding
-real, times = coding.{name}, []
+from drsplat.query.catalogue import Catalogue, coding, table
+real, times = {module}.{name}, []
 def killed(*given, **how):
     times.append(1)
     os.kill(os.getpid(), 9) if len(times) == {at} else None
     return real(*given, **how)
-coding.{name} = killed
+{module}.{name} = killed
 Catalogue.open(sys.argv[1]).build_index()
 """
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "at"), [("write_tensors", 1), ("write_tensors", 2), ("publish", 1), ("sweep", 1)])
+@pytest.mark.parametrize(
+    ("module", "name", "at"),
+    [
+        *(("table", name, 1) for name in ("_put_together", "_write_codes", "_record_arranged", "_index_names")),
+        *(("coding", name, 1) for name in ("write_tensors", "publish", "sweep")),
+        ("coding", "write_tensors", 2),
+    ],
+)
 def test_a_kill_while_codes_are_written_leaves_the_old_ones(
-    coded: tuple[Catalogue, np.ndarray, np.ndarray], name: str, at: int
+    coded: tuple[Catalogue, np.ndarray, np.ndarray], module: str, name: str, at: int
 ) -> None:
     catalogue, _, words = coded
     catalogue.remove("s0")  # so that the next codebook is another one
     expected = [answer(catalogue, word) for word in words[:3]]
-    code = KILLED.format(name=name, at=at)
+    code = KILLED.format(module=module, name=name, at=at)
     assert subprocess.run([sys.executable, "-c", code, str(catalogue.path)], check=False).returncode == -9
     again = Catalogue.open(catalogue.path)
     assert [answer(again, word) for word in words[:3]] == expected

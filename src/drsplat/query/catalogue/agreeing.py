@@ -17,6 +17,7 @@ from .snapshot import Snapshot
 
 MAX_CACHED_SCENES = 256  # sketches in memory, about 0.5 MB each
 COLUMNS = ("scene", "sketch")
+MIN_ASKED = 4  # objects at once: reading one sketch takes nearly as long as reading four
 
 
 class SceneRules:
@@ -37,13 +38,13 @@ class SceneRules:
         """
         answers: dict[str, Bool[np.ndarray, " o"]] = {}
         agreed: list[int] = []
-        for begin in range(0, len(objects), top):
-            batch = range(begin, min(begin + top, len(objects)))
+        asked = 0
+        while asked < len(objects) and len(agreed) < top:
+            batch = range(asked, min(asked + max(top - len(agreed), MIN_ASKED), len(objects)))
+            asked = batch.stop
             scenes = self._opened({objects[at][0] for at in batch} - answers.keys())
             answers |= {name: scene.answers(query) for name, scene in scenes.items()}
             agreed += [at for at in batch if self._is_among(answers, *objects[at])]
-            if len(agreed) >= top:
-                break
         return agreed[:top]
 
     def _is_among(self, answers: Mapping[str, Bool[np.ndarray, " o"]], name: str, number: int) -> bool:
