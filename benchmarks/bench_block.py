@@ -33,6 +33,7 @@ from typing import NamedTuple
 import numpy as np
 from bench_tiles import step_of, walk
 from check_ray import children, cluster
+from costs import cost_of
 from drawn_embeddings import CLIP, Drawn
 from machine import arguments
 from PIL import Image
@@ -43,7 +44,6 @@ from drsplat.formats.colmap_writing import write_colmap
 from drsplat.formats.langsplat import FeatureFolder, level_index, write_features
 from drsplat.photos.embedding.embed import embed
 from drsplat.scene.gaussians import concatenated
-from processes import cost_of
 
 KINDS = 40
 APART = 0.9  # of a room, from a block to the next one

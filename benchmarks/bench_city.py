@@ -23,6 +23,7 @@ from urllib.request import Request, urlopen
 
 import numpy as np
 from bench_tiles import Repeated, step_of, street, walk
+from costs import cost_of, family, held, seconds_of
 
 import drsplat as ds
 from drsplat.field.codes import Smaller
@@ -30,7 +31,6 @@ from drsplat.field.objects.finding import find_objects
 from drsplat.field.tiles.registering import register_tiles
 from drsplat.formats.colmap_writing import write_colmap
 from drsplat.formats.tiles import read_tiles
-from processes import cost_of, family, held, seconds_of
 
 SERVED: list[tuple[str, dict[str, object] | None]] = [
     ("", None), ("/{}", None), ("/{}/select", {"text": "red vase"}), ("/{}/locate", {"text": "red vase"}),

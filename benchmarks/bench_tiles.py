@@ -31,6 +31,7 @@ from typing import Any, NamedTuple
 from unittest.mock import patch
 
 import numpy as np
+from costs import Watching, family
 
 import drsplat as ds
 from drsplat.field.codes import Smaller
@@ -44,7 +45,6 @@ from drsplat.formats.sources import Block, sources_of
 from drsplat.formats.tiles import Tiles, read_tiles
 from drsplat.scene.masks.features import ViewFeatures
 from drsplat.scene.similarity import Similarity
-from processes import Watching, family
 
 BYTES = 44  # of a Gaussian's shape
 CORES = 16  # of a node

@@ -16,9 +16,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from costs import held, seconds_of
 from PIL import Image
-
-from processes import held, seconds_of
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests"))
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "tests/support"))

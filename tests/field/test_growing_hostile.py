@@ -1,11 +1,14 @@
 """Files of growth from strangers: read, refused or used, never believed."""
 
 import json
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from safetensors import safe_open
+from safetensors.numpy import load, save
 
 from drsplat import load_field
 from drsplat.errors import DrSplatError, FormatError
@@ -75,6 +78,50 @@ def test_manifests_that_do_not_say_how_it_was_made(name: str, value: object, sai
     assert field.scores(np.ones(8, np.float32)).shape == (len(field),)  # a search does not ask
     with pytest.raises(FormatError, match=said):
         _ = field.growth
+
+
+def with_tensors(path: Path, change: Callable[[dict[str, np.ndarray]], object], **about: str) -> None:
+    """Change the arrays and the metadata of a growth's file, which has no checksums."""
+    file = path / "growth.safetensors"
+    tensors = load(file.read_bytes())
+    with safe_open(file, "numpy") as opened:
+        metadata = opened.metadata() | about
+    change(tensors)
+    file.write_bytes(save(tensors, metadata))
+
+
+@pytest.mark.parametrize(
+    ("name", "changed", "said"),
+    [
+        ("rest_ids", lambda ids: ids[::-1], "rest_ids: expected ascending"),
+        ("rest_ids", lambda ids: np.append(ids[:-1], np.uint32(10**6)), "further rows of a scene of"),
+        ("rest_data", lambda data: -data, "rest: expected finite weights of 0 or more"),
+        ("rest_data", lambda data: np.full_like(data, np.inf), "rest: expected finite weights of 0 or more"),
+        ("rest_indices", lambda columns: columns - columns.max() - 1, "rest: expected finite weights"),
+        ("rest_indices", lambda columns: columns + 10_000, "rest: column"),
+        ("rest_indptr", lambda starts: starts + 1, "row starts do not fit"),
+        ("rest_indptr", lambda starts: np.append(starts[:1], starts[:-1]), "row starts do not fit"),
+        ("rest_indptr", lambda starts: starts[[0, -1]], "rest: expected .* rows, got 1"),
+        ("scene_members", lambda members: members + 10_000, "scene_members: expected numbers among"),
+        ("scene_centres", lambda centres: centres * np.nan, "scene_centres: expected finite numbers"),
+        ("scene_places", lambda places: places[1:], "scene atoms, of which the code has others"),
+    ],
+)
+def test_arrays_that_do_not_fit_each_other(
+    name: str, changed: Callable[[np.ndarray], np.ndarray], said: str, tmp_path: Path
+) -> None:
+    path = write(tmp_path, True)
+    with_tensors(path, lambda tensors: tensors.update({name: np.ascontiguousarray(changed(tensors[name]))}))
+    with pytest.raises(DrSplatError, match=said):
+        _ = load_field(path).growth
+
+
+@pytest.mark.parametrize("names", ["", "{}", "[1]", "[" * 100_000])
+def test_names_of_views_that_are_none(names: str, tmp_path: Path) -> None:
+    path = write(tmp_path, True)
+    with_tensors(path, lambda _: None, learnt_from=names)
+    with pytest.raises(FormatError, match=r"growth|learnt_from"):
+        _ = load_field(path).growth
 
 
 def test_a_missing_or_foreign_file_is_told(tmp_path: Path) -> None:

@@ -42,13 +42,6 @@ class Described:
         rows = np.concatenate([np.empty((0, dim), np.float32), *parts])
         return cls(rows, np.append(0, np.cumsum([len(part) for part in parts], dtype=np.int64)))
 
-    def rows(self, chosen: Int64[np.ndarray, " c"]) -> "Described":
-        """Return some of the objects."""
-        lengths = np.diff(self.starts)[chosen]
-        starts = np.append(0, np.cumsum(lengths))
-        places = np.arange(starts[-1]) + np.repeat(self.starts[chosen] - starts[:-1], lengths)
-        return Described(self.descriptors[places], starts)
-
     def best(self, values: Float32[np.ndarray, " P"]) -> Float32[np.ndarray, " o"]:
         """Return the highest of each object's values of descriptors."""
         if len(self.starts) < 2:
