@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.optimize import linear_sum_assignment
 
 from drsplat.errors import DrSplatError, FormatError, InputError, MissingExtraError
 from drsplat.photos.models import sam
@@ -707,21 +709,26 @@ def test_masks_are_those_of_the_pipeline_of_transformers(library, tmp_path):
     run_pipeline(folder, {name: {**common, **call} for name, call in calls.items()})
     theirs = {name: np.load(folder / f"{name}.npz")["masks"] for name in calls}
 
-    def ours(**changed) -> set[bytes]:
+    def ours(**changed) -> list[np.ndarray]:
         s = replace(LOOSE, levels=("default",), **changed)
         masks = sam.load_segmenter(str(folder), "cpu", s).segment(IMAGE)["default"]
-        return {masks.full(i).tobytes() for i in range(len(masks))}
-
-    def as_set(masks) -> set[bytes]:
-        return {mask.tobytes() for mask in masks}
+        return [masks.full(i) for i in range(len(masks))]
 
     assert len(theirs["all"]) >= 50
-    assert as_set(theirs["all"]) == ours()
+    assert pixels_off(theirs["all"], ours()) <= 1
     assert 5 < len(theirs["distinct"]) < len(theirs["all"])
-    assert as_set(theirs["distinct"]) == ours(max_box_iou=0.98)
+    assert pixels_off(theirs["distinct"], ours(max_box_iou=0.98)) <= 1
     assert len(theirs["crops"]) > len(theirs["all"])
-    assert as_set(theirs["crops"]) == ours(crop_layers=1)
-    assert as_set(theirs["crops_distinct"]) == as_set(once_over_all_crops(folder, 0.98))
+    assert pixels_off(theirs["crops"], ours(crop_layers=1)) <= 1
+    assert pixels_off(theirs["crops_distinct"], once_over_all_crops(folder, 0.98)) <= 1
+
+
+def pixels_off(theirs: Sequence[np.ndarray], ours: Sequence[np.ndarray]) -> int:
+    """By how many pixels masks differ at most, each from the one that it is: of 30,000, one may lie next to zero, where
+    the last bit of a product decides, which is another one on another processor."""
+    assert len(theirs) == len(ours)
+    off = np.array([[np.count_nonzero(one != other) for other in ours] for one in theirs])
+    return int(off[linear_sum_assignment(off)].max())
 
 
 def run_pipeline(folder: Path, calls) -> None:
