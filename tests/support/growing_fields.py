@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drsplat.field import LanguageField
+from drsplat.field import LanguageField, learning
 from drsplat.field.codes import CodeSpecification
 from drsplat.field.evidence.aggregation import AGGREGATORS, Sampling
 from drsplat.field.registration import register
@@ -53,8 +53,13 @@ def features(seed: int = 0) -> dict[str, ViewFeatures]:
     return found
 
 
-@cache
 def at_once(names: tuple[str, ...], code: CodeSpecification, aggregator: str = "mean", seed: int = 0) -> LanguageField:
+    """The field of some views. It depends on how many of them codes are learnt from, which some tests change."""
+    return _at_once(names, code, aggregator, seed, learning.MAX_LEARNING_VIEWS)
+
+
+@cache
+def _at_once(names: tuple[str, ...], code: CodeSpecification, aggregator: str, seed: int, _: int) -> LanguageField:
     chosen = [view for view in views() if view.name in names]
     sampling = AGGREGATORS[aggregator].sampling or Sampling(6)
     registration = register(scene(), chosen, {name: features(seed)[name] for name in names}, sampling)
