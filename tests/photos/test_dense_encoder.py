@@ -147,6 +147,13 @@ def test_coverage_keeps_the_area_of_larger_images(rows: int, columns: int, seed:
     assert_allclose(shares, expected, atol=1e-5)
 
 
+def test_a_pixel_on_the_border_of_two_cells_counts() -> None:
+    """Its middle, 6.5, is where the third of six cells over 13 pixels ends."""
+    mask = np.zeros((1, 1, 13), bool)
+    mask[0, 0, 6] = True
+    assert coverage(cut_masks(mask, np.ones(1, np.float32)), 0, 6).sum() > 0
+
+
 @given(st.integers(1, 20), st.integers(1, 20), st.integers(1, 20), st.data())
 def test_every_pixel_counts_somewhere(height: int, width: int, along: int, data: st.DataObject) -> None:
     mask = np.zeros((1, height, width), bool)

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 from drsplat.query.packed import Packed
 
@@ -35,7 +35,6 @@ def test_products_are_those_of_the_vectors(count: int, dim: int, queries: int, s
     given_ones = rng.standard_normal((queries, dim)).astype(np.float32)
     expected = given_ones.astype(np.float64) @ packed.vectors.T.astype(np.float64)
     assert_allclose(packed.products(given_ones), expected, rtol=1e-5, atol=1e-3)
-    assert_array_equal(packed.products(given_ones), packed.products(given_ones))
 
 
 @pytest.mark.parametrize(

@@ -97,6 +97,7 @@ def test_bytes_and_back(sketch: Sketch) -> None:
         ("labels", np.frombuffer(b'{"0": 1}', np.uint8)),
         ("labels", np.frombuffer(b'{"a": "mug"}', np.uint8)),
         ("labels", np.frombuffer(b'{"3": "mug"}', np.uint8)),
+        ("labels", np.frombuffer(b'{"-1": "mug"}', np.uint8)),
         ("labels", np.frombuffer(b"[" * 100_000, np.uint8)),
         ("labels", np.frombuffer(b"\xff", np.uint8)),
         ("features", np.ones((3, 512), np.float32)),

@@ -154,6 +154,6 @@ def _check(
     most = MAX_ROWS + PEAK_ROWS * counts.size
     if not fits or not pictures or (counts < 1).any() or counts.sum(dtype=np.int64) > most:
         raise FormatError("a sketch of a scene whose parts do not fit each other")
-    named = [*labels, int(numbers.min(initial=-1)), int(numbers.max(initial=-1))]
-    if not all(-1 <= number < len(solid) for number in named):
+    is_known = numbers.min(initial=-1) >= -1 and numbers.max(initial=-1) < len(solid)
+    if not is_known or not all(0 <= number < len(solid) for number in labels):
         raise FormatError(f"a sketch of a scene with an object that is not among its {len(solid)}")
