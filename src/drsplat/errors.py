@@ -32,6 +32,12 @@ class DrSplatWarning(UserWarning):
     """Something was left out and the caller should know which and how many."""
 
 
+def placed(where: object, error: Exception) -> str:
+    """Return the message of an error behind the name of what it is about, unless it begins with that already."""
+    text = str(error)
+    return text if text.startswith(str(where)) else f"{where}: {text}"
+
+
 def did_you_mean(given: str, choices: Iterable[str], most: int = 3) -> str:
     """Return " Did you mean 'vase'?" with the nearest choices, or "" where nothing is near: the end of a message.
 

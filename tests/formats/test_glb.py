@@ -485,5 +485,5 @@ def test_a_mesh_is_no_scene_and_damage_is_no_mesh(tmp_path: Path) -> None:
     document["extensionsUsed"] = []
     document["meshes"][0]["primitives"] = [{"attributes": {"POSITION": 0}}]
     path.write_bytes(glb_files.glb_of(document, binary))
-    with pytest.raises(InputError, match="expected a scene of Gaussians, got a mesh"):
+    with pytest.raises(InputError, match="got a mesh, expected a scene of Gaussians"):
         read_gaussians(path)

@@ -366,7 +366,7 @@ def test_files_of_points_that_are_none(tmp_path, capture):
     with pytest.raises(FormatError, match="empty"):
         read_sparse_points(capture, points=tmp_path / "empty.ply")
     for name in ("none.ply", "."):
-        with pytest.raises(InputError, match="no such file of points"):
+        with pytest.raises(InputError, match=r"there is no such file|this is a folder"):
             read_sparse_points(capture, points=tmp_path / name)
     document = transforms_document() | {"ply_file_path": "../secret.ply"}
     write_json(tmp_path / "transforms.json", document)
@@ -413,7 +413,7 @@ def test_transforms_of_other_lenses(tmp_path, lens):
         del frame["camera_model"]
     write_json(path, document)
     write_photos(tmp_path)
-    with pytest.raises(FormatError, match="image_undistorter"):
+    with pytest.raises(FormatError, match="equirectangular" if "EQUI" in str(lens) else "image_undistorter"):
         read_views(path)
 
 

@@ -219,7 +219,7 @@ def test_path_tricks_in_every_kind_of_capture(tmp_path):
     transforms = transforms_document(images=[(*IMAGES[0][:4], "x.png")], folder="../")
     write_json(tmp_path / "transforms/transforms.json", transforms)
     cameras = cameras_json_document()
-    cameras[0]["img_name"] = "/etc/passwd"
+    cameras[0]["img_name"] = "/etc/../passwd"
     write_json(tmp_path / "cameras/cameras.json", cameras)
     for kind in ("text", "binary", "transforms", "cameras"):
         with pytest.raises(FormatError, match=r"relative to the image folder.*(secret|x|passwd)"):

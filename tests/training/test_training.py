@@ -507,7 +507,7 @@ def test_the_verb_starts_from_a_file_of_points(capture, points, tmp_path, capsys
     started = read_sparse_points(capture, points=tmp_path / "m/input.ply")
     assert started.positions == pytest.approx(points.positions, abs=1e-6)
     assert (started.colors == 128).all()
-    assert "no such file of points" in refused(capsys, str(capture), "-o", str(tmp_path / "n"), "--points", "none.ply")
+    assert "there is no such file" in refused(capsys, str(capture), "-o", str(tmp_path / "n"), "--points", "none.ply")
 
 
 # --- going on ---

@@ -7,6 +7,7 @@ what is too large to be copied is mapped.
 import math
 import mmap
 import os
+import re
 import stat
 import tempfile
 from collections.abc import Iterator
@@ -19,6 +20,10 @@ from ..errors import FormatError, InputError
 from .arrays import UInt8
 from .system import NO_WAITING, OWN_FILE_FLAGS
 
+PAGE_SUFFIXES = (".html", ".htm", ".svg", ".xml")
+_PAGE = re.compile(rb"(\xef\xbb\xbf)?\s*(<!--.*?-->\s*)?<(!doctype\s+html|html|head)[\s>]", re.IGNORECASE | re.DOTALL)
+_PAGE_BYTES = 512
+_LFS_START = b"version https://git-lfs.github.com/spec/"
 MAX_READ_BYTES = 64 << 20  # read in some hundredths of a second; larger files are mapped
 _CACHE_LINE_BYTES = 64
 _PIECE_BYTES = 64 << 20  # of a mapped file that are in memory at once
@@ -27,19 +32,49 @@ _PIECE_BYTES = 64 << 20  # of a mapped file that are in memory at once
 def open_file(path: str | os.PathLike[str]) -> BufferedReader:
     """Open a regular file for reading; never wait for a pipe's writer.
 
-    Raises: InputError: a folder, pipe, socket or device. OSError: as `open`.
+    Raises: InputError: a folder, pipe, socket or device. FormatError: what lies there in place of a file, see
+    `_refuse_stand_in`. OSError: as `open`.
     """
     number = os.open(path, os.O_RDONLY | NO_WAITING | OWN_FILE_FLAGS)
     if not stat.S_ISREG(os.fstat(number).st_mode):
         os.close(number)
         raise InputError(f"{path}: expected a file, this is a folder, a pipe or a device")
-    return open(number, "rb")
+    file = open(number, "rb")  # noqa: SIM115  (the caller closes it)
+    try:
+        _refuse_stand_in(file, path)
+    except BaseException:
+        file.close()
+        raise
+    return file
+
+
+def _refuse_stand_in(file: BufferedReader, path: str | os.PathLike[str]) -> None:
+    """Refuse what downloads leave under the name of a file. Raises: FormatError: a pointer of Git LFS, a web page."""
+    start = file.peek(_PAGE_BYTES)[:_PAGE_BYTES]
+    if start.startswith(_LFS_START):
+        raise FormatError(
+            f"{path}: a pointer of {os.fstat(file.fileno()).st_size} bytes, which Git LFS keeps in place of the file: "
+            "fetch the file itself with `git lfs pull`"
+        )
+    if _PAGE.match(start) and not os.fspath(path).lower().endswith(PAGE_SUFFIXES):
+        raise FormatError(
+            f"{path}: a web page (HTML), which a server sent in place of the file: download the file itself, by its "
+            "link to the raw file, logged in where that is asked for"
+        )
 
 
 def file_text(path: str | os.PathLike[str]) -> str:
-    """Read a UTF-8 file, with or without a byte order mark. Raises: UnicodeDecodeError; as `open_file`."""
+    """Read a text file in UTF-8, or in what its byte order mark says. Raises: UnicodeDecodeError; as `open_file`."""
     with open_file(path) as file:
-        return file.read().decode("utf-8-sig")
+        encoding = encoding_of(file)
+        return file.read().decode(encoding)
+
+
+def encoding_of(file: BufferedReader) -> str:
+    """Return the encoding of a text file by its byte order mark, which programs for Windows write; else UTF-8."""
+    file.seek(0)
+    start = file.peek(2)[:2]
+    return "utf-16" if start in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
 
 
 def file_bytes(path: Path) -> UInt8[np.ndarray, " n"]:

@@ -17,6 +17,10 @@ CURE = (
     "Delete these Gaussians in the tool that wrote the file (SuperSplat, or splat-transform --filter-nan) and read it "
     "again; rows are never dropped here, because the row number is a Gaussian's identity"
 )
+MEANT_OTHERWISE = (
+    "That is no accident of a few rows: the program that wrote the file means something else by these numbers, such as "
+    "logarithms and logits where sizes and opacities belong, or the reverse. Export it again as this format has them"
+)
 SCALE_RANGE = "that are not finite or, after exp(scale_0..2), not in float32's positive range"
 # Column of [three stored, largest] for each of the four components, by the index of the largest.
 SMALLEST_THREE = np.array([[3, 0, 1, 2], [0, 3, 1, 2], [0, 1, 3, 2], [0, 1, 2, 3]])
@@ -91,4 +95,5 @@ def _require(good: Bool[np.ndarray, "n ..."], what: str) -> None:
     if np.all(good):
         return
     bad = np.flatnonzero((~good).reshape(len(good), -1).any(axis=1))
-    raise FormatError(f"{len(bad)} of {len(good)} rows have {what}; the first is row {bad[0]}. {CURE}")
+    cure = MEANT_OTHERWISE if 2 * len(bad) > len(good) > 1 else CURE
+    raise FormatError(f"{len(bad)} of {len(good)} rows have {what}; the first is row {bad[0]}. {cure}")

@@ -10,7 +10,8 @@ import numpy as np
 from ..errors import DrSplatWarning, FormatError
 from ..scene.views import View
 from .json_files import as_count, as_matrix, as_number, as_vector, excerpt, read_json
-from .photo_files import listed, safe_name
+from .lenses import Entry, distortion_of, number, refuse_other_lenses
+from .photo_files import listed, relative_names, safe_name
 from .poses import inverse_pose, nearest_rotation, pinhole, posed_view
 from .replacing import replacing
 
@@ -20,15 +21,18 @@ KEYS = ("img_name", "width", "height", "position", "rotation", "fx", "fy")
 def read_cameras_json(path: Path) -> list[View]:
     """Read the views of a cameras.json, in the order of the file, without photos.
 
-    position is the camera's centre, rotation camera-to-world in OpenCV axes. The format knows no principal point (the
-    raster's centre is meant) and no distortion (3DGS trains on undistorted photos).
+    position is the camera's centre, rotation camera-to-world in OpenCV axes. 3DGS itself writes no principal point (the
+    raster's centre is meant) and no distortion (it trains on undistorted photos); cx, cy, k1, k2, p1 and p2 of other
+    programs are read.
 
     Raises: FormatError: a damaged file, a missing key, a rotation that is none.
     """
     document = read_json(path)
     if not isinstance(document, list) or not document:
         raise FormatError(f"{path}: expected a JSON list of cameras, got {excerpt(document)}")
-    return [_view(entry, f"{path}, camera {index}") for index, entry in enumerate(document)]
+    wheres = [f"{path}, camera {index}" for index in range(len(document))]
+    names = relative_names([_name(entry, where) for entry, where in zip(document, wheres, strict=True)])
+    return [_view(entry, name, where) for entry, name, where in zip(document, names, wheres, strict=True)]
 
 
 def write_cameras_json(path: str | Path, views: Sequence[View], overwrite: bool = False) -> None:
@@ -59,18 +63,24 @@ def write_cameras_json(path: str | Path, views: Sequence[View], overwrite: bool 
         file.write(json.dumps(entries, indent=1).encode())
 
 
-def _view(entry: object, where: str) -> View:
+def _name(entry: object, where: str) -> str:
     if not isinstance(entry, dict) or not entry.keys() >= set(KEYS):
         raise FormatError(f"{where}: expected an object with {', '.join(KEYS)}, got {excerpt(entry)}")
     if not isinstance(entry["img_name"], str):
         raise FormatError(f"{where}: expected img_name to be text, got {excerpt(entry['img_name'])}")
-    name = safe_name(entry["img_name"], where)
+    return str(entry["img_name"])
+
+
+def _view(entry: Entry, name: str, where: str) -> View:
+    name = safe_name(name, where)
     where = f"{where} ({name!a})"
     size = (as_count(entry["width"], f"{where}: width"), as_count(entry["height"], f"{where}: height"))
     focal = as_number(entry["fx"], f"{where}: fx"), as_number(entry["fy"], f"{where}: fy")
     rotation = nearest_rotation(as_matrix(entry["rotation"], 3, 3, f"{where}: rotation"), f"{where}: rotation")
     center = as_vector(entry["position"], 3, f"{where}: position")
-    return posed_view(where, name, pinhole(*focal, size[0] / 2, size[1] / 2), inverse_pose(rotation, center), size)
+    refuse_other_lenses(entry, where)
+    intrinsics = pinhole(*focal, number(entry, "cx", where, size[0] / 2), number(entry, "cy", where, size[1] / 2))
+    return posed_view(where, name, intrinsics, inverse_pose(rotation, center), size, distortion_of(entry, where))
 
 
 def _is_inexact(view: View) -> bool:

@@ -12,13 +12,13 @@ from ..base.arrays import Float64, UInt8
 from ..errors import DrSplatWarning, FormatError, InputError
 from ..scene.views import View
 from .cameras_json import read_cameras_json
-from .colmap import find_model, has_points, read_colmap, read_points
+from .colmap import find_models, has_points, num_images, read_colmap, read_points
 from .dataparser import FILE_NAME as DATAPARSER_FILE
 from .dataparser import SceneFrame, read_dataparser_transforms
 from .json_files import read_json
 from .live_views import ADDED_POSES, read_live_views, stem_of
 from .mask_files import with_masks
-from .photo_files import capture_folder, find_photo, image_folder, listed, on_photo
+from .photo_files import capture_folder, find_files, image_folder, listed, on_photo, view_name
 from .point_ply import read_point_ply
 from .recognising import CAMERAS, TRAIN_TRANSFORMS, TRANSFORMS, Kind, mistaken
 from .rendering_record import with_renderings
@@ -55,7 +55,7 @@ def read_views(
 ) -> list[View]:
     """Read the posed photos of a capture, sorted by name.
 
-    capture: a folder with a COLMAP model (see `colmap.find_model`), a transforms.json, a
+    capture: a folder with a COLMAP model (see `colmap.find_models`), a transforms.json, a
     transforms_train.json (of which a transforms_test.json beside it is no part) or a cameras.json,
     looked for in this order; or one of these files, to choose another than the first.
     images: the folder of the photos, absolute or inside the capture ("images_4"); default
@@ -139,16 +139,18 @@ def _find_source(capture: Path) -> _Source:
         return _file_source(capture)
     if not capture.is_dir():
         raise mistaken(capture, Kind.CAPTURE)
-    model = find_model(capture)
-    found = [] if model is None else [_Source("colmap", model)]
+    models = find_models(capture)
+    found = [_Source("colmap", model) for model in models]
     found += [_Source(kind, capture / name) for kind, name in CAMERA_FILES if (capture / name).is_file()]
     if not found and (capture / ADDED_POSES).is_dir():
         return _Source("live", capture)
     if not found:
         raise mistaken(capture, Kind.CAPTURE)
     if len(found) > 1:
-        others = ", ".join(str(source.path) for source in found[1:])
-        text = f"{capture}: cameras were read from {found[0].path}, not from {others}: name a file to choose it"
+        counts = dict(zip(models, map(num_images, models), strict=True)) if len(models) > 1 else {}
+        sizes = {path: f" ({count} photos)" for path, count in counts.items()}
+        said = [f"{source.path}{sizes.get(source.path, '')}" for source in found]
+        text = f"{capture}: cameras were read from {said[0]}, not from {listed(said[1:])}: name a file to choose it"
         warnings.warn(text, DrSplatWarning, stacklevel=4)
     return found[0]
 
@@ -175,7 +177,7 @@ def _read(source: _Source, images: str | Path | None) -> list[View]:
 def _with_photos(views: list[View], folder: Path, path: Path) -> list[View]:
     if not views:
         raise FormatError(f"{path}: holds no image")
-    found = [find_photo(folder, view.name) for view in views]
+    found = find_files([[folder / view.name, folder.parent / view.name] for view in views])
     missing = [view.name for view, photo in zip(views, found, strict=True) if photo is None]
     if missing:
         text = f"{path}: {len(missing)} of {len(views)} views have no photo in {folder}: {listed(missing)}"
@@ -184,9 +186,7 @@ def _with_photos(views: list[View], folder: Path, path: Path) -> list[View]:
 
 
 def _attach(view: View, photo: Path) -> View:
-    # cameras.json of some trainers names photos without suffix; the view's name has it
-    name = view.name + photo.name.removeprefix(Path(view.name).name)
-    return on_photo(replace(view, name=name), photo)
+    return on_photo(replace(view, name=view_name(view.name, photo)), photo)
 
 
 def _scene_frame(source: _Source, capture: Path, named: str | Path | None) -> SceneFrame | None:

@@ -10,23 +10,37 @@ from ..errors import FormatError, InputError
 from ..scene.views import View
 from . import colmap_binary, colmap_text
 from .colmap_records import CameraRecord, ImageRecord, PointRecord, parameter_names
-from .photo_files import safe_name
+from .photo_files import relative_names, safe_name
 from .poses import pinhole, pose, posed_view, rotation_from_quaternion
 
-MODEL_FOLDERS = ("sparse/0", "sparse", "colmap/sparse/0", ".")
+MODEL_FOLDERS = ("sparse", "colmap/sparse", ".")
+_MAX_MODELS = 100  # that are looked at
 _PARSERS = {".bin": colmap_binary, ".txt": colmap_text}  # in this order, as COLMAP itself prefers
 
 
-def find_model(capture: Path) -> Path | None:
-    """Return the folder of a capture that holds cameras and images of one COLMAP model, or None.
+def find_models(capture: Path) -> list[Path]:
+    """Return the folders of a capture that hold cameras and images of a COLMAP model, the one to read first.
 
-    Looked for in CAPTURE/sparse/0, CAPTURE/sparse, CAPTURE/colmap/sparse/0 and CAPTURE. COLMAP may
-    leave several models (sparse/1, ...), whose frames do not agree: name such a folder to read it.
+    Looked for in CAPTURE/sparse, CAPTURE/colmap/sparse and CAPTURE: in their folders 0, 1, ... and in themselves.
+    COLMAP leaves several models where photos do not all fit together; their frames do not agree, and the first that it
+    writes need not be the largest. So of one place that with most photos comes first, of several the first place's.
     """
-    for folder in (capture / name for name in MODEL_FOLDERS):
-        if any(_has(folder, suffix, "cameras", "images") for suffix in _PARSERS):
-            return folder
-    return None
+    found: list[Path] = []
+    for place in (capture / name for name in MODEL_FOLDERS):
+        inner = [entry for entry in place.glob("*") if entry.name.isdecimal() or place != capture]
+        ordered = sorted(inner, key=lambda entry: (not entry.name.isdecimal(), entry.name.zfill(9)))
+        models = [folder for folder in (*ordered[:_MAX_MODELS], place) if _suffix_of(folder, "cameras", "images")]
+        found += sorted(models, key=lambda folder: -num_images(folder)) if len(models) > 1 else models
+    return found
+
+
+def num_images(model: Path) -> int:
+    """Return the number of images of a model, 0 where its file is damaged."""
+    suffix = _suffix_of(model, "cameras", "images")
+    try:
+        return sum(1 for _ in _PARSERS[suffix].images(model / f"images{suffix}"))
+    except FormatError:
+        return 0
 
 
 def read_colmap(model: Path) -> list[View]:
@@ -41,7 +55,9 @@ def read_colmap(model: Path) -> list[View]:
     parser, suffix = _parser(model, "cameras", "images")
     path = model / f"images{suffix}"
     cameras = {record.camera_id: record for record in parser.cameras(model / f"cameras{suffix}")}
-    return [_view(record, cameras, path) for record in parser.images(path)]
+    images = list(parser.images(path))
+    names = relative_names([record.name for record in images])
+    return [_view(record._replace(name=name), cameras, path) for record, name in zip(images, names, strict=True)]
 
 
 def read_points(capture: str | Path) -> tuple[Float64[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
@@ -49,9 +65,10 @@ def read_points(capture: str | Path) -> tuple[Float64[np.ndarray, "n 3"], UInt8[
 
     Raises: InputError: the capture has no points3D file. FormatError: it is damaged, or a point is not finite.
     """
-    folder = next((f for f in map(Path(capture).joinpath, MODEL_FOLDERS) if has_points(f)), None)
+    places = [*find_models(Path(capture)), Path(capture), Path(capture, "sparse/0"), Path(capture, "sparse")]
+    folder = next((place for place in places if has_points(place)), None)
     if folder is None:
-        raise InputError(f"{capture}: expected points3D.bin or points3D.txt in one of {', '.join(MODEL_FOLDERS)}")
+        raise InputError(f"{capture}: expected points3D.bin or points3D.txt in it, in sparse/0 or in sparse")
     parser, suffix = _parser(folder, "points3D")
     path = folder / f"points3D{suffix}"
     return _point_arrays(list(parser.points(path)), path)
@@ -92,16 +109,17 @@ def _lens(camera: CameraRecord, where: str) -> dict[str, float]:
 
 
 def _parser(folder: Path, *stems: str) -> tuple[ModuleType, str]:
-    for suffix, parser in _PARSERS.items():
-        if _has(folder, suffix, *stems):
-            return parser, suffix
-    raise InputError(f"{folder}: expected {' and '.join(stems)} as .bin or .txt")
+    suffix = _suffix_of(folder, *stems)
+    if not suffix:
+        raise InputError(f"{folder}: expected {' and '.join(stems)} as .bin or .txt")
+    return _PARSERS[suffix], suffix
 
 
-def _has(folder: Path, suffix: str, *stems: str) -> bool:
-    return all((folder / f"{stem}{suffix}").is_file() for stem in stems)
+def _suffix_of(folder: Path, *stems: str) -> str:
+    """Return the suffix of the files of a model, "" where they are not all there."""
+    return next((s for s in _PARSERS if all((folder / f"{stem}{s}").is_file() for stem in stems)), "")
 
 
 def has_points(folder: Path) -> bool:
     """Return True if a model folder has a points3D file."""
-    return any(_has(folder, suffix, "points3D") for suffix in _PARSERS)
+    return bool(_suffix_of(folder, "points3D"))

@@ -5,7 +5,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import TypeVar
 
-from ..base.contents import open_file
+from ..base.contents import encoding_of, open_file
 from ..errors import FormatError
 from .colmap_records import CameraRecord, ImageRecord, PointRecord
 
@@ -63,9 +63,9 @@ def _data_lines(path: Path) -> Iterator[tuple[str, str]]:
 
 
 def _lines(path: Path) -> Iterator[tuple[str, str]]:
-    with TextIOWrapper(open_file(path), encoding="utf-8") as file:
+    with open_file(path) as raw, TextIOWrapper(raw, encoding=encoding_of(raw)) as file:
         try:
             for number, line in enumerate(file, 1):
                 yield f"{path}:{number}", line.strip()
-        except UnicodeDecodeError as error:
+        except UnicodeError as error:
             raise FormatError(f"{path}: expected UTF-8 text: {error}") from error

@@ -6,19 +6,22 @@ green, then blue). Axes are the training frame's. Properties are found by name, 
 
 A comment of the header says whether opacities are of Gaussians that are drawn antialiased, in one of two spellings
 (`drawn_as_marked`); without one they are not. A file without `scale_2`, or with the comment "SplatRenderMode: 2dgs",
-is of surfels, which are read as Gaussians next to no thickness.
+is of surfels, which are read as Gaussians next to no thickness. Files of other exporters are read as they are meant:
+colours in place of harmonics, half floats in integers of two bytes, values that are activated already.
 
 Source: Kerbl et al., "3D Gaussian Splatting" (2023); the PLY properties of its published models, and of those of Huang
 et al., "2D Gaussian Splatting" (2024).
 """
 
+import re
+import warnings
 from dataclasses import replace
 
 import numpy as np
 
 from ..base.arrays import Float32, Float64
-from ..errors import FormatError
-from ..scene.gaussians import SH_COEFFICIENTS, Gaussians, flat
+from ..errors import DrSplatWarning, FormatError
+from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians, flat
 from ..scene.placing import local_origin
 from .activation import checked, exp, logit, sigmoid
 from .ply import Records, gather, read_elements
@@ -30,10 +33,14 @@ NORMALS = ("nx", "ny", "nz")
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 SCALES = ("scale_0", "scale_1", "scale_2")
 THICKNESS_PROPERTY = SCALES[2]  # surfels lack it
+RGB = ("red", "green", "blue")  # in place of DC, as `ns-export gaussian-splat --ply-color-mode rgb` writes
 QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
 ANTIALIASED, SURFELS = "SplatRenderMode: mip", "SplatRenderMode: 2dgs"  # as Brush writes it
 DRAWN_ANTIALIASED = ("splatrendermode: mip", "antialiased 1")
 MARKED = ("splatrendermode: ", "antialiased ")
+DISPLAYED = ("srgb", "rec709", "bt709", "gamma", "none")  # beginnings of spaces that photos have
+JUDGED_ROWS, MIN_JUDGED_ROWS = 100_000, 50
+MIN_OPACITY_RANGE = 0.5
 REQUIRED = (*MEANS, *DC, "opacity", *SCALES, *QUATS)
 
 
@@ -45,7 +52,8 @@ def parse_gaussian_ply(buffer: memoryview, header: Header) -> Gaussians:
 
     Raises: FormatError: no 3DGS PLY, truncated, or rows that are no Gaussians.
     """
-    return drawn_as_marked(gaussians_of(gaussian_rows(buffer, header)), header)
+    rows = gaussian_rows(buffer, header)
+    return drawn_as_marked(gaussians_of(rows, activated_columns(rows)), header)
 
 
 def drawn_as_marked(gaussians: Gaussians, header: Header) -> Gaussians:
@@ -69,35 +77,110 @@ def gaussian_rows(buffer: memoryview, header: Header) -> Records:
     Raises: FormatError: no 3DGS PLY, or truncated.
     """
     names = header.elements["vertex"].names() if "vertex" in header.elements else []
-    missing = [name for name in REQUIRED if name not in names]
+    has_colours = set(RGB) <= set(names)
+    missing = [name for name in REQUIRED if name not in names and not (has_colours and name in DC)]
     if missing and missing != [THICKNESS_PROPERTY]:
         raise FormatError(
-            f"no 3DGS PLY: vertex has no {', '.join(missing)}; it has {', '.join(names[:12]) or 'nothing'}. Point "
+            f"no 3DGS PLY: vertex has {', '.join(names[:12]) or 'nothing'}, and no {', '.join(missing)}. Point "
             "clouds and meshes have to be trained into Gaussians first"
         )
-    _sh_names(names)
-    return read_elements(buffer, header, {"vertex"})["vertex"]
+    _refuse_linear_light(buffer, header)
+    rows = read_elements(buffer, header, {"vertex"})["vertex"]
+    return _halves_as_floats(rows, {*REQUIRED, *_rest_names(names)})
 
 
-def gaussians_of(rows: Records) -> Gaussians:
-    """Return some rows of `vertex`. Raises: FormatError: rows that are no Gaussians."""
-    sh_names = _sh_names(list(rows.dtype.names or ()))
+def _halves_as_floats(rows: Records, known: set[str]) -> Records:
+    """Return rows whose integers of two bytes are half floats, as exporters write them for want of a type in PLY.
+
+    Raises: FormatError: other integers in place of fractions.
+    """
+    fields = {name: rows.dtype[name] for name in rows.dtype.names or ()}
+    whole = [name for name, code in fields.items() if name in known and code.kind in "iu"]
+    narrow = [name for name in whole if fields[name].itemsize == 2]
+    if whole != narrow:
+        others = [name for name in whole if name not in narrow]
+        raise FormatError(
+            f"vertex has whole numbers ({fields[others[0]].name}) as {', '.join(others[:6])}, where Gaussians have "
+            "fractions: quantised, by a rule that PLY does not tell. Export it with the type float"
+        )
+    halves = [(name, code.str[0] + "f2" if name in narrow else code.str) for name, code in fields.items()]
+    return rows.view(np.dtype(halves)) if narrow else rows
+
+
+def _refuse_linear_light(buffer: memoryview, header: Header) -> None:
+    """Refuse colours of linear light, which an element (SHARP) or a comment `color_space` says."""
+    named = [re.sub(r"[:=]", " ", line.lower().replace("_", "")).split() for line in header.comments]
+    said = [words[1] for words in named if len(words) > 1 and words[0].endswith("colorspace")]
+    element = header.elements.get("color_space")
+    if element is not None and element.count and not element.has_lists and element.properties:
+        value = read_elements(buffer, header, {"color_space"})["color_space"][0][0]
+        said.append("srgb" if value == 0 else f"number {value}, linear light")
+    other = next((space for space in said if not space.startswith(DISPLAYED)), None)
+    if other is not None:
+        raise FormatError(
+            f"its color_space is {other!a:.40}: colours of linear light blend otherwise than those of photos, and "
+            "would be far too dark. Export it in sRGB"
+        )
+
+
+def activated_columns(rows: Records) -> frozenset[str]:
+    """Return which of "opacity" and "scale" hold values after their activation, where a PLY has them before it.
+
+    Opacities that all lie in 0 to 1 and fill it were no logits: as such no Gaussian would be fainter than 0.5 or more
+    solid than 0.73. Scales that are all positive were no logarithms where these would make the middle Gaussian larger
+    than a tenth of the scene, and as they are it is smaller.
+
+    Warns: DrSplatWarning: what is read so.
+    """
+    some = rows[:: max(1, len(rows) // JUDGED_ROWS)]
+    found = set()
+    if len(some) >= MIN_JUDGED_ROWS:
+        opacities = gather(some, ["opacity"])
+        if opacities.min() >= 0 and opacities.max() <= 1 and opacities.max() - opacities.min() > MIN_OPACITY_RANGE:
+            found.add("opacity")
+        names = [name for name in SCALES if name in (rows.dtype.names or ())]
+        scales = gather(some, names)
+        tenth = 0.1 * float(np.ptp(np.quantile(gather(some, MEANS), (0.05, 0.95), axis=0), axis=0).max())
+        middle = float(np.median(scales.max(axis=1)))
+        if scales.min() > 0 and middle < tenth < np.exp(np.float64(middle)):
+            found.add("scale")
+    if found:
+        text = f"{' and '.join(sorted(found))} hold activated values, not logits and logarithms, and are read as such"
+        warnings.warn(f"{text}: write the file anew to be rid of this warning", DrSplatWarning, stacklevel=4)
+    return frozenset(found)
+
+
+def gaussians_of(rows: Records, activated: frozenset[str] = frozenset()) -> Gaussians:
+    """Return some rows of `vertex`. activated: of `activated_columns`. Raises: FormatError: they are no Gaussians."""
+    rest = _rest_names(list(rows.dtype.names or ()))
     means, origin = _means(rows)
+    opacities = gather(rows, ["opacity"])[:, 0]
+    harmonics = DC if set(DC) <= set(rows.dtype.names or ()) else RGB
     gaussians = checked(
         means,
         gather(rows, QUATS),
-        _scales(rows),
-        sigmoid(gather(rows, ["opacity"])[:, 0]),
-        gather(rows, sh_names).reshape(len(rows), len(sh_names) // 3, 3),
-        extra_columns(rows, {*REQUIRED, *sh_names}),
+        _scales(rows, "scale" in activated),
+        opacities if "opacity" in activated else sigmoid(opacities),
+        _harmonics(rows, [*harmonics, *rest]),
+        extra_columns(rows, {*REQUIRED, *rest, *harmonics}),
     )
     return replace(gaussians, origin=origin)
 
 
-def _scales(rows: Records) -> Float32[np.ndarray, "n 3"]:
-    if THICKNESS_PROPERTY in (rows.dtype.names or ()):
-        return exp(gather(rows, SCALES))
-    return flat(exp(gather(rows, SCALES[:2])))
+def _harmonics(rows: Records, names: list[str]) -> Float32[np.ndarray, "n k 3"]:
+    """Return harmonics; the constant ones may be colours, whole numbers of any width or fractions."""
+    sh = gather(rows, names).reshape(len(rows), len(names) // 3, 3)
+    if names[:3] == list(RGB):
+        code = rows.dtype[RGB[0]]
+        most = np.iinfo(code).max if code.kind in "iu" else 255 if sh[:, 0].max(initial=0) > 1 else 1
+        sh[:, 0] = (sh[:, 0] / np.float32(most) - np.float32(0.5)) / np.float32(SH_C0)
+    return sh
+
+
+def _scales(rows: Records, activated: bool) -> Float32[np.ndarray, "n 3"]:
+    names = [name for name in SCALES if name in (rows.dtype.names or ())]
+    scales = gather(rows, names) if activated else exp(gather(rows, names))
+    return scales if len(names) == len(SCALES) else flat(scales)
 
 
 def _means(rows: Records) -> tuple[Float32[np.ndarray, "n 3"], Float64[np.ndarray, " 3"]]:
@@ -109,8 +192,8 @@ def _means(rows: Records) -> tuple[Float32[np.ndarray, "n 3"], Float64[np.ndarra
     return (positions - origin).astype(np.float32), origin
 
 
-def _sh_names(names: list[str]) -> list[str]:
-    """Return the property names in the memory order of Gaussians.sh: by coefficient, channels innermost."""
+def _rest_names(names: list[str]) -> list[str]:
+    """Return the names of the varying harmonics in the memory order of Gaussians.sh: channels innermost."""
     count = sum(name.startswith("f_rest_") for name in names)
     per_channel = count // 3
     rest = [f"f_rest_{channel * per_channel + c}" for c in range(per_channel) for channel in range(3)]
@@ -118,7 +201,7 @@ def _sh_names(names: list[str]) -> list[str]:
         raise FormatError(
             f"vertex has {count} f_rest properties; expected f_rest_0 onwards, 0, 9, 24 or 45 of them (SH degree 0-3)"
         )
-    return [*DC, *rest]
+    return rest
 
 
 def extra_columns(rows: Records, known: set[str]) -> dict[str, np.ndarray]:

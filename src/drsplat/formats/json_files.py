@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ def read_json(path: Path) -> object:
         text = file_text(path)
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
-    except ValueError as error:
+    except UnicodeError as error:
         raise FormatError(f"{path}: expected JSON: {error}") from error
     return document_in(text, str(path))
 
@@ -54,6 +55,11 @@ def parsed(text: str | bytes) -> object:
 def is_text(value: object) -> bool:
     """Return whether a text can be written: JSON can hold half of a character, which no file can."""
     return isinstance(value, str) and value == value.encode(errors="ignore").decode()
+
+
+def written_name(name: str) -> str:
+    """Return the name of a file as a text that can be written; each byte that is not UTF-8 becomes `\\xff` or alike."""
+    return os.fsencode(name).decode("utf-8", "backslashreplace")
 
 
 def unique_names(pairs: list[tuple[str, object]]) -> dict[str, object]:

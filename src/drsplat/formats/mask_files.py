@@ -1,36 +1,60 @@
-"""Finding the masks of photos: masks/ beside images/, or in the photos' own folder.
+"""Finding the masks of photos: masks/ beside images/, in the photos' own folder, or beside each photo.
 
-Source of the names: COLMAP's `ImageReader.mask_path` (a.jpg.png for a.jpg); brush and nerfstudio (a.png).
+Source of the names: COLMAP's `ImageReader.mask_path` (masks/a.jpg.png for a.jpg); brush and nerfstudio (masks/a.png;
+masks_4/ beside images_4/); RealityScan (a.jpg.mask.png beside the photo, or a folder .mask/); Metashape (a_mask.png);
+instant-ngp (dynamic_mask_a.png, in which white is left out).
 """
 
 import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
 from pathlib import Path, PurePosixPath
 
 from ..errors import DrSplatWarning, InputError
 from ..scene.views import View
+from .photo_files import find_files, folded
 
 FOLDER, SUFFIX = "masks", ".png"
+FOLDERS = (FOLDER, "mask", ".mask")
+FOLDER_NAME = re.compile(r"\.?masks?(_\d+)?")
 IMAGE_FOLDER = re.compile(r"images(_\d+)?")
+INVERTED_PREFIX = "dynamic_mask_"
+BESIDE = ("{name}.mask", "{stem}.mask", "{stem}_mask", INVERTED_PREFIX + "{stem}")  # and the suffix of a picture
 NO_NAME = "no mask in it has a photo's name: expected NAME.jpg.png or NAME.png for NAME.jpg"
 
 
-def mask_folder(photos: Path) -> Path | None:
-    """Return the folder of the photos' masks: masks/ in theirs, or beside it where theirs is images or images_4."""
-    beside = [photos.parent / FOLDER] if IMAGE_FOLDER.fullmatch(photos.name) else []
-    return next((place for place in [photos / FOLDER, *beside] if place.is_dir()), None)
+def mask_folders(photos: Path) -> list[Path]:
+    """Return the folders of the photos' masks: in theirs, or beside it where theirs is images or images_4."""
+    if not photos.is_dir():
+        return []
+    size = IMAGE_FOLDER.fullmatch(photos.name)
+    wanted = dict.fromkeys((f"{FOLDER}{size[1] or ''}" if size else FOLDER, *FOLDERS))
+    places = [photos, photos.parent] if size else [photos]
+    folders = {(k, folded(entry.name)): entry for k, place in enumerate(places) for entry in place.iterdir()}
+    found = [folders[k, name] for k in range(len(places)) for name in wanted if (k, name) in folders]
+    return [folder for folder in found if folder.is_dir()]
 
 
-def mask_of(masks: Path | None, name: str) -> Path | None:
-    """Return the mask of a photo: NAME.png, as COLMAP has it (a.jpg.png), or the photo's name with .png (a.png)."""
-    if masks is None:
-        return None
-    path = PurePosixPath(name)
-    names = (name + SUFFIX, str(path.with_suffix(SUFFIX)))
-    return next((masks / each for each in names if (masks / each).is_file()), None)
+def masks_of(photos: Path, names: Sequence[str]) -> list[Path | None]:
+    """Return the mask of each photo of a folder, by the photos' names in it; None where it has none."""
+    folders = mask_folders(photos)
+    return find_files([_places(photos, folders, PurePosixPath(name)) for name in names])
+
+
+def _places(photos: Path, folders: Sequence[Path], name: PurePosixPath) -> list[Path]:
+    """Return where a photo's mask may lie. In a folder of masks it may have the name of the photo, too."""
+    beside = [part.format(name=name.name, stem=name.stem) for part in BESIDE]
+    inside = [name.name, name.stem, *beside]
+    return [
+        *(folder / name.parent / part for folder in folders for part in inside),
+        *(photos / name.parent / part for part in beside),
+    ]
+
+
+def is_inverted(mask: Path) -> bool:
+    """Return whether white is left out by the mask's name."""
+    return mask.name.startswith(INVERTED_PREFIX)
 
 
 def with_masks(views: Sequence[View], invert: bool) -> list[View]:
@@ -40,23 +64,40 @@ def with_masks(views: Sequence[View], invert: bool) -> list[View]:
 
     Warns: DrSplatWarning: masks without a photo of their name. Raises: InputError: `invert`, and there is no mask.
     """
-    folder_of = cache(mask_folder)
-    folders = {view.name: folder_of(photo_folder(view)) for view in views if view.image_path is not None}
-    masked = [
-        replace(view, mask_path=view.mask_path or mask_of(folders.get(view.name), view.name), mask_inverted=invert)
-        for view in views
-    ]
+    by_folder: dict[Path, list[View]] = {}
+    for view in views:
+        if view.image_path is not None and view.mask_path is None:
+            by_folder.setdefault(photo_folder(view), []).append(view)
+    found: dict[str, Path | None] = {}
+    for folder, some in by_folder.items():
+        names = [_name_in(folder, view) for view in some]
+        found |= dict(zip((view.name for view in some), masks_of(folder, names), strict=True))
+    photos = {view.image_path for view in views}
+    found = {name: None if mask in photos else mask for name, mask in found.items()}
+    masked = [_masked(view, view.mask_path or found.get(view.name), invert) for view in views]
     if any(view.mask_path is not None for view in masked):
-        return [view if view.mask_path is not None else replace(view, mask_inverted=False) for view in masked]
+        return masked
     if invert:
         raise InputError("invert_masks: these photos have no masks: put them into masks/ beside images/, or drop it")
-    for folder in dict.fromkeys(filter(None, folders.values())):
+    for folder in dict.fromkeys(folder for photos in by_folder for folder in mask_folders(photos)):
         warnings.warn(f"{folder}: {NO_NAME}; photos are used whole", DrSplatWarning, stacklevel=4)
     return list(views)
+
+
+def _masked(view: View, mask: Path | None, invert: bool) -> View:
+    inverted = mask is not None and invert != is_inverted(mask)
+    return replace(view, mask_path=mask, mask_inverted=inverted)
+
+
+def _name_in(folder: Path, view: View) -> str:
+    """Return the name of a view's photo in its folder, which may have another suffix or case than the view's name."""
+    path = view.image_path or folder
+    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else path.name
 
 
 def photo_folder(view: View) -> Path:
     """Return the folder that the view's name is relative to, by where its photo is."""
     path = view.image_path or Path(view.name)
-    parts = Path(view.name).parts
-    return path.parents[len(parts) - 1] if path.parts[-len(parts) :] == parts else path.parent
+    depth = len(Path(view.name).parts)
+    same = [folded(part) for part in path.parts[-depth:-1]] == [folded(part) for part in Path(view.name).parts[:-1]]
+    return path.parents[depth - 1] if same and len(path.parents) >= depth else path.parent

@@ -1,17 +1,31 @@
-"""Finding a capture's photos by the names that camera files use."""
+"""Finding a capture's files by the names that camera files use: the one place where names are resolved.
+
+Names were often given on another system: with backslashes and drives, in letters of another case or composition (a
+Mac keeps "ä" as two characters), or before the photos were converted to another format.
+"""
 
 import re
+import unicodedata
+import warnings
+from collections import defaultdict
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
+from itertools import takewhile
 from pathlib import Path, PurePosixPath
 
-from ..errors import FormatError, InputError, MismatchError
+from ..errors import DrSplatWarning, FormatError, InputError, MismatchError
 from ..scene.views import View, same_aspect
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".JPG", ".JPEG", ".PNG", ".webp", ".tif", ".tiff", ".bmp")
 """Tried in this order where a file names its photos without suffix."""
 
+Listing = Callable[[Path], dict[str, list[Path]]]
+
 _MAX_NAME_BYTES = 1024
-_MODEL_FOLDERS = re.compile(r"(^|/)(colmap/)?sparse(/\d+)?$")
+_MODEL_FOLDERS = re.compile(r"(^|/)(colmap/)?sparse(/[^/]+)?$")
+_ROOT = re.compile(r"//[^/]+/[^/]+/|(//\?/)?[A-Za-z]:/|/")  # of a Windows share, a drive, or a Unix path
+_SUFFIXES = tuple(dict.fromkeys(suffix.lower() for suffix in PHOTO_SUFFIXES))
 
 
 def safe_name(name: str, where: str) -> str:
@@ -32,19 +46,114 @@ def safe_name(name: str, where: str) -> str:
     return "/".join(parts)
 
 
-def find_photo(folder: Path, name: str) -> Path | None:
-    """Return the file of that name; where there is none, of that name plus a photo's suffix."""
-    exact = folder / name
-    if exact.is_file():
-        return exact
-    with_suffix = (exact.with_name(exact.name + suffix) for suffix in PHOTO_SUFFIXES)
-    return next((path for path in with_suffix if path.is_file()), None)
+def is_absolute(name: str) -> bool:
+    """Return whether a name begins at a root: of Unix, a Windows drive (C:\\) or share (\\\\server\\share)."""
+    posix = name.replace("\\", "/")
+    is_plain = name.isprintable() and len(name) <= _MAX_NAME_BYTES and ".." not in posix.split("/")
+    return is_plain and _ROOT.match(posix) is not None
+
+
+def relative_names(names: Sequence[str]) -> list[str]:
+    """Return names with forward slashes, absolute ones less the folder that all absolute ones share.
+
+    Whoever posed the photos elsewhere left the folders of that machine in the names.
+    """
+    parts = [PurePosixPath(name.replace("\\", "/")).parts for name in names]
+    absolute = [is_absolute(name) for name in names]
+    folders = [[folded(part) for part in each[:-1]] for each, is_one in zip(parts, absolute, strict=True) if is_one]
+    pairs = zip(min(folders, default=[]), max(folders, default=[]), strict=False)
+    shared = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], pairs))
+    return ["/".join(each[shared:] if is_one else each) for each, is_one in zip(parts, absolute, strict=True)]
+
+
+def folded(name: str) -> str:
+    """Return a name as it is compared with another system's: without case, with letters composed."""
+    return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())
+
+
+def find_files(places: Sequence[Sequence[Path]]) -> list[Path | None]:
+    """Return the file of each name, None where there is none, or more than one that could be meant.
+
+    places: for each name the paths at which its file may lie, the likeliest first. A path is tried as it is, then with
+    a photo's suffix behind it (cameras.json has names without), then in letters of any case and composition, at last
+    with another photo's suffix. A file that lies exactly where a name says is no other name's.
+
+    Warns: DrSplatWarning: files that were found under another suffix, once.
+    """
+    unique = {tuple(paths): next(filter(None, map(_exact, paths)), None) for paths in places}
+    listing, taken, converted = cache(_listing), set(unique.values()), []
+    for paths in [paths for paths, exact in unique.items() if exact is None]:
+        spellings = ([file for each in _spellings(path) for file in _alike(each, listing)] for path in paths)
+        file = next(filter(None, (_only(files, taken) for files in spellings)), None)
+        if file is None:
+            others = ([file for each in _converted(path) for file in _alike(each, listing)] for path in paths)
+            file = next(filter(None, (_only(files, taken) for files in others)), None)
+            converted += [f"{file.name} for {paths[0].name}"] if file is not None else []
+        unique[paths] = file
+        taken.add(file)
+    if converted:
+        text = f"{len(converted)} of {len(places)} files have another suffix on disk: {listed(converted, 3)} is taken"
+        warnings.warn(text, DrSplatWarning, stacklevel=3)
+    return [unique[tuple(paths)] for paths in places]
+
+
+def view_name(name: str, photo: Path) -> str:
+    """Return the name of a view: that of the camera file, with the photo's suffix where it has none."""
+    stem = name.rpartition("/")[2]
+    return name + photo.name.removeprefix(stem) if photo.name.startswith(stem) else name
+
+
+def _exact(path: Path) -> Path | None:
+    places = (path, *(path.with_name(path.name + suffix) for suffix in PHOTO_SUFFIXES))
+    return next((place for place in places if place.is_file()), None)
+
+
+def _spellings(path: Path) -> list[Path]:
+    """Return a path, and where it has no photo's suffix, with each."""
+    more = [] if path.suffix.lower() in _SUFFIXES else [path.with_name(path.name + suffix) for suffix in _SUFFIXES]
+    return [path, *more]
+
+
+def _converted(path: Path) -> list[Path]:
+    """Return a path with each other photo's suffix in place of one that it has."""
+    return [path.with_suffix(suffix) for suffix in _SUFFIXES] if path.suffix.lower() in _SUFFIXES else []
+
+
+def _only(files: Sequence[Path], taken: set[Path | None]) -> Path | None:
+    left = [file for file in files if file not in taken and file.is_file()]
+    return left[0] if len(left) == 1 else None
+
+
+def _alike(path: Path, listing: Listing) -> list[Path]:
+    """Return what lies at a path but for case and composition of its letters."""
+    known = next(parent for parent in path.parents if parent.is_dir())
+    found = [known]
+    for part in path.relative_to(known).parts:
+        found = [entry for place in found for entry in listing(place).get(folded(part), [])]
+    return found
+
+
+def _listing(folder: Path) -> dict[str, list[Path]]:
+    """Return the entries of a folder by their folded names."""
+    entries: dict[str, list[Path]] = defaultdict(list)
+    for entry in folder.iterdir() if folder.is_dir() else ():
+        entries[folded(entry.name)].append(entry)
+    return entries
 
 
 def capture_folder(path: Path) -> Path:
     """Return the folder of a capture that is named by itself, its model's folder or one of its files."""
     folder = path if path.is_dir() else path.parent
-    return Path(_MODEL_FOLDERS.sub("", folder.as_posix()))
+    if (folder / "images").is_dir():
+        return folder
+    if folder.name.isdecimal() and (folder.parent / "images").is_dir():
+        return folder.parent
+    is_named_so = folder.parent.name == "sparse" and not folder.name.isdecimal() and not _holds_cameras(folder)
+    return folder if is_named_so else Path(_MODEL_FOLDERS.sub("", folder.as_posix()))
+
+
+def _holds_cameras(folder: Path) -> bool:
+    return any((folder / f"cameras{suffix}").is_file() for suffix in (".bin", ".txt"))
 
 
 def image_folder(capture: Path, images: str | Path | None) -> Path:
@@ -55,8 +164,7 @@ def image_folder(capture: Path, images: str | Path | None) -> Path:
 
     Raises: InputError: `images` is no folder.
     """
-    if not (capture / "images").is_dir():
-        capture = capture_folder(capture)
+    capture = capture_folder(capture)
     if images is None:
         return capture / "images" if (capture / "images").is_dir() else capture
     for folder in (capture / images, Path(images)):

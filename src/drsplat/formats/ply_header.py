@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import FormatError
 
+MARK = b"\xef\xbb\xbf"  # byte order mark of UTF-8, which some editors put before text
 MAX_HEADER_BYTES = 1 << 20
 SCALAR_TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
@@ -70,7 +71,8 @@ def read_header(buffer: memoryview) -> Header:
     Raises: FormatError: not PLY, or a header that is damaged or longer than 1 MiB.
     """
     head = bytes(buffer[: 1 << 14])
-    if not head.startswith((b"ply\n", b"ply\r\n")):
+    begin = len(MARK) * head.startswith(MARK)
+    if not head.startswith((b"ply\n", b"ply\r\n"), begin):
         raise FormatError("not a PLY file: it does not begin with the line 'ply'")
     if b"\nend_header" not in head:
         head = bytes(buffer[:MAX_HEADER_BYTES])
@@ -78,7 +80,7 @@ def read_header(buffer: memoryview) -> Header:
     line_end = head.find(b"\n", end + 1)
     if end < 0 or line_end < 0 or head[end + 11 : line_end].strip():
         raise FormatError("PLY header has no 'end_header' line: the file is truncated or damaged")
-    lines = head[4:end].decode("latin-1").split("\n")
+    lines = head[begin + 4 : end].decode("latin-1").split("\n")
     order, elements = _parse_lines(lines)
     comments = tuple(line[8:].strip() for line in lines if line.startswith("comment "))
     return Header(order, elements, line_end + 1, comments)

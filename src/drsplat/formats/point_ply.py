@@ -1,13 +1,13 @@
 """Point clouds as PLY: positions and colours, of any tool."""
 
-import mmap
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
 
 from ..base.arrays import Float64, UInt8
-from ..errors import FormatError, InputError
+from ..base.contents import file_bytes
+from ..errors import FormatError, placed
 from .ply import Records, read_elements
 from .ply_header import read_header
 
@@ -24,17 +24,11 @@ def read_point_ply(path: str | PathLike[str]) -> tuple[Float64[np.ndarray, "n 3"
     point that is not finite.
     """
     path = Path(path)
-    try:
-        with open(path, "rb") as file:
-            buffer = memoryview(mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ))
-    except (FileNotFoundError, IsADirectoryError):
-        raise InputError(f"{path}: there is no such file of points") from None
-    except ValueError:
-        raise FormatError(f"{path}: the file is empty") from None
+    buffer = file_bytes(path).data
     try:
         return _points(read_elements(buffer, read_header(buffer), {"vertex"})["vertex"])
     except FormatError as error:
-        raise FormatError(f"{path}: {error}") from None
+        raise FormatError(placed(path, error)) from None
 
 
 def _points(rows: Records) -> tuple[np.ndarray, np.ndarray]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from ..base.contents import open_file
 from ..errors import DrSplatError, InputError, did_you_mean
-from .colmap import find_model
+from .colmap import find_models
 from .feature_files import COMPACT, EMBEDDINGS
 from .field_folder import MANIFEST
 from .photo_files import PHOTO_SUFFIXES
@@ -21,6 +21,7 @@ SCENE_SUFFIXES = (
     ".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb", ".gltf", ".usda", ".usdc", ".usdz", ".usd", ".lcc2"
 )  # fmt: skip
 FIELD_SUFFIX = ".field"
+_TORCH_NAME_BYTES = 256  # of an archive: its first member is NAME/data.pkl
 _HEAD_BYTES = 4096  # a PLY's header names its properties within them
 _SPLAT_EXTENSION = b"KHR_gaussian_splatting"
 _MAX_GLTF_NAMES_BYTES = 1 << 20  # that are searched: the extension may be named anywhere in them
@@ -50,6 +51,12 @@ class Kind(Enum):
     PHOTO = "a single photo", "name the folder that holds the photos and their poses"
     ARCHIVE = "an archive", "unpack it and name the folder"
     DATABASE = "COLMAP's database without a model", "run `colmap mapper`, then name the folder above sparse/0"
+    CHECKPOINT = (
+        "a checkpoint of PyTorch, which is never opened because it can run code",
+        "export a PLY with the program that wrote it: nerfstudio by `ns-export gaussian-splat --load-config config.yml "
+        "--output-dir exports`, gsplat by `simple_trainer.py --save_ply` or `gsplat.export_splats`, 3DGS writes "
+        "point_cloud/iteration_N/point_cloud.ply beside it",
+    )
     MESH = "a mesh", "Gaussians are made of photos: `drsplat train CAPTURE` makes a scene"
     POINTS = "points without Gaussians", "Gaussians are made of photos: `drsplat train CAPTURE` makes a scene"
     TILES3D = "3D Tiles", "drsplat writes them and does not read them: name the scene that they are of"
@@ -93,6 +100,7 @@ _SUFFIXES = {
     **dict.fromkeys((".obj", ".fbx", ".stl", ".dae", ".blend"), Kind.MESH),
     **dict.fromkeys((".las", ".laz", ".e57", ".pcd", ".xyz"), Kind.POINTS),
     **dict.fromkeys((COMPACT, EMBEDDINGS), Kind.FEATURES),
+    **dict.fromkeys((".ckpt", ".pt", ".pth", ".pkl"), Kind.CHECKPOINT),
     ".db": Kind.DATABASE,
     TILESET: Kind.TILES3D,
     ".rrd": Kind.RECORDING,
@@ -100,7 +108,7 @@ _SUFFIXES = {
 _HEADS = {
     b"\xff\xd8\xff": Kind.PHOTO, b"\x89PNG": Kind.PHOTO, b"NGSP": Kind.SCENE, b"\x1aE\xdf\xa3": Kind.VIDEO,
     b"7z\xbc\xaf": Kind.ARCHIVE, b"Rar!": Kind.ARCHIVE, b"LASF": Kind.POINTS,
-    b"SQLite format 3": Kind.DATABASE,
+    b"SQLite format 3": Kind.DATABASE, b"\x80\x02": Kind.CHECKPOINT,
 }  # fmt: skip
 _STILL_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1", b"avif")
 _IN_FOLDERS = {Kind.PHOTO: Kind.PHOTOS, Kind.SCENE: Kind.OTHER}  # a scene beside other files is not the folder's kind
@@ -125,7 +133,7 @@ def mistaken(path: Path, wanted: Kind) -> InputError:
     nearby = () if kind in _WRITTEN_ONLY else _nearby(path)
     near = next((other for other in nearby if _serves(other, wanted)), None)
     way = _WAYS.get((wanted, kind), kind.way) if near is None else f"did you mean {near}?"
-    return InputError(f"{path}: expected {expected}, got {kind.called}: {way}")
+    return InputError(f"{path}: got {kind.called}, expected {expected}: {way}")
 
 
 def _sibling(path: Path) -> str:
@@ -161,10 +169,12 @@ def _file_kind(path: Path) -> Kind:
         return Kind.UNREAD_PHOTOS if head[8:12] in _STILL_BRANDS else Kind.VIDEO
     if head[:4] == b"RIFF":
         return Kind.VIDEO if head[8:12] == b"AVI " else Kind.PHOTO
+    if head[:4] == b"PK\x03\x04" and b"/data.pkl" in head[:_TORCH_NAME_BYTES]:
+        return Kind.CHECKPOINT
     if head[:4] == b"PK\x03\x04" and by_suffix is not Kind.SCENE:  # SOG is a zip
         return Kind.ARCHIVE
     if head[:3] == b"ply" and b"element vertex" in head:
-        gaussian = b" f_dc_0" in head or b" packed_position" in head
+        gaussian = any(name in head for name in (b" f_dc_0", b" packed_position", b" scale_0", b" rot_0"))
         return Kind.SCENE if gaussian else Kind.MESH if b"element face" in head else Kind.POINTS
     return next((kind for start, kind in _HEADS.items() if head.startswith(start)), by_suffix)
 
@@ -180,7 +190,9 @@ def _folder_kind(path: Path) -> Kind:
         return Kind.TILES3D
     if any((path / mark).exists() for mark in (TILES, MOTION, LOD_META, "point_cloud")):
         return Kind.SCENE
-    if find_model(path) or any((path / name).is_file() for name in (TRANSFORMS, TRAIN_TRANSFORMS, CAMERAS)):
+    if any((path / mark).is_dir() for mark in ("nerfstudio_models", "ckpts")):
+        return Kind.CHECKPOINT
+    if find_models(path) or any((path / name).is_file() for name in (TRANSFORMS, TRAIN_TRANSFORMS, CAMERAS)):
         return Kind.CAPTURE
     return _kind_of_most(path)
 

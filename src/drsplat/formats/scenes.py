@@ -11,7 +11,7 @@ import numpy as np
 
 from ..base.arrays import Shaped
 from ..base.contents import file_bytes
-from ..errors import DrSplatWarning, FormatError, InputError
+from ..errors import DrSplatWarning, FormatError, InputError, placed
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians, filled
 from ..scene.units import lost_precision
 from .compressed_ply import is_compressed, parse_compressed_ply
@@ -23,7 +23,7 @@ from .ksplat import parse_ksplat
 from .lcc2 import SUFFIX as LCC2
 from .lcc2 import read_lcc2
 from .ply import write_vertices
-from .ply_header import read_header
+from .ply_header import MARK, read_header
 from .recognising import Kind, mistaken, recognised
 from .sog import parse_sog, read_unpacked_sog
 from .sog_files import META, ZIP_MAGIC
@@ -36,6 +36,7 @@ from .usd import SUFFIXES as USD_SUFFIXES
 from .usd import TEXT as USD_TEXT
 from .usd import layer_of, scene_of
 from .usd_text import parse_usda
+from .writable import refuse_packed_name
 
 GLTF = ".gltf"  # a document of JSON, which has no mark
 GZIP_DEFLATE = b"\x1f\x8b\x08"
@@ -76,7 +77,7 @@ def read_gaussians(path: str | PathLike[str]) -> Gaussians:
     except FormatError as error:
         if recognised(path) not in (Kind.SCENE, Kind.OTHER):
             raise mistaken(path, Kind.SCENE) from None
-        raise FormatError(f"{path}: {error}") from None
+        raise FormatError(placed(path, error)) from None
 
 
 def local(gaussians: Gaussians, where: str) -> Gaussians:
@@ -92,7 +93,7 @@ def parse_gaussians(buffer: memoryview, suffix: str = "") -> Gaussians:
 
     Raises: FormatError: as `read_gaussians`.
     """
-    start = bytes(buffer[:4])
+    start = bytes(buffer[:7]).removeprefix(MARK)[:4]
     if start.startswith((b"ply\n", b"ply\r")):
         header = read_header(buffer)
         return (parse_compressed_ply if is_compressed(header) else parse_gaussian_ply)(buffer, header)
@@ -168,6 +169,7 @@ def write_gaussians(
     another length, type or name than a PLY can hold, or of a property that the format itself uses; a
     `sh_degree` below that of the Gaussians or above 3.
     """
+    refuse_packed_name(path)
     if Path(path).suffix.lower() != ".ply":
         raise InputError(f"scenes are written as PLY: give {Path(path).name} the suffix .ply")
     properties = vertex_columns(gaussians if sh_degree is None else _filled(gaussians, sh_degree))

@@ -15,6 +15,7 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 
 from ..base.arrays import UInt8
+from ..base.contents import open_file
 from ..errors import FormatError
 from .json_files import excerpt
 
@@ -38,7 +39,7 @@ def folder_member(folder: Path) -> Member:
         if not path.is_file():
             raise FormatError(f"{folder}: there is no file '{name}', which {META} names")
         limit = MAX_META_BYTES if name == META else path.stat().st_size
-        with open(path, "rb") as file:
+        with open_file(path) as file:
             content = file.read(limit + 1)
         if len(content) > limit:
             raise FormatError(f"{path}: more than {limit} bytes")

@@ -9,11 +9,11 @@ import numpy as np
 
 from ..base.arrays import Bool, Float32, Float64, Integer
 from ..base.contents import file_bytes
-from ..errors import FormatError, InputError
+from ..errors import FormatError, InputError, placed
 from ..scene.gaussians import Gaussians
 from ..scene.similarity import IDENTITY, Similarity, similarity_of
 from .compressed_ply import is_compressed
-from .gaussian_ply import MEANS, SCALES, drawn_as_marked, gaussian_rows, gaussians_of
+from .gaussian_ply import MEANS, SCALES, activated_columns, drawn_as_marked, gaussian_rows, gaussians_of
 from .json_files import as_matrix, as_vector, excerpt, is_text, read_json
 from .ply import Records
 from .ply_header import Header, read_header
@@ -59,6 +59,7 @@ class _MappedPly:
 
     def __init__(self, path: Path, rows: Records, header: Header) -> None:
         self.name, self._path, self._rows, self._header = path.name, path, rows, header
+        self._activated = activated_columns(rows)
 
     def positions(self) -> Float64[np.ndarray, "n 3"]:
         result = np.empty((len(self._rows), 3))
@@ -75,11 +76,11 @@ class _MappedPly:
             for name in [name for name in SCALES if name in (block.dtype.names or ())]:
                 np.maximum(largest[begin : begin + BLOCK_ROWS], block[name], out=largest[begin : begin + BLOCK_ROWS])
         with np.errstate(over="ignore"):  # rows that are no Gaussians are told when they are read
-            return np.exp(largest)
+            return largest if "scale" in self._activated else np.exp(largest)
 
     def gaussians(self, rows: Integer[np.ndarray, " m"]) -> Gaussians:
         try:
-            return drawn_as_marked(gaussians_of(self._rows[rows]), self._header)
+            return drawn_as_marked(gaussians_of(self._rows[rows], self._activated), self._header)
         except FormatError as error:
             raise FormatError(f"{self._path}: {error}") from None
 
@@ -122,7 +123,7 @@ def sources_of(path: Path) -> list[Source]:
             return [_Whole(path)]
         return [_MappedPly(path, gaussian_rows(content.data, header), header)]
     except FormatError as error:
-        raise FormatError(f"{path}: {error}") from None
+        raise FormatError(placed(path, error)) from None
 
 
 def read_blocks(path: Path) -> list[Block]:

@@ -26,7 +26,7 @@ from ..errors import DrSplatWarning, FormatError
 from ..scene.gaussians import Gaussians
 from .activation import checked, exp, from_smallest_three
 from .labels import Labels, parse_labels
-from .spz_streams import gunzipped, refuse_implausible, unzstd
+from .spz_streams import MAX_EXTENSION_BYTES, gunzipped, refuse_implausible, unzstd
 
 MAGIC = b"NGSP"
 PREFIX = struct.Struct("<4sIIBBBB")
@@ -156,7 +156,7 @@ def _concatenated(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], by
 
     raw, tail = gunzipped(buffer, PREFIX.size, payload_bytes)
     header = _header(raw[: PREFIX.size])
-    if tail and not header.flags & HAS_EXTENSIONS:
+    if tail.strip(b"\0") and not header.flags & HAS_EXTENSIONS:  # zeros are padding
         raise FormatError(f"SPZ holds {len(tail)} bytes more than {header.count} Gaussians: its header is damaged")
     sizes = header.plane_bytes()
     whole = np.frombuffer(raw, np.uint8, sum(sizes), PREFIX.size)
@@ -188,7 +188,7 @@ def _separate(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], bytes,
             raise FormatError(f"SPZ is truncated or damaged: a stream of {promised} bytes, expected {size}")
         planes.append(np.frombuffer(unzstd(buffer[offset : offset + compressed], size), np.uint8))
         offset += compressed
-    if offset != len(buffer):
+    if bytes(buffer[offset : offset + MAX_EXTENSION_BYTES]).strip(b"\0") or len(buffer) - offset > MAX_EXTENSION_BYTES:
         raise FormatError(f"SPZ holds {len(buffer) - offset} bytes after its last stream: its header is damaged")
     return (planes, bytes(buffer[HEADER_BYTES:contents]) if header.flags & HAS_EXTENSIONS else b"", header)
 

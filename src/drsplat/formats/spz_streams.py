@@ -41,19 +41,33 @@ def gunzipped(buffer: memoryview, start_bytes: int, payload_bytes: Callable[[byt
         raw, tail = (bytes(buffer[: min(size, len(buffer))]), bytes(buffer[size : size + MAX_EXTENSION_BYTES + 1]))
         whole = len(buffer) <= size + MAX_EXTENSION_BYTES
     else:
-        stream = zlib.decompressobj(wbits=31)
         try:
-            start = stream.decompress(buffer, start_bytes)
+            start, _ = _unzipped(buffer, start_bytes)
             size = payload_bytes(start)
             refuse_implausible(size, len(buffer))
-            raw = start + stream.decompress(stream.unconsumed_tail, max(size - len(start), 1))
-            raw, tail = (raw[:size], raw[size:] + stream.decompress(stream.unconsumed_tail, MAX_EXTENSION_BYTES))
+            raw, whole = _unzipped(buffer, size + MAX_EXTENSION_BYTES)
+            raw, tail = raw[:size], raw[size:]
         except zlib.error as error:
             raise FormatError(f"gzip stream is damaged: {error}") from None
-        whole = stream.eof and not stream.unused_data
     if len(raw) < size or not whole:
         raise FormatError(f"SPZ is truncated or damaged: its header promises {size} bytes, it holds {len(raw)}")
     return raw, tail
+
+
+def _unzipped(buffer: memoryview, most: int) -> tuple[bytes, bool]:
+    """Return at most so many bytes of a gzip file, of one member after another, and whether that is all of it.
+
+    Zeros behind the last member are padding, as tapes and buffers of fixed length have it.
+    """
+    parts, left = [], most
+    while True:
+        stream = zlib.decompressobj(wbits=31)
+        parts.append(stream.decompress(buffer, left) if left else b"")
+        left -= len(parts[-1])
+        rest = stream.unused_data
+        if not stream.eof or not rest.strip(b"\0"):
+            return b"".join(parts), stream.eof
+        buffer = memoryview(rest)
 
 
 def unzstd(compressed: memoryview, size: int) -> bytes:

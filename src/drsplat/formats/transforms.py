@@ -1,10 +1,9 @@
 """transforms.json of nerfstudio and instant-ngp -> views."""
 
-import math
 import os
 import warnings
 from collections import ChainMap
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,17 +13,13 @@ from ..base.arrays import Float64
 from ..errors import DrSplatWarning, FormatError, InputError
 from ..scene.views import View
 from .dataparser import SceneFrame, scene_frame
-from .json_files import as_count, as_matrix, as_number, excerpt, read_json
-from .mask_files import IMAGE_FOLDER
-from .photo_files import find_photo, listed, on_photo, safe_name
-from .poses import inverse_pose, nearest_rotation, pinhole, posed_view
-
-CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
-_MAX_PATH_CHARACTERS = 1024
+from .json_files import as_count, as_matrix, excerpt, read_json
+from .lenses import Entry, distortion_of, intrinsics_of, number, refuse_other_lenses
+from .mask_files import FOLDER, IMAGE_FOLDER
+from .photo_files import find_files, is_absolute, listed, on_photo, relative_names, safe_name, view_name
+from .poses import inverse_pose, nearest_rotation, posed_view
 
 _OPENCV_FROM_OPENGL = np.array([1.0, -1.0, -1.0])  # camera axes: y up and z backward become y down and z forward
-
-Entry = Mapping[str, object]
 
 
 def read_transforms(path: Path, images: Path | None = None) -> list[View]:
@@ -42,20 +37,19 @@ def read_transforms(path: Path, images: Path | None = None) -> list[View]:
     for. InputError: no photo at all, or a mask that is missing.
     """
     document = _document(path)
-    views, missing = [], []
-    shared = _shared_folder(document)
+    frames: list[object] = document["frames"]  # type: ignore[assignment]
+    given = [_file_path(frame, f"{path}, frame {index}") for index, frame in enumerate(frames)]
+    named = [_mask_path(frame, f"{path}, frame {index}") for index, frame in enumerate(frames)]
+    names, mask_names = _relative_to(path, given, named)
+    photos = find_files([_places(path.parent, images, name, file) for name, file in zip(names, given, strict=True)])
+    masks = _masks(path, {k: named[k] for k, photo in enumerate(photos) if photo and named[k]}, mask_names, set(photos))
     of_all = {key: value for key, value in document.items() if key != "time"}  # each photo has its own
-    for index, frame in enumerate(document["frames"]):  # type: ignore[arg-type,var-annotated]
-        where = f"{path}, frame {index}"
-        given = _file_path(frame, where)
-        name = safe_name(_relative(given, path.parent, shared), where)
-        photo = _find(path.parent, images, name, Path(given) if shared is not None else None)
-        if photo is None:
-            missing.append(name)
-        else:
-            view = _view(ChainMap(frame, of_all), _name(name, photo), photo, where)
-            views.append(replace(view, mask_path=_mask(frame, path.parent, where)))
-    _report(path, missing, len(views))
+    views = []
+    for index, (frame, name, photo) in enumerate(zip(frames, names, photos, strict=True)):
+        if photo is not None and isinstance(frame, dict):
+            view = _view(ChainMap(frame, of_all), view_name(_inner(name), photo), photo, f"{path}, frame {index}")
+            views.append(replace(view, mask_path=masks.get(index)))
+    _report(path, [name for name, photo in zip(names, photos, strict=True) if photo is None], len(views))
     return views
 
 
@@ -77,9 +71,9 @@ def point_file(path: Path) -> Path | None:
         return None
     if not isinstance(named, str):
         raise FormatError(f"{path}: ply_file_path: expected a file's name, got {excerpt(named)}")
-    if _is_absolute(named):
-        return Path(named)
-    return path.parent / safe_name(named, f"{path}: ply_file_path")
+    name = safe_name(relative_names([named])[0], f"{path}: ply_file_path")
+    places = [Path(named)] * _is_path(named) + [path.parent / name]
+    return find_files([places])[0] or places[0]
 
 
 def _document(path: Path) -> dict[str, object]:
@@ -93,13 +87,13 @@ def _document(path: Path) -> dict[str, object]:
 
 def _view(entry: Entry, name: str, photo: Path, where: str) -> View:
     where = f"{where} ({name!a})"
-    _refuse_other_lenses(entry, where)
+    refuse_other_lenses(entry, where)
+    _refuse_moving(entry, where)
     width, height = _size(entry, photo, where)
-    distortion = tuple(_number(entry, key, where, 0.0) for key in ("k1", "k2", "p1", "p2"))
-    intrinsics = _intrinsics(entry, width, height, where)
+    intrinsics = intrinsics_of(entry, width, height, where)
     cam_from_world = cam_from_transform(entry.get("transform_matrix"), f"{where}: transform_matrix")
-    view = posed_view(where, name, intrinsics, cam_from_world, (width, height), distortion)
-    time = _number(entry, "time", where, 0.0) if entry.get("time") is not None else None
+    view = posed_view(where, name, intrinsics, cam_from_world, (width, height), distortion_of(entry, where))
+    time = number(entry, "time", where, 0.0) if entry.get("time") is not None else None
     return on_photo(replace(view, time=time), photo)
 
 
@@ -115,25 +109,11 @@ def cam_from_transform(rows: object, where: str) -> Float64[np.ndarray, "4 4"]:
     return inverse_pose(rotation, matrix[:, 3])
 
 
-def _intrinsics(entry: Entry, width: int, height: int, where: str) -> Float64[np.ndarray, "3 3"]:
-    fx = _focal(entry, "fl_x", "camera_angle_x", width, where)
-    fy = _focal(entry, "fl_y", "camera_angle_y", height, where)
-    fx, fy = fy if fx is None else fx, fx if fy is None else fy
-    if fx is None or fy is None:
-        raise FormatError(f"{where}: expected fl_x or camera_angle_x")
-    cx, cy = _number(entry, "cx", where, width / 2), _number(entry, "cy", where, height / 2)
-    return pinhole(fx, fy, cx, cy)
-
-
-def _focal(entry: Entry, key: str, angle_key: str, side: int, where: str) -> float | None:
-    if key in entry:
-        return _number(entry, key, where, 0.0)
-    if angle_key not in entry:
-        return None
-    angle = _number(entry, angle_key, where, 0.0)
-    if not 0 < angle / 2 < math.pi / 2:
-        raise FormatError(f"{where}: expected {angle_key} between 0 and pi radians, got {angle}")
-    return side / 2 / math.tan(angle / 2)
+def _refuse_moving(entry: Entry, where: str) -> None:
+    """Refuse the pose at the end of an exposure (instant-ngp) where it is not that of the photo."""
+    ends = [key for key in ("transform_matrix_start", "transform_matrix_end") if key in entry]
+    if any(entry[key] != entry.get("transform_matrix") for key in ends):
+        raise FormatError(f"{where}: {' and '.join(ends)}: the camera moves while it looks; give one transform_matrix")
 
 
 def _size(entry: Entry, photo: Path, where: str) -> tuple[int, int]:
@@ -144,17 +124,6 @@ def _size(entry: Entry, photo: Path, where: str) -> tuple[int, int]:
     return photo_size(photo)
 
 
-def _refuse_other_lenses(entry: Entry, where: str) -> None:
-    model = entry.get("camera_model", "OPENCV")
-    higher_terms = any(_number(entry, key, where, 0.0) for key in ("k3", "k4", "k5", "k6"))
-    if model not in CAMERA_MODELS or entry.get("is_fisheye") or higher_terms:
-        lens = f"camera_model {excerpt(model)}" + (" with terms beyond k2" if higher_terms else "")
-        raise FormatError(
-            f"{where}: {lens} is not supported (supported: {', '.join(CAMERA_MODELS)} with k1, k2, p1, p2): undistort "
-            "the photos first, with `colmap image_undistorter`"
-        )
-
-
 def _file_path(frame: object, where: str) -> str:
     if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
         raise FormatError(f"{where}: expected an object with a file_path, got {excerpt(frame)}")
@@ -162,63 +131,63 @@ def _file_path(frame: object, where: str) -> str:
     return path
 
 
-def _shared_folder(document: Mapping[str, object]) -> str | None:
-    """Return the folder of all photos whose paths are absolute; None where none is."""
-    frames: list[object] = document["frames"]  # type: ignore[assignment]
-    paths = [frame.get("file_path") for frame in frames if isinstance(frame, dict)]
-    folders = [os.path.dirname(str(path)) for path in paths if _is_absolute(path)]
-    return os.path.commonpath(folders) if folders else None
+def _relative_to(path: Path, names: Sequence[str], masks: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return names of photos and masks as relative ones, below the capture where they lie there.
+
+    Raises: FormatError: a name that leaves the folder.
+    """
+    inside = os.path.realpath(path.parent) + "/"
+    relative = relative_names([name.removeprefix(inside) for name in (*names, *masks)])
+    safe = [
+        safe_name(name, f"{path}, frame {k % len(names)}{': mask_path' * (k >= len(names))}")
+        if name or k < len(names)
+        else ""
+        for k, name in enumerate(relative)
+    ]
+    return safe[: len(names)], safe[len(names) :]
 
 
-def _is_absolute(path: object) -> bool:
-    """Return True for a plain absolute path, without ".." and short enough for a file system."""
-    if not isinstance(path, str) or not path.isprintable() or len(path) > _MAX_PATH_CHARACTERS:
-        return False
-    return path.startswith("/") and ".." not in path.split("/")
-
-
-def _relative(path: str, base: Path, shared: str | None) -> str:
-    """Return an absolute path as a relative one: below the capture where it lies there, else below `shared`."""
-    if shared is None or not _is_absolute(path):
-        return path
-    inside = os.path.realpath(base)
-    start = inside if path.startswith(inside + "/") else shared
-    return os.path.relpath(path, start)
-
-
-def _find(base: Path, images: Path | None, name: str, given: Path | None) -> Path | None:
-    """Find a photo. given: the absolute path that the file may have."""
+def _places(base: Path, images: Path | None, name: str, given: str) -> list[Path]:
+    """Return where a photo may lie. given: the name as it is in the file, which may be an absolute path."""
     if images is not None:
-        return find_photo(images, _inner(name)) or find_photo(images, name)
-    if given is not None and _is_absolute(str(given)) and (there := find_photo(given.parent, given.name)):
-        return there
-    return find_photo(base, name) or find_photo(base / "images", name)
+        return [images / _inner(name), images / name]
+    here = [base / name, base / "images" / name]
+    return [Path(given), *here] if _is_path(given) else here
 
 
-def _mask(frame: Mapping[str, object], base: Path, where: str) -> Path | None:
-    named = frame.get("mask_path")
-    if named is None:
-        return None
-    if not isinstance(named, str):
+def _is_path(name: str) -> bool:
+    """Return True for a plain absolute path of this system."""
+    return name.startswith("/") and is_absolute(name)
+
+
+def _mask_path(frame: object, where: str) -> str:
+    """Return the name of a frame's mask, "" where it has none."""
+    named = frame.get("mask_path") if isinstance(frame, dict) else None
+    if not isinstance(named, str | None):
         raise FormatError(f"{where}: mask_path: expected a file's name, got {excerpt(named)}")
-    mask = Path(named) if _is_absolute(named) else base / safe_name(named, f"{where}: mask_path")
-    if not mask.is_file():
-        raise InputError(f"{where}: its mask_path, {mask}, is missing: put the mask there, or take the name out")
-    return mask
+    return named or ""
 
 
-def _name(file_path: str, photo: Path) -> str:
-    inner = _inner(file_path)
-    return inner + photo.name.removeprefix(Path(inner).name)
+def _masks(path: Path, named: Mapping[int, str], names: Sequence[str], photos: set[Path | None]) -> dict[int, Path]:
+    """Return the masks of frames by their numbers. named: as they are in the file. names: relative, of all frames.
+
+    Raises: InputError: a mask that is missing.
+    """
+    tried = [
+        [Path(given)] * _is_path(given) + [path.parent / names[k], path.parent / FOLDER / names[k]]
+        for k, given in named.items()
+    ]
+    found = dict(zip(named, find_files(tried), strict=True))
+    for (k, mask), places in zip(found.items(), tried, strict=True):
+        if mask is None or mask in photos:
+            where = f"{path}, frame {k}: its mask_path, {places[0]}"
+            raise InputError(f"{where}, is missing: put the mask there, or take the name out")
+    return {k: mask for k, mask in found.items() if mask is not None}
 
 
 def _inner(name: str) -> str:
     first, _, rest = name.partition("/")
     return rest if rest and IMAGE_FOLDER.fullmatch(first) else name
-
-
-def _number(entry: Entry, key: str, where: str, default: float) -> float:
-    return as_number(entry[key], f"{where}: {key}") if key in entry else default
 
 
 def _report(path: Path, missing: list[str], num_found: int) -> None:

@@ -6,6 +6,7 @@ the numbers in the axes of the poses. So a scene that was written and read back 
 Sources: openusd.org, UsdVol "ParticleField3DGaussianSplat" of OpenUSD 26.03.
 """
 
+import re
 import warnings
 import zipfile
 from collections.abc import Iterator
@@ -16,19 +17,20 @@ import numpy as np
 
 from ..base.arrays import Float64
 from ..base.contents import file_bytes, open_file
-from ..errors import DrSplatWarning, FormatError, InputError
+from ..errors import DrSplatWarning, FormatError, InputError, placed
 from ..scene.annotations import Annotation
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenated
 from ..scene.labelled import PLY_UP, LabelledScene, Thing, places_of
 from .activation import checked
 from .usd_library import MARK as CRATE
 from .usd_library import library_layer
-from .usd_text import TIME_SAMPLES, UsdPrim, parse_usda
+from .usd_text import COLOR_SPACE, TIME_SAMPLES, UsdPrim, parse_usda
 
 SUFFIXES = (".usda", ".usdc", ".usdz", ".usd")
 SCHEMA, TEXT = "ParticleField3DGaussianSplat", b"#usda"
 ZIP = b"PK\x03\x04"
 KINDS = ("object", "group", "match")
+DISPLAYED = re.compile(r"(srgb|g22)(_rec709\w*|_texture)?|raw|data|auto|unknown|identity|", re.IGNORECASE)
 MAX_DEGREE, MAX_STORED_DEGREE = 3, 10
 _COLUMNS = {"positions": 3, "orientations": 4, "scales": 3, "opacities": 1}
 _HARMONICS = "radiance:sphericalHarmonicsCoefficients"
@@ -43,7 +45,7 @@ def read_usd(path: Path) -> LabelledScene:
     try:
         return scene_of(layer_of(path))
     except FormatError as error:
-        raise FormatError(f"{path}: {error}") from None
+        raise FormatError(placed(path, error)) from None
 
 
 def layer_of(path: Path) -> UsdPrim:
@@ -98,6 +100,8 @@ def _walk(layer: UsdPrim) -> Iterator[UsdPrim]:
         prim = waiting.pop()
         if prim.is_defined:
             yield prim
+            for child in prim.children:  # colour spaces are inherited
+                child.attributes = {COLOR_SPACE: prim.text(COLOR_SPACE), **child.attributes}
             waiting += reversed(prim.children)
 
 
@@ -116,6 +120,11 @@ def _gaussians(prims: list[UsdPrim]) -> Gaussians:
 
 
 def _splat(prim: UsdPrim) -> Gaussians:
+    if not DISPLAYED.fullmatch(prim.text(COLOR_SPACE)):
+        raise FormatError(
+            f"prim '{prim.name}': its colour space is {prim.text(COLOR_SPACE)!a:.60}: colours of linear light, or of "
+            "other primaries, look otherwise than those of photos. Export it in srgb_rec709_scene"
+        )
     arrays = {name: _rows(prim, name, width) for name, width in _COLUMNS.items()}
     count = len(arrays["positions"])
     for name, array in arrays.items():

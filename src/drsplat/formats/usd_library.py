@@ -15,7 +15,7 @@ from ..errors import FormatError, MissingExtraError
 from ..scene.labelled import LabelledScene
 from .replacing import replacing
 from .usd_crate import refuse_false_counts
-from .usd_text import MAX_NESTING, TIME_SAMPLES, UsdPrim, Value, is_wanted
+from .usd_text import COLOR_SPACE, MAX_NESTING, TIME_SAMPLES, UsdPrim, Value, is_wanted
 from .usd_writing import ROOT, SPLAT, Column, columns_of, layer_text
 
 MARK = b"PXR-USDC"
@@ -135,6 +135,8 @@ def _prim(pxr: Any, spec: Any) -> UsdPrim:
         prim.metadata["displayName"] = str(spec.GetInfo("displayName"))
     for attribute in spec.attributes:
         value = _value(attribute.default) if is_wanted(attribute.name) else None
+        if is_wanted(attribute.name) and attribute.HasInfo("colorSpace"):
+            prim.attributes[COLOR_SPACE] = str(attribute.GetInfo("colorSpace"))
         if value is not None:
             prim.attributes[attribute.name] = value
         elif attribute.HasInfo("timeSamples"):

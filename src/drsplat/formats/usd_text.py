@@ -22,14 +22,15 @@ TIME_SAMPLES = ".timeSamples"
 MIN_NUMPY_BYTES = 512  # of text: less is split faster in Python
 SPECIFIERS = (b"def", b"over", b"class")
 PREFIXES = ("drsplat:", "primvars:")
+COLOR_SPACE = "colorSpace:name"  # of ColorSpaceAPI; the metadatum colorSpace of an attribute is kept under it, too
 ATTRIBUTES = frozenset(
     {
         *(f"{name}{half}" for name in ("positions", "orientations", "scales", "opacities") for half in ("", "h")),
         "radiance:sphericalHarmonicsDegree", "radiance:sphericalHarmonicsCoefficients",
-        "radiance:sphericalHarmonicsCoefficientsh", "projectionModeHint", "xformOpOrder",
+        "radiance:sphericalHarmonicsCoefficientsh", "projectionModeHint", "xformOpOrder", COLOR_SPACE,
     }
 )  # fmt: skip
-METADATA = frozenset({"displayName", "defaultPrim", "upAxis", "metersPerUnit"})
+METADATA = frozenset({"colorSpace", "displayName", "defaultPrim", "upAxis", "metersPerUnit"})
 
 Value = str | np.ndarray
 
@@ -151,7 +152,10 @@ class _Parser:
                 self._skip()
                 _keep(prim, name, lambda: None)
         if self._after_space() == b"(":
-            self._skip()
+            noted = UsdPrim("", name)
+            self._metadata(noted)
+            if is_wanted(name) and (space := noted.text("colorSpace")):
+                prim.attributes[COLOR_SPACE] = space
 
     def _metadata(self, prim: UsdPrim) -> None:
         self._expect(b"(")

@@ -1,8 +1,24 @@
 """Checks of scenes that no file could give back, the same for every format."""
 
+from os import PathLike
+from pathlib import Path
+
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians
 from .activation import checked
+
+PACKED_SUFFIX = ".compressed.ply"
+
+
+def refuse_packed_name(path: str | PathLike[str]) -> None:
+    """Refuse a name that promises SuperSplat's packed form. Raises: InputError."""
+    name = Path(path).name
+    if name.lower().endswith(PACKED_SUFFIX):
+        stem = name[: -len(PACKED_SUFFIX)]
+        raise InputError(
+            f"{name}: a name of SuperSplat's compressed PLY, which is read and not written: name it {stem}.ply, or "
+            f"{stem}.sog or {stem}.spz, which are as small"
+        )
 
 
 def refuse_unwritable(gaussians: Gaussians) -> None:

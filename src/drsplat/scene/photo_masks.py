@@ -9,7 +9,7 @@ from warnings import warn
 import numpy as np
 from PIL import Image
 
-from ..base.arrays import Bool
+from ..base.arrays import Bool, UInt8
 from ..base.contents import open_file
 from ..errors import DrSplatWarning, FormatError, MismatchError
 from .photos import PHOTO_FORMATS, photo_size, undistort_ids
@@ -18,17 +18,62 @@ from .views import View, same_aspect
 
 MIN_WHITE = 128  # grey values from here on count as white
 _WHITE = 255
+_NEARLY = 8  # grey values that count as the same colour
 _CACHED_MASKS = 1 << 16  # whether they are empty
+_TRIED_MASKS = 20  # before an advice is given
 
 
 def read_mask(path: Path) -> Image.Image:
-    """Return a mask in grey. Raises: FormatError: it is missing, damaged, no picture, or too costly to decode."""
+    """Return a mask in grey, as the program means it that wrote it: what is `MIN_WHITE` or brighter is kept.
+
+    Of a mask with transparency the alpha channel counts (brush), and grey as well where it is both black and white.
+    Where nothing is white, all that is not black is kept, as in COLMAP and nerfstudio: masks of 0 and 1, and labels.
+    Colours of a palette or on black are labels, too. JPEG, which loses values, is judged by `MIN_WHITE` alone.
+
+    Raises: FormatError: it is missing, damaged, no picture, too costly to decode, or has colours and no black.
+    """
     try:
         with open_file(path) as file, Image.open(file, formats=PHOTO_FORMATS) as coded:
             check_cost(coded, file)
-            return coded.convert("L")
+            return Image.fromarray(_kept(coded))
     except Exception as error:  # decoders of damaged files raise anything
         raise FormatError(f"{path}: cannot be read as a mask: {error}") from error
+
+
+def _kept(coded: Image.Image) -> UInt8[np.ndarray, "h w"]:
+    """Return how white a mask is, from 0 to 255."""
+    if "transparency" in coded.info or "A" in coded.getbands():
+        rgba = np.asarray(coded.convert("RGBA"))
+        if (rgba[..., 3] < _WHITE).any():
+            return _of_alpha(rgba[..., :3].max(axis=2), rgba[..., 3])
+        coded = Image.fromarray(rgba[..., :3].copy())
+    if coded.mode == "F" or coded.mode.startswith("I"):
+        wide = np.nan_to_num(np.asarray(coded)).astype(np.float64)
+        top = wide.max()
+        grey = np.clip(wide * (_WHITE / top if 0 < top <= 1 or top > _WHITE else 1), 0, _WHITE).astype(np.uint8)
+    elif coded.mode in ("RGB", "P"):
+        grey = _of_colours(np.asarray(coded.convert("RGB")), is_palette=coded.mode == "P", lossy=coded.format == "JPEG")
+    else:
+        grey = np.asarray(coded.convert("L"))
+    is_dark = coded.format != "JPEG" and grey.max() < MIN_WHITE
+    return np.where(grey > 0, np.uint8(_WHITE), np.uint8(0)) if is_dark else grey
+
+
+def _of_alpha(grey: UInt8[np.ndarray, "h w"], alpha: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
+    """Return a mask with transparency: a drawing of black and white on black, of anything else its alpha."""
+    seen = grey[alpha >= MIN_WHITE]
+    white, black = (seen >= _WHITE - _NEARLY).mean(), (seen <= _NEARLY).mean()
+    return np.minimum(grey, alpha) if white and black and white + black == 1 else alpha
+
+
+def _of_colours(rgb: UInt8[np.ndarray, "h w 3"], *, is_palette: bool, lossy: bool) -> UInt8[np.ndarray, "h w"]:
+    """Return the mask of a coloured picture: colours are labels of what is kept, and black is none."""
+    brightest = rgb.max(axis=2)
+    if lossy or (brightest - rgb.min(axis=2) <= _NEARLY).all():
+        return np.asarray(Image.fromarray(rgb).convert("L"))
+    if not is_palette and brightest.min() > _NEARLY:
+        raise FormatError("it has colours and no black: expected white for what is kept and black for what is left out")
+    return np.where(brightest > _NEARLY, np.uint8(_WHITE), np.uint8(0))
 
 
 def load_mask(view: View) -> Bool[np.ndarray, "h w"] | None:
@@ -62,11 +107,26 @@ def views_with_something(views: Sequence[View]) -> list[View]:
         shown = ", ".join(sorted(empty)[:5]) + (f" and {len(empty) - 5} more" if len(empty) > 5 else "")
         warn(
             f"{len(empty)} of {len(views)} photos are not used, because their masks leave all of them out: {shown}. "
-            "White is kept and black is left out; invert_masks=True turns that round",
+            f"{_advice([view for view in views if view.mask_path is not None])}",
             DrSplatWarning,
             stacklevel=3,
         )
     return [view for view in views if view.name not in empty]
+
+
+def _advice(masked: Sequence[View]) -> str:
+    """Return what masks that leave all out mean, and what to do, once it has been tried on some of them."""
+    tried = masked[:: -(-len(masked) // _TRIED_MASKS)]
+    shares = [mask.mean() for view in tried if (mask := load_mask(view)) is not None]
+    inverted = masked[0].mask_inverted
+    other = "without invert_masks" if inverted else "invert_masks=True"
+    meaning = "Black is kept and white is left out" if inverted else "White is kept and black is left out"
+    if any(0 < share < 1 for share in shares):
+        return f"{meaning}; if it is meant the other way, {other} keeps {1 - float(np.mean(shares)):.0%} of the photos"
+    return (
+        f"{meaning}, and these masks have one value all over, so that {other} would use the photos whole: make the "
+        "masks anew, or take them away"
+    )
 
 
 def keeps_nothing(view: View) -> bool:

@@ -11,7 +11,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from ..base.arrays import Bool, Float64, Int32, UInt8
 from ..base.contents import open_file
-from ..errors import FormatError, InputError
+from ..errors import FormatError, InputError, placed
 from .lens import distort_points
 from .picture_costs import check_cost
 from .views import View
@@ -19,7 +19,8 @@ from .views import View
 PHOTO_FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "BMP", "PPM")
 """The only decoders that are ever started on a file, whatever its name."""
 
-_OPAQUE = ("1", "L", "RGB")
+ORIENTATION_TAG = 0x0112
+_MIN_BRIGHTEST = 16  # of 256, of pictures of 16 bits: those of 12 bits and less have none brighter
 _BLOCK_ROWS = 128  # remapped at once: the map of a whole 24 MP photo would take 400 MB
 
 
@@ -44,16 +45,13 @@ def decoded_picture(source: Path | BytesIO, most_pixels: int | None = None) -> U
             Image.open(file, formats=PHOTO_FORMATS) as coded,
         ):
             check_cost(coded, file, most_pixels)
-            picture = ImageOps.exif_transpose(coded)
-            if picture.mode in _OPAQUE and "transparency" not in picture.info:
-                return np.asarray(picture.convert("RGB"))
-            picture = picture.convert("RGBA")
+            return np.asarray(ImageOps.exif_transpose(rgb_of(coded)))
     except InputError:
         raise
+    except FormatError as error:
+        raise FormatError(f"cannot be read as a picture: {error}") from None
     except Exception as error:  # decoders of damaged files raise anything
         raise FormatError(f"cannot be read as a picture ({'/'.join(PHOTO_FORMATS)}): {type(error).__name__}") from error
-    black = Image.new("RGBA", picture.size, (0, 0, 0, 255))
-    return np.asarray(Image.alpha_composite(black, picture).convert("RGB"))
 
 
 def load_image(view: View) -> UInt8[np.ndarray, "h w 3"]:
@@ -70,7 +68,7 @@ def load_image(view: View) -> UInt8[np.ndarray, "h w 3"]:
         raise InputError(f"view '{view.name}' has no photo: read it with images=FOLDER")
     with _opened(view.image_path) as photo:
         _check_cost(photo, view.image_path)
-        rgb = _rgb(photo, view.image_path)
+        rgb = rgb_of(photo)
         if rgb.size != (view.width, view.height):
             rgb = rgb.resize((view.width, view.height), Image.Resampling.BICUBIC)
         pixels = np.asarray(rgb)
@@ -160,8 +158,8 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     try:
         with open_file(path) as file, Image.open(file, formats=PHOTO_FORMATS) as photo:
             yield photo
-    except (FormatError, InputError):
-        raise
+    except (FormatError, InputError) as error:
+        raise FormatError(placed(path, error)) from None
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such photo") from None
     except UnidentifiedImageError:  # its message names an open file, not ours
@@ -178,14 +176,41 @@ def _check_cost(photo: Image.Image, path: Path) -> None:
         raise FormatError(f"{path}: {error}") from None
 
 
-def _rgb(photo: Image.Image, path: Path) -> Image.Image:
-    if photo.mode.startswith("I;16"):
-        return Image.fromarray((np.asarray(photo) >> 8).astype(np.uint8)).convert("RGB")
-    if photo.mode in ("I", "F"):
+def is_wide(coded: Image.Image) -> bool:
+    """Return whether a picture that is not decoded yet has 16 bits a channel."""
+    return coded.mode.startswith("I;16") or any(";16" in str(tile[-1]) for tile in getattr(coded, "tile", ()))
+
+
+def orientation_of(coded: Image.Image) -> int:
+    """Return the EXIF orientation; 1 (upright) where it is missing or none."""
+    try:
+        value = coded.getexif().get(ORIENTATION_TAG, 1)
+    except Exception:  # parsers of damaged blocks raise anything
+        return 1
+    return value if isinstance(value, int) and 1 <= value <= 8 else 1
+
+
+def rgb_of(picture: Image.Image) -> Image.Image:
+    """Return a picture in 8 bits a channel, on black where it is transparent; 16 bits lose their low byte.
+
+    It is not turned upright: it keeps its EXIF orientation.
+
+    Raises: FormatError: channels of 32 bits, or of 16 bits that hold values of 12 or less, which would be black.
+    """
+    if picture.mode in ("I", "F"):
+        raise FormatError(f"pixels of mode {picture.mode}, not 8 or 16 bits a channel: convert it to PNG or JPEG")
+    wide, orientation = is_wide(picture), orientation_of(picture)  # said by what decoding takes away
+    if picture.mode.startswith("I;16"):
+        rgb = Image.fromarray((np.asarray(picture) >> 8).astype(np.uint8)).convert("RGB")
+    elif "A" in picture.getbands() or "transparency" in picture.info:
+        rgba = picture.convert("RGBA")
+        rgb = Image.composite(rgba.convert("RGB"), Image.new("RGB", rgba.size), rgba.getchannel("A"))
+    else:
+        rgb = picture.convert("RGB")
+    if wide and max(high for _, high in rgb.getextrema()) < _MIN_BRIGHTEST:  # type: ignore[misc, union-attr]
         raise FormatError(
-            f"{path}: expected 8 or 16 bits per channel, got mode {photo.mode}: convert it to PNG or JPEG"
+            "16 bits a channel with no value above 4,095 of 65,535, as pictures of 10 or 12 bits have: they would be "
+            "black; multiply the values (by 64 for 10 bits, by 16 for 12) and save it again"
         )
-    if "A" in photo.getbands() or "transparency" in photo.info:
-        rgba = photo.convert("RGBA")
-        return Image.composite(rgba.convert("RGB"), Image.new("RGB", rgba.size), rgba.getchannel("A"))
-    return photo.convert("RGB")
+    rgb.getexif()[ORIENTATION_TAG] = orientation
+    return rgb

@@ -16,7 +16,7 @@ from ...formats.spz_writing import spz4_bytes, spz_bytes
 from ...formats.streamed_sog import LOD_META
 from ...formats.usd_library import write_usdc, write_usdz
 from ...formats.usd_writing import write_usda
-from ...formats.writable import refuse_unwritable
+from ...formats.writable import refuse_packed_name, refuse_unwritable
 from ...scene.labelled import LabelledScene
 from .sog_writing import sog_bytes
 from .streamed_sog_writing import write_streamed_sog
@@ -58,6 +58,7 @@ def write_scene(
 
 def writer_of(path: Path) -> Writer:
     """Return the writer of a file of this name. Raises: InputError: there is none."""
+    refuse_packed_name(path)
     writer = WRITERS.get(_kind(path))
     if writer is None:
         near = did_you_mean(path.suffix.lower(), WRITERS)

@@ -189,7 +189,9 @@ def new_output(path: str, overwrite: bool, suffix: str = "") -> Path:
     Raises: InputError: it exists and not `overwrite`, or has another suffix.
     """
     from ...errors import InputError
+    from ...formats.writable import refuse_packed_name
 
+    refuse_packed_name(path)
     if Path(path).exists() and not overwrite:
         raise exists_already(path)
     if suffix and Path(path).suffix.lower() != suffix:

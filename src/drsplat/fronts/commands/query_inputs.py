@@ -86,7 +86,7 @@ def read_picture(path: str) -> np.ndarray:
 
     Raises: InputError: there is no such file. FormatError: damaged, or not a picture.
     """
-    from ...errors import FormatError, InputError
+    from ...errors import FormatError, InputError, placed
     from ...scene.photos import decoded_picture
 
     if not Path(path).is_file():
@@ -94,7 +94,7 @@ def read_picture(path: str) -> np.ndarray:
     try:
         return decoded_picture(Path(path))
     except FormatError as error:
-        raise FormatError(f"{path}: {error}") from error
+        raise FormatError(placed(path, error)) from error
 
 
 def read_vector(path: str) -> np.ndarray:

@@ -14,12 +14,13 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from ...base.arrays import UInt8
 from ...base.contents import open_file
-from ...errors import MissingExtraError
+from ...errors import FormatError, MissingExtraError
 from ...formats.checksums import hash_file
 from ...formats.mask_files import FOLDER as MASKS
 from ...formats.mask_files import SUFFIX as MASK_SUFFIX
+from ...formats.mask_files import is_inverted
 from ...formats.replacing import replacing
-from ...scene.photos import PHOTO_FORMATS
+from ...scene.photos import PHOTO_FORMATS, is_wide, orientation_of, rgb_of
 from ...scene.picture_costs import check_cost
 from .exif import ExifFacts, exif_facts
 from .finding import Source
@@ -32,9 +33,8 @@ INSTALL = 'pip install "drsplat[capture]"'
 MAX_PIXELS = 200_000_000
 MIN_SIDE_PIXELS = 64
 JPEG_QUALITY = 95
-ALL_LEFT_OUT = "its mask leaves all of it out: white is kept, black is left out (invert_masks=True turns that round)"
+ALL_LEFT_OUT = "its mask leaves all of it out: white is kept and black is left out, with invert_masks=True the reverse"
 LOOK_SIDE_PIXELS = 512  # of the small picture for measuring sharpness
-ORIENTATION_TAG = 0x0112
 DIGEST_LETTERS = 24
 _BLOCK_BYTES = 1 << 20
 # per EXIF orientation, right and down of the upright photo in (right, down) of the stored one
@@ -95,9 +95,10 @@ def bring(source: Source, folder: Path, invert_masks: bool = False) -> Photo:
     Raises: InputError: it cannot be written. MismatchError, FormatError: of a mask. MissingExtraError: HEIC, and
     pi-heif is not installed.
     """
+    invert = source.mask is not None and invert_masks != is_inverted(source.mask)
     try:
         decoded = _decoded(source)
-        digest = _digest(source, invert_masks)
+        digest = _digest(source, invert)
     except UnreadablePhoto as error:
         return Photo(source.name, fault=str(error))
     path = folder / (digest + decoded.suffix)
@@ -110,7 +111,7 @@ def bring(source: Source, folder: Path, invert_masks: bool = False) -> Photo:
             decoded.upright.save(output, format="PNG")
     if source.mask is not None:
         target = mask_path(folder, path.name)
-        if not bring_mask(source.mask, target, (decoded.width, decoded.height), decoded.orientation, invert_masks):
+        if not bring_mask(source.mask, target, (decoded.width, decoded.height), decoded.orientation, invert):
             path.unlink()
             target.unlink()
             return Photo(source.name, fault=ALL_LEFT_OUT)
@@ -122,12 +123,12 @@ def mask_path(folder: Path, file: str) -> Path:
     return folder.parent / MASKS / (file + MASK_SUFFIX)
 
 
-def _digest(source: Source, invert_masks: bool) -> str:
+def _digest(source: Source, invert: bool) -> str:
     """Return a name from the contents of a photo and its mask."""
     photo = hash_file(source.path)
     if source.mask is None:
         return photo[:DIGEST_LETTERS]
-    return f"{photo[:DIGEST_LETTERS]}_{hash_file(source.mask)[:8]}{'_inverted' if invert_masks else ''}"
+    return f"{photo[:DIGEST_LETTERS]}_{hash_file(source.mask)[:8]}{'_inverted' if invert else ''}"
 
 
 def sharpness(grey: UInt8[np.ndarray, "h w"]) -> float:
@@ -161,12 +162,10 @@ def _decoded(source: Source) -> _Decoded:
 def _from_coded(coded: Image.Image) -> _Decoded:
     if min(coded.size) < MIN_SIDE_PIXELS:
         raise UnreadablePhoto(f"{coded.width}x{coded.height} pixels are too few")
-    if coded.mode in ("I", "F"):
-        raise UnreadablePhoto(f"its pixels are of mode {coded.mode}: save it with 8 or 16 bits a channel")
     exif = exif_facts(coded)
-    orientation = _orientation(coded)
+    orientation = orientation_of(coded)
     is_jpeg = coded.format in ("JPEG", "MPO")
-    plain = coded.mode in ("RGB", "L") and "transparency" not in coded.info
+    plain = coded.mode in ("RGB", "L") and "transparency" not in coded.info and not is_wide(coded)
     suffix = ".jpg" if is_jpeg or coded.format == "HEIF" else ".png"
     if orientation == 1 and plain and (is_jpeg or coded.format == "PNG"):
         width, height = coded.size
@@ -178,26 +177,12 @@ def _from_coded(coded: Image.Image) -> _Decoded:
     return _Decoded(upright, *upright.size, suffix, _sharpness_of(upright), exif, orientation)
 
 
-def _orientation(coded: Image.Image) -> int:
-    """Return the EXIF orientation; 1 (upright) where it is missing or none."""
-    try:
-        value = coded.getexif().get(ORIENTATION_TAG, 1)
-    except Exception:  # parsers of damaged blocks raise anything
-        return 1
-    return value if isinstance(value, int) and 1 <= value <= 8 else 1
-
-
 def as_rgb(coded: Image.Image) -> Image.Image:
-    """Return the picture in 8 bits a channel, transparency on black; it keeps its EXIF orientation."""
-    if coded.mode.startswith("I;16"):
-        rgb = Image.fromarray((np.asarray(coded) >> 8).astype(np.uint8)).convert("RGB")
-    elif "A" in coded.getbands() or "transparency" in coded.info:
-        rgba = coded.convert("RGBA")
-        rgb = Image.composite(rgba.convert("RGB"), Image.new("RGB", rgba.size), rgba.getchannel("A"))
-    else:
-        rgb = coded.convert("RGB")
-    rgb.getexif()[ORIENTATION_TAG] = _orientation(coded)
-    return rgb
+    """Return `rgb_of` a photo. Raises: UnreadablePhoto: instead of FormatError."""
+    try:
+        return rgb_of(coded)
+    except FormatError as error:
+        raise UnreadablePhoto(str(error)) from None
 
 
 def _sharpness_of(picture: Image.Image) -> float:
