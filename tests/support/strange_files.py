@@ -125,6 +125,32 @@ def _(folder: Path) -> str:
     return views(folder)
 
 
+@case("captures", "images.bin with 3 photos, images.txt beside it with 5", "3 views", "images.txt, with 5 photos")
+def _(folder: Path) -> str:
+    names = [f"{k}.png" for k in range(5)]
+    write_colmap_binary(capture(folder, *names) / "sparse/0", CAMERA, images(*names[:3]))
+    return views(folder)
+
+
+@case("captures", "photos in input/, as 3DGS' convert.py has them", "1 views, 1 photos")
+def _(folder: Path) -> str:
+    write_photo(folder / "input/a.png", W, H)
+    return views(capture(folder, "a.png", files=()))
+
+
+@case("captures", "photos in Images/", "1 views, 1 photos")
+def _(folder: Path) -> str:
+    write_photo(folder / "Images/a.png", W, H)
+    return views(capture(folder, "a.png", files=()))
+
+
+@case("captures", "a damaged first model: the sound one, and a word", "2 views", "sparse/0 (0 photos)")
+def _(folder: Path) -> str:
+    capture(folder, "a.png", "b.png", model="sparse/1")
+    (capture(folder, "a.png", "b.png", model="sparse/0") / "sparse/0/images.txt").write_text("1 no image\n")
+    return views(folder)
+
+
 @case("captures", "two models of as many photos: the first, and a word of the other", "2 views", "sparse/1 (2 photos)")
 def _(folder: Path) -> str:
     capture(folder, "a.png", "b.png")
@@ -401,13 +427,13 @@ PICTURES: tuple[tuple[str, Image.Image], ...] = (
     ("grey with alpha", Image.fromarray(np.dstack([np.full_like(LEFT, 255), LEFT]), "LA")),
 )
 for _what, _picture in PICTURES:
-    case("masks", _what, KEEPS_LEFT)(
-        lambda folder, picture=_picture: masked(folder, picture, f"masks/a{'.tif' if picture.mode == 'I' else '.png'}")
-    )
+    _place = "masks/a.tif" if _picture.mode == "I" else "masks/a.png"
+    case("masks", _what, KEEPS_LEFT)(lambda folder, what=_picture, place=_place: masked(folder, what, place))
 
 PLACES = (
     "masks/a.jpg.png", "masks/a.png", "masks/a.mask.png", "masks/a.jpg.mask.png", "masks/a.bmp", "Masks/A.PNG",
-    "mask/a.png", "images/masks/a.png", "images/a.jpg.mask.png", "images/a.mask.png", "images/a_mask.png", "images/.mask/a.png",
+    "mask/a.png", "images/masks/a.png", "images/a.jpg.mask.png", "images/a.mask.png", "images/a_mask.png",
+    "images/.mask/a.png",
 )  # fmt: skip
 for _place in PLACES:
     case("masks", f"at {_place}", KEEPS_LEFT)(lambda folder, place=_place: masked(folder, Image.fromarray(LEFT), place))
@@ -640,7 +666,9 @@ def Xform "World" (
 )
 {
     ABOVE
-    def ParticleField3DGaussianSplat "splats"
+    def ParticleField3DGaussianSplat "splats" (
+        APPLIED
+    )
     {
         OWN
         uniform int radiance:sphericalHarmonicsDegree = 0
@@ -658,9 +686,13 @@ def Xform "World" (
 SIZES = "(0.1, 0.1, 0.1), (0.1, 0.2, 0.1), (0.1, 0.1, 0.3)"
 
 
-def usda(above: str = "", own: str = "", meta: str = "", scales: str = SIZES) -> bytes:
-    """Return a stage whose colour space may be said above the splats, at them, or at their harmonics."""
-    text = USD.replace("ABOVE", above).replace("OWN", own).replace("META", meta).replace("SCALES", scales)
+def usda(above: str = "", own: str = "", meta: str = "", scales: str = SIZES, applied: bool = True) -> bytes:
+    """Return a stage whose colour space may be said above the splats, at them, or at their harmonics.
+
+    applied: ColorSpaceAPI to the splats, without which USD does not look at their own.
+    """
+    text = USD.replace("APPLIED", 'prepend apiSchemas = ["ColorSpaceAPI"]' if applied else "")
+    text = text.replace("ABOVE", above).replace("OWN", own).replace("META", meta).replace("SCALES", scales)
     return text.encode()
 
 
@@ -677,6 +709,12 @@ for _what, _parts, _words in (
         {"above": _space("lin_rec709_scene"), "own": _space("srgb_rec709_scene")},
         ("3 Gaussians",),
     ),
+    (
+        "sRGB of its own that is not applied, below linear light",
+        {"above": _space("lin_rec709_scene"), "own": _space("srgb_rec709_scene"), "applied": False},
+        ("FormatError", "lin_rec709_scene"),
+    ),
+    ("linear light that is not applied", {"own": _space("lin_rec709_scene"), "applied": False}, ("FormatError",)),
     ("sRGB as 3DGRUT calls it", {"own": _space("srgb_rec709_display")}, ("3 Gaussians",)),
     ("raw", {"own": _space("raw")}, ("3 Gaussians",)),
     ("logarithms of scales", {"scales": "(-3, -3, -3), (-3, -2, -3), (-3, -3, -1)"}, ("FormatError", "logarithms")),

@@ -21,7 +21,11 @@ from .arrays import UInt8
 from .system import NO_WAITING, OWN_FILE_FLAGS
 
 PAGE_SUFFIXES = (".html", ".htm", ".svg", ".xml")
-_PAGE = re.compile(rb"(\xef\xbb\xbf)?\s*(<!--.*?-->\s*)?<(!doctype\s+html|html|head)[\s>]", re.IGNORECASE | re.DOTALL)
+_PAGE = re.compile(  # also the short answers of servers of files
+    rb"(\xef\xbb\xbf)?\s*(<\?xml[^>]*>\s*)?(<!--.*?-->\s*)?"
+    rb"(<(!doctype\s+html|html|head|error)[\s>]|(404: |entry )?not found\b)",
+    re.IGNORECASE | re.DOTALL,
+)
 _PAGE_BYTES = 512
 _LFS_START = b"version https://git-lfs.github.com/spec/"
 MAX_READ_BYTES = 64 << 20  # read in some hundredths of a second; larger files are mapped
@@ -58,8 +62,8 @@ def _refuse_stand_in(file: BufferedReader, path: str | os.PathLike[str]) -> None
         )
     if _PAGE.match(start) and not os.fspath(path).lower().endswith(PAGE_SUFFIXES):
         raise FormatError(
-            f"{path}: a web page (HTML), which a server sent in place of the file: download the file itself, by its "
-            "link to the raw file, logged in where that is asked for"
+            f"{path}: a web page or a message (HTML), which a server sent in place of the file: download the file "
+            "itself, by its link to the raw file, logged in where that is asked for"
         )
 
 

@@ -12,7 +12,7 @@ from ..base.arrays import Float64, UInt8
 from ..errors import DrSplatWarning, FormatError, InputError
 from ..scene.views import View
 from .cameras_json import read_cameras_json
-from .colmap import find_models, has_points, num_images, read_colmap, read_points
+from .colmap import find_models, has_points, num_images, num_unread_images, read_colmap, read_points
 from .dataparser import FILE_NAME as DATAPARSER_FILE
 from .dataparser import SceneFrame, read_dataparser_transforms
 from .json_files import read_json
@@ -25,6 +25,7 @@ from .rendering_record import with_renderings
 from .transforms import point_file, read_applied_transform, read_transforms
 from .view_times import with_times
 
+PHOTO_FOLDERS = ("images", "input", "rgb", "frames", "photos")  # of a capture; input is that of 3DGS' convert.py
 CAMERA_FILES = (("transforms", TRANSFORMS), ("transforms", TRAIN_TRANSFORMS), ("cameras", CAMERAS))
 
 
@@ -146,7 +147,11 @@ def _find_source(capture: Path) -> _Source:
         return _Source("live", capture)
     if not found:
         raise mistaken(capture, Kind.CAPTURE)
-    if len(found) > 1:
+    unread = num_unread_images(models[0]) if models else 0
+    if unread:
+        text = f"{models[0]}: images.bin was read, not images.txt, with {unread} photos: take away the one that is old"
+        warnings.warn(text, DrSplatWarning, stacklevel=4)
+    if len(found) > 1:  # their frames do not agree
         counts = dict(zip(models, map(num_images, models), strict=True)) if len(models) > 1 else {}
         sizes = {path: f" ({count} photos)" for path, count in counts.items()}
         said = [f"{source.path}{sizes.get(source.path, '')}" for source in found]
@@ -170,14 +175,16 @@ def _read(source: _Source, images: str | Path | None) -> list[View]:
         folder = None if images is None else image_folder(source.path.parent, images)
         return read_transforms(source.path, folder)
     if source.kind == "colmap":
-        return _with_photos(read_colmap(source.path), image_folder(source.path, images), source.path)
-    return _with_photos(read_cameras_json(source.path), image_folder(source.path.parent, images), source.path)
+        return _with_photos(read_colmap(source.path), source.path, images)
+    return _with_photos(read_cameras_json(source.path), source.path, images)
 
 
-def _with_photos(views: list[View], folder: Path, path: Path) -> list[View]:
+def _with_photos(views: list[View], path: Path, images: str | Path | None) -> list[View]:
     if not views:
         raise FormatError(f"{path}: holds no image")
-    found = find_files([[folder / view.name, folder.parent / view.name] for view in views])
+    folder, capture = image_folder(path, images), capture_folder(path)
+    places = [folder, folder.parent] if images else [folder, capture, *(capture / name for name in PHOTO_FOLDERS)]
+    found = find_files([[place / view.name for place in places] for view in views])
     missing = [view.name for view, photo in zip(views, found, strict=True) if photo is None]
     if missing:
         text = f"{path}: {len(missing)} of {len(views)} views have no photo in {folder}: {listed(missing)}"

@@ -36,7 +36,17 @@ def find_models(capture: Path) -> list[Path]:
 
 def num_images(model: Path) -> int:
     """Return the number of images of a model, 0 where its file is damaged."""
-    suffix = _suffix_of(model, "cameras", "images")
+    return _num_images(model, _suffix_of(model, "cameras", "images"))
+
+
+def num_unread_images(model: Path) -> int:
+    """Return the number of images in an images.txt beside the images.bin that is read, 0 where these are as many."""
+    both = all((model / f"{stem}{suffix}").is_file() for stem in ("cameras", "images") for suffix in _PARSERS)
+    text = _num_images(model, ".txt") if both else 0
+    return text if both and text != num_images(model) else 0
+
+
+def _num_images(model: Path, suffix: str) -> int:
     try:
         return sum(1 for _ in _PARSERS[suffix].images(model / f"images{suffix}"))
     except FormatError:

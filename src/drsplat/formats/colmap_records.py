@@ -6,6 +6,7 @@ Source: https://colmap.github.io/format.html and COLMAP's list of camera models.
 from typing import NamedTuple
 
 from ..errors import FormatError
+from .lenses import cure_of
 
 PointRecord = tuple[float, float, float, int, int, int]
 """x, y, z (world), r, g, b."""
@@ -49,6 +50,5 @@ def parameter_names(model: str, where: str) -> tuple[str, ...]:
     if model in PARAMETERS:
         return PARAMETERS[model]
     raise FormatError(
-        f"{where}: camera model {model!a} is not supported (supported: {', '.join(PARAMETERS)}): run `colmap "
-        "image_undistorter` and read its output folder"
+        f"{where}: camera model {model!a} is not supported (supported: {', '.join(PARAMETERS)}): {cure_of(model)}"
     )

@@ -39,8 +39,9 @@ ANTIALIASED, SURFELS = "SplatRenderMode: mip", "SplatRenderMode: 2dgs"  # as Bru
 DRAWN_ANTIALIASED = ("splatrendermode: mip", "antialiased 1")
 MARKED = ("splatrendermode: ", "antialiased ")
 DISPLAYED = ("srgb", "rec709", "bt709", "gamma", "none")  # beginnings of spaces that photos have
-JUDGED_ROWS, MIN_JUDGED_ROWS = 100_000, 50
-MIN_OPACITY_RANGE = 0.5
+JUDGED_ROWS, MIN_JUDGED_ROWS = 100_000, 20
+MIN_RANGE = 0.05  # of activated values, which are never all the same
+MAX_SMALL_SHARE = 0.3  # of large scales, of the small ones: logarithms that are all positive are more alike
 REQUIRED = (*MEANS, *DC, "opacity", *SCALES, *QUATS)
 
 
@@ -124,29 +125,35 @@ def _refuse_linear_light(buffer: memoryview, header: Header) -> None:
 
 
 def activated_columns(rows: Records) -> frozenset[str]:
-    """Return which of "opacity" and "scale" hold values after their activation, where a PLY has them before it.
+    """Return which of "opacity", "scale" and "f_dc" hold values after their activation, in place of those before it.
 
-    Opacities that all lie in 0 to 1 and fill it were no logits: as such no Gaussian would be fainter than 0.5 or more
-    solid than 0.73. Scales that are all positive were no logarithms where these would make the middle Gaussian larger
-    than a tenth of the scene, and as they are it is smaller.
+    Opacities that all lie in 0 to 1 were no logits: no Gaussian would be fainter than 0.5 or more solid than 0.73.
+    Scales that are all positive were no logarithms where the smallest are many times smaller than the largest, or where
+    most Gaussians would be larger than a tenth of the scene. Harmonics that fill 0 to 1, with no others, are colours.
 
     Warns: DrSplatWarning: what is read so.
     """
     some = rows[:: max(1, len(rows) // JUDGED_ROWS)]
-    found = set()
-    if len(some) >= MIN_JUDGED_ROWS:
-        opacities = gather(some, ["opacity"])
-        if opacities.min() >= 0 and opacities.max() <= 1 and opacities.max() - opacities.min() > MIN_OPACITY_RANGE:
-            found.add("opacity")
-        names = [name for name in SCALES if name in (rows.dtype.names or ())]
-        scales = gather(some, names)
-        tenth = 0.1 * float(np.ptp(np.quantile(gather(some, MEANS), (0.05, 0.95), axis=0), axis=0).max())
-        middle = float(np.median(scales.max(axis=1)))
-        if scales.min() > 0 and middle < tenth < np.exp(np.float64(middle)):
-            found.add("scale")
+    if len(some) < MIN_JUDGED_ROWS:
+        return frozenset()
+    found, names = [], some.dtype.names or ()
+    opacities, scales = gather(some, ["opacity"]), gather(some, [name for name in SCALES if name in names])
+    if opacities.min() >= 0 and opacities.max() <= 1 and np.ptp(opacities) > MIN_RANGE:
+        found.append("opacity")
+    tenth = 0.1 * float(np.ptp(np.quantile(gather(some, MEANS), (0.05, 0.95), axis=0), axis=0).max())
+    small, large = np.quantile(scales, (0.05, 0.95))
+    middle = np.float64(np.median(scales.max(axis=1)))
+    if scales.min() > 0 and (small < MAX_SMALL_SHARE * large or middle < tenth < np.exp(middle)):
+        found.append("scale")
+    if set(DC) <= set(names) and not _rest_names(list(names)):
+        colours = gather(some, DC)
+        if 0 <= colours.min() < MIN_RANGE and 1 - MIN_RANGE < colours.max() <= 1:
+            found.append("f_dc")
     if found:
-        text = f"{' and '.join(sorted(found))} hold activated values, not logits and logarithms, and are read as such"
-        warnings.warn(f"{text}: write the file anew to be rid of this warning", DrSplatWarning, stacklevel=4)
+        text = f"{', '.join(found)}: values that are activated already, in place of logits, logarithms and harmonics"
+        warnings.warn(
+            f"{text}; they are read as such. Export the file again if it looks wrong", DrSplatWarning, stacklevel=4
+        )
     return frozenset(found)
 
 
@@ -161,17 +168,17 @@ def gaussians_of(rows: Records, activated: frozenset[str] = frozenset()) -> Gaus
         gather(rows, QUATS),
         _scales(rows, "scale" in activated),
         opacities if "opacity" in activated else sigmoid(opacities),
-        _harmonics(rows, [*harmonics, *rest]),
+        _harmonics(rows, [*harmonics, *rest], are_colours=harmonics == RGB or "f_dc" in activated),
         extra_columns(rows, {*REQUIRED, *rest, *harmonics}),
     )
     return replace(gaussians, origin=origin)
 
 
-def _harmonics(rows: Records, names: list[str]) -> Float32[np.ndarray, "n k 3"]:
+def _harmonics(rows: Records, names: list[str], are_colours: bool) -> Float32[np.ndarray, "n k 3"]:
     """Return harmonics; the constant ones may be colours, whole numbers of any width or fractions."""
     sh = gather(rows, names).reshape(len(rows), len(names) // 3, 3)
-    if names[:3] == list(RGB):
-        code = rows.dtype[RGB[0]]
+    if are_colours:
+        code = rows.dtype[names[0]]
         most = np.iinfo(code).max if code.kind in "iu" else 255 if sh[:, 0].max(initial=0) > 1 else 1
         sh[:, 0] = (sh[:, 0] / np.float32(most) - np.float32(0.5)) / np.float32(SH_C0)
     return sh

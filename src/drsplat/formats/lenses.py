@@ -20,12 +20,14 @@ Entry = Mapping[str, object]
 
 CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 DISTORTION = ("k1", "k2", "p1", "p2")
+_AXES_KEYS = ("camera_convention", "coordinate_convention", "coordinate_system", "convention", "camera_axes")
+_OPENGL_NAMES = ("opengl", "nerf", "blender", "nerfstudio")
 _MODEL_KEYS = ("camera_model", "camera_type", "lens_type", "lens_model", "projection", "projection_type")
 _OTHER_NAMES = ("PERSP", "PERSPECTIVE", "RECTILINEAR", "BROWN", "BROWN_CONRADY", "FRAME", "NONE", "")  # of pinholes
 _UNDISTORT = "undistort the photos first: `colmap image_undistorter` does it for a COLMAP model of them"
 _CUT = "cut the panoramas into pinhole photos first, as `ns-process-data --camera-type equirectangular` does"
 _ORTHOGRAPHIC = "give photos of a camera: an orthographic picture has no place that it was taken from"
-_EXPORT = "export the poses without it"
+_EXPORT = "export the poses for nerfstudio, in axes of OpenGL and without it"
 _REFUSED = {  # keys that change the meaning where they are neither 0 nor false
     **dict.fromkeys(("is_fisheye", "fisheye", "ftheta", "xi"), ("a fisheye lens", _UNDISTORT)),
     **dict.fromkeys(("latlong", "equirectangular", "panorama", "is_panorama"), ("a panorama", _CUT)),
@@ -40,6 +42,11 @@ _REFUSED = {  # keys that change the meaning where they are neither 0 nor false
 _PREFIXES = {"ftheta_": "ftheta"}
 
 
+def cure_of(model: str) -> str:
+    """Return what to do about photos of another camera model."""
+    return _CUT if "EQUI" in model.upper() or "PANO" in model.upper() else _UNDISTORT
+
+
 def refuse_other_lenses(entry: Entry, where: str) -> None:
     """Refuse what no pinhole stands for. Raises: FormatError: names the key, what it says, and what to do."""
     for key in sorted(entry):
@@ -49,13 +56,16 @@ def refuse_other_lenses(entry: Entry, where: str) -> None:
             raise FormatError(
                 f"{where}: {key} is {excerpt(entry[key])}: {what}, not a pinhole with k1, k2, p1, p2; {cure}"
             )
+    for key in _AXES_KEYS:
+        if isinstance(entry.get(key), str) and str(entry[key]).lower() not in _OPENGL_NAMES:
+            raise FormatError(f"{where}: {key} is {excerpt(entry[key])}: poses in other axes than OpenGL's; {_EXPORT}")
     for key in _MODEL_KEYS:
         model = entry.get(key, "")
         allowed = CAMERA_MODELS if key == "camera_model" else (*CAMERA_MODELS, *_OTHER_NAMES)
         if key in entry and (not isinstance(model, str) or model.upper() not in allowed):
             raise FormatError(
                 f"{where}: {key} is {excerpt(model)}: not a pinhole with k1, k2, p1, p2 ({', '.join(CAMERA_MODELS)}); "
-                + (_CUT if "EQUI" in str(model).upper() or "PANO" in str(model).upper() else _UNDISTORT)
+                + cure_of(str(model))
             )
 
 

@@ -18,7 +18,7 @@ from .replacing import replacing
 
 Records = np.ndarray  # structured: a row each; jaxtyping would spell out its dtype at every call
 BLOCK_ROWS = 2048  # of 62 floats fit a core's second-level cache
-WRITTEN_TYPES = {code: name for name, code in reversed(SCALAR_TYPES.items()) if name.isalpha()}
+WRITTEN_TYPES = {code: name for name, code in reversed(SCALAR_TYPES.items()) if name.isalpha() and code != "f2"}
 
 
 def read_elements(buffer: memoryview, header: Header, names: Collection[str]) -> dict[str, Records]:

@@ -16,7 +16,7 @@ MAX_HEADER_BYTES = 1 << 20
 SCALAR_TYPES = {
     **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
     **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
-    **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
+    **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8", "float16": "f2", "half": "f2"},
 }
 LENGTH_TYPES = {name for name, code in SCALAR_TYPES.items() if code[0] != "f"}
 BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}

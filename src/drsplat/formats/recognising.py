@@ -110,7 +110,7 @@ _HEADS = {
     b"7z\xbc\xaf": Kind.ARCHIVE, b"Rar!": Kind.ARCHIVE, b"LASF": Kind.POINTS,
     b"SQLite format 3": Kind.DATABASE, b"\x80\x02": Kind.CHECKPOINT,
 }  # fmt: skip
-_STILL_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1", b"avif")
+STILL_BRANDS = (b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1", b"avif")
 _IN_FOLDERS = {Kind.PHOTO: Kind.PHOTOS, Kind.SCENE: Kind.OTHER}  # a scene beside other files is not the folder's kind
 
 
@@ -166,7 +166,7 @@ def _file_kind(path: Path) -> Kind:
             return Kind.SCENE if _SPLAT_EXTENSION in head + file.read(_MAX_GLTF_NAMES_BYTES) else Kind.MESH
     by_suffix = next((kind for suffix, kind in _SUFFIXES.items() if path.name.lower().endswith(suffix)), Kind.OTHER)
     if head[4:8] == b"ftyp":
-        return Kind.UNREAD_PHOTOS if head[8:12] in _STILL_BRANDS else Kind.VIDEO
+        return Kind.UNREAD_PHOTOS if head[8:12] in STILL_BRANDS else Kind.VIDEO
     if head[:4] == b"RIFF":
         return Kind.VIDEO if head[8:12] == b"AVI " else Kind.PHOTO
     if head[:4] == b"PK\x03\x04" and b"/data.pkl" in head[:_TORCH_NAME_BYTES]:

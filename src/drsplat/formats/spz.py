@@ -130,6 +130,8 @@ def _planes(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], bytes, S
 
 
 def _header(raw: bytes) -> SpzHeader:
+    if raw.startswith((b"ply\n", b"ply\r")):
+        raise FormatError("a PLY packed by gzip, taken for an SPZ: unpack it first, with gunzip")
     if len(raw) != PREFIX.size or raw[:4] != MAGIC:
         raise FormatError("no SPZ: its 16-byte header does not begin with 'NGSP'")
     header = SpzHeader(*PREFIX.unpack(raw)[1:])

@@ -24,9 +24,10 @@ from ..scene.labelled import PLY_UP, LabelledScene, Thing, places_of
 from .activation import checked
 from .usd_library import MARK as CRATE
 from .usd_library import library_layer
-from .usd_text import COLOR_SPACE, TIME_SAMPLES, UsdPrim, parse_usda
+from .usd_text import API_SCHEMAS, COLOR_SPACE, TIME_SAMPLES, UsdPrim, parse_usda
 
 SUFFIXES = (".usda", ".usdc", ".usdz", ".usd")
+INHERITED_SPACE = "colour space of the prims above"
 SCHEMA, TEXT = "ParticleField3DGaussianSplat", b"#usda"
 ZIP = b"PK\x03\x04"
 KINDS = ("object", "group", "match")
@@ -100,9 +101,15 @@ def _walk(layer: UsdPrim) -> Iterator[UsdPrim]:
         prim = waiting.pop()
         if prim.is_defined:
             yield prim
-            for child in prim.children:  # colour spaces are inherited
-                child.attributes = {COLOR_SPACE: prim.text(COLOR_SPACE), **child.attributes}
+            for child in prim.children:
+                child.metadata[INHERITED_SPACE] = _color_space(prim)
             waiting += reversed(prim.children)
+
+
+def _color_space(prim: UsdPrim) -> str:
+    """Return the colour space of a prim: its own where ColorSpaceAPI is applied to it, else that of those above."""
+    own = prim.text(COLOR_SPACE) if "ColorSpaceAPI" in prim.text(API_SCHEMAS) else ""
+    return own or prim.text(INHERITED_SPACE)
 
 
 def _gaussians(prims: list[UsdPrim]) -> Gaussians:
@@ -120,9 +127,11 @@ def _gaussians(prims: list[UsdPrim]) -> Gaussians:
 
 
 def _splat(prim: UsdPrim) -> Gaussians:
-    if not DISPLAYED.fullmatch(prim.text(COLOR_SPACE)):
+    spaces = (prim.text("colorSpace") or _color_space(prim), prim.text(COLOR_SPACE))  # the latter may not be applied
+    other = next((space for space in spaces if not DISPLAYED.fullmatch(space)), None)
+    if other is not None:
         raise FormatError(
-            f"prim '{prim.name}': its colour space is {prim.text(COLOR_SPACE)!a:.60}: colours of linear light, or of "
+            f"prim '{prim.name}': its colour space is {other!a:.60}: colours of linear light, or of "
             "other primaries, look otherwise than those of photos. Export it in srgb_rec709_scene"
         )
     arrays = {name: _rows(prim, name, width) for name, width in _COLUMNS.items()}

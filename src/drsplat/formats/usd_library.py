@@ -15,7 +15,7 @@ from ..errors import FormatError, MissingExtraError
 from ..scene.labelled import LabelledScene
 from .replacing import replacing
 from .usd_crate import refuse_false_counts
-from .usd_text import COLOR_SPACE, MAX_NESTING, TIME_SAMPLES, UsdPrim, Value, is_wanted
+from .usd_text import API_SCHEMAS, MAX_NESTING, TIME_SAMPLES, UsdPrim, Value, is_wanted
 from .usd_writing import ROOT, SPLAT, Column, columns_of, layer_text
 
 MARK = b"PXR-USDC"
@@ -133,10 +133,12 @@ def _prim(pxr: Any, spec: Any) -> UsdPrim:
     prim = UsdPrim(spec.typeName, spec.name, spec.specifier == pxr.Sdf.SpecifierDef)
     if spec.HasInfo("displayName"):
         prim.metadata["displayName"] = str(spec.GetInfo("displayName"))
+    if spec.HasInfo(API_SCHEMAS):
+        prim.metadata[API_SCHEMAS] = str(spec.GetInfo(API_SCHEMAS))
     for attribute in spec.attributes:
         value = _value(attribute.default) if is_wanted(attribute.name) else None
         if is_wanted(attribute.name) and attribute.HasInfo("colorSpace"):
-            prim.attributes[COLOR_SPACE] = str(attribute.GetInfo("colorSpace"))
+            prim.metadata["colorSpace"] = str(attribute.GetInfo("colorSpace"))
         if value is not None:
             prim.attributes[attribute.name] = value
         elif attribute.HasInfo("timeSamples"):

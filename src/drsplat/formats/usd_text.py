@@ -22,7 +22,7 @@ TIME_SAMPLES = ".timeSamples"
 MIN_NUMPY_BYTES = 512  # of text: less is split faster in Python
 SPECIFIERS = (b"def", b"over", b"class")
 PREFIXES = ("drsplat:", "primvars:")
-COLOR_SPACE = "colorSpace:name"  # of ColorSpaceAPI; the metadatum colorSpace of an attribute is kept under it, too
+COLOR_SPACE, API_SCHEMAS = "colorSpace:name", "apiSchemas"
 ATTRIBUTES = frozenset(
     {
         *(f"{name}{half}" for name in ("positions", "orientations", "scales", "opacities") for half in ("", "h")),
@@ -155,7 +155,7 @@ class _Parser:
             noted = UsdPrim("", name)
             self._metadata(noted)
             if is_wanted(name) and (space := noted.text("colorSpace")):
-                prim.attributes[COLOR_SPACE] = space
+                prim.metadata["colorSpace"] = space
 
     def _metadata(self, prim: UsdPrim) -> None:
         self._expect(b"(")
@@ -167,7 +167,11 @@ class _Parser:
             if self._after_space() != b"=":  # prepend, append, delete in front of a name
                 continue
             self._expect(b"=")
-            if name not in METADATA:
+            if name == API_SCHEMAS:
+                begin = self.at
+                self._skip()
+                prim.metadata[name] = bytes(self.buffer[begin : self.at]).decode(errors="replace")
+            elif name not in METADATA:
                 self._skip()
             elif (value := self._value("")) is not None:
                 prim.metadata[name] = value

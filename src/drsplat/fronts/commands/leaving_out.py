@@ -70,12 +70,13 @@ def lines_of(path: str, what: str) -> list[str]:
 
     Raises: InputError: there is no such file. FormatError: it is not in UTF-8.
     """
+    from ...base.contents import file_text
     from ...errors import FormatError, InputError
 
     if not Path(path).is_file():
         raise InputError(f"{path}: there is no such file")
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = file_text(path)
     except UnicodeDecodeError as error:
         raise FormatError(f"{path}: expected text in UTF-8, {what} on a line: {error}") from None
     return [line.strip() for line in text.splitlines() if line.strip()]

@@ -19,6 +19,7 @@ from ...formats.checksums import hash_file
 from ...formats.mask_files import FOLDER as MASKS
 from ...formats.mask_files import SUFFIX as MASK_SUFFIX
 from ...formats.mask_files import is_inverted
+from ...formats.recognising import STILL_BRANDS
 from ...formats.replacing import replacing
 from ...scene.photos import PHOTO_FORMATS, is_wide, orientation_of, rgb_of
 from ...scene.picture_costs import check_cost
@@ -28,7 +29,6 @@ from .masks import bring_mask
 
 Vector = tuple[float, float, float]
 
-HEIF_ENDS = {".heic", ".heif"}
 INSTALL = 'pip install "drsplat[capture]"'
 MAX_PIXELS = 200_000_000
 MIN_SIDE_PIXELS = 64
@@ -144,19 +144,28 @@ def _decoded(source: Source) -> _Decoded:
     if source.num_bytes == 0:
         raise UnreadablePhoto("the file is empty")
     formats: tuple[str, ...] = PHOTO_FORMATS
-    if source.path.suffix.lower() in HEIF_ENDS:
-        add_heif()
-        formats = (*formats, "HEIF")
     try:
+        if _is_heif(source.path):
+            add_heif()
+            formats = (*formats, "HEIF")
         with open_file(source.path) as file, Image.open(file, formats=formats) as coded:
             check_cost(coded, file, MAX_PIXELS)
             return _from_coded(coded)
-    except UnreadablePhoto:
+    except (UnreadablePhoto, MissingExtraError):
         raise
+    except FormatError as error:  # no photo, but what lies in its place
+        raise UnreadablePhoto(str(error).removeprefix(f"{source.path}: ")) from None
     except UnidentifiedImageError:
         raise UnreadablePhoto("it is no photo, or damaged at its beginning") from None
     except Exception as error:  # decoders of damaged files raise anything
         raise UnreadablePhoto(f"it is damaged ({error or type(error).__name__})") from error
+
+
+def _is_heif(path: Path) -> bool:
+    """Return whether a photo is of HEIF by its first bytes: phones and messengers call some .jpg."""
+    with open_file(path) as file:
+        head = file.read(12)
+    return head[4:8] == b"ftyp" and head[8:] in STILL_BRANDS
 
 
 def _from_coded(coded: Image.Image) -> _Decoded:
