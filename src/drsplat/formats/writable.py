@@ -16,8 +16,8 @@ def refuse_packed_name(path: str | PathLike[str]) -> None:
     if name.lower().endswith(PACKED_SUFFIX):
         stem = name[: -len(PACKED_SUFFIX)]
         raise InputError(
-            f"{name}: a name of SuperSplat's compressed PLY, which is read and not written: name it {stem}.ply, or "
-            f"{stem}.sog or {stem}.spz, which are as small"
+            f"{name}: a name of SuperSplat's compressed PLY, which is read and not written: name it {stem}.ply; "
+            "`drsplat export` writes .sog and .spz, which are as small"
         )
 
 
