@@ -82,8 +82,8 @@ def gaussian_rows(buffer: memoryview, header: Header) -> Records:
     missing = [name for name in REQUIRED if name not in names and not (has_colours and name in DC)]
     if missing and missing != [THICKNESS_PROPERTY]:
         raise FormatError(
-            f"vertex has {', '.join(names[:12]) or 'nothing'}, and no {', '.join(missing)}: no 3DGS PLY, but points or a "
-            "mesh. `drsplat train` makes Gaussians of their photos"
+            f"vertex has {', '.join(names[:12]) or 'nothing'}, and no {', '.join(missing)}: no 3DGS PLY, but points or "
+            "a mesh. `drsplat train` makes Gaussians of their photos"
         )
     _refuse_linear_light(buffer, header)
     rows = read_elements(buffer, header, {"vertex"})["vertex"]

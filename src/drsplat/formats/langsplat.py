@@ -6,6 +6,7 @@ LangSplat's are `<photo>_s.npy`, mask maps, and `<photo>_f.npy`, embeddings; our
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple, Protocol, runtime_checkable
 
@@ -21,7 +22,7 @@ from .compact_features import read_compact, write_compact
 from .embedding_record import check_finished, embedded_by, finished_photos
 from .feature_files import COMPACT, EMBEDDINGS, MAPS, Form, stems
 from .npy import map_npy, write_npy
-from .photo_files import listed, safe_name
+from .photo_files import by_folded, folded, listed, safe_name
 from .recognising import Kind, mistaken
 
 
@@ -94,7 +95,12 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
         """Return the key that the name of a view finds, or None."""
         path = PurePosixPath(name)
         candidates = (name, (path.parent / path.stem).as_posix(), path.stem)
-        return next((candidate for candidate in candidates if candidate in self._keys), None)
+        exact = next((candidate for candidate in candidates if candidate in self._keys), None)
+        return next(filter(None, map(self._by_folded.get, map(folded, candidates))), None) if exact is None else exact
+
+    @cached_property
+    def _by_folded(self) -> dict[str, str]:
+        return by_folded(self._keys)
 
     def __getitem__(self, name: str) -> LevelFeatures:
         """Read the features of a photo.

@@ -8,7 +8,7 @@ import re
 import unicodedata
 import warnings
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import takewhile
@@ -39,8 +39,8 @@ def safe_name(name: str, where: str) -> str:
     unprintable = any(ord(letter) < 32 or 0xD800 <= ord(letter) < 0xE000 for letter in name)
     if not parts or escapes or unprintable:
         raise FormatError(
-            f"{where}: {ascii(name)[:200]} is no file name relative to the image folder, without '..': name each photo by "
-            "its place in that folder"
+            f"{where}: {ascii(name)[:200]} is no file name relative to the image folder, without '..': name each photo "
+            "by its place in that folder"
         )
     if len(posix.encode()) > _MAX_NAME_BYTES or any(len(part.encode()) > 240 for part in parts):
         raise FormatError(f"{where}: a file name of {len(name)} characters is longer than file systems allow")
@@ -70,6 +70,14 @@ def relative_names(names: Sequence[str]) -> list[str]:
 def folded(name: str) -> str:
     """Return a name as it is compared with another system's: without case, with letters composed."""
     return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())
+
+
+def by_folded(names: Iterable[str]) -> dict[str, str]:
+    """Return names by their folded ones, without those that differ in nothing else."""
+    alike: dict[str, list[str]] = defaultdict(list)
+    for name in names:
+        alike[folded(name)].append(name)
+    return {key: found[0] for key, found in alike.items() if len(found) == 1}
 
 
 def find_files(places: Sequence[Sequence[Path]]) -> list[Path | None]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from ..errors import FormatError, InputError
 from ..scene.views import View
 from .csv_tables import read_rows
-from .photo_files import listed
+from .photo_files import by_folded, folded, listed
 
 HOLE = "{time}"
 _NUMBER = r"([0-9]{1,15}(?:\.[0-9]{1,15})?)"
@@ -32,6 +32,7 @@ def with_times(views: Sequence[View], times: str | Path) -> list[View]:
         found = read_times(Path(times))
     else:
         raise InputError(f"times: expected a table NAME.csv, or a pattern such as cam*/frame_{HOLE}.png; got {text!r}")
+    found = {key: found[name] for key, name in by_folded(found).items()} | found
     missing = [view.name for view in views if _key(view, found) is None]
     if missing:
         raise InputError(f"{len(missing)} of {len(views)} views have no time by {text!r}: {listed(missing)}")
@@ -75,4 +76,4 @@ def _by_pattern(views: Sequence[View], pattern: str) -> dict[str, float]:
 
 def _key(view: View, found: Mapping[str, float]) -> str | None:
     stem = str(Path(view.name).with_suffix("").as_posix())
-    return next((key for key in (view.name, stem) if key in found), None)
+    return next((key for key in (view.name, stem, folded(view.name), folded(stem)) if key in found), None)
