@@ -22,8 +22,9 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from drsplat import load_image, read_gaussians, read_views
+from drsplat import load_image, read_features, read_gaussians, read_views
 from drsplat.errors import DrSplatError, DrSplatWarning
+from drsplat.formats.langsplat import write_features
 from drsplat.formats.scenes import write_gaussians
 from drsplat.formats.sources import sources_of
 from drsplat.photos.capture.finding import find_photos
@@ -263,6 +264,15 @@ def _(folder: Path) -> str:
 )
 def _(folder: Path) -> str:
     return views(capture(folder, r"C:\room\a.png", r"C:\room\..\..\b.png", files=()))
+
+
+@case("names", "features of photos and their times in other letters than the model's", "1 masks", "time 7.5")
+def _(folder: Path) -> str:
+    capture(folder, "Küche/IMG_1.JPG", files=("küche/img_1.jpg",))
+    write_features(folder / "features", "küche/img_1", np.zeros((4, H, W), np.int32), np.eye(1, 8, dtype=np.float32))
+    (folder / "times.csv").write_text("name,time\nkÜche/img_1.jpg,7.5\n")
+    (view,) = read_views(folder, times=folder / "times.csv")
+    return f"{len(read_features(folder / 'features')[view.name].embeddings)} masks, time {view.time}"
 
 
 def photo_of(folder: Path, name: str, size: tuple[int, int] = (256, 192), seed: int = 0) -> None:
