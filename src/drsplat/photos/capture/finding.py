@@ -28,8 +28,8 @@ MAX_NUMBER_STEP = 50  # between successive photos: frames of a film are often th
 _SMALL = re.compile(r"(^|[._-])(thumb(nail)?s?|tn|small|preview|low|lowres|resized|mini|\d+(x\d+|px))(?=[._-]|$)[._-]?")
 _DERIVED = re.compile(r"[._-](mask|depth|normals?|seg(mentation)?)$|^(dynamic_mask|mask|depth|normal)[._-]")
 _MAP_FOLDER = re.compile(r"depths?|depth_maps|normals?|seg(mentation)?s?|labels|confidence")
-_LOOK_SIDE_PIXELS = 16
-_MAX_LOOK_DIFFERENCE = 8.0  # grey levels between a picture and a copy of it, in the mean
+_LOOK_SIDE_PIXELS = 8
+_MAX_LOOK_DIFFERENCE = 4.0  # grey levels between a picture and a copy of it, in the mean
 _DIGITS = re.compile(r"(\d+)")
 
 
@@ -134,7 +134,7 @@ def _look_alike(path: Path, other: Path) -> bool:
         try:
             with open_file(each) as file, Image.open(file, formats=PHOTO_FORMATS) as coded:
                 check_cost(coded, file)
-                coded.draft("RGB", (_LOOK_SIDE_PIXELS, _LOOK_SIDE_PIXELS))
+                coded.draft("RGB", (8 * _LOOK_SIDE_PIXELS, 8 * _LOOK_SIDE_PIXELS))
                 small = coded.convert("RGB").resize((_LOOK_SIDE_PIXELS, _LOOK_SIDE_PIXELS), Image.Resampling.BOX)
                 looks.append(np.asarray(small, np.float32))
         except Exception:  # decoders of damaged files raise anything
