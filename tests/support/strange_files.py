@@ -643,6 +643,11 @@ for _value, _words in ((1, ("FormatError", "color_space is", "linear light", "Ex
     )
 
 
+@case("colours", "activated values of more rows than are judged", "250000 Gaussians", "scale 0.05", "activated")
+def _(folder: Path) -> str:
+    return scene(folder, ply({name: np.tile(column, 1250) for name, column in _activated("opacity", *SCALES).items()}))
+
+
 @case("colours", "half floats declared ushort", RIGHT, "scale 0.05")
 def _(folder: Path) -> str:
     return scene(folder, ply({name: _halves(column) for name, column in rows_of().items()}))

@@ -133,7 +133,7 @@ def activated_columns(rows: Records) -> frozenset[str]:
 
     Warns: DrSplatWarning: what is read so.
     """
-    some = rows[:: max(1, len(rows) // JUDGED_ROWS)]
+    some = np.ascontiguousarray(rows[:: max(1, len(rows) // JUDGED_ROWS)])
     if len(some) < MIN_JUDGED_ROWS:
         return frozenset()
     found, names = [], some.dtype.names or ()

@@ -5,6 +5,7 @@ masks_4/ beside images_4/); RealityScan (a.jpg.mask.png beside the photo, or a f
 instant-ngp (dynamic_mask_a.png, in which white is left out).
 """
 
+import os
 import re
 import warnings
 from collections.abc import Sequence
@@ -21,6 +22,7 @@ FOLDER_NAME = re.compile(r"\.?masks?(_\d+)?")
 IMAGE_FOLDER = re.compile(r"images(_\d+)?")
 INVERTED_PREFIX = "dynamic_mask_"
 BESIDE = ("{name}.mask", "{stem}.mask", "{stem}_mask", INVERTED_PREFIX + "{stem}")  # and the suffix of a picture
+_BESIDE_NAME = re.compile(rf"[._]mask\.\w+$|^{INVERTED_PREFIX}", re.IGNORECASE)
 NO_NAME = "no mask in it has a photo's name: expected NAME.jpg.png or NAME.png for NAME.jpg"
 
 
@@ -38,8 +40,14 @@ def mask_folders(photos: Path) -> list[Path]:
 
 def masks_of(photos: Path, names: Sequence[str]) -> list[Path | None]:
     """Return the mask of each photo of a folder, by the photos' names in it; None where it has none."""
-    folders = mask_folders(photos)
-    return find_files([_places(photos, folders, PurePosixPath(name)) for name in names])
+    folders, paths = mask_folders(photos), [PurePosixPath(name) for name in names]
+    parents = {parent for parent in {path.parent for path in paths} if folders or _has_masks(photos / parent)}
+    return find_files([_places(photos, folders, path) if path.parent in parents else () for path in paths])
+
+
+def _has_masks(folder: Path) -> bool:
+    """Return whether files in a folder are named as masks beside photos: most captures have none to look for."""
+    return folder.is_dir() and any(map(_BESIDE_NAME.search, os.listdir(folder)))
 
 
 def _places(photos: Path, folders: Sequence[Path], name: PurePosixPath) -> list[Path]:

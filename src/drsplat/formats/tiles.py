@@ -20,7 +20,7 @@ from ..scene.parted import Parted
 from ..scene.placing import near_plane
 from .checksums import DOCUMENT, check_document, check_seal, header_checksum, sealed
 from .field_folder import read_manifest, replacing_folder
-from .json_files import as_count, as_number, as_vector, excerpt, is_text
+from .json_files import as_count, as_number, as_vector, excerpt, is_text, written_name
 from .replacing import replacing
 from .tensors import check_tensors, read_tensors, write_tensors
 
@@ -226,7 +226,8 @@ class _Writer:
         return {
             "format": FORMAT, "version": VERSION, "scene": whole.fingerprint, "num_gaussians": len(means),
             "shapes": self.digest.text(), "near": near_plane(means, whole.opacities), "origin": self.origin.tolist(),
-            "sources": list(sources), **({"antialiased": True} if antialiased else {}), "tiles": self.tiles,
+            "sources": list(map(written_name, sources)), **({"antialiased": True} if antialiased else {}),
+            "tiles": self.tiles,
         }  # fmt: skip
 
 
