@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from ...base.arrays import Bool, Float64, Int64
 from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import Gaussians
+from ...scene.morton import morton_order
 from .planes import MAX_THING_SHARE_BEHIND, MIN_PLANE_GAUSSIANS, Plane, largest_plane, num_sides
 
 SEARCH_MARGIN_SHARE = 0.8  # of the thing's size: how far around it parts are looked for
@@ -27,7 +28,9 @@ Thing = Float64[np.ndarray, "t 3"]
 Points = Float64[np.ndarray, "p 3"]
 
 
-def loose_parts(gaussians: Gaussians, inside: Mask, owners: Owners, agreed: Bool[np.ndarray, " o"]) -> Mask:
+def loose_parts(
+    gaussians: Gaussians, inside: Mask, owners: Owners, agreed: Bool[np.ndarray, " o"], threads: int = 0
+) -> Mask:
     """Return the Gaussians that belong to a thing and to no other object that photos agree on.
 
     Loose are those of no object, those of an object that photos do not agree on, and those of a floor, table or wall
@@ -39,6 +42,7 @@ def loose_parts(gaussians: Gaussians, inside: Mask, owners: Owners, agreed: Bool
         inside: the Gaussians of the thing.
         owners: number of each one's object, -1 for none.
         agreed: whether photos agree on each object.
+        threads: 0 for all cores; the same Gaussians at any number.
     """
     thing = _solid(gaussians, inside)
     if len(thing) < MIN_PLANE_GAUSSIANS:
@@ -56,7 +60,7 @@ def loose_parts(gaussians: Gaussians, inside: Mask, owners: Owners, agreed: Bool
         standing[near] &= ground.plane.heights(places) > MIN_LIFT_TOLERANCES * ground.plane.tolerance
     sizes = gaussians.scales.max(axis=1)
     small = sizes <= np.quantile(sizes[inside], MAX_SIZE_QUANTILE)
-    return _nearest_along_paths(gaussians, inside & near, others & standing, standing & ~others & small)
+    return _nearest_along_paths(gaussians, inside & near, others & standing, standing & ~others & small, threads)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,11 +110,13 @@ def _plane_of(gaussians: Gaussians, rows: Mask, thing: Thing, is_wide: Callable[
     return plane if is_flat and is_before and is_wide(points[plane.holds(points)], plane) else None
 
 
-def _nearest_along_paths(gaussians: Gaussians, inside: Mask, others: Mask, loose: Mask) -> Mask:
+def _nearest_along_paths(gaussians: Gaussians, inside: Mask, others: Mask, loose: Mask, threads: int) -> Mask:
     """Return the loose Gaussians that are nearer to the thing than to any other, along paths of small steps."""
     rows = np.flatnonzero(inside | others | loose)
     places = gaussians.means[rows].astype(np.float64)
-    distances, neighbours = cKDTree(places).query(places, range(2, GRAPH_NEIGHBOURS + 2))
+    order = morton_order(places)  # queries of neighbours, one after another, are fast
+    found = cKDTree(places).query(places[order], range(2, GRAPH_NEIGHBOURS + 2), workers=threads or -1)
+    distances, neighbours = (of_each[np.argsort(order)] for of_each in found)
     longest = MAX_STEP_SPACINGS * float(np.median(distances[inside[rows], SPACING_NEIGHBOUR - 1]))
     at, which = np.nonzero(distances <= longest)
     steps = np.maximum(distances[at, which], np.finfo(np.float64).tiny)  # a step of zero would be none

@@ -1,5 +1,7 @@
 """Rows of what a person names: an object's number, a label, a query; and what hangs on to them."""
 
+import math
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -10,7 +12,9 @@ from ...query import Query, Scene
 from ...query.objects import match_of, objects_of
 from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import Gaussians
+from ...scene.morton import morton_order
 from .loose_parts import loose_parts
+from .surrounding import surrounded
 from .targets import Rows
 
 Ids = Int64[np.ndarray, " m"]
@@ -18,7 +22,6 @@ DIRECTIONS = 64  # around a place in which the thing is looked for
 MIN_INSIDE_SHARE = 0.95  # of an object's Gaussians, for an object inside: the rest may be noise
 MIN_SURROUNDED_SHARE = 0.85  # of the directions, for a place inside
 MAX_THING_POINTS = 1500  # that directions are computed to
-BLOCK_PAIRS = 1 << 20
 VOTING_NEIGHBOURS = 8  # of a loose Gaussian
 MIN_VOTES = 5  # of these, for belonging to the thing
 VOTING_PASSES = 2
@@ -48,12 +51,13 @@ def query_rows(scene: Scene, query: Query | str, words: str = "") -> Rows:
     if not matches:
         raise InputError(f"no match for “{words}”: `drsplat locate` prints how near it was")
     ids = np.concatenate([match.gaussian_ids for match in matches])
-    return Rows.of(completed(scene.gaussians, ids, *_objects(scene, answer.field)), "query", words)
+    rows = completed(scene.gaussians, ids, *_objects(scene, answer.field), threads=scene.threads)
+    return Rows.of(rows, "query", words)
 
 
 def complete_rows(scene: Scene, ids: Integer[np.ndarray, " k"]) -> Ids:
     """Return rows of a scene with what nobody can tell apart from them; see `completed`."""
-    return completed(scene.gaussians, ids, *_objects(scene, scene.field))
+    return completed(scene.gaussians, ids, *_objects(scene, scene.field), threads=scene.threads)
 
 
 def _objects(scene: Scene, field: LanguageField) -> tuple[Int64[np.ndarray, " n"], Bool[np.ndarray, " o"]]:
@@ -71,7 +75,9 @@ def completed(
     ids: Integer[np.ndarray, " k"],
     owners: Int64[np.ndarray, " n"],
     agreed: Bool[np.ndarray, " o"],
-) -> Ids:  # fmt: skip
+    *,
+    threads: int = 0,
+) -> Ids:
     """Return rows with what cannot be told apart from them.
 
     That is the rest of objects that they nearly are, what they enclose, loose Gaussians that hang on to them, and in a
@@ -89,10 +95,9 @@ def completed(
     taken = enclosed(gaussians, inside)
     own_things = np.bincount(owners[taken & owned], minlength=len(sizes)) > sizes / 2
     inside |= taken & ~(own_things[owners] & owned)
-    for _ in range(VOTING_PASSES):
-        inside |= hanging(gaussians, inside, (owners < 0) & ~inside)
+    inside = hanging(gaussians, inside, owners < 0, threads)
     if len(agreed):
-        inside |= loose_parts(gaussians, inside, owners, agreed)
+        inside |= loose_parts(gaussians, inside, owners, agreed, threads)
         inside |= rests(inside, owners, agreed)
     return np.flatnonzero(inside)
 
@@ -115,30 +120,41 @@ def enclosed(gaussians: Gaussians, inside: Bool[np.ndarray, " n"]) -> Bool[np.nd
     thing = thing[:: -(-len(thing) // MAX_THING_POINTS)]
     low, high = np.quantile(thing, (0.01, 0.99), axis=0)
     near = np.flatnonzero(((gaussians.means > low) & (gaussians.means < high)).all(axis=1) & ~inside)
-    directions = _sphere(DIRECTIONS)
-    for begin in range(0, len(near), block := max(1, BLOCK_PAIRS // len(thing))):
-        some = near[begin : begin + block]
-        away = thing[None] - gaussians.means[some, None].astype(np.float64)
-        nearest = np.einsum("pti,di->ptd", away, directions).argmax(axis=2)
-        seen = np.zeros((len(some), DIRECTIONS), bool)
-        np.put_along_axis(seen, nearest, True, axis=1)
-        found[some] = seen.mean(axis=1) >= MIN_SURROUNDED_SHARE
+    places = gaussians.means[near].astype(np.float64)
+    found[near] = surrounded(places, thing, _sphere(DIRECTIONS), math.ceil(MIN_SURROUNDED_SHARE * DIRECTIONS))
     return found
 
 
 def hanging(
-    gaussians: Gaussians, inside: Bool[np.ndarray, " n"], loose: Bool[np.ndarray, " n"]
-) -> Bool[np.ndarray, " n"]:  # fmt: skip
-    """Return loose Gaussians most of whose neighbours belong to a thing."""
-    found = np.zeros(len(gaussians), bool)
-    among = min(VOTING_NEIGHBOURS + 1, len(gaussians))
-    near = np.flatnonzero(loose)
-    if len(near) and inside.any():
-        low, high = gaussians.means[inside].min(axis=0), gaussians.means[inside].max(axis=0)
-        near = near[((gaussians.means[near] >= low) & (gaussians.means[near] <= high)).all(axis=1)]
-        _, neighbours = cKDTree(gaussians.means).query(gaussians.means[near], range(1, among + 1))
-        found[near] = inside[neighbours].sum(axis=1) >= MIN_VOTES
-    return found
+    gaussians: Gaussians, inside: Bool[np.ndarray, " n"], loose: Bool[np.ndarray, " n"], threads: int = 0
+) -> Bool[np.ndarray, " n"]:
+    """Return a thing with the loose Gaussians most of whose neighbours belong to it, `VOTING_PASSES` times."""
+    inside, tree = inside.copy(), None
+    neighbours: Int64[np.ndarray, "m k"] = np.empty((0, min(VOTING_NEIGHBOURS + 1, len(gaussians))), np.int64)
+    place = np.full(len(gaussians), -1)  # of each Gaussian among them
+    for _ in range(VOTING_PASSES):
+        near = _in_box_of(gaussians, inside, np.flatnonzero(loose & ~inside))
+        new = near[place[near] < 0]
+        if len(new):
+            new = new[morton_order(gaussians.means[new])]  # queries of neighbours, one after another, are fast
+            tree = tree or cKDTree(gaussians.means)
+            place[new] = np.arange(len(new)) + len(neighbours)
+            ranks = range(1, neighbours.shape[1] + 1)
+            found = tree.query(gaussians.means[new], ranks, workers=threads or -1)[1]
+            neighbours = np.concatenate([neighbours, found])
+        inside[near] = inside[neighbours[place[near]]].sum(axis=1) >= MIN_VOTES
+    return inside
+
+
+def _in_box_of(
+    gaussians: Gaussians, inside: Bool[np.ndarray, " n"], rows: Int64[np.ndarray, " r"]
+) -> Int64[np.ndarray, " s"]:
+    """Return those of some rows whose centres are in the box of a thing's."""
+    if not inside.any():
+        return rows[:0]
+    low, high = gaussians.means[inside].min(axis=0), gaussians.means[inside].max(axis=0)
+    within = ((gaussians.means[rows] >= low) & (gaussians.means[rows] <= high)).all(axis=1)
+    return np.asarray(rows[within])
 
 
 def _sphere(count: int) -> Float64[np.ndarray, "d 3"]:

@@ -10,6 +10,7 @@ import numpy as np
 from ...base.arrays import Bool
 from ...errors import InputError
 from ...formats.annotations import AnnotationFile
+from ...formats.json_files import written_name
 from ...formats.labels import Labels
 from ...formats.named import read_labels
 from ...formats.runs import ids_of
@@ -86,7 +87,7 @@ def labelled(
     owners = after.everything.extra[OBJECT_ID][kept] if OBJECT_ID in columns else None
     whole_scene = LabelledScene(
         _without(_rows(after.everything, kept), columns),
-        scene.name,
+        written_name(scene.name),
         tuple(things),
         groups_of(scene),
         None if owners is None else rows_of(things, owners),
@@ -139,7 +140,7 @@ def labelled_alone(
     after = after_edits(own, path, listed)
     kept = _kept_rows(after)
     rows = _rows(after.everything, kept)
-    title, notes = "scene" if path is None else path.resolve().stem, annotations_of(path)
+    title, notes = "scene" if path is None else written_name(path.resolve().stem), annotations_of(path)
     if not labels.things or OBJECT_ID not in rows.extra:
         return LabelledScene(rows, title, annotations=notes, num_edits=listed.done)
     numbers = zip(labels.things, numbers_of(labels.things), strict=True)

@@ -18,6 +18,7 @@ from ...formats.claiming import claimed_output
 from ...formats.colmap import read_colmap
 from ...formats.colmap_writing import write_colmap
 from ...formats.field_folder import refuse_to_replace_others, replacing_folder
+from ...formats.json_files import written_name
 from ...formats.rendering_record import RECORD, write_rendering_record
 from ...scene.gaussians import SH_C0, Gaussians, ShapesDigest
 from ...scene.moving import Moving, canonical_of
@@ -88,7 +89,7 @@ def photograph(
         record = {
             "drsplat": version("drsplat"),
             "scene": {
-                "name": name,
+                "name": written_name(name),
                 "fingerprint": canonical_of(scene).fingerprint,
                 "checksum": _checksum(gaussians),
                 "num_gaussians": len(gaussians),
