@@ -10,7 +10,7 @@ from test_views_hostile import unchecked_types
 
 from drsplat.errors import InputError
 from drsplat.kernels import available_isas, pq_encode, weighted_rows
-from drsplat.kernels.algebra import changed_columns, code_sums, convolve, dense_rows
+from drsplat.kernels.algebra import changed_columns, code_sums, convolve, dense_rows, row_products
 from fields import random_weights, unit_rows
 from twins import algebra as reference_algebra
 
@@ -115,6 +115,19 @@ def test_codes_of_other_points_are_refused() -> None:
 def test_matrices_that_do_not_fit_are_refused() -> None:
     with unchecked_types(), pytest.raises(InputError, match=r"got \(3, 4\) and \(5, 6\)"):
         dense_rows(np.zeros((3, 4), np.float32), np.zeros((5, 6), np.float32))
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize("dim", [3, 17, 512])
+def test_row_products_do_not_depend_on_the_rows_beside(dim: int, kind: type) -> None:
+    """A BLAS cuts them into a part for each thread."""
+    rng = np.random.default_rng(dim)
+    rows, vector = rng.normal(size=(5003, dim)).astype(kind), rng.normal(size=dim).astype(kind)
+    products = row_products(rows, vector)
+    assert products.dtype == kind
+    assert_allclose(products, rows.astype(np.float64) @ vector, rtol=0, atol=1e-3 if kind == np.float32 else 1e-11)
+    for part in (slice(1, 2), slice(3, 700), slice(2501, None)):
+        assert_array_equal(row_products(rows[part], vector), products[part])
 
 
 @every_isa

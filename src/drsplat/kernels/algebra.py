@@ -7,7 +7,7 @@ Every function is the same to the bit for any number of threads; `threads=0` tak
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Float32, Float64, Int32, Int64, Integer, UInt8
+from ..base.arrays import Float, Float32, Float64, Int32, Int64, Integer, UInt8
 from ..errors import InputError
 from .splatting import checked_isa
 
@@ -64,6 +64,14 @@ def dense_rows(
     except ValueError:
         raise InputError(f"expected matrices (n, k) and (k, m), got {a.shape} and {b.shape}") from None
     return np.asarray(product)[:, :width]
+
+
+def row_products(rows: Float[np.ndarray, "n d"], vector: Float[np.ndarray, " d"]) -> Float[np.ndarray, " n"]:
+    """Return each row's inner product with a vector, to the same bits wherever it is computed, unlike a BLAS.
+
+    A BLAS cuts long sums and many rows into a part for each of its threads, and each part ends in a sum of its own.
+    """
+    return np.asarray(np.einsum("nd,d->n", rows, vector))
 
 
 def convolve(

@@ -15,6 +15,7 @@ import numpy as np
 from ..base.arrays import Bool, Float, Float32, Float64, Integer, UInt16
 from ..base.contents import release, scratch
 from ..field import LanguageField
+from ..kernels.algebra import dense_rows, row_products
 from ..kernels.ranking import keep_best
 from .thresholds import PEAK_ROWS, clear_threshold, peak_score
 
@@ -77,7 +78,7 @@ class Contrast:
 
     def height(self, peak: int = PEAK_ROWS) -> float:
         """Return the cosine that as many rows as make a thing reach with the word of the list that fits each best."""
-        levels = (self.vectors @ self.usual)[self.words]
+        levels = row_products(self.vectors, self.usual)[self.words]
         return peak_score(self._of_each((self.scores + levels).max(1)), peak) if len(self.scores) else 0.0
 
     def relevancy(
@@ -109,7 +110,7 @@ class Contrast:
     def speaks(self, query: Float32[np.ndarray, " D"]) -> bool:
         """Return whether a vector lies with the words rather than with the pictures."""
         sides = np.stack([self.vectors.mean(0), self.usual]).astype(np.float64)
-        to_words, to_pictures = sides / np.linalg.norm(sides, axis=1, keepdims=True) @ query
+        to_words, to_pictures = row_products(sides / np.linalg.norm(sides, axis=1, keepdims=True), query)
         return bool(to_words > to_pictures)
 
     def at(self, features: Float32[np.ndarray, "m D"]) -> "Contrast":
@@ -130,10 +131,11 @@ def _near(vectors: Float32[np.ndarray, "n D"], query: Float32[np.ndarray, " D"])
     last = _last_near
     if last is None or last[0] is not vectors or not np.array_equal(last[1], query):
         texts = np.concatenate([vectors, query[None]]).astype(np.float64)
-        same = texts[:-1] @ texts[-1] > 1 - 1e-5
+        same = row_products(texts[:-1], texts[-1]) > 1 - 1e-5
         texts -= texts.mean(0)
         norms = np.maximum(np.linalg.norm(texts, axis=1), 1e-12)
-        near = np.asarray(same | (texts[:-1] @ texts[-1] / (norms[:-1] * norms[-1]) > SAME_MEANING_COSINE))
+        cosines = row_products(texts[:-1], texts[-1]) / (norms[:-1] * norms[-1])
+        near = np.asarray(same | (cosines > SAME_MEANING_COSINE))
         last = _last_near = vectors, query, near
     return last[2]
 
@@ -165,7 +167,7 @@ def contrast_of(
     of_kind: bool = False,
 ) -> Contrast:
     """Score words at unit features without a field. pictures: of the scene; None: the features themselves."""
-    usual, spread = _usual(features if pictures is None else pictures, vectors)
+    usual, spread = _usual(features if pictures is None else pictures, vectors, threads=1)
     scores, words = _best_words_of(features, vectors, usual)
     return Contrast(vectors, usual, spread, scores, words, of_kind)
 
@@ -219,17 +221,18 @@ _LAST_CONTRASTS: "WeakKeyDictionary[LanguageField, Contrast]" = WeakKeyDictionar
 
 
 def _contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], threads: int) -> Contrast:
-    usual, spread = _usual(usual_pictures(field), vectors)
+    usual, spread = _usual(usual_pictures(field), vectors, threads)
     runs = [(run, partial(field.scores, threads=threads, code=code)) for run, code in field.runs()]
     scores, words = _best_words(vectors, usual, runs, threads)
     return Contrast(vectors, usual, spread, scores, words)
 
 
 def _usual(
-    pictures: Float32[np.ndarray, "s D"], vectors: Float32[np.ndarray, "n D"]
+    pictures: Float32[np.ndarray, "s D"], vectors: Float32[np.ndarray, "n D"], threads: int
 ) -> tuple[Float32[np.ndarray, " D"], float]:
     """Return the mean picture times USUAL_COSINE_SHARE, and the unit of margins."""
-    return (USUAL_COSINE_SHARE * pictures.mean(0, dtype=np.float64)).astype(np.float32), _spread(pictures @ vectors.T)
+    usual = (USUAL_COSINE_SHARE * pictures.mean(0, dtype=np.float64)).astype(np.float32)
+    return usual, _spread(dense_rows(pictures, vectors.T, threads=threads))
 
 
 def _best_words(
@@ -248,7 +251,7 @@ def _best_words(
         own, names = np.full(shape, -np.inf, np.float32), np.zeros(shape, np.uint16)
         for begin in range(0, len(vectors), at_once):
             some = vectors[begin : begin + at_once]
-            keep_best(own, names, score(some) - (some @ usual)[:, None], begin, threads=threads)
+            keep_best(own, names, score(some) - row_products(some, usual)[:, None], begin, threads=threads)
         scores[:, run], words[:, run] = own, names
         release(scores, words)
     return scores.T, words.T
@@ -258,7 +261,8 @@ def _best_words_of(
     features: Float32[np.ndarray, "m D"], vectors: Float32[np.ndarray, "n D"], usual: Float32[np.ndarray, " D"]
 ) -> tuple[Float32[np.ndarray, "m t"], UInt16[np.ndarray, "m t"]]:
     at_once = max(WORDS_AT_ONCE, min(MAX_WORDS_AT_ONCE, MAX_SCORES_AT_ONCE // max(len(features), 1)))
-    return _best_words(vectors, usual, [(slice(0, len(features)), lambda some: some @ features.T)], at_once=at_once)
+    runs = [(slice(0, len(features)), lambda some: dense_rows(features, some.T, threads=1).T)]
+    return _best_words(vectors, usual, runs, at_once=at_once)
 
 
 def _sigmoid(margin: float) -> float:

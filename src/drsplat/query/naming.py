@@ -9,6 +9,7 @@ from ..base.arrays import Float32
 from ..errors import InputError
 from ..field import LanguageField
 from ..formats.vocabulary import VocabularyEncoder
+from ..kernels.algebra import dense_rows, row_products
 from ..photos.models.mini import MiniEncoder
 from ..photos.models.mini.lexicon import COLORS, NAMES, STRUCTURES, nouns_in
 from ..photos.models.word_list import list_vectors
@@ -35,7 +36,8 @@ def knows_nouns(encoder: Encoder, field: LanguageField) -> bool:
 def fit_of(encoder: MiniEncoder, field: LanguageField) -> float:
     """Return the cosine of the best noun that half of a field's features reach."""
     rows = np.unique(np.linspace(0, len(field) - 1, SAMPLED_ROWS).astype(np.intp))
-    return float(np.median((field.feature(rows) @ encoder.encode_texts(encoder.nouns).T).max(axis=1)))
+    cosines = dense_rows(field.feature(rows), encoder.encode_texts(encoder.nouns).T, threads=1)
+    return float(np.median(cosines.max(axis=1)))
 
 
 def doubt_of(encoder: Encoder, field: LanguageField, text: str | None = None) -> str:
@@ -144,8 +146,8 @@ def _sure_words(
     vectors: of the words, with which `every` begins. least: by how much the best exceeds all that do not mean the same,
     in standard deviations of cosines of words and pictures once the means of both are off, as of `Contrast.spread`.
     """
-    cosines = seen.pictures @ every.T
-    scores = seen.rows @ every.T - np.float32(USUAL_COSINE_SHARE) * cosines.mean(0)
+    cosines, scores = (dense_rows(rows, every.T, threads=1) for rows in (seen.pictures, seen.rows))
+    scores -= np.float32(USUAL_COSINE_SHARE) * cosines.mean(0)
     best = scores[:, : len(vectors)].argmax(1)
     centered = every - every.mean(0, dtype=np.float64)
     centered /= np.maximum(np.linalg.norm(centered, axis=1, keepdims=True), 1e-12)
@@ -174,6 +176,6 @@ def best_names(
         raise InputError(f"the encoder '{encoder.identity.name}' takes any words: name those to choose from")
     field.check_encoder(encoder.identity)
     vectors = np.asarray(encoder.encode_texts(texts), np.float32)
-    scores = vectors @ feature
+    scores = row_products(vectors, feature)
     order = np.argsort(-scores, kind="stable")[:top]
     return [(texts[at], float(scores[at])) for at in order]

@@ -14,6 +14,7 @@ import numpy as np
 from ..base.arrays import Bool, Float32, Int64
 from ..errors import InputError, MismatchError
 from ..field import relevancy_from_scores
+from ..kernels.algebra import dense_rows, row_products
 from ..photos.models.word_list import list_vectors, rival_vectors
 from ..scene.encoders import Encoder, identity_text
 from .contrast import Contrast, contrast_of, relevancy_threshold
@@ -53,7 +54,7 @@ class Described:
 
     def products(self, vector: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, " P"]:
         """Return each descriptor's inner product with a vector."""
-        return _products(self.descriptors, vector)
+        return row_products(self.descriptors, vector)
 
 
 class Ranked(NamedTuple):
@@ -125,7 +126,7 @@ class Surroundings:
         self, query: Query, vector: Float32[np.ndarray, " D"], objects: Described, cosines: Float32[np.ndarray, " o"]
     ) -> tuple[Float32[np.ndarray, " o"], str, float, str]:
         if query.measures_relevancy:
-            rivals = (objects.descriptors @ self._negatives(query).T).max(axis=1)
+            rivals = dense_rows(objects.descriptors, self._negatives(query).T, threads=1).max(axis=1)
             values = objects.best(relevancy_from_scores(objects.products(vector), rivals))
             return values, RELEVANCY, RELEVANCY_THRESHOLD, DEFAULT
         own = own_threshold(self.encoder) if query.text is not None else None
@@ -168,7 +169,7 @@ class Surroundings:
 
     def _automatic(self, vector: Float32[np.ndarray, " D"], cosines: Float32[np.ndarray, " o"]) -> float:
         """Return a threshold between what objects usually reach and the best."""
-        known = np.concatenate([_products(self.usual, vector), cosines])
+        known = np.concatenate([row_products(self.usual, vector), cosines])
         return automatic_threshold(known, OBJECT_CUT_SHARE, peak=MIN_OBJECTS) if len(known) else 0.0
 
     def _excluded(self, query: Query, objects: Described, cosines: Float32[np.ndarray, " o"]) -> Bool[np.ndarray, " o"]:
@@ -195,8 +196,3 @@ def _unit(vector: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, " D"]:
     if not np.isfinite(length) or not length > 0:
         raise InputError("embeddings to compare with must be finite and not zero")
     return np.asarray(vector / length, np.float32)
-
-
-def _products(rows: Float32[np.ndarray, "p D"], vector: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, " p"]:
-    """Return inner products, not by BLAS, whose threads would spin for longer than so few of them take."""
-    return np.asarray(np.einsum("pd,d->p", rows, vector), np.float32)

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..base.arrays import Float64, Int64
 from ..errors import InputError
+from ..kernels.algebra import dense_rows
 from .defaults import MIN_GAUSSIANS
 from .naming import own_vocabulary
 from .scene import Scene
@@ -45,7 +46,8 @@ def region(
     field.check_encoder(encoder.identity)
     means = scene.rows.shapes_of(field.gaussian_ids[inside]).positions
     features = field.feature(inside)
-    scores = features @ np.asarray(encoder.encode_texts(names), np.float32).T
+    vectors = np.asarray(encoder.encode_texts(names), np.float32)
+    scores = dense_rows(features, vectors.T, threads=scene.threads)
     best, own = scores.argmax(1), scores.max(1)
     clear = own > getattr(encoder, "threshold", -1.0)
     found = [_named(names[k], (best == k) & clear, own, means) for k in np.unique(best[clear])]

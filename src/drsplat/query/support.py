@@ -8,6 +8,7 @@ from ..base.arrays import Float32, Integer
 from ..errors import InputError
 from ..field import LanguageField
 from ..field.evidence.evidence import Explanation
+from ..kernels.algebra import row_products
 from .answer import Answer, Match
 from .objects import MAX_SUPPORT_MASKS, objects_of, support_of
 
@@ -29,7 +30,8 @@ def supporting_masks(
     rows = rows[rows >= 0]
     weights = evidence.column_sums(rows).astype(np.float64)
     used = np.flatnonzero(weights)
-    support = weights[used] * (evidence.embeddings[used].astype(np.float64) @ (query / np.linalg.norm(query)))
+    cosines = row_products(evidence.embeddings[used].astype(np.float64), query / np.linalg.norm(query))
+    support = weights[used] * cosines
     total = support[support > 0].sum()
     order = np.argsort(-support, kind="stable")[:top]
     masks = evidence.masks

@@ -142,6 +142,6 @@ def _match(
     """Return the match that some Gaussians make. ids: their rows in the scene."""
     mass = gaussians.opacities.astype(np.float64)
     mass = mass / mass.sum() if mass.sum() > 0 else np.full(len(ids), 1 / len(ids))
-    score = float(mass @ scores.astype(np.float64))
+    score = float((mass * scores).sum())  # a BLAS sums in as many parts as it has threads
     box = box_of(gaussians, solid(gaussians, np.arange(len(ids))), up)
     return Match(*box, score, ids, object_id=place if place >= 0 else None)

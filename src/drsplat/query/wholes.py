@@ -7,6 +7,7 @@ import numpy as np
 from ..base.arrays import Float32, Int32, Int64, Integer, UInt32
 from ..field import LanguageField
 from ..field.forest import Objects
+from ..kernels.algebra import row_products
 
 SPEAKING_SHARE = 0.25  # of an object's Gaussians
 ROWS_AT_ONCE = 1 << 18
@@ -64,7 +65,7 @@ def for_comparing(
 
 def _best_descriptors(objects: Objects, query: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, " T"]:
     """Return per node the highest cosine of a query with one of its descriptors."""
-    cosines = objects.descriptors @ (query / np.linalg.norm(query))
+    cosines = row_products(objects.descriptors, query / np.linalg.norm(query))
     starts = objects.descriptor_starts
     best = np.full(objects.num_nodes, -1, np.float32)
     (some,) = np.nonzero(np.diff(starts))

@@ -13,6 +13,7 @@ from ...base.contents import release
 from ...errors import FormatError, InputError
 from ...formats.tensors import check_tensors
 from ...kernels import weighted_rows
+from ...kernels.algebra import row_products
 
 UNIT_TOLERANCE = 1e-3  # of an embedding's norm
 
@@ -175,7 +176,7 @@ class Evidence:
         indptr, indices, data = self.entries
         of_row = slice(indptr[row], indptr[row + 1])
         columns = indices[of_row]
-        support = data[of_row] * (self.embeddings[columns].astype(np.float64) @ query)
+        support = data[of_row] * row_products(self.embeddings[columns].astype(np.float64), query)
         total = support[support > 0].sum()
         order = np.argsort(-support, kind="stable")[:top]
         return [self._explanation(int(columns[k]), float(support[k] / total)) for k in order if support[k] > 0]

@@ -9,6 +9,7 @@ import numpy as np
 from ....base.arrays import Float32, Integer, UInt8, UInt16
 from ....errors import FormatError, InputError
 from ....formats.tensors import check_tensors
+from ....kernels.algebra import row_products
 from ....kernels.mixture import (
     MAX_ATOMS_PER_ROW,
     ROWS_PER_BLOCK,
@@ -152,7 +153,7 @@ class MixtureCode:
         if not 0 <= row < len(self) or query.shape != (self.dim,):
             raise InputError(f"row {row} of {len(self)}, query {query.shape}: expected ({self.dim},)")
         ids, weights, _ = (array[0] for array in self.unpacked(np.array([row])))
-        support = weights * (self.atoms.vectors(ids).astype(np.float64) @ query)
+        support = weights * row_products(self.atoms.vectors(ids).astype(np.float64), query)
         speaking = support > 0
         masks, at = np.unique(self.atoms.masks[ids[speaking]], return_inverse=True)
         sums = np.bincount(at, support[speaking], len(masks))
