@@ -22,7 +22,7 @@ from scenes import look_at_view
 pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
 
 from drsplat.fronts.serving.conversation import Conversation
-from drsplat.fronts.serving.files import exported
+from drsplat.fronts.serving.files import COMPLETING_S, WRITING_S, exported
 from drsplat.fronts.serving.limits import Limits
 from drsplat.fronts.serving.live import Adder
 from drsplat.fronts.serving.replies import Reply
@@ -208,3 +208,16 @@ def test_a_file_that_cannot_be_is_refused(asked: dict[str, object], message: str
 def test_a_scene_that_is_too_large_is_not_sent(folder: Path) -> None:
     with pytest.raises(InputError, match=r"up to 0 are sent: `drsplat export` writes it"):
         exported(open_scene(folder), Export(), Limits(file_bytes=100))
+
+
+def test_a_file_that_takes_too_long_is_refused_before_it_begins(folder: Path) -> None:
+    """It was computed until the time was over, in one of two processes."""
+    scene = open_scene(folder)
+    whole_s, part_s = (len(scene.gaussians) * each for each in (WRITING_S, WRITING_S + COMPLETING_S))
+    limits, one = Limits(seconds=(whole_s + part_s) / 2), Export(object=2, format="ply")
+    assert exported(scene, Export(), limits).body
+    with pytest.raises(InputError, match=r"`drsplat export FOLDER --object 2 --edits none -o scene.ply` writes it"):
+        exported(scene, one, limits)
+    assert exported(scene, one, Limits(seconds=2 * part_s)).body
+    with pytest.raises(InputError, match=r"`drsplat export FOLDER --edits kept -o scene.glb` writes it"):
+        exported(scene, Export(edits="kept"), Limits(seconds=whole_s / 2))

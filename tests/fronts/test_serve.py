@@ -237,7 +237,8 @@ WRONG: list[tuple[str, Any, str]] = [
     ("select", {"image": "not base64!"}, "base64"),
     ("select", {"image": base64.b64encode(b"GIF89a" + b"\0" * 50).decode()}, "cannot be read"),
     ("select", {"text": "mug", "objects": "always"}, "objects: Input should be 'auto' or 'never'"),
-    ("segment", {"classes": ["mug"], "objects": None}, "objects: Input should be 'auto' or 'never'"),
+    ("segment", {"classes": None}, "body.classes: Input should be a valid list"),
+    ("segment", {"classes": ["mug"], "names": None}, "body.names: there is no such field"),
     ("locate", {"text": "mug", "top": 0}, "top"),
     ("locate", {"text": "mug", "top": 10**9}, "top"),
     ("locate", {"text": "mug", "min_gaussians": -1}, "min_gaussians"),
@@ -268,6 +269,21 @@ def test_malformed_bodies(body: bytes, service: Service) -> None:
     answer = service("POST", "/scenes/room/select", content=body, headers=json_type)
     assert 400 <= answer.status_code < 500, answer.text
     assert reason(answer, answer.status_code)
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        (b'{"text": "red vase", "text": "lamp"}', "'text' is given twice"),
+        (b'{"click": {"view": "frame_00001", "x": 1, "y": 1, "x": 2}}', "'x' is given twice"),
+        (b'{"text": "\\ud800"}', "half a character"),
+        ('{"text": "lamp"}'.encode("utf-16"), "in UTF-8"),
+    ],
+)
+def test_a_body_of_which_a_reader_would_have_to_guess_is_refused(body: bytes, said: str, service: Service) -> None:
+    """The last of two was taken, in silence."""
+    answer = service("POST", "/scenes/room/select", content=body, headers={"content-type": "application/json"})
+    assert said in reason(answer, 422)
 
 
 @pytest.mark.parametrize("kind", [None, "text/plain", "application/x-www-form-urlencoded", "multipart/form-data; x"])

@@ -112,11 +112,18 @@ def _output(arguments: argparse.Namespace) -> Path:
 
 
 def _refuse_strangers(output: Path, source: ScanInput) -> None:
-    """Check the output. Raises: InputError: it holds files that no scan made, or is the capture itself."""
+    """Check input and output.
+
+    Raises: InputError: the output holds files that no scan made, or is the capture itself; a path that is not UTF-8.
+    """
     from ...errors import InputError
     from ...formats.claiming import LOCK
+    from ...formats.json_files import is_text
     from ...formats.scan_record import RECORD
 
+    for path in (source.path, output):
+        if not is_text(str(path.resolve())):
+            raise InputError(f"{path}: expected a path in UTF-8, as {RECORD} names it: rename the folder")
     if source.path.resolve() == output.resolve():
         raise InputError(f"{output} is what is scanned: name another output")
     if output.is_dir() and not (output / RECORD).is_file():

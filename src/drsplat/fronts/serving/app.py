@@ -31,6 +31,7 @@ from .replies import BUG, GLB, JPEG, NO_JSON, PLY, PNG, is_json, problem, refusa
 from .requests import Export, Locate, Picture, Segment, Select, WhatIs, When
 from .responses import FIELD_HEADER, Scene, sent
 from .scene_folder import SceneFolder, Sources, without_paths
+from .strict import StrictRoute
 from .workbench import Job, Workbench
 from .worker import Workplace
 
@@ -114,6 +115,7 @@ def create_app(settings: Settings) -> FastAPI:
         redoc_url=None,
         responses=REFUSALS,
     )
+    app.router.route_class = StrictRoute
     _add_errors(app, scene_folder)
     app.state.bench, app.state.adding = bench, adding
     _add_watching(app, scene_folder, metrics)

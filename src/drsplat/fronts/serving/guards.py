@@ -9,7 +9,7 @@ from typing import Any, Protocol, runtime_checkable
 from starlette.exceptions import HTTPException
 
 from .access import is_addressed, is_secret
-from .limits import Limits
+from .limits import GONE, Limits
 from .metrics import Metrics
 
 Message = MutableMapping[str, Any]
@@ -91,13 +91,29 @@ class Guard(DoorKeeper):
         if await refused_length(scope, most, answer):
             return
         body = Body(receive, self, most)
+        watcher = asyncio.create_task(_cancel_if_gone(scope, body, asyncio.current_task()))
         try:
             async with asyncio.timeout(self.limits.seconds):
                 await self.app(scope, body, answer)
         except TimeoutError:
+            watcher.cancel()
             await answer.refuse(503, "timeout", self.limits.too_slow)
+        except asyncio.CancelledError as cancelled:
+            if GONE not in cancelled.args:
+                raise
         finally:
+            watcher.cancel()
             self.large -= body.is_large
+
+
+async def _cancel_if_gone(scope: Message, body: "Body", work: "asyncio.Task[None] | None") -> None:
+    """Cancel the work on a request when its client goes; only once its body is read, which comes by the same way."""
+    if scope["method"] != "GET":  # the routes of GET read no body
+        await body.complete.wait()
+    while (await body.receive())["type"] != "http.disconnect":
+        pass
+    if work is not None:
+        work.cancel(GONE)
 
 
 async def refused_length(scope: Message, most: int, answer: "Answer") -> bool:
@@ -162,6 +178,7 @@ class Body:
 
     def __init__(self, receive: Receive, counter: LargeBodies, most: int) -> None:
         self.receive, self.counter, self.most, self.seen, self.is_large = receive, counter, most, 0, False
+        self.complete = asyncio.Event()
 
     async def __call__(self) -> Message:
         message = await self.receive()
@@ -172,4 +189,6 @@ class Body:
             if self.counter.large >= self.counter.limits.large_bodies:
                 raise HTTPException(503, f"{self.counter.large} large bodies are here: come again")
             self.counter.large, self.is_large = self.counter.large + 1, True
+        if not message.get("more_body"):
+            self.complete.set()
         return message

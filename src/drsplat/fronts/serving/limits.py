@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass
 
+GONE = "the client has gone"  # message of what cancels its request
+
 
 @dataclass(frozen=True)
 class Limits:

@@ -8,7 +8,7 @@ from fastapi import FastAPI, Request, Response
 from .adding import Adding
 from .live import LIST, TAKE, NewView, ViewList, ViewState
 from .models import Problem
-from .replies import problem
+from .replies import Reply, problem
 from .responses import Scene, sent
 from .workbench import Job, Workbench
 
@@ -37,7 +37,9 @@ def add_live(app: FastAPI, bench: Workbench, adding: Adding, why_not: Callable[[
         refused = why_not(request.headers.get("origin"), request.headers.get("host", ""))
         if refused:
             return sent(problem(403, refused, "not let"))
-        reply = await bench.run(Job(TAKE, scene, view.model_dump(mode="json", exclude_none=True)))
-        if reply.status == 202:
-            adding.notice(scene)
-        return sent(reply)
+
+        def added(reply: Reply) -> None:
+            if reply.status == 202:
+                adding.notice(scene)
+
+        return sent(await bench.run(Job(TAKE, scene, view.model_dump(mode="json", exclude_none=True), added)))

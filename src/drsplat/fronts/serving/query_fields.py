@@ -1,11 +1,11 @@
 """Fields of a query as JSON has them: models and arguments made of the schema of queries, with a type for each kind."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from types import new_class
 from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, create_model
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, create_model, model_validator
 
 from ... import query as engine
 from ...query.schema import CUT, FIELDS, SUBJECTS, Kind, Place, QueryField, fields
@@ -23,6 +23,18 @@ class Request(BaseModel):
     """Unknown keys are refused: a misspelt option would otherwise be ignored in silence."""
 
     model_config = ConfigDict(extra="forbid", strict=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_nulls(cls, given: Any) -> Any:
+        """Take null for the default, where there is one: libraries of clients send it for what is left out."""
+        required = {name for name, field in cls.model_fields.items() if field.is_required()}
+        return without_nulls(given, cls.model_fields.keys() - required) if isinstance(given, dict) else given
+
+
+def without_nulls(given: Mapping[str, Any], optional: Collection[str]) -> dict[str, Any]:
+    """Return what is given, without null for what may be left out."""
+    return {name: value for name, value in given.items() if value is not None or name not in optional}
 
 
 class Click(Request):

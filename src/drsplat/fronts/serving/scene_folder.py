@@ -12,6 +12,7 @@ from typing import TypeVar
 from ...errors import DrSplatError, InputError
 from ...field.labels import LabelFile
 from ...formats.field_folder import read_manifest
+from ...formats.json_files import written_name
 from ...formats.recognising import FIELD_SUFFIX
 from ...formats.vocabulary import read_vocabulary
 from ...photos.models.loading import load_encoder
@@ -107,9 +108,9 @@ class SceneFolder:
     def folders(self) -> dict[str, Path]:
         """Name and folder of each scene, as they are now."""
         if _has_field(self.folder):
-            return {_name(self.folder) or "scene": self.folder}
+            return {written_name(self.folder.name) or "scene": self.folder}
         inside = sorted(path for path in self.folder.iterdir() if not path.name.startswith("."))
-        return {_name(path): path for path in inside if _has_field(path)}
+        return {written_name(path.name): path for path in inside if _has_field(path)}
 
     def check_sources(self) -> None:
         """Check files for whoever starts a service: clients could not tell what is wrong with them.
@@ -270,11 +271,6 @@ def _has_field(folder: Path) -> bool:
 
 def _count(value: object) -> int:
     return value if type(value) is int and 0 <= value <= _MAX_GAUSSIANS else 0
-
-
-def _name(folder: Path) -> str:
-    """Return the name of a file, which is bytes and need not be UTF-8."""
-    return os.fsencode(folder.name).decode("utf-8", "backslashreplace")
 
 
 def _text(text: str) -> str:

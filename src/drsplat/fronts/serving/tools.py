@@ -19,7 +19,7 @@ from .conversation import MAX_MATCHES, TOOLS, RenderedPicture, RenderedView, Tex
 from .limits import Limits
 from .malformed import Answering
 from .models import Body, SceneList
-from .query_fields import annotation, default_of
+from .query_fields import annotation, default_of, without_nulls
 from .refusals import faults_of
 from .scene_folder import SceneFolder
 from .workbench import Job, Workbench
@@ -47,11 +47,12 @@ class _Server(MCPServer):  # type: ignore[type-arg]
             await server.run(Answering(messages, answers), answers, server.create_initialization_options())
 
     async def call_tool(self, name: str, arguments: dict[str, Any], context: Any = None) -> Any:
-        for tool in await self.list_tools():
+        for tool in [tool for tool in await self.list_tools() if tool.name == name]:
             known = tool.input_schema["properties"]
-            if tool.name == name and not arguments.keys() <= known.keys():
+            if not arguments.keys() <= known.keys():
                 surplus = ", ".join(sorted(arguments.keys() - known.keys()))[:200]
                 raise ToolError(f"{name}: no argument {surplus}; there are: {', '.join(known)}")
+            arguments = without_nulls(arguments, known.keys() - tool.input_schema.get("required", ()))
         try:
             return _terse(await super().call_tool(name, arguments, context))
         except ToolError as error:

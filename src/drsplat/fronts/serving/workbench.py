@@ -10,7 +10,7 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -20,6 +20,7 @@ from threading import Lock
 from typing import Any
 from weakref import finalize
 
+from .limits import GONE
 from .live import ACTS_ON_FILES
 from .metrics import Metrics
 from .replies import BusyError, LostError, Reply, unpacked
@@ -27,19 +28,21 @@ from .worker import Workplace
 
 OPENING_TIMEOUT_S = 600.0  # for a worker to open a scene and load its models
 MAX_ANSWER_BYTES = 1 << 30
+GONE_PATIENCE_S = 2.0  # with work whose client has gone: to end its process costs the next one the opening of scenes
 WORKER_COMMAND = [sys.executable, "-P", "-m", "drsplat.fronts.serving.worker"]
 
 
 @dataclass(eq=False)
 class Job:
-    """A question, and what becomes of it. act: see `worker.reply_to`.
+    """A question, and what becomes of it. act: see `worker.reply_to`. then: called with the reply, waited for or not.
 
-    Ended when nobody waits for it any more: the process that computes it is killed.
+    Ended when nobody waits for it any more: it is not begun, and the process that computes it is killed.
     """
 
     act: str
     scene: str = ""
     asked: Mapping[str, Any] = field(default_factory=dict)
+    then: Callable[[Reply], None] = lambda _: None
     _ended: bool = False
     _process: "subprocess.Popen[bytes] | None" = None
     _lock: Lock = field(default_factory=Lock)
@@ -64,10 +67,11 @@ class Job:
     def ended(self) -> bool:
         return self._ended
 
-    def end(self) -> None:
+    def end(self, kill: bool = True) -> None:
+        """Keep it from beginning. kill: whether the process that computes it ends, too."""
         with self._lock:
             self._ended = True
-            if self._process is not None:
+            if kill and self._process is not None:
                 self._process.kill()
 
 
@@ -89,7 +93,7 @@ class Workbench:
             worker.started()
 
     async def run(self, job: Job) -> Reply:
-        """Compute the answer; cancelling ends the process that computes it.
+        """Compute the answer; cancelling ends the process that computes it, at once or `GONE_PATIENCE_S` after `GONE`.
 
         Raises: BusyError. LostError: the process ended.
         """
@@ -102,8 +106,11 @@ class Workbench:
         future.add_done_callback(self._left)
         try:
             return await asyncio.wrap_future(future)
-        except asyncio.CancelledError:
-            job.end()
+        except asyncio.CancelledError as cancelled:
+            is_gone = GONE in cancelled.args
+            job.end(kill=not is_gone)
+            if is_gone:
+                asyncio.get_running_loop().call_later(GONE_PATIENCE_S, job.end)
             raise
 
     def close(self) -> None:
@@ -126,7 +133,9 @@ class Workbench:
         self._metrics.computing.inc()
         worker = self._idle.get()
         try:
-            return worker.answer(job)
+            reply = worker.answer(job)
+            job.then(reply)
+            return reply
         finally:
             self._idle.put(worker)
             self._metrics.computing.dec()
