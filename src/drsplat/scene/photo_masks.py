@@ -72,7 +72,7 @@ def _of_colours(rgb: UInt8[np.ndarray, "h w 3"], *, is_palette: bool, lossy: boo
     if lossy or (brightest - rgb.min(axis=2) <= _NEARLY).all():
         return np.asarray(Image.fromarray(rgb).convert("L"))
     if not is_palette and brightest.min() > _NEARLY:
-        raise FormatError("it has colours and no black, no mask of two parts: paint what is kept white, and the rest black")
+        raise FormatError("it has colours and no black, no mask of two parts: paint what is kept white, the rest black")
     return np.where(brightest > _NEARLY, np.uint8(_WHITE), np.uint8(0))
 
 
