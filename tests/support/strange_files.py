@@ -22,11 +22,14 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from drsplat import load_image, read_features, read_gaussians, read_views
+from drsplat import load_codebook, load_image, read_features, read_gaussians, read_views, read_vocabulary
 from drsplat.errors import DrSplatError, DrSplatWarning
 from drsplat.formats.langsplat import write_features
+from drsplat.formats.peer_features import read_peer_features
+from drsplat.formats.point_ply import read_point_ply
 from drsplat.formats.scenes import write_gaussians
 from drsplat.formats.sources import sources_of
+from drsplat.formats.view_times import read_times
 from drsplat.photos.capture.finding import find_photos
 from drsplat.scene.gaussians import SH_C0
 from drsplat.scene.photo_masks import load_mask, views_with_something
@@ -860,6 +863,21 @@ def _(folder: Path) -> str:
 def _(folder: Path) -> str:
     (folder / "transforms.json").write_bytes(PAGE)
     return views(folder)
+
+
+for _name, _read in (
+    ("features.pt", lambda path: read_peer_features(path)),
+    ("codes.faiss", lambda path: load_codebook(path)),
+    ("words.json", lambda path: read_vocabulary(path)),
+    ("times.csv", lambda path: read_times(path)),
+    ("points.ply", lambda path: read_point_ply(path)),
+):
+
+    def _pointer(folder: Path, name: str = _name, read: Callable[[Path], Any] = _read) -> str:
+        (folder / name).write_bytes(POINTER)
+        return str(read(folder / name))
+
+    case("else", f"a pointer of LFS called {_name}", "FormatError", _name, "Git LFS", "git lfs pull")(_pointer)
 
 
 def _members(content: bytes) -> bytes:

@@ -15,11 +15,12 @@ import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, BinaryIO, Protocol, runtime_checkable
 
 import numpy as np
 
 from ..base.arrays import Float32, Integer, Num
+from ..base.contents import open_file
 from ..errors import FormatError, InputError, MissingExtraError
 from .npy import map_npy, read_npy
 from .tensors import map_tensors
@@ -153,14 +154,19 @@ def _leaves(path: Path) -> Rows:
 
 def _torch(path: Path) -> Mapping[str, np.ndarray]:
     """Return the tensors of a PyTorch file, by their place in it."""
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file")
+    with open_file(path) as file:
+        return _loaded(file, path)
+
+
+def _loaded(file: BinaryIO, path: Path) -> Mapping[str, np.ndarray]:
     try:
         import torch
     except ImportError:
         raise MissingExtraError(f"{path}: a file of PyTorch's needs it: pip install torch") from None
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file")
     try:
-        loaded = torch.load(path, map_location="cpu", weights_only=True)
+        loaded = torch.load(file, map_location="cpu", weights_only=True)
     except Exception as error:  # of any kind, by what is in the file
         first = str(error).strip().split("\n")[0][:200]
         raise FormatError(

@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 
 from ..base.contents import open_file
-from ..errors import DrSplatError, InputError, did_you_mean
+from ..errors import DrSplatError, FormatError, InputError, did_you_mean
 from .colmap import find_models
 from .feature_files import COMPACT, EMBEDDINGS
 from .field_folder import MANIFEST
@@ -126,6 +126,13 @@ def recognised(path: Path) -> Kind | None:
 
 def mistaken(path: Path, wanted: Kind) -> InputError:
     """Return the error for a path at which a thing of another kind lies, or nothing."""
+    try:
+        with open_file(path):
+            pass
+    except FormatError as error:  # what lies there in place of a file
+        return InputError(str(error))
+    except (OSError, InputError):
+        pass
     kind = recognised(path)
     if kind is None:
         return InputError(f"{path}: there is no such file or folder.{_sibling(path)} Expected {EXPECTED[wanted]}")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from ...base.contents import open_file
 from ...errors import InputError, MissingExtraError
 from ...formats.replacing import replacing
 from .finding import VIDEO_ENDS, Source
@@ -109,14 +110,14 @@ def _write(video: Path, choice: Choice, folder: Path, progress: Progress) -> Non
 
 @contextmanager
 def _opened(video: Path) -> Iterator[tuple[Any, Any]]:
-    """Open a video's first stream of pictures. Raises: InputError: there is none; MissingExtraError."""
+    """Open a video's first stream of pictures. Raises: InputError: there is none; MissingExtraError; as `open_file`."""
     try:
         import av
     except ImportError:
         raise MissingExtraError(f"videos need PyAV: {INSTALL}") from None
     av.logging.set_level(av.logging.PANIC)
     try:
-        with av.open(str(video)) as container:
+        with open_file(video), av.open(str(video)) as container:
             if not container.streams.video:
                 raise InputError(f"{video}: there are no pictures in it, sound alone: name a film")
             stream = container.streams.video[0]
