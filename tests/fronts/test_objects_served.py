@@ -216,8 +216,8 @@ def test_a_file_that_takes_too_long_is_refused_before_it_begins(folder: Path) ->
     whole_s, part_s = (len(scene.gaussians) * each for each in (WRITING_S, WRITING_S + COMPLETING_S))
     limits, one = Limits(seconds=(whole_s + part_s) / 2), Export(object=2, format="ply")
     assert exported(scene, Export(), limits).body
-    with pytest.raises(InputError, match=r"`drsplat export FOLDER --object 2 --edits none -o scene.ply` writes it"):
+    with pytest.raises(InputError, match=r"`drsplat export FOLDER --object 2 --edits none -o scene.ply` does it"):
         exported(scene, one, limits)
     assert exported(scene, one, Limits(seconds=2 * part_s)).body
-    with pytest.raises(InputError, match=r"`drsplat export FOLDER --edits kept -o scene.glb` writes it"):
+    with pytest.raises(InputError, match=r"`drsplat export FOLDER --edits kept -o scene.glb` does it"):
         exported(scene, Export(edits="kept"), Limits(seconds=whole_s / 2))

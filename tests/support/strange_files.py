@@ -262,8 +262,8 @@ def _(folder: Path) -> str:
     "a name that leaves the folder by a drive and dots",
     "FormatError",
     "b.png",
-    "is no file name",
-    "name each photo",
+    "expected a file name",
+    "by its place",
 )
 def _(folder: Path) -> str:
     return views(capture(folder, r"C:\room\a.png", r"C:\room\..\..\b.png", files=()))

@@ -54,7 +54,8 @@ def open_file(path: str | os.PathLike[str]) -> BufferedReader:
 
 def _refuse_stand_in(file: BufferedReader, path: str | os.PathLike[str]) -> None:
     """Refuse what downloads leave under the name of a file. Raises: FormatError: a pointer of Git LFS, a web page."""
-    start = file.peek(_PAGE_BYTES)[:_PAGE_BYTES]
+    start = file.raw.read(_PAGE_BYTES)  # not into the buffer, which would keep them
+    file.raw.seek(0, os.SEEK_SET)
     if start.startswith(_LFS_START):
         raise FormatError(
             f"{path}: a pointer of {os.fstat(file.fileno()).st_size} bytes, which Git LFS keeps in place of the file: "

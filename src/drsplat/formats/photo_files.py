@@ -39,8 +39,8 @@ def safe_name(name: str, where: str) -> str:
     unprintable = any(ord(letter) < 32 or 0xD800 <= ord(letter) < 0xE000 for letter in name)
     if not parts or escapes or unprintable:
         raise FormatError(
-            f"{where}: {ascii(name)[:200]} is no file name relative to the image folder, without '..': name each photo "
-            "by its place in that folder"
+            f"{where}: got {ascii(name)[:200]}, expected a file name relative to the image folder, without '..': name "
+            "each photo by its place in it"
         )
     if len(posix.encode()) > _MAX_NAME_BYTES or any(len(part.encode()) > 240 for part in parts):
         raise FormatError(f"{where}: a file name of {len(name)} characters is longer than file systems allow")

@@ -201,7 +201,9 @@ def rgb_of(picture: Image.Image) -> Image.Image:
         raise FormatError(f"pixels of mode {picture.mode}, not 8 or 16 bits a channel: convert it to PNG or JPEG")
     wide, orientation = is_wide(picture), orientation_of(picture)  # said by what decoding takes away
     if picture.mode.startswith("I;16"):
-        rgb = Image.fromarray((np.asarray(picture) >> 8).astype(np.uint8)).convert("RGB")
+        grey = np.asarray(picture)
+        wide = bool(grey.any())  # what is black is black
+        rgb = Image.fromarray((grey >> 8).astype(np.uint8)).convert("RGB")
     elif "A" in picture.getbands() or "transparency" in picture.info:
         rgba = picture.convert("RGBA")
         rgb = Image.composite(rgba.convert("RGB"), Image.new("RGB", rgba.size), rgba.getchannel("A"))

@@ -62,8 +62,8 @@ def _refuse_slow(scene: Scene, asked: Export, limits: Limits) -> None:
     each_s = WRITING_S + EDITING_S * num_edits + (0 if asked.object is None else COMPLETING_S)
     seconds = len(scene.gaussians) * each_s
     if seconds > limits.seconds:
-        part = f"{'' if asked.object is None else f'--object {asked.object} '}--edits {asked.edits}"
+        part = "" if asked.object is None else f" --object {asked.object}"  # of `drsplat export`
         raise InputError(
             f"of {len(scene.gaussians):,} Gaussians this takes about {seconds:,.0f} s, and answers take up to "
-            f"{limits.seconds:g}: `drsplat export FOLDER {part} -o scene.{asked.format}` writes it where the scene is"
+            f"{limits.seconds:g}: `drsplat export FOLDER{part} --edits {asked.edits} -o scene.{asked.format}` does it"
         )

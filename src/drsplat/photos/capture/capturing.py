@@ -20,7 +20,7 @@ from .measuring import units_between
 from .photos import Photo, bring
 from .posing import Model, Posed, Posing, Progress
 from .program import ask_colmap, require_colmap
-from .reasons import Reasons
+from .reasons import WALK_ROUND, Reasons
 from .rescaling import STAYING, differs_in_scale, rescale, sources_key
 from .settings import KNOWN_DISTANCE, SCALE, UNDISTORTED, CaptureSettings
 from .videos import is_video, take_frames, video_source
@@ -53,8 +53,11 @@ def capture(
         progress: called with each stage.
 
     Raises:
-        InputError: no photos, too few that overlap, an output that is in the way, a full disk.
+        InputError: no photos, too few that overlap, a camera that only turned, an output in the way, a full disk.
         MissingExtraError: pycolmap is not installed, or pi-heif for HEIC photos.
+
+    Warns:
+        DrSplatWarning: the camera may only have turned.
     """
     require_colmap()
     source, target, settings = Path(photos), Path(output), settings or CaptureSettings()
@@ -210,10 +213,7 @@ def _nothing_fits(photos: Sequence[Photo], posed: Posed) -> str:
     why = Reasons(photos, posed.features, posed.pairs, [])
     reasons = [f"{photo.name} ({why.of(photo)})" for photo in photos]
     fitting = f"no {MIN_PHOTOS} of {len(photos)} photos fit together" if posed.pairs else "no two photos overlap"
-    return (
-        f"{fitting}: {listed(reasons, 3)}. Walk round what you "
-        "take, a step to the side for each photo, with texture in sight; turning on the spot is not enough"
-    )
+    return f"{fitting}: {listed(reasons, 3)}. {WALK_ROUND}"
 
 
 def _record(photos: Sequence[Photo], posed: Posed, world: World, settings: CaptureSettings) -> dict[str, Any]:

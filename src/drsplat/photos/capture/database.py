@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from ...base.arrays import Float32
+from ...base.arrays import Float32, Float64
 from ...errors import FormatError
 
 PAIR_BASE = 2147483647  # pair id = PAIR_BASE * (smaller image id) + larger image id
@@ -45,6 +45,16 @@ def verified_pairs(database: sqlite3.Connection) -> dict[tuple[str, str], int]:
     names = dict(database.execute("SELECT image_id, name FROM images"))
     rows = database.execute("SELECT pair_id, rows FROM two_view_geometries WHERE rows > 0")
     return {(names[pair // PAIR_BASE], names[pair % PAIR_BASE]): count for pair, count in rows}
+
+
+def matched_pixels(database: sqlite3.Connection, pair: tuple[str, str]) -> Float64[np.ndarray, "2 n 2"]:
+    """Return the pixels of the verified matches of a pair of `verified_pairs`, in its first and second photo."""
+    query = "SELECT image_id, rows, data FROM images JOIN keypoints USING (image_id) WHERE name = ?"
+    (first, *ours), (second, *theirs) = (database.execute(query, (name,)).fetchone() for name in pair)
+    query = "SELECT data FROM two_view_geometries WHERE pair_id = ?"
+    matches = np.frombuffer(database.execute(query, (PAIR_BASE * first + second,)).fetchone()[0], np.uint32)
+    pixels = [np.frombuffer(data, np.float32).reshape(rows, -1)[:, :2] for rows, data in (ours, theirs)]
+    return np.stack([pixels[k][matches[k::2]] for k in (0, 1)]).astype(np.float64)
 
 
 def descriptors_of(database: sqlite3.Connection, name: str) -> Float32[np.ndarray, "n 128"]:

@@ -18,11 +18,13 @@ from .looks import looks_of
 from .photos import Photo, mask_path
 from .program import ColmapFailure, ask_colmap
 from .settings import LENSES
+from .turning import MIN_MATCHES, check_moved
 from .work import Work
 
 FEATURES_SIDE_PIXELS = 1200  # longer side of photos for finding features
 DEFAULT_FOCAL_SHARE = 1.2 * 0.8  # of the diagonal: COLMAP's guess, 1.2 times the longer side of a photo of 4:3
 FISHEYE_FOCAL_SHARE = 0.35  # of the diagonal: some 160 degrees from corner to corner
+MAX_CHECKED_PAIRS = 100  # whether the camera moved
 MIN_POSED_SHARE = 0.95  # of overlapping photos: if global mapping poses fewer, incremental mapping is tried
 _TWO_FOCAL = ("OPENCV", "OPENCV_FISHEYE")
 
@@ -62,7 +64,7 @@ class Posing:
     progress: Progress
 
     def run(self) -> Posed:
-        """Pose the photos. Raises: InputError: the disk is full. ColmapFailure: COLMAP failed."""
+        """Pose the photos. Raises: InputError: the camera only turned, a full disk. ColmapFailure: COLMAP failed."""
         self._extract()
         with colmap_database.reading(self._database) as database:
             features = colmap_database.num_features(database)
@@ -70,8 +72,9 @@ class Posing:
         self._match(chosen)
         with colmap_database.reading(self._database) as database:
             pairs = colmap_database.verified_pairs(database)
-        files = {photo.file for photo in self.photos}
-        pairs = {pair: count for pair, count in pairs.items() if set(pair) <= files}
+            files = {photo.file for photo in self.photos}
+            pairs = {pair: count for pair, count in pairs.items() if set(pair) <= files}
+            self._check_moved(database, pairs)
         return Posed(self._map(pairs), features, pairs)
 
     @property
@@ -134,6 +137,19 @@ class Posing:
             "match", pairs=str(path), batch=str(self.work.folder / "batch.txt"),
             report=lambda done: self.progress("pairs", done, len(pairs)),
         )  # fmt: skip
+
+    def _check_moved(self, database: Any, pairs: dict[tuple[str, str], int]) -> None:
+        """Check a sample of pairs; files are named after their contents, so their order is as good as random."""
+        photos = {photo.file: photo for photo in self.photos}
+        many = sorted(pair for pair, count in pairs.items() if count >= MIN_MATCHES)
+        sample = []
+        for pair in many[:: len(many) // MAX_CHECKED_PAIRS + 1]:
+            sizes = np.array([[[photos[file].width, photos[file].height]] for file in pair])
+            diagonals = np.linalg.norm(sizes, axis=2, keepdims=True)
+            focals = np.array([[[camera_of(photos[file], self.lens)["params"][0]]] for file in pair])
+            pixels = colmap_database.matched_pixels(database, pair)
+            sample.append(((pixels - sizes / 2) / diagonals, focals / diagonals))
+        check_moved(sample, self.lens != "fisheye" and all(photo.exif.focal_share for photo in self.photos))
 
     def _map(self, pairs: dict[tuple[str, str], int]) -> list[Model]:
         most = len(_largest_group(pairs))

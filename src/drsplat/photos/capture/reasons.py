@@ -11,6 +11,10 @@ MAX_BLURRED_SHARE = 0.35  # of the median sharpness
 MIN_FEATURES = 150
 MIN_MATCHES = 15  # which COLMAP requires of a pair
 ENOUGH_MATCHES = 300  # for a pose, unless the camera has not moved
+WALK_ROUND = (
+    "Walk round what you take, a step to the side for each photo, with texture in sight; turning on the spot is not "
+    "enough"
+)
 
 
 @dataclass(frozen=True)
