@@ -159,6 +159,12 @@ def _(folder: Path) -> str:
     return views(capture(folder, "a.png", files=()))
 
 
+@case("captures", "a model without its images", "InputError", "got cameras.txt", "expected both", "copy it whole")
+def _(folder: Path) -> str:
+    (capture(folder, "a.png") / "sparse/0/images.txt").unlink()
+    return views(folder)
+
+
 @case("captures", "a damaged first model: the sound one, and a word", "2 views", "sparse/0 (0 photos)")
 def _(folder: Path) -> str:
     capture(folder, "a.png", "b.png", model="sparse/1")
@@ -357,7 +363,7 @@ LENSES: tuple[tuple[str, dict[str, Any], tuple[str, ...]], ...] = (
     (
         "an orthographic camera of Blender",
         {"camera_type": "ORTHO"},
-        ("camera_type is 'ORTHO'", "not a pinhole", "undist"),
+        ("camera_type is 'ORTHO'", "not a pinhole", "give photos"),
     ),
     ("a fisheye by its flag", {"is_fisheye": True}, ("is_fisheye is True", *FISHEYE)),
     (
@@ -365,6 +371,8 @@ LENSES: tuple[tuple[str, dict[str, Any], tuple[str, ...]], ...] = (
         {"camera_model": "OPENCV_FISHEYE"},
         ("camera_model is 'OPENCV_F", "not a pinhole", "undist"),
     ),
+    ("a fisheye of ROS", {"distortion_model": "equidistant"}, ("distortion_model is", "not a pinhole", "undistort")),
+    ("a name of a telephone's lens", {"lens_model": "phone back camera 4.2 mm f/1.6", "lens": "wide"}, ("2 views",)),
     ("a sixth-order lens", {"k3": 0.01}, ("k3 is 0.01", "terms beyond", "undistort")),
     ("a lens with a skew (Metashape)", {"b2": 1.5}, ("b2 is 1.5", "sheared pixels", "undistort")),
     ("a rolling shutter", {"rolling_shutter": [0, 0, 0.5, 0]}, ("rolling_shutter is", "moves while", "export")),
@@ -631,6 +639,12 @@ def _(folder: Path) -> str:
 )
 def _(folder: Path) -> str:
     return scene(folder, ply(rows_of(), "color_space linearRGB"))
+
+
+@case("colours", "obj_info: color_space linear", "FormatError", "color_space is 'linear'", "linear light", "Export it")
+def _(folder: Path) -> str:
+    content = ply(rows_of(), "color_space linear")
+    return scene(folder, content.replace(b"comment color_space", b"obj_info color_space"))
 
 
 @case("colours", "a comment: color_space sRGB", RIGHT)

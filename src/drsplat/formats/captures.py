@@ -12,7 +12,7 @@ from ..base.arrays import Float64, UInt8
 from ..errors import DrSplatWarning, FormatError, InputError
 from ..scene.views import View
 from .cameras_json import read_cameras_json
-from .colmap import find_models, has_points, num_images, num_unread_images, read_colmap, read_points
+from .colmap import find_models, has_points, incomplete_model, num_images, num_unread_images, read_colmap, read_points
 from .dataparser import FILE_NAME as DATAPARSER_FILE
 from .dataparser import SceneFrame, read_dataparser_transforms
 from .json_files import read_json
@@ -146,7 +146,7 @@ def _find_source(capture: Path) -> _Source:
     if not found and (capture / ADDED_POSES).is_dir():
         return _Source("live", capture)
     if not found:
-        raise mistaken(capture, Kind.CAPTURE)
+        raise incomplete_model(capture) or mistaken(capture, Kind.CAPTURE)
     unread = num_unread_images(models[0]) if models else 0
     if unread:
         text = f"{models[0]}: images.bin was read, not images.txt, with {unread} photos: take away the one that is old"

@@ -34,6 +34,18 @@ def find_models(capture: Path) -> list[Path]:
     return found
 
 
+def incomplete_model(capture: Path) -> InputError | None:
+    """Return the error of a capture that has one of the two files that every model has, and None of others."""
+    places = [place for name in MODEL_FOLDERS for place in (capture / name, *(capture / name).glob("*"))]
+    for place in places[:_MAX_MODELS]:
+        for one, other in (("cameras", "images"), ("images", "cameras")):
+            there = next((f"{one}{suffix}" for suffix in _PARSERS if (place / f"{one}{suffix}").is_file()), "")
+            if there and place != capture:
+                text = f"{place}: got {there} without {other}, expected both of a COLMAP model: copy it whole"
+                return InputError(text)
+    return None
+
+
 def num_images(model: Path) -> int:
     """Return the number of images of a model, 0 where its file is damaged."""
     return _num_images(model, _suffix_of(model, "cameras", "images"))

@@ -7,6 +7,7 @@ Source: keys that nerfstudio, instant-ngp, Blender's exporters and Metashape's w
 """
 
 import math
+import re
 from collections.abc import Mapping
 
 import numpy as np
@@ -22,14 +23,14 @@ CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV
 DISTORTION = ("k1", "k2", "p1", "p2")
 _AXES_KEYS = ("camera_convention", "coordinate_convention", "coordinate_system", "convention", "camera_axes")
 _OPENGL_NAMES = ("opengl", "nerf", "blender", "nerfstudio")
-_MODEL_KEYS = ("camera_model", "camera_type", "lens_type", "lens_model", "projection", "projection_type")
-_OTHER_NAMES = ("PERSP", "PERSPECTIVE", "RECTILINEAR", "BROWN", "BROWN_CONRADY", "FRAME", "NONE", "")  # of pinholes
+_LENS_KEYS = ("camera_type", "lens_type", "lens_model", "lens", "projection", "projection_type", "distortion_model")
+_OTHER_LENS = re.compile("fish|equi|pano|ortho|spher|omni|theta|kannala|cylind|lat_?long", re.IGNORECASE)  # in a name
 _UNDISTORT = "undistort the photos first: `colmap image_undistorter` does it for a COLMAP model of them"
 _CUT = "cut the panoramas into pinhole photos first, as `ns-process-data --camera-type equirectangular` does"
 _ORTHOGRAPHIC = "give photos of a camera: an orthographic picture has no place that it was taken from"
 _EXPORT = "export the poses for nerfstudio, in axes of OpenGL and without it"
 _REFUSED = {  # keys that change the meaning where they are neither 0 nor false
-    **dict.fromkeys(("is_fisheye", "fisheye", "ftheta", "xi"), ("a fisheye lens", _UNDISTORT)),
+    **dict.fromkeys(("is_fisheye", "fisheye", "fisheye_crop_radius", "ftheta", "xi"), ("a fisheye lens", _UNDISTORT)),
     **dict.fromkeys(("latlong", "equirectangular", "panorama", "is_panorama"), ("a panorama", _CUT)),
     **dict.fromkeys(("ortho", "orthographic", "is_ortho", "ortho_scale"), ("an orthographic picture", _ORTHOGRAPHIC)),
     **dict.fromkeys(
@@ -44,7 +45,9 @@ _PREFIXES = {"ftheta_": "ftheta"}
 
 def cure_of(model: str) -> str:
     """Return what to do about photos of another camera model."""
-    return _CUT if "EQUI" in model.upper() or "PANO" in model.upper() else _UNDISTORT
+    if re.search("ortho", model, re.IGNORECASE):
+        return _ORTHOGRAPHIC
+    return _CUT if re.search("equirect|pano|spher|lat_?long", model, re.IGNORECASE) else _UNDISTORT
 
 
 def refuse_other_lenses(entry: Entry, where: str) -> None:
@@ -59,14 +62,14 @@ def refuse_other_lenses(entry: Entry, where: str) -> None:
     for key in _AXES_KEYS:
         if isinstance(entry.get(key), str) and str(entry[key]).lower() not in _OPENGL_NAMES:
             raise FormatError(f"{where}: {key} is {excerpt(entry[key])}: poses in other axes than OpenGL's; {_EXPORT}")
-    for key in _MODEL_KEYS:
-        model = entry.get(key, "")
-        allowed = CAMERA_MODELS if key == "camera_model" else (*CAMERA_MODELS, *_OTHER_NAMES)
-        if key in entry and (not isinstance(model, str) or model.upper() not in allowed):
-            raise FormatError(
-                f"{where}: {key} is {excerpt(model)}: not a pinhole with k1, k2, p1, p2 ({', '.join(CAMERA_MODELS)}); "
-                + cure_of(str(model))
-            )
+    model = entry.get("camera_model", CAMERA_MODELS[0])
+    if not isinstance(model, str) or model.upper() not in CAMERA_MODELS:
+        expected = f"not a pinhole with k1, k2, p1, p2 ({', '.join(CAMERA_MODELS)})"
+        raise FormatError(f"{where}: camera_model is {excerpt(model)}: {expected}; {cure_of(str(model))}")
+    for key in _LENS_KEYS:
+        if isinstance(entry.get(key), str) and _OTHER_LENS.search(str(entry[key])):
+            cure = cure_of(str(entry[key]))
+            raise FormatError(f"{where}: {key} is {excerpt(entry[key])}: not a pinhole with k1, k2, p1, p2; {cure}")
 
 
 def distortion_of(entry: Entry, where: str) -> tuple[float, ...]:

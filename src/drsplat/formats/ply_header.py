@@ -82,7 +82,7 @@ def read_header(buffer: memoryview) -> Header:
         raise FormatError("PLY header has no 'end_header' line: the file is truncated or damaged")
     lines = head[begin + 4 : end].decode("latin-1").split("\n")
     order, elements = _parse_lines(lines)
-    comments = tuple(line[8:].strip() for line in lines if line.startswith("comment "))
+    comments = tuple(line.partition(" ")[2].strip() for line in lines if line.startswith(("comment ", "obj_info ")))
     return Header(order, elements, line_end + 1, comments)
 
 
