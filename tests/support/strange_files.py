@@ -226,6 +226,14 @@ def _(folder: Path) -> str:
     return views(capture(folder, "images/a.png", files=("a.png",)))
 
 
+@case("names", "names without suffix, and two files of each", "1 views, 1 photos", "a.jpg of a.jpg, a.png is taken")
+def _(folder: Path) -> str:
+    entry = {"width": W, "height": H, "position": [0, 0, 0], "rotation": np.eye(3).tolist(), "fx": 70, "fy": 70}
+    write_json(folder / "cameras.json", [{"id": 0, "img_name": "a", **entry}])
+    write_photo(folder / "images/a.png", W, H), write_photo(folder / "images/a.jpg", W, H)
+    return views(folder)
+
+
 @case("names", "cameras.json of Windows", "2 views, 2 photos", "a.png, b.png")
 def _(folder: Path) -> str:
     entry = {"width": W, "height": H, "position": [0, 0, 0], "rotation": np.eye(3).tolist(), "fx": 70, "fy": 70}

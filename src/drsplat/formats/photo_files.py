@@ -87,7 +87,7 @@ def find_files(places: Sequence[Sequence[Path]]) -> list[Path | None]:
     a photo's suffix behind it (cameras.json has names without), then in letters of any case and composition, at last
     with another photo's suffix. A file that lies exactly where a name says is no other name's.
 
-    Warns: DrSplatWarning: files that were found under another suffix, once.
+    Warns: DrSplatWarning: files that were found under another suffix, and names without one that fit several; once.
     """
     unique = {tuple(paths): next(filter(None, map(_exact, paths)), None) for paths in places}
     listing, taken, converted = cache(_listing), set(unique.values()), []
@@ -100,6 +100,12 @@ def find_files(places: Sequence[Sequence[Path]]) -> list[Path | None]:
             converted += [f"{file.name} for {paths[0].name}"] if file is not None else []
         unique[paths] = file
         taken.add(file)
+    several = [
+        f"{file.name} of {', '.join(others)}" for file, others in map(_rivals, unique.items()) if len(others) > 1
+    ]
+    if several:
+        text = f"{len(several)} of {len(places)} names without suffix fit several files: {listed(several, 3)} is taken"
+        warnings.warn(text, DrSplatWarning, stacklevel=3)
     if converted:
         text = f"{len(converted)} of {len(places)} files have another suffix on disk: {listed(converted, 3)} is taken"
         warnings.warn(text, DrSplatWarning, stacklevel=3)
@@ -115,6 +121,15 @@ def view_name(name: str, photo: Path) -> str:
 def _exact(path: Path) -> Path | None:
     places = (path, *(path.with_name(path.name + suffix) for suffix in PHOTO_SUFFIXES))
     return next((place for place in places if place.is_file()), None)
+
+
+def _rivals(found: tuple[Sequence[Path], Path | None]) -> tuple[Path, list[str]]:
+    """Return the file of a name without suffix, and the names of all files that would be as good; none of others."""
+    paths, file = found
+    if file is None or any(path.name == file.name for path in paths):
+        return Path(), []
+    stem = next((path.name for path in paths if file.name.startswith(path.name)), file.name)
+    return file, [name for suffix in _SUFFIXES if file.with_name(name := stem + suffix).is_file()]
 
 
 def _spellings(path: Path) -> list[Path]:
