@@ -21,24 +21,28 @@ Entry = Mapping[str, object]
 
 CAMERA_MODELS = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV")
 DISTORTION = ("k1", "k2", "p1", "p2")
-_AXES_KEYS = ("camera_convention", "coordinate_convention", "coordinate_system", "convention", "camera_axes")
+_AXES_KEYS = ("camera_convention", "coordinate_convention", "camera_axes")
 _OPENGL_NAMES = ("opengl", "nerf", "blender", "nerfstudio")
 _LENS_KEYS = ("camera_type", "lens_type", "lens_model", "lens", "projection", "projection_type", "distortion_model")
 _OTHER_LENS = re.compile("fish|equi|pano|ortho|spher|omni|theta|kannala|cylind|lat_?long", re.IGNORECASE)  # in a name
+_NO_PINHOLE = "not a pinhole with k1, k2, p1, p2"
 _UNDISTORT = "undistort the photos first: `colmap image_undistorter` does it for a COLMAP model of them"
 _CUT = "cut the panoramas into pinhole photos first, as `ns-process-data --camera-type equirectangular` does"
 _ORTHOGRAPHIC = "give photos of a camera: an orthographic picture has no place that it was taken from"
 _EXPORT = "export the poses for nerfstudio, in axes of OpenGL and without it"
 _REFUSED = {  # keys that change the meaning where they are neither 0 nor false
-    **dict.fromkeys(("is_fisheye", "fisheye", "fisheye_crop_radius", "ftheta", "xi"), ("a fisheye lens", _UNDISTORT)),
-    **dict.fromkeys(("latlong", "equirectangular", "panorama", "is_panorama"), ("a panorama", _CUT)),
-    **dict.fromkeys(("ortho", "orthographic", "is_ortho", "ortho_scale"), ("an orthographic picture", _ORTHOGRAPHIC)),
     **dict.fromkeys(
-        ("k3", "k4", "k5", "k6", "p3", "p4", "s1", "s2", "s3", "s4"), ("terms beyond k2 and p2", _UNDISTORT)
+        ("is_fisheye", "fisheye", "fisheye_crop_radius", "ftheta", "xi"), (f"a fisheye lens, {_NO_PINHOLE}", _UNDISTORT)
+    ),
+    **dict.fromkeys(("latlong", "equirectangular", "panorama", "is_panorama"), (f"a panorama, {_NO_PINHOLE}", _CUT)),
+    **dict.fromkeys(("ortho", "orthographic", "is_ortho"), ("an orthographic picture", _ORTHOGRAPHIC)),
+    **dict.fromkeys(
+        ("k3", "k4", "k5", "k6", "p3", "p4", "s1", "s2", "s3", "s4"),
+        (f"terms beyond k2 and p2, {_NO_PINHOLE}", _UNDISTORT),
     ),
     **dict.fromkeys(("b1", "b2", "skew", "skew_x"), ("sheared pixels", _UNDISTORT)),
     **dict.fromkeys(("rolling_shutter",), ("a camera that moves while it looks", _EXPORT)),
-    **dict.fromkeys(("normal_mts_args", "from_mitsuba", "from_na"), ("poses in other axes", _EXPORT)),
+    **dict.fromkeys(("normal_mts_args", "from_mitsuba", "from_na"), ("poses in other axes than OpenGL's", _EXPORT)),
 }
 _PREFIXES = {"ftheta_": "ftheta"}
 
@@ -56,20 +60,18 @@ def refuse_other_lenses(entry: Entry, where: str) -> None:
         name = next((name for prefix, name in _PREFIXES.items() if key.startswith(prefix)), key)
         if name in _REFUSED and _is_set(entry[key]):
             what, cure = _REFUSED[name]
-            raise FormatError(
-                f"{where}: {key} is {excerpt(entry[key])}: {what}, not a pinhole with k1, k2, p1, p2; {cure}"
-            )
+            raise FormatError(f"{where}: {key} is {excerpt(entry[key])}: {what}; {cure}")
     for key in _AXES_KEYS:
         if isinstance(entry.get(key), str) and str(entry[key]).lower() not in _OPENGL_NAMES:
             raise FormatError(f"{where}: {key} is {excerpt(entry[key])}: poses in other axes than OpenGL's; {_EXPORT}")
     model = entry.get("camera_model", CAMERA_MODELS[0])
     if not isinstance(model, str) or model.upper() not in CAMERA_MODELS:
-        expected = f"not a pinhole with k1, k2, p1, p2 ({', '.join(CAMERA_MODELS)})"
+        expected = f"{_NO_PINHOLE} ({', '.join(CAMERA_MODELS)})"
         raise FormatError(f"{where}: camera_model is {excerpt(model)}: {expected}; {cure_of(str(model))}")
     for key in _LENS_KEYS:
         if isinstance(entry.get(key), str) and _OTHER_LENS.search(str(entry[key])):
             cure = cure_of(str(entry[key]))
-            raise FormatError(f"{where}: {key} is {excerpt(entry[key])}: not a pinhole with k1, k2, p1, p2; {cure}")
+            raise FormatError(f"{where}: {key} is {excerpt(entry[key])}: {_NO_PINHOLE}; {cure}")
 
 
 def distortion_of(entry: Entry, where: str) -> tuple[float, ...]:
