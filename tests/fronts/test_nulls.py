@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Any, get_args
 
 import pytest
-from pydantic import BaseModel, ValidationError
 
 pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
+
+from pydantic import BaseModel, ValidationError
 
 from drsplat.errors import DrSplatError
 from drsplat.fronts.serving.app import QUERIES
