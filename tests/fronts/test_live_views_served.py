@@ -117,7 +117,7 @@ def test_photos_are_taken_only_with_leave_a_key_and_from_here(scenes: Path, full
 
 
 WRONG: list[tuple[dict[str, Any], str]] = [
-    ({"name": "../../x.jpg"}, "name: expected a file name"),
+    ({"name": "../../x.jpg"}, "expected a file name"),
     ({"picture": "no base64!"}, "picture: expected base64"),
     ({"picture": "R0lGODlhAQABAA=="}, "picture: expected a JPEG or PNG"),
     ({"pose": {}}, "pose: expected cam_from_world"),
