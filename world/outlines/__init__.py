@@ -1,0 +1,1 @@
+"""How the network of outlines is learned from real photos, as HED sees them, and from this world's rooms."""
