@@ -61,6 +61,14 @@ nb::tuple look_of(Photo image, nb::tuple layers, int threads, const std::string 
   return nb::make_tuple(borders.numpy({height, width}), traits.numpy({height, width, kTraits}));
 }
 
+nb::object flooded_of(Array<int32_t, 2> heights, Array<int32_t, 2> markers) {
+  const size_t height = heights.shape(0), width = heights.shape(1);
+  require_photo(height, width);
+  require(markers.shape(0) == height && markers.shape(1) == width, "markers (H, W)");
+  return to_numpy(
+      without_gil([&] { return flooded(heights.data(), markers.data(), (int32_t)height, (int32_t)width); }));
+}
+
 nb::tuple photo_graph_of(Array<int32_t, 2> labels, Steps lab, Array<int32_t, 2> borders, Steps traits) {
   const size_t height = labels.shape(0), width = labels.shape(1);
   require_photo(height, width);
@@ -144,6 +152,13 @@ nb::object merged_regions_of(nb::tuple graph, double pixels, nb::tuple rule, dou
       without_gil([&] { return merged_regions(kernels, held.graph, how.rule, {threshold, least_area, least_width}); }));
 }
 
+nb::object merge_order_of(nb::tuple graph, double pixels, nb::tuple rule, const std::string &isa) {
+  const Kernels &kernels = kernels_named(isa);
+  const HeldGraph held(graph, pixels);
+  const HeldRule how = rule_of(rule);
+  return to_numpy(without_gil([&] { return merge_order(kernels, held.graph, how.rule); }));
+}
+
 nb::object pair_likelihoods_of(nb::tuple graph, double pixels, nb::tuple rule, const std::string &isa) {
   const Kernels &kernels = kernels_named(isa);
   const HeldGraph held(graph, pixels);
@@ -160,5 +175,7 @@ void bind_photos(nb::module_ &m) {
   m.def("photo_graph", &photo_graph_of, "labels"_a, "lab"_a, "borders"_a, "traits"_a);
   m.def("merged_regions", &merged_regions_of, "graph"_a, "pixels"_a, "rule"_a, "threshold"_a, "least_area"_a,
         "least_width"_a, "isa"_a);
+  m.def("flooded", &flooded_of, "heights"_a, "markers"_a);
+  m.def("merge_order", &merge_order_of, "graph"_a, "pixels"_a, "rule"_a, "isa"_a);
   m.def("pair_likelihoods", &pair_likelihoods_of, "graph"_a, "pixels"_a, "rule"_a, "isa"_a);
 }

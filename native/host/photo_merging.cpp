@@ -184,6 +184,12 @@ struct Merging {
   }
 
   void merge_above(const GivenGraph &graph, double threshold) {
+    merge_above(graph, threshold, [](int32_t, int32_t) {});
+  }
+
+  // Calls `before` with each two that are about to become one.
+  template <class Before>
+  void merge_above(const GivenGraph &graph, double threshold, Before before) {
     score_all(graph);
     for (size_t e = 0; e < graph.edges; e++)
       put_in(graph.pairs[2 * e], graph.pairs[2 * e + 1], (int32_t)e, scores[e], threshold);
@@ -191,6 +197,7 @@ struct Merging {
       const Scored best = queue.top();
       queue.pop();
       if (born[best.border] != best.born) continue;
+      before(best.a, best.b);
       unite(best.a, best.b);
       score_neighbours(best.a);
       for (size_t k = 0; k < scores.size(); k++)
@@ -279,6 +286,18 @@ std::vector<int32_t> merged_regions(const Kernels &kernels, const GivenGraph &gr
   merging.merge_above(graph, limits.threshold);
   merging.merge_small(limits);
   return merging.things();
+}
+
+std::vector<int32_t> merge_order(const Kernels &kernels, const GivenGraph &graph, const PairRule &rule) {
+  Merging merging(kernels, graph, rule);
+  std::vector<int32_t> number(graph.regions);  // of what a region is part of, by the region that owns it
+  std::iota(number.begin(), number.end(), 0);
+  std::vector<int32_t> order;
+  merging.merge_above(graph, -1, [&](int32_t a, int32_t b) {
+    order.insert(order.end(), {number[(size_t)a], number[(size_t)b]});
+    number[(size_t)a] = (int32_t)(graph.regions + order.size() / 2 - 1);
+  });
+  return order;
 }
 
 std::vector<double> pair_likelihoods(const Kernels &kernels, const GivenGraph &graph, const PairRule &rule) {

@@ -24,6 +24,10 @@ struct MergeLimits { double threshold, least_area, least_width; };
 // The thing of each region, from 0 in the order of the lowest region of each.
 std::vector<int32_t> merged_regions(const Kernels &, const GivenGraph &, const PairRule &, const MergeLimits &);
 
+// Which two become one, likeliest first, until no two touch: the numbers of both, where the first union has the number
+// after those of the regions.
+std::vector<int32_t> merge_order(const Kernels &, const GivenGraph &, const PairRule &);
+
 // How likely the two regions of each pair belong to one thing.
 std::vector<double> pair_likelihoods(const Kernels &, const GivenGraph &, const PairRule &);
 

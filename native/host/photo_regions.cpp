@@ -7,6 +7,7 @@
 #include <array>
 #include <cmath>
 #include <cstring>
+#include <queue>
 #include <utility>
 
 namespace drsplat {
@@ -256,6 +257,32 @@ std::vector<int32_t> small_regions(const int32_t *lab, int32_t height, int32_t w
   growing.merge_alike(edges);
   growing.merge_small(edges, least);
   return growing.labels();
+}
+
+std::vector<int32_t> flooded(const int32_t *heights, const int32_t *markers, int32_t height, int32_t width) {
+  struct Reached {
+    int32_t level;
+    uint32_t turn, pixel;
+    bool operator<(const Reached &other) const { return level != other.level ? level > other.level : turn > other.turn; }
+  };
+  const size_t count = (size_t)height * (size_t)width;
+  std::vector<int32_t> owner(markers, markers + count);
+  std::priority_queue<Reached> queue;
+  uint32_t turn = 0;
+  for (size_t p = 0; p < count; p++)
+    if (owner[p]) queue.push({heights[p], turn++, (uint32_t)p});
+  while (!queue.empty()) {
+    const size_t pixel = queue.top().pixel, y = pixel / (size_t)width, x = pixel % (size_t)width;
+    queue.pop();
+    const auto reach = [&](bool inside, size_t next) {
+      if (!inside || owner[next]) return;
+      owner[next] = owner[pixel];
+      queue.push({heights[next], turn++, (uint32_t)next});
+    };
+    reach(y > 0, pixel - (size_t)width), reach(x > 0, pixel - 1);
+    reach(x + 1 < (size_t)width, pixel + 1), reach(y + 1 < (size_t)height, pixel + (size_t)width);
+  }
+  return owner;
 }
 
 }  // namespace drsplat

@@ -108,3 +108,9 @@ def test_what_is_no_photo_is_named_by_its_path(tmp_path: Path) -> None:
     with pytest.raises(FormatError, match=r"a\.jpg: is no photo \(JPEG") as refused:
         photo_size(tmp_path / "a.jpg")
     assert "BufferedReader" not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["\ud800", "a\0b"])
+def test_a_name_that_no_file_can_have_is_refused(name: str) -> None:
+    with pytest.raises(InputError, match="no name that a file can have"):
+        contents.open_file(name)

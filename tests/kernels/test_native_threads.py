@@ -55,7 +55,8 @@ def photographed() -> list[np.ndarray]:
     sums, boxes, pairs, borders = _native.photo_graph(labels, lab, *sight)
     graph = sums.reshape(-1, 55), boxes.reshape(-1, 4), pairs.reshape(-1, 2), borders.reshape(-1, 5)
     rule = tuple(floats(*shape).astype(float) for shape in ((42,), (42,), (42, 9), (9,), (9,), (1,)))
-    return [lab, labels, *sight, *graph, _native.merged_regions(graph, 2000.0, rule, 0.5, 60.0, 2.5, "")]
+    order, flood = _native.merge_order(graph, 2000.0, rule, ""), _native.flooded(sight[0], labels)
+    return [lab, labels, *sight, *graph, order, flood, _native.merged_regions(graph, 2000.0, rule, 0.5, 60.0, 2.5, "")]
 
 
 def kept(found: np.ndarray, threads: int, isa: str) -> tuple[np.ndarray, np.ndarray]:

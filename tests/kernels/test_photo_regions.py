@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_array_equal
-from skimage.segmentation import felzenszwalb
+from skimage.segmentation import felzenszwalb, watershed
 from test_views_hostile import unchecked_types
 
 from drsplat.errors import InputError
@@ -71,6 +71,28 @@ def test_small_regions_are_the_twins(seed: int, height: int, width: int, steps: 
     lab = colors(seed, height, width, steps)
     least = seed % 9
     assert_array_equal(photo_regions.small_regions(lab, scale, least), twin.small_regions(lab, scale, least))
+
+
+@few
+@given(SEEDS, st.integers(1, 20), st.integers(1, 20), st.sampled_from([1, 3, 4000]), st.integers(0, 9))
+def test_a_watershed_is_the_twins_and_that_of_scikit_image(
+    seed: int, height: int, width: int, steps: int, count: int
+) -> None:
+    """Of few heights many pixels are reached at once, so that their order decides."""
+    rng = np.random.default_rng(seed)
+    heights = rng.integers(0, steps, (height, width)).astype(np.int32)
+    markers = np.zeros((height, width), np.int32)
+    markers[rng.integers(0, height, count), rng.integers(0, width, count)] = np.arange(1, count + 1)
+    found = photo_regions.flooded(heights, markers)
+    assert_array_equal(found, twin.flooded(heights, markers))
+    if count and steps == 4000:
+        assert (found == watershed(heights, markers)).mean() > 0.9  # equal heights are left to its heap
+    assert (found > 0).all() == bool(count)
+
+
+def test_heights_and_markers_of_different_sizes_are_refused() -> None:
+    with unchecked_types(), pytest.raises(InputError, match="watershed: expected markers"):
+        photo_regions.flooded(np.zeros((3, 4), np.int32), np.zeros((4, 3), np.int32))
 
 
 @few

@@ -33,6 +33,7 @@ from drsplat.kernels.photo_regions import (
     RegionGraph,
     Sight,
     lab_colors,
+    merge_order,
     merged_regions,
     pair_likelihoods,
     region_graph,
@@ -272,6 +273,19 @@ def test_native_merging_is_the_twins(isa: str, image: np.ndarray, threshold: flo
     _, graph = graph_of(image)
     found = merged_regions(graph, rule.parts, threshold, area, width, isa=isa)
     assert_array_equal(found, merged_by_twin(graph, rule, threshold, area, width))
+
+
+@pytest.mark.parametrize("isa", available_isas())
+@settings(max_examples=25, deadline=None)
+@given(IMAGES)
+def test_the_native_order_of_merging_is_the_twins(isa: str, image: np.ndarray) -> None:
+    rule = shipped_rule()[0]
+    _, graph = graph_of(image)
+    twin = Merging(graph, rule.likelihood)
+    twin.merge_above(-1.0)
+    order = merge_order(graph, rule.parts, isa=isa)
+    assert order.tolist() == [list(pair) for pair in twin.order]
+    assert len(order) == len(graph.sums) - 1  # all of a photo hangs together
 
 
 @pytest.mark.parametrize("isa", available_isas())

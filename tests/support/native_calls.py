@@ -287,7 +287,8 @@ def photos(rogue: Rogue) -> Call:
     labels = rogue.whole(0, int(rogue.one((1, 3, 300))), (height, width), "i4")
     seen = labels, lab, borders, rogue.whole(-4000, 4000, (height, width, 8), "i4")
     scale, least = rogue.one((0.0, 15.0, 1e30, np.nan, -1.0)), rogue.one(LIMITS)
-    return rogue.one((partial(_native.small_regions, lab, scale, least), partial(_native.photo_graph, *seen)))
+    small, graph = partial(_native.small_regions, lab, scale, least), partial(_native.photo_graph, *seen)
+    return rogue.one((small, graph, partial(_native.flooded, borders, labels)))
 
 
 def things(rogue: Rogue) -> Call:
@@ -302,7 +303,7 @@ def things(rogue: Rogue) -> Call:
     rule = tuple(rogue.spoiled(rogue.rng.standard_normal(shape)) for shape in shapes)
     limits = rogue.one((0.0, 0.5, -1.0, np.nan)), rogue.one((0.0, 60.0, np.inf)), rogue.one((0.0, 2.5, np.nan))
     pixels = rogue.one((1.0, 900.0, 0.0, -1.0))
-    call = rogue.one((_native.merged_regions, _native.pair_likelihoods))
+    call = rogue.one((_native.merged_regions, _native.pair_likelihoods, _native.merge_order))
     return partial(call, graph, pixels, rule, *(limits if call is _native.merged_regions else ()), rogue.isa())
 
 

@@ -1,4 +1,4 @@
-"""The twin of `kernels.photo_regions.merged_regions`, for any likelihood: regions become one, the surest pair first."""
+"""The twin of `merged_regions` and `merge_order`, for any likelihood: regions become one, the surest pair first."""
 
 import heapq
 from collections.abc import Callable, Iterator
@@ -23,6 +23,8 @@ class Merging:
         self.sums, self.boxes = graph.sums.copy(), graph.boxes.copy()
         self.borders = graph.borders.copy()
         self.owner = np.arange(len(self.sums))
+        self.node = list(range(len(self.owner)))
+        self.order: list[tuple[int, int]] = []  # of unions, whose numbers come after those of the regions
         self._pixels, self._likelihood = graph.pixels, likelihood
         self._near: list[dict[int, int]] = [{} for _ in self.owner]  # neighbour: row of borders
         for row, (a, b) in enumerate(graph.pairs.tolist()):
@@ -108,6 +110,8 @@ class Merging:
 
     def _union(self, a: int, b: int) -> None:
         """b becomes part of a."""
+        self.order.append((self.node[a], self.node[b]))
+        self.node[a] = len(self.owner) + len(self.order) - 1
         between = self._near[a].pop(b)
         del self._near[b][a]
         self.sums[a] += self.sums[b]

@@ -51,6 +51,22 @@ def small_regions(lab: Int32[np.ndarray, "h w 3"], scale: float, least: int) -> 
     return np.unique(roots, return_inverse=True)[1].reshape(lab.shape[:2]).astype(np.int32)
 
 
+def flooded(heights: Int32[np.ndarray, "h w"], markers: Int32[np.ndarray, "h w"]) -> Int32[np.ndarray, "h w"]:
+    """The twin of `kernels.photo_regions.flooded`: the lowest reached pixel goes on, of equal ones the oldest."""
+    owner = markers.copy()
+    reached = [(heights[at], turn, at) for turn, at in enumerate(zip(*np.nonzero(markers), strict=True))]
+    turn = len(reached)
+    while reached:
+        reached.remove(lowest := min(reached))
+        y, x = lowest[2]
+        for at in ((y - 1, x), (y, x - 1), (y, x + 1), (y + 1, x)):
+            if 0 <= at[0] < owner.shape[0] and 0 <= at[1] < owner.shape[1] and not owner[at]:
+                owner[at] = owner[y, x]
+                reached.append((heights[at], turn, at))
+                turn += 1
+    return owner
+
+
 def _neighbours(lab: Int32[np.ndarray, "h w 3"]) -> tuple[Float64[np.ndarray, " e"], Int64[np.ndarray, "e 2"]]:
     """How far apart blurred neighbours are, and their numbers: to the right, below, below on the right and left."""
     from scipy.ndimage import gaussian_filter

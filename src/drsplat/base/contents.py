@@ -39,7 +39,10 @@ def open_file(path: str | os.PathLike[str]) -> BufferedReader:
     Raises: InputError: a folder, pipe, socket or device. FormatError: what lies there in place of a file, see
     `_refuse_stand_in`. OSError: as `open`.
     """
-    number = os.open(path, os.O_RDONLY | NO_WAITING | OWN_FILE_FLAGS)
+    try:
+        number = os.open(path, os.O_RDONLY | NO_WAITING | OWN_FILE_FLAGS)
+    except ValueError:  # no system call was made
+        raise InputError(f"{os.fspath(path)!r}: no name that a file can have: expected UTF-8 without a null") from None
     if not stat.S_ISREG(os.fstat(number).st_mode):
         os.close(number)
         raise InputError(f"{path}: expected a file, this is a folder, a pipe or a device")

@@ -150,5 +150,38 @@ def merged_regions(
         raise InputError(f"regions: expected {error}") from None
 
 
+def merge_order(graph: RegionGraph, rule: PairRule, *, isa: str = "") -> Int32[np.ndarray, "k 2"]:
+    """Return which two become one, likeliest first, until no two touch.
+
+    Regions go by their numbers, unions by those after them, in their order. Of equally likely pairs it is the first one
+    by the lowest regions of both.
+
+    Raises: InputError: as pair_likelihoods.
+    Twin: tests/twins/photo_merging.py::Merging.
+    """
+    try:
+        order = _native.merge_order(_arrays(graph), graph.pixels, rule, checked_isa(isa))
+    except ValueError as error:
+        raise InputError(f"regions: expected {error}") from None
+    return np.asarray(order).reshape(-1, 2)
+
+
+def flooded(heights: Int32[np.ndarray, "h w"], markers: Int32[np.ndarray, "h w"]) -> Int32[np.ndarray, "h w"]:
+    """Return the marker that each pixel is flooded from: a watershed.
+
+    Lowest pixels first, of equal ones those that were reached first, along the sides of pixels. markers: numbers from 1
+    on, 0 for none; what no marker reaches stays 0.
+
+    Raises: InputError: as lab_colors, or arrays of different sizes.
+    Source: Beucher and Meyer 1993, by a queue.
+    Twin: tests/twins/photo_regions.py::flooded.
+    """
+    try:
+        owner = _native.flooded(np.ascontiguousarray(heights), np.ascontiguousarray(markers))
+    except ValueError as error:
+        raise InputError(f"watershed: expected {error}") from None
+    return np.asarray(owner).reshape(heights.shape)
+
+
 def _arrays(graph: RegionGraph) -> tuple[np.ndarray, ...]:
     return tuple(np.ascontiguousarray(array) for array in (graph.sums, graph.boxes, graph.pairs, graph.borders))

@@ -15,6 +15,7 @@ from .workers import add_workers, launcher_of, tiles_of
 if TYPE_CHECKING:
     from pathlib import Path
 
+    from ...field.forest import Objects
     from ...formats.tiles import Tiles
     from ...query import Scene
 
@@ -22,6 +23,7 @@ EXAMPLES = """\
   drsplat objects room.field --scene scene.ply
   drsplat objects room.field --scene scene.ply --all
   drsplat objects room.field --scene scene.ply --picture objects.jpg --views capture
+  drsplat objects room.field --scene scene.ply --again --vote --views capture
   drsplat objects room.field --scene scene.ply --save ids.npy
   drsplat objects room.field --scene scene.ply --save cut_out
   drsplat objects room.field --label "my mug" --id 7
@@ -44,6 +46,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--again", action="store_true", help="find objects again, even if the field has some; labels stay"
     )
     parser.add_argument(
+        "--vote", action="store_true",
+        help="look at the photos of --views again, and join pieces that they outline as one object",
+    )  # fmt: skip
+    parser.add_argument(
         "--all",
         action="store_true",
         help="list and draw objects on which the photos agree less, too; files always have all",
@@ -60,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--picture", metavar="OUT.jpg",
         help="write a contact sheet: the 60 largest objects of the list, each cut out of the photo that shows it best",
     )  # fmt: skip
-    output.add_argument("--views", metavar="CAPTURE", help="poses and photos, for --picture")
+    output.add_argument("--views", metavar="CAPTURE", help="poses and photos, for --picture and --vote")
     add_overwrite(output)
     tiles = parser.add_argument_group("tiles")
     tiles.add_argument(
@@ -181,6 +187,10 @@ def _with_objects(arguments: argparse.Namespace) -> Scene:
     from ...query.opening import scene_files
 
     path, tiles = scene_files(arguments.field).field, tiles_of(arguments)
+    if tiles is not None and arguments.vote:
+        from ...errors import InputError
+
+        raise InputError("the photos of a scene in tiles do not vote: find its objects without --vote")
     if tiles is not None:
         _find_in_tiles(arguments, path, tiles)
         return open_scene(arguments)
@@ -191,9 +201,27 @@ def _with_objects(arguments: argparse.Namespace) -> Scene:
     from ...field.objects.finding import find_objects
 
     with claimed_output(path):
-        objects = find_objects(scene.field, gaussians, threads=arguments.threads)
+        if arguments.vote:
+            objects = _voted_for(arguments, scene, path)
+        else:
+            objects = find_objects(scene.field, gaussians, threads=arguments.threads)
         scene.field.with_objects(objects).save(path, overwrite=True)
     return open_scene(arguments)
+
+
+def _voted_for(arguments: argparse.Namespace, scene: Scene, path: Path) -> Objects:
+    """Find the objects with the votes of the photos; a run that was killed goes on with those it had looked at."""
+    import shutil
+
+    from ...photos.embedding.voting import vote_for_objects
+
+    parts = arguments.parts or parts_of(path)
+    objects = vote_for_objects(
+        scene.field, scene.gaussians, scene.views, parts=parts, threads=arguments.threads, track=tracker(arguments)
+    )
+    if arguments.parts is None:
+        shutil.rmtree(parts, ignore_errors=True)
+    return objects
 
 
 def _find_in_tiles(arguments: argparse.Namespace, path: Path, tiles: Tiles) -> None:

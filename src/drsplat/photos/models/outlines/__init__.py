@@ -1,8 +1,10 @@
 """Outlines of things in photos: how strong a border is at each pixel, as a small learned network sees it.
 
-Begin with `network.py`. `world/outlines/` learns the network, from HED's edges of real photos and from made rooms.
+Begin with `network.py`; `regions.py` makes a hierarchy of regions of what it sees. `world/outlines/` learns the
+network, from HED's edges of real photos and from made rooms.
 """
 
 from .network import outlines, shipped_outlines
+from .regions import identity, region_tree
 
-__all__ = ["outlines", "shipped_outlines"]
+__all__ = ["identity", "outlines", "region_tree", "shipped_outlines"]

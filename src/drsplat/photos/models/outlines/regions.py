@@ -1,0 +1,55 @@
+"""Regions that outlines bound, and the order in which `graph`'s rule merges them."""
+
+from functools import cache
+
+import numpy as np
+from scipy import ndimage
+
+from ....base.arrays import Float32, Int32, UInt8
+from ....kernels.photo_regions import BORDER_STEPS, LENGTH, SEEN, Sight, flooded, lab_colors, merge_order, region_graph
+from ....scene.masks.region_tree import RegionTree
+from ..graph.network import look, shipped_network
+from ..graph.regions import working_image
+from ..graph.rule import shipped_rule
+from .network import outlines, shipped_outlines
+
+BLUR_PIXELS = 1.0
+BASIN_PIXELS = 7  # side of the square in which a region begins at the lowest pixels
+FLAT_STRENGTH = 0.02  # below which all pixels that touch begin one region
+HEIGHT_STEPS = 4096  # of strength, in which pixels are flooded: the same order on any processor
+VERSION = "1"  # of everything here
+
+
+@cache
+def identity() -> str:
+    """Return what decides a tree besides the photo: versions and hashes of the weights."""
+    return " ".join([VERSION, shipped_outlines()[1], shipped_network()[1], shipped_rule()[1]])
+
+
+def region_tree(image: UInt8[np.ndarray, "h w 3"], *, threads: int = 0) -> RegionTree:
+    """Return the regions of a photo and their tree, on a raster of at most 640x480 pixels; the same at any `threads`.
+
+    Regions are basins of the outlines' strength. They merge as in `graph`, on and on: its rule says which two are
+    likeliest of one thing.
+
+    Raises: InputError: an image without pixels.
+    """
+    working = working_image(image)
+    strength = outlines(working, threads=threads)
+    labels, lab = basins(strength), lab_colors(working, threads=threads)
+    sight = look(working, shipped_network()[0], threads=threads)
+    graph = region_graph(labels, lab, sight)
+    pairs = merge_order(graph, shipped_rule()[0].parts)
+    outlined = Sight(np.round(strength * BORDER_STEPS).astype(np.int32), sight.traits)
+    borders = region_graph(labels, lab, outlined).borders
+    strengths = borders[:, SEEN] / (2 * BORDER_STEPS)
+    return RegionTree(labels, pairs, graph.pairs, borders[:, LENGTH], strengths)
+
+
+def basins(strength: Float32[np.ndarray, "h w"]) -> Int32[np.ndarray, "h w"]:
+    """Return the region of each pixel, from 0: a watershed of the strength of outlines."""
+    smooth = ndimage.gaussian_filter(strength.astype(np.float64), BLUR_PIXELS)
+    heights = np.round(smooth * HEIGHT_STEPS).astype(np.int32)
+    lowest = np.maximum(ndimage.minimum_filter(heights, BASIN_PIXELS), round(FLAT_STRENGTH * HEIGHT_STEPS))
+    markers, _ = ndimage.label(heights <= lowest)
+    return flooded(heights, markers.astype(np.int32)) - 1

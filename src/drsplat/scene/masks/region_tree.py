@@ -1,0 +1,61 @@
+"""A photo in small regions, and the order in which they merge into things: its hierarchy of candidates for masks."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from ...base.arrays import Float32, Float64, Int32, Int64
+
+MIN_AREA_SHARE, MAX_AREA_SHARE = 0.0008, 0.6  # of the photo, of a node that is a candidate
+
+
+@dataclass(frozen=True, eq=False)
+class RegionTree:
+    """Regions of a photo with a binary tree over them.
+
+    labels: region of each pixel, from 0, every number in use. pairs: numbers of the two nodes that become one: regions
+    first, then unions in their order. touching: regions that touch. lengths: of their border. strengths: sum of the
+    outline's strength, 0 to 1, along it.
+    """
+
+    labels: Int32[np.ndarray, "h w"]
+    pairs: Int32[np.ndarray, "k 2"]
+    touching: Int32[np.ndarray, "e 2"]
+    lengths: Float64[np.ndarray, " e"]
+    strengths: Float64[np.ndarray, " e"]
+
+    def __len__(self) -> int:
+        """Return the number of regions."""
+        return len(self.areas)
+
+    @property
+    def areas(self) -> Int64[np.ndarray, " n"]:
+        """Pixels of each region."""
+        return np.bincount(self.labels.ravel())
+
+    def candidates(self) -> csr_array:
+        """Return which regions are in each candidate, (c, n) of 0 and 1: nodes of MIN_ to MAX_AREA_SHARE."""
+        areas, inside = self.areas, [np.array([region]) for region in range(len(self))]
+        inside += [np.empty(0, np.int64)] * len(self.pairs)
+        for node, (one, other) in enumerate(self.pairs.tolist(), len(self)):
+            inside[node] = np.concatenate([inside[one], inside[other]])
+        total = self.labels.size
+        kept = [some for some in inside if MIN_AREA_SHARE * total < areas[some].sum() < MAX_AREA_SHARE * total]
+        rows = np.repeat(np.arange(len(kept)), [len(some) for some in kept])
+        columns = np.concatenate([np.empty(0, np.int64), *kept])
+        return csr_array((np.ones(len(columns), np.float32), (rows, columns)), shape=(len(kept), len(self)))
+
+    def framed(self, candidates: csr_array) -> Float32[np.ndarray, " c"]:
+        """Return the share of the border of each candidate that is the photo's frame."""
+        one, other = (candidates[:, side] for side in self.touching.T)
+        across = (one + other - 2 * one.multiply(other)) @ self.lengths
+        edges = (self.labels[0], self.labels[-1], self.labels[:, 0], self.labels[:, -1])
+        frame = candidates @ np.bincount(np.concatenate(edges), minlength=len(self))
+        return np.asarray(frame / np.maximum(across + frame, 1), np.float32)
+
+    def outlines(self, candidates: csr_array) -> Float32[np.ndarray, " c"]:
+        """Return the mean strength of the outline along the border of each candidate; 0 for what has none."""
+        one, other = (candidates[:, side] for side in self.touching.T)
+        across = one + other - 2 * one.multiply(other)
+        return np.asarray(across @ self.strengths / np.maximum(across @ self.lengths, 1), np.float32)

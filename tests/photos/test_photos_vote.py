@@ -1,0 +1,150 @@
+"""Photos of a field are looked at again, and vote for its objects."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import drsplat as ds
+from drsplat import cli
+from drsplat.errors import InputError
+from drsplat.field.objects.finding import find_objects
+from drsplat.formats.cameras_json import write_cameras_json
+from drsplat.photos.embedding.voting import vote_for_objects
+from drsplat.photos.models.outlines import region_tree
+from drsplat.photos.models.outlines.regions import basins
+from scenes import look_at_view
+from toy_capture import PER_THING, balls
+
+WIDTH, HEIGHT = 160, 120
+
+
+WALL = 2  # number of what is behind both balls
+
+
+@pytest.fixture(scope="module")
+def scene() -> ds.Gaussians:
+    """Two balls before a grey wall."""
+    two = balls()
+    along = np.arange(-2.5, 2.55, 0.1)
+    means = np.stack([*map(np.ravel, np.meshgrid(along, [0.8], along))], -1)
+    count = len(means)
+    wall = (
+        means, np.tile([1.0, 0, 0, 0], (count, 1)), np.full((count, 3), 0.08), np.full(count, 0.95),
+        np.full((count, 1, 3), 0.3),
+    )  # fmt: skip
+    parts = (two.means, two.quats, two.scales, two.opacities, two.sh)
+    return ds.Gaussians(*(np.concatenate(both).astype(np.float32) for both in zip(parts, wall, strict=True)))
+
+
+def things(scene: ds.Gaussians) -> np.ndarray:
+    """Of each Gaussian a ball, or WALL."""
+    return np.append(np.repeat([0, 1], PER_THING), np.full(len(scene) - 2 * PER_THING, WALL))
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory, scene) -> list[ds.View]:
+    folder = tmp_path_factory.mktemp("photos")
+    views = []
+    for number, turn in enumerate(np.linspace(-0.6, 0.6, 5)):
+        at = look_at_view((2.4 * np.sin(turn), -2.4 * np.cos(turn), 0.4), width=WIDTH, height=HEIGHT)
+        view = replace(at, name=f"{number}.png", image_path=folder / f"{number}.png")
+        picture = np.clip(ds.render(scene, view).rgb * 255, 0, 255).astype(np.uint8)
+        Image.fromarray(picture).save(folder / view.name)
+        views.append(view)
+    return views
+
+
+@pytest.fixture(scope="module")
+def halves(scene, photos) -> ds.LanguageField:
+    """A field whose masks cut each ball in an upper and a lower half, in every photo; the wall is one."""
+    number = 2 * things(scene) + ((scene.means[:, 2] > 0) & (things(scene) != WALL))
+    features = {}
+    for view in photos:
+        share = ds.render(scene, view, values=np.eye(5, dtype=np.float32)[number]).channels
+        features[view.name] = ds.ViewFeatures(share.argmax(2).astype(np.int32), np.eye(5, 8, dtype=np.float32))
+    return ds.register(scene, photos, features).to_field(ds.PQ(4))
+
+
+def test_halves_of_a_ball_become_a_ball(scene, photos, halves, tmp_path) -> None:
+    found = find_objects(halves, scene)
+    voted = vote_for_objects(halves, scene, photos, parts=tmp_path)
+    assert len(found) == 5
+    assert len(voted) == 3
+    owners = things(scene)[halves.gaussian_ids]
+    for thing in voted.things.tolist():
+        rows = voted.rows(thing)
+        same = owners[rows] == np.bincount(owners[rows]).argmax()
+        assert same.mean() > 0.95
+        assert len(voted.below(thing)) == (0 if owners[rows[0]] == WALL else 2)
+
+
+def test_the_result_is_the_same_at_any_number_of_threads_and_from_kept_parts(scene, photos, halves, tmp_path) -> None:
+    one = vote_for_objects(halves, scene, photos, parts=tmp_path / "one", threads=1)
+    three = vote_for_objects(halves, scene, photos, parts=tmp_path / "three", threads=3)
+    files = {path: path.stat().st_mtime_ns for path in (tmp_path / "one").iterdir()}
+    assert len(files) == 2 * len(photos)
+    again = vote_for_objects(halves, scene, photos, parts=tmp_path / "one")
+    assert files == {path: path.stat().st_mtime_ns for path in (tmp_path / "one").iterdir()}
+    next(iter(files)).write_bytes(b"damaged")
+    mended = vote_for_objects(halves, scene, photos, parts=tmp_path / "one")
+    for other in (three, again, mended):
+        for name, array in one.tensors().items():
+            np.testing.assert_array_equal(array, other.tensors()[name], err_msg=name)
+
+
+def test_photos_of_something_else_are_refused(scene, photos, halves, tmp_path) -> None:
+    with pytest.raises(InputError, match=r"none of 0 photos is of this field, whose photos are named like '0.png'"):
+        vote_for_objects(halves, scene, [replace(view, image_path=None) for view in photos], parts=tmp_path)
+    with pytest.raises(InputError, match="keeps its evidence"):
+        vote_for_objects(replace(halves, evidence=None, growth=None), scene, photos, parts=tmp_path)
+
+
+def test_the_verb_asks_the_photos(scene, photos, halves, tmp_path, capsys) -> None:
+    ds.write_gaussians(tmp_path / "scene.ply", scene)
+
+    capture = tmp_path / "capture"
+    (capture / "images").mkdir(parents=True)
+    for view in photos:
+        (capture / "images" / view.name).write_bytes(Path(str(view.image_path)).read_bytes())
+    write_cameras_json(capture / "cameras.json", photos)
+    halves.save(tmp_path / "room.field")
+    line = ["objects", str(tmp_path / "room.field"), "--scene", str(tmp_path / "scene.ply")]
+    assert cli.main([*line, "--json"]) == 0
+    assert '"num_objects": 5' in capsys.readouterr().out
+    assert cli.main([*line, "--again", "--vote", "--views", str(capture), "--json"]) == 0
+    assert '"num_objects": 3' in capsys.readouterr().out
+    assert not (tmp_path / "room.field.parts").exists()
+    assert cli.main([*line, "--again", "--vote"]) == 1
+    assert "none of 0 photos is of this field" in capsys.readouterr().err
+
+
+# --- trees ----------------------------------------------------------------------------------------
+
+
+def test_regions_are_basins_that_share_no_pixel() -> None:
+    strength = np.zeros((40, 60), np.float32)
+    strength[:, 29:31] = 0.8
+    labels = basins(strength)
+    assert sorted(np.unique(labels)) == [0, 1]
+    assert (labels[:, :28] == labels[0, 0]).all()
+    assert (labels[:, 32:] == labels[0, -1]).all()
+
+
+def test_a_tree_holds_what_is_outlined() -> None:
+    picture = np.full((240, 320, 3), 60, np.uint8)
+    picture[60:180, 100:220] = (200, 190, 170)
+    picture = np.clip(picture + np.random.default_rng(0).integers(-3, 4, picture.shape), 0, 255).astype(np.uint8)
+    one, two = region_tree(picture, threads=1), region_tree(picture, threads=2)
+    for name, array in vars(one).items():
+        np.testing.assert_array_equal(array, vars(two)[name])
+    square = np.zeros((240, 320), bool)
+    square[60:180, 100:220] = True
+    candidates = one.candidates()
+    masks = candidates.toarray()[:, one.labels] > 0
+    fits = (masks & square).sum((1, 2)) / (masks | square).sum((1, 2))
+    assert fits.max() > 0.9
+    assert one.outlines(candidates)[fits.argmax()] > 0.4
+    assert one.framed(candidates)[fits.argmax()] == 0
