@@ -263,7 +263,9 @@ std::vector<int32_t> flooded(const int32_t *heights, const int32_t *markers, int
   struct Reached {
     int32_t level;
     uint32_t turn, pixel;
-    bool operator<(const Reached &other) const { return level != other.level ? level > other.level : turn > other.turn; }
+    bool operator<(const Reached &other) const {
+      return level != other.level ? level > other.level : turn > other.turn;
+    }
   };
   const size_t count = (size_t)height * (size_t)width;
   std::vector<int32_t> owner(markers, markers + count);
