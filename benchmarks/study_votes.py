@@ -63,6 +63,22 @@ class Listing(NamedTuple):
     listed: np.ndarray
 
 
+class Rows:
+    """As much of a field as photos need to vote. ids: ascending Gaussians of its rows."""
+
+    aggregator = SimpleNamespace(sampling=None)
+
+    def __init__(self, ids: np.ndarray) -> None:
+        self.ids = ids
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def rows_of(self, some: np.ndarray) -> np.ndarray:
+        rows = np.minimum(np.searchsorted(self.ids, some), len(self.ids) - 1)
+        return np.where(self.ids[rows] == some, rows, -1)
+
+
 def listing(tree: Tree, evidence: Evidence, ids: np.ndarray) -> Listing:
     things = np.flatnonzero(tree.levels == THING)
     owner = np.append(_owners(tree.parents, tree.levels == THING), -1)[tree.node_of]
@@ -113,14 +129,8 @@ def measured(place: Place, folder: Path, kept: Path, pictures: Path | None) -> t
     tree = find_tree(evidence, place.gaussians, ids.astype(np.uint32), place.cameras)
     finding = time.perf_counter() - started
     by_name = {view.name: view for view in read_views(folder)}
-    row_of = np.full(len(place.gaussians), -1)
-    row_of[ids] = np.arange(len(ids))
-    field = SimpleNamespace(
-        rows_of=lambda some: row_of[some], aggregator=SimpleNamespace(sampling=None), gaussian_ids=ids
-    )
-    field = type("Rows", (SimpleNamespace,), {"__len__": lambda self: len(self.gaussian_ids)})(**vars(field))
     views = [by_name[name] for name in evidence.masks.view_names]
-    electorate = _Electorate(field, place.gaussians, views, kept / f"{folder.name}.votes", 0)
+    electorate = _Electorate(Rows(ids), place.gaussians, views, kept / f"{folder.name}.votes", 0)
     started = time.perf_counter()
     electorate.look(lambda some, _: some)
     looking = time.perf_counter() - started

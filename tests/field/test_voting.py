@@ -8,10 +8,10 @@ from scipy.sparse import csr_array
 
 from drsplat.field.forest import PART, THING, check_forest
 from drsplat.field.objects.choosing import Tree
-from drsplat.field.objects.voting import MAX_SHARE, Vote, Worth, _chosen, with_voted
+from drsplat.field.objects.voting import Vote, Worth, _chosen, with_voted
 from drsplat.scene.masks.region_tree import RegionTree
 
-SIZE, HALF = 40, 5
+SIZE = 40
 # four regions around each other: ground 0, the rest of a sheet 1, a print on it 2, a cup beside it 3
 SHEET, PRINT, CUP = np.s_[10:24, 10:30], np.s_[14:19, 15:24], np.s_[28:34, 12:18]
 
@@ -112,4 +112,3 @@ def test_of_sets_that_share_a_piece_the_one_that_gains_most_is_taken() -> None:
     assert [joined.members for joined in _chosen(sets, found, alone, weight)] == [[1, 2], [3, 4]]
     assert _chosen(sets, found._replace(framed=np.ones(3)), alone, weight) == []
     assert _chosen(sets[:1], Worth(*np.array([[0.9], [0.0]])), alone, weight[:2]) == []  # the whole room
-    assert MAX_SHARE > 2 / 25

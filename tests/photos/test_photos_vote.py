@@ -114,7 +114,7 @@ def test_the_verb_asks_the_photos(scene, photos, halves, tmp_path, capsys) -> No
     line = ["objects", str(tmp_path / "room.field"), "--scene", str(tmp_path / "scene.ply")]
     assert cli.main([*line, "--json"]) == 0
     assert '"num_objects": 5' in capsys.readouterr().out
-    assert cli.main([*line, "--again", "--vote", "--views", str(capture), "--json"]) == 0
+    assert cli.main([*line, "--vote", "--views", str(capture), "--json"]) == 0
     assert '"num_objects": 3' in capsys.readouterr().out
     assert not (tmp_path / "room.field.parts").exists()
     assert cli.main([*line, "--again", "--vote"]) == 1

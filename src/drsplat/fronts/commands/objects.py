@@ -23,7 +23,7 @@ EXAMPLES = """\
   drsplat objects room.field --scene scene.ply
   drsplat objects room.field --scene scene.ply --all
   drsplat objects room.field --scene scene.ply --picture objects.jpg --views capture
-  drsplat objects room.field --scene scene.ply --again --vote --views capture
+  drsplat objects room.field --scene scene.ply --vote --views capture
   drsplat objects room.field --scene scene.ply --save ids.npy
   drsplat objects room.field --scene scene.ply --save cut_out
   drsplat objects room.field --label "my mug" --id 7
@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--vote", action="store_true",
-        help="look at the photos of --views again, and join pieces that they outline as one object",
+        help="find objects again, and join pieces that the photos of --views, looked at again, outline as one",
     )  # fmt: skip
     parser.add_argument(
         "--all",
@@ -195,7 +195,7 @@ def _with_objects(arguments: argparse.Namespace) -> Scene:
         _find_in_tiles(arguments, path, tiles)
         return open_scene(arguments)
     scene = open_scene(arguments)
-    if scene.field.objects is not None and not arguments.again:
+    if scene.field.objects is not None and not (arguments.again or arguments.vote):
         return scene
     gaussians = scene.gaussians
     from ...field.objects.finding import find_objects
