@@ -21,10 +21,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from benchmarks.suite.answers import Draws, best_iou, places_of
 from benchmarks.suite.places import Place
 from benchmarks.suite.vocabularies import Clip, Names, Vocabulary
-from drsplat.query.contrast import OWN_THRESHOLD_SHARE, middle_threshold
+from drsplat.query.contrast import OWN_THRESHOLD_SHARE, own_level
 
 SHARES = np.round(np.arange(0, 1.01, 0.05), 2)
-NEVER = -50.0  # clear margin that no word misses
 DRAWS = Draws((20,), 1)
 
 
@@ -37,7 +36,7 @@ def measured(place: Place, words: Vocabulary) -> dict[str, np.ndarray]:
             own, answer = plain.ask(text).values, objects.ask(text)
             known = plain.background.contrast_for(text)
             assert known is not None
-            cut = middle_threshold(own, known.peak, NEVER)
+            cut = own_level(own, known.peak)
             margin = np.log(cut / (1 - cut)) / OWN_THRESHOLD_SHARE
             rule.append(case.iou(answer.values > answer.threshold, meant))
             best.append(best_iou(own, meant, case.mass))

@@ -35,7 +35,7 @@ from benchmarks.suite.scenes import BenchScene, read_scene
 from benchmarks.suite.vocabularies import KINDS, Clip, unit
 from drsplat import Gaussians, ViewFeatures, load_image, register
 from drsplat.field.evidence.evidence import Evidence
-from drsplat.query.contrast import Contrast, _contrast, middle_threshold, relevancy_threshold
+from drsplat.query.contrast import CLEAR_MARGIN, SURE, Contrast, _contrast, certainty_of, own_level, relevancy_threshold
 from drsplat.query.thresholds import PEAK_ROWS, automatic_threshold
 from drsplat.scene.masks.masks import LEVELS
 from drsplat.scene.masks.selection import mask_maps
@@ -176,7 +176,8 @@ def selections(case: Trial, clip: Clip, known: Contrast, word: int) -> Iterator[
     assert values is not None
     yield "list, levels halved", values > 0.5
     yield "list, a clear peak", values > relevancy_threshold(values, PEAK_HERE)
-    yield "the rule", values > middle_threshold(values, PEAK_HERE)
+    sure = certainty_of(values, PEAK_HERE, CLEAR_MARGIN) == SURE
+    yield "the rule", sure & (values > own_level(values, PEAK_HERE))
 
 
 Results = dict[str, dict[str, list[float]]]

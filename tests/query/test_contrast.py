@@ -24,12 +24,14 @@ from drsplat.query.contrast import (
     SAME_MEANING_COSINE,
     USUAL_COSINE_SHARE,
     WORDS_PER_RIVAL,
+    certainty_of,
     contrast,
     contrast_of,
     least_clear,
-    middle_threshold,
+    own_level,
     relevancy_threshold,
 )  # fmt: skip
+from drsplat.query.defaults import MAYBE, SURE
 from drsplat.query.thresholds import PEAK_ROWS
 from fields import SCENE, ToyEncoder, unit_rows
 
@@ -164,13 +166,8 @@ def test_the_cut_lies_between_what_fits_a_little_and_what_fits(share: float) -> 
     margins[: round(share * rows)] = 4.0
     margins[-200:] = 0.3
     values = relevancies(margins)
-    np.testing.assert_array_equal(values > middle_threshold(values), margins == 4)
+    np.testing.assert_array_equal(values > own_level(values), margins == 4)
     assert relevancy_threshold(values) == 0.5
-
-
-def test_the_cut_is_that_of_the_peak_where_nothing_is_clear() -> None:
-    values = relevancies(np.linspace(-3, 0.4, 1000))
-    assert middle_threshold(values) == pytest.approx(values.max())
 
 
 def test_in_larger_scenes_a_peak_has_to_be_higher() -> None:
@@ -185,8 +182,7 @@ def test_a_peak_above_many_words_has_to_be_higher_than_one_above_few() -> None:
     values = relevancies(np.where(np.arange(1000) < PEAK_ROWS, 0.48, -2.0))
     texts = np.eye(WORDS_PER_RIVAL, dtype=np.float32)
     few, many = (contrast_of(texts[:2], texts[:count]).clear_margin for count in (WORDS_PER_RIVAL - 1, WORDS_PER_RIVAL))
-    assert (values > middle_threshold(values, clear_margin=few)).sum() == PEAK_ROWS
-    assert not (values > middle_threshold(values, clear_margin=many)).any()
+    assert [certainty_of(values, PEAK_ROWS, margin) for margin in (few, many)] == [SURE, MAYBE]
 
 
 def test_fewer_rows_have_to_stand_above_a_long_list_in_a_small_scene() -> None:

@@ -68,6 +68,10 @@ def room() -> tuple[Gaussians, dict[str, Match]]:
         ("above", ("apple",), {"lamp"}),
         ("above", ("lamp",), set()),
         ("above", ("chair below",), {"mug"}),  # the table's own middle is elsewhere
+        ("under", ("table",), {"chair below"}),
+        ("under", ("lamp",), {"bowl", "apple", "table"}),
+        ("under", ("apple",), {"table"}),
+        ("under", ("chair far away",), set()),
         ("next_to", ("table",), {"chair below", "chair beside"}),
         ("next_to", ("chair far away",), set()),
         ("next_to", ("bowl",), {"mug"}),

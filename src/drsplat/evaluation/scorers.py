@@ -11,7 +11,7 @@ from ..base.arrays import Float32
 from ..errors import MismatchError
 from ..field import LanguageField, relevancy_from_scores
 from ..formats.peer_features import Rows
-from ..query import Scene
+from ..query import Query, Scene
 from ..query.search import NEGATIVES, QUERIES_AT_ONCE, embed_query
 from ..query.wholes import by_object, for_comparing
 from ..scene.encoders import Encoder
@@ -108,7 +108,7 @@ def _answer(source: LanguageField, encoder: Encoder, threads: int) -> Callable[[
     scene = Scene(source, encoder=encoder, threads=threads)
 
     def answer(text: str) -> tuple[Scores, float]:
-        reply = scene.ask(text)
+        reply = scene.ask(Query(text, present=True))  # whoever evaluates asks for what is there
         return source.dense(reply.values, fill=float("nan")), reply.threshold
 
     return answer

@@ -13,7 +13,7 @@ from ..field import LanguageField
 from ..field.evidence.evidence import Explanation
 from ..scene.moving import Span
 from ..scene.views import View
-from .defaults import COSINE, GIVEN, LABEL, OBJECT, RELEVANCY
+from .defaults import COSINE, GIVEN, LABEL, MAYBE, NOTHING, OBJECT, RELEVANCY, SURE
 from .search import UNSELECTED_COSINE
 
 
@@ -26,7 +26,8 @@ class Answer:
 
     measure: "cosine" or "relevancy". rule: who chose the threshold: given, top share, auto, list,
     encoder or default; object or label, where exactly what belongs together is meant. drawn: who draws it, the
-    `picture` of its scene; None: nobody. doubt: reason not to rely on it, "" if there is none.
+    `picture` of its scene; None: nobody. doubt: reason not to rely on it, "" if there is none. sure: False where other
+    words fit what is selected as well; `doubt` says which. seen_from: the photo that left and right are meant from.
     """
 
     field: LanguageField
@@ -38,6 +39,8 @@ class Answer:
     scores: Float32[np.ndarray, " r"]
     drawn: Callable[..., np.ndarray] | None = None
     doubt: str = ""
+    sure: bool = True
+    seen_from: str = ""
 
     @classmethod
     def of(cls, field: LanguageField, values: Float32[np.ndarray, " r"], threshold: float) -> "Answer":
@@ -108,9 +111,22 @@ class Answer:
         """
         return self.field.gaussian_ids[self.values > self.threshold].astype(np.int64)
 
+    @property
+    def certainty(self) -> str:
+        """Whether what is meant was found: "sure", "maybe" where there is a doubt, or "nothing"."""
+        if not (self.values > self.threshold).any():
+            return NOTHING
+        return SURE if self.sure and not self.doubt else MAYBE
+
     def cut_at(self, threshold: float) -> "Answer":
         """Return the same values with another threshold."""
         return replace(self, threshold=threshold, rule=GIVEN)
+
+    def without_maybe(self) -> "Answer":
+        """Return the answer, or one that selects nothing where other words fit as well."""
+        if self.sure or not len(self.values):
+            return self
+        return replace(self, threshold=float(self.values.max()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +137,8 @@ class Match:
     Upright: the third axis is up, the first the longer of the others. Free: longest first. score: mean value of its
     Gaussians weighted by opacity, which with its mass makes its place among others (`tasks.rank`). support: the masks
     that contribute most, none where the field kept no evidence.
-    object_id: the number of the object that it is, None where it is none. label: the name that people gave it.
+    object_id: the number of the object that it is, None where it is none. label: the name that people gave it. sure:
+    whether the query surely means it; those that do are counted.
     """
 
     center: Float64[np.ndarray, " 3"]
@@ -132,6 +149,7 @@ class Match:
     support: tuple[Explanation, ...] = ()
     object_id: int | None = None
     label: str | None = None
+    sure: bool = True
 
     def __repr__(self) -> str:
         place = ", ".join(f"{x:.4g}" for x in self.center)

@@ -17,6 +17,7 @@ from ..base.contents import release, scratch
 from ..field import LanguageField
 from ..kernels.algebra import dense_rows, row_products
 from ..kernels.ranking import keep_best
+from .defaults import MAYBE, NOTHING, SURE
 from .thresholds import PEAK_ROWS, clear_threshold, peak_score
 
 USUAL_COSINE_SHARE = 0.5  # taken off a word's cosines: all of it would punish what is everywhere
@@ -30,6 +31,7 @@ CLEAR_MARGIN, CLEAR_MARGIN_PER_EFOLD = 0.45, 0.05  # spreads that a peak stands 
 LONG_LIST_CLEAR_MARGIN = 0.5  # for lists of WORDS_PER_RIVAL words and more
 KIND_CLEAR_MARGIN = 0.6  # for words of one kind, such as colours, of which a photo has nearly all a little
 CLEAR_MARGIN_ROWS = 50_000  # that CLEAR_MARGIN is for
+MAYBE_SPREADS = 0.5  # by which a peak may miss the clear margin and still be shown
 OWN_THRESHOLD_SHARE = 0.6  # against the level of the list
 WAY_TO_PEAK_SHARE = 0.7  # from the middle
 PEAK_SHARE, MIN_PEAK_ROWS = 1 / 3000, 10  # of the rows: a peak above a long list, in scenes of less than 120,000 rows
@@ -113,6 +115,17 @@ class Contrast:
         to_words, to_pictures = row_products(sides / np.linalg.norm(sides, axis=1, keepdims=True), query)
         return bool(to_words > to_pictures)
 
+    def rival(self, query: Float32[np.ndarray, " D"], values: Float32[np.ndarray, " r"]) -> int | None:
+        """Return the number of the word that fits best where the query fits best; None: none that means another thing.
+
+        values: relevancies of the query, one per row here.
+        """
+        near = _near(self.vectors, query / np.linalg.norm(query))
+        best = self.words[np.argsort(-values, kind="stable")[: self.peak]]
+        others = ~near[best]
+        first = best[np.arange(len(best)), others.argmax(1)][others.any(1)]
+        return int(np.bincount(first).argmax()) if len(first) else None
+
     def at(self, features: Float32[np.ndarray, "m D"]) -> "Contrast":
         """Return what the words reach at other unit features, held against the same pictures."""
         scores, words = _best_words_of(features, self.vectors, self.usual)
@@ -184,18 +197,26 @@ def least_clear(rows: int, margin: float = CLEAR_MARGIN) -> float:
     return _sigmoid(margin + CLEAR_MARGIN_PER_EFOLD * float(np.log(max(rows, CLEAR_MARGIN_ROWS) / CLEAR_MARGIN_ROWS)))
 
 
-def middle_threshold(
-    relevancy: Float32[np.ndarray, " r"], peak: int = PEAK_ROWS, clear_margin: float = CLEAR_MARGIN
-) -> float:
-    """Return a threshold above the list's level where nearly all of what fits stands high above that level.
+def certainty_of(relevancy: Float32[np.ndarray, " r"], peak: int, clear_margin: float) -> str:
+    """Return whether a query is found for sure, maybe, or not at all, by how far its peak stands above the list.
+
+    Maybe: it misses the clear margin by at most `MAYBE_SPREADS`, because another word fits nearly as well or better.
+    """
+    height = peak_score(relevancy, peak)
+    return next(
+        (said for margin, said in ((clear_margin, SURE), (clear_margin - MAYBE_SPREADS, MAYBE))
+         if height > least_clear(len(relevancy), margin)),
+        NOTHING,
+    )  # fmt: skip
+
+
+def own_level(relevancy: Float32[np.ndarray, " r"], peak: int = PEAK_ROWS) -> float:
+    """Return a threshold that leaves out what fits a query in part, whether or not all of it stands above the list.
 
     In margins: 0.6 of what is 0.7 of the way from the median of what fits worse than the list to what 1 in 500 reaches,
-    or `peak` rows. The level alone lets in what fits a little; the query's own values alone leave out half of what
-    fits in part. Where too few rows stand clearly above the list it is the highest, and nothing is found.
+    or `peak` rows. The level of the list alone lets in what fits a little; the query's own values alone leave out half
+    of what fits in part.
     """
-    least = relevancy_threshold(relevancy, peak, clear_margin)
-    if least != LIST_RELEVANCY or not len(relevancy):
-        return least
     worse = np.sort(relevancy[relevancy < LIST_RELEVANCY])
     middle = float(_margin(worse[[(len(worse) - 1) // 2, len(worse) // 2]]).mean()) if len(worse) else 0.0
     height = float(_margin(np.array(peak_score(relevancy, max(peak, round(LARGE_SCENE_PEAK_SHARE * len(relevancy)))))))

@@ -7,3 +7,4 @@ ENCODER, GIVEN, LIST, SHARE, DEFAULT, OBJECT, LABEL = (
     "encoder", "given", "list", "top share", "default", "object", "label",
 )  # fmt: skip
 COSINE, RELEVANCY = "cosine", "relevancy"
+SURE, MAYBE, NOTHING = "sure", "maybe", "nothing"

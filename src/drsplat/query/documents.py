@@ -32,7 +32,7 @@ def box_document(
 
 
 def match_document(match: Match, decimals: int | None = None, georeference: Georeference | None = None) -> Document:
-    """Return a match: its box, its score, how many Gaussians it has, and the masks that support it.
+    """Return a match: its box, its score, whether it is sure, how many Gaussians it has, and masks that support it.
 
     georeference: of its scene, for where on the Earth it is.
     """
@@ -40,6 +40,7 @@ def match_document(match: Match, decimals: int | None = None, georeference: Geor
         **box_document(match.center, match.axes, match.extent, decimals),
         **earth_document(georeference, match.center, match.axes, match.extent),
         "score": _short(match.score, decimals),
+        "sure": match.sure,
         "num_gaussians": len(match),
         "support": support_document(match.support, decimals),
     }
@@ -76,7 +77,9 @@ def answer_document(answer: Answer) -> Document:
         "score_p99": float(np.percentile(values, 99)),
         "num_registered": len(answer.field),
         "num_selected": len(answer.gaussian_ids),
+        "certainty": answer.certainty,
         "doubt": answer.doubt,
+        "seen_from": answer.seen_from,
     }
 
 

@@ -9,12 +9,12 @@ import numpy as np
 from ..base.arrays import Float32, UInt8
 from ..errors import InputError
 from ..field import LanguageField, Negatives, relevancy_from_scores
-from ..photos.models.word_list import list_vectors, rival_vectors
+from ..photos.models.word_list import list_vectors, listed_words, rival_vectors
 from ..scene.encoders import Encoder, ImageEncoder
 from ..scene.masks.crops import crop
 from .answer import Answer
-from .contrast import Contrast, contrast, contrast_of_kind, middle_threshold, relevancy_threshold
-from .defaults import AUTO, COSINE, DEFAULT, ENCODER, GIVEN, LIST, RELEVANCY, RELEVANCY_THRESHOLD, SHARE
+from .contrast import LIST_RELEVANCY, Contrast, certainty_of, contrast, contrast_of_kind, own_level
+from .defaults import AUTO, COSINE, DEFAULT, ENCODER, GIVEN, LIST, NOTHING, RELEVANCY, RELEVANCY_THRESHOLD, SHARE, SURE
 from .naming import doubt_of
 from .query import Cut, Query
 from .search import (
@@ -92,6 +92,14 @@ class Background:
             return self.least_peak
         return least_peak(self.encoder, known)
 
+    def rival(self, known: Contrast, query: Float32[np.ndarray, " D"], values: Float32[np.ndarray, " r"]) -> str:
+        """Return the word that fits best where a query does, "" if it has no name."""
+        number = known.rival(query, values)
+        if number is None or known.of_kind:
+            return ""
+        kept = self.field.contrast
+        return (listed_words(self.encoder)[0] if kept is None else kept.texts)[number]
+
     def by_object(self, field: LanguageField, values: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
         """Return values per row of the field, with or without objects, as whole objects have them."""
         return by_object(field, values)
@@ -152,7 +160,9 @@ class Measuring:
             scores = field.scores(np.stack(queries), threads=self.background.threads)
             for (wanted, unwanted), query, own in zip(split, queries, scores, strict=True):
                 answer = self._of_words(query, own, wanted)
-                answer = replace(answer, doubt=doubt_of(encoder, field, wanted))
+                answer = replace(
+                    answer, doubt=". ".join(filter(None, (answer.doubt, doubt_of(encoder, field, wanted))))
+                )
                 yield self._without(answer, own, wanted, (*unwanted, *self.exclude))
 
     def of_image(self, picture: UInt8[np.ndarray, "_ _ 3"]) -> Answer:
@@ -198,24 +208,37 @@ class Measuring:
         values = None if known is None else self._contrasted(known, query, scores)
         if known is None or values is None:
             return self._measured(query, scores, (None, AUTO))
-        default = self._list_threshold(known, scores, values), LIST
-        return self._cut(query, scores, values, RELEVANCY, default)
+        certainty = self._certainty(known, scores, values) if len(scores) else NOTHING
+        answer = self._cut(query, scores, values, RELEVANCY, (self._list_threshold(known, values, certainty), LIST))
+        if answer.rule != LIST or certainty == SURE or self.cut.present or answer.certainty == NOTHING:
+            return answer
+        rival = self.background.rival(known, query, values)
+        fits = f"'{rival}' fits" if rival else "other words fit"
+        return replace(answer, sure=False, doubt=f"only maybe: {fits} as well or better")
 
-    def _list_threshold(
-        self, known: Contrast, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"]
-    ) -> float:
-        """Return the threshold of values that were compared with a list; the highest where cosines are too low.
+    def _certainty(self, known: Contrast, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"]) -> str:
+        """Return whether a text is found for sure, maybe, or not.
 
-        An encoder with a least peak knows few words, which lie far apart: what fits better than all of them is meant.
+        An encoder with a least peak knows few words, which lie far apart: of it there is no maybe.
         """
-        if not len(scores):
-            return RELEVANCY_THRESHOLD
         least = self.background.least_peak_of(known)
-        if peak_score(scores) <= least:
+        if not np.isfinite(least):
+            return certainty_of(values, known.peak, known.clear_margin)
+        clear = peak_score(scores) > least and certainty_of(values, PEAK_ROWS, known.clear_margin) == SURE
+        return SURE if clear else NOTHING
+
+    def _list_threshold(self, known: Contrast, values: Float32[np.ndarray, " r"], certainty: str) -> float:
+        """Return the threshold of values that were compared with a list; the highest where nothing is found.
+
+        What fits better than all words of an encoder that knows few of them is meant.
+        """
+        if not len(values):
+            return RELEVANCY_THRESHOLD
+        if certainty == NOTHING and not self.cut.present:
             return float(values.max())
-        if np.isfinite(least):
-            return relevancy_threshold(values, clear_margin=known.clear_margin)
-        return middle_threshold(values, known.peak, known.clear_margin)
+        if certainty == SURE and np.isfinite(self.background.least_peak_of(known)):
+            return LIST_RELEVANCY
+        return own_level(values, known.peak)
 
     def _contrasted(
         self, known: Contrast, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]

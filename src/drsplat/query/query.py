@@ -18,7 +18,8 @@ class Cut:
     takes its place. relevancy: measure how much better the query fits than `negatives`, texts or vectors
     (n, D); None takes those of the field, else LERF's. during: start and end of a span of time, of a scene that moves:
     only what photos of that time have shown is asked; None: all of it. objects: "auto" lets objects answer as wholes
-    where the field has them; with "never" every Gaussian answers for itself, as in a field without objects.
+    where the field has them; with "never" every Gaussian answers for itself, as in a field without objects. present:
+    what is asked for is known to be there, so that something is found even where other words fit better.
 
     Raises: InputError: parts that exclude each other, a span that ends before it starts, an unknown word.
     """
@@ -29,6 +30,7 @@ class Cut:
     negatives: tuple[str, ...] | Float32[np.ndarray, "n D"] | None = None
     during: tuple[float | int, float | int] | None = None
     objects: str = AUTO
+    present: bool = False
 
     def __post_init__(self) -> None:
         if isinstance(self.threshold, str) and self.threshold != AUTO:

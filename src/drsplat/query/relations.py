@@ -1,4 +1,4 @@
-"""How objects lie to each other: on, in, next to, above, between; by boxes and contact, without words for them.
+"""How objects lie to each other: on, in, next to, above, under, between; by boxes and contact, without words for them.
 
 Defined in docs/objects.md. Functions of Gaussians, matches and the direction that is up.
 """
@@ -15,15 +15,16 @@ from ..scene.views import View
 from .answer import Match
 from .spatial import gap, is_over, solid_centers, stands_on
 
-Relation = Literal["on", "in", "next_to", "above", "between"]
+Relation = Literal["on", "in", "next_to", "above", "under", "between"]
 RELATIONS: tuple[Relation, ...] = get_args(Relation)
 Side = Literal["left_of", "right_of"]
-OfTwo = Literal["on", "in", "next_to", "above", "left_of", "right_of"]  # what `Scene.when` takes
+OfTwo = Literal["on", "in", "next_to", "above", "under", "left_of", "right_of"]  # what `Scene.when` takes
 SIDES: tuple[Side, ...] = get_args(Side)
 Up = Float64[np.ndarray, " 3"]
 
 MIN_INSIDE_SHARE = 0.5  # of an object's Gaussians in the box of what it is in
 NUM_SECTORS, MIN_WALLED_SECTORS = 16, 12  # around an object; with a wall of what it is in
+MIN_OVER = 8  # Gaussians of what a thing is under, above its middle half
 MIN_COMMON_HEIGHT_SHARE = 0.1  # of the lower of two objects next to each other
 _Holds = Callable[[AnyGaussians, Match, Match, Up], bool]
 
@@ -87,6 +88,16 @@ def lies_above(gaussians: AnyGaussians, thing: Match, other: Match, up: Up) -> b
     return bool(foot >= top and over and not stands_on(gaussians, thing, other, up))
 
 
+def lies_under(gaussians: AnyGaussians, thing: Match, other: Match, up: Up) -> bool:
+    """Return True if some of another thing is higher than all of a thing and over its middle half."""
+    points, over = (solid_centers(gaussians, one) for one in (thing, other))
+    flat, middle = np.eye(3) - np.outer(up, up), points.mean(axis=0)
+    half = np.quantile(np.linalg.norm((points - middle) @ flat, axis=1), 0.5)
+    is_over_it = np.linalg.norm((over - middle) @ flat, axis=1) <= half
+    top = _heights(gaussians, thing, up)[1]
+    return int((over[is_over_it] @ up > top).sum()) >= MIN_OVER
+
+
 def lies_next_to(gaussians: AnyGaussians, thing: Match, other: Match, up: Up) -> bool:
     """Return True if two things are beside each other, nearer than the mean of their boxes' longest sides."""
     (low, high), (foot, head) = (_heights(gaussians, one, up) for one in (thing, other))
@@ -141,4 +152,6 @@ def _same(one: Match, other: Match) -> bool:
     return bool(common > 0.5 * min(len(one), len(other)))
 
 
-_HOLDS: dict[Relation, _Holds] = {"on": stands_on, "in": lies_in, "next_to": lies_next_to, "above": lies_above}
+_HOLDS: dict[Relation, _Holds] = {
+    "on": stands_on, "in": lies_in, "next_to": lies_next_to, "above": lies_above, "under": lies_under,
+}  # fmt: skip

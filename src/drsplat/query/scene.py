@@ -25,7 +25,7 @@ from ..scene.moving import Moving, Span, canonical_of
 from ..scene.parted import AnyGaussians, middle
 from ..scene.views import View
 from .answer import Answer, Match, MatchTrack, Segmentation, Word
-from .defaults import COSINE, LABEL, MIN_GAUSSIANS, OBJECT
+from .defaults import COSINE, LABEL, MIN_GAUSSIANS, OBJECT, SURE
 from .encoding import source_of
 from .measuring import Background, Measuring
 from .naming import best_names, doubt_of, object_names
@@ -34,7 +34,7 @@ from .places import Point, nearest_gaussian
 from .query import Cut, Query
 from .search import feature_of, row_of, seen_among
 from .support import support_in
-from .tasks import locate, segment
+from .tasks import locate, segment, sure_matches
 from .views import view_named
 from .wholes import for_comparing
 
@@ -264,10 +264,21 @@ class Scene:
         place = query.click if query.point is None else query.point
         if place is None:
             named = None if query.text is None else self._labelled(query)
-            return measuring.of(query) if named is None else named
+            return (self._said(query) or measuring.of(query)) if named is None else named
         if query.is_default and self.field.objects is not None:
             return self._thing_at(place, measuring)
         return measuring.of_vector(self.feature_of(place))
+
+    def _said(self, query: Query) -> Answer | None:
+        """Return the answer to a sentence; None for a query that is none."""
+        from .sentences import parsed, related_answer
+
+        if query.text is None or not self.has_gaussians or query.text in getattr(self.encoder, "texts", ()):
+            return None
+        sentence = parsed(query.text)
+        if sentence.relation:
+            return related_answer(self, query, sentence)
+        return None if sentence.text == query.text else self._answer(replace(query, text=sentence.text))
 
     def during(self, span: Span) -> "Scene":
         """Return the scene with only the photos of a span of time registered; the last two results are kept.
@@ -325,6 +336,8 @@ class Scene:
     ) -> list[Match]:
         """Return the matches of a query or of an answer, best first (`tasks.rank`), with their support; none is [].
 
+        Where it is only maybe what is meant, as the answer's `doubt` says, no match is sure.
+
         min_gaussians: smaller ones are specks. top: how many of them. box: "upright" stands on the ground, where
         the photos tell which way is up; "free" lies as the thing does.
 
@@ -332,10 +345,14 @@ class Scene:
         """
         answer = query if isinstance(query, Answer) else self.ask(query)
         up = self.up if box == "upright" else None
-        matches = locate(answer, self.rows, min_gaussians=min_gaussians, up=up)[:top]
+        matches = locate(answer, self.rows, min_gaussians=min_gaussians, up=up)
+        meant = matches if answer.is_exact else sure_matches(matches, self.rows)
+        num_sure = len(meant) if answer.certainty == SURE else 0
         return [
-            replace(match, support=support_in(match, answer), label=self._label_of(match.object_id))
-            for match in matches
+            replace(
+                match, support=support_in(match, answer), label=self._label_of(match.object_id), sure=number < num_sure
+            )
+            for number, match in enumerate(matches[:top])
         ]
 
     def segment(self, classes: Sequence[str], cut: Cut | None = None) -> Segmentation:
@@ -350,7 +367,7 @@ class Scene:
         names = tuple(classes)
         if not names or len(set(names)) < len(names):
             raise InputError(f"expected one or more different classes, got {', '.join(names) or 'none'}")
-        answers = list(Measuring(self.background, cut or Cut()).of_texts(names))
+        answers = [one.without_maybe() for one in Measuring(self.background, cut or Cut()).of_texts(names)]
         labels = segment(self.field, map(self._compared, answers))
         return Segmentation(names, labels, answers)
 

@@ -110,6 +110,11 @@ CUT = (
         "auto: select whole objects if the field has them; never: select single Gaussians (default: "
         "auto)", (*PROGRAMS, Place.MCP, Place.WORDS), AUTO, choices=(AUTO, NEVER),
     ),
+    QueryField(
+        "present", "flag", "True",
+        "what is asked for is known to be there: find its best place even where other words fit better",
+        (*FRONTS, Place.WORDS), default=False,
+    ),
 )  # fmt: skip
 """How scores are measured and cut."""
 

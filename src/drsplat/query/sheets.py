@@ -107,7 +107,7 @@ def attribute_row(
     ids = own.local(match.gaussian_ids)
     shown = visible_share(own.gaussians, view, ids, splats=own.splats, threads=scene.threads)
     queries = [Query(one) if isinstance(one, str) else one for one in attributes]
-    answers = [scene.ask(query) for query in queries]
+    answers = [scene.ask(query).without_maybe() for query in queries]
     heat = [scene.field.dense(heat_of(one.values, one.threshold), fill=0.0) for one in answers]
     values = np.stack(heat if own.rows is None else [one[own.rows] for one in heat], 1)
     drawn = render(own.gaussians, zoomed(view, shown), values=values, splats=own.splats, threads=scene.threads)

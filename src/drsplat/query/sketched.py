@@ -131,7 +131,7 @@ class SketchedScene:
             if named:
                 result[named] = True
                 return result
-        answer = Measuring(self._background, query, query.exclude).of(query)
+        answer = Measuring(self._background, query, query.exclude).of(query).without_maybe()
         least = answer.threshold + (RELEVANCY_ERROR if answer.measure == RELEVANCY else 0.0)
         numbers = sketch.numbers[answer.values[sketch.firsts] > least]
         result[numbers[numbers >= 0]] = True

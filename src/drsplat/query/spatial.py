@@ -13,7 +13,6 @@ from .answer import Match
 from .contact import rests_on
 from .query import Query
 from .scene import Scene
-from .tasks import sure_matches
 
 MAX_OVERHANG_SHARE = 0.05  # of a thing's size, that its middle may stand out of what it is over
 
@@ -30,14 +29,13 @@ def standing_on(scene: Scene, matches: Sequence[Match], query: Query | str) -> l
 
     Raises: InputError: nothing is called so, or the photos do not tell which way is up.
     """
-    supports = scene.locate(query)
+    supports = [one for one in scene.locate(query) if one.sure]
     if not supports:
         text = query if isinstance(query, str) else query.text or ""
         raise InputError(f"no match for '{text[:60]}', so nothing can stand on it")
     gaussians, up = scene.rows, scene.up
     if up is None:
         raise InputError("the photos of this scene do not tell which way is up: query without 'on'")
-    supports = sure_matches(supports, gaussians)
     return [one for one in matches if any(stands_on(gaussians, one, support, up) for support in supports)]
 
 

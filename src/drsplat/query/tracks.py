@@ -21,7 +21,6 @@ from .answer import Match, MatchTrack
 from .query import Query
 from .relations import RELATIONS, SIDES, Relation, Side, Up, is_beside, related
 from .scene import Scene
-from .tasks import sure_matches
 
 MIN_PRESENT_SHARE = 0.1  # of the Gaussians that a match has where it has most
 MAX_MATCHES_RELATED = 8  # of a query
@@ -178,7 +177,8 @@ def _spanned(scene: Scene, span: Span) -> Scene:
 
 def _meant(scene: Scene, what: Match | Query | str) -> list[Match]:
     """Return a match itself, or the sure ones of a query. Raises: InputError: it has none."""
-    matches = [what] if isinstance(what, Match) else sure_matches(scene.locate(what), scene.rows)[:MAX_MATCHES_RELATED]
+    found = [what] if isinstance(what, Match) else [one for one in scene.locate(what) if one.sure]
+    matches = found[:MAX_MATCHES_RELATED]
     if not matches:
         asked = what.text if isinstance(what, Query) else what
         raise InputError(f"no match for '{str(asked)[:60]}': ask for other words, or lower the threshold")

@@ -46,7 +46,7 @@ def label_rows(scene: Scene, name: str) -> Rows:
 def query_rows(scene: Scene, query: Query | str, words: str = "") -> Rows:
     """Return the rows of all matches of a query together. Raises: InputError: it has none."""
     words = words or (query if isinstance(query, str) else query.text or "")
-    answer = scene.ask(query)
+    answer = scene.ask(query).without_maybe()
     matches = scene.locate(answer)
     if not matches:
         raise InputError(f"no match for “{words}”: `drsplat locate` prints how near it was")

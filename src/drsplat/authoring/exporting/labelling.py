@@ -200,7 +200,7 @@ def _standing(scene: Scene, time: float | None) -> Scene:
 
 
 def _matches_of(scene: Scene, query: Query | str, words: str) -> _QueryMatches:
-    answer = scene.ask(query)
+    answer = scene.ask(query).without_maybe()
     text = query if isinstance(query, str) else query.text
     return _QueryMatches(answer, scene.locate(answer), words or text or "query")
 

@@ -39,7 +39,7 @@ class Highlight:
 
         Raises: as `Scene.locate`.
         """
-        answer = scene.ask(query)
+        answer = scene.ask(query).without_maybe()
         matches = scene.locate(answer)
         values = np.zeros((scene.field.num_gaussians, 1), np.float32)
         if heat:

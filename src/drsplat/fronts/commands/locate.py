@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...query.defaults import MIN_GAUSSIANS
 from .options import count
-from .query_options import add_output_options, add_query_options, answer_json, ask, draw, measured_text
+from .query_options import add_output_options, add_query_options, answer_json, ask, draw, measured_text, print_doubt
 
 if TYPE_CHECKING:
     from ...query import Answer, Match, Scene
@@ -56,8 +56,9 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     scene, answer = ask(arguments)
     report = answer_json(arguments, answer)
     if not scene.has_gaussians:
-        return {**report, "num_matches": None, "matches": None}
+        return {**report, "count": None, "num_matches": None, "matches": None}
     matches = scene.locate(answer, min_gaussians=arguments.min_gaussians, box=arguments.box)
+    report["count"] = sum(match.sure for match in matches)
     report["num_matches"] = len(matches)
     listed = matches[: arguments.top]
     report["matches"] = [match_document(match, georeference=scene.georeference) for match in listed]
@@ -76,21 +77,22 @@ def show(answer: dict[str, Any]) -> None:
     from ...base.terminal import counted
     from .tables import show_table, text_of
 
-    measured = measured_text(answer)
+    of = counted(answer["num_registered"], "Gaussian")
+    measured = f"{text_of(answer['num_selected'])} of {of} selected; {measured_text(answer)}"
+    print_doubt(answer)
     if not (answer["num_selected"] if answer["matches"] is None else answer["matches"]):
         print(f"No match for '{answer['query']}'.\n{measured}")
         if answer["num_selected"]:
             above = counted(answer["num_selected"], "Gaussian is", "Gaussians are")
             print(f"{above} above the threshold, too few or too scattered for a match.")
         return
-    of = counted(answer["num_registered"], "Gaussian")
-    print(f"{text_of(answer['num_selected'])} of {of} selected\n{measured}")
     if answer["matches"] is None:
-        print("For places, pass --scene SCENE.")
+        print(f"{measured}\nFor places, pass --scene SCENE.")
         return
     columns = ("match", "score", "Gaussians", "centre", "extent")
     rows = [_row(number, match) for number, match in enumerate(answer["matches"])]
-    title = f"{counted(answer['num_matches'], 'match', 'matches')} of '{answer['query']}', in scene units"
+    sure = "" if answer["count"] == answer["num_matches"] else f", {answer['count']:,} sure"
+    title = f"{counted(answer['num_matches'], 'match', 'matches')} of '{answer['query']}'{sure}, in scene units"
     show_table(title, columns, rows)
     for number, match in enumerate(answer["matches"]):  # names of photos are long, and people copy them
         if match["support"]:
@@ -101,6 +103,7 @@ def show(answer: dict[str, Any]) -> None:
             print(f"match {number} lies at {here['latitude']:.7f}, {here['longitude']:.7f}, {here['height']:.2f} m")
         if "track" in match:
             print(f"match {number} {_track_text(match['track'])}")
+    print(measured)
 
 
 def _row(number: int, match: dict[str, Any]) -> tuple[str, ...]:

@@ -180,13 +180,20 @@ RULES = {
 
 
 def measured_text(answer: dict[str, Any]) -> str:
-    """Return a line of the scores and the threshold, and a warning line if the answer is doubtful."""
+    """Return a line of the scores and the threshold."""
     low, high = answer["score_range"]
-    doubt = f"\nwarning: {answer['doubt']}" if answer["doubt"] else ""
     return (
         f"{answer['measure']} from {low:.3f} to {high:.3f}, 99 of 100 below {answer['score_p99']:.3f}; "
-        f"threshold {answer['threshold']:.4g}, {RULES[answer['threshold_rule']]}{doubt}"
+        f"threshold {answer['threshold']:.4g}, {RULES[answer['threshold_rule']]}"
     )
+
+
+def print_doubt(answer: dict[str, Any]) -> None:
+    """Print what to know before the answer: why to doubt it, and the photo that sides are meant from."""
+    if answer["doubt"]:
+        print(f"warning: {answer['doubt']}")
+    if answer["seen_from"]:
+        print(f"left and right are those of the photo {answer['seen_from']}")
 
 
 def draw(arguments: argparse.Namespace, scene: Scene, ids: np.ndarray, note: str) -> str:

@@ -13,7 +13,9 @@ if TYPE_CHECKING:
     from ..scanning.inputs import ScanInput
 
 MAX_MATCHES_LISTED = 5  # of an answer
-_FACTS = ("query", "num_matches", "num_selected", "measure", "threshold", "score_range", "doubt")
+_FACTS = (
+    "query", "count", "num_matches", "num_selected", "measure", "threshold", "score_range", "certainty", "doubt",
+)  # fmt: skip
 
 
 def answered(line: argparse.Namespace, encoder: Sequence[str], common: Sequence[str]) -> dict[str, Any]:
@@ -157,4 +159,5 @@ def _answer_text(one: Mapping[str, Any]) -> str:
         return f"not asked: {one['fault']}"
     places = [" ".join(f"{x:.2f}" for x in match["center"]) for match in one["matches"]]
     where = f" at {'; '.join(places)}" if places else ""
-    return f"{counted(one['num_matches'], 'match', 'matches')}{where}"
+    maybe = "maybe " if one["certainty"] == "maybe" else ""
+    return f"{maybe}{counted(one['num_matches'], 'match', 'matches')}{where}"

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .query_options import add_output_options, add_query_options, answer_json, ask, draw, measured_text
+from .query_options import add_output_options, add_query_options, answer_json, ask, draw, measured_text, print_doubt
 
 if TYPE_CHECKING:
     from ...query import Answer, Scene
@@ -53,6 +53,7 @@ def show(answer: dict[str, Any]) -> None:
     from .tables import text_of
 
     selected, registered = (text_of(answer["num_selected"]), counted(answer["num_registered"], "Gaussian"))
+    print_doubt(answer)
     print(f"{selected} of {registered} selected for '{answer['query']}', {answer['share']:.2%}")
     print(measured_text(answer))
     if answer["saved"]:

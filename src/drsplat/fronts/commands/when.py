@@ -10,7 +10,7 @@ from .options import add_capture_options, add_query_encoders, words
 from .query_options import FIELD_HELP, add_fields, open_scene, values_of
 
 TEXT_CUT = fields(Place.COMMAND_LINE, Place.WORDS)
-RELATIONS = ("on", "in", "next_to", "above", "left_of", "right_of")
+RELATIONS = ("on", "in", "next_to", "above", "under", "left_of", "right_of")
 EXAMPLES = """\
   drsplat when film.field "toy car" next_to "white vase" --scene film.motion
   drsplat when film.field "toy car" left_of "white vase" --scene film.motion --views capture --view cam00/frame_0000

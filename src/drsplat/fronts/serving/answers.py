@@ -103,6 +103,7 @@ def located(scene: Scene, asked: requests.Locate, limits: Limits) -> models.Loca
     listed = found[: asked.top]
     return models.Located(
         query=query.text or "",
+        count=sum(match.sure for match in found),
         num_matches=len(found),
         matches=tracked(scene, listed, asked.box) if asked.tracks else matches_of(scene, listed),
         advice="" if found else "no match: try other words, or a lower threshold",

@@ -210,6 +210,7 @@ class Conversation:
         listed = matches[:top]
         return Located(
             query=_query(text, on),
+            count=sum(match.sure for match in matches),
             num_matches=len(matches),
             matches=tracked(self.scene, listed, box, MAX_TRACK_TIMES) if tracks else matches_of(self.scene, listed),
             advice=_advice(text, every, matches, on),
@@ -219,8 +220,10 @@ class Conversation:
 
     @_tool("Count matches", Place.MCP)
     def count(self, text: Text, on: On = None, **cut: Any) -> Count:
-        """Count the matches of a text, in the scene or standing on something."""
-        every = self.scene.locate(_query_of(text, cut))
+        """Count what a text surely means, in the scene or standing on something."""
+        answer = self.scene.ask(_query_of(text, cut))
+        matches = self.scene.locate(answer)
+        every = [match for match in matches if match.sure]
         counted = self._standing_on(on, every, cut)
         digits = decimals_of(self.scene)
         return Count(
@@ -229,13 +232,16 @@ class Conversation:
             of=len(every),
             centers=[rounded(match.center, digits) for match in counted[:MAX_MATCHES]],
             field=self._field,
-            advice=_advice(text, every, counted, on),
+            advice=f"maybe {len(matches)}: {answer.doubt}"
+            if matches and not every
+            else _advice(text, every, counted, on),
         )
 
     @_tool("Where is it", Place.MCP)
     def where_is(self, text: Text, **cut: Any) -> BestMatch:
         """Find the best match of a text: where it is, how large it is, and the photo that shows it best."""
-        found = self.scene.locate(_query_of(text, cut))
+        answer = self.scene.ask(_query_of(text, cut))
+        found = self.scene.locate(answer)
         if not found:
             return BestMatch(query=text, best=None, others=0, best_view=None, field=self._field, advice=_absent(text))
         return BestMatch(
@@ -244,6 +250,7 @@ class Conversation:
             others=len(found) - 1,
             best_view=self.scene.best_view(found[0].gaussian_ids).name if self.scene.views else None,
             field=self._field,
+            advice=answer.doubt,
         )
 
     @_tool("How far apart", Place.MCP)
@@ -386,7 +393,7 @@ class Conversation:
         labelled = [one for one in every if one.object_id is not None and things.thing(one.object_id) in named]
         if labelled:
             return labelled[0]
-        found = self.scene.locate(_text(text))
+        found = [one for one in self.scene.locate(_text(text)) if one.sure]
         if not found:
             raise InputError(_absent(text))
         match = max(found, key=len)
@@ -395,7 +402,7 @@ class Conversation:
 
     def _best(self, query: engine.Query) -> engine.Match:
         found = self.scene.locate(query, top=1)
-        if not found:
+        if not found or not found[0].sure:
             raise InputError(_absent(query.text or ""))
         return found[0]
 

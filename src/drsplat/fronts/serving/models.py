@@ -81,7 +81,9 @@ class Measured(Body):
     threshold_rule: str
     num_selected: int
     num_registered: int
+    certainty: str = Field(description="sure, maybe where there is a doubt, or nothing")
     doubt: str = DOUBT
+    seen_from: str = Field("", description="the photo that left and right are meant from")
 
 
 class Selected(Body):
@@ -162,6 +164,7 @@ class Match(Body):
         description="unit directions of the box, one per row: the third is up, or, of free boxes, the longest first"
     )
     score: float
+    sure: bool = Field(description="whether the query surely means it")
     num_gaussians: int
     support: list[Support]
     position: EarthPosition | None = POSITION
@@ -198,6 +201,7 @@ class ObjectList(Body):
 
 class Located(Body):
     query: str
+    count: int = Field(description="of the matches, those that are surely meant")
     num_matches: int
     matches: list[Match]
     units: str = UNITS

@@ -10,7 +10,7 @@ from ...base.terminal import counted
 from ...drawing.heat import heat_of
 from ...kernels.boxes import box_of
 from ...query import Answer, Match, Scene
-from ...query.defaults import OBJECT
+from ...query.defaults import MAYBE, OBJECT
 from ...scene.boxes import solid
 
 QUERY_SEPARATOR = ";"
@@ -50,7 +50,8 @@ class Result:
         if not self.matches:
             return f"No match for '{self.label}'.{doubt}"
         matches = counted(len(self.matches), "match", "matches")
-        return f"{self.label}: {matches}, {counted(len(self.gaussian_ids), 'Gaussian')}{doubt}"
+        maybe = "maybe " if self.answer.certainty == MAYBE else ""
+        return f"{self.label}: {maybe}{matches}, {counted(len(self.gaussian_ids), 'Gaussian')}{doubt}"
 
 
 def result_of(scene: Scene, label: str, answer: Answer) -> Result:

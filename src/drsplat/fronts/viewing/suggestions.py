@@ -38,4 +38,4 @@ def _likely(scene: Scene, words: Sequence[str]) -> list[str]:
 
 
 def _finds(scene: Scene, word: str) -> bool:
-    return bool(scene.locate(word, top=1))
+    return any(match.sure for match in scene.locate(word, top=1))

@@ -15,10 +15,18 @@ MAX_TEXTS = 2000  # of a vocabulary: more make a first question slow
 
 
 def list_vectors(encoder: Encoder) -> Float32[np.ndarray, "n D"]:
-    """Return all texts of a vocabulary, the encoder's own nouns, or those that ship."""
+    """Return the vectors of all texts of a vocabulary, of the encoder's own nouns, or of those that ship."""
+    return listed_words(encoder)[1]
+
+
+def listed_words(encoder: Encoder) -> tuple[Sequence[str], Float32[np.ndarray, "n D"]]:
+    """Return the texts of `list_vectors`, and these."""
     if encoder not in _EMBEDDED:
-        own = _of_vocabulary(encoder) if isinstance(encoder, VocabularyEncoder) else _embedded_nouns(encoder)
-        _EMBEDDED[encoder] = own
+        if isinstance(encoder, VocabularyEncoder):
+            texts = _spread_over(encoder.texts)
+            _EMBEDDED[encoder] = texts, np.asarray(encoder.encode_texts(texts), np.float32)
+        else:
+            _EMBEDDED[encoder] = known_words(encoder, getattr(encoder, "nouns", None) or broad_list())
     return _EMBEDDED[encoder]
 
 
@@ -31,12 +39,7 @@ def rival_vectors(encoder: Encoder, text: str | None) -> Float32[np.ndarray, "n 
     return None if rivals is None or text is None else rivals(text)
 
 
-_EMBEDDED: "WeakKeyDictionary[Encoder, Float32[np.ndarray, 'n D']]" = WeakKeyDictionary()
-
-
-def _embedded_nouns(encoder: Encoder) -> Float32[np.ndarray, "n D"]:
-    """Return the vectors of those nouns that the encoder knows."""
-    return known_words(encoder, getattr(encoder, "nouns", None) or broad_list())[1]
+_EMBEDDED: "WeakKeyDictionary[Encoder, tuple[Sequence[str], Float32[np.ndarray, 'n D']]]" = WeakKeyDictionary()
 
 
 def known_words(encoder: Encoder, words: Sequence[str]) -> tuple[list[str], Float32[np.ndarray, "n D"]]:
@@ -54,10 +57,6 @@ def _if_known(encoder: Encoder, noun: str) -> Sequence[Float32[np.ndarray, " D"]
         return list(encoder.encode_texts([noun]))
     except InputError:
         return ()
-
-
-def _of_vocabulary(encoder: VocabularyEncoder) -> Float32[np.ndarray, "n D"]:
-    return np.asarray(encoder.encode_texts(_spread_over(encoder.texts)), np.float32)
 
 
 def _spread_over(texts: Sequence[str]) -> Sequence[str]:

@@ -1,0 +1,117 @@
+"""Answers that are sure, maybe or nothing: how often each is given, of words that are there and of words that are not.
+
+    python benchmarks/study_maybe.py PLACE... --kept FOLDER [--clip FOLDER] [--names FOLDER] [--masks whole]
+
+PLACE: as of study_answers.py. Words and embeddings are drawn as there, a fifth of the masks with a wrong embedding in
+every second trial; 20 absent words a trial. `clean`: masks show the best picture of a word, `rough`: one of three, of
+which another word may fit some a little better. First table: what is answered, and mean IoU of present words as it was
+when a maybe was refused, as answered, and when nothing is refused (`present`). Second: shares by how many spreads a
+peak may miss the clear margin (`MAYBE_SPREADS`), which was chosen on table_1, table_3 and the four captures.
+"""
+
+import argparse
+import sys
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks.machine import describe
+from benchmarks.suite.answers import kind_of, place_of
+from benchmarks.suite.tables import markdown
+from benchmarks.suite.trials import Trial, trial
+from benchmarks.suite.vocabularies import KINDS, Clip, Names
+from drsplat import Query
+from drsplat.photos.models.word_list import list_vectors
+from drsplat.query.contrast import _margin, contrast, least_clear
+from drsplat.query.defaults import MAYBE, NOTHING, SURE
+from drsplat.query.thresholds import peak_score
+
+WRONG, SEEDS, ABSENT = (0.0, 0.2), 2, 20
+SPREADS = (0.0, 0.2, 0.4, 0.5, 0.6, 0.8, 1.0)
+
+
+class Asked(NamedTuple):
+    """certainty: of the answer. missed: spreads by which its peak misses the clear margin, below 0 if it does not.
+    refused, answered, forced: IoU without a maybe, with it, and where nothing is refused; of present words."""
+
+    present: bool
+    certainty: str
+    missed: float
+    refused: float = 0.0
+    answered: float = 0.0
+    forced: float = 0.0
+
+
+def asked(case: Trial) -> Iterator[Asked]:
+    scene = case.scene(objects=True)
+    known = contrast(scene.field.with_objects(None), list_vectors(case.encoder))
+    margin = float(_margin(np.array(least_clear(known.num_rows, known.clear_margin))))
+    for text in [*case.present, *case.absent[:ABSENT]]:
+        answer = scene.ask(text)
+        assert answer.vector is not None
+        values = known.relevancy(answer.vector, scene.field.scores(answer.vector))
+        if values is None:
+            continue
+        missed = margin - float(_margin(np.array(peak_score(values, known.peak))))
+        if text not in case.present:
+            yield Asked(False, answer.certainty, missed)
+            continue
+        selected = [answer.values > cut for cut in (answer.without_maybe().threshold, answer.threshold)]
+        free = scene.ask(Query(text, present=True))
+        selected.append(free.values > free.threshold)
+        yield Asked(True, answer.certainty, missed, *(case.iou(rows, case.present[text]) for rows in selected))
+
+
+def shares(some: list[Asked]) -> str:
+    return ", ".join(f"{np.mean([one.certainty == said for one in some]):.1%}" for said in (SURE, MAYBE, NOTHING))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("places", nargs="+")
+    parser.add_argument("--clip", type=Path)
+    parser.add_argument("--names", type=Path)
+    parser.add_argument("--kept", type=Path, required=True)
+    parser.add_argument("--masks", choices=("graph", "whole"), default="graph")
+    arguments = parser.parse_args()
+    print(describe())
+    found: dict[str, list[Asked]] = defaultdict(list)
+    for given in arguments.places:
+        whole = "true" if kind_of(given) == "room" else "sam"
+        place = place_of(given, whole if arguments.masks == "whole" else "graph", arguments.kept)
+        for make, folder in ((Clip, arguments.clip), (Names, arguments.names)):
+            if folder is None:
+                continue
+            words = make(folder)
+            for kind in KINDS:
+                for wrong in WRONG:
+                    for seed in range(SEEDS):
+                        own = list(asked(trial(place, words, kind, wrong, seed)))
+                        found[place.name] += own
+                        found[f"{make.__name__}, {kind}"] += own
+                        found["all"] += own
+        print(f"{place.name}: {len(found[place.name])} words", flush=True)
+    rows, curve = [], []
+    for name, every in found.items():
+        there, absent = ([one for one in every if one.present is present] for present in (True, False))
+        ious = (f"{np.mean([getattr(one, rule) for one in there]):.3f}" for rule in ("refused", "answered", "forced"))
+        rows.append((f"{name} ({len(there)}, {len(absent)})", shares(there), shares(absent), *ious))
+    for spreads in SPREADS:
+        given = [
+            np.mean([one.missed < spreads for one in found["all"] if one.present is there]) for there in (True, False)
+        ]
+        curve.append((f"{spreads:.1f}", *(f"{share:.1%}" for share in given)))
+    print()
+    titles = ("words there, absent", "there: sure, maybe, nothing", "absent: sure, maybe, nothing")
+    print(markdown((*titles, "IoU, maybe refused", "answered", "nothing refused"), rows))
+    print()
+    print(markdown(("spreads missed, at most", "answered of those there", "of the absent"), curve))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,80 @@
+"""Answers that are sure, maybe or nothing."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+from test_contrast import World, field_and_truth, relevancies, words_of
+
+from drsplat import Answer, Cut, Query, Scene
+from drsplat.query.contrast import CLEAR_MARGIN, MAYBE_SPREADS, certainty_of, contrast_of
+from drsplat.query.defaults import MAYBE, NOTHING, SURE
+from drsplat.query.thresholds import PEAK_ROWS
+from fields import unit_rows
+
+SHARES = {0: 0.55, 1: 0.25, 2: 0.2}
+
+
+@pytest.mark.parametrize(
+    ("short", "said"), [(-0.01, SURE), (0.01, MAYBE), (MAYBE_SPREADS - 0.01, MAYBE), (MAYBE_SPREADS + 0.01, NOTHING)]
+)
+def test_a_peak_that_nearly_stands_clear_is_a_maybe(short: float, said: str) -> None:
+    margins = np.where(np.arange(1000) < PEAK_ROWS, CLEAR_MARGIN - short, -3.0)
+    assert certainty_of(relevancies(margins), PEAK_ROWS, CLEAR_MARGIN) == said
+
+
+@pytest.fixture(scope="module")
+def scenes() -> list[Scene]:
+    """Scenes of three things, one of which looks less and less like word 1 and more and more like word 9."""
+    world = World(40)
+    made = []
+    for share in np.linspace(0, 1, 21):
+        meaning = (1 - share) * world.meanings[1] + share * world.meanings[9]
+        mixed = World(40)
+        mixed.meanings = world.meanings.copy()
+        mixed.meanings[1] = meaning / np.linalg.norm(meaning)
+        field, _ = field_and_truth(mixed, SHARES, rows=1200)
+        names = tuple(f"word {n}" for n in range(40))
+        made.append(Scene(field.with_contrast(world.texts, names), encoder=words_of(world)))
+    return made
+
+
+def maybe_of(scenes: list[Scene]) -> tuple[Scene, Answer]:
+    return next((scene, answer) for scene in scenes if (answer := scene.ask("word 1")).certainty == MAYBE)
+
+
+def test_certainty_falls_as_another_word_fits_better(scenes: list[Scene]) -> None:
+    ranks = [(SURE, MAYBE, NOTHING).index(scene.ask("word 1").certainty) for scene in scenes]
+    assert ranks == sorted(ranks)
+    assert set(ranks) == {0, 1, 2}
+
+
+def test_a_maybe_names_the_word_that_fits_better(scenes: list[Scene]) -> None:
+    scene, maybe = maybe_of(scenes)
+    assert maybe.doubt == "only maybe: 'word 9' fits as well or better"
+    assert len(maybe.gaussian_ids) >= PEAK_ROWS
+    assert not len(maybe.without_maybe().gaussian_ids)
+    assert (scene.ask("word 0").certainty, scene.ask("word 0").doubt) == (SURE, "")
+
+
+def test_what_is_present_is_found_whatever_fits_better(scenes: list[Scene]) -> None:
+    for scene in scenes:
+        plain, present = scene.ask("word 1"), scene.ask(Query("word 1", present=True))
+        assert present.certainty == SURE
+        assert len(present.gaussian_ids)
+        if plain.certainty != NOTHING:
+            assert_array_equal(present.gaussian_ids, plain.gaussian_ids)
+
+
+def test_classes_take_no_maybe_unless_it_is_present(scenes: list[Scene]) -> None:
+    scene, _ = maybe_of(scenes)
+    assert scene.segment(["word 1"]).counts == [0]
+    assert scene.segment(["word 1"], Cut(present=True)).counts[0] > 0
+
+
+def test_a_rival_is_the_word_that_most_of_the_best_rows_fit() -> None:
+    rng = np.random.default_rng(0)
+    words = np.eye(6, 8, dtype=np.float32)
+    rows = words[[1] * 50 + [2] * 50] + 0.01 * unit_rows(rng, 100, 8)
+    known = contrast_of(rows.astype(np.float32), words)
+    assert known.rival(words[4], np.repeat([0.9, 0.1], 50).astype(np.float32)) == 1
+    assert known.rival(words[4], np.repeat([0.1, 0.9], 50).astype(np.float32)) == 2
