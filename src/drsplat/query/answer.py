@@ -113,7 +113,7 @@ class Answer:
 
     @property
     def certainty(self) -> str:
-        """Whether what is meant was found: "sure", "maybe" where there is a doubt, or "nothing"."""
+        """Certainty that the right rows were found: "sure", "maybe" where there is a doubt, or "nothing"."""
         if not (self.values > self.threshold).any():
             return NOTHING
         return SURE if self.sure and not self.doubt else MAYBE

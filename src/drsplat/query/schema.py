@@ -112,7 +112,7 @@ CUT = (
     ),
     QueryField(
         "present", "flag", "True",
-        "what is asked for is known to be there: find its best place even where other words fit better",
+        "find the best place of an object that is known to be there, even where other words fit better",
         (*FRONTS, Place.WORDS), default=False,
     ),
 )  # fmt: skip

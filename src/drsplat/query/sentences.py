@@ -6,7 +6,7 @@ What names two things is answered by how they lie (`relations`), never by the su
 import re
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -14,8 +14,9 @@ from ..errors import InputError
 from .answer import Answer, Match
 from .defaults import OBJECT
 from .query import Query
-from .relations import SIDES, is_beside, lies_between, related
-from .scene import Scene
+
+if TYPE_CHECKING:
+    from .scene import Scene
 
 RELATIONS = {
     "on top of": "on", "on": "on", "inside of": "in", "inside": "in", "in": "in", "next to": "next_to",
@@ -45,7 +46,7 @@ _POSED = re.compile(
 
 
 class Sentence(NamedTuple):
-    """What a text asks for. relation: of `RELATIONS`, to the others; "": the text is all. text: "" for anything."""
+    """Target of a text. relation: of `RELATIONS`, to the others; "": the text is all. text: "" for anything."""
 
     text: str
     relation: str = ""
@@ -96,11 +97,13 @@ def _thing(words: str) -> str:
     return _NUMBER.sub("", _ARTICLE.sub("", words.strip(" ,")))
 
 
-def related_answer(scene: Scene, query: Query, sentence: Sentence) -> Answer:
+def related_answer(scene: "Scene", query: Query, sentence: Sentence) -> Answer:
     """Return what a sentence means of the answer to its first thing: the matches that lie so to another one's.
 
     Raises: as `Scene.ask`; InputError: the photos do not tell which way is up.
     """
+    from .relations import SIDES, is_beside
+
     answer, matches = _candidates(scene, query, sentence.text)
     ends: list[list[Match]] = []
     doubts = [answer.doubt]
@@ -134,7 +137,7 @@ def related_answer(scene: Scene, query: Query, sentence: Sentence) -> Answer:
     return replace(answer, values=values, threshold=threshold, doubt=doubt, seen_from=seen_from)
 
 
-def _candidates(scene: Scene, query: Query, text: str) -> tuple[Answer, list[Match]]:
+def _candidates(scene: "Scene", query: Query, text: str) -> tuple[Answer, list[Match]]:
     """Return the answer to a text with its matches; to none all objects that photos agree on."""
     if text:
         answer = scene.ask(replace(query, text=text))
@@ -144,7 +147,9 @@ def _candidates(scene: Scene, query: Query, text: str) -> tuple[Answer, list[Mat
     return Answer.of_rows(scene.field, rows, OBJECT), listed
 
 
-def _holds(scene: Scene, relation: str, one: Match, ends: Sequence[Sequence[Match]], up: np.ndarray) -> bool:
+def _holds(scene: "Scene", relation: str, one: Match, ends: Sequence[Sequence[Match]], up: np.ndarray) -> bool:
+    from .relations import lies_between, related
+
     if relation == "between":
         apart = [[end for end in some if related_to(one, end)] for some in ends]
         return any(lies_between(scene.rows, one, first, second, up) for first in apart[0] for second in apart[1])
