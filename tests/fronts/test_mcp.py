@@ -209,7 +209,11 @@ def test_errors_say_what_to_do_next(room: Path) -> None:
             ("locate", {"text": "toy", "top": 21}, "locate: top: Input should be less than"),
             ("locate", {"text": 5}, "locate: text: Input should be a valid string"),
             ("locate", {}, "locate: text: Field required"),
-            ("show", {"save": "x.png"}, "show: no argument save; there are: text, view, during, objects, present, scene"),
+            (
+                "show",
+                {"save": "x.png"},
+                "show: no argument save; there are: text, view, during, objects, present, scene",
+            ),
             ("count", {"text": "toy", "objects": "always"}, "count: objects: Input should be 'auto' or 'never'"),
             ("show", {"view": "photo"}, "there is no view 'photo'"),
             ("count", {"text": "toys", "on": ""}, "count: on: "),

@@ -1,0 +1,112 @@
+"""Sentences that name two things, in made rooms: what is found, against the same relation of the true things.
+
+    python benchmarks/study_sentences.py ROOM=FIELD... [--each 8] [--seed 0]
+
+ROOM: one of world/scenes. FIELD: its field of the built-in encoder, with objects. Asked are "X on Y", in, next to,
+under, above, left of: of each relation as many as --each draws, half of which hold for something and half for
+nothing, though X and Y are there. True are the things of which the true Gaussians lie so. Right: exactly the true ones
+are found, by the thing that most of a match's weight is of. Silent: something wrong is found for sure.
+"""
+
+import argparse
+import json
+import sys
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from study_thresholds import true_things
+
+from benchmarks.machine import describe
+from benchmarks.suite.scenes import read_scene
+from benchmarks.suite.tables import markdown
+from drsplat import Match, MiniEncoder, Scene, load_field
+from drsplat.errors import DrSplatError
+from drsplat.kernels.boxes import box_of
+from drsplat.query.defaults import SURE
+from drsplat.query.relations import is_beside, related
+
+SAID = {"on": "on", "in": "in", "next_to": "next to", "under": "under", "above": "above", "left_of": "left of"}
+LEAST = 150  # Gaussians of a thing that is asked for
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("rooms", nargs="+", metavar="ROOM=FIELD")
+    parser.add_argument("--each", type=int, default=8)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    print(describe())
+    rows, total = [], np.zeros(4, int)
+    for given in arguments.rooms:
+        folder, _, path = given.partition("=")
+        counts = room(Path(folder), Path(path), arguments.each, np.random.default_rng(arguments.seed))
+        total += counts
+        rows.append((Path(folder).name, *map(str, counts)))
+    print(
+        markdown(
+            ("room", "sentences", "right", "maybe or nothing", "wrong for sure"), [*rows, ("all", *map(str, total))]
+        )
+    )
+
+
+def room(folder: Path, path: Path, each: int, rng: np.random.Generator) -> np.ndarray:
+    made = read_scene(folder)
+    scene = Scene(load_field(path), made.gaussians, made.views, MiniEncoder())
+    labels, _ = true_things(made)
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    names = {one["id"]: one["name"] for one in truth["objects"]}
+    things: dict[int, Match] = {}
+    for number in names:
+        ids = np.flatnonzero(labels == number)
+        if len(ids) >= LEAST:
+            things[number] = Match(*box_of(made.gaussians, ids, scene.up), 1.0, ids, object_id=number)
+    asked = defaultdict(list)
+    kinds = sorted({names[number] for number in things})
+    for relation in SAID:
+        for one in kinds:
+            for other in kinds:
+                if one != other:
+                    true = {
+                        n for n in things if names[n] == one and _true(scene, relation, things[n], things, names, other)
+                    }
+                    asked[relation, bool(true)].append((f"{one} {SAID[relation]} {other}", true))
+    counts = np.zeros(4, int)
+    for some in asked.values():
+        for at in rng.permutation(len(some))[: each // 2]:
+            text, true = some[at]
+            verdict = _verdict(scene, labels, text, true)
+            counts += [1, *(verdict == one for one in ("right", "unsure", "wrong"))]
+            if verdict != "right":
+                print(f"{folder.name}: {verdict}: {text}: true {sorted(names[n] for n in true)}")
+    return counts
+
+
+def _true(scene: Scene, relation: str, one: Match, things: dict[int, Match], names: dict[int, str], other: str) -> bool:
+    ends = [end for number, end in things.items() if names[number] == other]
+    if relation == "left_of":
+        best = max(ends, key=len)
+        return is_beside(scene.best_view(best.gaussian_ids), "left_of", one, best)
+    return any(related(scene.rows, relation, [one], end, None, scene.up) for end in ends)
+
+
+def _verdict(scene: Scene, labels: np.ndarray, text: str, true: set[int]) -> str:
+    try:
+        answer = scene.ask(text)
+        matches = [match for match in scene.locate(answer) if match.sure]
+    except DrSplatError:
+        return "unsure"
+    found = set()
+    for match in matches:
+        own = labels[match.gaussian_ids]
+        found.add(int(np.bincount(own[own >= 0], minlength=1).argmax()) if (own >= 0).any() else -1)
+    if found == true:
+        return "right"
+    return "wrong" if answer.certainty == SURE and found - true else "unsure"
+
+
+if __name__ == "__main__":
+    main()
