@@ -5,13 +5,14 @@
 ROOM: one of world/scenes. FIELD: its field of the built-in encoder, with objects. Asked are "X on Y", in, next to,
 under, above, left of: of each relation as many as --each draws, half of which hold for something and half for
 nothing, though X and Y are there. True are the things of which the true Gaussians lie so. Right: exactly the true ones
-are found, by the thing that most of a match's weight is of. Silent: something wrong is found for sure.
+are found, by the thing that most of a match's weight is of. Wrong for sure: something else is, without a doubt. The
+second table counts what each name of a room means: how often the sure matches, or all, are as many as there are.
 """
 
 import argparse
 import json
 import sys
-from collections import defaultdict
+from collections import Counter, defaultdict
 from pathlib import Path
 
 import numpy as np
@@ -40,10 +41,11 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
     print(describe())
-    rows, total = [], np.zeros(4, int)
+    rows, total, counts_of = [], np.zeros(4, int), np.zeros(3, int)
     for given in arguments.rooms:
         folder, _, path = given.partition("=")
-        counts = room(Path(folder), Path(path), arguments.each, np.random.default_rng(arguments.seed))
+        counts, counted = room(Path(folder), Path(path), arguments.each, np.random.default_rng(arguments.seed))
+        counts_of += counted
         total += counts
         rows.append((Path(folder).name, *map(str, counts)))
     print(
@@ -51,9 +53,10 @@ def main() -> None:
             ("room", "sentences", "right", "maybe or nothing", "wrong for sure"), [*rows, ("all", *map(str, total))]
         )
     )
+    print(markdown(("names counted", "right by sure matches", "by all"), [tuple(map(str, counts_of))]))
 
 
-def room(folder: Path, path: Path, each: int, rng: np.random.Generator) -> np.ndarray:
+def room(folder: Path, path: Path, each: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     made = read_scene(folder)
     scene = Scene(load_field(path), made.gaussians, made.views, MiniEncoder())
     labels, _ = true_things(made)
@@ -82,6 +85,14 @@ def room(folder: Path, path: Path, each: int, rng: np.random.Generator) -> np.nd
             counts += [1, *(verdict == one for one in ("right", "unsure", "wrong"))]
             if verdict != "right":
                 print(f"{folder.name}: {verdict}: {text}: true {sorted(names[n] for n in true)}")
+    return counts, _counted(scene, [names[number] for number in things])
+
+
+def _counted(scene: Scene, names: list[str]) -> np.ndarray:
+    counts = np.zeros(3, int)
+    for name, there in Counter(names).items():
+        matches = scene.locate(name)
+        counts += [1, sum(match.sure for match in matches) == there, len(matches) == there]
     return counts
 
 

@@ -4,11 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.testing import assert_array_equal
 
 from command_line import Capture, answer_of, text_of
 from drsplat import LanguageField, Scene, write_gaussians
 from drsplat.photos.models.mini import MiniEncoder
-from drsplat.photos.models.mini.lexicon import nouns_in
+from drsplat.photos.models.mini.lexicon import SYNONYMS, WORDS, nouns_in, words_of
 from drsplat.query.naming import knows_nouns
 from drsplat.scene.gaussians import Gaussians
 from known_objects import described, known_field, known_scene
@@ -31,6 +32,13 @@ def test_words_that_say_what_a_thing_is() -> None:
     assert nouns_in("a wooden shelf") == ["wooden", "shelf"]
     assert nouns_in("red orange") == ["orange"]
     assert nouns_in("something orange") == nouns_in("dark green things") == []
+
+
+def test_synonyms_are_read_as_what_was_taught() -> None:
+    assert words_of("red settees and an armchair") == ["red", "sofa", "chair"]
+    assert_array_equal(MINI.encode_texts(["a settee"]), MINI.encode_texts(["sofa"]))
+    assert not {*SYNONYMS} & {*WORDS}
+    assert {*SYNONYMS.values()} <= {*WORDS}
 
 
 @pytest.mark.parametrize(("level", "believed"), [(CLEAR, True), (FAINT, False)])

@@ -33,7 +33,7 @@ class MiniEncoder:
     threshold = 0.2
     nouns = (*NAMES, *STRUCTURES)
     least_share = 0.42
-    least_fit = 0.29
+    least_fit = 0.33
 
     def __init__(self, *, threads: int = 0) -> None:
         file = Path(__file__).with_name("mini.safetensors")

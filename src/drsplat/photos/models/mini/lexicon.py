@@ -48,6 +48,21 @@ STUFFS = {
     "wooden": "wood", "cloth": "fabric", "textile": "fabric", "metallic": "metal", "steel": "metal",
     "porcelain": "ceramic", "woven": "wicker", "fluffy": "plush", "soft": "plush",
 }  # fmt: skip
+SYNONYMS = {
+    word: name
+    for name, words in {
+        "sofa": "settee loveseat divan", "chair": "armchair rocker", "stool": "footstool barstool", "rug": "doormat",
+        "bottle": "flask carafe", "plate": "saucer platter", "pot": "casserole stockpot", "pan": "wok frypan",
+        "spoon": "teaspoon tablespoon ladle", "book": "paperback textbook tome", "lamp": "lantern nightlight",
+        "picture": "photograph poster artwork print", "bread": "baguette toast bun", "ball": "football basketball",
+        "orange": "tangerine mandarin clementine", "basket": "hamper", "candle": "candlestick", "vase": "urn",
+        "mug": "beaker tankard", "clock": "alarm", "bear": "teddybear", "car": "automobile", "duck": "duckling",
+        "shelf": "shelving", "box": "crate chest",
+    }.items()
+    for word in words.split()
+}  # fmt: skip
+"""Words that are read as one that was taught, of which the singular counts."""
+
 ANYTHING = ("object", "thing", "stuff", "texture", "item")
 """Words that fit everything alike: LERF's negatives, and the noun of "a red thing"."""
 
@@ -66,6 +81,7 @@ WORDS = tuple(
     )
 )
 """Rows of the text tower's table, in this order."""
+_KNOWN = {*WORDS, *SYNONYMS}
 
 
 def words_of(text: str) -> list[str]:
@@ -83,10 +99,12 @@ def words_of(text: str) -> list[str]:
 
 
 def _singular(word: str) -> str:
-    if word in WORDS or len(word) < 4 or not word.endswith("s"):
+    if word in WORDS:
         return word
-    candidates = [word[:-1], word[:-2], f"{word[:-3]}y", f"{word[:-3]}f", f"{word[:-3]}fe"]
-    return next((candidate for candidate in candidates if candidate in WORDS), word)
+    candidates = [word, word[:-1], word[:-2], f"{word[:-3]}y", f"{word[:-3]}f", f"{word[:-3]}fe"]
+    known = (one for one in candidates[: 6 if len(word) > 3 and word.endswith("s") else 1] if one in _KNOWN)
+    single = next(known, word)
+    return SYNONYMS.get(single, single)
 
 
 def nouns_in(text: str) -> list[str]:
