@@ -6,6 +6,8 @@ from numpy.testing import assert_array_equal
 from test_contrast import World, field_and_truth, relevancies, words_of
 
 from drsplat import Answer, Cut, Query, Scene
+from drsplat.formats.vocabulary import VocabularyEncoder
+from drsplat.photos.models.nouns import broad_list, names_under
 from drsplat.query.contrast import CLEAR_MARGIN, MAYBE_SPREADS, certainty_of, contrast_of
 from drsplat.query.defaults import MAYBE, NOTHING, SURE
 from drsplat.query.thresholds import PEAK_ROWS
@@ -78,3 +80,33 @@ def test_a_rival_is_the_word_that_most_of_the_best_rows_fit() -> None:
     known = contrast_of(rows.astype(np.float32), words)
     assert known.rival(words[4], np.repeat([0.9, 0.1], 50).astype(np.float32)) == 1
     assert known.rival(words[4], np.repeat([0.1, 0.9], 50).astype(np.float32)) == 2
+
+
+KIND = ("canoe", "ferry", "kayak")
+
+
+def test_a_kind_is_found_by_its_names_and_these_are_no_rivals() -> None:
+    """The word itself fits nothing: what stands under it does."""
+    world = World(40)
+    field, truth = field_and_truth(world, SHARES)
+    names = ("stone", "canoe", "ferry", *(f"word {n}" for n in range(3, 39)), "boat")
+    listed = field.with_contrast(world.texts, names)
+    scene = Scene(listed, encoder=VocabularyEncoder(field.encoder, names, world.texts))
+    answer = scene.ask("boat")
+    assert (answer.values > answer.threshold)[np.isin(truth, [1, 2])].mean() > 0.9
+    assert (answer.values > answer.threshold)[truth == 0].mean() < 0.05
+    assert scene.ask("word 30").certainty == NOTHING
+
+
+def test_names_of_kinds() -> None:
+    assert {*KIND} <= names_under("boat") == names_under("a boat") == names_under("Boats")
+    assert {"apple", "pear"} <= names_under("fruit")
+    assert {"teddy bear"} <= names_under("toy")
+    assert names_under("zeppelin") == names_under("red mug") == frozenset()
+    assert all(name in set(broad_list()) for kind in ("boat", "fruit", "tool") for name in names_under(kind))
+
+
+def test_a_kind_of_many_names_has_to_stand_higher() -> None:
+    margins = np.where(np.arange(1000) < PEAK_ROWS, CLEAR_MARGIN + 0.01, -3.0)
+    said = [certainty_of(relevancies(margins), PEAK_ROWS, CLEAR_MARGIN, names) for names in (1, 3, 100)]
+    assert said == [SURE, MAYBE, NOTHING]

@@ -30,6 +30,7 @@ LIST_RELEVANCY = 0.5  # of what fits as well as the list
 CLEAR_MARGIN, CLEAR_MARGIN_PER_EFOLD = 0.45, 0.05  # spreads that a peak stands above the list, and more in more rows
 LONG_LIST_CLEAR_MARGIN = 0.5  # for lists of WORDS_PER_RIVAL words and more
 KIND_CLEAR_MARGIN = 0.6  # for words of one kind, such as colours, of which a photo has nearly all a little
+KIND_MARGIN_PER_EFOLD = 0.3  # more, for a query that any of several names may answer
 CLEAR_MARGIN_ROWS = 50_000  # that CLEAR_MARGIN is for
 MAYBE_SPREADS = 0.5  # by which a peak may miss the clear margin and still be shown
 OWN_THRESHOLD_SHARE = 0.6  # against the level of the list
@@ -84,14 +85,18 @@ class Contrast:
         return peak_score(self._of_each((self.scores + levels).max(1)), peak) if len(self.scores) else 0.0
 
     def relevancy(
-        self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]
+        self,
+        query: Float32[np.ndarray, " D"],
+        scores: Float32[np.ndarray, " r"],
+        same: Bool[np.ndarray, " n"] | None = None,
     ) -> Float32[np.ndarray, " r"] | None:
         """Return values in (0, 1): above 0.5 where the query fits better than all words but one in WORDS_PER_RIVAL.
 
-        query: the vector of a text. scores: its cosines. None: no word of the list means anything else.
+        query: the vector of a text. scores: its cosines. same: words that do not compete with it beside those that mean
+        the same, as those of its kind. None: no word of the list means anything else.
         """
         query = query / np.linalg.norm(query)
-        near = _near(self.vectors, query)
+        near = self._not_competing(query, same)
         if near.all():
             return None
         if self.counts is not None:
@@ -105,6 +110,12 @@ class Contrast:
             release(self.scores, self.words)
         return self._of_each(values)
 
+    def _not_competing(
+        self, query: Float32[np.ndarray, " D"], same: Bool[np.ndarray, " n"] | None
+    ) -> Bool[np.ndarray, " n"]:
+        near = _near(self.vectors, query)
+        return near if same is None else near | same
+
     def _of_each(self, values: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " f"]:
         """Return the values of all rows of the field."""
         return values if self.counts is None else np.repeat(values, self.counts)
@@ -115,12 +126,17 @@ class Contrast:
         to_words, to_pictures = row_products(sides / np.linalg.norm(sides, axis=1, keepdims=True), query)
         return bool(to_words > to_pictures)
 
-    def rival(self, query: Float32[np.ndarray, " D"], values: Float32[np.ndarray, " r"]) -> int | None:
+    def rival(
+        self,
+        query: Float32[np.ndarray, " D"],
+        values: Float32[np.ndarray, " r"],
+        same: Bool[np.ndarray, " n"] | None = None,
+    ) -> int | None:
         """Return the number of the word that fits best where the query fits best; None: none that means another thing.
 
-        values: relevancies of the query, one per row here.
+        values: relevancies of the query, one per row here. same: as of `relevancy`.
         """
-        near = _near(self.vectors, query / np.linalg.norm(query))
+        near = self._not_competing(query / np.linalg.norm(query), same)
         best = self.words[np.argsort(-values, kind="stable")[: self.peak]]
         others = ~near[best]
         first = best[np.arange(len(best)), others.argmax(1)][others.any(1)]
@@ -197,12 +213,14 @@ def least_clear(rows: int, margin: float = CLEAR_MARGIN) -> float:
     return _sigmoid(margin + CLEAR_MARGIN_PER_EFOLD * float(np.log(max(rows, CLEAR_MARGIN_ROWS) / CLEAR_MARGIN_ROWS)))
 
 
-def certainty_of(relevancy: Float32[np.ndarray, " r"], peak: int, clear_margin: float) -> str:
+def certainty_of(relevancy: Float32[np.ndarray, " r"], peak: int, clear_margin: float, names: int = 1) -> str:
     """Return whether a query is found for sure, maybe, or not at all, by how far its peak stands above the list.
 
     Maybe: it misses the clear margin by at most `MAYBE_SPREADS`, because another word fits nearly as well or better.
+    names: that answer the query, each of which may fit something by chance.
     """
     height = peak_score(relevancy, peak)
+    clear_margin += KIND_MARGIN_PER_EFOLD * float(np.log(max(names, 1)))
     return next(
         (said for margin, said in ((clear_margin, SURE), (clear_margin - MAYBE_SPREADS, MAYBE))
          if height > least_clear(len(relevancy), margin)),

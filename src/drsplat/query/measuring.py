@@ -6,9 +6,11 @@ from functools import cached_property
 
 import numpy as np
 
-from ..base.arrays import Float32, UInt8
+from ..base.arrays import Bool, Float32, UInt8
 from ..errors import InputError
 from ..field import LanguageField, Negatives, relevancy_from_scores
+from ..kernels.algebra import row_products
+from ..photos.models.nouns import names_under
 from ..photos.models.word_list import list_vectors, listed_words, rival_vectors
 from ..scene.encoders import Encoder, ImageEncoder
 from ..scene.masks.crops import crop
@@ -92,13 +94,20 @@ class Background:
             return self.least_peak
         return least_peak(self.encoder, known)
 
-    def rival(self, known: Contrast, query: Float32[np.ndarray, " D"], values: Float32[np.ndarray, " r"]) -> str:
-        """Return the word that fits best where a query does, "" if it has no name."""
-        number = known.rival(query, values)
-        if number is None or known.of_kind:
-            return ""
+    def texts_of(self, known: Contrast) -> Sequence[str]:
+        """Return the words of a contrast, none of those of one kind alone."""
         kept = self.field.contrast
-        return (listed_words(self.encoder)[0] if kept is None else kept.texts)[number]
+        if known.of_kind:
+            return ()
+        return listed_words(self.encoder)[0] if kept is None else kept.texts
+
+    def same_kind(self, known: Contrast, text: str | None) -> Bool[np.ndarray, " n"] | None:
+        """Mark the words of a contrast that name what is of the kind of a text; None: there are none."""
+        if text is None or np.isfinite(self.least_peak):  # an encoder of few words was taught what they stand for
+            return None
+        names = names_under(text)
+        texts = self.texts_of(known) if names else ()
+        return np.array([one in names for one in texts]) if texts else None
 
     def by_object(self, field: LanguageField, values: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
         """Return values per row of the field, with or without objects, as whole objects have them."""
@@ -205,25 +214,32 @@ class Measuring:
         if own is not None:
             return self._measured(query, scores, (own, ENCODER))
         known = None if self.cut.measures_relevancy else self.background.contrast_for(text)
-        values = None if known is None else self._contrasted(known, query, scores)
+        same = None if known is None else self.background.same_kind(known, text)
+        values = None if known is None else self._contrasted(known, query, scores, same)
         if known is None or values is None:
             return self._measured(query, scores, (None, AUTO))
-        certainty = self._certainty(known, scores, values) if len(scores) else NOTHING
+        certainty = self._certainty(known, scores, values, same) if len(scores) else NOTHING
         answer = self._cut(query, scores, values, RELEVANCY, (self._list_threshold(known, values, certainty), LIST))
         if answer.rule != LIST or certainty == SURE or self.cut.present or answer.certainty == NOTHING:
             return answer
-        rival = self.background.rival(known, query, values)
-        fits = f"'{rival}' fits" if rival else "other words fit"
+        rival, texts = known.rival(query, values, same), self.background.texts_of(known)
+        fits = f"'{texts[rival]}' fits" if texts and rival is not None else "other words fit"
         return replace(answer, sure=False, doubt=f"only maybe: {fits} as well or better")
 
-    def _certainty(self, known: Contrast, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"]) -> str:
+    def _certainty(
+        self,
+        known: Contrast,
+        scores: Float32[np.ndarray, " r"],
+        values: Float32[np.ndarray, " r"],
+        same: Bool[np.ndarray, " n"] | None,
+    ) -> str:
         """Return whether a text is found for sure, maybe, or not.
 
         An encoder with a least peak knows few words, which lie far apart: of it there is no maybe.
         """
         least = self.background.least_peak_of(known)
         if not np.isfinite(least):
-            return certainty_of(values, known.peak, known.clear_margin)
+            return certainty_of(values, known.peak, known.clear_margin, 1 if same is None else int(same.sum()))
         clear = peak_score(scores) > least and certainty_of(values, PEAK_ROWS, known.clear_margin) == SURE
         return SURE if clear else NOTHING
 
@@ -241,15 +257,36 @@ class Measuring:
         return own_level(values, known.peak)
 
     def _contrasted(
-        self, known: Contrast, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"]
+        self,
+        known: Contrast,
+        query: Float32[np.ndarray, " D"],
+        scores: Float32[np.ndarray, " r"],
+        same: Bool[np.ndarray, " n"] | None,
     ) -> Float32[np.ndarray, " r"] | None:
         """Return relevancies, None where there is nothing to compare with.
 
         They are those of `lower_partial_fits` where the texts of an encoder are sums of words. A colour has no halves.
         """
-        values = known.relevancy(query, scores)
+        fits = scores if same is None else self._kind_scores(known, query, scores, same)
+        values = known.relevancy(query, fits, same)
         is_sum = np.isfinite(self.background.least_peak) and not known.of_kind
         return lower_partial_fits(scores, values) if values is not None and is_sum else values
+
+    def _kind_scores(
+        self,
+        known: Contrast,
+        query: Float32[np.ndarray, " D"],
+        scores: Float32[np.ndarray, " r"],
+        same: Bool[np.ndarray, " n"],
+    ) -> Float32[np.ndarray, " r"]:
+        """Return cosines raised to those of the best name of the query's kind, what is usual of each taken off."""
+        best, vectors = scores.copy(), known.vectors[same]
+        usual = row_products(vectors, known.usual) - np.float32(query @ known.usual)
+        for begin in range(0, len(vectors), QUERIES_AT_ONCE):
+            some = slice(begin, begin + QUERIES_AT_ONCE)
+            every = self._field.scores(vectors[some], threads=self.background.threads)
+            np.maximum(best, (every - usual[some, None]).max(axis=0), out=best)
+        return best
 
     def _measured(
         self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"], default: _Default

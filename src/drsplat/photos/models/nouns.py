@@ -1,5 +1,6 @@
 """Plain names of what photos show: a query has to fit better than nearly all of them."""
 
+from functools import cache
 from pathlib import Path
 
 _THINGS = """
@@ -47,3 +48,20 @@ def broad_list() -> tuple[str, ...]:
     """
     lines = Path(__file__).with_name("lvis_names.txt").read_text(encoding="utf-8").splitlines()
     return tuple(dict.fromkeys((*NOUNS, *(line for line in lines if not line.startswith("#")))))
+
+
+@cache
+def _kinds() -> dict[str, frozenset[str]]:
+    lines = Path(__file__).with_name("kinds.txt").read_text(encoding="utf-8").splitlines()
+    pairs = (line.split(": ", 1) for line in lines if not line.startswith("#"))
+    return {kind: frozenset(names.split(", ")) for kind, names in pairs}
+
+
+def names_under(text: str) -> frozenset[str]:
+    """Return the names of the list above that are of a kind: canoes and ferries of "boat", none of most texts.
+
+    Source: the hypernyms of WordNet 3.0; `kinds.txt`, made by scripts/make_kinds.py, has its licence.
+    """
+    word = text.lower().strip()
+    word = next((word.removeprefix(article) for article in ("a ", "an ", "the ") if word.startswith(article)), word)
+    return next((_kinds()[one] for one in (word, word[:-1], word[:-2]) if one in _kinds()), frozenset())
