@@ -14,6 +14,7 @@ from drsplat.field.codes import Mixture
 from drsplat.field.evidence.evidence import Evidence, MaskIds
 from drsplat.field.objects.finding import find_objects
 from drsplat.formats.vocabulary import VocabularyEncoder
+from drsplat.photos.models.nouns import broad_list
 from drsplat.query.sentences import Sentence, parsed
 
 WORDS = ("table", "bowl", "apple", "mug", "plate", "lamp", "chair")
@@ -50,10 +51,16 @@ LISTED = (*WORDS, *(f"other {n}" for n in range(17)))
         ("something to sit on", ("something to sit on",)),
         ("a photo of a mug", ("a photo of a mug",)),
         ("drink from the mug", ("drink from the mug",)),
+        ("built-in oven", ("built-in oven",)),
+        ("over ear headphones", ("over ear headphones",)),
     ],
 )
 def test_what_is_understood(said: str, meant: tuple) -> None:
     assert parsed(said) == Sentence(*meant)
+
+
+def test_no_name_of_the_list_is_a_sentence() -> None:
+    assert [name for name in broad_list() if parsed(name).text != name or parsed(name).relation] == []
 
 
 @pytest.mark.parametrize(

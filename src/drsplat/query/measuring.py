@@ -107,7 +107,8 @@ class Background:
             return None
         names = names_under(text)
         texts = self.texts_of(known) if names else ()
-        return np.array([one in names for one in texts]) if texts else None
+        same = np.array([one in names for one in texts], np.bool_)
+        return same if same.any() else None
 
     def by_object(self, field: LanguageField, values: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
         """Return values per row of the field, with or without objects, as whole objects have them."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ..errors import InputError
+from ..photos.models.mini.lexicon import COLORS, TONES
 from .answer import Answer, Match
 from .defaults import OBJECT
 from .query import Query
@@ -18,20 +19,19 @@ from .query import Query
 if TYPE_CHECKING:
     from .scene import Scene
 
-RELATIONS = {
+_SPELLED = {
     "on top of": "on", "on": "on", "inside of": "in", "inside": "in", "in": "in", "next to": "next_to",
     "beside": "next_to", "close to": "next_to", "near": "next_to", "underneath": "under", "under": "under",
     "beneath": "under", "below": "under", "above": "above", "over": "above", "between": "between",
     "to the left of": "left_of", "left of": "left_of", "to the right of": "right_of", "right of": "right_of",
 }  # fmt: skip
-UNKNOWN = (
+_UNKNOWN = (
     "behind", "in front of", "in the middle of", "around", "across from", "opposite", "against", "closest to",
     "nearest to", "far from", "larger than", "bigger than", "smaller than", "largest", "biggest", "smallest", "tallest",
     "leftmost", "rightmost",
 )  # fmt: skip
 _ANYTHING = {"", "all", "anything", "everything", "something", "object", "objects", "thing", "things", "what"}
 _HERE = {"scene", "room", "picture", "photo", "photos", "here", "use", "total", "there", "it"}
-_COLORS = "black|blue|brown|green|grey|gray|orange|pink|purple|red|white|yellow"
 _ASKING = re.compile(
     r"^(?:how many|(?:the )?number of|count(?: all)?|find(?: me)?|show(?: me)?|where(?: is| are)|what(?: is| are)?)\s+"
 )
@@ -46,7 +46,7 @@ _POSED = re.compile(
 
 
 class Sentence(NamedTuple):
-    """Target of a text. relation: of `RELATIONS`, to the others; "": the text is all. text: "" for anything."""
+    """Target of a text. relation: of `relations`, to the others; "": the text is all. text: "" for anything."""
 
     text: str
     relation: str = ""
@@ -54,10 +54,11 @@ class Sentence(NamedTuple):
 
 
 def _any_of(words: Sequence[str]) -> str:
-    return rf"\b({'|'.join(sorted(map(re.escape, words), key=len, reverse=True))})\b"
+    """Return a pattern of any of some words, which are no part of another: the "in" of "built-in", nor of a bracket."""
+    return rf"(?<![\w(-])({'|'.join(sorted(map(re.escape, words), key=len, reverse=True))})(?![\w-])"
 
 
-_RELATED, _STRANGE = re.compile(_any_of(list(RELATIONS))), re.compile(_any_of(UNKNOWN))
+_RELATED, _STRANGE = re.compile(_any_of(list(_SPELLED))), re.compile(_any_of(_UNKNOWN))
 
 
 def parsed(text: str) -> Sentence:
@@ -80,12 +81,15 @@ def parsed(text: str) -> Sentence:
     found = _RELATED.search(said.lower())
     if found is None:
         return Sentence(_thing(said) if asking or _NUMBER.match(lower) else said)
-    after, *unwanted = re.split(r"(?=, not )", _ARTICLE.sub("", said[found.end() :].strip(" ,")))
+    place = said[found.end() :].strip(" ,")
+    if not (said[: found.start()].strip() or asking or _ARTICLE.match(place)):
+        return Sentence(said)  # "over ear headphones", where "on the table" asks for what is there
+    after, *unwanted = re.split(r"(?=, not )", _ARTICLE.sub("", place))
     before = _POSED.sub("", said[: found.start()]) + "".join(unwanted)
-    if not after or re.fullmatch(_COLORS, after.lower()) or after.lower().split()[0] in _HERE:
+    if not after or after.lower() in {*COLORS, *TONES} or after.lower().split()[0] in _HERE:
         is_place = bool(after) and after.lower() in _HERE
         return Sentence(_thing(before) if is_place or asking else said)
-    relation = RELATIONS[found[0]]
+    relation = _SPELLED[found[0]]
     others = tuple(_thing(one) for one in re.split(r"\s+and\s+", after)) if relation == "between" else (_thing(after),)
     if relation == "between" and len(others) != 2:
         raise InputError(f"'{text}': expected two things, as in 'the book between the lamp and the vase'")
@@ -148,14 +152,9 @@ def _candidates(scene: "Scene", query: Query, text: str) -> tuple[Answer, list[M
 
 
 def _holds(scene: "Scene", relation: str, one: Match, ends: Sequence[Sequence[Match]], up: np.ndarray) -> bool:
-    from .relations import lies_between, related
+    from .relations import related
 
     if relation == "between":
-        apart = [[end for end in some if related_to(one, end)] for some in ends]
-        return any(lies_between(scene.rows, one, first, second, up) for first in apart[0] for second in apart[1])
+        pairs = ((first, second) for first in ends[0] for second in ends[1])
+        return any(related(scene.rows, "between", [one], first, second, up) for first, second in pairs)
     return any(related(scene.rows, relation, [one], end, None, up) for end in ends[0])  # type: ignore[arg-type]
-
-
-def related_to(one: Match, other: Match) -> bool:
-    """Return True unless two matches are mostly the same Gaussians."""
-    return not np.isin(one.gaussian_ids, other.gaussian_ids).mean() > 0.5

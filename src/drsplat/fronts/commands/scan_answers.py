@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ...query.defaults import MAYBE
 from .stages import verb_line
 
 if TYPE_CHECKING:
@@ -159,5 +160,5 @@ def _answer_text(one: Mapping[str, Any]) -> str:
         return f"not asked: {one['fault']}"
     places = [" ".join(f"{x:.2f}" for x in match["center"]) for match in one["matches"]]
     where = f" at {'; '.join(places)}" if places else ""
-    maybe = "maybe " if one["certainty"] == "maybe" else ""
+    maybe = "maybe " if one["certainty"] == MAYBE else ""
     return f"{maybe}{counted(one['num_matches'], 'match', 'matches')}{where}"

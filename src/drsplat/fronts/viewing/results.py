@@ -46,7 +46,9 @@ class Result:
     @property
     def summary(self) -> str:
         """Sentence with the number of matches, and the reason not to rely on them, if there is one."""
-        doubt = f" ({self.answer.doubt})" if self.answer.doubt else ""
+        seen_from = self.answer.seen_from
+        doubts = [self.answer.doubt, f"left and right are those of the photo {seen_from}" if seen_from else ""]
+        doubt = "".join(f" ({one})" for one in doubts if one)
         if not self.matches:
             return f"No match for '{self.label}'.{doubt}"
         matches = counted(len(self.matches), "match", "matches")

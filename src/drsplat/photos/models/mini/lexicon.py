@@ -101,9 +101,9 @@ def words_of(text: str) -> list[str]:
 def _singular(word: str) -> str:
     if word in WORDS:
         return word
-    candidates = [word, word[:-1], word[:-2], f"{word[:-3]}y", f"{word[:-3]}f", f"{word[:-3]}fe"]
-    known = (one for one in candidates[: 6 if len(word) > 3 and word.endswith("s") else 1] if one in _KNOWN)
-    single = next(known, word)
+    endings = [word[:-1], word[:-2], f"{word[:-3]}y", f"{word[:-3]}f", f"{word[:-3]}fe"]
+    candidates = [word, *endings] if len(word) > 3 and word.endswith("s") else [word]
+    single = next((one for one in candidates if one in _KNOWN), word)
     return SYNONYMS.get(single, single)
 
 
