@@ -13,7 +13,7 @@ from rooms import mask_map, room, room_views
 
 from drsplat import _native
 from drsplat.kernels import available_isas, splat_arrays, topk_contributions
-from drsplat.kernels.splatting import camera_numbers
+from drsplat.kernels.splats import camera_numbers
 
 STAGES = ("project", "sort", "bin", "composite", "merge")
 

@@ -19,7 +19,7 @@ from .scan import (
     scan_scores,
     scan_top,
 )
-from .splatting import (
+from .splats import (
     Contributions,
     Rendering,
     SplatArrays,
@@ -27,14 +27,9 @@ from .splatting import (
     available_isas,
     compiler,
     default_isa,
-    heaviest_labels,
-    render_channels,
-    sh_colors,
-    splat_arrays,
     splat_arrays_at_origin,
-    topk_contributions,
-    view_weights,
 )
+from .splatting import heaviest_labels, render_channels, sh_colors, splat_arrays, topk_contributions, view_weights
 
 __all__ = [
     "Contributions",

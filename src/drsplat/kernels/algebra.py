@@ -9,7 +9,7 @@ import numpy as np
 from .. import _native
 from ..base.arrays import Float, Float32, Float64, Int32, Int64, Integer, UInt8
 from ..errors import InputError
-from .splatting import checked_isa
+from .splats import checked_isa
 
 CENTROIDS = 256
 LANES = 16  # numbers per step of the native code

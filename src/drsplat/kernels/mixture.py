@@ -14,7 +14,7 @@ import numpy as np
 from .. import _native
 from ..base.arrays import Float16, Float32, Int8, Int32, Int64, Integer, UInt8, UInt16
 from ..errors import InputError
-from .splatting import checked_isa
+from .splats import checked_isa
 
 ROWS_PER_BLOCK = 64
 MAX_ATOMS_PER_ROW = 16

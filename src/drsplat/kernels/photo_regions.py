@@ -11,7 +11,7 @@ import numpy as np
 from .. import _native
 from ..base.arrays import Float32, Float64, Int32, UInt8
 from ..errors import InputError
-from .splatting import checked_isa
+from .splats import checked_isa
 
 LAB_STEPS = 16
 TRAITS = 8

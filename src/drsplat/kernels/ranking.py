@@ -5,7 +5,7 @@ import numpy as np
 from .. import _native
 from ..base.arrays import Float32, UInt16
 from ..errors import InputError
-from .splatting import checked_isa
+from .splats import checked_isa
 
 
 def keep_best(

@@ -15,7 +15,7 @@ from .. import _native
 from ..base.arrays import Float32, Int32, Int64, Integer, UInt8, UInt16
 from ..errors import InputError
 from .algebra import CENTROIDS
-from .splatting import checked_isa
+from .splats import checked_isa
 
 GROUP_ROWS = 256
 MAX_SCORE_ERROR = 1e-4  # never exceeded

@@ -14,7 +14,7 @@ from ..base.arrays import Float32
 from ..errors import InputError
 from ..scene.placing import PUBLISHED_NEAR
 from ..scene.views import View
-from .splatting import camera_numbers, checked_isa
+from .splats import camera_numbers, checked_isa
 
 
 class SceneParameters(NamedTuple):

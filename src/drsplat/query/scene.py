@@ -280,6 +280,13 @@ class Scene:
             return related_answer(self, query, sentence)
         return None if sentence.text == query.text else self._answer(replace(query, text=sentence.text))
 
+    def sibling(self, field: LanguageField, gaussians: Gaussians | Moving | Tiles | None) -> "Scene":
+        """Return a scene of another field or of other Gaussians, with the photos, words and names of this one."""
+        return Scene(
+            field, gaussians, lambda: self.views, lambda: self.encoder, name=self.name, threads=self.threads,
+            labels=self.label_file, georeference=lambda: self.georeference,
+        )  # fmt: skip
+
     def during(self, span: Span) -> "Scene":
         """Return the scene with only the photos of a span of time registered; the last two results are kept.
 

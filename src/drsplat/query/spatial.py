@@ -1,6 +1,9 @@
 """How things lie to each other."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -12,7 +15,9 @@ from ..scene.parted import AnyGaussians
 from .answer import Match
 from .contact import rests_on
 from .query import Query
-from .scene import Scene
+
+if TYPE_CHECKING:
+    from .scene import Scene
 
 MAX_OVERHANG_SHARE = 0.05  # of a thing's size, that its middle may stand out of what it is over
 

@@ -1,8 +1,10 @@
 """Matches over time in a moving scene: where they are, when photos see them, when they stand in a relation."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Sequence
 from itertools import product
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -20,7 +22,9 @@ from ..scene.views import View
 from .answer import Match, MatchTrack
 from .query import Query
 from .relations import RELATIONS, SIDES, Relation, Side, Up, is_beside, related
-from .scene import Scene
+
+if TYPE_CHECKING:
+    from .scene import Scene
 
 MIN_PRESENT_SHARE = 0.1  # of the Gaussians that a match has where it has most
 MAX_MATCHES_RELATED = 8  # of a query
@@ -155,10 +159,7 @@ def _cached(scene: Scene, key: tuple[str, object], make: Callable[[], Scene]) ->
 
 
 def _still(scene: Scene, time: float) -> Scene:
-    still = Scene(
-        scene.field, scene.moving.at(time), lambda: scene.views, lambda: scene.encoder,
-        name=scene.name, threads=scene.threads, labels=scene.label_file, georeference=lambda: scene.georeference,
-    )  # fmt: skip
+    still = scene.sibling(scene.field, scene.moving.at(time))
     still.background = scene.background  # what queries are compared with is made once
     return still
 
@@ -169,10 +170,7 @@ def _spanned(scene: Scene, span: Span) -> Scene:
     field = field_during(scene.field, span, in_memory, threads=scene.threads)
     if scene.field.objects is not None:
         field = field.with_objects(objects_during(scene.field, field, threads=scene.threads))
-    return Scene(
-        field, gaussians, lambda: scene.views, lambda: scene.encoder,
-        name=scene.name, threads=scene.threads, labels=scene.label_file, georeference=lambda: scene.georeference,
-    )  # fmt: skip
+    return scene.sibling(field, gaussians)
 
 
 def _meant(scene: Scene, what: Match | Query | str) -> list[Match]:

@@ -1,7 +1,7 @@
 // Levels of detail: Gaussians that lie near each other make a chunk, the most significant of it first. What a picture
 // has room for is chosen by how large a Gaussian looks: near chunks are drawn further down than far ones.
 
-import type { Held, Lens } from "./project";
+import type { Held, Lens } from "./held";
 
 const ROWS = 1024; // of a chunk
 const SIDE = 1024, REACH = 16; // cells along an axis, which end 16 units from the middle or, of a city, further: most lies within

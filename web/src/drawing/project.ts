@@ -2,12 +2,10 @@
 
 import type { Pose } from "../camera";
 import { isSeen, slopesOf, type Chunks } from "./chunks";
+import type { Held, Lens } from "./held";
 
 export const NEAR = 0.05;
 const BLUR = 0.3; // square pixels added to each footprint, as in 3D Gaussian Splatting
-
-/** What a painter needs of a pose, as plain numbers that can be sent to a worker. */
-export interface Lens { eye: number[]; rows: number[]; focal: number; width: number; height: number }
 
 /** Return the lens of a pose for pictures with `ratio` pixels to a CSS pixel. */
 export function lensOf(pose: Pose, ratio: number): Lens {
@@ -15,9 +13,6 @@ export function lensOf(pose: Pose, ratio: number): Lens {
   const width = Math.max(1, Math.round(pose.width * ratio)), height = Math.max(1, Math.round(pose.height * ratio));
   return { eye: [...pose.eye], rows, focal: pose.focal * ratio, width, height };
 }
-
-/** A scene as painters hold it: float32 places, float32 covariances (xx xy xz yy yz zz). */
-export interface Held { count: number; centers: Float32Array; covariances: Float32Array; rgba: Uint8Array; antialiased: boolean }
 
 /**
  * Rows of Gaussians that a lens sees, nearest first: all of them, or about `limit`, those that look most significant.

@@ -2,7 +2,8 @@
 // It is the same sum as the renderer's: color = sum of c_i * alpha_i * T_i (method.md, blending weights).
 
 import type { Chunks } from "./chunks";
-import { project, Sorter, type Footprint, type Held, type Lens } from "./project";
+import type { Held, Lens } from "./held";
+import { project, Sorter, type Footprint } from "./project";
 
 const STEPS = 2048, FARTHEST2 = 9, LEAST_ALPHA = 1 / 255, DONE = 0.004, A_STEP = 4096;
 const FALLOFF = Float32Array.from({ length: STEPS + 1 }, (_, k) => Math.exp((-0.5 * FARTHEST2 * k) / STEPS));

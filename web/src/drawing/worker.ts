@@ -3,7 +3,8 @@
 import { HALVES } from "../halves";
 import { Chunks } from "./chunks";
 import { Raster, type Marks } from "./raster";
-import { Sorter, type Held, type Lens } from "./project";
+import type { Held, Lens } from "./held";
+import { Sorter } from "./project";
 
 /** Rows of a scene of `room`, from a row on: the first of them replace the scene before. */
 export interface Rows { room: number; from: number; centers: Float32Array; covariances: Uint16Array; opacity: Uint8Array }

@@ -11,7 +11,7 @@ import numpy as np
 from ...base.arrays import Float32, Int32
 from ...errors import DrSplatError
 from ...scene.views import View
-from ..splatting import Contributions, Rendering, SplatArrays, Triples
+from ..splats import Contributions, Rendering, SplatArrays, Triples
 from .engine import Engine, blocks_of, is_memory_full
 from .places import on_host
 from .sorting import empty, running_sums, sorted_pairs

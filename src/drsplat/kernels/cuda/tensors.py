@@ -11,7 +11,7 @@ import numpy as np
 
 from ...errors import InputError
 from ...scene.rotations import rotation_rows
-from ..splatting import SplatArrays
+from ..splats import SplatArrays
 from .drawing import drawn_channels
 from .engine import Engine, cuda_engine
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...errors import DrSplatError
 from ...scene.views import View
-from ..splatting import camera_numbers
+from ..splats import camera_numbers
 from .engine import Engine, blocks_of
 from .sorting import MAX_KEYS, empty, running_sums, sorted_pairs
 
