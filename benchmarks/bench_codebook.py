@@ -9,7 +9,7 @@ import numpy as np
 from machine import arguments, interleaved
 
 from drsplat import Codebook, EncoderIdentity, train_codebook
-from drsplat.field.codes.kmeans import KMEANS_STEPS
+from drsplat.kernels.kmeans import KMEANS_STEPS
 
 
 def clusters(rng: np.random.Generator, count: int, dim: int) -> np.ndarray:

@@ -63,7 +63,7 @@ def scene_of(count: int, degree: int, seed: int = 0):
 def write(source: Path, output: Path, kind: str, num_objects: int) -> None:
     """Read a PLY and write it in a format, with so many objects, which are runs of its rows."""
     import drsplat as ds
-    from drsplat.authoring.exporting.writers import write_scene
+    from drsplat.formats.known import write_scene
     from drsplat.formats.tiles3d_writing import write_tiles3d
     from drsplat.scene.labelled import LabelledScene, Thing
 
@@ -82,7 +82,7 @@ def write(source: Path, output: Path, kind: str, num_objects: int) -> None:
 
 def write_tiled(source: Path, output: Path, kind: str) -> None:
     """Write a folder of tiles in a format that is made from a few tiles at a time."""
-    from drsplat.authoring.exporting.streamed_sog_writing import write_streamed_sog
+    from drsplat.formats.streamed_sog_writing import write_streamed_sog
     from drsplat.formats.tiles import read_tiles
     from drsplat.formats.tiles3d_writing import write_tiles3d
 

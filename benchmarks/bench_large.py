@@ -22,7 +22,8 @@ from bench_client import CARD, PANEL, PATIENCE_MS, SIZE, SOFTWARE, TURN
 from playwright.sync_api import sync_playwright
 
 from drsplat import open_scene
-from drsplat.formats.scenes import read_gaussians, write_gaussians
+from drsplat.formats.gaussian_ply import write_gaussians
+from drsplat.formats.scenes import read_gaussians
 from drsplat.fronts.viewing.bare import open_bare
 from drsplat.fronts.viewing.listening import listening_socket
 from drsplat.fronts.viewing.live.service import Service

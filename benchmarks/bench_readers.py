@@ -21,9 +21,9 @@ from pathlib import Path
 import numpy as np
 
 from drsplat import read_gaussians
-from drsplat.authoring.exporting.writers import write_scene
 from drsplat.errors import DrSplatError
 from drsplat.formats.glb_layout import HARMONICS, OPACITY, POSITION, ROTATION, SCALE
+from drsplat.formats.known import write_scene
 from drsplat.formats.spz_writing import spz_bytes
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.labelled import LabelledScene

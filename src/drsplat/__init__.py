@@ -16,8 +16,9 @@ if TYPE_CHECKING:
     from .field.evidence.aggregation import Sampling
     from .field.registration import Registration, register
     from .formats.captures import read_sparse_points, read_views
+    from .formats.gaussian_ply import write_gaussians
     from .formats.langsplat import read_features
-    from .formats.scenes import read_gaussians, write_gaussians
+    from .formats.scenes import read_gaussians
     from .formats.vocabulary import read_vocabulary
     from .fronts.viewing.exporting import export_page
     from .photos.embedding.embed import embed
@@ -40,7 +41,8 @@ _HOMES = {
     "scene.encoders": ("Encoder", "EncoderIdentity"), "evaluation.running": ("evaluate",),
     "errors": ("DrSplatError", "DrSplatWarning"), "scene.masks.features": ("ViewFeatures",),
     "field": ("LanguageField", "load_field"), "formats.captures": ("read_sparse_points", "read_views"),
-    "formats.langsplat": ("read_features",), "formats.scenes": ("read_gaussians", "write_gaussians"),
+    "formats.langsplat": ("read_features",), "formats.scenes": ("read_gaussians",),
+    "formats.gaussian_ply": ("write_gaussians",),
     "formats.vocabulary": ("read_vocabulary",), "scene.gaussians": ("Gaussians",),
     "photos.models.mini": ("MiniEncoder",), "scene.photos": ("load_image",),
     "query": ("Answer", "Cut", "Match", "Query", "Scene", "open_scene"),

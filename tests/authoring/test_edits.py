@@ -37,7 +37,7 @@ from drsplat.authoring.editing.fill_record import Clones, FillRecord
 from drsplat.authoring.editing.replacement import placed_in
 from drsplat.drawing.palette import LUMA
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
-from drsplat.formats.scenes import write_gaussians
+from drsplat.formats.gaussian_ply import write_gaussians
 from drsplat.kernels.boxes import box_of
 from drsplat.scene.gaussians import SH_C0
 from scenes import look_at_view, random_gaussians

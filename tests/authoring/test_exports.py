@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from drsplat import read_gaussians
-from drsplat.authoring.exporting.writers import write_scene
 from drsplat.errors import InputError
+from drsplat.formats.known import write_scene
 from drsplat.scene.labelled import LabelledScene, Thing
 from scene_files import random_gaussians
 

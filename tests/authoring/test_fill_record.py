@@ -16,8 +16,8 @@ from drsplat.authoring.editing import Copies, Edit, EditFile, EditList, Fill, Mo
 from drsplat.authoring.editing.edits import recorded
 from drsplat.authoring.editing.stored import document_of, edits_of
 from drsplat.errors import FormatError, InputError, MismatchError
+from drsplat.formats.gaussian_ply import write_gaussians
 from drsplat.formats.npy import write_npy
-from drsplat.formats.scenes import write_gaussians
 from drsplat.fronts.viewing.bare import open_bare
 from drsplat.fronts.viewing.edits import Edits
 from mutations import bounded_allocations

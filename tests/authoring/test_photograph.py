@@ -29,9 +29,9 @@ from drsplat.field.registration import Registration
 from drsplat.formats.colmap import read_colmap
 from drsplat.formats.colmap_writing import write_colmap
 from drsplat.formats.field_folder import MANIFEST
+from drsplat.formats.gaussian_ply import write_gaussians
 from drsplat.formats.moving_scenes import write_moving
 from drsplat.formats.rendering_record import RECORD, read_rendering_record
-from drsplat.formats.scenes import write_gaussians
 from drsplat.formats.vocabulary import VocabularyEncoder
 from moving_scenes import still
 from scenes import random_gaussians

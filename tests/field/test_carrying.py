@@ -18,7 +18,7 @@ from drsplat.errors import InputError, MismatchError
 from drsplat.field import Assignment, LanguageField, assign, carry_field, carry_label
 from drsplat.field.carrying import MAX_LOST_SHARE
 from drsplat.field.labels import Label, LabelFile
-from drsplat.formats.scenes import parse_gaussians
+from drsplat.formats.known import parse_gaussians
 from growing_fields import Killed, files_of, killed_at
 from known_objects import with_objects
 from scene_files import spz_bytes

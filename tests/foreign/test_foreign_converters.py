@@ -11,7 +11,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import scene_files
 from drsplat.errors import FormatError
-from drsplat.formats.scenes import read_gaussians, write_gaussians
+from drsplat.formats.gaussian_ply import write_gaussians
+from drsplat.formats.scenes import read_gaussians
 from drsplat.scene.gaussians import Gaussians
 from foreign_programs import needs_node, needs_packages, splat_transform
 

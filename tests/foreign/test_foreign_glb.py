@@ -17,8 +17,8 @@ import drsplat as ds
 import scene_files
 from browsing import a_browser, a_page, needs_chromium
 from drsplat.authoring.exporting import export
-from drsplat.authoring.exporting.writers import write_scene
 from drsplat.formats.axes import standing_up
+from drsplat.formats.known import write_scene
 from drsplat.scene.annotations import Annotation
 from drsplat.scene.labelled import LabelledScene, Thing
 from drsplat.scene.similarity import Similarity

@@ -18,8 +18,8 @@ import pytest
 import drsplat as ds
 from browsing import a_browser, needs_chromium
 from command_line import Capture, answer_of
-from drsplat.authoring.exporting.writers import write_scene
 from drsplat.formats.axes import HALF_TURN
+from drsplat.formats.known import write_scene
 from drsplat.scene.labelled import LabelledScene, Thing
 from foreign_programs import needs_packages
 from foreign_viewing import colourful, pictured, psnr, turned, with_colors_in_bytes, zoomed

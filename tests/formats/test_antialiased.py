@@ -17,9 +17,11 @@ from drsplat.errors import DrSplatWarning, FormatError, InputError
 from drsplat.field.evidence.columns import StillScenery
 from drsplat.field.tiles.cutting import cut
 from drsplat.field.tiles.seeing import Gallery
+from drsplat.formats.gaussian_ply import write_gaussians
+from drsplat.formats.known import parse_gaussians
 from drsplat.formats.motion import read_motion, write_motion
 from drsplat.formats.ply_sequence import read_ply_sequence, write_ply_sequence
-from drsplat.formats.scenes import parse_gaussians, read_gaussians, write_gaussians
+from drsplat.formats.scenes import read_gaussians
 from drsplat.formats.sources import blocks_of
 from drsplat.formats.tiles import read_tiles
 from drsplat.fronts.viewing.page import Page, _header

@@ -13,7 +13,9 @@ from scipy.spatial import cKDTree
 
 import scene_files
 from drsplat.errors import DrSplatWarning, FormatError, InputError
-from drsplat.formats.scenes import parse_gaussians, read_gaussians, write_gaussians
+from drsplat.formats.gaussian_ply import write_gaussians
+from drsplat.formats.known import parse_gaussians
+from drsplat.formats.scenes import read_gaussians
 from drsplat.scene.gaussians import Gaussians
 from scene_files import random_gaussians, sog_files, turned, zip_bytes
 

@@ -15,10 +15,10 @@ import zstandard
 
 import glb_files
 import scene_files
-from drsplat.authoring.exporting.writers import write_scene
 from drsplat.errors import DrSplatError, DrSplatWarning, FormatError
 from drsplat.formats.glb import names_in_glb
-from drsplat.formats.scenes import parse_gaussians, read_gaussians
+from drsplat.formats.known import parse_gaussians, write_scene
+from drsplat.formats.scenes import read_gaussians
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.labelled import LabelledScene, Thing
 from mutations import bounded_allocations, mutants, quota, seeded

@@ -12,12 +12,12 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 import glb_files
 import scene_files
-from drsplat.authoring.exporting.writers import lacks, write_scene
 from drsplat.errors import FormatError, InputError
 from drsplat.formats import glb_writing
 from drsplat.formats.axes import standing_up
 from drsplat.formats.glb import names_in_glb
-from drsplat.formats.scenes import parse_gaussians, read_gaussians
+from drsplat.formats.known import lacks, parse_gaussians, write_scene
+from drsplat.formats.scenes import read_gaussians
 from drsplat.scene.annotations import Annotation
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.labelled import LabelledScene, Thing

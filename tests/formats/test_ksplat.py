@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import drsplat as ds
 from command_line import Capture, answer_of
 from drsplat.errors import FormatError
-from drsplat.formats.scenes import parse_gaussians
+from drsplat.formats.known import parse_gaussians
 from mutations import COUNTS
 from scene_files import C0, ksplat_bytes, random_gaussians
 

@@ -11,8 +11,8 @@ from test_usd import labelled
 
 from command_line import Capture, answer_of, error_of
 from drsplat import read_views
-from drsplat.authoring.exporting.writers import write_scene
 from drsplat.errors import InputError, MissingExtraError
+from drsplat.formats.known import write_scene
 from drsplat.formats.motion import write_motion
 from drsplat.formats.rerun_writing import write_rrd
 from drsplat.scene.labelled import LabelledScene, Thing

@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import drsplat as ds
 from command_line import Capture, answer_of
 from drsplat.errors import FormatError, InputError
-from drsplat.formats.scenes import parse_gaussians
+from drsplat.formats.known import parse_gaussians
 from scene_files import random_gaussians, sog_files, sog_plane, webp_bytes, zip_bytes
 
 Files = dict[str, bytes]

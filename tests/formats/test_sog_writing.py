@@ -9,12 +9,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drsplat import read_gaussians
-from drsplat.authoring.exporting.sog_writing import codebook, harmonics_palette, sog_bytes, sog_files
-from drsplat.authoring.exporting.writers import write_scene
 from drsplat.errors import DrSplatError, FormatError, InputError
+from drsplat.formats.known import parse_gaussians, write_scene
 from drsplat.formats.labels import labels_bytes, parse_labels
-from drsplat.formats.scenes import parse_gaussians
 from drsplat.formats.sog import parse_sog, read_sog_labels
+from drsplat.formats.sog_writing import codebook, harmonics_palette, sog_bytes, sog_files
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.labelled import LabelledScene, Thing
 from drsplat.scene.morton import morton_order

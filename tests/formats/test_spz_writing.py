@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from drsplat import read_gaussians
 from drsplat.errors import DrSplatError, InputError
-from drsplat.formats.scenes import parse_gaussians
+from drsplat.formats.known import parse_gaussians
 from drsplat.formats.spz import parse_spz, read_spz_labels
 from drsplat.formats.spz_writing import spz4_bytes, spz_bytes
 from drsplat.scene.gaussians import SH_COEFFICIENTS, Gaussians

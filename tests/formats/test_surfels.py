@@ -11,9 +11,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 import drsplat as ds
 from command_line import Capture, answer_of
 from drsplat.authoring.exporting import export
-from drsplat.authoring.exporting.sog_writing import sog_bytes
 from drsplat.field.tiles.cutting import cut
-from drsplat.formats.scenes import parse_gaussians, read_gaussians, write_gaussians
+from drsplat.formats.gaussian_ply import write_gaussians
+from drsplat.formats.known import parse_gaussians
+from drsplat.formats.scenes import read_gaussians
+from drsplat.formats.sog_writing import sog_bytes
 from drsplat.formats.sources import Block, sources_of
 from drsplat.formats.tiles import read_tiles
 from drsplat.scene.gaussians import SURFEL_THICKNESS, Gaussians

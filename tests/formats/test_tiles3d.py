@@ -17,7 +17,7 @@ from drsplat.field.tiles.cutting import cut
 from drsplat.formats import tiles3d_writing
 from drsplat.formats.georeference import Georeference
 from drsplat.formats.glb_writing import write_glb
-from drsplat.formats.scenes import parse_gaussians
+from drsplat.formats.known import parse_gaussians
 from drsplat.formats.sources import Block, sources_of
 from drsplat.formats.tiles3d_writing import write_tiles3d
 from drsplat.formats.usd_writing import write_usda

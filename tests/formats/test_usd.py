@@ -13,8 +13,8 @@ import pytest
 
 from command_line import Capture, answer_of
 from drsplat import read_gaussians
-from drsplat.authoring.exporting.writers import write_scene
 from drsplat.errors import DrSplatWarning, FormatError, InputError
+from drsplat.formats.known import write_scene
 from drsplat.formats.usd import read_usd
 from drsplat.formats.usd_text import parse_usda
 from drsplat.formats.usd_writing import prim_name
@@ -443,7 +443,7 @@ def test_numbers_that_text_repeats_cost_what_the_text_costs() -> None:
 
 HUNDRED_THOUSAND = """
 import sys; import numpy as np; from pathlib import Path
-from drsplat.authoring.exporting.writers import write_scene; from drsplat.formats.usd import read_usd
+from drsplat.formats.known import write_scene; from drsplat.formats.usd import read_usd
 from drsplat.scene.gaussians import Gaussians; from drsplat.scene.labelled import LabelledScene, Thing
 def rows(*shape): return np.ones(shape, np.float32)
 things = tuple(Thing(f"thing {n % 7}", 0.5, np.zeros(3), np.eye(3), np.ones(3)) for n in range(100_000))

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drsplat.authoring.exporting.writers import write_scene
 from drsplat.errors import FormatError
+from drsplat.formats.known import write_scene
 from drsplat.formats.usd import read_usd
 from drsplat.scene.labelled import LabelledScene, Thing
 from mutations import quota

@@ -8,9 +8,9 @@ from scipy.spatial.transform import Rotation
 from drsplat.drawing.pictures import as_pixels, write_picture
 from drsplat.drawing.rendering import render
 from drsplat.field.codes import Track, untracked
+from drsplat.formats.gaussian_ply import write_gaussians
 from drsplat.formats.langsplat import write_features
 from drsplat.formats.replacing import replacing
-from drsplat.formats.scenes import write_gaussians
 from drsplat.kernels import splat_arrays
 from drsplat.scene.views import View
 

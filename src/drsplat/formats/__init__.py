@@ -2,5 +2,5 @@
 
 Begin with `scenes` and `captures`, which choose the reader of a file.
 
-Imports `scene`.
+Imports `scene` and `kernels`.
 """

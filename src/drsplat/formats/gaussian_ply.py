@@ -15,18 +15,21 @@ et al., "2D Gaussian Splatting" (2024).
 
 import re
 import warnings
+from collections.abc import Mapping
 from dataclasses import replace
+from os import PathLike
+from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64
-from ..errors import DrSplatWarning, FormatError
-from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians, flat
+from ..base.arrays import Float32, Float64, Shaped
+from ..errors import DrSplatWarning, FormatError, InputError
+from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians, filled, flat
 from ..scene.placing import local_origin
 from .activation import checked, exp, logit, sigmoid
-from .ply import Records, gather, read_elements
+from .ply import Records, gather, read_elements, write_vertices
 from .ply_header import Header
-from .writable import refuse_unreadable
+from .writable import refuse_packed_name, refuse_unreadable
 
 MEANS = ("x", "y", "z")
 NORMALS = ("nx", "ny", "nz")
@@ -42,6 +45,7 @@ DISPLAYED = ("srgb", "rec709", "bt709", "gamma", "none")  # beginnings of spaces
 JUDGED_ROWS, MIN_JUDGED_ROWS = 100_000, 20
 MIN_RANGE = 0.05  # of activated values, which are never all the same
 MAX_SMALL_SHARE = 0.3  # of large scales, of the small ones: logarithms that are all positive are more alike
+EDITED, HEADER_BEGIN_BYTES = "edited by drsplat", 256
 REQUIRED = (*MEANS, *DC, "opacity", *SCALES, *QUATS)
 
 
@@ -243,3 +247,55 @@ def vertex_columns(gaussians: Gaussians) -> dict[str, np.ndarray]:
         **dict(zip(widths, log_scales.T, strict=False)),
         **dict(zip(QUATS, gaussians.quats.T, strict=True)),
     }
+
+
+def write_gaussians(
+    path: str | PathLike[str],
+    gaussians: Gaussians,
+    columns: Mapping[str, Shaped[np.ndarray, " n"]] = {},
+    overwrite: bool = False,
+    sh_degree: int | None = None,
+    *,
+    is_edited: bool = False,
+) -> None:
+    """Write a 3DGS PLY, `gaussians.extra` and `columns` as further scalar properties, atomically.
+
+    Without further properties the file is what the viewer of 3DGS (SIBR) reads, rows of 62 floats, when it has
+    harmonics of degree 3. sh_degree: fills them up to this degree with zeros, which look the same.
+
+    SuperSplat shows and splat-transform filters any such property (`-V relevancy,gt,0.5`). A column
+    takes the place of an extra of the same name. Positions are stored exactly, so the fingerprint
+    stays: as float32, or as double where they are counted from an origin. The rest passes through a logarithm and back.
+    is_edited: says so in the header, see `was_edited`. Antialiased Gaussians and surfels have the comment of Brush.
+
+    Raises: InputError: `path` exists and not `overwrite`, a suffix other than .ply, a column of
+    another length, type or name than a PLY can hold, or of a property that the format itself uses; a
+    `sh_degree` below that of the Gaussians or above 3.
+    """
+    refuse_packed_name(path)
+    if Path(path).suffix.lower() != ".ply":
+        raise InputError(f"scenes are written as PLY: give {Path(path).name} the suffix .ply")
+    properties = vertex_columns(gaussians if sh_degree is None else _filled(gaussians, sh_degree))
+    own = {name: column for name, column in gaussians.extra.items() if name not in NORMALS}
+    further = {**own, **columns}
+    for name, column in further.items():
+        if name in properties or name.startswith("f_rest_"):
+            raise InputError(f"column '{name}' would replace a property of the Gaussians: call it something else")
+        if column.shape != (len(gaussians),):
+            raise InputError(f"column '{name}': expected shape ({len(gaussians)},), got {column.shape}")
+    mark = SURFELS if gaussians.surfels else ANTIALIASED if gaussians.antialiased else ""
+    comments = [comment for comment in (EDITED if is_edited else "", mark) if comment]
+    write_vertices(path, {**properties, **further}, overwrite, comments)
+
+
+def was_edited(path: Path) -> bool:
+    """Return whether a file is a PLY that was written as edited, beside which the scene itself may lie."""
+    with path.open("rb") as file:
+        return f"\ncomment {EDITED}\n".encode() in file.read(HEADER_BEGIN_BYTES)
+
+
+def _filled(gaussians: Gaussians, sh_degree: int) -> Gaussians:
+    """Fill in zeros for the harmonics up to a degree."""
+    if not gaussians.sh_degree <= sh_degree < len(SH_COEFFICIENTS):
+        raise InputError(f"sh_degree: expected {gaussians.sh_degree}, which the Gaussians have, to 3; got {sh_degree}")
+    return replace(gaussians, sh=filled(gaussians.sh, SH_COEFFICIENTS[sh_degree]))

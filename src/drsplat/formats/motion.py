@@ -15,10 +15,12 @@ from ..scene.moving import Frames, Moving, counted_from
 from .activation import checked
 from .checksums import check_checksums, check_row, file_checksum, row_checksums, written_rows
 from .field_folder import replacing_folder
-from .scenes import read_gaussians, write_gaussians
+from .gaussian_ply import write_gaussians
+from .recognising import MOTION
+from .scenes import read_gaussians
 from .tensors import check_tensors, map_tensors, write_tensors
 
-MOTION, SCENE = "motion.safetensors", "scene.ply"
+SCENE = "scene.ply"
 FORMAT, VERSION = "drsplat motion", "1"
 SCENE_SUM = "crc32_scene"
 CURE = "Restore the folder from a copy, or write it anew with `drsplat motion`"

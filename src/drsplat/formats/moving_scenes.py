@@ -6,13 +6,24 @@ from ..base.contents import open_file
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Moving
-from .motion import MOTION, read_motion, write_motion
+from .motion import read_motion, write_motion
 from .ply_header import MAX_HEADER_BYTES, read_header
 from .ply_sequence import frames_of, read_ply_sequence, write_ply_sequence
+from .recognising import MOTION
 from .scenes import read_gaussians, scene_file
 from .spacetime_ply import is_spacetime, read_spacetime
 
 SUFFIX = ".motion"
+ROWS = (
+    "| moving: numbered PLY files in a folder (`time_00000.ply` of 4DGaussians, `frame0001.ply` of SuperSplat) | "
+    "yes | yes | the same rows in each; a frame's time is its number, or evenly between two given times "
+    "([motion](#motion)) | frames of different counts, two sequences in a folder |",
+    "| moving: SpacetimeGaussians PLY | yes | no | `trbf_center`, `trbf_scale`, `motion_0..8`, `omega_0..3`; "
+    "times 0 to 1; not `f_t_*`, which feed a decoder of colours | columns that are missing or not finite |",
+    "| moving: ours, a folder NAME.motion | 1 | yes | [layout](#motion) | motion of other Gaussians, times that "
+    "do not increase, frames that are no Gaussians |",
+)  # fmt: skip
+"""Rows of moving scenes in the table of docs/formats.md, as `known.SceneFormat.row`."""
 
 
 def read_scene(path: str | Path, times: tuple[float, float] | None = None) -> Gaussians | Moving:

@@ -13,8 +13,9 @@ from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Frames, Moving, counted_from
 from .field_folder import replacing_folder
+from .gaussian_ply import write_gaussians
 from .ply_header import read_header
-from .scenes import read_gaussians, write_gaussians
+from .scenes import read_gaussians
 
 NUMBERED = re.compile(r"(.*?)(\d{1,12})\.ply", re.IGNORECASE)
 MAX_HEADER_BYTES = 1 << 16

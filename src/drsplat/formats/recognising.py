@@ -13,13 +13,14 @@ from ..errors import DrSplatError, FormatError, InputError, did_you_mean
 from .colmap import find_models
 from .feature_files import COMPACT, EMBEDDINGS
 from .field_folder import MANIFEST
+from .known import SCENE_SUFFIXES
 from .photo_files import PHOTO_SUFFIXES
+from .streamed_sog import LOD_META
+from .tiles import TILES
+from .tiles3d_writing import TILESET
 
 TRANSFORMS, TRAIN_TRANSFORMS, CAMERAS = "transforms.json", "transforms_train.json", "cameras.json"
-TILESET = "tileset.json"
-SCENE_SUFFIXES = (
-    ".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb", ".gltf", ".usda", ".usdc", ".usdz", ".usd", ".lcc2"
-)  # fmt: skip
+MOTION = "motion.safetensors"
 FIELD_SUFFIX = ".field"
 _TORCH_NAME_BYTES = 256  # of an archive: its first member is NAME/data.pkl
 _HEAD_BYTES = 4096  # a PLY's header names its properties within them
@@ -187,10 +188,6 @@ def _file_kind(path: Path) -> Kind:
 
 
 def _folder_kind(path: Path) -> Kind:
-    from .motion import MOTION  # which reads scenes, whose readers say what is mistaken
-    from .streamed_sog import LOD_META
-    from .tiles import TILES
-
     if (path / MANIFEST).is_file():
         return Kind.FIELD
     if (path / TILESET).is_file():

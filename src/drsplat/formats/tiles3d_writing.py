@@ -27,13 +27,13 @@ from .field_folder import replacing_folder
 from .georeference import Georeference
 from .glb_layout import SPLATTING, SPZ
 from .leaves import Leaf, Leaves, leaves_of
-from .recognising import TILESET
 from .replacing import replacing
 from .tensors import read_tensors, write_tensors
 from .tiles import Tile, Tiles
 from .tiles3d_content import content_glb
 from .usd_writing import extent_of
 
+TILESET = "tileset.json"
 LEAF_ROWS = 1 << 16
 CHILDREN = 4  # of a tile
 ERROR_QUANTILE = 0.95  # of how far merging moves the Gaussians: a tile's geometric error

@@ -15,7 +15,6 @@ Each file appears whole or not at all.
 import json
 import re
 import shutil
-from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, replace
@@ -27,10 +26,10 @@ from ..errors import InputError
 from ..formats.cameras_json import write_cameras_json
 from ..formats.captures import SparsePoints
 from ..formats.claiming import LOCK, claimed_folder
+from ..formats.gaussian_ply import write_gaussians
 from ..formats.mask_files import photo_folder
 from ..formats.ply import write_vertices
 from ..formats.replacing import replacing
-from ..formats.scenes import write_gaussians
 from ..scene.gaussians import Gaussians
 from ..scene.placing import local_origin
 from ..scene.views import View
@@ -112,13 +111,14 @@ class ModelFolder:
         """Write settings.json, and cfg_args: the arguments of 3DGS that other tools read back, as it writes them."""
         self.write_json("settings.json", asdict(settings))
         source, images = _source_and_images(views[0])
-        arguments = Namespace(
-            data_device="cpu", eval=settings.test_every > 0, images=images, model_path=str(self.path.absolute()),
-            resolution=-1, sh_degree=settings.sh_degree, source_path=str(source.absolute()),
-            white_background=settings.background == "white",
-        )  # fmt: skip
+        arguments = {
+            "data_device": "cpu", "eval": settings.test_every > 0, "images": images,
+            "model_path": str(self.path.absolute()), "resolution": -1, "sh_degree": settings.sh_degree,
+            "source_path": str(source.absolute()), "white_background": settings.background == "white",
+        }  # fmt: skip
+        text = f"Namespace({', '.join(f'{name}={value!r}' for name, value in arguments.items())})"
         with replacing(self.path / "cfg_args", overwrite=True) as file:
-            file.write(repr(arguments).encode())
+            file.write(text.encode())
 
     def write_scene(self, iteration: int, gaussians: Gaussians) -> Path:
         path = self.scene(iteration)

@@ -7,7 +7,9 @@ from typing import NamedTuple
 
 from ...errors import InputError
 from ...formats.georeference import Georeference
+from ...formats.known import TILES3D, format_of, lacks, write_scene
 from ...formats.streamed_sog import LOD_META
+from ...formats.streamed_sog_writing import write_streamed_sog
 from ...formats.tiles import Tiles
 from ...formats.tiles3d_writing import TiledScene, write_tiles3d
 from ...query import Query, Scene
@@ -17,8 +19,6 @@ from ...scene.labelled import LabelledScene
 from ...scene.moving import Moving
 from ..editing.kept import KeptEdits
 from .labelling import Only, labelled, labelled_alone
-from .streamed_sog_writing import write_streamed_sog
-from .writers import TILES3D, format_of, lacks, write_scene
 
 
 class Exported(NamedTuple):
@@ -52,7 +52,7 @@ def export(
     """Write a scene as the suffix of `path` says, with its objects and the answer to a query.
 
     Args:
-        path: NAME.glb, .ply, .spz, DIR/lod-meta.json or another that `authoring.exporting.writers.WRITERS` has.
+        path: NAME.glb, .ply, .spz, DIR/lod-meta.json or another that `formats.known.WRITERS` has.
         scene: an opened scene; Gaussians alone; or what `labelled` made, as it is.
         query: as in `labelled`.
         only: as in `labelled`.
@@ -117,7 +117,7 @@ def _of_tiles(path: Path, source: Tiles, kind: str, num_things: int = 0) -> Expo
 
 
 def described(path: Path, scene: LabelledScene, kind: str) -> Exported:
-    """Return what a file, or a folder, that was written of a scene has in it; kind: one of `writers.HELD`."""
+    """Return what a file, or a folder, that was written of a scene has in it; kind: one of `formats.known.WRITERS`."""
     counts = (len(scene.gaussians), len(scene.things), len(scene.matches), len(scene.annotations))
     return Exported(path, kind.removeprefix("."), _size(path), *counts, scene.num_edits, lacks(kind, scene))
 

@@ -13,9 +13,9 @@ from ...base.arrays import Float32, Integer, UInt8, UInt16
 from ...errors import InputError, MismatchError
 from ...kernels import QueryTables, lookup_tables, pq_encode
 from ...kernels.algebra import CENTROIDS
+from ...kernels.kmeans import Track, train_centroids, untracked
 from ...kernels.mixture import nearest_centres
 from ...scene.encoders import EncoderIdentity
-from .kmeans import Track, train_centroids, untracked
 
 BLOCK_ROWS = 8192  # bounds the memory of decoded features
 MAX_TRAINING_POINTS = 64 * CENTROIDS

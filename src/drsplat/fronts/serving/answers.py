@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from ...errors import InputError
-from ...formats.scenes import write_gaussians
+from ...formats.gaussian_ply import write_gaussians
 from ...query import Match, Query, Scene
 from ...query.documents import answer_document, rounded, segmentation_document
 from ...query.objects import match_of, objects_of

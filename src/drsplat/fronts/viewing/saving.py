@@ -14,8 +14,8 @@ from ...authoring.filming.looking import looking_at, swing
 from ...base.arrays import Float64, UInt8
 from ...drawing.pictures import as_pixels
 from ...errors import InputError
+from ...formats.gaussian_ply import write_gaussians
 from ...formats.replacing import replacing
-from ...formats.scenes import write_gaussians
 from ...kernels import render_channels
 from ...scene.views import View
 from . import results

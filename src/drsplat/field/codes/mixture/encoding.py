@@ -7,8 +7,8 @@ import numpy as np
 from ....base.arrays import Float32, Int32, Int64, Integer, Sparse
 from ....base.contents import release
 from ....errors import InputError
+from ....kernels.kmeans import Track, untracked
 from ....kernels.mixture import MAX_ATOMS, MAX_ATOMS_PER_ROW, Candidates, Dictionary, Encoded, mixture_encode
-from ..kmeans import Track, untracked
 from .code import MixtureCode, packed
 from .dictionary import SCENE_ATOM, AtomTable, quantised
 from .scene_atoms import POINTS_PER_ATOM, SceneAtoms, train_scene_atoms

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ....base.arrays import Bool, Int32, Int64, Integer
+from ....kernels.kmeans import Track, untracked
 from ....kernels.mixture import MAX_ATOMS, Encoded
-from ..kmeans import Track, untracked
 from .dictionary import SCENE_ATOM
 from .encoding import Mixed, MixtureSource, assemble, atoms_by_use, encode_rows, plan_of
 from .scene_atoms import SceneAtoms

@@ -10,7 +10,6 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import StringConstraints
 
-from ....authoring.exporting.writers import write_scene
 from ....authoring.filming.path_files import path_of, write_path
 from ....authoring.filming.paths import frame_count
 from ....authoring.filming.writing import write_film
@@ -19,6 +18,7 @@ from ....drawing.pictures import OtherPixels, as_pixels
 from ....drawing.rendering import render
 from ....errors import InputError
 from ....formats.json_files import document_in
+from ....formats.known import write_scene
 from ....query.sheets import OBJECTS_AT_ONCE
 from ...serving.pictures import jpeg, png
 from ..carrying import carried

@@ -8,9 +8,8 @@ from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from ...base.arrays import Float32, Float64, Int, Int64, UInt8, UInt64
-from ...kernels import pq_encode
-from ...kernels.algebra import CENTROIDS, code_sums
+from ..base.arrays import Float32, Float64, Int, Int64, UInt8, UInt64
+from .algebra import CENTROIDS, code_sums, pq_encode
 
 KMEANS_STEPS = 12
 T = TypeVar("T")

@@ -19,17 +19,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...base.arrays import Float32, Float64, Integer, UInt8, UInt16
-from ...errors import InputError
-from ...field.codes.kmeans import train_centroids
-from ...formats.labels import has_labels, labels_bytes
-from ...formats.sog import ANTIALIASED, MAX_PALETTE_ENTRIES, OWN, PALETTE_ROW_ENTRIES, SURFELS
-from ...formats.sog_files import META
-from ...formats.writable import refuse_unwritable
-from ...kernels import pq_encode
-from ...scene.gaussians import Gaussians
-from ...scene.labelled import LabelledScene
-from ...scene.morton import morton_order
+from ..base.arrays import Float32, Float64, Integer, UInt8, UInt16
+from ..errors import InputError
+from ..kernels import pq_encode
+from ..kernels.kmeans import train_centroids
+from ..scene.gaussians import Gaussians
+from ..scene.labelled import LabelledScene
+from ..scene.morton import morton_order
+from .labels import has_labels, labels_bytes
+from .sog import ANTIALIASED, MAX_PALETTE_ENTRIES, OWN, PALETTE_ROW_ENTRIES, SURFELS
+from .sog_files import META
+from .writable import refuse_unwritable
 
 VERSION, GENERATOR = 2, "drsplat"
 CODEBOOK_ENTRIES = 256

@@ -15,21 +15,21 @@ from typing import Any
 
 import numpy as np
 
-from ...base.arrays import Float32
-from ...formats.field_folder import replacing_folder
-from ...formats.labels import has_labels, labels_bytes
-from ...formats.leaves import leaves_of
-from ...formats.replacing import replacing
-from ...formats.sog import OWN
-from ...formats.sog_files import META
-from ...formats.streamed_sog import LOD_META
-from ...formats.tiles import Tiles
-from ...formats.usd_writing import extent_of
-from ...scene.gaussians import Gaussians, concatenated
-from ...scene.labelled import LabelledScene
-from ...scene.merging import coarser
-from ...scene.morton import morton_order
+from ..base.arrays import Float32
+from ..scene.gaussians import Gaussians, concatenated
+from ..scene.labelled import LabelledScene
+from ..scene.merging import coarser
+from ..scene.morton import morton_order
+from .field_folder import replacing_folder
+from .labels import has_labels, labels_bytes
+from .leaves import leaves_of
+from .replacing import replacing
+from .sog import OWN
+from .sog_files import META
 from .sog_writing import GENERATOR, LABELS, ordered_files
+from .streamed_sog import LOD_META
+from .tiles import Tiles
+from .usd_writing import extent_of
 
 VERSION = 1
 LEVELS = 4
