@@ -1,9 +1,10 @@
 """The command line: arguments -> one public call -> print.
 
-Each verb is a module of `drsplat.fronts.commands` with EXAMPLES, add_arguments(parser), run(arguments) -> a JSON
-object, and show(object) for people. Three more are optional: DAILY, the options that --help shows if not all,
-interrupted(arguments) -> how to go on after Ctrl-C, and device(arguments) -> where it draws and registers. To add a
-verb, add the module, and its name and summary to `drsplat.fronts.commands.verbs`.
+Each verb is a module of `drsplat.fronts.commands` with EXAMPLES, Options, which declares its options (see `declaring`),
+run(options) -> a JSON object, and show(object) for people. Optional are DAILY, the options that --help shows if not
+all, USAGE instead of the line that argparse makes, interrupted(options) -> how to go on after Ctrl-C, and
+device(options) -> where it draws and registers. To add a verb, add the module, and its name and summary to
+`drsplat.fronts.commands.verbs`.
 """
 
 import argparse
@@ -17,16 +18,18 @@ from contextlib import contextmanager, suppress
 from importlib import import_module
 from io import TextIOWrapper
 from types import ModuleType
-from typing import Any, NoReturn, TextIO
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 from .base.system import can_be_a_path
 from .base.terminal import plain, plain_json, quoted
 from .errors import DrSplatError, DrSplatWarning, InputError, MissingExtraError
-from .fronts.commands.common import add_common
-from .fronts.commands.help_texts import VerbListFormatter
+from .fronts.commands.help_texts import VerbListFormatter, did_you_mean
 from .fronts.commands.log import logged, path_of
-from .fronts.commands.parsing import Parser, UsageError, VerbParser, did_you_mean
+from .fronts.commands.parsing import Parser, UsageError, VerbParser
 from .fronts.commands.verbs import GROUPS, SUMMARIES
+
+if TYPE_CHECKING:
+    from .fronts.commands.options import Verb
 
 VERBS = tuple(SUMMARIES)
 _ARGUMENT = re.compile(r"\b([a-z_]+)=(True\b|[A-Z][A-Z_]*\b(?:\.\w+|[,:][A-Z]\b)*|\d+\b)|\A([a-z_]+)(?=: )")
@@ -171,11 +174,12 @@ def make_parser(verbs: Sequence[str] = VERBS) -> argparse.ArgumentParser:
 
 
 def _add_options(parser: VerbParser, command: ModuleType) -> None:
+    from .fronts.commands.options import add_verb
+
     parser.epilog = f"examples:\n{command.EXAMPLES}"
-    command.add_arguments(parser)
-    own = (option.dest for option in parser.options if not option.dest.startswith("help"))
-    parser.daily = {"json", *getattr(command, "DAILY", own)}
-    add_common(parser.add_argument_group("all verbs"))
+    parser.usage = getattr(command, "USAGE", None)
+    add_verb(parser, command.Options)
+    parser.daily = {"json", *getattr(command, "DAILY", parser.daily)}
     parser.set_defaults(command=command, parser=parser, flags=parser.flags)
 
 
@@ -198,49 +202,50 @@ def spelled(message: str, flags: Mapping[str, str]) -> str:
 
 
 @contextmanager
-def _on_device(arguments: argparse.Namespace) -> Iterator[None]:
+def _on_device(command: ModuleType, options: "Verb") -> Iterator[None]:
     """Draw and register where a verb says, if it has a choice. Raises: MissingExtraError: there is no such GPU."""
-    choice = getattr(arguments.command, "device", None)
-    if choice is None:
+    if not hasattr(command, "device"):
         yield
         return
     from .kernels.cuda.devices import using_device
 
-    with using_device(choice(arguments)):
+    with using_device(command.device(options)):
         yield
 
 
 def _run(argv: list[str]) -> int:
     arguments = make_parser(argv[:1]).parse_args(argv)
-    _refuse_no_texts(arguments)
-    if arguments.print_config:
-        from .fronts.commands.configuring import configuration
+    from .fronts.commands.declaring import made  # --help has left by now, without it
 
-        print(configuration(arguments.parser))
+    command, flags = arguments.command, arguments.flags
+    _refuse_no_texts(vars(arguments), flags)
+    options: Verb = made(command.Options, vars(arguments))
+    if options.print_config:
+        print(arguments.parser.configuration)
         return 0
-    if arguments.threads and "numpy" not in sys.modules:  # its BLAS reads them once
-        os.environ.update(dict.fromkeys(_THREAD_VARIABLES, str(arguments.threads)))
-    with _warnings_as_lines(arguments.flags, arguments.debug):
+    if options.threads and "numpy" not in sys.modules:  # its BLAS reads them once
+        os.environ.update(dict.fromkeys(_THREAD_VARIABLES, str(options.threads)))
+    with _warnings_as_lines(flags, options.debug):
         try:
-            with _on_device(arguments):
-                answer = arguments.command.run(arguments)
+            with _on_device(command, options):
+                answer = command.run(options)
         except (DrSplatError, KeyboardInterrupt) as error:
-            if isinstance(error, KeyboardInterrupt) and not error.args and hasattr(arguments.command, "interrupted"):
-                error.args = (arguments.command.interrupted(arguments),)
-            error.args = tuple(spelled(str(part), arguments.flags) for part in error.args)
+            if isinstance(error, KeyboardInterrupt) and not error.args and hasattr(command, "interrupted"):
+                error.args = (command.interrupted(options),)
+            error.args = tuple(spelled(str(part), flags) for part in error.args)
             raise
-    if arguments.json:
+    if options.json:
         _print_json(answer)
     else:
-        arguments.command.show(plain_json(answer))
+        command.show(plain_json(answer))
     sys.stdout.flush()
     return 0
 
 
-def _refuse_no_texts(arguments: argparse.Namespace) -> None:
+def _refuse_no_texts(given: Mapping[str, Any], flags: Mapping[str, str]) -> None:
     """Refuse an empty value, a variable that a shell found empty: as a path it would be the current folder."""
-    for name, value in vars(arguments).items():
-        flag = arguments.flags.get(name)
+    for name, value in given.items():
+        flag = flags.get(name)
         shown = flag or ("WORDS" if name == "text" else name.upper())
         for text in value if isinstance(value, list) else [value]:
             if text == "" and name != "ask":  # which asks nothing by default

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from command_line import Capture, error_of, text_of
 from drsplat.cli import VERBS, make_parser
 from drsplat.errors import InputError
-from drsplat.fronts.commands.configuring import MAX_FILE_BYTES, configuration, options_of, place
-from drsplat.fronts.commands.options import words
+from drsplat.fronts.commands.configuring import MAX_FILE_BYTES, options_of, place
+from drsplat.fronts.commands.kinds import words
 from drsplat.fronts.commands.parsing import VerbParser
 
 TEXTS = ["a", "1", "1.50", "007", "x y", 'q"\\', "größer", "--scene=evil", "-k5", "2026-01-01", "true"]
@@ -118,7 +118,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @given(data=st.data())
 def test_the_line_wins_in_every_spelling(verb: str, folder: Path, data: st.DataObject) -> None:
     parser = verb_parser(verb)
-    key, option = data.draw(st.sampled_from(sorted(options_of(parser).items())))
+    key, option = data.draw(st.sampled_from(sorted(options_of(parser.options).items())))
     ways = spellings(option, data.draw(uses(option)))
     if not ways:
         return
@@ -141,7 +141,7 @@ def rivals(parser: VerbParser, option: argparse.Action) -> dict[str, argparse.Ac
     groups = [group for group in parser.rivals if option in group]
     return {
         key: other
-        for key, other in options_of(parser).items()
+        for key, other in options_of(parser.options).items()
         if other is not option and (place(other) == place(option) or any(other in group for group in groups))
     }
 
@@ -152,7 +152,7 @@ def rivals(parser: VerbParser, option: argparse.Action) -> dict[str, argparse.Ac
 @given(data=st.data())
 def test_every_option_can_be_set_in_a_file(verb: str, folder: Path, data: st.DataObject) -> None:
     parser = verb_parser(verb)
-    key, option = data.draw(st.sampled_from(sorted(options_of(parser).items())))
+    key, option = data.draw(st.sampled_from(sorted(options_of(parser.options).items())))
     texts = data.draw(uses(option))
     ways = spellings(option, texts)
     if not ways:
@@ -170,7 +170,7 @@ def test_what_is_printed_can_be_read_again(verb: str, folder: Path, data: st.Dat
     parser = verb_parser(verb)
     line: list[str] = []
     chosen: list[argparse.Action] = []
-    for option in data.draw(st.lists(st.sampled_from(list(options_of(parser).values())), max_size=6)):
+    for option in data.draw(st.lists(st.sampled_from(list(options_of(parser.options).values())), max_size=6)):
         excluded = any(option in group and other in group for group in parser.rivals for other in chosen)
         ways = spellings(option, data.draw(uses(option)))
         if ways and (option in chosen or not excluded):
@@ -180,7 +180,7 @@ def test_what_is_printed_can_be_read_again(verb: str, folder: Path, data: st.Dat
     whole = make_parser([verb])
     whole.parse_args([verb, *base, *line])
     try:
-        text = configuration(parser_of(whole, verb))
+        text = parser_of(whole, verb).configuration
     except InputError:
         assume(verb != "edit")  # whose changes can return to an option; see below
         raise
@@ -196,7 +196,7 @@ def test_defaults_stand_in_comments_and_can_be_taken(verb: str, folder: Path) ->
     base = needed(parser)
     whole = make_parser([verb])
     whole.parse_args([verb, *base])
-    text = configuration(parser_of(whole, verb))
+    text = parser_of(whole, verb).configuration
     assert "SUPPRESS" not in text
     path = folder / "defaults.toml"
     path.write_text(re.sub("^# ", "", text, flags=re.MULTILINE), encoding="utf-8")

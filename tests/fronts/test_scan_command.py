@@ -18,8 +18,7 @@ from command_line import Capture, answer_of, error_of, text_of
 from drsplat import load_field, open_scene, read_views
 from drsplat.cli import main
 from drsplat.formats.scan_record import read_scan_record
-from drsplat.fronts.commands.embed import point_settings
-from drsplat.fronts.commands.scan_stages import _embedding
+from drsplat.fronts.commands.scan import _embedding
 from drsplat.fronts.commands.stages import check_tables, verb_line
 from drsplat.fronts.scanning import choosing
 from drsplat.fronts.scanning.display import Display
@@ -329,10 +328,11 @@ def test_models_are_the_built_in_ones_where_no_others_can_be_had(monkeypatch: py
 
 def test_on_a_cpu_sam_is_asked_few_points_of_all_photos(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(choosing, "choose_models", lambda *_: choosing.ModelChoice(CPU_SEGMENTER, DEFAULT_ENCODER))
-    scan = verb_line("scan", ["photos", "--output", str(tmp_path)], []).arguments
-    embed = _embedding(scan, "capture", tmp_path, [], None)[0].arguments
-    assert (embed.points, embed.views, embed.crops) == ("auto", "all", "masks")
-    assert point_settings(embed).levels == ("large",)  # the one that register uses
+    scan = verb_line("scan", ["photos", "--output", str(tmp_path)], []).options
+    embed = _embedding(scan, "capture", tmp_path, None)[0].options
+    asked = embed.with_scene
+    assert (embed.cutting.points, asked.views, asked.crops) == ("auto", "all", "masks")
+    assert embed.point_settings.levels == ("large",)  # the one that register uses
 
 
 def test_a_hub_that_cannot_be_reached_is_given_up_soon(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,8 +1,6 @@
 """A GPU that is too full for a view: bands of it, and the same answer. Scenes that are on the device already."""
 
-from argparse import Namespace
 from importlib import import_module
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +9,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from captures_to_train import known_scene, ring
 from cuda_on_cpu import CpuEngine, compiled
 from drsplat.errors import DrSplatError, InputError
+from drsplat.fronts.commands.options import Verb
+from drsplat.fronts.commands.stages import verb_line
 from drsplat.kernels import render_channels, splat_arrays, topk_contributions, view_weights
 from drsplat.kernels.cuda.drawing import sent_splats
 from drsplat.kernels.cuda.tensors import as_array, drawn_channels, splats_of_tensors
@@ -108,21 +108,28 @@ def test_tensors_that_do_not_fit_are_refused(folder, scene, change, said):
         splats_of_tensors(*change(tensors), near=0.2, engine=CpuEngine(folder))
 
 
-@pytest.mark.parametrize("verb", ["register", "render", "evaluate"])
+LINES = {
+    "register": ["scene", "capture", "--features", "features", "--output", "field"],
+    "render": ["scene"],
+    "evaluate": ["voxel", "data", "--scene", "room", "--report", "report"],
+}
+
+
+@pytest.mark.parametrize("verb", LINES)
 def test_a_verb_that_draws_says_where(verb):
     command = import_module(f"drsplat.fronts.commands.{verb}")
-    assert command.device(Namespace(device="cpu")) == "cpu"
-    assert command.device(Namespace(device="auto")) == "auto"
+    for device in ("cpu", "auto"):
+        assert command.device(verb_line(verb, [*LINES[verb], "--device", device], []).options) == device
 
 
 def test_the_command_line_draws_where_it_is_asked_to(monkeypatch):
     from drsplat import cli
+    from drsplat.fronts.commands import inspect, register
     from drsplat.kernels.cuda import devices
 
     monkeypatch.setattr(devices, "unavailable", lambda: None)
-    command = SimpleNamespace(device=lambda arguments: arguments.device)
-    with cli._on_device(Namespace(command=command, device="cuda")):
+    with cli._on_device(register, verb_line("register", [*LINES["register"], "--device", "cuda"], []).options):
         assert devices.device_in_use() == "cuda"
     assert devices.device_in_use() == "cpu"
-    with cli._on_device(Namespace(command=SimpleNamespace())):
+    with cli._on_device(inspect, Verb()):
         assert devices.device_in_use() == "cpu"

@@ -61,8 +61,8 @@ WINGS: dict[str, tuple[str, ...]] = {
     "errors": (),
     "base": (),
     "scene": (),
-    "formats": (),
     "kernels": (),
+    "formats": (),
     "field": ("codes", "evidence", "", "objects", "registration", "method", "tiles", "growing"),
     "photos": ("capture", "models", "embedding", "arriving"),
     "drawing": (),
@@ -147,6 +147,36 @@ def test_imports_go_one_way(path: Path) -> None:
     assert not upwards, f"{place_of(parts)} comes before {upwards}"
 
 
+def modules_of(path: Path, known: set[str]) -> set[str]:
+    """Modules of drsplat that a file imports when it runs, wherever in it; types alone need none."""
+    package = path.relative_to(SOURCE).parent.parts
+    tree = ast.parse(path.read_text())
+    of_types = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for inner in ast.walk(node)
+    }
+    found = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and node.level and id(node) not in of_types:
+            base = [*package[: len(package) - node.level + 1], *(node.module.split(".") if node.module else [])]
+            names = {".".join([*base, alias.name]) for alias in node.names}
+            found |= {name if name in known else ".".join(base) for name in names}
+    return found & known
+
+
+def test_no_two_modules_need_each_other() -> None:
+    def name_of(path: Path) -> str:
+        return ".".join(path.relative_to(SOURCE).with_suffix("").parts).removesuffix(".__init__")
+
+    paths = {name_of(path): path for path in SOURCE.rglob("*.py")}
+    left = {name: modules_of(path, set(paths)) - {name} for name, path in paths.items()}
+    while free := {name for name, needed in left.items() if not needed & left.keys()}:
+        left = {name: needed for name, needed in left.items() if name not in free}
+    assert sorted(left) == []  # what remains is in a circle, or needs one
+
+
 def test_nothing_that_runs_imports_a_twin() -> None:
     product = [path for path in SOURCE.rglob("*.py") if "reference" not in path.parts]
     assert [path.name for path in product if "reference" in imports_of(path)] == []
@@ -203,14 +233,14 @@ VERBS = set(
     """
     Add Allow Annotate Answer Append Apply Arrange Ask Assemble Become Begin Bring Build Call Cast Change Check
     Choose Claim Clip Close Code Compare Composite Compute Concatenate Convert Copy Correlate Count Create Cut
-    Decode Decompress Delete Describe Detect Discard Do Draw Drop Embed Encode End Enlarge Evaluate Export Fill Find
-    Fit Forget Format Give Go Grow Hand Hash Identify Import Interpolate Join Judge Keep Label Lay Learn Leave Let
-    List Load Lock Log Look Lower Make Map Mark Match Measure Merge Move Multiply Name Normalise Note Observe Offer
-    Open Optimise Pack Pad Paint Parse Pick Plan Pose Prepare Print Project Put Quantise Quote Read Record Refine
-    Refuse Register Relocate Remove Rename Render Renumber Repeat Replace Report Reset Resize Restore Return Rewrite
-    Rotate Round Run Save Say Scale Score Search See Select Send Set Show Silence Sort Speak Split Stack Start Step
-    Stop Sum Take Tell Tile Train Transform Triangulate Turn Undo Upscale Verify Wait Wake Warn Weigh Wrap Write
-    Yield
+    Declare Decode Decompress Delete Describe Detect Discard Do Draw Drop Embed Encode End Enlarge Evaluate
+    Export Fill Find Fit Forget Format Give Go Grow Hand Hash Identify Import Interpolate Join Judge Keep Label
+    Lay Learn Leave Let List Load Lock Log Look Lower Make Map Mark Match Measure Merge Move Multiply Name
+    Normalise Note Observe Offer Open Optimise Pack Pad Paint Parse Pick Plan Pose Prepare Print Project Put
+    Quantise Quote Read Record Refine Refuse Register Relocate Remove Rename Render Renumber Repeat Replace
+    Report Reset Resize Restore Return Rewrite Rotate Round Run Save Say Scale Score Search See Select Send Set
+    Show Silence Sort Speak Split Stack Start Step Stop Sum Take Tell Tile Train Transform Triangulate Turn Undo
+    Upscale Verify Wait Wake Warn Weigh Wrap Write Yield
     """.split()  # noqa: SIM905 - a list of them would be 200 lines
 )
 """What docstrings of functions begin with. A further one belongs here; a noun leaves open what is done with it."""

@@ -19,6 +19,7 @@ import drsplat as ds
 from drsplat.cli import VERBS, main
 from drsplat.field.objects.choosing import Tree
 from drsplat.field.objects.describing import describe
+from drsplat.formats.known import FORMATS
 from drsplat.formats.tensors import map_tensors
 from toy_capture import NEGATIVES, PER_THING, THINGS, write_toy_capture
 
@@ -181,6 +182,17 @@ def test_references_exist(document):
         found = [path for folder in CODE_FOLDERS if (path := ROOT / folder / file).is_file()]
         assert found, f"{document.name} names {file}, which does not exist"
         assert name in defined(found[0]), f"{document.name}: {file} has no {name}"
+
+
+def test_the_table_of_formats_is_that_of_the_records():
+    from scripts.formats_table import PAGE, table
+
+    text = PAGE.read_text(encoding="utf-8")
+    assert "\n".join(table()) in text, "run: python -m scripts.formats_table"
+    for one in FORMATS:
+        kinds = [*one.suffixes, *one.files, *(kind for kind in one.write if kind.startswith("."))]
+        assert all(f"`{kind.split(',')[0]}`" in text for kind in kinds), one.name
+        assert not one.row or (" | no | no | " in one.row) == (one.name in ("LCC", "checkpoints"))
 
 
 def test_every_rule_of_the_method_has_code_and_a_test():

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .changes import add_field_options, answer_of, field_and_scene, show_change
-from .options import add_capture_options, add_features, add_invert_masks, finite, tracker, views_of, words
+from .changes import FieldToChange, answer_of, field_and_scene, show_change
+from .declaring import flag, option, part
+from .kinds import finite, words
+from .options import Photos, Verb, capture, features, invert_masks
 
 if TYPE_CHECKING:
     from ...field.growing import Change
@@ -31,45 +33,47 @@ field. To resume a stopped run, give the same command again."""
 DAILY = ("scene", "features", "views", "watch")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_field_options(parser)
-    add_features(parser)
-    parser.add_argument(
-        "--views", nargs="+", type=words, metavar="NAME",
-        help="views to add, even if removed or left out before: names of photos, with or without suffix, or patterns "
-        "with * and ? (default: all that were not removed or left out)",
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    of: FieldToChange = part(FieldToChange)
+    capture: str = capture()
+    features: str = features()
+    views: list[str] | None = option(
+        "views to add, even if removed or left out before: names of photos, with or without suffix, or patterns with * "
+        "and ? (default: all that were not removed or left out)", "NAME", words, nargs="+",
     )  # fmt: skip
-    parser.add_argument(
-        "--replace", action="store_true",
-        help="compare views already in the field too, and replace those whose masks, embeddings or poses have changed "
-        "(default: skip them)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--watch", action="store_true",
-        help="wait for new views while a capture is written, and add each once its pose and features are complete, "
-        "until Ctrl-C",
-    )  # fmt: skip
-    parser.add_argument(
-        "--idle", type=finite, metavar="SECONDS", help="with --watch: stop after this time without a new view"
+    replace: bool = flag(
+        "compare views already in the field too, and replace those whose masks, embeddings or poses have changed "
+        "(default: skip them)"
     )
-    add_capture_options(parser)
-    add_invert_masks(parser)
+    watch: bool = flag(
+        "wait for new views while a capture is written, and add each once its pose and features are complete, until "
+        "Ctrl-C"
+    )
+    idle: float | None = option("with --watch: stop after this time without a new view", "SECONDS", finite)
+    photos: Photos = part(Photos)
+    invert_masks: bool = invert_masks()
+
+    def posed(self) -> Sequence[View]:
+        return self.photos.views(self.capture, self.invert_masks)
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+def run(options: Options) -> dict[str, Any]:
     from ...errors import InputError
 
-    if arguments.watch and arguments.replace:
+    if options.watch and options.replace:
         raise InputError("--watch adds views and compares none: drop --replace, and give it afterwards")
-    if arguments.watch and arguments.views:
+    if options.watch and options.views:
         raise InputError("--watch waits for views that nobody knows yet: drop --views, or --watch")
-    if arguments.idle is not None and not arguments.watch:
+    if options.idle is not None and not options.watch:
         raise InputError("--idle is for --watch: pass both, or none")
-    path, scene = field_and_scene(arguments)
-    if arguments.watch:
-        return _watched(arguments, path, scene)
-    views, features = views_of(arguments, arguments.capture), _features(arguments, path)
-    return answer_of(_added(arguments, path, scene, _views_to_add(arguments, views, features), features), path)
+    path, scene = field_and_scene(options.of)
+    if options.watch:
+        return _watched(options, path, scene)
+    views, features = options.posed(), _features(options, path)
+    return answer_of(_added(options, path, scene, _views_to_add(options, views, features), features), path)
 
 
 def show(answer: dict[str, Any]) -> None:
@@ -82,39 +86,39 @@ def show(answer: dict[str, Any]) -> None:
         print("Views that were removed or kept out stay out; --views NAME... brings them back.")
 
 
-def _views_to_add(arguments: argparse.Namespace, views: Sequence[View], features: FeatureFolder) -> Sequence[View]:
+def _views_to_add(options: Options, views: Sequence[View], features: FeatureFolder) -> Sequence[View]:
     """Return all views, or those that --views names. Raises: InputError: it names none that has features."""
     from ...field.growing.naming import views_named
     from ...field.registration import with_features
 
-    if not arguments.views:
+    if not options.views:
         return views
-    names = set(views_named(arguments.views, [view.name for view, _ in with_features(views, features)]))
+    names = set(views_named(options.views, [view.name for view, _ in with_features(views, features)]))
     return [view for view in views if view.name in names]
 
 
-def _features(arguments: argparse.Namespace, path: Path) -> FeatureFolder:
+def _features(options: Options, path: Path) -> FeatureFolder:
     """Return the features of the level and by the encoder that the field says."""
     from ... import load_field, read_features
 
     field = load_field(path)
     level = field.growth.provenance.level if field.growth else None
-    return read_features(arguments.features, level=level or "large", encoder=field.encoder)
+    return read_features(options.features, level=level or "large", encoder=field.encoder)
 
 
 def _added(
-    arguments: argparse.Namespace, path: Path, scene: Gaussians | Moving, views: Sequence[View], features: FeatureFolder
+    options: Options, path: Path, scene: Gaussians | Moving, views: Sequence[View], features: FeatureFolder
 ) -> Change:
     from ...photos.embedding.growing import grow_field
 
-    back = [view.name for view in views] if arguments.views else ()
+    back = [view.name for view in views] if options.views else ()
     return grow_field(
-        path, scene, views, features, Path(arguments.features), renew=arguments.replace, back=back,
-        threads=arguments.threads, track=tracker(arguments),
+        path, scene, views, features, Path(options.features), renew=options.replace, back=back,
+        threads=options.threads, track=options.track,
     )  # fmt: skip
 
 
-def _watched(arguments: argparse.Namespace, path: Path, scene: Gaussians | Moving) -> dict[str, Any]:
+def _watched(options: Options, path: Path, scene: Gaussians | Moving) -> dict[str, Any]:
     """Add batch after batch; what is told in the end is of all together."""
     from ... import load_field
     from ...field.growing.changing import kept_out
@@ -122,26 +126,26 @@ def _watched(arguments: argparse.Namespace, path: Path, scene: Gaussians | Movin
 
     field = load_field(path)
     known = {*(field.evidence.masks.view_names if field.evidence else ()), *kept_out(field)}
-    watch = Watch(lambda: (views_of(arguments, arguments.capture), _features(arguments, path)), known, arguments.idle)
+    watch = Watch(lambda: (options.posed(), _features(options, path)), known, options.idle)
     done: list[Change] = []
     try:
         for views, features in watch.batches():
-            change = _added(arguments, path, scene, views, features)
+            change = _added(options, path, scene, views, features)
             watch.known |= {view.name for view in views}
             done.append(change)
-            _print_change(arguments, change)
+            _print_change(options, change)
     except KeyboardInterrupt:
-        _say(arguments, "stopped; what had come is added")
+        _say(options, "stopped; what had come is added")
     return answer_of(together(done, path), path)
 
 
-def _print_change(arguments: argparse.Namespace, change: Change) -> None:
+def _print_change(options: Options, change: Change) -> None:
     if not change.is_empty:
         views = len(change.field.evidence.masks.view_names) if change.field.evidence else 0
         seconds = sum(change.seconds.values())
-        _say(arguments, f"+{len(change.added)}: {views} views, {change.num_touched:,} Gaussians seen, {seconds:.1f} s")
+        _say(options, f"+{len(change.added)}: {views} views, {change.num_touched:,} Gaussians seen, {seconds:.1f} s")
 
 
-def _say(arguments: argparse.Namespace, line: str) -> None:
-    if not arguments.json:
+def _say(options: Options, line: str) -> None:
+    if not options.json:
         print(line, file=sys.stderr, flush=True)

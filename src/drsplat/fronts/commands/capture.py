@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .options import add_invert_masks, add_overwrite, finite, length
+from .declaring import argument, option
+from .kinds import finite, length
+from .options import Verb, invert_masks, overwrite
 
 if TYPE_CHECKING:
     from ...base.progress import Meter
@@ -24,79 +27,75 @@ EXAMPLES = """\
 The photos are never changed. To resume a stopped run, give the same command again, also with more photos. If the
 capture exists and only --scale or --known-distance is new, --overwrite keeps its poses. Needs COLMAP's package: pip
 install "drsplat[capture]"."""
+SIZE = "metric scale (default: from the photos' GPS, else lengths have no unit)"
 LENSES = ("pinhole", "radial", "opencv", "fisheye")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "photos", help="folder of photos (JPEG, PNG, HEIC, WebP, TIFF, BMP; also in subfolders), or a video"
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    photos: str = argument("folder of photos (JPEG, PNG, HEIC, WebP, TIFF, BMP; also in subfolders), or a video")
+    output: str = option(
+        "folder for the capture: images/, sparse/0 in COLMAP's format, capture.json", "DIR", flags="-o", required=True
     )
-    parser.add_argument(
-        "--output", "-o", required=True, metavar="DIR",
-        help="folder for the capture: images/, sparse/0 in COLMAP's format, capture.json",
+    overwrite: bool = overwrite()
+    invert_masks: bool = invert_masks()
+    known_distance: list[str] | None = option(
+        "distance between two places in metres: PHOTO X Y PHOTO X Y METRES, in pixels (x right, y down) of the upright "
+        "photo at full size, or with --places NAME NAME METRES", "PLACE", nargs="+", title=SIZE,
     )  # fmt: skip
-    add_overwrite(parser)
-    add_invert_masks(parser)
-    size = parser.add_argument_group("metric scale (default: from the photos' GPS, else lengths have no unit)")
-    size.add_argument(
-        "--known-distance", nargs="+", metavar="PLACE",
-        help="distance between two places in metres: PHOTO X Y PHOTO X Y METRES, in pixels (x right, y down) of the "
-        "upright photo at full size, or with --places NAME NAME METRES",
+    places: str | None = option(
+        "table of named places for --known-distance: the header name,photo,x,y, then a pixel per line; a place with "
+        "pixels in two or more photos is triangulated", "FILE.csv", title=SIZE,
     )  # fmt: skip
-    size.add_argument(
-        "--places", metavar="FILE.csv",
-        help="table of named places for --known-distance: the header name,photo,x,y, then a pixel per line; a place "
-        "with pixels in two or more photos is triangulated",
-    )  # fmt: skip
-    size.add_argument(
-        "--scale",
-        type=length,
-        metavar="FACTOR",
-        help="length in metres of the unit that the capture has without this option",
+    scale: float | None = option(
+        "length in metres of the unit that the capture has without this option", "FACTOR", length, title=SIZE
     )
-    parser.add_argument(
-        "--lens", choices=LENSES, default="radial",
-        help="model of the lens distortion: pinhole none, radial one term (phones, cameras), opencv two radial and two "
+    lens: str = option(
+        "model of the lens distortion: pinhole none, radial one term (phones, cameras), opencv two radial and two "
         "tangential terms (wide angles); fisheye photos are undistorted to a pinhole (default: radial)",
+        None, None, "radial", choices=LENSES,
     )  # fmt: skip
 
+    @property
+    def settings(self) -> CaptureSettings:
+        from ...photos.capture.settings import CaptureSettings
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+        return CaptureSettings(
+            self.lens, self.scale, _known_distance(self.known_distance, self.places), self.invert_masks
+        )
+
+
+def run(options: Options) -> dict[str, Any]:
     from ...base.system import peak_memory_bytes
     from ...photos.capture.capturing import capture
 
-    with Stages(arguments.json) as stages:
+    with Stages(options.json) as stages:
         record = capture(
-            arguments.photos, arguments.output, capture_settings(arguments),
-            overwrite=arguments.overwrite, threads=arguments.threads, progress=stages.update,
+            options.photos, options.output, options.settings,
+            overwrite=options.overwrite, threads=options.threads, progress=stages.update,
         )  # fmt: skip
-    return {"capture": arguments.output, **record, "peak_memory_bytes": peak_memory_bytes()}
+    return {"capture": options.output, **record, "peak_memory_bytes": peak_memory_bytes()}
 
 
-def capture_settings(arguments: argparse.Namespace) -> CaptureSettings:
-    from ...photos.capture.settings import CaptureSettings
-
-    return CaptureSettings(arguments.lens, arguments.scale, _known_distance(arguments), arguments.invert_masks)
-
-
-def _known_distance(arguments: argparse.Namespace) -> KnownDistance | None:
+def _known_distance(given: list[str] | None, places: str | None) -> KnownDistance | None:
     from ...photos.capture.measuring import KnownDistance
     from ...photos.capture.places import Place, marker_named, read_places
     from .parsing import UsageError
 
-    given = arguments.known_distance
     if given is None:
-        if arguments.places is not None:
+        if places is not None:
             raise UsageError("--places names places for --known-distance NAME NAME METRES: give that, too")
         return None
-    expected = 7 if arguments.places is None else 3
+    expected = 7 if places is None else 3
     if len(given) != expected:
         form = "PHOTO X Y PHOTO X Y METRES" if expected == 7 else "NAME NAME METRES, for --places is given"
         more = ", or --places FILE.csv with NAME NAME METRES" if len(given) == 3 else ""
         raise UsageError(f"--known-distance: expected {form}{more}; got {len(given)} values")
     try:
-        if arguments.places is not None:
-            markers, metres = read_places(Path(arguments.places)), finite(given[2])
+        if places is not None:
+            markers, metres = read_places(Path(places)), finite(given[2])
             return KnownDistance(marker_named(given[0], markers), marker_named(given[1], markers), metres)
         x1, y1, x2, y2, metres = (finite(given[index]) for index in (1, 2, 4, 5, 6))
     except argparse.ArgumentTypeError as error:
@@ -128,9 +127,9 @@ class Stages:
         self._meter.update(done, "")
 
 
-def interrupted(arguments: argparse.Namespace) -> str:
+def interrupted(options: Options) -> str:
     """Return what a stopped run keeps, and how to go on."""
-    return f"what is done is kept in {arguments.output}: give the same command again to go on"
+    return f"what is done is kept in {options.output}: give the same command again to go on"
 
 
 def show(answer: dict[str, Any]) -> None:

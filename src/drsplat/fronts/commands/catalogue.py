@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
+from ...base.terminal import counted
 from ...query.schema import Place, fields
-from .catalogue_inputs import area, box, moment
+from .declaring import argument, option, part
 from .edit_options import note_own_scenes
-from .options import add_overwrite, add_query_encoders, new_output, tracker, up_to, words
-from .query_options import add_fields, values_of
+from .kinds import up_to, words
+from .options import Encoders, Verb, new_output, overwrite
+from .query_inputs import numbers
+from .query_options import asked, query_of
+from .tables import show_table, text_of
 
 if TYPE_CHECKING:
-    from ...query import Query
+    from datetime import datetime
+
     from ...query.catalogue import Catalogue
+    from ...query.catalogue.conditions import Corners, Degrees
+    from .query_options import Asked
 
 EXAMPLES = """\
   drsplat catalogue add flats.catalogue flats/*
@@ -29,88 +35,81 @@ A scene is a folder as for `drsplat serve`, with objects (`drsplat objects` find
 again replaces its entries. Needs LanceDB: pip install "drsplat[catalogue]". `index` makes searches over more than
 100,000 objects fast."""
 DAILY = ("name", "top", "exclude", "scene", "picture", "encoder")
-QUERY_FIELDS = fields(Place.COMMAND_LINE, Place.CATALOGUE)
 ACTIONS = ("add", "remove", "list", "ask", "index")
 MAX_MATCHES = 1000
+STATES = {
+    "current": "", "changed": "its field is another now: add it again", "missing": "nothing is there any more",
+    "unknown": "not from a folder",
+}  # fmt: skip
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("action", choices=ACTIONS, help="action")
-    parser.add_argument("catalogue", metavar="CATALOGUE", help="folder of the catalogue; `add` makes it")
-    parser.add_argument(
-        "given", nargs="*", type=words, metavar="SCENE|NAME|TEXT",
-        help="folders of scenes to add; names of scenes to remove; query in words",
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    action: str = argument("action", choices=ACTIONS)
+    catalogue: str = argument("folder of the catalogue; `add` makes it", None, "CATALOGUE")
+    given: list[str] = argument(
+        "folders of scenes to add; names of scenes to remove; query in words", words, "SCENE|NAME|TEXT", nargs="*"
+    )
+    name: str | None = option(
+        "name of the scene in the catalogue (default: that of its folder)", None, words, title="add"
+    )
+    views: str | None = option("posed photos for the thumbnails, if they are elsewhere", "CAPTURE", title="add")
+    top: int = option("objects to list, best first (default: 10)", "N", up_to(MAX_MATCHES), 10, title="ask")
+    others: Asked = asked(fields(Place.COMMAND_LINE, Place.CATALOGUE)[1:], "ask")
+    scene: list[str] = option("scene to search; may be repeated", "NAME", words, [], action="append", title="ask")
+    box: str | None = option(
+        "lowest and highest corner of a box, in scene coordinates, that contains the centres", "X,Y,Z,X,Y,Z", words,
+        title="ask",
     )  # fmt: skip
-    adding = parser.add_argument_group("add")
-    adding.add_argument("--name", type=words, help="name of the scene in the catalogue (default: that of its folder)")
-    adding.add_argument("--views", metavar="CAPTURE", help="posed photos for the thumbnails, if they are elsewhere")
-    asking = parser.add_argument_group("ask")
-    asking.add_argument(
-        "--top", type=up_to(MAX_MATCHES), default=10, metavar="N", help="objects to list, best first (default: 10)"
+    area: str | None = option(
+        "bounds in degrees that contain the centres, for scenes with a georeference", "W,S,E,N", words, title="ask"
     )
-    add_fields(asking, QUERY_FIELDS[1:])
-    asking.add_argument(
-        "--scene", type=words, action="append", default=[], metavar="NAME", help="scene to search; may be repeated"
+    since: str | None = option("time of the earliest addition, such as 2026-11-22T14:00", "TIME", words, title="ask")
+    picture: str | None = option(
+        "write a contact sheet of the objects, cut out of their photos", "OUT.jpg", title="ask"
     )
-    asking.add_argument(
-        "--box", type=words, metavar="X,Y,Z,X,Y,Z",
-        help="lowest and highest corner of a box, in scene coordinates, that contains the centres",
-    )  # fmt: skip
-    asking.add_argument(
-        "--area",
-        type=words,
-        metavar="W,S,E,N",
-        help="bounds in degrees that contain the centres, for scenes with a georeference",
-    )
-    asking.add_argument(
-        "--since", type=words, metavar="TIME", help="time of the earliest addition, such as 2026-11-22T14:00"
-    )
-    asking.add_argument(
-        "--picture", metavar="OUT.jpg", help="write a contact sheet of the objects, cut out of their photos"
-    )
-    add_overwrite(asking)
-    add_query_encoders(parser)
+    overwrite: bool = overwrite("ask")
+    encoders: Encoders = part(Encoders)
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+def run(options: Options) -> dict[str, Any]:
     from ...query.catalogue import Catalogue
 
-    _check(arguments)
-    given = {name: getattr(arguments, name) for name in ("encoder", "vocabulary", "device", "threads")}
-    opened = Catalogue.open(arguments.catalogue, **given)
-    return {"catalogue": arguments.catalogue, "action": arguments.action} | _RUNS[arguments.action](arguments, opened)
+    _check(options)
+    opened = Catalogue.open(options.catalogue, **vars(options.encoders), threads=options.threads)
+    return {"catalogue": options.catalogue, "action": options.action, **_BY_ACTION[options.action][0](options, opened)}
 
 
 def show(answer: dict[str, Any]) -> None:
-    from .catalogue_outputs import SHOWN
-
-    SHOWN[answer["action"]](answer)
+    _BY_ACTION[answer["action"]][1](answer)
 
 
-def _check(arguments: argparse.Namespace) -> None:
+def _check(options: Options) -> None:
     """Check all that can be known to be wrong before any work is done."""
     from ...errors import InputError
 
-    wanted = {"add": "folders of scenes", "remove": "names of scenes"}.get(arguments.action)
-    if wanted and not arguments.given:
-        raise InputError(f"catalogue {arguments.action}: expected {wanted}")
-    if arguments.action in ("list", "index") and arguments.given:
-        raise InputError(f"catalogue {arguments.action} takes no more than the catalogue")
-    if arguments.action == "add" and arguments.name and len(arguments.given) > 1:
+    wanted = {"add": "folders of scenes", "remove": "names of scenes"}.get(options.action)
+    if wanted and not options.given:
+        raise InputError(f"catalogue {options.action}: expected {wanted}")
+    if options.action in ("list", "index") and options.given:
+        raise InputError(f"catalogue {options.action} takes no more than the catalogue")
+    if options.action == "add" and options.name and len(options.given) > 1:
         raise InputError("one name is for one scene: add them one by one, or leave name=NAME out")
-    if arguments.picture and not arguments.picture.lower().endswith((".jpg", ".jpeg", ".png")):
-        raise InputError(f"{arguments.picture}: pictures are written as .png or .jpg")
-    if arguments.picture and not new_output(arguments.picture, arguments.overwrite).parent.is_dir():
-        raise InputError(f"--picture: there is no folder for {arguments.picture}: make it first")
+    if options.picture and not options.picture.lower().endswith((".jpg", ".jpeg", ".png")):
+        raise InputError(f"{options.picture}: pictures are written as .png or .jpg")
+    if options.picture and not new_output(options.picture, options.overwrite).parent.is_dir():
+        raise InputError(f"--picture: there is no folder for {options.picture}: make it first")
 
 
-def _add(arguments: argparse.Namespace, catalogue: Catalogue) -> dict[str, Any]:
+def _add(options: Options, catalogue: Catalogue) -> dict[str, Any]:
     from ...query.opening import scene_files
 
-    note_own_scenes(map(Path, arguments.given))
+    note_own_scenes(map(Path, options.given))
     listed = [
-        catalogue.add(scene_files(path, views=arguments.views), name=arguments.name, track=tracker(arguments))
-        for path in arguments.given
+        catalogue.add(scene_files(path, views=options.views), name=options.name, track=options.track)
+        for path in options.given
     ]
     return {
         "scenes": [_scene_json(one) for one in listed],
@@ -119,12 +118,12 @@ def _add(arguments: argparse.Namespace, catalogue: Catalogue) -> dict[str, Any]:
     }
 
 
-def _remove(arguments: argparse.Namespace, catalogue: Catalogue) -> dict[str, Any]:
-    removed = {name: catalogue.remove(name) for name in arguments.given}
+def _remove(options: Options, catalogue: Catalogue) -> dict[str, Any]:
+    removed = {name: catalogue.remove(name) for name in options.given}
     return {"removed": removed, "num_objects": len(catalogue)}
 
 
-def _list(_: argparse.Namespace, catalogue: Catalogue) -> dict[str, Any]:
+def _list(_: Options, catalogue: Catalogue) -> dict[str, Any]:
     from ...scene.encoders import identity_text
 
     scenes = catalogue.scenes()
@@ -135,36 +134,113 @@ def _list(_: argparse.Namespace, catalogue: Catalogue) -> dict[str, Any]:
     }
 
 
-def _index(_: argparse.Namespace, catalogue: Catalogue) -> dict[str, Any]:
+def _index(_: Options, catalogue: Catalogue) -> dict[str, Any]:
     return {"num_objects": catalogue.build_index()}
 
 
-def _ask(arguments: argparse.Namespace, catalogue: Catalogue) -> dict[str, Any]:
-    from ...base.terminal import counted
+def _ask(options: Options, catalogue: Catalogue) -> dict[str, Any]:
     from ...drawing.pictures import write_picture
     from ...query.catalogue import Conditions
     from ...query.catalogue.sheets import entry_sheet
 
-    asked = " ".join(arguments.given) or arguments.image or arguments.vector
-    where = Conditions(tuple(arguments.scene), box(arguments.box), area(arguments.area), moment(arguments.since))
-    answer = catalogue.answer(_query(arguments), where, top=arguments.top)
-    drawn = arguments.picture if answer.entries else None
+    text = " ".join(options.given) or None
+    said = text or options.others["image"] or options.others["vector"]
+    box = None if options.box is None else cast("Corners", tuple(numbers("--box", options.box, 6)))
+    area = None if options.area is None else cast("Degrees", tuple(numbers("--area", options.area, 4)))
+    where = Conditions(tuple(options.scene), box, area, _moment(options.since))
+    answer = catalogue.answer(query_of({**options.others, "text": text}), where, top=options.top)
+    drawn = options.picture if answer.entries else None
     if drawn:
-        heading = f"{counted(len(answer.entries), 'match', 'matches')} for “{asked}”"
-        write_picture(drawn, entry_sheet(answer.entries, heading), arguments.overwrite)
-    return {"query": asked, **answer.json(), "matches": [entry.json() for entry in answer.entries], "picture": drawn}
-
-
-def _query(arguments: argparse.Namespace) -> Query:
-    from ...query import Query
-
-    return Query(" ".join(arguments.given) or None, **values_of(arguments, QUERY_FIELDS))
+        heading = f"{counted(len(answer.entries), 'match', 'matches')} for “{said}”"
+        write_picture(drawn, entry_sheet(answer.entries, heading), options.overwrite)
+    return {"query": said, **answer.json(), "matches": [entry.json() for entry in answer.entries], "picture": drawn}
 
 
 def _scene_json(one: Any) -> dict[str, Any]:
     return {**vars(one), "added": one.added.isoformat()}
 
 
-_RUNS: Mapping[str, Callable[[argparse.Namespace, Catalogue], dict[str, Any]]] = {
-    "add": _add, "remove": _remove, "list": _list, "ask": _ask, "index": _index,
+def _moment(text: str | None) -> datetime | None:
+    """Return the time of "2026-11-22" or "2026-11-22T14:00", on this machine's clock where no zone is given.
+
+    Raises: InputError: no such time.
+    """
+    from datetime import datetime
+
+    from ...errors import InputError
+
+    if text is None:
+        return None
+    try:
+        return datetime.fromisoformat(text).astimezone()
+    except (ValueError, OverflowError, OSError):
+        raise InputError(f"--since {text}: expected a time, e.g. 2026-11-22 or 2026-11-22T14:00") from None
+
+
+def _show_add(answer: dict[str, Any]) -> None:
+    for one in answer["scenes"]:
+        agreed = (
+            f", {text_of(one['num_agreed'])} that photos agree on" if one["num_agreed"] < one["num_objects"] else ""
+        )
+        print(f"added '{one['scene']}': {counted(one['num_objects'], 'object')}{agreed}")
+    print(f"{answer['catalogue']} has {counted(answer['num_objects'], 'object')}")
+    if answer["wants_index"]:
+        print(f"Every query compares all of them: drsplat catalogue index {answer['catalogue']}")
+
+
+def _show_remove(answer: dict[str, Any]) -> None:
+    for name, number in answer["removed"].items():
+        if number is None:
+            print(f"'{name}' was removed before")
+        else:
+            print(f"removed '{name}': {counted(number, 'object')}")
+    print(f"{answer['catalogue']} has {counted(answer['num_objects'], 'object')}")
+
+
+def _show_list(answer: dict[str, Any]) -> None:
+    number = counted(len(answer["scenes"]), "scene")
+    title = f"{number}, {counted(answer['num_objects'], 'object')}; words by {answer['encoder']}"
+    rows = [
+        (
+            one["scene"],
+            text_of(one["num_objects"]),
+            text_of(one["num_agreed"]),
+            one["added"],
+            STATES[one["state"]],
+            one["folder"],
+        )
+        for one in answer["scenes"]
+    ]
+    show_table(title, ("scene", "objects", "agreed on", "added", "state", "folder"), rows)
+
+
+def _show_ask(answer: dict[str, Any]) -> None:
+    compared = counted(answer["num_compared"], "object")
+    how = f"{answer['measure']}, threshold {answer['threshold']:.4g}; {compared} compared"
+    show_table(
+        f"{counted(answer['num_matches'], 'match', 'matches')} for “{answer['query']}” by {how}",
+        ("scene", "object", "name", "score", "centre", "extent", "photo"),
+        [_row(one) for one in answer["matches"]],
+    )
+    if not answer["num_compared"]:
+        print("Nothing was compared: --scene, --box, --area and --since leave no object; `list` tells the scenes.")
+    elif not answer["matches"]:
+        print("No object of any scene answers this: try other words, or a lower --threshold.")
+    if answer["picture"]:
+        print(f"written to {answer['picture']}")
+
+
+def _row(one: dict[str, Any]) -> tuple[str, ...]:
+    places = (" ".join(f"{x:.2f}" for x in one[key]) for key in ("center", "extent"))
+    name, photo = one["label"] or one["name"] or "", one["photo"] or ""
+    return one["scene"], str(one["object_id"]), name, f"{one['score']:.3f}", *places, photo
+
+
+def _show_index(answer: dict[str, Any]) -> None:
+    print(f"indexed {counted(answer['num_objects'], 'object')}")
+
+
+_BY_ACTION = {
+    "add": (_add, _show_add), "remove": (_remove, _show_remove), "list": (_list, _show_list), "ask": (_ask, _show_ask),
+    "index": (_index, _show_index),
 }  # fmt: skip

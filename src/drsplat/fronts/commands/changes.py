@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .declaring import argument, option
 from .query_options import FIELD_HELP
 
 if TYPE_CHECKING:
@@ -14,12 +15,15 @@ if TYPE_CHECKING:
     from ...scene.moving import Moving
 
 
-def add_field_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("field", help=FIELD_HELP)
-    parser.add_argument("--scene", help="scene that was registered (default: the one beside the field in its folder)")
+@dataclass(frozen=True, kw_only=True)
+class FieldToChange:
+    """The field of a scene that registered it."""
+
+    field: str = argument(FIELD_HELP)
+    scene: str | None = option("scene that was registered (default: the one beside the field in its folder)")
 
 
-def field_and_scene(arguments: argparse.Namespace) -> tuple[Path, Gaussians | Moving]:
+def field_and_scene(given: FieldToChange) -> tuple[Path, Gaussians | Moving]:
     """Return the field's folder and its Gaussians.
 
     Raises: InputError: no such field, or no scene is given or beside it; as `read_scene`.
@@ -28,10 +32,10 @@ def field_and_scene(arguments: argparse.Namespace) -> tuple[Path, Gaussians | Mo
     from ...formats.moving_scenes import read_scene
     from ...query.opening import registered_scene, scene_files
 
-    files = scene_files(arguments.field, arguments.scene)
+    files = scene_files(given.field, given.scene)
     if not files.scenes:
         raise InputError("scene: expected the Gaussians that were registered: pass scene=SCENE")
-    if arguments.scene is not None:
+    if given.scene is not None:
         return files.field, read_scene(files.scenes[0])
     return files.field, registered_scene(files)[1]
 

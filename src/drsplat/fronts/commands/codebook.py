@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import shutil
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .embed import DEFAULT_ENCODER, ENCODER_HELP, add_device, image_encoder
-from .options import add_overwrite, count, count_or_all, tracker, whole, words
+from .declaring import argument, option
+from .embed import DEFAULT_ENCODER, ENCODER_HELP, image_encoder, models_device
+from .kinds import count, count_or_all, whole, words
+from .options import Verb, overwrite
 from .parts import COMPLETE, new_or_complete, parts_of, was_complete
 
 if TYPE_CHECKING:
@@ -29,57 +31,60 @@ DEFAULT_PATCHES = 17_500  # 64 for each of 256 centroids to train on, and 5 % he
 HELD_OUT_SHARE, MAX_HELD_OUT_ROWS = 0.05, 10_000
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("action", choices=("train",), help="action, the only one")
-    parser.add_argument(
-        "features", nargs="?", metavar="FEATURES.npy", help="embeddings (N, D) to train on, instead of --lvis"
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    action: str = argument("action, the only one", choices=("train",))
+    features: str | None = argument(
+        "embeddings (N, D) to train on, instead of --lvis", value="FEATURES.npy", nargs="?"
     )  # fmt: skip
-    parser.add_argument("--output", "-o", required=True, metavar="FILE", help=".safetensors to write the codebook to")
-    add_overwrite(parser)
-    source = parser.add_argument_group("source")
-    source.add_argument(
-        "--lvis", metavar="FILE", help="annotations of LVIS v1 or COCO, JSON: polygons or run lengths"
+    output: str = option(".safetensors to write the codebook to", "FILE", flags="-o", required=True)
+    overwrite: bool = overwrite()
+    lvis: str | None = option(
+        "annotations of LVIS v1 or COCO, JSON: polygons or run lengths", "FILE", title="source"
     )  # fmt: skip
-    source.add_argument("--images", metavar="DIR", help="folder of their photos, e.g. with train2017 and val2017")
-    source.add_argument(
-        "--encoder-name", type=words, metavar="NAME",
-        help="encoder that made FEATURES.npy, e.g. ViT-B-16/laion2b_s34b_b88k"
+    images: str | None = option("folder of their photos, e.g. with train2017 and val2017", "DIR", title="source")
+    encoder_name: str | None = option(
+        "encoder that made FEATURES.npy, e.g. ViT-B-16/laion2b_s34b_b88k", "NAME", words, title="source"
+    )
+    limit: int | None = option(
+        "embed at most N randomly drawn patches, or 'all'. Training uses 16,384 in any case, so more only cost time "
+        f"(default: {DEFAULT_PATCHES}; patches under 100 pixels are left out)", "N", count_or_all, DEFAULT_PATCHES,
+        title="source",
     )  # fmt: skip
-    source.add_argument(
-        "--limit", type=count_or_all, default=DEFAULT_PATCHES, metavar="N",
-        help="embed at most N randomly drawn patches, or 'all'. Training uses 16,384 in any case, so more only "
-        f"cost time (default: {DEFAULT_PATCHES}; patches under 100 pixels are left out)",
+    encoder: str = option(ENCODER_HELP, "NAME", words, DEFAULT_ENCODER, title="source")
+    device: str = models_device("source")
+    subvectors: int = option(
+        "bytes per code; must divide the embedding size (default: 128; 64 and 32 are smaller and coarser)", "L", count,
+        128, title="method",
     )  # fmt: skip
-    source.add_argument("--encoder", type=words, default=DEFAULT_ENCODER, metavar="NAME", help=ENCODER_HELP)
-    add_device(source)
-    method = parser.add_argument_group("method")
-    method.add_argument(
-        "--subvectors", type=count, default=128, metavar="L",
-        help="bytes per code; must divide the embedding size (default: 128; 64 and 32 are smaller and coarser)",
-    )  # fmt: skip
-    method.add_argument("--seed", type=whole, default=0, metavar="N", help="random seed (default: 0)")
+    seed: int = option("random seed (default: 0)", "N", whole, 0, title="method")
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+def run(options: Options) -> dict[str, Any]:
     from ...base.progress import Stopwatch
     from ...base.system import peak_memory_bytes
     from ...errors import InputError
     from ...field.codes import load_codebook, save_codebook
 
-    output = new_or_complete(arguments.output, arguments.overwrite, ".safetensors")
-    if (arguments.features is None) == (arguments.lvis is None):
+    output = new_or_complete(options.output, options.overwrite, ".safetensors")
+    if (options.features is None) == (options.lvis is None):
         raise InputError("codebook train: give either FEATURES.npy or --lvis with --images")
     watch = Stopwatch()
     parts = parts_of(output)
-    rows, encoder, facts = _embedded(arguments, parts) if arguments.features is None else _training_rows(arguments)
+    if options.features is None:
+        rows, encoder, facts = _embedded(options, parts)
+    else:
+        rows, encoder, facts = _training_rows(options.features, options.encoder_name)
     watch.lap("embed")
-    codebook, cosines = _trained(rows, encoder, arguments)
+    codebook, cosines = _trained(rows, encoder, options)
     watch.lap("train")
-    complete = was_complete(output, arguments.overwrite, lambda: load_codebook(output).hash == codebook.hash)
+    complete = was_complete(output, options.overwrite, lambda: load_codebook(output).hash == codebook.hash)
     if not complete:
-        save_codebook(codebook, output, overwrite=arguments.overwrite)
+        save_codebook(codebook, output, overwrite=options.overwrite)
     del rows
-    if arguments.features is None:
+    if options.features is None:
         shutil.rmtree(parts, ignore_errors=True)
     return {
         "codebook": str(output),
@@ -118,16 +123,16 @@ def show(answer: dict[str, Any]) -> None:
     show_facts(f"trained: {answer['codebook']}{COMPLETE if answer['was_complete'] else ''}", facts)
 
 
-def _embedded(arguments: argparse.Namespace, parts: Path) -> tuple[np.ndarray, EncoderIdentity, dict[str, int]]:
+def _embedded(options: Options, parts: Path) -> tuple[np.ndarray, EncoderIdentity, dict[str, int]]:
     from ...errors import InputError
     from ...formats.lvis import read_annotations
     from ...photos.embedding.patches import embed_patches, find_patches
 
-    if arguments.images is None:
+    if options.images is None:
         raise InputError("--lvis needs --images DIR, the folder of the annotated photos")
-    source = find_patches(read_annotations(arguments.lvis), arguments.images, arguments.limit, arguments.seed)
-    encoder = image_encoder(arguments)
-    embedded = embed_patches(source, encoder, parts, tracker(arguments))
+    source = find_patches(read_annotations(options.lvis or ""), options.images, options.limit, options.seed)
+    encoder = image_encoder(options.encoder, options.device, options.threads)
+    embedded = embed_patches(source, encoder, parts, options.track)
     facts = {
         "num_embeddings": len(embedded.embeddings),
         "num_photos": len(source.photos),
@@ -137,21 +142,21 @@ def _embedded(arguments: argparse.Namespace, parts: Path) -> tuple[np.ndarray, E
     return embedded.embeddings, encoder.identity, facts
 
 
-def _training_rows(arguments: argparse.Namespace) -> tuple[np.ndarray, EncoderIdentity, dict[str, int]]:
+def _training_rows(path: str, encoder: str | None) -> tuple[np.ndarray, EncoderIdentity, dict[str, int]]:
     from ... import EncoderIdentity
     from ...errors import FormatError, InputError
     from ...formats.npy import map_npy
 
-    if arguments.encoder_name is None:
-        raise InputError(f"{arguments.features}: the file does not name its encoder: pass --encoder-name NAME")
-    rows = map_npy(Path(arguments.features))
+    if encoder is None:
+        raise InputError(f"{path}: the file does not name its encoder: pass --encoder-name NAME")
+    rows = map_npy(Path(path))
     if rows.ndim != 2 or 0 in rows.shape or rows.dtype.kind != "f":
-        raise FormatError(f"{arguments.features}: expected floats (N, D), got {rows.dtype} {rows.shape}")
-    identity = EncoderIdentity(arguments.encoder_name, rows.shape[1])
+        raise FormatError(f"{path}: expected floats (N, D), got {rows.dtype} {rows.shape}")
+    identity = EncoderIdentity(encoder, rows.shape[1])
     return rows, identity, {"num_embeddings": len(rows)}
 
 
-def _trained(rows: np.ndarray, encoder: EncoderIdentity, arguments: argparse.Namespace) -> tuple[Codebook, np.ndarray]:
+def _trained(rows: np.ndarray, encoder: EncoderIdentity, options: Options) -> tuple[Codebook, np.ndarray]:
     """Return the codebook, and the cosine of each held-out row with its decoded code."""
     import numpy as np
 
@@ -159,15 +164,15 @@ def _trained(rows: np.ndarray, encoder: EncoderIdentity, arguments: argparse.Nam
     from ...field.codes.codebook import MAX_TRAINING_POINTS
     from ...formats.langsplat import unit_rows
 
-    path = Path(arguments.features or arguments.lvis)
-    order = np.random.default_rng(arguments.seed).permutation(len(rows))
+    path = Path(options.features or options.lvis or "")
+    order = np.random.default_rng(options.seed).permutation(len(rows))
     share = max(1, int(HELD_OUT_SHARE * len(rows))) if len(rows) > 1 else 0
     held_out = unit_rows(rows, order[: min(share, MAX_HELD_OUT_ROWS)], path)
     drawn = unit_rows(rows, np.sort(order[share:][:MAX_TRAINING_POINTS]), path)
     codebook = train_codebook(
-        drawn, arguments.subvectors, encoder=encoder, seed=arguments.seed,
-        threads=arguments.threads, track=tracker(arguments),
+        drawn, options.subvectors, encoder=encoder, seed=options.seed,
+        threads=options.threads, track=options.track,
     )  # fmt: skip
-    codes = codebook.encode(held_out, threads=arguments.threads)
+    codes = codebook.encode(held_out, threads=options.threads)
     cosines = (held_out * codebook.decode(codes)).sum(axis=1) * codebook.inverse_norms(codes)
     return codebook, cosines

@@ -13,59 +13,53 @@ import argparse
 import os
 import re
 import stat
-import tomllib
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, NamedTuple
 
 from ...base.system import NO_WAITING, OWN_FILE_FLAGS, can_be_a_path
 from ...base.terminal import counted, plain, quoted
 from ...errors import InputError
-
-if TYPE_CHECKING:
-    from .parsing import Given, VerbParser
+from .help_texts import did_you_mean
 
 OPTIONS_NOT_KEPT = ("config", "print_config", "help", "help_all", "debug", "log")
 MAX_FILE_BYTES = 1 << 15  # tomllib's time grows with the square of the length of some lines
 _NUMBER = re.compile(r"-?(0|[1-9]\d*)(\.\d+)?")
 
 
-def apply_file(path: str, parser: VerbParser, arguments: argparse.Namespace) -> None:
-    """Set the options that a file has for a verb and the parsed line does not give.
+class Given(NamedTuple):
+    """One use of an option: its action, and the texts that came with it."""
 
-    Options that share a place, or exclude each other, count as given when one of them is.
+    option: argparse.Action
+    texts: list[str]
+
+
+def uses_of(path: str, verb: str, options: Mapping[str, argparse.Action]) -> Iterator[tuple[str, Given]]:
+    """Return each use of an option of a verb that a file has, with its name there.
 
     Raises: InputError: the file is no TOML, or has what the verb does not take. OSError: it cannot be read.
     """
-    taken = {place(option) for option in _with_rivals(parser, [option for option, _ in parser.given])}
-    for key, value in _chosen(_tables(path), _verb(parser), options_of(parser), path).items():
-        option = options_of(parser)[key]
-        if place(option) in taken:
-            continue
-        for texts in _uses(option, value, f"{path}: {key}"):
-            _check_rivals(parser, option, path)
-            try:
-                parser.take(option, texts, arguments)
-            except argparse.ArgumentError as error:
-                raise InputError(f"{path}: {key}: {error.message}") from None
+    for key, value in _chosen(_tables(path), verb, options, path).items():
+        for texts in _uses(options[key], value, f"{path}: {key}"):
+            yield key, Given(options[key], texts)
 
 
-def configuration(parser: VerbParser) -> str:
-    """Return TOML of what the parsed line gives for a verb, and in comments the defaults of the rest.
+def configuration(verb: str, options: Mapping[str, argparse.Action], given: Iterable[Given]) -> str:
+    """Return TOML of what a line gives for a verb, and in comments the defaults of the rest.
 
     Raises: InputError: TOML cannot hold it.
     """
-    options = options_of(parser)
-    uses = [use for use in parser.given if use.option in options.values()]
+    uses = [use for use in given if use.option in options.values()]
     _check_order(uses)
     keys = {option: key for key, option in options.items()}
     lines = [f"{keys[option]} = {_value(option, uses)}" for option in dict.fromkeys(use.option for use in uses)]
     rest = {key: option.default for key, option in options.items() if option not in {use.option for use in uses}}
     lines += [f"# {key} = {_toml(default)}" for key, default in rest.items() if _is_plain(default)]
-    return "\n".join([f"[{_verb(parser)}]", *lines])
+    return "\n".join([f"[{verb}]", *lines])
 
 
-def options_of(parser: VerbParser) -> dict[str, argparse.Action]:
+def options_of(options: Iterable[argparse.Action]) -> dict[str, argparse.Action]:
     """Return the options that a file can set, by their long names without the dashes."""
-    kept = (option for option in parser.options if option.dest not in OPTIONS_NOT_KEPT)
+    kept = (option for option in options if option.dest not in OPTIONS_NOT_KEPT)
     return {next(flag for flag in option.option_strings if flag.startswith("--"))[2:]: option for option in kept}
 
 
@@ -82,26 +76,9 @@ def place(option: argparse.Action) -> str:
     return str(getattr(option, "sequence", option.dest))
 
 
-def _verb(parser: VerbParser) -> str:
-    return parser.prog.rpartition(" ")[2]
-
-
-def _with_rivals(parser: VerbParser, given: list[argparse.Action]) -> list[argparse.Action]:
-    groups = [group for group in parser.rivals if any(option in group for option in given)]
-    return [*given, *(option for group in groups for option in group)]
-
-
-def _check_rivals(parser: VerbParser, option: argparse.Action, path: str) -> None:
-    """Refuse an option if the file has set another that excludes it."""
-    used = [use.option for use in parser.given]
-    for group in parser.rivals:
-        for other in group:
-            if option in group and other is not option and other in used:
-                names = f"{other.option_strings[0][2:]} and {option.option_strings[0][2:]}"
-                raise InputError(f"{path}: {names} exclude each other: leave one out")
-
-
 def _tables(path: str) -> dict[str, Any]:
+    import tomllib
+
     content, fault = _content(path), ""
     try:
         return tomllib.loads(content.decode("utf-8-sig"))
@@ -130,11 +107,9 @@ def _content(path: str) -> bytes:
 
 
 def _chosen(
-    tables: dict[str, Any], verb: str, options: dict[str, argparse.Action], path: str
+    tables: dict[str, Any], verb: str, options: Mapping[str, argparse.Action], path: str
 ) -> dict[str, Any]:  # fmt: skip
     """Return a verb's settings: all of its own table, and of what stands above the tables what the verb has."""
-    from .parsing import did_you_mean
-
     common = {_key(key): value for key, value in tables.items() if not isinstance(value, dict)}
     own = tables.get(verb, {})
     if not isinstance(own, dict):

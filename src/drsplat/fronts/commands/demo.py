@@ -1,10 +1,11 @@
 """drsplat demo: photos to answers, on a small scene that ships."""
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .options import add_overwrite, tracker
+from .declaring import option
+from .options import Verb, overwrite
 
 EXAMPLES = """\
   drsplat demo
@@ -19,29 +20,32 @@ CAPTION = (
 )
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--output-dir", "--output", "-o", default="drsplat-demo", metavar="DIR",
-        help="folder for the scene, the photos, the field and the pictures (default: drsplat-demo)",
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    output_dir: str = option(
+        "folder for the scene, the photos, the field and the pictures (default: drsplat-demo)", "DIR", None,
+        "drsplat-demo", flags="--output-dir --output -o",
     )  # fmt: skip
-    add_overwrite(parser)
+    overwrite: bool = overwrite()
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+def run(options: Options) -> dict[str, Any]:
     from ...evaluation.demo.household import resumable
 
-    folder = Path(arguments.output_dir)
-    with resumable(folder, arguments.overwrite):
-        return _run_story(arguments, folder)
+    folder = Path(options.output_dir)
+    with resumable(folder, options.overwrite):
+        return _run_story(options, folder)
 
 
-def interrupted(arguments: argparse.Namespace) -> str:
+def interrupted(options: Options) -> str:
     """Return what a stopped demo keeps, and how to go on."""
-    again = ", without --overwrite," if arguments.overwrite else ""
-    return f"the photos embedded so far are kept in {arguments.output_dir}: give the same command again{again} to go on"
+    again = ", without --overwrite," if options.overwrite else ""
+    return f"the photos embedded so far are kept in {options.output_dir}: give the same command again{again} to go on"
 
 
-def _run_story(arguments: argparse.Namespace, folder: Path) -> dict[str, Any]:
+def _run_story(options: Options, folder: Path) -> dict[str, Any]:
     from ...base.progress import Stopwatch
     from ...base.system import peak_memory_bytes
     from ...evaluation.demo.album import write_album
@@ -49,8 +53,8 @@ def _run_story(arguments: argparse.Namespace, folder: Path) -> dict[str, Any]:
     from ...evaluation.demo.page import write_page
     from ...evaluation.demo.story import FIELD, tell
 
-    watch, threads, followed = Stopwatch(), arguments.threads, tracker(arguments)
-    story = tell(folder, overwrite=True, anew=arguments.overwrite, threads=threads, track=followed)
+    watch, threads, followed = Stopwatch(), options.threads, options.track
+    story = tell(folder, overwrite=True, anew=options.overwrite, threads=threads, track=followed)
     watch.lap("story")
     pictures = write_album(folder, story, overwrite=True)
     page = write_page(folder, story, pictures[1:], overwrite=True)

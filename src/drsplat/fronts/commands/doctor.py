@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import platform
 import subprocess
 import sys
+from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from typing import Any
+
+from .options import Verb
 
 EXAMPLES = """\
   drsplat doctor
@@ -47,17 +49,18 @@ _PROBE = "import json; from drsplat.fronts.commands.doctor import probe; print(j
 _PROBE_S = 120
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add nothing: `drsplat doctor` has no options of its own."""
-
-
 CACHE_TEXTS = {
     True: "in the local cache", False: "not in the local cache, downloaded at first use",
     None: "huggingface_hub is not installed",
 }  # fmt: skip
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb: none of its own."""
+
+
+def run(_: Options) -> dict[str, Any]:
     from ...photos.models.devices import has_fast_bfloat16
 
     asked = _start_probe()  # the slowest: importing torch; the rest is done meanwhile

@@ -2,40 +2,33 @@
 
 from __future__ import annotations
 
-import argparse
 import shlex
-from contextlib import contextmanager, nullcontext
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from ...query.schema import CUT, EXCLUDE, SUBJECTS
-from .edit_options import (
-    add_change_options,
-    add_kept_edits,
-    add_list_options,
-    add_target_options,
-    note_applied,
-    note_left_out,
-    only_one,
-)
-from .options import add_capture_options, add_overwrite, add_query_encoders, words
-from .query_options import add_fields, check_outputs, open_scene, query_of, query_text
+from .declaring import argument, option, part
+from .edit_options import Changes, Listed, Targets, kept_edits, note_applied, note_left_out, only_one
+from .kinds import words
+from .options import Encoders, Photos, Verb, overwrite
+from .query_options import asked, check_outputs, query_of, query_text
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     import numpy as np
 
     from ...authoring.editing import EditFile, EditList
     from ...authoring.editing.draft import Draft
     from ...authoring.editing.edits import Change
+    from ...authoring.editing.kept import KeptEdits
     from ...authoring.editing.targets import Target
-    from ...formats.annotations import AnnotationFile
     from ...query import Scene
     from ...scene.annotations import Annotation
     from ...scene.gaussians import Gaussians
     from ...scene.views import View
+    from .query_options import Asked
 
 EXAMPLES = """\
   drsplat edit scene.ply --field room.field --query "red mug" --recolour "#2060ff"
@@ -67,103 +60,90 @@ DAILY = (
     "picture",
     "overwrite",
 )
+USAGE = "%(prog)s SCENE [--field FIELD] [what] [change ...] [options]"
 QUERIES = tuple(field.name for field in SUBJECTS)
 TARGETS = (*QUERIES, "object", "label", "box", "rows", "copies", "everything")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.usage = f"{parser.prog} SCENE [--field FIELD] [what] [change ...] [options]"
-    parser.add_argument("scene", help="scene to edit, or a folder with a field, its scene and photos")
-    parser.add_argument("--field", help="field of the scene, for queries, objects and labels")
-    add_target_options(parser)
-    add_fields(parser.add_argument_group("other queries"), (*SUBJECTS[1:], EXCLUDE))
-    add_change_options(parser)
-    add_list_options(parser)
-    output = parser.add_argument_group("output")
-    output.add_argument(
-        "--save", metavar="OUT.ply",
-        help="write the scene with only the changes of this command or, without any, with all kept edits",
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    scene: str = argument("scene to edit, or a folder with a field, its scene and photos")
+    field: str | None = option("field of the scene, for queries, objects and labels")
+    target: Targets = part(Targets)
+    others: Asked = asked((*SUBJECTS[1:], EXCLUDE), "other queries")
+    change: Changes = part(Changes)
+    listed: Listed = part(Listed)
+    save: str | None = option(
+        "write the scene with only the changes of this command or, without any, with all kept edits", "OUT.ply",
+        title="output",
     )  # fmt: skip
-    add_kept_edits(output, "none with a change and --save, else kept")
-    output.add_argument("--picture", metavar="OUT.png", help="write the scene before and after, side by side")
-    output.add_argument("--views", metavar="CAPTURE", help="poses, for --picture and to find up")
-    output.add_argument(
-        "--view", type=words, metavar="NAME", help="view for --picture (default: the one that shows most of it)"
+    edits: KeptEdits | None = kept_edits("none with a change and --save, else kept", "output")
+    picture: str | None = option("write the scene before and after, side by side", "OUT.png", title="output")
+    views: str | None = option("poses, for --picture and to find up", "CAPTURE", title="output")
+    view: str | None = option(
+        "view for --picture (default: the one that shows most of it)", "NAME", words, title="output"
     )
-    add_overwrite(output)
-    add_query_encoders(parser)
-    add_fields(parser, CUT)
-    add_capture_options(parser)
+    overwrite: bool = overwrite("output")
+    encoders: Encoders = part(Encoders)
+    cut: Asked = asked(CUT)
+    photos: Photos = part(Photos)
+
+    @property
+    def asked(self) -> Asked:
+        """Values that say what is edited, by name."""
+        return {**vars(self.target), **self.others, **self.cut}
 
 
-class _Outcome(NamedTuple):
-    """Outcome of a call. num_kept: edits that were kept before. after: the scene, None if nobody needs it."""
-
-    num_kept: int
-    edits: EditList
-    annotations: tuple[Annotation, ...]
-    after: Gaussians | None
-    view: View | None
-
-
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from ...authoring.editing import EditFile
+def run(options: Options) -> dict[str, Any]:
+    from ... import write_gaussians
+    from ...authoring.editing import EditList
     from ...authoring.editing.kept import without_kept
     from ...formats.annotations import AnnotationFile
     from ...formats.replacing import together
 
-    check_outputs(arguments)
-    work = _Work(arguments)
-    edits, notes = EditFile.beside(work.path), AnnotationFile.beside(work.path)
-    alone = without_kept(arguments.edits, changes=bool(arguments.changes), saves=bool(arguments.save))
-    with _held(edits, notes) if work.writes(alone) else nullcontext(), together():
-        outcome = _done(work, edits, notes, alone)
+    check_outputs(options.save, options.picture, options.overwrite)
+    work, changes, wanted = _work(options), options.change.changes, options.listed
+    notes, after, view = AnnotationFile.beside(work.path), None, None
+    alone = without_kept(options.edits, changes=bool(changes), saves=bool(options.save))
+    writes = wanted.undo or wanted.redo or wanted.annotate or wanted.drop_annotation or (changes and not alone)
+    with ExitStack() as held:
+        for file in (work.file, notes) if writes else ():
+            held.enter_context(file.held())
+        held.enter_context(together())
+        kept, noted = work.file.read(work.gaussians), notes.read()
+        first = EditList(kept.scene) if alone else kept
+        edits = work.changed(first)
+        annotations = work.annotated(noted, kept if alone else edits)
+        if options.save or options.picture or changes or wanted.redo:
+            after = work.file.edited(work.gaussians, edits)
+        if edits is not first and not alone:
+            work.file.write(edits)
+        if annotations is not noted:
+            notes.write(annotations)
+        if options.save and after is not None:
+            write_gaussians(options.save, after, overwrite=options.overwrite, is_edited=True)
+        if options.picture and after is not None:
+            view = work.draw(options.picture, edits, after)
     if alone:
-        note_left_out(outcome.num_kept)
-    elif arguments.save or arguments.picture:
-        note_applied(outcome.num_kept if arguments.changes else outcome.edits.done)
+        note_left_out(kept.done)
+    elif options.save or options.picture:
+        note_applied(kept.done if changes else edits.done)
     return {
         "scene": str(work.path),
-        "edits_file": str(edits.path),
+        "edits_file": str(work.file.path),
         "kept": not alone,
-        "num_edits": outcome.edits.done,
-        "num_undone": len(outcome.edits.edits) - outcome.edits.done,
-        "edits": _edits_json(outcome.edits),
-        "annotations": [_annotation_json(one) for one in outcome.annotations],
+        "num_edits": edits.done,
+        "num_undone": len(edits.edits) - edits.done,
+        "edits": _edits_json(edits),
+        "annotations": [_annotation_json(one) for one in annotations],
         "num_gaussians_before": len(work.gaussians),
-        "num_gaussians": None if outcome.after is None else len(outcome.after),
-        "saved": arguments.save,
-        "picture": arguments.picture,
-        "view": None if outcome.view is None else outcome.view.name,
+        "num_gaussians": None if after is None else len(after),
+        "saved": options.save,
+        "picture": options.picture,
+        "view": None if view is None else view.name,
     }
-
-
-def _done(work: _Work, file: EditFile, notes: AnnotationFile, alone: bool) -> _Outcome:
-    """Change the lists as the options say, and write them and the outputs. alone: the kept edits are left out."""
-    from ...authoring.editing import EditList
-
-    arguments, view, after = work.arguments, None, None
-    kept, noted = file.read(work.gaussians), notes.read()
-    first = EditList(kept.scene) if alone else kept
-    edits = work.changed(first, file)
-    annotations = work.annotated(noted, kept if alone else edits, file)
-    if arguments.save or arguments.picture or arguments.changes or arguments.redo:
-        after = file.edited(work.gaussians, edits)
-    if edits is not first and not alone:
-        file.write(edits)
-    if annotations is not noted:
-        notes.write(annotations)
-    if arguments.save and after is not None:
-        _save(arguments, after)
-    if arguments.picture and after is not None:
-        view = work.draw(edits, after)
-    return _Outcome(kept.done, edits, annotations, after, view)
-
-
-@contextmanager
-def _held(edits: EditFile, notes: AnnotationFile) -> Iterator[None]:
-    with edits.held(), notes.held():
-        yield
 
 
 def show(answer: dict[str, Any]) -> None:
@@ -203,58 +183,64 @@ def _annotation_json(one: Annotation) -> dict[str, Any]:
     return {"text": one.text, "center": one.center} | box
 
 
-def _save(arguments: argparse.Namespace, after: Gaussians) -> None:
-    from ... import write_gaussians
+def _work(options: Options) -> _Work:
+    """Open the scene that is meant; each Gaussian has the number of its object, where the field knows objects."""
+    from ... import open_scene
+    from ...authoring.editing import EditFile
+    from ...authoring.editing.draft import OBJECT_ID
+    from ...formats.moving_scenes import read_scene
+    from ...query.opening import find_scene, registered_scene
+    from ...scene.moving import still
 
-    write_gaussians(arguments.save, after, overwrite=arguments.overwrite, is_edited=True)
+    path, field, scene = Path(options.scene), options.field, None
+    if field is None and path.is_dir() and any(path.glob("*.field")):
+        field = options.scene
+        path, found = registered_scene(find_scene(path))
+    else:
+        found, scene = read_scene(path), options.scene
+    gaussians, opened = still(found), None
+    if field is not None:
+        opened = open_scene(
+            field, scene=scene, views=options.views, threads=options.threads, **vars(options.encoders),
+            **vars(options.photos),
+        )  # fmt: skip
+        if opened.field.objects is not None:
+            gaussians = replace(gaussians, extra={**gaussians.extra, OBJECT_ID: opened.object_ids()})
+    return _Work(options, path, EditFile.beside(path), gaussians, opened)
 
 
+@dataclass(frozen=True)
 class _Work:
-    """One call of the verb: the scene that is meant, opened as far as it is needed."""
+    """One call of the verb. path: of the scene. file: its edits. opened: with its field, None where it has none."""
 
-    def __init__(self, arguments: argparse.Namespace) -> None:
-        from ...formats.moving_scenes import read_scene
-        from ...query.opening import find_scene, registered_scene
-        from ...scene.moving import still
-
-        self.arguments = arguments
-        path = Path(arguments.scene)
-        if arguments.field is None and path.is_dir() and any(path.glob("*.field")):
-            files = find_scene(path)
-            self.path, scene = registered_scene(files)
-            gaussians = still(scene)
-            arguments.field, arguments.scene = str(path), None
-        else:
-            self.path, gaussians = path, still(read_scene(path))
-        self._scene: Scene | None = None if arguments.field is None else open_scene(arguments)
-        self.gaussians = self._with_objects(gaussians)
-
-    def _with_objects(self, gaussians: Gaussians) -> Gaussians:
-        """Add the number of each one's object, where the field knows objects."""
-        from dataclasses import replace
-
-        from ...authoring.editing.draft import OBJECT_ID
-
-        if self._scene is None or self._scene.field.objects is None:
-            return gaussians
-        return replace(gaussians, extra={**gaussians.extra, OBJECT_ID: self._scene.object_ids()})
+    options: Options
+    path: Path
+    file: EditFile
+    gaussians: Gaussians
+    opened: Scene | None
 
     @property
     def scene(self) -> Scene:
         from ...errors import InputError
 
-        if self._scene is None:
+        if self.opened is None:
             raise InputError("queries, objects and labels need the field of the scene: pass field=FIELD")
-        return self._scene
+        return self.opened
 
     @cached_property
     def posed(self) -> Scene | None:
         """The scene with what is known of its photos, for pictures and to know what is up; None for nothing."""
         from ..viewing.bare import open_bare
 
-        if self._scene is not None or self.arguments.views is None:
-            return self._scene
-        return open_bare(self.path, self.arguments.views, self.arguments.threads)
+        if self.opened is not None or self.options.views is None:
+            return self.opened
+        return open_bare(self.path, self.options.views, self.options.threads)
+
+    def draft(self, edits: EditList) -> Draft:
+        """Return the scene after some edits."""
+        from ...authoring.editing.edits import drafted
+
+        return drafted(self.gaussians, edits.active, self.file.other)
 
     # --- what is edited ---
 
@@ -267,94 +253,97 @@ class _Work:
         from ...errors import InputError
         from ...formats.npy import map_npy
 
-        arguments = self.arguments
-        which = only_one(arguments, TARGETS)
+        given = self.options.asked
+        which = only_one(given, TARGETS)
         if which is None:
             raise InputError("nothing to edit was named: pass --query WORDS, --object NUMBER or --everything")
-        if which in QUERIES:
-            return query_rows(self.scene, query_of(arguments), query_text(arguments))
+        value = given[which]
         match which:
             case "object":
-                return object_rows(self.scene, arguments.object)
+                return object_rows(self.scene, value)
             case "label":
-                return label_rows(self.scene, arguments.label)
+                return label_rows(self.scene, value)
+            case "box":
+                return Box(np.array(value[:3]), np.eye(3), np.array(value[3:]))
             case "rows":
-                return Rows.of(_row_numbers(map_npy(Path(arguments.rows)), arguments.rows))
+                return Rows.of(_row_numbers(map_npy(Path(value)), value))
             case "copies":
-                return Copies(arguments.copies)
+                return Copies(value)
             case "everything":
                 return Everything()
-        return Box(np.array(arguments.box[:3]), np.eye(3), np.array(arguments.box[3:]))
+        return query_rows(self.scene, query_of(given), query_text(given))
 
     # --- what is done ---
 
-    def writes(self, alone: bool) -> bool:
-        """Return whether the lists beside the scene may change. alone: changes are not kept."""
-        arguments = self.arguments
-        options = [arguments.undo, arguments.redo, arguments.annotate, arguments.drop_annotation]
-        options += [] if alone else [arguments.changes]
-        return any(option is not None for option in options)
-
-    def changed(self, listed: EditList, file: EditFile) -> EditList:
+    def changed(self, edits: EditList) -> EditList:
         """Return the list with the changes that the options name; the same list if they name none.
 
         Raises: InputError: it cannot be.
         """
         from ...authoring.editing import Edit
-        from ...authoring.editing.edits import drafted, recorded
+        from ...authoring.editing.edits import recorded
         from ...errors import InputError
 
-        arguments = self.arguments
-        steps = [arguments.undo is not None, arguments.redo is not None, bool(arguments.changes)]
-        if sum(steps) > 1:
+        options, undo, redo = self.options, self.options.listed.undo, self.options.listed.redo
+        changes = options.change.changes or ()
+        if sum(map(bool, (undo, redo, changes))) > 1:
             raise InputError("--undo, --redo and changes: give one of them at a time")
-        if arguments.edits == "none" and (steps[0] or steps[1]):
+        if options.edits == "none" and (undo or redo):
             raise InputError("--undo and --redo are of the kept edits: drop --edits none")
-        if arguments.copies is not None and arguments.save and arguments.edits is None and arguments.changes:
+        if options.target.copies is not None and options.save and options.edits is None and changes:
             raise InputError(
                 "copies: they are of a kept edit, and a change that is saved is done alone: add --edits kept"
             )
-        target = self.target() if arguments.changes else None
-        for _ in range(arguments.undo or 0):
-            listed = listed.undone()
-        for _ in range(arguments.redo or 0):
-            listed = listed.redone()
-        for name, value in arguments.changes or ():
+        for _ in range(undo or 0):
+            edits = edits.undone()
+        for _ in range(redo or 0):
+            edits = edits.redone()
+        target = self.target() if changes else None
+        for name, value in changes:
             assert target is not None
-            draft = drafted(self.gaussians, listed.active, file.other)
-            made = self._made(name, value, draft.part(target.ids(draft)), file.path.parent)
-            listed = recorded(self.gaussians, listed.with_edit(Edit(target, made)), file.other)
-        return listed
+            draft = self.draft(edits)
+            made = self._made(name, value, draft.part(target.ids(draft)))
+            edits = recorded(self.gaussians, edits.with_edit(Edit(target, made)), self.file.other)
+        return edits
 
-    def _made(self, name: str, value: Any, part: Gaussians, folder: Path) -> Change:
+    def _made(self, name: str, value: Any, part: Gaussians) -> Change:
         from ...authoring import editing
         from ...authoring.editing.colouring import color_of
         from ...authoring.editing.making import replaced_by, scaled_on_its_foot
         from .query_inputs import read_picture
 
-        arguments = self.arguments
-        makers: dict[str, Callable[[], Change]] = {
-            "remove": editing.Remove,
-            "isolate": editing.Isolate,
-            "fill": editing.Fill,
-            "recolour": lambda: editing.Recolour(color_of(value), arguments.amount),
-            "palette": lambda: editing.Palette(tuple(color_of(one) for one in value.split(","))),
-            "like_photo": lambda: editing.MatchPhoto.of(read_picture(value)),
-            "opacity": lambda: editing.Opacity(value),
-            "move": lambda: editing.Move(tuple(value)),
-            "duplicate": lambda: editing.Duplicate(tuple(value)),
-            "turn": lambda: editing.Turn(value, tuple(arguments.axis or self._needed_up.tolist())),
-            "scale": lambda: scaled_on_its_foot(part, value, self._up),
-            "replace": lambda: replaced_by(part, self._needed_up, value, arguments.with_object, folder),
-        }
-        return makers[name]()
+        change = self.options.change
+        match name:
+            case "remove":
+                return editing.Remove()
+            case "isolate":
+                return editing.Isolate()
+            case "fill":
+                return editing.Fill()
+            case "recolour":
+                return editing.Recolour(color_of(value), change.amount)
+            case "palette":
+                return editing.Palette(tuple(color_of(one) for one in value.split(",")))
+            case "like_photo":
+                return editing.MatchPhoto.of(read_picture(value))
+            case "opacity":
+                return editing.Opacity(value)
+            case "move":
+                return editing.Move(tuple(value))
+            case "duplicate":
+                return editing.Duplicate(tuple(value))
+            case "turn":
+                return editing.Turn(value, tuple(change.axis or self._needed_up.tolist()))
+            case "scale":
+                return scaled_on_its_foot(part, value, self._up)
+        return replaced_by(part, self._needed_up, value, change.with_object, self.file.path.parent)
 
     @property
     def _up(self) -> np.ndarray | None:
         from ...authoring.filming.looking import named_up
 
-        if self.arguments.up:
-            return named_up(self.arguments.up)
+        if self.options.change.up:
+            return named_up(self.options.change.up)
         return None if self.posed is None else self.posed.up
 
     @property
@@ -368,44 +357,44 @@ class _Work:
 
     # --- annotations ---
 
-    def annotated(self, known: tuple[Annotation, ...], listed: EditList, file: EditFile) -> tuple[Annotation, ...]:
-        """Return the annotations after the edits, with what the options add and drop."""
-        from ...authoring.editing.edits import drafted
-        from ...errors import InputError
-        from ...formats.annotations import without
-        from ...scene.annotations import Annotation
+    def annotated(self, known: tuple[Annotation, ...], edits: EditList) -> tuple[Annotation, ...]:
+        """Return the annotations after some edits, with what the options add and drop.
 
-        arguments = self.arguments
-        if arguments.drop_annotation is not None:
-            known = without(known, arguments.drop_annotation)
-        if arguments.annotate is None:
-            if arguments.at is not None:
-                raise InputError("--at is for --annotate TEXT: pass both, or none")
-            return known
-        if arguments.at is not None:
-            return (*known, Annotation.at(arguments.annotate, arguments.at))
-        return (*known, *self._boxed(arguments.annotate, drafted(self.gaussians, listed.active, file.other)))
-
-    def _boxed(self, text: str, draft: Draft) -> list[Annotation]:
-        """Return boxes at each match of a query, else at what is edited; where it is after all edits."""
+        New ones are boxes at each match of a query, else at what is edited; where it is after all edits.
+        """
         import numpy as np
 
+        from ...errors import InputError
+        from ...formats.annotations import without
         from ...kernels.boxes import box_of
         from ...scene.annotations import Annotation
         from ...scene.boxes import solid
 
-        if only_one(self.arguments, TARGETS) in QUERIES:
-            parts = [one.gaussian_ids for one in self.scene.locate(query_of(self.arguments))]
+        wanted, given = self.options.listed, self.options.asked
+        if wanted.drop_annotation is not None:
+            known = without(known, wanted.drop_annotation)
+        if wanted.annotate is None:
+            if wanted.at is not None:
+                raise InputError("--at is for --annotate TEXT: pass both, or none")
+            return known
+        if wanted.at is not None:
+            return (*known, Annotation.at(wanted.annotate, wanted.at))
+        draft = self.draft(edits)
+        if only_one(given, TARGETS) in QUERIES:
+            parts = [one.gaussian_ids for one in self.scene.locate(query_of(given))]
         else:
             parts = [self.target().ids(draft)]
         up = None if self.posed is None else self.posed.up
         wholes = [draft.part(ids) for ids in parts]
         boxes = [box_of(part, solid(part, np.arange(len(part))), up) for part in wholes]
-        return [Annotation.box(text, box.center, box.axes, np.maximum(box.extent, 1e-6)) for box in boxes]
+        return (
+            *known,
+            *(Annotation.box(wanted.annotate, box.center, box.axes, np.maximum(box.extent, 1e-6)) for box in boxes),
+        )
 
     # --- pictures ---
 
-    def draw(self, listed: EditList, after: Gaussians) -> View:
+    def draw(self, path: str, edits: EditList, after: Gaussians) -> View:
         """Write --picture; returns the view that it is from."""
         from ...authoring.editing.draft import Draft
         from ...authoring.editing.pictures import before_after
@@ -413,14 +402,14 @@ class _Work:
         from ...drawing.pictures import write_picture
         from ...errors import InputError
 
-        scene, last = self.posed, listed.active[-1] if listed.active else None
+        scene, last = self.posed, edits.active[-1] if edits.active else None
         if scene is None:
             raise InputError("a picture needs a place to be seen from: pass views=CAPTURE, the photos' poses")
         rows = last.target.ids(Draft.of(self.gaussians)) if last and isinstance(last.target, Rows) else None
-        view = scene.view(self.arguments.view) if self.arguments.view else scene.best_view(rows)
-        said = ", ".join(f"{one['do']} {one['of']}" for one in _edits_json(listed)[: listed.done][-2:])
-        picture = before_after(self.gaussians, after, view, said, self.arguments.threads)
-        write_picture(self.arguments.picture, picture, self.arguments.overwrite)
+        view = scene.view(self.options.view) if self.options.view else scene.best_view(rows)
+        said = ", ".join(f"{one['do']} {one['of']}" for one in _edits_json(edits)[: edits.done][-2:])
+        picture = before_after(self.gaussians, after, view, said, self.options.threads)
+        write_picture(path, picture, self.options.overwrite)
         return view
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ...base.terminal import counted, quoted
-from .options import count, finite, length, whole, words
+from .declaring import Item, flag, option, several
+from .kinds import count, finite, length, whole, words
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from ...scene.parted import AnyGaussians
 
 AXES = ("x", "y", "z")
+AXES_VALUE = ("X", "Y", "Z")
 
 
 class _Then(argparse.Action):
@@ -29,7 +32,7 @@ class _Then(argparse.Action):
     def __call__(
         self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
     ) -> None:
-        namespace.changes = [*(namespace.changes or []), (self.dest, values)]
+        namespace.changes = [*(getattr(namespace, "changes", None) or []), (self.dest, values)]
 
 
 class _Axis(argparse.Action):
@@ -50,72 +53,79 @@ class _Axis(argparse.Action):
             raise argparse.ArgumentError(self, f"expected x, y, z or three numbers, got {quoted(' '.join(values))}")
 
 
-def add_target_options(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("target of the edit (one of these)")
-    which = group.add_mutually_exclusive_group()
-    which.add_argument("--query", dest="text", type=words, metavar="WORDS", help="all matches of a query, together")
-    which.add_argument("--object", type=whole, metavar="NUMBER", help="object, as `drsplat objects` numbers them")
-    which.add_argument("--label", type=words, metavar="NAME", help="object with a label")
-    which.add_argument(
-        "--box", type=finite, nargs=6, metavar=("X", "Y", "Z", "SX", "SY", "SZ"),
-        help="axis-aligned box: its centre and its full side lengths, in scene units",
+@dataclass(frozen=True, kw_only=True)
+class Targets:
+    """Target of an edit."""
+
+    TITLE = "target of the edit (one of these)"
+    text: str | None = option("all matches of a query, together", "WORDS", words, flags="--query", rivals="target")
+    object: int | None = option("object, as `drsplat objects` numbers them", "NUMBER", whole, rivals="target")
+    label: str | None = option("object with a label", "NAME", words, rivals="target")
+    box: list[float] | None = option(
+        "axis-aligned box: its centre and its full side lengths, in scene units", ("X", "Y", "Z", "SX", "SY", "SZ"),
+        finite, nargs=6, rivals="target",
     )  # fmt: skip
-    which.add_argument("--rows", metavar="IDS.npy", help="rows of the scene, as `drsplat select --save` writes them")
-    which.add_argument("--copies", type=count, metavar="NUMBER", help="Gaussians that an earlier edit added")
-    which.add_argument("--everything", action="store_true", help="all Gaussians")
-
-
-def add_change_options(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("changes, applied in order")
-
-    def then(flag: str, **more: Any) -> None:
-        group.add_argument(flag, action=_Then, default=argparse.SUPPRESS, **more)
-
-    then("--remove", nargs=0, help="remove it")
-    then("--isolate", nargs=0, help="remove everything else")
-    then("--fill", nargs=0, help="fill the hole that it leaves with clones of the ground or wall beside it")
-    then("--recolour", type=words, metavar="COLOUR", help="give it one hue but keep its shading, e.g. #2060ff")
-    then("--palette", type=words, metavar="COLOURS", help="replace its colours by these, e.g. '#203040,#d0c0a0'")
-    then("--like-photo", metavar="PICTURE", help="match the mean and spread of its colours to those of a picture")
-    then("--opacity", type=finite, metavar="FACTOR", help="multiply its opacity; 0.3 makes it faint")
-    then("--move", type=finite, nargs=3, metavar=("X", "Y", "Z"), help="move it by this, in scene units")
-    then("--turn", type=finite, metavar="DEGREES", help="rotate it about --axis through its centre")
-    then("--scale", type=length, metavar="FACTOR", help="make it larger or smaller; its base stays in place")
-    then(
-        "--duplicate", type=finite, nargs=3, metavar=("X", "Y", "Z"), help="copy it and move the copy by this; "
-        "--copies edits the copy later",
+    rows: str | None = option(
+        "rows of the scene, as `drsplat select --save` writes them", "IDS.npy", rivals="target"
     )  # fmt: skip
-    then(
-        "--replace", metavar="OTHER", help="replace it by another scene, or by --with-object of that, at its position, "
-        "size and base",
-    )  # fmt: skip
-    group.add_argument("--amount", type=finite, default=1.0, metavar="A", help="strength of --recolour (default: 1)")
-    group.add_argument(
-        "--axis", nargs="+", action=_Axis, metavar="AXIS", help="axis of --turn: x, -z, or three numbers (default: up)"
+    copies: int | None = option("Gaussians that an earlier edit added", "NUMBER", count, rivals="target")
+    everything: bool = flag("all Gaussians", rivals="target")
+
+
+def _then(name: str, meaning: str, value: Any = None, kind: Any = None, nargs: int | None = None) -> Item:
+    own = {"help": meaning, "metavar": value, "type": kind, "nargs": nargs}
+    return Item(name, [f"--{name.replace('_', '-')}"], {"action": _Then, "default": argparse.SUPPRESS, **own})
+
+
+CHANGES = (
+    _then("remove", "remove it", nargs=0),
+    _then("isolate", "remove everything else", nargs=0),
+    _then("fill", "fill the hole that it leaves with clones of the ground or wall beside it", nargs=0),
+    _then("recolour", "give it one hue but keep its shading, e.g. #2060ff", "COLOUR", words),
+    _then("palette", "replace its colours by these, e.g. '#203040,#d0c0a0'", "COLOURS", words),
+    _then("like_photo", "match the mean and spread of its colours to those of a picture", "PICTURE"),
+    _then("opacity", "multiply its opacity; 0.3 makes it faint", "FACTOR", finite),
+    _then("move", "move it by this, in scene units", AXES_VALUE, finite, 3),
+    _then("turn", "rotate it about --axis through its centre", "DEGREES", finite),
+    _then("scale", "make it larger or smaller; its base stays in place", "FACTOR", length),
+    _then("duplicate", "copy it and move the copy by this; --copies edits the copy later", AXES_VALUE, finite, 3),
+    _then(
+        "replace", "replace it by another scene, or by --with-object of that, at its position, size and base", "OTHER"
+    ),
+)  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class Changes:
+    """How the target is changed: names and values in the order of the line, and how some of them are meant."""
+
+    TITLE = "changes, applied in order"
+    changes: Sequence[tuple[str, Any]] | None = several(CHANGES, lambda given: given.get("changes"))
+    amount: float = option("strength of --recolour (default: 1)", "A", finite, 1.0)
+    axis: list[float] | None = option(
+        "axis of --turn: x, -z, or three numbers (default: up)", "AXIS", nargs="+", action=_Axis
     )
-    group.add_argument("--with-object", type=whole, metavar="NUMBER", help="object of the field in the folder OTHER")
-    group.add_argument(
-        "--up", metavar="+z", help="axis that points up, +x to -z (default: from the orientation of the photos)"
-    )
-    parser.set_defaults(changes=None)
+    with_object: int | None = option("object of the field in the folder OTHER", "NUMBER", whole)
+    up: str | None = option("axis that points up, +x to -z (default: from the orientation of the photos)", "+z")
 
 
-def add_list_options(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("the list")
-    group.add_argument("--list", action="store_true", help="print the edits and annotations (default without a change)")
-    group.add_argument("--undo", type=count, nargs="?", const=1, metavar="N", help="undo the last edit, or the last N")
-    group.add_argument(
-        "--redo", type=count, nargs="?", const=1, metavar="N", help="redo the last undone edit, or the last N"
-    )
-    group.add_argument("--annotate", type=words, metavar="TEXT", help="attach a text to its box, or to the point --at")
-    group.add_argument("--at", type=finite, nargs=3, metavar=("X", "Y", "Z"), help="point of the world for --annotate")
-    group.add_argument("--drop-annotation", type=count, metavar="NUMBER", help="remove an annotation")
+@dataclass(frozen=True, kw_only=True)
+class Listed:
+    """Work on the kept edits and annotations."""
+
+    TITLE = "the list"
+    list: bool = flag("print the edits and annotations (default without a change)")
+    undo: int | None = option("undo the last edit, or the last N", "N", count, nargs="?", const=1)
+    redo: int | None = option("redo the last undone edit, or the last N", "N", count, nargs="?", const=1)
+    annotate: str | None = option("attach a text to its box, or to the point --at", "TEXT", words)
+    at: Sequence[float] | None = option("point of the world for --annotate", AXES_VALUE, finite, nargs=3)
+    drop_annotation: int | None = option("remove an annotation", "NUMBER", count)
 
 
-def add_kept_edits(parser: argparse._ActionsContainer, default: str) -> None:
-    parser.add_argument(
-        "--edits", choices=("kept", "none"),
-        help=f"kept: with the edits kept beside the scene; none: without them (default: {default})",
+def kept_edits(default: str, title: str = "") -> Any:
+    return option(
+        f"kept: with the edits kept beside the scene; none: without them (default: {default})",
+        choices=("kept", "none"), title=title,
     )  # fmt: skip
 
 
@@ -191,12 +201,12 @@ def _note(text: str) -> None:
     print(f"drsplat: {text}", file=sys.stderr, flush=True)
 
 
-def only_one(arguments: argparse.Namespace, names: Sequence[str]) -> str | None:
+def only_one(given: Mapping[str, Any], names: Iterable[str]) -> str | None:
     """Return which of some options was given. Raises: InputError: several."""
     from ...errors import InputError
 
-    given = [name for name in names if getattr(arguments, name) is not None and getattr(arguments, name) is not False]
-    if len(given) > 1:
-        named = " and ".join(arguments.flags.get(name) or name for name in given)
-        raise InputError(f"{named} each name what is meant: keep one of them")
-    return given[0] if given else None
+    named = [name for name in names if given[name] is not None and given[name] is not False]
+    if len(named) > 1:
+        flags = " and ".join("--query" if name == "text" else f"--{name.replace('_', '-')}" for name in named)
+        raise InputError(f"{flags} each name what is meant: keep one of them")
+    return named[0] if named else None

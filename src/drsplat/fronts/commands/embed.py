@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .leaving_out import add_without, left_out
-from .options import add_capture_options, add_invert_masks, add_overwrite, count, tracker, up_to, views_of, words
+from .declaring import flag, option, part
+from .kinds import count, up_to, words
+from .leaving_out import left_out, without
+from .options import DEVICES, Photos, Verb, capture, invert_masks, overwrite
 from .parts import parts_of
 
 if TYPE_CHECKING:
-    from ...formats.feature_files import Form
     from ...formats.langsplat import FeatureFolder
     from ...photos.embedding.embed import EmbeddingReport
     from ...photos.models.point_masks import PointMaskSettings
@@ -47,114 +48,160 @@ NESTED_MASKS = {"mask_inner": 0.0}
 """Settings of large masks in rounds: what stands on a thing stays beside the mask of both."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("capture", help="posed photos: a folder with a COLMAP model, transforms.json or cameras.json")
-    parser.add_argument(
-        "--output", "-o", metavar="DIR", help="folder for the features (default: CAPTURE/language_features)"
-    )
-    parser.add_argument(
-        "--langsplat", action="store_true",
-        help="write LangSplat's <photo>_s.npy and <photo>_f.npy for other programs: the same data, about a hundred "
-        "times as large (default: <photo>.features.safetensors)",
-    )  # fmt: skip
-    add_overwrite(parser)
-    models = parser.add_argument_group("models")
-    models.add_argument(
-        "--segmenter", type=words, metavar="NAME",
-        help=f"SAM, SAM 2, SAM 2.1, SAM 3 or EdgeTAM, by Hugging Face id or folder; or graph, built in: no "
-        f"download, an eighth of a second per photo, coarser masks (default: {DEFAULT_SEGMENTER}, the paper's; on "
-        "a CPU use graph, or facebook/sam2.1-hiera-tiny with --points auto --crop-layers 0, seconds per photo)",
-    )  # fmt: skip
-    models.add_argument(
-        "--masks", metavar="DIR",
-        help="features of the same photos whose masks are reused: only the encoder changes, for `drsplat register "
-        "--weights-of` (default: cut the photos again)",
-    )  # fmt: skip
-    models.add_argument("--encoder", type=words, default=DEFAULT_ENCODER, metavar="NAME", help=ENCODER_HELP)
-    add_device(models)
-    _add_method(parser.add_argument_group("method"))
-    _add_scene(parser.add_argument_group("with the scene, which makes it faster"))
-    add_capture_options(parser)
-    add_invert_masks(parser)
-    add_without(parser)
-
-
-def _add_method(method: argparse._ArgumentGroup) -> None:
-    method.add_argument(
-        "--levels", choices=tuple(_LEVELS),
-        help="four: default, small, medium and large as in LangSplat; large: only large masks, stored in all four "
-        "levels as in Dr. Splat, all that register uses by default (default: four; large with --crops objects; graph "
-        "has only large)",
-    )  # fmt: skip
-    method.add_argument(
-        "--points", type=_auto_or(up_to(MAX_POINTS_PER_SIDE)), metavar="N",
-        help="SAM: grid of N x N points on each photo and each crop; time grows with N squared. auto refines the grid "
-        "only where no mask covers the photo yet, with 128 points at most (default: 32, LangSplat's)",
-    )  # fmt: skip
-    method.add_argument(
-        "--crop-layers", type=int, choices=range(3),
-        help="SAM: 1 also searches four enlarged crops, for small objects, and takes five times as long (default: 1, "
-        "LangSplat's)",
-    )  # fmt: skip
-    method.add_argument(
-        "--max-height", type=count, default=1080, metavar="PIXELS",
-        help="greatest height of a photo; taller ones are scaled down, as LangSplat does (default: 1080)",
-    )  # fmt: skip
-
-
-def _add_scene(parser: argparse._ActionsContainer) -> None:
-    parser.add_argument(
-        "--scene", metavar="SCENE", help="Gaussians of the same photos, as `drsplat train` writes them; no moving scene"
-    )
-    parser.add_argument(
-        "--views", type=_auto_or(count, ALL), default=ALL, metavar="N",
-        help="photos to embed: all; N, the N that together show most of the scene; or auto, enough to show all of it "
-        "often enough (default: all; the others need --scene)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--crops", choices=("masks", "objects"), default="masks",
-        help="crops to embed: one per mask and photo, or, for large masks, a few per object of the scene (default: "
-        "masks; objects needs --scene)",
-    )  # fmt: skip
-
-
 def _auto_or(number: Callable[[str], int], *others: str) -> Callable[[str], int | str]:
     """Return the parser of an option that is a number, `auto` or one of some other words."""
     return lambda text: text if text in (AUTO, *others) else number(text)
 
 
-def add_device(parser: argparse._ActionsContainer) -> None:
-    parser.add_argument(
-        "--device", choices=("auto", "cpu", "cuda", "mps"), default="auto",
-        help="device of the models; auto is a GPU if there is one (default: auto)",
+def models_device(title: str = "") -> Any:
+    return option(
+        "device of the models; auto is a GPU if there is one (default: auto)", None, None, "auto",
+        choices=("auto", *DEVICES), title=title,
     )  # fmt: skip
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+@dataclass(frozen=True, kw_only=True)
+class Cutting:
+    """How photos are cut into masks."""
+
+    TITLE = "method"
+    levels: str | None = option(
+        "four: default, small, medium and large as in LangSplat; large: only large masks, stored in all four levels as "
+        "in Dr. Splat, all that register uses by default (default: four; large with --crops objects; graph has only "
+        "large)", choices=tuple(_LEVELS),
+    )  # fmt: skip
+    points: int | str | None = option(
+        "SAM: grid of N x N points on each photo and each crop; time grows with N squared. auto refines the grid only "
+        "where no mask covers the photo yet, with 128 points at most (default: 32, LangSplat's)", "N",
+        _auto_or(up_to(MAX_POINTS_PER_SIDE)),
+    )  # fmt: skip
+    crop_layers: int | None = option(
+        "SAM: 1 also searches four enlarged crops, for small objects, and takes five times as long (default: 1, "
+        "LangSplat's)", None, int, choices=range(3),
+    )  # fmt: skip
+    max_height: int = option(
+        "greatest height of a photo; taller ones are scaled down, as LangSplat does (default: 1080)", "PIXELS", count,
+        1080,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, kw_only=True)
+class WithScene:
+    """Work that the scene of the photos spares."""
+
+    TITLE = "with the scene, which makes it faster"
+    scene: str | None = option(
+        "Gaussians of the same photos, as `drsplat train` writes them; no moving scene", "SCENE"
+    )  # fmt: skip
+    views: int | str = option(
+        "photos to embed: all; N, the N that together show most of the scene; or auto, enough to show all of it often "
+        "enough (default: all; the others need --scene)", "N", _auto_or(count, ALL), ALL,
+    )  # fmt: skip
+    crops: str = option(
+        "crops to embed: one per mask and photo, or, for large masks, a few per object of the scene (default: masks; "
+        "objects needs --scene)", None, None, "masks", choices=("masks", "objects"),
+    )  # fmt: skip
+
+    def read(self) -> Gaussians | None:
+        """Return the scene; None where none is given and none is needed.
+
+        Raises: InputError: one is needed, or it moves.
+        """
+        from ...errors import InputError
+        from ...formats.scenes import read_gaussians
+
+        if self.scene is not None:
+            return read_gaussians(self.scene)
+        needed = f"--views {self.views}" if self.views != ALL else "--crops objects" if self.crops == "objects" else ""
+        if needed:
+            raise InputError(f"{needed} needs the scene of the photos: give --scene SCENE")
+        return None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    capture: str = capture()
+    output: str | None = option(
+        "folder for the features (default: CAPTURE/language_features)", "DIR", flags="-o"
+    )  # fmt: skip
+    langsplat: bool = flag(
+        "write LangSplat's <photo>_s.npy and <photo>_f.npy for other programs: the same data, about a hundred times as "
+        "large (default: <photo>.features.safetensors)"
+    )
+    overwrite: bool = overwrite()
+    segmenter: str | None = option(
+        f"SAM, SAM 2, SAM 2.1, SAM 3 or EdgeTAM, by Hugging Face id or folder; or graph, built in: no download, an "
+        f"eighth of a second per photo, coarser masks (default: {DEFAULT_SEGMENTER}, the paper's; on a CPU use graph, "
+        "or facebook/sam2.1-hiera-tiny with --points auto --crop-layers 0, seconds per photo)", "NAME", words,
+        title="models",
+    )  # fmt: skip
+    masks: str | None = option(
+        "features of the same photos whose masks are reused: only the encoder changes, for `drsplat register "
+        "--weights-of` (default: cut the photos again)", "DIR", title="models",
+    )  # fmt: skip
+    encoder: str = option(ENCODER_HELP, "NAME", words, DEFAULT_ENCODER, title="models")
+    device: str = models_device("models")
+    cutting: Cutting = part(Cutting)
+    with_scene: WithScene = part(WithScene)
+    photos: Photos = part(Photos)
+    invert_masks: bool = invert_masks()
+    without: str | None = without()
+
+    @property
+    def folder(self) -> Path:
+        """Folder for the features."""
+        from ...formats.photo_files import capture_folder
+
+        return Path(self.output) if self.output else capture_folder(Path(self.capture)) / "language_features"
+
+    @property
+    def point_settings(self) -> PointMaskSettings | None:
+        """Settings of SAM; None for `graph`. Raises: InputError: options of SAM for `graph`."""
+        from ...errors import InputError
+        from ...photos.models.graph import GraphSegmenter
+        from ...photos.models.point_masks import PointMaskSettings
+
+        asked = {"points_per_side": self.cutting.points, "crop_layers": self.cutting.crop_layers}
+        given: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
+        levels = self.cutting.levels or ("large" if self.with_scene.crops == "objects" else "four")
+        if given.get("points_per_side") == AUTO:
+            given |= COARSE_TO_FINE | (NESTED_MASKS if levels == "large" else {})
+        if self.segmenter != GraphSegmenter.name:
+            return PointMaskSettings(**given, levels=_LEVELS[levels])
+        if given or self.cutting.levels == "four":
+            raise InputError(
+                "--segmenter graph has masks of one level and no point grid: leave out --points, "
+                "--crop-layers and --levels four"
+            )
+        return None
+
+
+def run(options: Options) -> dict[str, Any]:
     from ...base.progress import Stopwatch
     from ...base.system import peak_memory_bytes
     from ...scene.views import pictures_kind
 
     watch = Stopwatch()
-    views = views_of(arguments, arguments.capture)
-    without = left_out([view.name for view in views], arguments.without)
-    views = [view for view in views if view.name not in without]
-    scene = _scene(arguments)
-    output = _output_folder(arguments)
-    segmenter = _segmenter(arguments)
-    encoder = image_encoder(arguments)
+    views = options.photos.views(options.capture, options.invert_masks)
+    out = left_out([view.name for view in views], options.without)
+    views = [view for view in views if view.name not in out]
+    scene = options.with_scene.read()
+    segmenter = _segmenter(options)
+    encoder = image_encoder(options.encoder, options.device, options.threads)
     watch.lap("load")
-    chosen, seen = _chosen_views(arguments, views, scene)
-    report = _embedded(arguments, chosen, output, segmenter, encoder, scene)
+    chosen, seen = _chosen_views(options, views, scene)
+    report = _embedded(options, chosen, segmenter, encoder, scene)
     watch.lap("embed")
     made = report.photos - report.reused
     return {
-        "output": str(output),
+        "output": str(options.folder),
         "pictures": pictures_kind(view.rendered_from for view in chosen),
         "num_photos": report.photos,
         "num_photos_not_chosen": len(views) - len(chosen),
         "seen_share": seen,
-        "left_out": sorted(without),
+        "left_out": sorted(out),
         "num_photos_reused": report.reused,
         "num_photos_redone": report.redone,
         "changes": list(report.changes),
@@ -170,44 +217,23 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _scene(arguments: argparse.Namespace) -> Gaussians | None:
-    """Return the scene of --scene; None where none is given and none is needed.
-
-    Raises: InputError: one is needed, or it moves.
-    """
-    from ...errors import InputError
-    from ...formats.scenes import read_gaussians
-
-    if arguments.scene is not None:
-        return read_gaussians(arguments.scene)
-    needed = {"--views": arguments.views != ALL, "--crops": arguments.crops == "objects"}
-    for option, is_needed in needed.items():
-        if is_needed:
-            raise InputError(
-                f"{option} {getattr(arguments, option[2:])} needs the scene of the photos: give --scene SCENE"
-            )
-    return None
-
-
-def _chosen_views(
-    arguments: argparse.Namespace, views: list[View], scene: Gaussians | None
-) -> tuple[list[View], float | None]:
+def _chosen_views(options: Options, views: list[View], scene: Gaussians | None) -> tuple[list[View], float | None]:
     """Return the views of --views, and the share of what all show that they have seen often enough; None for all."""
     from ...photos.embedding.view_choice import ENOUGH_SHARE, choose_views
 
-    if arguments.views == ALL or scene is None:
+    asked = options.with_scene.views
+    if asked == ALL or scene is None:
         return views, None
-    enough, most = (ENOUGH_SHARE, None) if arguments.views == AUTO else (1.0, arguments.views)
+    enough, most = (1.0, asked) if isinstance(asked, int) else (ENOUGH_SHARE, None)
     choice = choose_views(
-        scene, views, enough=enough, most=most, threads=arguments.threads, track=tracker(arguments)
+        scene, views, enough=enough, most=most, threads=options.threads, track=options.track
     )  # fmt: skip
     return sorted(choice.views, key=lambda view: view.name), choice.seen[-1] if choice.seen else 0.0
 
 
 def _embedded(
-    arguments: argparse.Namespace,
+    options: Options,
     views: list[View],
-    output: Path,
     segmenter: Segmenter | FeatureFolder,
     encoder: ImageEncoder,
     scene: Gaussians | None,
@@ -218,25 +244,21 @@ def _embedded(
     from ...photos.embedding.objects_first import embed_objects
     from ...scene.masks.masks import Segmenter
 
-    form: Form = "langsplat" if arguments.langsplat else "compact"
-    track, overwrite, max_height = tracker(arguments), arguments.overwrite, arguments.max_height
-    if arguments.crops == "masks" or scene is None:
-        return embed(
-            views, output, segmenter, encoder, max_height=max_height, overwrite=overwrite, form=form, track=track
-        )
+    shared: dict[str, Any] = {"max_height": options.cutting.max_height, "overwrite": options.overwrite}
+    shared |= {"form": "langsplat" if options.langsplat else "compact", "track": options.track}
+    output = options.folder
+    if options.with_scene.crops == "masks" or scene is None:
+        return embed(views, output, segmenter, encoder, **shared)
     if not isinstance(segmenter, Segmenter):
         raise InputError("--masks embeds every mask again: drop --crops objects")
-    return embed_objects(
-        views, output, segmenter, encoder, scene, parts=parts_of(output), max_height=max_height, overwrite=overwrite,
-        form=form, threads=arguments.threads, track=track,
-    )  # fmt: skip
+    parts = parts_of(output)
+    return embed_objects(views, output, segmenter, encoder, scene, parts=parts, threads=options.threads, **shared)
 
 
-def interrupted(arguments: argparse.Namespace) -> str:
+def interrupted(options: Options) -> str:
     """Return what a stopped run keeps, and how to go on."""
-    again = ", without --overwrite," if arguments.overwrite else ""
-    folder = _output_folder(arguments)
-    return f"the photos embedded so far are kept in {folder}: give the same command again{again} to go on"
+    again = ", without --overwrite," if options.overwrite else ""
+    return f"the photos embedded so far are kept in {options.folder}: give the same command again{again} to go on"
 
 
 def show(answer: dict[str, Any]) -> None:
@@ -266,62 +288,30 @@ def _not_chosen(answer: dict[str, Any]) -> str:
     return f"{answer['num_photos_not_chosen']:,} photos; the chosen ones show {answer['seen_share']:.0%} of what all do"
 
 
-def _segmenter(arguments: argparse.Namespace) -> Segmenter | FeatureFolder:
+def _segmenter(options: Options) -> Segmenter | FeatureFolder:
     """Return the segmenter of --segmenter, or the masks of --masks. Raises: InputError: both were given."""
     from ... import read_features
     from ...errors import InputError
     from ...photos.models.sam import load_segmenter
 
-    if arguments.masks is None:
-        arguments.segmenter = arguments.segmenter or DEFAULT_SEGMENTER
-        return load_segmenter(
-            arguments.segmenter, arguments.device, point_settings(arguments), threads=arguments.threads
-        )
-    cutting = (arguments.segmenter, arguments.points, arguments.crop_layers, arguments.levels)
-    if any(value is not None for value in cutting):
+    if options.masks is None:
+        name = options.segmenter or DEFAULT_SEGMENTER
+        return load_segmenter(name, options.device, options.point_settings, threads=options.threads)
+    cutting = options.cutting
+    if any(value is not None for value in (options.segmenter, cutting.points, cutting.crop_layers, cutting.levels)):
         raise InputError("--masks keeps what was cut: drop --segmenter, --points, --crop-layers and --levels")
-    if arguments.output is None:
+    if options.output is None:
         raise InputError("--masks: name another folder for the new features with --output")
-    return read_features(arguments.masks)
+    return read_features(options.masks)
 
 
-def _output_folder(arguments: argparse.Namespace) -> Path:
-    from ...formats.photo_files import capture_folder
-
-    if arguments.output:
-        return Path(arguments.output)
-    return capture_folder(Path(arguments.capture)) / "language_features"
-
-
-def image_encoder(arguments: argparse.Namespace) -> ImageEncoder:
-    """Return the encoder of --encoder and --device. Raises: InputError: it embeds words only."""
+def image_encoder(name: str, device: str, threads: int) -> ImageEncoder:
+    """Return an encoder of pictures. Raises: InputError: it embeds words only."""
     from ...errors import InputError
     from ...photos.models.loading import load_encoder
     from ...scene.encoders import ImageEncoder
 
-    encoder = load_encoder(arguments.encoder, arguments.device, threads=arguments.threads)
+    encoder = load_encoder(name, device, threads=threads)
     if not isinstance(encoder, ImageEncoder):
-        raise InputError(f"--encoder {arguments.encoder}: it embeds words, no images: name another")
+        raise InputError(f"--encoder {name}: it embeds words, no images: name another")
     return encoder
-
-
-def point_settings(arguments: argparse.Namespace) -> PointMaskSettings | None:
-    """Return the settings of SAM; None for `graph`. InputError: options of SAM for `graph`."""
-    from ...errors import InputError
-    from ...photos.models.graph import GraphSegmenter
-    from ...photos.models.point_masks import PointMaskSettings
-
-    asked = {"points_per_side": arguments.points, "crop_layers": arguments.crop_layers}
-    given = {name: value for name, value in asked.items() if value is not None}
-    default = "large" if arguments.crops == "objects" else "four"
-    levels = arguments.levels or default
-    if given.get("points_per_side") == AUTO:
-        given |= COARSE_TO_FINE | (NESTED_MASKS if levels == "large" else {})
-    if arguments.segmenter != GraphSegmenter.name:
-        return PointMaskSettings(**given, levels=_LEVELS[levels])
-    if given or arguments.levels == "four":
-        raise InputError(
-            "--segmenter graph has masks of one level and no point grid: leave out --points, "
-            "--crop-layers and --levels four"
-        )
-    return None

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .leaving_out import add_without, left_out
-from .options import add_overwrite, add_query_encoders, device_for_kernels, finite, length, tracker, whole, words
-from .query_options import open_scene
+from .declaring import argument, flag, option, part
+from .kinds import finite, length, whole, words
+from .leaving_out import left_out, without
+from .options import Encoders, Verb, overwrite
 
 if TYPE_CHECKING:
     from ...evaluation.running import Judged
@@ -31,91 +32,85 @@ one tuned on them, as in the papers: never compare one with the other."""
 DAILY = ("name", "scene", "field", "report", "threshold", "encoder", "overwrite")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("protocol", choices=PROTOCOLS, help="protocol to score by")
-    parser.add_argument("data", help="folder with a folder per scene; for lerf-ovs also with label/")
-    each = parser.add_argument_group("for each scene, in the same order")
-    each.add_argument("--name", type=words, action="append", help="folder in DATA (default: the only one there)")
-    each.add_argument("--scene", action="append", required=True, help="scene that was registered")
-    each.add_argument("--field", action="append", help="field that `drsplat register` wrote")
-    each.add_argument(
-        "--features", action="append", metavar="FILE.npy",
-        help="features of any system, instead of --field: (N, D) float16 or float32, a row per Gaussian, zeros for no "
+@dataclass(frozen=True, kw_only=True)
+class Scenes:
+    """Scenes that are judged: lists with a value for each scene."""
+
+    TITLE = "for each scene, in the same order"
+    name: list[str] | None = option("folder in DATA (default: the only one there)", None, words, action="append")
+    scene: list[str] = option("scene that was registered", action="append", required=True)
+    field: list[str] | None = option("field that `drsplat register` wrote", action="append")
+    features: list[str] | None = option(
+        "features of any system, instead of --field: (N, D) float16 or float32, a row per Gaussian, zeros for no "
         "feature (.npy, .safetensors), OpenGaussian's cluster_lang.npz, or a PyTorch checkpoint with one such tensor; "
-        "with --vocabulary or --encoder for the texts",
+        "with --vocabulary or --encoder for the texts", "FILE.npy", action="append",
     )  # fmt: skip
-    each.add_argument(
-        "--decoder", action="append", metavar="FILE.pth",
-        help="LangSplat's autoencoder, if --features is its checkpoint: three numbers per Gaussian, decoded to 512",
+    decoder: list[str] | None = option(
+        "LangSplat's autoencoder, if --features is its checkpoint: three numbers per Gaussian, decoded to 512",
+        "FILE.pth", action="append",
     )  # fmt: skip
-    parser.add_argument("--report", required=True, metavar="DIR", help="folder for the report and the predictions")
-    parser.add_argument(
-        "--method", type=words, metavar="NAME", help="name of the method in the tables (default: the measure)"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    protocol: str = argument("protocol to score by", choices=PROTOCOLS)
+    data: str = argument("folder with a folder per scene; for lerf-ovs also with label/")
+    scenes: Scenes = part(Scenes)
+    report: str = option("folder for the report and the predictions", "DIR", required=True)
+    method: str | None = option("name of the method in the tables (default: the measure)", "NAME", words)
+    relevancy: bool = flag("measure relevancy against object, things, stuff, texture (default: cosine)")
+    threshold: float | None = option("fixed threshold (default: the encoder's own, else 0.5)", "T", finite)
+    automatic: bool = flag("score with a threshold per query, too, chosen from its scores")
+    label_set: str = option(
+        "classes: scannet19, scannet15, scannet10, scannet200, household, or a tab-separated file of id, name, prompt "
+        "(default: scannet19)", "SET", words, "scannet19",
+    )  # fmt: skip
+    label_table: str | None = option(
+        "file scannetv2-labels.combined.tsv, for scannet200 (default: the one in DATA)", "FILE"
     )
-    parser.add_argument(
-        "--relevancy", action="store_true",
-        help="measure relevancy against object, things, stuff, texture (default: cosine)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--threshold", type=finite, metavar="T", help="fixed threshold (default: the encoder's own, else 0.5)"
+    prompt: str | None = option(
+        'template of the query for a class, e.g. "a photo of a {}" (default: its name)', "TEXT", words
     )
-    parser.add_argument(
-        "--automatic", action="store_true", help="score with a threshold per query, too, chosen from its scores"
-    )
-    _add_classes(parser)
-    parser.add_argument("--figures", type=whole, default=6, metavar="N", help="pictures per scene (default: 6)")
-    parser.add_argument("--score-only", action="store_true", help="score the predictions that REPORT already has")
-    add_query_encoders(parser)
-    add_without(parser)
-    add_overwrite(parser)
+    voxel_side: float = option("side of a voxel in scene units (default: 0.05)", "LENGTH", length, 0.05)
+    figures: int = option("pictures per scene (default: 6)", "N", whole, 6)
+    score_only: bool = flag("score the predictions that REPORT already has")
+    encoders: Encoders = part(Encoders)
+    without: str | None = without()
+    overwrite: bool = overwrite()
+
+    @property
+    def in_photos(self) -> bool:
+        """True where the truth is in photos."""
+        return self.protocol == "lerf-ovs"
 
 
-def _add_classes(parser: argparse.ArgumentParser) -> None:
-    """Add the options of ScanNet's classes, and of how their volumes are counted."""
-    parser.add_argument(
-        "--label-set", type=words, default="scannet19", metavar="SET",
-        help="classes: scannet19, scannet15, scannet10, scannet200, household, or a tab-separated file of id, name, "
-        "prompt (default: scannet19)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--label-table", metavar="FILE",
-        help="file scannetv2-labels.combined.tsv, for scannet200 (default: the one in DATA)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--prompt", type=words, metavar="TEXT",
-        help='template of the query for a class, e.g. "a photo of a {}" (default: its name)',
-    )  # fmt: skip
-    parser.add_argument(
-        "--voxel-side", type=length, default=0.05, metavar="LENGTH",
-        help="side of a voxel in scene units (default: 0.05)",
-    )  # fmt: skip
-
-
-def device(arguments: argparse.Namespace) -> str:
+def device(options: Options) -> str:
     """Return the device to draw on."""
-    return device_for_kernels(arguments)
+    return options.encoders.for_kernels
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+def run(options: Options) -> dict[str, Any]:
     from ... import evaluate
     from ...evaluation.label_sets import label_set
     from ...evaluation.report import without_nan
 
-    _check(arguments)
-    labels = label_set(arguments.label_set)
+    _check(options)
+    labels = label_set(options.label_set)
     answer = evaluate(
-        arguments.protocol,
-        arguments.data,
-        {name: partial(_judged, arguments, index) for index, name in enumerate(_names(arguments))},
-        arguments.report,
-        labels=labels.prompted(arguments.prompt) if arguments.prompt else labels,
-        label_table=Path(arguments.label_table) if arguments.label_table else None,
-        without=partial(left_out, without=arguments.without) if arguments.without else None,
-        files=[Path(path) for path in arguments.scene if Path(path).is_file()],
-        track=tracker(arguments),
-        **{name: value for name, value in vars(arguments).items() if name in OPTIONS_HANDED_ON},
+        options.protocol,
+        options.data,
+        {name: partial(_judged, options, index) for index, name in enumerate(_names(options))},
+        options.report,
+        labels=labels.prompted(options.prompt) if options.prompt else labels,
+        label_table=Path(options.label_table) if options.label_table else None,
+        without=partial(left_out, without=options.without) if options.without else None,
+        files=[Path(path) for path in options.scenes.scene if Path(path).is_file()],
+        track=options.track,
+        **{name: getattr(options, name) for name in OPTIONS_HANDED_ON},
     )
-    return dict(without_nan(answer)) if arguments.json else answer
+    return dict(without_nan(answer)) if options.json else answer
 
 
 def show(answer: dict[str, Any]) -> None:
@@ -131,70 +126,62 @@ def show(answer: dict[str, Any]) -> None:
     print("\n".join([*filter(None, [pictures_note(answer)]), *answer["written"]]))
 
 
-def _check(arguments: argparse.Namespace) -> None:
+def _check(options: Options) -> None:
     """Check what can be checked before any work is done."""
     from ...base.terminal import counted
     from ...errors import InputError
 
-    _check_data(arguments)
-    count = len(arguments.scene)
-    if not arguments.score_only and bool(arguments.field) == bool(arguments.features):
-        raise InputError("give --field or --features for each scene, and not both")
-    if arguments.without and arguments.protocol != "lerf-ovs":
-        raise InputError("--without is for lerf-ovs: the truth of the others is not in photos")
-    for option in ("name", "field", "features", "decoder"):
-        given = getattr(arguments, option)
-        if given and len(given) != count:
-            raise InputError(f"--{option} is given {counted(len(given), 'time')} and --scene {counted(count, 'time')}")
-    if arguments.decoder and not arguments.features:
-        raise InputError("--decoder needs --features: give the checkpoint that it decodes")
-    if arguments.features and not (arguments.vocabulary or arguments.encoder):
-        raise InputError("--features needs --vocabulary or --encoder: what turns texts into vectors")
-
-
-def _check_data(arguments: argparse.Namespace) -> None:
-    """Refuse data without the truth to score by."""
-    from ...errors import InputError
-
-    data, with_labels = Path(arguments.data), arguments.protocol == "lerf-ovs"
-    if not data.is_dir() or (with_labels and not (data / "label").is_dir()):
+    data, scenes, count = Path(options.data), options.scenes, len(options.scenes.scene)
+    if not data.is_dir() or (options.in_photos and not (data / "label").is_dir()):
         layout = (
-            "NAME/ with photos and poses, label/NAME/ with frame_XXXXX.json" if with_labels else "a folder per scene"
+            "NAME/ with photos and poses, label/NAME/ with frame_XXXXX.json"
+            if options.in_photos
+            else "a folder per scene"
         )
         got = "no label/ in it" if data.is_dir() else "no such folder"
         raise InputError(
-            f"{data}: expected the data of {arguments.protocol} with its truth ({layout}), got {got}: fields are "
+            f"{data}: expected the data of {options.protocol} with its truth ({layout}), got {got}: fields are "
             "scored on it and named with --field"
         )
+    if not options.score_only and bool(scenes.field) == bool(scenes.features):
+        raise InputError("give --field or --features for each scene, and not both")
+    if options.without and not options.in_photos:
+        raise InputError("--without is for lerf-ovs: the truth of the others is not in photos")
+    for name, given in vars(scenes).items():
+        if given and len(given) != count:
+            raise InputError(f"--{name} is given {counted(len(given), 'time')} and --scene {counted(count, 'time')}")
+    if scenes.decoder and not scenes.features:
+        raise InputError("--decoder needs --features: give the checkpoint that it decodes")
+    if scenes.features and not (options.encoders.vocabulary or options.encoders.encoder):
+        raise InputError("--features needs --vocabulary or --encoder: what turns texts into vectors")
 
 
-def _names(arguments: argparse.Namespace) -> list[str]:
+def _names(options: Options) -> list[str]:
     """Return the folder names of the scenes. Raises: InputError: none is given, and there is not exactly one."""
     from ...errors import InputError
 
-    if arguments.name:
-        return list(arguments.name)
-    place = Path(arguments.data, "label") if arguments.protocol == "lerf-ovs" else Path(arguments.data)
+    if options.scenes.name:
+        return options.scenes.name
+    place = Path(options.data, "label" if options.in_photos else "")
     folders = sorted(path.name for path in place.iterdir() if path.is_dir()) if place.is_dir() else []
-    if len(folders) != 1 or len(arguments.scene) != 1:
+    if len(folders) != 1 or len(options.scenes.scene) != 1:
         listed = ", ".join(folders[:6]) or "none"
         raise InputError(f"name the scenes of {place} that these are with --name (there: {listed})")
     return folders
 
 
-def _judged(arguments: argparse.Namespace, index: int) -> Judged:
+def _judged(options: Options, index: int) -> Judged:
     """Return the scene of a field, or Gaussians with features of another system, and the encoder for these."""
-    from ... import load_encoder, read_gaussians, read_vocabulary
+    from ... import load_encoder, open_scene, read_gaussians, read_vocabulary
     from ...formats.peer_features import read_peer_features
 
-    if arguments.field:
-        return open_scene(
-            argparse.Namespace(**vars(arguments) | {"scene": arguments.scene[index]}), arguments.field[index]
-        )
-    gaussians = read_gaussians(arguments.scene[index])
-    if not arguments.features:
+    scenes, texts = options.scenes, options.encoders
+    scene = scenes.scene[index]
+    if scenes.field:
+        return open_scene(scenes.field[index], scene=scene, threads=options.threads, **vars(texts))
+    gaussians = read_gaussians(scene)
+    if not scenes.features:
         return gaussians  # with --score-only
-    words = arguments.vocabulary
-    encoder = read_vocabulary(words) if words else load_encoder(arguments.encoder, arguments.device)
-    decoder = None if arguments.decoder is None else Path(arguments.decoder[index])
-    return gaussians, read_peer_features(Path(arguments.features[index]), decoder), encoder
+    encoder = read_vocabulary(texts.vocabulary) if texts.vocabulary else load_encoder(texts.encoder or "", texts.device)
+    decoder = None if scenes.decoder is None else Path(scenes.decoder[index])
+    return gaussians, read_peer_features(Path(scenes.features[index]), decoder), encoder

@@ -2,25 +2,27 @@
 
 from __future__ import annotations
 
-import argparse
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from ...query.schema import CUT, EXCLUDE, SUBJECTS
-from .edit_options import add_kept_edits, note_applied, note_left_out, only_one
-from .options import add_capture_options, add_overwrite, add_query_encoders, finite, new_output, views_of, whole, words
-from .query_options import add_fields, open_scene, query_of, query_text
+from .declaring import argument, flag, option, part
+from .edit_options import kept_edits, note_applied, note_left_out, only_one
+from .kinds import finite, whole, words
+from .options import Encoders, Photos, Verb, new_output, overwrite
+from .query_options import asked, query_of, query_text
 
 if TYPE_CHECKING:
     import numpy as np
 
+    from ...authoring.editing.kept import KeptEdits
     from ...authoring.exporting.labelling import Only
     from ...authoring.exporting.writing import Exported
     from ...formats.tiles3d_writing import TiledScene
-    from ...query import Query, Scene
-    from ...scene.gaussians import Gaussians
+    from ...query import Scene
     from ...scene.labelled import LabelledScene
+    from .query_options import Asked
 
 EXAMPLES = """\
   drsplat export drsplat-demo --output room.glb
@@ -38,80 +40,89 @@ command reports what they omit. Objects come from `drsplat objects`: run it firs
 are applied, and annotations are written too."""
 DAILY = ("output", "field", "scene", "text", "only", "object", "label", "edits", "overwrite")
 QUERIES = tuple(field.name for field in SUBJECTS)
+SUFFIXES = ".glb, .ply, .rrd, .sog, .spz, .usda, .usdc, .usdz, DIR/lod-meta.json (streamed SOG)"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "source", metavar="SCENE", help="scene, a field, or a folder with a field, its scene and photos"
-    )
-    parser.add_argument(
-        "--output", "-o", required=True, metavar="FILE|DIR", help=f"file to write: {_suffixes()}; a folder of 3D Tiles"
-    )
-    parser.add_argument(
-        "--tiles3d", action="store_true", help="write 3D Tiles, levels of detail for maps, to the folder --output"
-    )
-    parser.add_argument("--field", help="field of the scene, for named objects and queries")
-    parser.add_argument("--scene", help="scene that was registered, if SCENE is a field")
-    parser.add_argument("--at", dest="time", type=finite, metavar="TIME", help="time of a scene that moves")
-    what = parser.add_argument_group("content (default: everything)")
-    what.add_argument("--query", dest="text", type=words, metavar="WORDS", help="query whose answer is also written")
-    what.add_argument("--only", action="store_true", help="write only what matches the query")
-    what.add_argument("--object", type=whole, metavar="NUMBER", help="write only this object of `drsplat objects`")
-    what.add_argument("--label", type=words, metavar="NAME", help="write only the object with this label")
-    what.add_argument(
-        "--embeddings", action="store_true", help="write the embedding of each object, if the format can hold it"
-    )
-    what.add_argument(
-        "--photos", action="store_true", help="write the photos and their cameras, if the format can hold them: .rrd"
-    )
-    what.add_argument(
-        "--fit-8bit", action="store_true", help="fit colours to web viewers, which store and clamp them as bytes"
-    )
-    what.add_argument(
-        "--spz-version", type=int, choices=(3, 4), default=3, help="version of an .spz: 3, which most programs read, "
-        "or 4, which holds objects and names (default: 3)",
+@dataclass(frozen=True, kw_only=True)
+class Content:
+    """Content that is written of a scene."""
+
+    TITLE = "content (default: everything)"
+    text: str | None = option("query whose answer is also written", "WORDS", words, flags="--query")
+    only: bool = flag("write only what matches the query")
+    object: int | None = option("write only this object of `drsplat objects`", "NUMBER", whole)
+    label: str | None = option("write only the object with this label", "NAME", words)
+    embeddings: bool = flag("write the embedding of each object, if the format can hold it")
+    photos: bool = flag("write the photos and their cameras, if the format can hold them: .rrd")
+    fit_8bit: bool = flag("fit colours to web viewers, which store and clamp them as bytes")
+    spz_version: Literal[3, 4] = option(
+        "version of an .spz: 3, which most programs read, or 4, which holds objects and names (default: 3)", None, int,
+        3, choices=(3, 4),
     )  # fmt: skip
-    add_kept_edits(what, "kept")
-    add_overwrite(parser)
-    add_fields(parser.add_argument_group("other queries"), (*SUBJECTS[1:], EXCLUDE))
-    parser.add_argument("--views", metavar="CAPTURE", help="posed photos, for --click and to find up")
-    add_query_encoders(parser)
-    add_fields(parser, CUT)
-    add_capture_options(parser)
+    edits: KeptEdits | None = kept_edits("kept")
 
 
-def _suffixes() -> str:
-    return ".glb, .ply, .rrd, .sog, .spz, .usda, .usdc, .usdz, DIR/lod-meta.json (streamed SOG)"
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    source: str = argument("scene, a field, or a folder with a field, its scene and photos", value="SCENE")
+    output: str = option(
+        f"file to write: {SUFFIXES}; a folder of 3D Tiles", "FILE|DIR", flags="-o", required=True
+    )  # fmt: skip
+    tiles3d: bool = flag("write 3D Tiles, levels of detail for maps, to the folder --output")
+    field: str | None = option("field of the scene, for named objects and queries")
+    scene: str | None = option("scene that was registered, if SCENE is a field")
+    time: float | None = option("time of a scene that moves", "TIME", finite, flags="--at")
+    content: Content = part(Content)
+    overwrite: bool = overwrite()
+    others: Asked = asked((*SUBJECTS[1:], EXCLUDE), "other queries")
+    views: str | None = option("posed photos, for --click and to find up", "CAPTURE")
+    encoders: Encoders = part(Encoders)
+    cut: Asked = asked(CUT)
+    photos: Photos = part(Photos)
+
+    @property
+    def asked(self) -> Asked:
+        """Values that say what is written, by name."""
+        return {**vars(self.content), **self.others, **self.cut}
+
+    @property
+    def subject(self) -> str | None:
+        """Name of the option whose query is answered. Raises: InputError: there are several."""
+        return only_one(self.asked, QUERIES)
+
+    def open_scene(self, field: str, scene: str | None) -> Scene:
+        from ... import open_scene
+
+        return open_scene(
+            field, scene=scene, views=self.views, threads=self.threads, **vars(self.encoders), **vars(self.photos)
+        )
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from ...authoring.exporting.writing import for_8_bits
+def run(options: Options) -> dict[str, Any]:
+    from ...authoring.exporting.writing import for_8_bits, written
     from ...formats.streamed_sog import LOD_META
 
-    output = _output(arguments)
-    if (arguments.tiles3d or output.name == LOD_META) and (tiles := _whole_tiles(arguments)) is not None:
-        return _levels_of_tiles(arguments, output, tiles)
-    scene = _labelled(arguments, output)
-    if arguments.fit_8bit:
+    output, content = _output(options), options.content
+    if (options.tiles3d or output.name == LOD_META) and (tiles := _whole_tiles(options)) is not None:
+        return _levels_of_tiles(options, output, tiles)
+    scene = _labelled(options, output)
+    if content.fit_8bit:
         scene = for_8_bits(scene)
     note_applied(scene.num_edits)
-    done = _tiles3d(arguments, output, scene) if arguments.tiles3d else _written(arguments, output, scene)
-    return _report(arguments, scene.query or None, scene.object_of, done)
+    if options.tiles3d:
+        done = _tiles3d(options, output, scene)
+    else:
+        done = written(output, scene, options.overwrite, content.spz_version)
+    return _report(options, scene.query or None, scene.object_of, done)
 
 
-def _written(arguments: argparse.Namespace, output: Path, scene: LabelledScene) -> Exported:
-    from ...authoring.exporting.writing import written
-
-    return written(output, scene, arguments.overwrite, arguments.spz_version)
-
-
-def _report(
-    arguments: argparse.Namespace, query: str | None, owners: np.ndarray | None, done: Exported
-) -> dict[str, Any]:
+def _report(options: Options, query: str | None, owners: np.ndarray | None, done: Exported) -> dict[str, Any]:
     """Return what was written. owners: per Gaussian its object, -1 for none; None where there are no objects."""
     return {
-        "scene": arguments.source,
-        "saved": arguments.output,
+        "scene": options.source,
+        "saved": options.output,
         "format": done.format,
         "bytes": done.bytes,
         "query": query,
@@ -143,151 +154,117 @@ def show(answer: dict[str, Any]) -> None:
         )
 
 
-def _output(arguments: argparse.Namespace) -> Path:
+def _output(options: Options) -> Path:
     """Return the output. Raises: InputError: it cannot be written, or options that do not go together."""
-    from ...authoring.exporting.writers import writer_of
     from ...errors import InputError
+    from ...formats.known import writer_of
     from ...formats.streamed_sog import LOD_META
 
-    output = Path(arguments.output)
+    output = Path(options.output)
     place = output.resolve().parent if output.name == LOD_META else output
-    new_output(str(place), arguments.overwrite)
-    if not arguments.tiles3d:
+    new_output(str(place), options.overwrite)
+    if not options.tiles3d:
         writer_of(output)
     if not place.parent.is_dir():
         raise InputError(f"there is no folder {place.parent} to write {place.name} into: make it first")
-    chosen = only_one(arguments, ("only", "object", "label"))
-    if chosen == "only" and only_one(arguments, QUERIES) is None:
+    chosen = only_one(options.asked, ("only", "object", "label"))
+    if chosen == "only" and options.subject is None:
         raise InputError("only: what matches is that of a query: give --query WORDS")
     return output
 
 
-def _tiles3d(arguments: argparse.Namespace, output: Path, source: LabelledScene | TiledScene) -> Exported:
+def _tiles3d(options: Options, output: Path, source: LabelledScene | TiledScene) -> Exported:
     """Write 3D Tiles, where the scene lies on the Earth if a georeference.json beside it says so."""
     from ...authoring.exporting.writing import written_tiles3d
     from ...formats.georeference import read_georeference
 
-    named = [Path(path) for path in (arguments.source, arguments.scene, arguments.field) if path is not None]
+    named = [Path(path) for path in (options.source, options.scene, options.field) if path is not None]
     folders = [path if path.is_dir() else path.parent for path in named] + [path.parent for path in named]
-    return written_tiles3d(output, source, read_georeference(*folders), arguments.overwrite)
+    return written_tiles3d(output, source, read_georeference(*folders), options.overwrite)
 
 
-def _whole_tiles(arguments: argparse.Namespace) -> Path | None:
+def _whole_tiles(options: Options) -> Path | None:
     """Return the folder of tiles that is written as it is; None for another scene, a part of one, or an edited one."""
     from ...authoring.editing import EditFile
     from ...formats.tiles import TILES
 
-    named = [Path(path) for path in (arguments.source, arguments.scene) if path is not None]
+    named = [Path(path) for path in (options.source, options.scene) if path is not None]
     tiles = next((path for path in named if (path / TILES).is_file()), None)
-    chosen = only_one(arguments, QUERIES) or only_one(arguments, ("only", "object", "label"))
-    if tiles is None or chosen is not None or arguments.embeddings or arguments.time is not None:
+    chosen = options.subject or only_one(options.asked, ("only", "object", "label"))
+    if tiles is None or chosen is not None or options.content.embeddings or options.time is not None:
         return None
-    return tiles if arguments.edits == "none" or not EditFile.beside(tiles).num_done() else None
+    return tiles if options.content.edits == "none" or not EditFile.beside(tiles).num_done() else None
 
 
-def _levels_of_tiles(arguments: argparse.Namespace, output: Path, path: Path) -> dict[str, Any]:
+def _levels_of_tiles(options: Options, output: Path, path: Path) -> dict[str, Any]:
     """Write levels of detail of a folder of tiles, a few of which are in memory at a time; 3D Tiles with objects."""
     from ...authoring.exporting.labelling import tiled
     from ...authoring.exporting.writing import written_streamed_sog
     from ...formats.tiles import read_tiles
 
-    if arguments.fit_8bit:
+    if options.content.fit_8bit:
         from ...errors import InputError
 
         raise InputError("fit_8bit: the scene is cut into tiles, whose colours are written as they are")
-    if not arguments.tiles3d:
-        return _report(arguments, None, None, written_streamed_sog(output, read_tiles(path), arguments.overwrite))
-    field = arguments.field or (arguments.source if arguments.scene is not None else None)
-    scene = None
-    if field is not None:
-        arguments.scene = None  # its Gaussians stay on the disk
-        scene = open_scene(arguments, field)
-    source = tiled(read_tiles(path), scene)
-    return _report(arguments, None, source.object_of, _tiles3d(arguments, output, source))
+    tiles = read_tiles(path)
+    if not options.tiles3d:
+        return _report(options, None, None, written_streamed_sog(output, tiles, options.overwrite))
+    field = options.field or (options.source if options.scene is not None else None)
+    scene = None if field is None else options.open_scene(field, None)  # its Gaussians stay on the disk
+    source = tiled(tiles, scene)
+    return _report(options, None, source.object_of, _tiles3d(options, output, source))
 
 
-def _labelled(arguments: argparse.Namespace, output: Path) -> LabelledScene:
-    from ...authoring.exporting.labelling import labelled
-    from ...authoring.exporting.writing import whole_motion
-
-    scene = _opened(arguments)
-    if scene is None:
-        return _alone(arguments, output)
-    query = _query(arguments)
-    _note_none(arguments, scene.path, scene.gaussians)
-    motion = whole_motion(output, scene.motion, arguments.time)
-    carried = labelled(
-        scene,
-        query,
-        only=_only(arguments, scene),
-        time=arguments.time if motion is None else motion.span[0],
-        edits=arguments.edits or "kept",
-        embeddings=arguments.embeddings,
-        photos=arguments.photos,
-        words="" if query is None else query_text(arguments),
-    )
-    return replace(carried, motion=motion)
-
-
-def _opened(arguments: argparse.Namespace) -> Scene | None:
-    """Return the scene with its field, None for one that has none. Raises: InputError: options that need a field."""
-    from ...errors import InputError
-    from ...formats.recognising import Kind, recognised
-
-    source = Path(arguments.source)
-    has_field = recognised(source) is Kind.FIELD or (source.is_dir() and any(source.glob("*.field")))
-    if has_field:
-        if arguments.field is not None:
-            raise InputError(f"{arguments.source} has a field already: drop --field, or name the scene's file")
-        arguments.field = arguments.source
-    elif arguments.scene is not None:
-        raise InputError("--scene is the scene of a field: name the field first, or pass the scene and --field FIELD")
-    else:
-        arguments.scene = arguments.source if arguments.field is not None else None
-    if arguments.field is not None:
-        return open_scene(arguments)
-    named = only_one(arguments, QUERIES) or only_one(arguments, ("object", "label"))
-    if named is not None or arguments.embeddings:
-        raise InputError("queries, objects and labels need the field of the scene: pass field=FIELD")
-    return None
-
-
-def _alone(arguments: argparse.Namespace, output: Path) -> LabelledScene:
-    from ...authoring.exporting.labelling import labelled_alone
+def _labelled(options: Options, output: Path) -> LabelledScene:
+    """Bring together what is written; --edits none reports the edits that it leaves out."""
+    from ...authoring.editing import EditFile
+    from ...authoring.editing.resolving import label_rows, object_rows
+    from ...authoring.exporting.labelling import labelled, labelled_alone
     from ...authoring.exporting.writing import whole_motion
     from ...errors import InputError
     from ...formats.moving_scenes import read_scene
     from ...scene.moving import canonical_of
 
-    source = Path(arguments.source)
-    gaussians = read_scene(source)
-    _note_none(arguments, source, canonical_of(gaussians))
-    if arguments.photos and arguments.views is None:
-        raise InputError("photos: a scene without a field has none of its own: pass views=CAPTURE as well")
-    views = tuple(views_of(arguments, arguments.views)) if arguments.photos else ()
-    motion = whole_motion(output, gaussians, arguments.time)
-    time = arguments.time if motion is None else motion.span[0]
-    carried = labelled_alone(gaussians, source, time=time, edits=arguments.edits or "kept")
-    return replace(carried, views=views, motion=motion)
+    scene, source, content = _opened(options), Path(options.source), options.content
+    query = None if options.subject is None else query_of(options.asked)
+    read = read_scene(source) if scene is None else scene.motion or scene.gaussians
+    path, edits = source if scene is None else scene.path, content.edits or "kept"
+    if edits == "none" and path is not None:
+        note_left_out(EditFile.beside(path).num_done(canonical_of(read)))
+    motion = whole_motion(output, read, options.time)
+    time = options.time if motion is None else motion.span[0]
+    if scene is None:
+        if content.photos and options.views is None:
+            raise InputError("photos: a scene without a field has none of its own: pass views=CAPTURE as well")
+        views = options.photos.views(options.views) if content.photos and options.views else []
+        return replace(labelled_alone(read, path, time=time, edits=edits), views=tuple(views), motion=motion)
+    only: Only = "matches" if content.only else None
+    if content.object is not None:
+        only = object_rows(scene, content.object)
+    elif content.label is not None:
+        only = label_rows(scene, content.label)
+    carried = labelled(
+        scene, query, only=only, time=time, edits=edits, embeddings=content.embeddings, photos=content.photos,
+        words="" if query is None else query_text(options.asked),
+    )  # fmt: skip
+    return replace(carried, motion=motion)
 
 
-def _query(arguments: argparse.Namespace) -> Query | None:
-    return None if only_one(arguments, QUERIES) is None else query_of(arguments)
+def _opened(options: Options) -> Scene | None:
+    """Return the scene with its field, None for one that has none. Raises: InputError: options that need a field."""
+    from ...errors import InputError
+    from ...formats.recognising import Kind, recognised
 
-
-def _only(arguments: argparse.Namespace, scene: Scene) -> Only:
-    from ...authoring.editing.resolving import label_rows, object_rows
-
-    if arguments.object is not None:
-        return object_rows(scene, arguments.object)
-    if arguments.label is not None:
-        return label_rows(scene, arguments.label)
-    return "matches" if arguments.only else None
-
-
-def _note_none(arguments: argparse.Namespace, path: Path | None, gaussians: Gaussians) -> None:
-    """Report the kept edits that --edits none leaves out."""
-    from ...authoring.editing import EditFile
-
-    if arguments.edits == "none" and path is not None:
-        note_left_out(EditFile.beside(path).num_done(gaussians))
+    source = Path(options.source)
+    if recognised(source) is Kind.FIELD or (source.is_dir() and any(source.glob("*.field"))):
+        if options.field is not None:
+            raise InputError(f"{options.source} has a field already: drop --field, or name the scene's file")
+        return options.open_scene(options.source, options.scene)
+    if options.scene is not None:
+        raise InputError("--scene is the scene of a field: name the field first, or pass the scene and --field FIELD")
+    if options.field is not None:
+        return options.open_scene(options.field, options.source)
+    content = options.content
+    if options.subject or content.embeddings or (content.object, content.label) != (None, None):
+        raise InputError("queries, objects and labels need the field of the scene: pass field=FIELD")
+    return None

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from .changes import add_field_options, field_and_scene
-from .options import add_overwrite, new_output
+from .changes import FieldToChange, field_and_scene
+from .declaring import argument, option, part
+from .options import Verb, new_output, overwrite
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,36 +25,40 @@ scene. `field carry` matches each Gaussian by position, opacity and colour, and 
 objects and labels. It fails if more than one in a hundred Gaussians has no match."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("action", choices=("carry",), help="action, the only one")
-    add_field_options(parser)
-    parser.add_argument("new_scene", metavar="NEW_SCENE", help="registered scene in another file or format")
-    parser.add_argument("--output", "-o", required=True, metavar="DIR", help="folder to write the new field to")
-    add_overwrite(parser)
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    action: str = argument("action, the only one", choices=("carry",))
+    of: FieldToChange = part(FieldToChange)
+    new_scene: str = argument("registered scene in another file or format", value="NEW_SCENE")
+    output: str = option("folder to write the new field to", "DIR", flags="-o", required=True)
+    overwrite: bool = overwrite()
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+def run(options: Options) -> dict[str, Any]:
     from ...formats.field_folder import claimed_field
 
-    with claimed_field(new_output(arguments.output, arguments.overwrite)) as output:
-        return _carry(arguments, output)
+    with claimed_field(new_output(options.output, options.overwrite)) as output:
+        return _carry(options, output)
 
 
-def _carry(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
+def _carry(options: Options, output: Path) -> dict[str, Any]:
     import numpy as np
 
     from ...field import assign, carry_field, load_field
     from ...field.labels import LabelFile
+    from ...formats.moving_scenes import read_scene
 
-    path, old = field_and_scene(arguments)
+    path, old = field_and_scene(options.of)
     field = load_field(path)
-    old, new = _still(old), _still(_scene(arguments.new_scene))
+    old, new = _still(old), _still(read_scene(options.new_scene))
     field.check_scene(old)
     labels = [label for label in LabelFile.beside(path).read() if label.is_of(field)]
-    assignment = assign(old, new, threads=arguments.threads)
+    assignment = assign(old, new, threads=options.threads)
     carried = carry_field(field, assignment)
     names = _carry_labels(labels, output, assignment)
-    carried.save(output, overwrite=arguments.overwrite)  # last: a field that is there has its names, also after a kill
+    carried.save(output, overwrite=options.overwrite)  # last: a field that is there has its names, also after a kill
     distances = assignment.distances[assignment.rows >= 0]
     return {
         "field": str(output),
@@ -81,12 +86,6 @@ def show(answer: dict[str, Any]) -> None:
         "names": ", ".join(answer["labels"]) or "none",
     }
     show_facts(f"carried over: {answer['field']}", facts)
-
-
-def _scene(path: str) -> object:
-    from ...formats.moving_scenes import read_scene
-
-    return read_scene(path)
 
 
 def _still(scene: Any) -> Any:

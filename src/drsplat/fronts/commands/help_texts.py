@@ -1,10 +1,15 @@
-"""--help in the width of the terminal: prose is filled, examples go on in the next line after a backslash."""
+"""--help in the width of the terminal: prose is filled, examples go on in the next line after a backslash.
+
+Errors name what resembles a slip.
+"""
 
 import argparse
 import re
 import textwrap
+from collections.abc import Iterable
 
 MAX_SHORT_EXAMPLES = 3
+MIN_LIKENESS = 0.7  # of difflib, from 0 to 1; a slip of one letter in four is still recognised
 VERB_COLUMN = 14  # where the summaries of the verbs begin
 _NO_BREAK = "\xa0"
 _COMMAND = re.compile(r"^  drsplat .*(?:(?<=\\)\n.*)*", re.MULTILINE)
@@ -62,3 +67,14 @@ def _joined(lines: list[str]) -> list[str]:
 def first_examples(epilog: str) -> str:
     """Return the first few commands of an epilog of examples."""
     return "\n".join(["examples:", *_COMMAND.findall(epilog)[:MAX_SHORT_EXAMPLES]])
+
+
+def did_you_mean(text: str, names: Iterable[str]) -> str:
+    """Return "; did you mean ...?" with the name that resembles a text most, or nothing if none does."""
+    from difflib import get_close_matches
+
+    bare = {name.lstrip("-").lower(): name for name in names if len(name.lstrip("-")) > 1}
+    meant = text.lstrip("-").replace("_", "-").lower()
+    begins = [name for name in bare if len(meant) > 2 and name.startswith(meant)]
+    nearest = get_close_matches(meant[:99], bare, 1, MIN_LIKENESS) or begins[:1]
+    return f"; did you mean {bare[nearest[0]]}?" if nearest else ""

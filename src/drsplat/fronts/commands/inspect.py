@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from .code_facts import code_facts, codebook_facts
-from .options import add_capture_options, views_of
+from .declaring import argument, flag, part
+from .options import Photos, Verb
 from .recognising import kind_of, place_of
 
 if TYPE_CHECKING:
@@ -28,25 +29,27 @@ DAILY = ("verify",)
 PERCENTILES = (1, 50, 99)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("path", help="file or folder of any of these")
-    parser.add_argument(
-        "--verify", action="store_true",
-        help="compare every byte with its checksum; without checksums, report what was read (other verbs check only "
-        "what they use)",
-    )  # fmt: skip
-    add_capture_options(parser)
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    path: str = argument("file or folder of any of these")
+    verify: bool = flag(
+        "compare every byte with its checksum; without checksums, report what was read (other verbs check only what "
+        "they use)"
+    )
+    photos: Photos = part(Photos)
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+def run(options: Options) -> dict[str, Any]:
     from .verifying import verified
 
-    path = Path(arguments.path)
+    path = Path(options.path)
     kind = kind_of(path)
-    proof = verified(path) if arguments.verify else None
-    facts = _INSPECTORS[kind](arguments)
+    proof = verified(path) if options.verify else None
+    facts = _INSPECTORS[kind](options)
     more = {} if proof is None else {"verified": proof["names"], "checked": proof["checked"]}
-    return {"path": arguments.path, "kind": kind, **facts, **more}
+    return {"path": options.path, "kind": kind, **facts, **more}
 
 
 def show(answer: dict[str, Any]) -> None:
@@ -64,13 +67,13 @@ def show(answer: dict[str, Any]) -> None:
     show_facts(f"{answer['kind']}: {answer['path']}", facts)
 
 
-def _scene(arguments: argparse.Namespace) -> dict[str, Any]:
+def _scene(options: Options) -> dict[str, Any]:
     from ...authoring.editing import EditFile
     from ...formats.moving_scenes import read_scene
     from ...scene.eight_bits import clamped_in_bytes
     from ...scene.moving import Moving, canonical_of
 
-    given = read_scene(arguments.path)
+    given = read_scene(options.path)
     scene = canonical_of(given)
     of_time = {"num_times": len(given.times), "times": list(given.span)} if isinstance(given, Moving) else {}
     return {
@@ -86,9 +89,9 @@ def _scene(arguments: argparse.Namespace) -> dict[str, Any]:
         "opacity": _percentiles(scene.opacities),
         "scale": _percentiles(scene.scales.max(1)),
         "extra_columns": sorted(scene.extra),
-        "num_kept_edits": EditFile.beside(arguments.path).num_done(scene),
-        **_levels(Path(arguments.path)),
-        **_named_objects(Path(arguments.path)),
+        "num_kept_edits": EditFile.beside(options.path).num_done(scene),
+        **_levels(Path(options.path)),
+        **_named_objects(Path(options.path)),
         "fingerprint": scene.fingerprint,
     }
 
@@ -118,10 +121,10 @@ def _named_objects(path: Path) -> dict[str, Any]:
     return {"num_objects": len(names), "objects": [{"id": number, "name": name} for number, name in names]}
 
 
-def _capture(arguments: argparse.Namespace) -> dict[str, Any]:
+def _capture(options: Options) -> dict[str, Any]:
     from ...scene.views import pictures_kind, scenes_rendered
 
-    views = views_of(arguments, arguments.path)
+    views = options.photos.views(options.path)
     lenses = sorted({"pinhole" if view.distortion is None else "distorted" for view in views})
     sources = [view.rendered_from for view in views]
     return {
@@ -146,13 +149,13 @@ def _capture(arguments: argparse.Namespace) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _features(arguments: argparse.Namespace) -> dict[str, Any]:
+def _features(options: Options) -> dict[str, Any]:
     from ...formats.langsplat import read_features
     from ...photos.embedding.embed import recorded_renderings
     from ...scene.masks.masks import LEVELS
     from ...scene.views import pictures_kind
 
-    place = place_of(Path(arguments.path), "features")
+    place = place_of(Path(options.path), "features")
     folder = read_features(place)
     by_level = {level: read_features(place, level=level) for level in LEVELS}
     photos = [{"name": key, **{level: len(f[key].embeddings) for level, f in by_level.items()}} for key in folder]
@@ -170,11 +173,11 @@ def _features(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _field(arguments: argparse.Namespace) -> dict[str, Any]:
+def _field(options: Options) -> dict[str, Any]:
     from ... import load_field
     from ...scene.views import pictures_kind, scenes_rendered
 
-    place = place_of(Path(arguments.path), "field")
+    place = place_of(Path(options.path), "field")
     field = load_field(place)
     files = sorted(file for file in place.iterdir() if file.is_file())
     evidence = field.evidence
@@ -201,12 +204,12 @@ def _field(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _tiles(arguments: argparse.Namespace) -> dict[str, Any]:
+def _tiles(options: Options) -> dict[str, Any]:
     import numpy as np
 
     from ...formats.tiles import read_tiles
 
-    tiles = read_tiles(place_of(Path(arguments.path), "tiles"))
+    tiles = read_tiles(place_of(Path(options.path), "tiles"))
     low, high = (np.array([getattr(tile, end) for tile in tiles.tiles]) for end in ("low", "high"))
     return {
         "num_gaussians": len(tiles),
@@ -221,10 +224,10 @@ def _tiles(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _catalogue(arguments: argparse.Namespace) -> dict[str, Any]:
+def _catalogue(options: Options) -> dict[str, Any]:
     from ...query.catalogue import Catalogue
 
-    catalogue = Catalogue.open(place_of(Path(arguments.path), "catalogue"))
+    catalogue = Catalogue.open(place_of(Path(options.path), "catalogue"))
     scenes = catalogue.scenes()
     return {
         "num_scenes": len(scenes),
@@ -236,14 +239,14 @@ def _catalogue(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _scene_folder(arguments: argparse.Namespace) -> dict[str, Any]:
+def _scene_folder(options: Options) -> dict[str, Any]:
     """Describe the parts of a folder as `drsplat view` opens it: its field, scene and capture."""
     from ... import load_field
     from ...authoring.editing import EditFile
     from ...query.opening import find_scene, registered_scene
     from ...scene.moving import canonical_of
 
-    files = find_scene(arguments.path)
+    files = find_scene(options.path)
     field = load_field(files.field)
     path, scene = registered_scene(files, field)
     return {
@@ -256,14 +259,14 @@ def _scene_folder(arguments: argparse.Namespace) -> dict[str, Any]:
         "encoder": field.encoder.name,
         "num_objects": None if field.objects is None else len(field.objects),
         "details": f"drsplat inspect {files.field}",
-        **({} if files.capture is None else _capture(arguments)),
+        **({} if files.capture is None else _capture(options)),
     }
 
 
-def _tensors(arguments: argparse.Namespace) -> dict[str, Any]:
+def _tensors(options: Options) -> dict[str, Any]:
     from ...formats.tensors import map_tensors
 
-    tensors, metadata = map_tensors(arguments.path)
+    tensors, metadata = map_tensors(options.path)
     return {
         "format": metadata.get("format"),
         "arrays": {name: f"{array.dtype} {list(array.shape)}" for name, array in sorted(tensors.items())},
@@ -271,46 +274,46 @@ def _tensors(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _labels(arguments: argparse.Namespace) -> dict[str, Any]:
+def _labels(options: Options) -> dict[str, Any]:
     from ...field.labels import LabelFile
 
-    labels = LabelFile(Path(arguments.path)).read()
+    labels = LabelFile(Path(options.path)).read()
     return {"num_labels": len(labels), "names": [label.name for label in labels]}
 
 
-def _edits(arguments: argparse.Namespace) -> dict[str, Any]:
+def _edits(options: Options) -> dict[str, Any]:
     from ...authoring.editing.stored import edits_of
     from ...formats.json_files import read_json
 
-    listed = edits_of(read_json(Path(arguments.path)), arguments.path)
+    listed = edits_of(read_json(Path(options.path)), options.path)
     return {"scene": listed.scene, "num_edits": len(listed.edits), "num_done": listed.done}
 
 
-def _annotations(arguments: argparse.Namespace) -> dict[str, Any]:
+def _annotations(options: Options) -> dict[str, Any]:
     from ...formats.annotations import AnnotationFile
 
-    annotations = AnnotationFile(Path(arguments.path)).read()
+    annotations = AnnotationFile(Path(options.path)).read()
     return {"num_annotations": len(annotations), "texts": [annotation.text for annotation in annotations]}
 
 
-def _camera_path(arguments: argparse.Namespace) -> dict[str, Any]:
+def _camera_path(options: Options) -> dict[str, Any]:
     from ...authoring.filming.path_files import read_path
 
-    path = read_path(arguments.path)
+    path = read_path(options.path)
     return {"num_key_frames": len(path.keys), "seconds": path.seconds, "fps": path.fps, "size": path.size}
 
 
-def _codebook(arguments: argparse.Namespace) -> dict[str, Any]:
+def _codebook(options: Options) -> dict[str, Any]:
     from ...field.codes.official import read_codebook
 
-    codebook = read_codebook(arguments.path)
+    codebook = read_codebook(options.path)
     return {"encoder": codebook.encoder.name, "dim": codebook.dim, **codebook_facts(codebook)}
 
 
-def _vocabulary(arguments: argparse.Namespace) -> dict[str, Any]:
+def _vocabulary(options: Options) -> dict[str, Any]:
     from ... import read_vocabulary
 
-    vocabulary = read_vocabulary(arguments.path)
+    vocabulary = read_vocabulary(options.path)
     return {
         "encoder": vocabulary.identity.name, "dim": vocabulary.identity.dim, "num_texts": len(vocabulary.texts),
         "texts": list(vocabulary.texts),
@@ -325,7 +328,7 @@ def _percentiles(values: np.ndarray) -> dict[str, float]:
     return {f"p{p}": float(v) for p, v in zip(PERCENTILES, np.percentile(values, PERCENTILES), strict=True)}
 
 
-_INSPECTORS: dict[str, Callable[[argparse.Namespace], dict[str, Any]]] = {
+_INSPECTORS: dict[str, Callable[[Options], dict[str, Any]]] = {
     "scene": _scene, "capture": _capture, "features": _features, "field": _field, "codebook": _codebook,
     "vocabulary": _vocabulary, "tiles": _tiles, "catalogue": _catalogue, "scene folder": _scene_folder,
     "tensors": _tensors, "labels": _labels, "edits": _edits, "annotations": _annotations, "camera path": _camera_path,

@@ -5,17 +5,18 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from .options import whole, words
+from .declaring import option
+from .kinds import whole, words
 
 EVERY_PREFIX = "every:"
 
 
-def add_without(parser: argparse._ActionsContainer) -> None:
-    parser.add_argument(
-        "--without", type=words, metavar="FILE|every:N",
-        help="photos to leave out: a file with a name per line, or every Nth by name, starting with the first, as "
-        "`drsplat train` holds them out (default: none)",
+def without() -> Any:
+    return option(
+        "photos to leave out: a file with a name per line, or every Nth by name, starting with the first, as `drsplat "
+        "train` holds them out (default: none)", "FILE|every:N", words,
     )  # fmt: skip
 
 

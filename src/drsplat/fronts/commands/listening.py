@@ -2,56 +2,61 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from ..serving.access import is_loopback, names_of
-from .options import PORT, length, up_to
+from .declaring import flag, option, part
+from .kinds import PORT, length, up_to
 
 MAX_WORKERS = 256  # processes
 
 
-def add_listening(parser: argparse.ArgumentParser, port: int) -> None:
-    parser.add_argument(
-        "--host", default="127.0.0.1", metavar="ADDRESS",
-        help="address to listen on (default: 127.0.0.1, this machine only); others need --api-key-file",
+@dataclass(frozen=True, kw_only=True)
+class Listening:
+    """Address that requests come to, and how many are answered at a time."""
+
+    host: str = option(
+        "address to listen on (default: 127.0.0.1, this machine only); others need --api-key-file", "ADDRESS", None,
+        "127.0.0.1",
     )  # fmt: skip
-    parser.add_argument("--port", type=PORT, default=port, metavar="N", help=f"port to listen on (default: {port})")
-    parser.add_argument(
-        "--api-key-file", metavar="FILE",
-        help="file with the key that every request must send: Authorization: Bearer KEY",
+    port: int = option("port to listen on", "N", PORT)
+    api_key_file: str | None = option(
+        "file with the key that every request must send: Authorization: Bearer KEY", "FILE"
     )  # fmt: skip
-    parser.add_argument("--open", action="store_true", help="allow another --host without a key, open to anyone")
+    open: bool = flag("allow another --host without a key, open to anyone")
+    workers: int = option("worker processes", "N", up_to(MAX_WORKERS))
+    timeout: float = option("time limit of a request (default: 30)", "SECONDS", length, 30.0)
+
+    @property
+    def names(self) -> tuple[str, ...] | None:
+        """Host names that a request may use, None for any, where other machines can reach this one."""
+        return names_of(self.host) if is_loopback(self.host) else None
+
+    def key(self) -> str | None:
+        """Return the key that requests have to give, None for none.
+
+        Raises: InputError: other machines could ask without one, and --open does not say so; no key in its file.
+        """
+        from ...errors import InputError
+
+        key = None if self.api_key_file is None else _key(Path(self.api_key_file))
+        if not is_loopback(self.host) and key is None and not self.open:
+            raise InputError(
+                f"--host {self.host} opens it to other machines: pass --api-key-file FILE, or --open to let anyone"
+            )
+        return key
 
 
-def add_computing(parser: argparse.ArgumentParser, workers: int) -> None:
-    parser.add_argument(
-        "--workers", type=up_to(MAX_WORKERS), default=workers, metavar="N",
-        help=f"worker processes, one request each at a time; others wait (default: {workers})",
-    )  # fmt: skip
-    parser.add_argument(
-        "--timeout", type=length, default=30.0, metavar="SECONDS", help="time limit of a request (default: 30)"
+def listening(port: int, workers: int) -> Any:
+    """Declare `Listening` with a port and a number of processes of a verb's own."""
+    waiting = f"worker processes, one request each at a time; others wait (default: {workers})"
+    return part(
+        Listening,
+        port={"default": port, "help": f"port to listen on (default: {port})"},
+        workers={"default": workers, "help": waiting},
     )
-
-
-def checked_key(arguments: argparse.Namespace) -> str | None:
-    """Return the key that requests have to give, None for none.
-
-    Raises: InputError: other machines could ask without one, and --open does not say so; no key in its file.
-    """
-    from ...errors import InputError
-
-    key = None if arguments.api_key_file is None else _key(Path(arguments.api_key_file))
-    if not is_loopback(arguments.host) and key is None and not arguments.open:
-        raise InputError(
-            f"--host {arguments.host} opens it to other machines: pass --api-key-file FILE, or --open to let anyone"
-        )
-    return key
-
-
-def own_names(arguments: argparse.Namespace) -> tuple[str, ...] | None:
-    """Return the host names that a request may use, None for any, where other machines can reach this one."""
-    return names_of(arguments.host) if is_loopback(arguments.host) else None
 
 
 def _key(path: Path) -> str:

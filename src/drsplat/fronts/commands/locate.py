@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
 
 from ...query.defaults import MIN_GAUSSIANS
-from .options import count
-from .query_options import add_output_options, add_query_options, answer_json, ask, draw, measured_text, print_doubt
+from .declaring import flag, option, part
+from .kinds import count
+from .options import Verb
+from .query_options import Outputs, Question, answer_json, ask, draw, measured_text, print_doubt
 
 if TYPE_CHECKING:
     from ...query import Answer, Match, Scene
@@ -29,47 +31,51 @@ seldom exceed 0.3. Relevancy has the same scale for every encoder and is the mea
 DAILY = ("scene", "threshold", "top", "encoder", "save", "picture", "views", "overwrite", "click")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_query_options(parser)
-    parser.add_argument("--top", type=count, default=10, metavar="N", help="matches to list, best first (default: 10)")
-    parser.add_argument(
-        "--min-gaussians", type=count, default=MIN_GAUSSIANS, metavar="N",
-        help=f"minimum number of Gaussians in a match (default: {MIN_GAUSSIANS})",
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    question: Question = part(Question)
+    top: int = option("matches to list, best first (default: 10)", "N", count, 10)
+    min_gaussians: int = option(
+        f"minimum number of Gaussians in a match (default: {MIN_GAUSSIANS})", "N", count, MIN_GAUSSIANS
+    )
+    box: Literal["upright", "free"] = option(
+        "upright: boxes stand upright, if the photos show which way is up; free: boxes follow the match's own axes "
+        "(default: upright)", None, None, "upright", choices=("upright", "free"),
     )  # fmt: skip
-    parser.add_argument(
-        "--box", choices=("upright", "free"), default="upright",
-        help="upright: boxes stand upright, if the photos show which way is up; free: boxes follow the match's own "
-        "axes (default: upright)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--tracks", action="store_true",
-        help="list where each match is at all times of a moving scene, and when photos see it",
-    )  # fmt: skip
-    saved = "write the scene with two more columns: relevancy, the measured value; match_id, the match's number or -1"
-    add_output_options(parser, saved)
+    tracks: bool = flag("list where each match is at all times of a moving scene, and when photos see it")
+    outputs: Outputs = part(
+        Outputs,
+        save={
+            "help": "write the scene with two more columns: relevancy, the measured value; match_id, the match's "
+            "number or -1"
+        },
+    )
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+def run(options: Options) -> dict[str, Any]:
     from ...formats.replacing import together
     from ...query.documents import match_document, track_document
 
-    scene, answer = ask(arguments)
-    report = answer_json(arguments, answer)
+    outputs = options.outputs
+    scene, answer = ask(options.question, outputs, options.threads)
+    report = answer_json(options.question, answer)
     if not scene.has_gaussians:
         return {**report, "count": None, "num_matches": None, "matches": None}
-    matches = scene.locate(answer, min_gaussians=arguments.min_gaussians, box=arguments.box)
+    matches = scene.locate(answer, min_gaussians=options.min_gaussians, box=options.box)
     report["count"] = sum(match.sure for match in matches)
     report["num_matches"] = len(matches)
-    listed = matches[: arguments.top]
+    listed = matches[: options.top]
     report["matches"] = [match_document(match, georeference=scene.georeference) for match in listed]
-    if arguments.tracks:
-        for document, track in zip(report["matches"], scene.tracks(listed, arguments.box), strict=True):
+    if options.tracks:
+        for document, track in zip(report["matches"], scene.tracks(listed, options.box), strict=True):
             document["track"] = track_document(track)
     with together():
-        if arguments.save:
-            _save(arguments, scene, answer, matches)
-        if arguments.picture:
-            report["view"] = _draw(arguments, scene, matches)
+        if outputs.save:
+            _save(outputs.save, outputs.overwrite, scene, answer, matches)
+        if outputs.picture:
+            report["view"] = _draw(options, scene, matches)
     return report
 
 
@@ -121,7 +127,7 @@ def _track_text(track: dict[str, Any]) -> str:
     return f"goes from ({start}) at {track['times'][0]:.4g} to ({end}) at {track['times'][-1]:.4g}{seen}"
 
 
-def _save(arguments: argparse.Namespace, scene: Scene, answer: Answer, matches: list[Match]) -> None:
+def _save(path: str, overwrite: bool, scene: Scene, answer: Answer, matches: list[Match]) -> None:
     import numpy as np
 
     from ... import write_gaussians
@@ -130,13 +136,14 @@ def _save(arguments: argparse.Namespace, scene: Scene, answer: Answer, matches: 
     for number, match in enumerate(matches):
         match_ids[match.gaussian_ids] = number
     columns = {"relevancy": answer.dense, "match_id": match_ids}
-    write_gaussians(arguments.save, scene.gaussians, columns, overwrite=arguments.overwrite)
+    write_gaussians(path, scene.gaussians, columns, overwrite=overwrite)
 
 
-def _draw(arguments: argparse.Namespace, scene: Scene, matches: list[Match]) -> str:
+def _draw(options: Options, scene: Scene, matches: list[Match]) -> str:
     import numpy as np
 
     from ...base.terminal import counted
 
     ids = np.concatenate([match.gaussian_ids for match in matches] or [np.empty(0, np.int64)])
-    return draw(arguments, scene, ids, counted(len(matches), "match", "matches") if matches else "no match")
+    note = counted(len(matches), "match", "matches") if matches else "no match"
+    return draw(options.question, options.outputs, scene, ids, note)

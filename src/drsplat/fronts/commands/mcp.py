@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from .declaring import argument, flag, option, part
 from .edit_options import note_own_scenes
-from .listening import add_computing, add_listening, checked_key, own_names
-from .options import add_query_encoders
+from .listening import Listening, listening
+from .options import Encoders, Verb
 
 EXAMPLES = """\
   drsplat mcp scenes
@@ -22,23 +23,26 @@ and stdout, for programs that start the server themselves: {"command": "drsplat"
 DAILY = ("http", "port", "encoder")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("folder", help="folder of a scene, or of several such folders")
-    parser.add_argument("--http", action="store_true", help="serve streamable HTTP at /mcp instead of stdin and stdout")
-    add_listening(parser, port=8766)
-    add_computing(parser, workers=1)
-    parser.add_argument("--catalogue", metavar="CATALOGUE", help="catalogue for the tool search_all_scenes")
-    add_query_encoders(parser)
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    folder: str = argument("folder of a scene, or of several such folders")
+    http: bool = flag("serve streamable HTTP at /mcp instead of stdin and stdout")
+    listening: Listening = listening(port=8766, workers=1)
+    catalogue: str | None = option("catalogue for the tool search_all_scenes", "CATALOGUE")
+    encoders: Encoders = part(Encoders)
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+def run(options: Options) -> dict[str, Any]:
     from ...errors import InputError
     from ..serving.libraries import require
 
     require("mcp", "mcp", "prometheus_client")
-    if arguments.json and not arguments.http:
+    if options.json and not options.http:
         raise InputError("--json goes with --http: stdout speaks the protocol")
-    key = checked_key(arguments)
+    where = options.listening
+    key = where.key()
 
     from ..serving.limits import Limits
     from ..serving.listening import address_of, bound_socket
@@ -49,23 +53,23 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ..serving.workbench import Workbench
     from ..serving.worker import Workplace
 
-    sources = Sources(arguments.encoder, arguments.vocabulary, arguments.device, arguments.threads)
-    catalogue = None if arguments.catalogue is None else Path(arguments.catalogue)
-    scene_folder = SceneFolder(Path(arguments.folder), sources, catalogue_path=catalogue)
+    sources = Sources(**vars(options.encoders), threads=options.threads)
+    catalogue = None if options.catalogue is None else Path(options.catalogue)
+    scene_folder = SceneFolder(Path(options.folder), sources, catalogue_path=catalogue)
     scene_folder.check_sources()
     scene_folder.check_catalogue()
     note_own_scenes(scene_folder.folders().values())
-    limits = Limits(seconds=arguments.timeout, workers=arguments.workers)
-    bench = Workbench(Workplace(arguments.folder, sources, limits, arguments.catalogue), Metrics())
+    limits = Limits(seconds=where.timeout, workers=where.workers)
+    bench = Workbench(Workplace(options.folder, sources, limits, options.catalogue), Metrics())
     server = make_server(scene_folder, bench, limits)
     with closing(bench):
-        if not arguments.http:
+        if not options.http:
             over_stdio(server)
             return {"stopped": True}
-        with bound_socket(arguments.host, arguments.port) as listening:
-            if not arguments.json:
-                print(f"MCP at {address_of(listening, arguments.host)}/mcp; Ctrl-C ends this.", flush=True)
-            over_http(server, listening, key, own_names(arguments))
+        with bound_socket(where.host, where.port) as socket:
+            if not options.json:
+                print(f"MCP at {address_of(socket, where.host)}/mcp; Ctrl-C ends this.", flush=True)
+            over_http(server, socket, key, where.names)
     return {"stopped": True}
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from typing import Any
 
-from .options import add_overwrite, finite, new_output
+from .declaring import argument, option
+from .kinds import finite
+from .options import Verb, new_output, overwrite
 
 EXAMPLES = """\
   drsplat motion gaussian_pertimestamp --times 0 1 --output film.motion
@@ -16,31 +18,35 @@ SCENE may be a folder of numbered PLY files with the same rows, a PLY file of Sp
 OUT that ends in .motion is written as such; any other becomes a folder of frame0000.ply and so on, one per time."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("scene", help="folder of numbered PLY files, PLY of SpacetimeGaussians, or NAME.motion")
-    parser.add_argument(
-        "--times", type=finite, nargs=2, metavar=("FIRST", "LAST"),
-        help="times of the first and last numbered PLY file, the others evenly spaced (default: their numbers)",
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    scene: str = argument("folder of numbered PLY files, PLY of SpacetimeGaussians, or NAME.motion")
+    times: list[float] | None = option(
+        "times of the first and last numbered PLY file, the others evenly spaced (default: their numbers)",
+        ("FIRST", "LAST"), finite, nargs=2,
     )  # fmt: skip
-    parser.add_argument("--output", "-o", metavar="OUT", help="NAME.motion, or a folder for numbered PLY files")
-    add_overwrite(parser)
+    output: str | None = option("NAME.motion, or a folder for numbered PLY files", "OUT", flags="-o")
+    overwrite: bool = overwrite()
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+def run(options: Options) -> dict[str, Any]:
     from ...formats.moving_scenes import read_moving, write_moving
 
-    if arguments.output is not None:
-        new_output(arguments.output, arguments.overwrite)
-    moving = read_moving(arguments.scene, arguments.times and tuple(arguments.times))
-    if arguments.output is not None:
-        write_moving(arguments.output, moving, arguments.overwrite)
+    if options.output is not None:
+        new_output(options.output, options.overwrite)
+    times = None if options.times is None else (options.times[0], options.times[1])
+    moving = read_moving(options.scene, times)
+    if options.output is not None:
+        write_moving(options.output, moving, options.overwrite)
     return {
-        "scene": arguments.scene,
+        "scene": options.scene,
         "num_gaussians": len(moving),
         "num_times": len(moving.times),
         "times": list(moving.span),
         "fingerprint": moving.canonical.fingerprint,
-        "output": arguments.output,
+        "output": options.output,
     }
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import csv
 import io
 import json
@@ -10,7 +9,7 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .options import new_output
+from .query_options import check_outputs
 
 if TYPE_CHECKING:
     from ...query import Scene
@@ -20,21 +19,15 @@ FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r", "\n")  # spreadsheets compute a
 BOX_NUMBERS = {"center": 3, "extent": 3, "axes": 9}
 
 
-def check(arguments: argparse.Namespace) -> None:
+def check(saved: str | None, picture: str | None, overwrite: bool) -> None:
     """Check what can be checked before any work is done."""
     from ...errors import InputError
 
-    if (arguments.label is None) != (arguments.id is None):
-        raise InputError("a name is given to an object: pass label=NAME and id=NUMBER together")
-    for option, output in (("--save", arguments.save), ("--picture", arguments.picture)):
-        if output is not None and not new_output(output, arguments.overwrite).parent.is_dir():
-            raise InputError(f"{option}: there is no folder {Path(output).parent}: make it first")
-    if arguments.picture and Path(arguments.picture).suffix.lower() not in (".jpg", ".jpeg", ".png"):
-        raise InputError(f"{arguments.picture}: pictures are written as .png or .jpg")
-    if arguments.save and Path(arguments.save).suffix.lower() not in _WRITERS:
-        raise InputError(
-            f"{arguments.save}: expected a name that ends in .npy, .ply, .json or .csv, or that of a folder"
-        )
+    check_outputs(saved, picture, overwrite, ("",))
+    if picture and Path(picture).suffix.lower() not in (".jpg", ".jpeg", ".png"):
+        raise InputError(f"{picture}: pictures are written as .png or .jpg")
+    if saved and Path(saved).suffix.lower() not in _WRITERS:
+        raise InputError(f"{saved}: expected a name that ends in .npy, .ply, .json or .csv, or that of a folder")
 
 
 def save(path: str, scene: Scene, listed: list[dict[str, Any]], overwrite: bool) -> None:

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import argparse
+import shutil
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from .declaring import argument, flag, option, part
 from .edit_options import note_own_scene
+from .kinds import whole, words
 from .object_outputs import check, save
-from .options import add_capture_options, add_overwrite, add_query_encoders, tracker, whole, words
+from .options import Encoders, Photos, Verb, overwrite
 from .parts import parts_of
-from .query_options import FIELD_HELP, open_scene
-from .workers import add_workers, launcher_of, tiles_of
+from .query_options import FIELD_HELP
+from .workers import Workers, tiles_of
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
-    from ...field.forest import Objects
-    from ...formats.tiles import Tiles
     from ...query import Scene
 
 EXAMPLES = """\
@@ -39,79 +38,72 @@ DAILY = ("scene", "all", "label", "id", "save", "picture", "views", "overwrite")
 MAX_ROWS_SHOWN = 40  # on a terminal without --all; real captures have hundreds of objects
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("field", help=FIELD_HELP)
-    parser.add_argument("--scene", help="scene that was registered; needed to find objects, for PLYs and for --picture")
-    parser.add_argument(
-        "--again", action="store_true", help="find objects again, even if the field has some; labels stay"
-    )
-    parser.add_argument(
-        "--vote", action="store_true",
-        help="find objects again, and join pieces that the photos of --views, looked at again, outline as one",
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    field: str = argument(FIELD_HELP)
+    scene: str | None = option("scene that was registered; needed to find objects, for PLYs and for --picture")
+    again: bool = flag("find objects again, even if the field has some; labels stay")
+    vote: bool = flag("find objects again, and join pieces that the photos of --views, looked at again, outline as one")
+    all: bool = flag("list and draw objects on which the photos agree less, too; files always have all")
+    label: str | None = option("label for the object --id", "NAME", words)
+    id: int | None = option("number of the object for --label", "NUMBER", whole)
+    save: str | None = option(
+        "OUT.npy: object of each Gaussian, int32; OUT.ply: scene with a column object_id; OUT.json, OUT.csv: table "
+        "with boxes; any other name: folder with a PLY per object", "OUT", title="output",
     )  # fmt: skip
-    parser.add_argument(
-        "--all",
-        action="store_true",
-        help="list and draw objects on which the photos agree less, too; files always have all",
-    )
-    parser.add_argument("--label", type=words, metavar="NAME", help="label for the object --id")
-    parser.add_argument("--id", type=whole, metavar="NUMBER", help="number of the object for --label")
-    output = parser.add_argument_group("output")
-    output.add_argument(
-        "--save", metavar="OUT",
-        help="OUT.npy: object of each Gaussian, int32; OUT.ply: scene with a column object_id; OUT.json, OUT.csv: "
-        "table with boxes; any other name: folder with a PLY per object",
+    picture: str | None = option(
+        "write a contact sheet: the 60 largest objects of the list, each cut out of the photo that shows it best",
+        "OUT.jpg", title="output",
     )  # fmt: skip
-    output.add_argument(
-        "--picture", metavar="OUT.jpg",
-        help="write a contact sheet: the 60 largest objects of the list, each cut out of the photo that shows it best",
+    views: str | None = option("poses and photos, for --picture and --vote", "CAPTURE", title="output")
+    overwrite: bool = overwrite("output")
+    parts: str | None = option(
+        "folder for the finished blocks of an unfinished run, or an address such as s3://bucket/run; never removed "
+        "(default: FIELD.parts, removed at the end)", "DIR", title="tiles",
     )  # fmt: skip
-    output.add_argument("--views", metavar="CAPTURE", help="poses and photos, for --picture and --vote")
-    add_overwrite(output)
-    tiles = parser.add_argument_group("tiles")
-    tiles.add_argument(
-        "--parts", metavar="DIR",
-        help="folder for the finished blocks of an unfinished run, or an address such as s3://bucket/run; never "
-        "removed (default: FIELD.parts, removed at the end)",
-    )  # fmt: skip
-    add_workers(tiles)
-    add_query_encoders(parser)
-    add_capture_options(parser)
+    workers: Workers = part(Workers)
+    encoders: Encoders = part(Encoders)
+    photos: Photos = part(Photos)
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+def run(options: Options) -> dict[str, Any]:
+    from ...errors import InputError
     from ...formats.replacing import together
     from ...query.documents import object_documents
     from ...query.objects import objects_of
     from ...scene.views import pictures_kind, scenes_rendered
 
-    check(arguments)
-    scene = _with_objects(arguments)
-    if arguments.label is not None:
-        scene.label(objects_of(scene.field).thing(arguments.id), arguments.label)
+    if (options.label is None) != (options.id is None):
+        raise InputError("a name is given to an object: pass label=NAME and id=NUMBER together")
+    check(options.save, options.picture, options.overwrite)
+    scene = _with_objects(options)
+    if options.label is not None and options.id is not None:
+        scene.label(objects_of(scene.field).thing(options.id), options.label)
     documents = object_documents(scene, scene.objects)
-    if arguments.save or arguments.picture:
+    if options.save or options.picture:
         note_own_scene(scene.path, scene.rows if scene.has_gaussians else None)
     with together():
-        if arguments.save:
-            save(arguments.save, scene, documents, arguments.overwrite)
-        if arguments.picture:
-            _draw(arguments, scene, _listed(documents, arguments.all))
+        if options.save:
+            save(options.save, scene, documents, options.overwrite)
+        if options.picture:
+            _draw(options.picture, options.overwrite, scene, _listed(documents, options.all))
     return {
-        "field": arguments.field,
+        "field": options.field,
         "num_objects": len(documents),
         "num_agreed": sum(document["agreed"] for document in documents),
         "num_registered": len(scene.field),
         "num_in_objects": sum(document["num_gaussians"] for document in documents),
         "objects": documents,
-        "all": arguments.all,
+        "all": options.all,
         "pictures": pictures_kind(scene.field.rendered_from),
         "rendered_from": scenes_rendered(scene.field.rendered_from),
         "doubt": scene.doubt,
         "drifting": _drifting(scene),
         "labels_of_none": [label.name for label in scene.labels.orphans],
-        "saved": arguments.save,
-        "picture": arguments.picture,
+        "saved": options.save,
+        "picture": options.picture,
     }
 
 
@@ -181,82 +173,64 @@ def _row(document: dict[str, Any]) -> tuple[str, ...]:
     return str(document["id"]), name, count, *places, str(document["num_views"]), f"{document['sure']:.2f}"
 
 
-def _with_objects(arguments: argparse.Namespace) -> Scene:
-    """Open the scene of a field; find its objects and store them in the field, if it has none or --again is given."""
+def _opened(options: Options) -> Scene:
+    from ... import open_scene
+
+    return open_scene(
+        options.field, scene=options.scene, views=options.views, threads=options.threads,
+        **vars(options.encoders), **vars(options.photos),
+    )  # fmt: skip
+
+
+def _with_objects(options: Options) -> Scene:
+    """Open the scene of a field; find its objects and store them in the field, if it has none or --again is given.
+
+    A scene in tiles is not loaded for it. A run that was killed goes on with the blocks, or the photos, that it had
+    finished.
+    """
+    from ...errors import InputError
     from ...formats.claiming import claimed_output
     from ...query.opening import scene_files
 
-    path, tiles = scene_files(arguments.field).field, tiles_of(arguments)
-    if tiles is not None and arguments.vote:
-        from ...errors import InputError
-
+    path, tiles = scene_files(options.field).field, tiles_of(options.scene, options.workers, options.parts)
+    if tiles is not None and options.vote:
         raise InputError("the photos of a scene in tiles do not vote: find its objects without --vote")
-    if tiles is not None:
-        _find_in_tiles(arguments, path, tiles)
-        return open_scene(arguments)
-    scene = open_scene(arguments)
-    if scene.field.objects is not None and not (arguments.again or arguments.vote):
+    scene = _opened(options)
+    if scene.field.objects is not None and not (options.again or options.vote):
         return scene
-    gaussians = scene.gaussians
-    from ...field.objects.finding import find_objects
-
+    parts, threads = options.parts or str(parts_of(path)), options.threads
     with claimed_output(path):
-        if arguments.vote:
-            objects = _voted_for(arguments, scene, path)
+        if tiles is not None:
+            from ...field.tiles import finding as in_tiles
+
+            launcher = options.workers.launcher(threads)
+            objects = in_tiles.find_objects(
+                scene.field, tiles, parts=parts, launcher=launcher, threads=threads, track=options.track
+            )
+        elif options.vote:
+            from ...photos.embedding.voting import vote_for_objects
+
+            objects = vote_for_objects(
+                scene.field, scene.gaussians, scene.views, parts=parts, threads=threads, track=options.track
+            )
         else:
-            objects = find_objects(scene.field, gaussians, threads=arguments.threads)
+            from ...field.objects.finding import find_objects
+
+            objects = find_objects(scene.field, scene.gaussians, threads=threads)
         scene.field.with_objects(objects).save(path, overwrite=True)
-    return open_scene(arguments)
-
-
-def _voted_for(arguments: argparse.Namespace, scene: Scene, path: Path) -> Objects:
-    """Find the objects with the votes of the photos; a run that was killed goes on with those it had looked at."""
-    import shutil
-
-    from ...photos.embedding.voting import vote_for_objects
-
-    parts = arguments.parts or parts_of(path)
-    objects = vote_for_objects(
-        scene.field, scene.gaussians, scene.views, parts=parts, threads=arguments.threads, track=tracker(arguments)
-    )
-    if arguments.parts is None:
+    if options.parts is None and (options.vote or tiles is not None):
         shutil.rmtree(parts, ignore_errors=True)
-    return objects
+    return _opened(options)
 
 
-def _find_in_tiles(arguments: argparse.Namespace, path: Path, tiles: Tiles) -> None:
-    """Find the objects of a scene in tiles, which is not loaded for it, where the field has none."""
-    import shutil
-
-    from ... import load_field
-    from ...field.tiles.finding import find_objects
-    from ...formats.claiming import claimed_output
-
-    field, parts = load_field(path), str(arguments.parts or parts_of(path))
-    if field.objects is not None and not arguments.again:
-        return
-    with claimed_output(path):
-        objects = find_objects(
-            field,
-            tiles,
-            parts=parts,
-            launcher=launcher_of(arguments),
-            threads=arguments.threads,
-            track=tracker(arguments),
-        )
-        field.with_objects(objects).save(path, overwrite=True)
-    if arguments.parts is None:
-        shutil.rmtree(parts, ignore_errors=True)
-
-
-def _draw(arguments: argparse.Namespace, scene: Scene, listed: list[dict[str, Any]]) -> None:
+def _draw(path: str, overwrite: bool, scene: Scene, listed: list[dict[str, Any]]) -> None:
     from ...drawing.pictures import write_picture
     from ...errors import InputError
     from ...query.sheets import object_sheet
 
-    if scene.objects and not listed:
-        raise InputError(f"photos agree on none of the {len(scene.objects)} objects well: --all draws them")
     matches = scene.objects
+    if matches and not listed:
+        raise InputError(f"photos agree on none of the {len(matches)} objects well: --all draws them")
     names = [document["label"] or document["name"] for document in listed]
     sheet = object_sheet(scene, [matches[document["id"]] for document in listed], names)
-    write_picture(arguments.picture, sheet, arguments.overwrite)
+    write_picture(path, sheet, overwrite)

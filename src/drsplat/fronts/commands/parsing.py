@@ -3,24 +3,17 @@
 import argparse
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NoReturn
 
 from ...base.terminal import counted, quoted
-from .help_texts import HelpFormatter, first_examples
-from .options import words
-
-MIN_LIKENESS = 0.7  # of difflib, from 0 to 1; a slip of one letter in four is still recognised
+from ...errors import InputError
+from .configuring import Given, configuration, options_of, place, uses_of
+from .help_texts import HelpFormatter, did_you_mean, first_examples
+from .kinds import words
 
 
 class UsageError(Exception):
     """A misuse that argparse found; raised instead of printed so that --json and --log apply to it."""
-
-
-class Given(NamedTuple):
-    """One use of an option: its action, and the texts that came with it."""
-
-    option: argparse.Action
-    texts: list[str]
 
 
 class Parser(argparse.ArgumentParser):
@@ -92,14 +85,47 @@ class VerbParser(Parser):
         if rest:
             self.error(self._left_over(rest))
         if namespace.config:
-            from .configuring import apply_file
-
-            apply_file(namespace.config, self, namespace)
+            self._apply_file(namespace.config, namespace)
         used = {option for option, _ in self.given}
         missing = [_name(action) for action in self._needed if action not in used and action.nargs != "*"]
         if missing:
             self.error(f"the following arguments are required: {', '.join(missing)}")
         return namespace, []
+
+    @property
+    def configuration(self) -> str:
+        """TOML of the parsed line, as --print-config prints it."""
+        return configuration(self.verb, options_of(self.options), self.given)
+
+    @property
+    def verb(self) -> str:
+        return self.prog.rpartition(" ")[2]
+
+    def _apply_file(self, path: str, namespace: argparse.Namespace) -> None:
+        """Set the options that a file of --config has and the parsed line does not give.
+
+        Options that share a place, or exclude each other, count as given when one of them is.
+        """
+        used = [use.option for use in self.given]
+        excluded = [option for group in self.rivals if {*used} & {*group} for option in group]
+        taken = {place(option) for option in (*used, *excluded)}
+        for key, use in uses_of(path, self.verb, options_of(self.options)):
+            if place(use.option) in taken:
+                continue
+            self._check_rivals(use.option, path)
+            try:
+                self.take(use.option, use.texts, namespace)
+            except argparse.ArgumentError as error:
+                raise InputError(f"{path}: {key}: {error.message}") from None
+
+    def _check_rivals(self, option: argparse.Action, path: str) -> None:
+        """Refuse an option if the file has set another that excludes it."""
+        used = [use.option for use in self.given]
+        for group in self.rivals:
+            for other in group:
+                if option in group and other is not option and other in used:
+                    names = f"{other.option_strings[0][2:]} and {option.option_strings[0][2:]}"
+                    raise InputError(f"{path}: {names} exclude each other: leave one out")
 
     def take(self, option: argparse.Action, texts: list[str], namespace: argparse.Namespace) -> None:
         """Set an option as if the line had given it with these texts. Raises: argparse.ArgumentError."""
@@ -198,14 +224,3 @@ def _each_with(actions: Iterable[argparse.Action], **values: object) -> Iterator
 
 def _name(action: argparse.Action) -> str:
     return "/".join(action.option_strings) or str(action.metavar or action.dest)
-
-
-def did_you_mean(text: str, names: Iterable[str]) -> str:
-    """Return "; did you mean ...?" with the name that resembles a text most, or nothing if none does."""
-    from difflib import get_close_matches
-
-    bare = {name.lstrip("-").lower(): name for name in names if len(name.lstrip("-")) > 1}
-    meant = text.lstrip("-").replace("_", "-").lower()
-    begins = [name for name in bare if len(meant) > 2 and name.startswith(meant)]
-    nearest = get_close_matches(meant[:99], bare, 1, MIN_LIKENESS) or begins[:1]
-    return f"; did you mean {bare[nearest[0]]}?" if nearest else ""

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from .declaring import argument, option
 from .edit_options import note_own_scene
-from .film import size
-from .options import add_overwrite, finite, tracker, up_to
-from .render import BACKGROUNDS
+from .film import BACKGROUNDS, background, size
+from .kinds import finite, up_to
+from .options import Verb, overwrite
 
 if TYPE_CHECKING:
     from ...authoring.filming.paths import CameraPath
-    from ...authoring.photographing.settings import PhotographSettings
     from ...scene.gaussians import Gaussians
-    from ...scene.moving import Moving
 
 EXAMPLES = """\
   drsplat photograph scene.spz --output capture
@@ -29,42 +29,6 @@ as possible is seen in three pictures. capture/photograph.json marks the picture
 results made from them. A stopped run leaves nothing: give the same command again."""
 DAILY = ("output", "overwrite", "number", "size", "up", "path", "time")
 MAX_PICTURES = 10_000
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "scene",
-        help="Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder; of a moving scene with --time",
-    )
-    parser.add_argument(
-        "--output", "-o", required=True, metavar="DIR",
-        help="folder for the capture: images/, sparse/0 in COLMAP's format, photograph.json",
-    )  # fmt: skip
-    add_overwrite(parser)
-    parser.add_argument(
-        "--number", type=up_to(MAX_PICTURES), metavar="N",
-        help="number of pictures (default: as many as coverage needs, 48 to 150; 60 along a path)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--size", "--resolution", type=size, metavar="WxH",
-        help="width and height in pixels (default: those of FILE, else 1024x768)",
-    )  # fmt: skip
-    parser.add_argument("--fov", type=finite, metavar="DEGREES", help="vertical field of view (default: 60)")
-    parser.add_argument(
-        "--up", type=_direction, metavar="AXIS",
-        help="up in the pictures: +x, -x ... -z, or three numbers such as 0,-0.9,0.3 (default: estimated from the "
-        "scene's shape; check the pictures)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--path", metavar="orbit|swing|FILE",
-        help="take pictures along a path instead: that of `drsplat render`, or key frames (saved by the viewer, or "
-        "nerfstudio's camera_path.json) with their lens",
-    )  # fmt: skip
-    parser.add_argument("--time", type=finite, metavar="T", help="time at which a moving scene is photographed")
-    parser.add_argument(
-        "--background", choices=sorted(BACKGROUNDS), default="black",
-        help="colour behind the Gaussians (default: black)",
-    )  # fmt: skip
 
 
 def _direction(text: str) -> tuple[float, float, float]:
@@ -82,7 +46,39 @@ def _direction(text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    scene: str = argument(
+        "Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder; of a moving scene with --time"
+    )
+    output: str = option(
+        "folder for the capture: images/, sparse/0 in COLMAP's format, photograph.json", "DIR", flags="-o",
+        required=True,
+    )  # fmt: skip
+    overwrite: bool = overwrite()
+    number: int | None = option(
+        "number of pictures (default: as many as coverage needs, 48 to 150; 60 along a path)", "N", up_to(MAX_PICTURES)
+    )
+    size: tuple[int, int] | None = option(
+        "width and height in pixels (default: those of FILE, else 1024x768)", "WxH", size, flags="--size --resolution"
+    )
+    fov: float | None = option("vertical field of view (default: 60)", "DEGREES", finite)
+    up: tuple[float, float, float] | None = option(
+        "up in the pictures: +x, -x ... -z, or three numbers such as 0,-0.9,0.3 (default: estimated from the scene's "
+        "shape; check the pictures)", "AXIS", _direction,
+    )  # fmt: skip
+    path: str | None = option(
+        "take pictures along a path instead: that of `drsplat render`, or key frames (saved by the viewer, or "
+        "nerfstudio's camera_path.json) with their lens", "orbit|swing|FILE",
+    )  # fmt: skip
+    time: float | None = option("time at which a moving scene is photographed", "T", finite)
+    background: str = background()
+
+
+def run(options: Options) -> dict[str, Any]:
+    from ...authoring.photographing.settings import DEFAULT_FOV_DEGREES, DEFAULT_SIZE_PIXELS, PhotographSettings
     from ...authoring.photographing.taking import photograph
     from ...base.progress import Stopwatch
     from ...base.system import peak_memory_bytes
@@ -90,18 +86,22 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     from ...scene.moving import canonical_of
 
     watch = Stopwatch()
-    scene = read_scene(arguments.scene)
-    note_own_scene(arguments.scene, canonical_of(scene))
-    path = _path(arguments, scene)
-    settings = _settings(arguments, path)
+    scene = read_scene(options.scene)
+    note_own_scene(options.scene, canonical_of(scene))
+    path = _path(options, canonical_of(scene))
+    wished = None if path is None else path.size
+    settings = PhotographSettings(
+        options.number, options.size or wished or DEFAULT_SIZE_PIXELS, options.fov or DEFAULT_FOV_DEGREES, options.up,
+        options.time, BACKGROUNDS[options.background],
+    )  # fmt: skip
     watch.lap("read")
     record = photograph(
-        scene, arguments.output, settings, name=Path(arguments.scene).resolve().name, path=path,
-        overwrite=arguments.overwrite, threads=arguments.threads, track=tracker(arguments),
+        scene, options.output, settings, name=Path(options.scene).resolve().name, path=path,
+        overwrite=options.overwrite, threads=options.threads, track=options.track,
     )  # fmt: skip
     watch.lap("photograph")
     return {
-        "capture": arguments.output,
+        "capture": options.output,
         "pictures": "renderings",
         **record,
         "seconds": sum(watch.seconds.values()),
@@ -110,31 +110,20 @@ def run(arguments: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _path(arguments: argparse.Namespace, scene: Gaussians | Moving) -> CameraPath | None:
+def _path(options: Options, scene: Gaussians) -> CameraPath | None:
     import numpy as np
 
     from ...authoring.filming.planning import PHOTOS, path_named
     from ...errors import InputError
-    from ...scene.moving import canonical_of
 
-    if arguments.path is None:
+    if options.path is None:
         return None
-    if arguments.path == PHOTOS:
+    if options.path == PHOTOS:
         raise InputError("path: there are no photos to go through: give orbit, swing or a file of key frames")
-    if arguments.fov is not None:
+    if options.fov is not None:
         raise InputError("fov: a path has its own lens: leave one of both out")
-    up = None if arguments.up is None else np.array(arguments.up) / np.linalg.norm(arguments.up)
-    return path_named(arguments.path, canonical_of(scene), [], up=up)
-
-
-def _settings(arguments: argparse.Namespace, path: CameraPath | None) -> PhotographSettings:
-    from ...authoring.photographing.settings import DEFAULT_FOV_DEGREES, DEFAULT_SIZE_PIXELS, PhotographSettings
-
-    wished = None if path is None else path.size
-    return PhotographSettings(
-        arguments.number, arguments.size or wished or DEFAULT_SIZE_PIXELS, arguments.fov or DEFAULT_FOV_DEGREES,
-        arguments.up, arguments.time, BACKGROUNDS[arguments.background],
-    )  # fmt: skip
+    up = None if options.up is None else np.array(options.up) / np.linalg.norm(options.up)
+    return path_named(options.path, scene, [], up=up)
 
 
 def show(answer: dict[str, Any]) -> None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...base.terminal import quoted
 from ...query.defaults import AUTO
-from .options import finite, words
+from .kinds import finite, words
 
 if TYPE_CHECKING:
     import numpy as np

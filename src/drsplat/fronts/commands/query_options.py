@@ -2,174 +2,177 @@
 
 from __future__ import annotations
 
-import argparse
 import shlex
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...query.schema import CUT, FIELDS, SUBJECTS, Place, QueryField, fields
+from .declaring import Item, argument, option, part, several
 from .edit_options import note_own_scene
-from .options import (
-    CAPTURE_OPTIONS,
-    add_capture_options,
-    add_overwrite,
-    add_query_encoders,
-    add_search_device,
-    new_output,
-    words,
-)
+from .kinds import words
+from .options import Encoders, Photos, new_output, overwrite, search_device
 from .query_inputs import WAYS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
-
     import numpy as np
 
     from ...query import Answer, Cut, Query, Scene
     from ...scene.views import View
 
+    Asked = Mapping[str, Any]
+
 
 ENDINGS_WITHOUT_SCENE = (".npy", ".json", ".csv")  # of outputs that hold no Gaussians
 FIELD_HELP = "field that `drsplat register` wrote, or a folder with a field, its scene and photos"
+TEXT, *OTHER_FIELDS = fields(Place.COMMAND_LINE)
 
 
-def add_query_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options that say what is looked for, who embeds it, and where its scores are cut."""
-    parser.add_argument("field", help=FIELD_HELP)
-    text, *others = fields(Place.COMMAND_LINE)
-    parser.add_argument(text.name, nargs="?", type=words, metavar=text.value, help=text.meaning)
-    add_fields(parser, others)
-    add_query_encoders(parser)
-    add_search_device(parser)
+def asked(offered: Iterable[QueryField], title: str = "") -> Asked:
+    """Declare an option for each of some fields of a query; their values come by name, not read yet."""
+    items = [_item(field, title) for field in offered]
+    given: Asked = several(items, lambda values: {item.name: values[item.name] for item in items})
+    return given
 
 
-def add_fields(parser: argparse._ActionsContainer, offered: Iterable[QueryField]) -> None:
-    """Add an option for each of some fields of a query."""
-    groups: dict[str, argparse._ActionsContainer] = {"": parser}
-    for field in offered:
-        if field.group not in groups:
-            groups[field.group] = parser.add_mutually_exclusive_group()
-        way, flag = WAYS[field.kind], f"--{field.name.replace('_', '-')}"
-        more: dict[str, Any] = {"choices": field.choices, "default": field.default} if field.choices else {}
-        if not field.choices and field.kind != "flag":
-            more["metavar"] = field.value
-        groups[field.group].add_argument(flag, help=field.meaning + way.note, **{**more, **way.options})
-
-
-def add_output_options(parser: argparse.ArgumentParser, saved: str) -> None:
-    """Add --scene, --save, --picture and the poses for it."""
-    parser.add_argument("--scene", help="scene that was registered; needed for positions, --save and --picture")
-    output = parser.add_argument_group("output")
-    output.add_argument("--save", metavar="OUT.ply", help=saved)
-    output.add_argument(
-        "--picture", metavar="OUT.png", help="write a photo with the answer in colour and the rest in grey"
-    )
-    output.add_argument("--views", metavar="CAPTURE", help="poses and photos, for --picture and --click")
-    output.add_argument(
-        "--view", type=words, metavar="NAME",
-        help="photo for --picture (default: the photo that shows most of the answer)",
+def _item(field: QueryField, title: str) -> Item:
+    way, flag = WAYS[field.kind], f"--{field.name.replace('_', '-')}"
+    more: dict[str, Any] = {"choices": field.choices, "default": field.default} if field.choices else {}
+    if not field.choices and field.kind != "flag":
+        more["metavar"] = field.value
+    return Item(
+        field.name, [flag], {"help": field.meaning + way.note, **more, **way.options}, title, field.group
     )  # fmt: skip
-    add_overwrite(output)
-    add_capture_options(parser)
 
 
-def check_outputs(arguments: argparse.Namespace, suffixes: tuple[str, ...] = (".ply",)) -> None:
-    """Check all that can be known to be wrong before any work is done.
+@dataclass(frozen=True, kw_only=True)
+class Question:
+    """A question: what is looked for, who embeds it, and where its scores are cut."""
 
-    suffixes: those of --save; a .npy needs no scene.
-    """
+    field: str = argument(FIELD_HELP)
+    text: str | None = argument(TEXT.meaning, words, TEXT.value, nargs="?")
+    others: Asked = asked(OTHER_FIELDS)
+    encoders: Encoders = part(Encoders)
+    search_device: str = search_device()
+
+    @property
+    def asked(self) -> Asked:
+        return {TEXT.name: self.text, **self.others}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outputs:
+    """Place of the scene of an answer, and what is written of it."""
+
+    scene: str | None = option("scene that was registered; needed for positions, --save and --picture")
+    save: str | None = option("file to write", "OUT.ply", title="output")
+    picture: str | None = option(
+        "write a photo with the answer in colour and the rest in grey", "OUT.png", title="output"
+    )
+    views: str | None = option("poses and photos, for --picture and --click", "CAPTURE", title="output")
+    view: str | None = option(
+        "photo for --picture (default: the photo that shows most of the answer)", "NAME", words, title="output"
+    )
+    overwrite: bool = overwrite("output")
+    photos: Photos = part(Photos)
+
+    @property
+    def opening(self) -> dict[str, Any]:
+        """Arguments of `drsplat.open_scene`."""
+        return {"scene": self.scene, "views": self.views, **vars(self.photos)}
+
+    def check(self, suffixes: tuple[str, ...] = (".ply",)) -> None:
+        """Check all that can be known to be wrong before any work is done. suffixes: those of --save."""
+        check_outputs(self.save, self.picture, self.overwrite, suffixes)
+
+    def open_scene(self, field: str, **others: Any) -> Scene:
+        """Open the scene, if --save and --picture can be made of it.
+
+        Raises: InputError: they cannot; as `drsplat.open_scene`.
+        """
+        from ... import open_scene
+
+        scene = open_scene(field, **self.opening, **others)
+        drawn = self.picture is not None
+        if drawn or (self.save is not None and not self.save.lower().endswith(ENDINGS_WITHOUT_SCENE)):
+            _ = scene.rows  # or the error that says what is missing, before any work
+        if drawn:
+            scene.best_view()
+        if drawn or self.save is not None:
+            note_own_scene(scene.path, scene.rows if scene.has_gaussians else None)
+        return scene
+
+    def chosen_view(self, scene: Scene, ids: np.ndarray) -> View:
+        """Return the named view, else the one that shows most of the Gaussians at `ids`."""
+        return scene.view(self.view) if self.view else scene.best_view(ids)
+
+
+def check_outputs(
+    save: str | None, picture: str | None, overwrite: bool, suffixes: tuple[str, ...] = (".ply",)
+) -> None:  # fmt: skip
+    """Check --save and --picture. Raises: InputError: one exists, has another suffix, or there is no such folder."""
     from ...errors import InputError
 
-    for option, output in (("--save", arguments.save), ("--picture", arguments.picture)):
+    for flag, output in (("--save", save), ("--picture", picture)):
         if output is None:
             continue
-        folder = new_output(output, arguments.overwrite).parent
-        if option == "--save" and not output.lower().endswith(suffixes):
+        folder = new_output(output, overwrite).parent
+        if flag == "--save" and not output.lower().endswith(suffixes):
             raise InputError(f"{output}: expected a name that ends in {' or '.join(suffixes)}")
         if not folder.is_dir():
-            raise InputError(f"{option}: there is no folder {folder}: make it first")
+            raise InputError(f"{flag}: there is no folder {folder}: make it first")
 
 
-def ask(arguments: argparse.Namespace, suffixes: tuple[str, ...] = (".ply",)) -> tuple[Scene, Answer]:
+def ask(
+    question: Question, outputs: Outputs, threads: int, suffixes: tuple[str, ...] = (".ply",)
+) -> tuple[Scene, Answer]:
     """Open the scene that the options name and ask it; wrong outputs are refused before any work.
 
-    Raises: as `check_outputs` and `open_scene`.
+    Raises: as `Outputs.check` and `Outputs.open_scene`; InputError: the words stand where the field should.
     """
-    check_outputs(arguments, suffixes)
-    scene = open_scene_for_output(arguments)
-    return scene, scene.ask(query_of(arguments))
-
-
-SCENE_OPTIONS = ("scene", "views", "encoder", "vocabulary", "device", "search_device", "threads")
-
-
-def open_scene(arguments: argparse.Namespace, field: str | None = None) -> Scene:
-    """Open the scene of the options: --scene, --views, those of encoders and captures, and a field.
-
-    field: None for the verb's own.
-
-    Raises: as `drsplat.open_scene`.
-    """
-    from ... import open_scene as opened
-
-    _refuse_swapped(arguments)
-    given = {name: value for name, value in vars(arguments).items() if name in SCENE_OPTIONS + CAPTURE_OPTIONS}
-    return opened(field or arguments.field, **given)
-
-
-def _refuse_swapped(arguments: argparse.Namespace) -> None:
-    """Refuse words in the place of the field where the field stands in theirs."""
     from ...errors import InputError
 
-    field, text = getattr(arguments, "field", None), getattr(arguments, "text", None)
-    if isinstance(field, str) and text and not Path(field).exists() and Path(text).exists():
+    outputs.check(suffixes)
+    field, text = question.field, question.text
+    if text and not Path(field).exists() and Path(text).exists():
         raise InputError(f"the field comes first, then the words: {text} {shlex.quote(field)}")
+    more = {**vars(question.encoders), "search_device": question.search_device, "threads": threads}
+    scene = outputs.open_scene(field, **more)
+    return scene, scene.ask(query_of(question.asked))
 
 
-def open_scene_for_output(arguments: argparse.Namespace) -> Scene:
-    """Open the scene, if --save and --picture can be made of it. Raises: InputError: they cannot; as `open_scene`."""
-    scene = open_scene(arguments)
-    drawn = arguments.picture is not None
-    if drawn or (arguments.save is not None and not arguments.save.lower().endswith(ENDINGS_WITHOUT_SCENE)):
-        _ = scene.rows  # or the error that says what is missing, before any work
-    if drawn:
-        scene.best_view()
-    if drawn or arguments.save is not None:
-        note_own_scene(scene.path, scene.rows if scene.has_gaussians else None)
-    return scene
-
-
-def values_of(arguments: argparse.Namespace, offered: Iterable[QueryField] = FIELDS) -> dict[str, Any]:
+def values_of(given: Asked, offered: Iterable[QueryField] = FIELDS) -> dict[str, Any]:
     """Return what the options of some fields give, as `Query` takes it."""
-    given = {field: getattr(arguments, field.name, None) for field in offered}
-    return {field.name: WAYS[field.kind].read(value) for field, value in given.items() if value not in (None, [])}
+    by_field = {field: given.get(field.name) for field in offered}
+    return {field.name: WAYS[field.kind].read(value) for field, value in by_field.items() if value not in (None, [])}
 
 
-def query_of(arguments: argparse.Namespace) -> Query:
+def query_of(given: Asked) -> Query:
     """Return the query that the options of a verb describe."""
     from ...query import Query
 
-    return Query(**values_of(arguments))
+    return Query(**values_of(given))
 
 
-def cut_of(arguments: argparse.Namespace) -> Cut:
+def cut_of(given: Asked) -> Cut:
     """Return how the options of a verb measure and cut."""
     from ...query import Cut
 
-    return Cut(**values_of(arguments, CUT))
+    return Cut(**values_of(given, CUT))
 
 
-def query_text(arguments: argparse.Namespace) -> str:
+def query_text(given: Asked) -> str:
     """Return the query in the words of the command line."""
-    nots = "".join(f", not {words}" for words in arguments.exclude)
-    return f"{next(getattr(arguments, one.name) for one in SUBJECTS if getattr(arguments, one.name))}{nots}"
+    nots = "".join(f", not {words}" for words in given["exclude"])
+    return f"{next(given[one.name] for one in SUBJECTS if given[one.name])}{nots}"
 
 
-def answer_json(arguments: argparse.Namespace, answer: Answer) -> dict[str, Any]:
+def answer_json(question: Question, answer: Answer) -> dict[str, Any]:
     """Return what every answer says of its values, and what was asked."""
     from ...query.documents import answer_document
 
-    return {"field": arguments.field, "query": query_text(arguments), **answer_document(answer)}
+    return {"field": question.field, "query": query_text(question.asked), **answer_document(answer)}
 
 
 RULES = {
@@ -196,17 +199,12 @@ def print_doubt(answer: dict[str, Any]) -> None:
         print(f"left and right are those of the photo {answer['seen_from']}")
 
 
-def draw(arguments: argparse.Namespace, scene: Scene, ids: np.ndarray, note: str) -> str:
+def draw(question: Question, outputs: Outputs, scene: Scene, ids: np.ndarray, note: str) -> str:
     """Write --picture: the photo, in colour where the Gaussians at `ids` are; returns its name."""
     from ...drawing.pictures import titled, write_picture
 
-    view = chosen_view(arguments, scene, ids)
-    title = f"“{query_text(arguments)}”" if arguments.text else query_text(arguments)
-    picture = titled(scene.picture(view, ids, photo=True), title, note)
-    write_picture(arguments.picture, picture, arguments.overwrite)
+    assert outputs.picture is not None
+    view, text = outputs.chosen_view(scene, ids), query_text(question.asked)
+    picture = titled(scene.picture(view, ids, photo=True), f"“{text}”" if question.text else text, note)
+    write_picture(outputs.picture, picture, outputs.overwrite)
     return view.name
-
-
-def chosen_view(arguments: argparse.Namespace, scene: Scene, ids: np.ndarray) -> View:
-    """Return the named view, else the one that shows most of the Gaussians at `ids`."""
-    return scene.view(arguments.view) if arguments.view else scene.best_view(ids)

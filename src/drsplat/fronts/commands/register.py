@@ -1,31 +1,18 @@
 """drsplat register: a scene, its photos' poses and masks -> a field."""
 
-import argparse
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from .code_facts import code_facts
-from .leaving_out import add_without, left_out
-from .options import (
-    LEVEL_HELP,
-    add_capture_options,
-    add_features,
-    add_invert_masks,
-    add_kernel_device,
-    add_near,
-    add_overwrite,
-    count,
-    count_or_all,
-    tracker,
-    views_of,
-    whole,
-    words,
-)
+from .declaring import argument, option, part
+from .kinds import count, count_or_all, whole, words
+from .leaving_out import left_out, without
+from .options import LEVEL_HELP, Photos, Verb, capture, features, invert_masks, kernel_device, near, overwrite
 from .parts import COMPLETE, new_or_complete, parts_of, was_complete
-from .workers import add_workers, in_memory, scene_of
+from .workers import Workers, in_memory, scene_of
 
 if TYPE_CHECKING:
     from ...field import LanguageField
@@ -64,110 +51,111 @@ class _Inputs(NamedTuple):
     code: "CodeSpecification"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "scene",
-        help="Gaussians: .ply, .spz, .sog, .splat, .ksplat, a trained model's folder, tiles of a huge scene, or a "
-        "moving scene: a folder of numbered PLY files, NAME.motion, a PLY of SpacetimeGaussians",
+def _level(text: str) -> str | int:
+    """Return a level as a number from 0 to 3, or as a name, which the reader of features checks."""
+    return whole(text, most=3) if text.isdecimal() else words(text)
+
+
+def _topk(text: str) -> int:
+    """Return an option's number of Gaussians; 0 stands for all."""
+    return count_or_all(text) or 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method:
+    """How masks become features, and what code these are kept in."""
+
+    TITLE = "method"
+    level: str | int = option(
+        LEVEL_HELP, "LEVEL", _level, DEFAULT_LEVEL, flags="--level --feature-level --feature_level"
+    )  # fmt: skip
+    topk: int | None = option(
+        "Gaussians to keep per pixel, by weight: a number or 'all' (default: 40, or the aggregator's)", "K", _topk,
+        flags="--topk --top-k -k",
+    )  # fmt: skip
+    first_hits: int | None = option(
+        "take the top K only among the first N hits of each ray; the published code uses 100 (default: no limit)",
+        "N", count,
+    )  # fmt: skip
+    aggregator: str = option(
+        "rule that combines the masks that see a Gaussian into its feature: mean (the paper), official (its published "
+        "code), inliers, trusted or robust; see docs/aggregators.md (default: mean)", "NAME", words, "mean",
+    )  # fmt: skip
+    near: float | None = near()
+    code: str = option(
+        "pq: product quantisation, 132 bytes per Gaussian and a codebook, as in the paper. mixture: a few of the "
+        "scene's own masks per Gaussian, 14 bytes and the masks' embeddings. auto: the smaller one; pq with --codebook "
+        "or --subvectors (default: auto)", None, None, "auto", choices=("auto", "pq", "mixture"),
+    )  # fmt: skip
+    atoms: int | None = option("masks per Gaussian of a mixture, 1 to 16 (default: 4)", "K", count)
+    codebook: str | None = option(
+        "codebook for coding features, .safetensors or the authors' .faiss (default: trained on this scene)", "FILE"
     )
-    add_features(parser)
-    parser.add_argument(
-        "--output", "-o", required=True, metavar="FIELD", help="folder to write the field to, conventionally NAME.field"
+    subvectors: int | None = option(
+        "bytes per Gaussian of a codebook trained here (default: 128, or what divides the embedding size)", "L", count
     )
-    parser.add_argument(
-        "--weights-of", metavar="FIELD",
-        help="field of the same scene, photos and masks with other embeddings: reuse its weights, level, topk, first "
-        "hits and near plane; no photo is read",
+    encoder_name: str | None = option(
+        "encoder of embeddings that `drsplat embed` did not make, e.g. ViT-B-16/laion2b_s34b_b88k; 'drsplat-words' is "
+        "built in. Queries and codebooks of other encoders are then refused (default: the encoder that `drsplat embed` "
+        "recorded, which cannot be changed, else the codebook's, else unknown)", "NAME", words,
     )  # fmt: skip
-    add_overwrite(parser)
-    _add_method(parser.add_argument_group("method"))
-    parser.add_argument(
-        "--parts", metavar="DIR",
-        help="folder for the finished views of an unfinished run, or for tiles an address such as s3://bucket/run; "
-        "never removed (default: FIELD.parts, removed at the end)",
-    )  # fmt: skip
-    add_kernel_device(parser)
-    add_workers(parser.add_argument_group("tiles"))
-    add_capture_options(parser)
-    add_invert_masks(parser)
-    add_without(parser)
 
 
-def _add_method(method: argparse._ArgumentGroup) -> None:
-    method.add_argument(
-        "--level",
-        "--feature-level",
-        "--feature_level",
-        type=_level,
-        default=DEFAULT_LEVEL,
-        metavar="LEVEL",
-        help=LEVEL_HELP,
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    scene: str = argument(
+        "Gaussians: .ply, .spz, .sog, .splat, .ksplat, a trained model's folder, tiles of a huge scene, or a moving "
+        "scene: a folder of numbered PLY files, NAME.motion, a PLY of SpacetimeGaussians"
     )
-    method.add_argument(
-        "--topk", "--top-k", "-k", type=count_or_all, default=argparse.SUPPRESS, metavar="K",
-        help="Gaussians to keep per pixel, by weight: a number or 'all' (default: 40, or the aggregator's)",
+    capture: str = capture()
+    features: str = features()
+    output: str = option(
+        "folder to write the field to, conventionally NAME.field", "FIELD", flags="-o", required=True
     )  # fmt: skip
-    method.add_argument(
-        "--first-hits", type=count, metavar="N",
-        help="take the top K only among the first N hits of each ray; the published code uses 100 (default: no limit)",
+    weights_of: str | None = option(
+        "field of the same scene, photos and masks with other embeddings: reuse its weights, level, topk, first hits "
+        "and near plane; no photo is read", "FIELD",
     )  # fmt: skip
-    method.add_argument(
-        "--aggregator", type=words, default="mean", metavar="NAME",
-        help="rule that combines the masks that see a Gaussian into its feature: mean (the paper), official (its "
-        "published code), inliers, trusted or robust; see docs/aggregators.md (default: mean)",
+    overwrite: bool = overwrite()
+    method: Method = part(Method)
+    parts: str | None = option(
+        "folder for the finished views of an unfinished run, or for tiles an address such as s3://bucket/run; never "
+        "removed (default: FIELD.parts, removed at the end)", "DIR",
     )  # fmt: skip
-    add_near(method)
-    _add_code(method)
-    method.add_argument(
-        "--encoder-name", type=words, metavar="NAME",
-        help="encoder of embeddings that `drsplat embed` did not make, e.g. ViT-B-16/laion2b_s34b_b88k; "
-        "'drsplat-words' is built in. Queries and codebooks of other encoders are then refused (default: the encoder "
-        "that `drsplat embed` recorded, which cannot be changed, else the codebook's, else unknown)",
-    )  # fmt: skip
+    device: str = kernel_device()
+    workers: Workers = part(Workers)
+    photos: Photos = part(Photos)
+    invert_masks: bool = invert_masks()
+    without: str | None = without()
+
+    @property
+    def parts_place(self) -> str | Path:
+        """Folder of --parts, or its address of `field.tiles.store`."""
+        given = self.parts or parts_of(self.output)
+        return given if "://" in str(given) else Path(given)
 
 
-def _add_code(method: argparse._ArgumentGroup) -> None:
-    """Add the options of the code that features are kept in."""
-    method.add_argument(
-        "--code", choices=("auto", "pq", "mixture"), default="auto",
-        help="pq: product quantisation, 132 bytes per Gaussian and a codebook, as in the paper. mixture: a few of the "
-        "scene's own masks per Gaussian, 14 bytes and the masks' embeddings. auto: the smaller one; pq with "
-        "--codebook or --subvectors (default: auto)",
-    )  # fmt: skip
-    method.add_argument(
-        "--atoms", type=count, metavar="K", help="masks per Gaussian of a mixture, 1 to 16 (default: 4)",
-    )  # fmt: skip
-    method.add_argument(
-        "--codebook", metavar="FILE",
-        help="codebook for coding features, .safetensors or the authors' .faiss (default: trained on this scene)",
-    )  # fmt: skip
-    method.add_argument(
-        "--subvectors", type=count, metavar="L",
-        help="bytes per Gaussian of a codebook trained here (default: 128, or what divides the embedding size)",
-    )  # fmt: skip
-
-
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+def run(options: Options) -> dict[str, Any]:
     from ...formats.field_folder import claimed_field
     from ...kernels.cuda.devices import device_in_use
 
-    with claimed_field(new_or_complete(arguments.output, arguments.overwrite)) as output:
-        return _registered(arguments, output) | {"device": device_in_use()}
+    with claimed_field(new_or_complete(options.output, options.overwrite)) as output:
+        return _registered(options, output) | {"device": device_in_use()}
 
 
-def device(arguments: argparse.Namespace) -> str:
+def device(options: Options) -> str:
     """Return the device to register on."""
-    name: str = arguments.device
-    return name
+    return options.device
 
 
-def interrupted(arguments: argparse.Namespace) -> str:
+def interrupted(options: Options) -> str:
     """Return what a stopped run keeps, and how to go on."""
-    parts = _parts(arguments, Path(arguments.output))
-    return f"the views registered so far are kept in {parts}: give the same command again to go on"
+    return f"the views registered so far are kept in {options.parts_place}: give the same command again to go on"
 
 
-def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
+def _registered(options: Options, output: Path) -> dict[str, Any]:
     from ... import load_field
     from ...base.progress import Stopwatch
     from ...base.system import peak_memory_bytes
@@ -177,27 +165,27 @@ def _registered(arguments: argparse.Namespace, output: Path) -> dict[str, Any]:
     from ...scene.moving import canonical_of
 
     watch = Stopwatch()
-    how = aggregator(arguments.aggregator)
-    known = _weights_of(arguments)
-    sampling = _sampling(arguments, how) if known is None else known.aggregator.sampling
-    inputs = _read(arguments)
+    how = aggregator(options.method.aggregator)
+    known = _weights_of(options)
+    sampling = _sampling(options.method, how) if known is None else known.aggregator.sampling
+    inputs = _read(options, known)
     watch.lap("read")
-    parts = _parts(arguments, output)
+    parts = options.parts_place
     before = _written(parts)
-    shared: dict[str, Any] = {"threads": arguments.threads, "track": tracker(arguments)}
+    shared: dict[str, Any] = {"threads": options.threads, "track": options.track}
     registration = _registration(inputs, known, sampling, parts, shared)
     watch.lap("register")
     voting = how.voting is not None and isinstance(registration.coder, AtOnce)  # others have their tiles
     gaussians = canonical_of(in_memory(inputs.scene)) if voting else None
     field = registration.to_field(inputs.code, aggregator=how, gaussians=gaussians, **shared)
-    field = with_words(field, arguments.features)
+    field = with_words(field, options.features)
     watch.lap("code")
-    complete = was_complete(output, arguments.overwrite, lambda: load_field(output).equals(field))
+    complete = was_complete(output, options.overwrite, lambda: load_field(output).equals(field))
     if not complete:
-        field.save(output, overwrite=arguments.overwrite)
+        field.save(output, overwrite=options.overwrite)
     watch.lap("save")
     computed = len(_written(parts).items() - before.items())
-    if arguments.parts is None:
+    if options.parts is None:
         shutil.rmtree(parts, ignore_errors=True)
     return {
         "field": str(output),
@@ -226,16 +214,20 @@ def _registration(
     return replace(made, left_out=tuple(sorted(given.left_out)))
 
 
-def _read(arguments: argparse.Namespace) -> "_Inputs":
+def _read(options: Options, known: "LanguageField | None") -> "_Inputs":
     from ... import read_features
 
-    (scene, register), views = scene_of(arguments), views_of(arguments, arguments.capture)
-    without = left_out([view.name for view in views], arguments.without)
-    codebook = _codebook(arguments)
-    code = _code(arguments, codebook)
-    features = read_features(arguments.features, level=arguments.level, encoder=_encoder(arguments, codebook))
-    kept = [view for view in views if view.name not in without]
-    return _Inputs(scene, register, kept, without, features, code)
+    scene, register = scene_of(options.scene, options.workers, options.parts, options.threads)
+    views = options.photos.views(options.capture, options.invert_masks)
+    out = left_out([view.name for view in views], options.without)
+    method, level = options.method, options.method.level
+    codebook = _codebook(method)
+    if known is not None and known.growth is not None:
+        level = known.growth.provenance.level or DEFAULT_LEVEL
+    encoder = _encoder(options.features, method.encoder_name, codebook)
+    features = read_features(options.features, level=level, encoder=encoder)
+    kept = [view for view in views if view.name not in out]
+    return _Inputs(scene, register, kept, out, features, _code(method, codebook))
 
 
 def _facts(registration: "Registration", field: "LanguageField") -> dict[str, Any]:
@@ -258,20 +250,20 @@ def _facts(registration: "Registration", field: "LanguageField") -> dict[str, An
     }
 
 
-def _code(arguments: argparse.Namespace, codebook: "Codebook | None") -> "CodeSpecification":
+def _code(method: Method, codebook: "Codebook | None") -> "CodeSpecification":
     from ...errors import InputError
     from ...field.codes import PQ, Mixture, Smaller
     from ...field.codes.mixture import DEFAULT_ATOMS_PER_ROW
 
-    quantised = arguments.code == "pq" or codebook is not None or arguments.subvectors is not None
-    mixed = arguments.code == "mixture" or arguments.atoms is not None
+    quantised = method.code == "pq" or codebook is not None or method.subvectors is not None
+    mixed = method.code == "mixture" or method.atoms is not None
     if mixed and quantised:
         raise InputError(
             "--code mixture and --atoms go with neither --codebook, --subvectors nor --code pq: drop one of them"
         )
     if quantised:
-        return codebook or PQ(arguments.subvectors)
-    return (Mixture if mixed else Smaller)(arguments.atoms or DEFAULT_ATOMS_PER_ROW)
+        return codebook or PQ(method.subvectors)
+    return (Mixture if mixed else Smaller)(method.atoms or DEFAULT_ATOMS_PER_ROW)
 
 
 def show(answer: dict[str, Any]) -> None:
@@ -300,31 +292,23 @@ def _at_times(answer: dict[str, Any]) -> str:
     return f" at {answer['num_times']:,} times" if answer["num_times"] else ""
 
 
-def _parts(arguments: argparse.Namespace, output: Path) -> str | Path:
-    """Return the folder of --parts, or its address of `field.tiles.store`."""
-    given = arguments.parts or parts_of(output)
-    return given if "://" in str(given) else Path(given)
-
-
-def _weights_of(arguments: argparse.Namespace) -> "LanguageField | None":
-    """Return the field of --weights-of; its settings become those of the command.
+def _weights_of(options: Options) -> "LanguageField | None":
+    """Return the field of --weights-of, whose settings are those of the command.
 
     Raises: InputError: options about what the field has settled.
     """
     from ... import load_field
     from ...errors import InputError
 
-    if arguments.weights_of is None:
+    if options.weights_of is None:
         return None
-    given = {"--topk": hasattr(arguments, "topk"), "--level": arguments.level != DEFAULT_LEVEL}
-    given |= {f"--{name.replace('_', '-')}": getattr(arguments, name) for name in ("first_hits", "near", "without")}
+    method = options.method
+    given: dict[str, object] = {"--topk": method.topk is not None, "--level": method.level != DEFAULT_LEVEL}
+    given |= {"--first-hits": method.first_hits, "--near": method.near, "--without": options.without}
     clashing = [flag for flag, value in given.items() if value]
     if clashing:
         raise InputError(f"--weights-of FIELD takes these from the field: drop {' and '.join(clashing)}")
-    field = load_field(arguments.weights_of)
-    if field.growth is not None:
-        arguments.level = field.growth.provenance.level or DEFAULT_LEVEL
-    return field
+    return load_field(options.weights_of)
 
 
 def _written(parts: str | Path) -> dict[str, int]:
@@ -332,49 +316,44 @@ def _written(parts: str | Path) -> dict[str, int]:
     return {file.name: file.stat().st_mtime_ns for file in Path(parts).glob("*.columns.safetensors")}
 
 
-def _sampling(arguments: argparse.Namespace, how: "Aggregator") -> "Sampling":
+def _sampling(method: Method, how: "Aggregator") -> "Sampling":
     """Return the aggregator's own sampling where it has one; --topk and --first-hits may not contradict it."""
     from ...errors import InputError
     from ...field.evidence.aggregation import Sampling
 
-    given = {} if arguments.first_hits is None else {"first_hits": arguments.first_hits}
-    given |= {"topk": arguments.topk} if hasattr(arguments, "topk") else {}
+    given: dict[str, Any] = {} if method.first_hits is None else {"first_hits": method.first_hits}
+    given |= {} if method.topk is None else {"topk": method.topk or None}
     own = how.sampling
     if own is None:
-        return Sampling(**({"topk": DEFAULT_TOPK} | given), near=arguments.near)
+        return Sampling(**({"topk": DEFAULT_TOPK} | given), near=method.near)
     for name, value in given.items():
         if value != getattr(own, name):
             raise InputError(f"--aggregator {how.name} has its own --{name.replace('_', '-')}: drop that option")
-    return replace(own, near=arguments.near)
+    return replace(own, near=method.near)
 
 
-def _level(text: str) -> str | int:
-    """Return a level as a number from 0 to 3, or as a name, which the reader of features checks."""
-    return whole(text, most=3) if text.isdecimal() else words(text)
-
-
-def _codebook(arguments: argparse.Namespace) -> "Codebook | None":
+def _codebook(method: Method) -> "Codebook | None":
     from ...errors import InputError
     from ...field.codes.official import read_codebook
 
-    if arguments.codebook is None:
+    if method.codebook is None:
         return None
-    if arguments.subvectors is not None:
+    if method.subvectors is not None:
         raise InputError("--subvectors is for a codebook trained here; --codebook has its own: drop one of them")
-    return read_codebook(arguments.codebook, arguments.encoder_name)
+    return read_codebook(method.codebook, method.encoder_name)
 
 
-def _encoder(arguments: argparse.Namespace, codebook: "Codebook | None") -> "EncoderIdentity | None":
+def _encoder(features: str, name: str | None, codebook: "Codebook | None") -> "EncoderIdentity | None":
     from ... import EncoderIdentity, WordEncoder
     from ...formats.langsplat import FeatureFolder
     from ...photos.embedding.embed import recorded_encoder
 
-    noted = recorded_encoder(arguments.features)
-    if arguments.encoder_name is None:
+    noted = recorded_encoder(features)
+    if name is None:
         return noted or (codebook.encoder if codebook else None)
-    if arguments.encoder_name == WordEncoder.identity.name:
+    if name == WordEncoder.identity.name:
         return WordEncoder.identity
-    if codebook is not None and codebook.encoder.name == arguments.encoder_name:
+    if codebook is not None and codebook.encoder.name == name:
         return codebook.encoder
-    dim = FeatureFolder(Path(arguments.features), 0).dim
-    return EncoderIdentity(arguments.encoder_name, dim)
+    dim = FeatureFolder(Path(features), 0).dim
+    return EncoderIdentity(name, dim)

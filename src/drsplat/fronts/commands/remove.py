@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from .changes import add_field_options, answer_of, field_and_scene, show_change
-from .options import tracker, words
+from .changes import FieldToChange, answer_of, field_and_scene, show_change
+from .declaring import option, part
+from .kinds import words
+from .options import Verb
 
 if TYPE_CHECKING:
     from ...field import LanguageField
@@ -20,27 +22,30 @@ The field is then the same, to the bit, as one registered from the remaining vie
 `drsplat add` leaves them out, unless its --views names them."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_field_options(parser)
-    parser.add_argument(
-        "--views", required=True, nargs="+", type=words, metavar="NAME",
-        help="views to remove: names of photos, with or without suffix, or patterns with * and ?",
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    of: FieldToChange = part(FieldToChange)
+    views: list[str] = option(
+        "views to remove: names of photos, with or without suffix, or patterns with * and ?", "NAME", words,
+        required=True, nargs="+",
     )  # fmt: skip
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+def run(options: Options) -> dict[str, Any]:
     from ...field.growing import change_field, remove_views
     from ...field.growing.naming import views_named
 
-    path, gaussians = field_and_scene(arguments)
+    path, gaussians = field_and_scene(options.of)
 
     def change(field: LanguageField) -> Change:
         known = field.evidence.masks.view_names if field.evidence else ()
         before = field.growth.removed if field.growth else ()  # a command that is given again means the same views
-        names = views_named(arguments.views, [*known, *before])
-        return remove_views(field, gaussians, names, threads=arguments.threads, track=tracker(arguments))
+        names = views_named(options.views, [*known, *before])
+        return remove_views(field, gaussians, names, threads=options.threads, track=options.track)
 
-    return answer_of(change_field(path, gaussians, change, threads=arguments.threads), path)
+    return answer_of(change_field(path, gaussians, change, threads=options.threads), path)
 
 
 def show(answer: dict[str, Any]) -> None:

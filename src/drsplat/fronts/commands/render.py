@@ -2,34 +2,29 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...query.schema import Place, fields
-from .edit_options import add_kept_edits, as_edited, note_own_scene
-from .film import SCENE, add_film_options, film
-from .options import (
-    add_capture_options,
-    add_near,
-    add_overwrite,
-    add_query_encoders,
-    device_for_kernels,
-    new_output,
-    tracker,
-    views_of,
-    words,
-)
-from .query_options import add_fields, open_scene, values_of
+from .declaring import argument, flag, option, part
+from .edit_options import as_edited, kept_edits, note_own_scene
+from .film import BACKGROUNDS, SAME_SCENE, SCENE, Filming, background
+from .kinds import words
+from .options import Encoders, Photos, Verb, near, new_output, overwrite
+from .query_options import asked, values_of
 
 if TYPE_CHECKING:
+    from ...authoring.editing.kept import KeptEdits
     from ...authoring.filming.highlights import Highlight
     from ...drawing.labels import Mark
     from ...kernels import SplatArrays
+    from ...query import Match
     from ...query import Scene as OpenedScene
     from ...scene.gaussians import Gaussians
     from ...scene.moving import Moving
     from ...scene.views import View
+    from .query_options import Asked
 
 EXAMPLES = """\
   drsplat render scene.ply --views capture --view photo_003 --output-dir renders
@@ -40,97 +35,82 @@ EXAMPLES = """\
   drsplat render scene.ply --views capture --field room.field --query vase --attributes red blue wooden -o vase.png"""
 TEXT_CUT = fields(Place.COMMAND_LINE, Place.WORDS)
 DAILY = ("views", "view", "all", "path", "output_dir", "field", "query", "overwrite", "size", "seconds")
-BACKGROUNDS = {"black": (0.0, 0.0, 0.0), "white": (1.0, 1.0, 1.0), "grey": (0.5, 0.5, 0.5)}
 DEFAULT_FOLDER = "renders"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("scene", help="Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder")
-    parser.add_argument(
-        "--views", metavar="CAPTURE", help="poses to render from; not needed for a film along FILE or an orbit"
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    scene: str = argument("Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder")
+    views: str | None = option("poses to render from; not needed for a film along FILE or an orbit", "CAPTURE")
+    view: str | None = option("name of one photo, with or without suffix", "NAME", words, rivals="which")
+    all: bool = flag("render from all photos", rivals="which")
+    path: str | None = option(
+        "film along a path: an orbit as far as there are photos, a swing of 60 degrees to and fro, through the photos, "
+        "or through key frames (saved by the viewer, or nerfstudio's camera_path.json)", "orbit|swing|photos|FILE",
+        rivals="which",
+    )  # fmt: skip
+    output_dir: str | None = option(
+        "folder for the PNGs (default: renders); with --path, the film, .mp4, .webm, .webp or .gif; with --attributes, "
+        "the picture", "DIR|FILE", flags="--output-dir --output -o",
+    )  # fmt: skip
+    overwrite: bool = overwrite()
+    background: str = background()
+    depth: bool = flag(
+        "write NAME.depth.npy, too: expected camera z in scene units, float32 (H, W), 0 where the scene is empty"
     )
-    which = parser.add_mutually_exclusive_group()
-    which.add_argument("--view", type=words, metavar="NAME", help="name of one photo, with or without suffix")
-    which.add_argument("--all", action="store_true", help="render from all photos")
-    which.add_argument(
-        "--path", metavar="orbit|swing|photos|FILE",
-        help="film along a path: an orbit as far as there are photos, a swing of 60 degrees to and fro, through the "
-        "photos, or through key frames (saved by the viewer, or nerfstudio's camera_path.json)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--output-dir", "--output", "-o", metavar="DIR|FILE",
-        help="folder for the PNGs (default: renders); with --path, the film, .mp4, .webm, .webp or .gif; with "
-        "--attributes, the picture",
-    )  # fmt: skip
-    add_overwrite(parser)
-    _add_picture_options(parser)
-    _add_answer_options(parser)
-    add_film_options(parser)
-    add_query_encoders(parser)
-    add_capture_options(parser)
-
-
-def _add_picture_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--background", choices=sorted(BACKGROUNDS), default="black",
-        help="colour behind the Gaussians (default: black)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--depth", action="store_true",
-        help="write NAME.depth.npy, too: expected camera z in scene units, float32 (H, W), 0 where the scene is empty",
-    )  # fmt: skip
-    parser.add_argument("--alpha", action="store_true", help="write NAME.alpha.png, too: opacity, 255 where opaque")
-    add_near(parser)
-    add_kept_edits(parser, "kept")
-
-
-def _add_answer_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--field", help="field of the scene, for --query")
-    parser.add_argument(
-        "--query", type=words, metavar="WORDS", help="query whose matches stay in colour while the rest is grey"
+    alpha: bool = flag("write NAME.alpha.png, too: opacity, 255 where opaque")
+    near: float | None = near()
+    edits: KeptEdits | None = kept_edits("kept")
+    field: str | None = option("field of the scene, for --query")
+    query: str | None = option("query whose matches stay in colour while the rest is grey", "WORDS", words)
+    cut: Asked = asked(TEXT_CUT)
+    boxes: bool = flag("draw the matches of --query with boxes and names")
+    heat_map: bool = flag(
+        "colour everything by how well it fits --query, yellow-green at the threshold, instead of the matches"
     )
-    add_fields(parser, TEXT_CUT)
-    parser.add_argument("--boxes", action="store_true", help="draw the matches of --query with boxes and names")
-    parser.add_argument(
-        "--heat-map", action="store_true",
-        help="colour everything by how well it fits --query, yellow-green at the threshold, instead of the matches",
+    annotations: bool = flag("draw the annotations that `drsplat edit` keeps beside the scene")
+    attributes: list[str] | None = option(
+        "draw a row of pictures of the best match of --query: plain, and a heat map for each of these words", "WORDS",
+        words, nargs="+",
     )  # fmt: skip
-    parser.add_argument(
-        "--annotations", action="store_true", help="draw the annotations that `drsplat edit` keeps beside the scene"
-    )
-    parser.add_argument(
-        "--attributes", type=words, nargs="+", metavar="WORDS",
-        help="draw a row of pictures of the best match of --query: plain, and a heat map for each of these words",
-    )  # fmt: skip
+    film: Filming = part(Filming)
+    encoders: Encoders = part(Encoders)
+    photos: Photos = part(Photos)
+
+    @property
+    def output(self) -> str:
+        return self.output_dir or DEFAULT_FOLDER
 
 
-def device(arguments: argparse.Namespace) -> str:
+def device(options: Options) -> str:
     """Return the device to draw on."""
-    return device_for_kernels(arguments)
+    return options.encoders.for_kernels
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+def run(options: Options) -> dict[str, Any]:
     from ...base.progress import Stopwatch
     from ...formats.moving_scenes import read_scene
     from ...scene.moving import canonical_of
 
     watch = Stopwatch()
-    _check(arguments)
-    own = read_scene(arguments.scene)
-    views = [] if arguments.views is None else views_of(arguments, arguments.views)
-    opened, answer = _answer(arguments)
-    notes = _notes(arguments)
-    scene = _edited(arguments, own)
+    _check(options)
+    own = read_scene(options.scene)
+    views = [] if options.views is None else options.photos.views(options.views)
+    opened, answer = _answer(options)
+    notes = _notes(options)
+    scene = _edited(options, own)
     if answer is not None and scene is not own:
         answer = answer.after_edits(canonical_of(scene))
     watch.lap("read")
-    if arguments.path is not None:
-        answered = film(arguments, scene, views, answer, opened, notes)
-    elif arguments.attributes is not None:
+    if options.path is not None:
+        answered = _film(options, scene, views, answer, opened, notes)
+    elif options.attributes is not None:
         assert opened is not None
-        answered = _attributes(arguments, opened, answer)
+        answered = _attributes(options, opened, answer)
     else:
-        answered = _stills(arguments, scene, views, answer, notes)
+        answered = _stills(options, scene, views, answer, notes)
     watch.lap("render")
     return answered | {
         "num_selected": None if answer is None or answer.is_heat else answer.num_selected,
@@ -160,100 +140,157 @@ def show(answer: dict[str, Any]) -> None:
         print("No match to highlight.")
 
 
-def _check(arguments: argparse.Namespace) -> None:
+def _check(options: Options) -> None:
     """Check the options. Raises: InputError: some do not go together."""
     from ...errors import InputError
 
-    films, row = arguments.path is not None, arguments.attributes is not None
-    if not (films or row or arguments.view or arguments.all):
+    films, row = options.path is not None, options.attributes is not None
+    if not (films or row or options.view or options.all):
         raise InputError("expected a point of view: --path orbit, or --views CAPTURE with --view NAME or --all")
-    if (films or row) and arguments.output_dir is None:
+    if (films or row) and options.output_dir is None:
         raise InputError("expected --output FILE: " + ("film.mp4, say" if films else "row.png, say"))
-    if row and (films or arguments.all):
+    if row and (films or options.all):
         raise InputError("attributes: one row of pictures from one view: drop --path and --all")
-    of_films = [
-        name for name in ("up", "fps", "seconds", "size", "side_by_side") if getattr(arguments, name) is not None
-    ]
-    of_films += ["around"] if arguments.around != SCENE else []
+    names = ("up", "fps", "seconds", "size", "side_by_side", "around")
+    of_films = [name for name in names if getattr(options.film, name) != getattr(Filming(), name)]
     if of_films and not films:
         raise InputError(f"--{of_films[0].replace('_', '-')} is of a film: give --path orbit, swing, photos or FILE")
-    if films and (arguments.depth or arguments.alpha):
+    if films and (options.depth or options.alpha):
         raise InputError("depth and alpha are of pictures, not of films: drop --depth and --alpha")
-    if arguments.views is None and not (films and arguments.path != "photos"):
+    if options.views is None and not (films and options.path != "photos"):
         raise InputError("expected --views CAPTURE: the poses to render from")
-    if (arguments.query is None) != (arguments.field is None):
+    if (options.query is None) != (options.field is None):
         raise InputError("--field FIELD and --query WORDS: pass both, or none")
-    if arguments.query is None and (row or arguments.boxes or arguments.heat_map):
+    if options.query is None and (row or options.boxes or options.heat_map):
         raise InputError("attributes, boxes and heat maps are of an answer: give --query WORDS")
 
 
-def _edited(arguments: argparse.Namespace, scene: Gaussians | Moving) -> Gaussians | Moving:
+def _edited(options: Options, scene: Gaussians | Moving) -> Gaussians | Moving:
     """Return the scene with the edits kept beside it; attributes are asked of the scene that was registered."""
     from ...scene.moving import canonical_of
 
-    if arguments.attributes is not None:
-        note_own_scene(arguments.scene, canonical_of(scene))
+    if options.attributes is not None:
+        note_own_scene(options.scene, canonical_of(scene))
         return scene
-    return as_edited(arguments.scene, scene, arguments.edits)
+    return as_edited(options.scene, scene, options.edits)
 
 
-def _answer(arguments: argparse.Namespace) -> tuple[OpenedScene | None, Highlight | None]:
+def _answer(options: Options) -> tuple[OpenedScene | None, Highlight | None]:
     """Return the scene of --field, and what --query finds in it."""
+    from ... import open_scene
     from ...authoring.filming.highlights import Highlight
     from ...query import Query
 
-    if arguments.query is None:
+    if options.query is None or options.field is None:
         return None, None
-    opened = open_scene(arguments)
-    query = Query(arguments.query, **values_of(arguments, TEXT_CUT))
-    return opened, Highlight.of(opened, query, heat=arguments.heat_map, boxes=arguments.boxes)
+    opened = open_scene(
+        options.field, scene=options.scene, views=options.views, threads=options.threads, **vars(options.encoders),
+        **vars(options.photos),
+    )  # fmt: skip
+    query = Query(options.query, **values_of(options.cut, TEXT_CUT))
+    return opened, Highlight.of(opened, query, heat=options.heat_map, boxes=options.boxes)
 
 
-def _notes(arguments: argparse.Namespace) -> list[Mark]:
+def _notes(options: Options) -> list[Mark]:
     """Return the annotations that are kept beside the scene, none without --annotations."""
     from ...drawing.labels import notes_of
     from ...formats.annotations import AnnotationFile
 
-    return notes_of(AnnotationFile.beside(arguments.scene).read()) if arguments.annotations else []
+    return notes_of(AnnotationFile.beside(options.scene).read()) if options.annotations else []
 
 
-def _attributes(arguments: argparse.Namespace, opened: OpenedScene, answer: Highlight | None) -> dict[str, Any]:
+def _film(
+    options: Options, scene: Gaussians | Moving, views: list[View], answer: Highlight | None,
+    opened: OpenedScene | None, notes: list[Mark],
+) -> dict[str, Any]:  # fmt: skip
+    """Write --output; returns what is in it. answer: of --query, and the scene that gave it. notes: drawn over it."""
+    from ...authoring.filming.frames import Film
+    from ...authoring.filming.looking import named_up
+    from ...authoring.filming.planning import path_named, planned
+    from ...authoring.filming.writing import check_film, write_film
+    from ...base.progress import Stopwatch
+    from ...formats.moving_scenes import read_scene
+    from ...scene.moving import canonical_of
+
+    assert options.path is not None
+    watch, film, beside = Stopwatch(), options.film, None
+    up, other = None if film.up is None else named_up(film.up), film.side_by_side
+    path = path_named(options.path, canonical_of(scene), views, _target(options, answer, opened), up, film.seconds)
+    plan = planned(
+        path, views=views, fps=film.fps, seconds=film.seconds, size=film.size, sides=1 if other is None else 2
+    )  # fmt: skip
+    output = new_output(options.output, options.overwrite)
+    check_film(output, plan.size, plan.fps)
+    if other is not None:
+        beside = scene if other == SAME_SCENE else as_edited(other, read_scene(other), options.edits)
+    filmed = Film(
+        scene, plan.views, plan.fps, answer, beside, BACKGROUNDS[options.background], options.near, options.threads,
+        notes,
+    )  # fmt: skip
+    write_film(output, filmed.pictures(options.track(plan.views, "filming")), plan.fps, options.overwrite)
+    watch.lap("film")
+    return {
+        "file": str(output),
+        "num_frames": len(plan.views),
+        "fps": plan.fps,
+        "film_seconds": plan.seconds,
+        "size": list(plan.size),
+        "bytes": output.stat().st_size,
+        "frames_per_second": len(plan.views) / watch.seconds["film"],
+    }
+
+
+def _target(options: Options, answer: Highlight | None, opened: OpenedScene | None) -> Match | None:
+    """Return the match that --around names; None for the scene. Raises: InputError: it is not there."""
+    from ...errors import InputError
+    from ...query.objects import match_of, objects_of
+
+    around = options.film.around
+    if around == SCENE:
+        return None
+    if opened is None or answer is None:
+        raise InputError("around: a match or an object is of a field: give --field FIELD and --query WORDS")
+    if isinstance(around, int):
+        return match_of(opened.field, objects_of(opened.field).thing(around))
+    if not answer.matches:
+        raise InputError(f"around: '{options.query}' has no match in this scene: ask for something else")
+    return answer.matches[0]
+
+
+def _attributes(options: Options, opened: OpenedScene, answer: Highlight | None) -> dict[str, Any]:
     from ...drawing.pictures import write_picture
     from ...errors import InputError
     from ...query import Query
     from ...query.sheets import attribute_row
 
-    output = new_output(arguments.output_dir, arguments.overwrite)
+    output = new_output(options.output, options.overwrite)
     if answer is None or not answer.matches:
-        raise InputError(f"'{arguments.query}' has no match in this scene: there is nothing to show attributes of")
-    view = None if arguments.view is None else opened.view(arguments.view)
-    attributes = [Query(words, objects=arguments.objects) for words in arguments.attributes]
-    write_picture(output, attribute_row(opened, answer.matches[0], attributes, view), arguments.overwrite)
+        raise InputError(f"'{options.query}' has no match in this scene: there is nothing to show attributes of")
+    view = None if options.view is None else opened.view(options.view)
+    attributes = [Query(words, objects=options.cut["objects"]) for words in options.attributes or ()]
+    write_picture(output, attribute_row(opened, answer.matches[0], attributes, view), options.overwrite)
     return {"files": [str(output)], "num_views": 1}
 
 
 def _stills(
-    arguments: argparse.Namespace, scene: Gaussians | Moving, views: list[View], answer: Highlight | None,
-    notes: list[Mark],
+    options: Options, scene: Gaussians | Moving, views: list[View], answer: Highlight | None, notes: list[Mark]
 ) -> dict[str, Any]:  # fmt: skip
     from ...field.evidence.columns import time_of
     from ...kernels import splat_arrays
     from ...query import view_named
     from ...scene.moving import Moving
 
-    arguments.output_dir = arguments.output_dir or DEFAULT_FOLDER
-    views = views if arguments.all else [view_named(views, arguments.view)]
-    splats = None if isinstance(scene, Moving) else splat_arrays(scene, arguments.near)
+    views = views if options.view is None else [view_named(views, options.view)]
+    splats = None if isinstance(scene, Moving) else splat_arrays(scene, options.near)
     written = []
-    for view in tracker(arguments)(views, "rendering"):
+    for view in options.track(views, "rendering"):
         here = scene.at(time_of(view)) if isinstance(scene, Moving) else scene
-        written += _render(arguments, here, view, splats or splat_arrays(here, arguments.near), answer, notes)
+        written += _render(options, here, view, splats or splat_arrays(here, options.near), answer, notes)
     return {"files": [str(path) for path in written], "num_views": len(views)}
 
 
 def _render(
-    arguments: argparse.Namespace, scene: Gaussians, view: View, splats: SplatArrays, answer: Highlight | None,
-    notes: list[Mark],
+    options: Options, scene: Gaussians, view: View, splats: SplatArrays, answer: Highlight | None, notes: list[Mark]
 ) -> list[Path]:  # fmt: skip
     import numpy as np
 
@@ -262,21 +299,19 @@ def _render(
     from ...drawing.pictures import as_pixels, write_picture
     from ...formats.npy import write_npy
 
-    stem = Path(arguments.output_dir) / Path(view.name).with_suffix("")
-    paths = {"rgb": stem.with_name(f"{stem.name}.png")}
-    paths |= {"alpha": stem.with_name(f"{stem.name}.alpha.png")} if arguments.alpha else {}
-    paths |= {"depth": stem.with_name(f"{stem.name}.depth.npy")} if arguments.depth else {}
-    for path in paths.values():
-        new_output(str(path), arguments.overwrite)
-    background, values = BACKGROUNDS[arguments.background], None if answer is None else answer.values
-    drawn = render(scene, view, values=values, background=background, threads=arguments.threads, splats=splats)
+    stem = Path(options.output) / Path(view.name).with_suffix("")
+    endings = ["png"] + ["alpha.png"] * options.alpha + ["depth.npy"] * options.depth
+    paths = {ending: new_output(f"{stem}.{ending}", options.overwrite) for ending in endings}
+    drawn = render(
+        scene, view, values=None if answer is None else answer.values, background=BACKGROUNDS[options.background],
+        threads=options.threads, splats=splats,
+    )  # fmt: skip
     pixels = as_pixels(drawn.rgb)
     stem.parent.mkdir(parents=True, exist_ok=True)
     picture = pixels if answer is None else answer.over(drawn, pixels, view, 1.0)
-    picture = marked(picture, view, notes)
-    write_picture(paths["rgb"], picture, arguments.overwrite)
-    if arguments.alpha:
-        write_picture(paths["alpha"], (np.clip(drawn.alpha, 0, 1) * 255 + 0.5).astype(np.uint8), arguments.overwrite)
-    if arguments.depth:
-        write_npy(paths["depth"], drawn.depth, arguments.overwrite)
+    write_picture(paths["png"], marked(picture, view, notes), options.overwrite)
+    if options.alpha:
+        write_picture(paths["alpha.png"], (np.clip(drawn.alpha, 0, 1) * 255 + 0.5).astype(np.uint8), options.overwrite)
+    if options.depth:
+        write_npy(paths["depth.npy"], drawn.depth, options.overwrite)
     return list(paths.values())

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-import argparse
+import json
 import shlex
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .options import count, words
-from .scan_answers import ended, notes, show_answer, summary
-from .scan_stages import FIELD, PAGE, Plan, planned
-from .stages import check_tables, differences, is_done, run_stages
+from .declaring import argument, flag, option
+from .kinds import count, words
+from .options import Verb
+from .parts import parts_of
+from .scan_answers import answered, ended, notes, show_answer, summary
+from .stages import Stage, VerbLine, check_tables, differences, is_done, run_stages, verb_line
 from .train import EVERYDAY_ITERATIONS
 
 if TYPE_CHECKING:
+    from ..scanning.choosing import ModelChoice
     from ..scanning.inputs import ScanInput
 
 EXAMPLES = """\
@@ -27,66 +33,82 @@ EXAMPLES = """\
 A capture is a folder of posed photos, as `drsplat capture` and other programs write it. To resume a stopped run,
 give the same command again. Each stage is a verb (capture, train, embed, register, objects, view) and takes its
 options from its table in --config. Poses need COLMAP's package: pip install "drsplat[capture]"."""
+FIELD, FEATURES, PAGE = "scene.field", "features", "index.html"
+CPU_SIDE_PIXELS = 800  # longer side of photos that a CPU trains on
+SAM_ON_A_CPU = {"points": "auto", "crop-layers": "0", "levels": "large"}
+"""Options of embed: few points. Fewer photos and crops may cost answers on real photos (docs/embedding.md)."""
+DEFAULT_VIDEO_PHOTOS = 100  # until the frames of a video are chosen
+SECONDS_PER_PHOTO = {"capture": 1.1, "train": 0.05, "embed": 0.7, "register": 0.3}
+"""Seconds a photo, in training an iteration, on two cores: the first guess of the time that is left."""
+SAM_SECONDS_PER_PHOTO = {"cpu": 8.0, "cuda": 1.5, "mps": 5.0}
 DAILY = ("output", "ask", "iterations", "segmenter", "encoder", "overwrite", "config")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("input", help="folder of photos, a video, or posed photos (a capture)")
-    parser.add_argument(
-        "--output", "-o", metavar="DIR", help="folder for all results (default: ./NAME-scan, with the input's name)"
-    )
-    parser.add_argument(
-        "--ask", type=words, action="append", default=[], metavar="TEXT",
-        help='query that the page answers; for several, "mug; lamp" or repeat the option (default: words that find '
-        "something)",
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    input: str = argument("folder of photos, a video, or posed photos (a capture)")
+    output: str | None = option(
+        "folder for all results (default: ./NAME-scan, with the input's name)", "DIR", flags="-o"
     )  # fmt: skip
-    parser.add_argument(
-        "--iterations", type=count, metavar="N",
-        help=f"iterations of training (default: {EVERYDAY_ITERATIONS})",
+    ask: list[str] = option(
+        'query that the page answers; for several, "mug; lamp" or repeat the option (default: words that find '
+        "something)", "TEXT", words, [], action="append",
     )  # fmt: skip
-    parser.add_argument(
-        "--segmenter", type=words, metavar="NAME",
-        help="model that cuts the photos into masks, as in drsplat embed (default: auto, SAM if it is installed and "
-        "its weights are available, else graph)",
+    iterations: int | None = option(
+        f"iterations of training (default: {EVERYDAY_ITERATIONS})", "N", count
     )  # fmt: skip
-    parser.add_argument(
-        "--encoder", type=words, metavar="NAME",
-        help="model that embeds the masks, as in drsplat embed (default: auto, CLIP if it is installed and its weights "
-        "are available, else drsplat-mini)",
+    segmenter: str | None = option(
+        "model that cuts the photos into masks, as in drsplat embed (default: auto, SAM if it is installed and its "
+        "weights are available, else graph)", "NAME", words,
     )  # fmt: skip
-    parser.add_argument(
-        "--overwrite", action="store_true",
-        help="redo the stages that changed photos or options affect, and keep the rest (default: refuse)",
+    encoder: str | None = option(
+        "model that embeds the masks, as in drsplat embed (default: auto, CLIP if it is installed and its weights are "
+        "available, else drsplat-mini)", "NAME", words,
     )  # fmt: skip
+    overwrite: bool = flag("redo the stages that changed photos or options affect, and keep the rest (default: refuse)")
+
+    @property
+    def folder(self) -> Path:
+        """Folder for all results; all messages name it."""
+        return Path(f"{Path(self.input).resolve().stem}-scan" if self.output is None else self.output)
+
+    @property
+    def common(self) -> list[str]:
+        """Options of the scan that all of its stages have."""
+        common = ["--config", self.config] if self.config else []
+        common += ["--threads", str(self.threads)] if self.threads else []
+        return [*common, "--json"] if self.json else common
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+def run(options: Options) -> dict[str, Any]:
     from ...formats.claiming import claimed_folder
     from ..scanning.inputs import scan_input
 
-    source = scan_input(Path(arguments.input))
-    output = _output(arguments)
-    if arguments.config:
-        check_tables(arguments.config, STAGE_VERBS)
+    source = scan_input(Path(options.input))
+    output = options.folder
+    if options.config:
+        check_tables(options.config, STAGE_VERBS)
     _refuse_strangers(output, source)
     with claimed_folder(output):
-        return _scan(arguments, source, output)
+        return _scan(options, source, output)
 
 
 STAGE_VERBS = ("scan", "capture", "train", "embed", "register", "objects", "locate", "view")
 
 
-def _scan(arguments: argparse.Namespace, source: ScanInput, output: Path) -> dict[str, Any]:
+def _scan(options: Options, source: ScanInput, output: Path) -> dict[str, Any]:
     from ...base.system import peak_memory_bytes
     from ...formats.scan_record import read_scan_record, write_scan_record
     from ..scanning.display import Display
 
     before = read_scan_record(output)
-    plan = planned(arguments, source, output, before)
-    states = _states(before, plan, source, output, arguments.overwrite)
+    plan = planned(options, source, output, before)
+    states = _states(before, plan, source, output, options.overwrite)
     record = {"input": source.document(), "capture": plan.capture, "models": plan.models, "stages": states}
     write_scan_record(output, record)
-    display = Display(plan.expected, quiet=arguments.json)
+    display = Display(plan.expected, quiet=options.json)
     for text in plan.sentences:
         display.tell(text)
     run_stages(plan.stages, states, lambda: write_scan_record(output, record), display, ended)
@@ -102,13 +124,6 @@ def _scan(arguments: argparse.Namespace, source: ScanInput, output: Path) -> dic
         "notes": [*plan.sentences, *notes(states)],
         "peak_memory_bytes": peak_memory_bytes(),
     }
-
-
-def _output(arguments: argparse.Namespace) -> Path:
-    """Return the folder of --output; the one that it stands for by default is named in all messages."""
-    if arguments.output is None:
-        arguments.output = f"{Path(arguments.input).resolve().stem}-scan"
-    return Path(arguments.output)
 
 
 def _refuse_strangers(output: Path, source: ScanInput) -> None:
@@ -157,14 +172,153 @@ def _states(
     if changed:
         kept = kept[: min(verbs.index(verb) for verb, _ in changed)]
     asked = before["stages"].get("view", {}).get("options")
-    if asked != plan.stages[-1].line.options:
+    if asked != plan.stages[-1].line.given:
         kept = [verb for verb in kept if verb != "view"]
     return {verb: before["stages"][verb] for verb in kept}
 
 
-def interrupted(arguments: argparse.Namespace) -> str:
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """All that is settled before any work.
+
+    Attributes:
+        stages: in order.
+        capture: folder of the posed photos, relative to the output or absolute.
+        models: what the record says of them.
+        encoder_option: what queries on the command line need.
+        expected: seconds of each stage, a guess.
+        sentences: what people should know at the beginning.
+    """
+
+    stages: Sequence[Stage]
+    capture: str
+    models: dict[str, Any]
+    encoder_option: Sequence[str]
+    expected: Mapping[str, float]
+    sentences: Sequence[str]
+
+
+def planned(options: Options, source: ScanInput, output: Path, before: Mapping[str, Any] | None) -> Plan:
+    """Return the stages of a scan; options that no verb takes are found here, before any work.
+
+    Raises: UsageError, InputError: as the verbs. MissingExtraError: what has to be installed first.
+    """
+    from ...formats.scan_record import CAPTURE, MODEL
+    from ..viewing.results import split_queries
+
+    common = options.common
+    has_poses = source.kind == "capture"
+    capture = str(source.path.resolve()) if has_poses else CAPTURE
+    folder = str(output / capture)
+    embed, choice, named = _embedding(options, folder, output, before)
+    encoder = [] if choice.is_known else ["--encoder", choice.encoder]
+    train = _training(options, folder, str(output / MODEL))
+    field = str(output / FIELD)
+    register = verb_line(
+        "register", [str(output / MODEL), folder, "--features", str(output / FEATURES), "--output", field], common
+    )
+    line, given = verb_line("view", [str(output), "--export", str(output / PAGE), *encoder], [*common, "--play"])
+    queries = split_queries(";".join(options.ask))
+    view = VerbLine(replace(line, overwrite=True, ask="; ".join(queries)), given | {"ask": queries})
+    stages = [
+        *([] if has_poses else [_capturing(source, output / CAPTURE, common)]),
+        Stage("train", train, (output / MODEL,)),
+        Stage("embed", embed, (output / FEATURES, parts_of(output / FEATURES))),
+        Stage("register", register, (output / FIELD, output / f"{FIELD}.parts"), run=_registered),
+        Stage("objects", verb_line("objects", [str(output)], common), run=_counted),
+        Stage("view", view, (output / PAGE,), run=lambda line: answered(line, queries, encoder, common)),
+    ]
+    models = {"asked": named, **asdict(choice)}
+    sentences = [*([f"{source.path} has poses, which are taken as they are."] if has_poses else []), choice.sentence]
+    expected = _expected(stages, source.num_photos or DEFAULT_VIDEO_PHOTOS, choice)
+    return Plan(stages, capture, models, encoder, expected, sentences)
+
+
+def _registered(line: Any) -> dict[str, Any]:
+    """Run register; a field without parts is of a run that was killed when all but a note was made."""
+    from . import register
+
+    if not parts_of(line.output).is_dir():
+        shutil.rmtree(line.output, ignore_errors=True)
+    return register.run(line)
+
+
+def _counted(line: Any) -> dict[str, Any]:
+    """Find the objects, and return how many; the field has the rest."""
+    from . import objects
+
+    found = objects.run(line)
+    return {name: found[name] for name in ("num_objects", "num_agreed", "doubt")}
+
+
+def _capturing(source: ScanInput, folder: Path, common: Sequence[str]) -> Stage:
+    from ...formats.json_files import read_json
+    from ...photos.capture.program import require_colmap
+    from ...photos.capture.work import RECORD, is_ready
+
+    require_colmap()
+    line, given = verb_line("capture", [str(source.path), "--output", str(folder)], common)
+    settings = json.loads(json.dumps(asdict(line.settings)))
+    # a capture that is there stays until the new one is complete
+    capturing = VerbLine(replace(line, overwrite=True), given)
+
+    def found() -> dict[str, Any] | None:
+        record = read_json(folder / RECORD) if (folder / RECORD).is_file() and not is_ready(folder) else None
+        same = isinstance(record, dict) and record.get("sources") == source.fingerprint
+        return record if isinstance(record, dict) and same and record.get("settings") == settings else None
+
+    return Stage("capture", capturing, found=found)
+
+
+def _training(options: Options, capture: str, model: str) -> VerbLine:
+    from ...kernels.cuda.devices import chosen_device
+
+    given = [capture, "--output-dir", model]
+    given += [] if options.iterations is None else ["--iterations", str(options.iterations)]
+    on_cpu = chosen_device(verb_line("train", given, options.common).options.device) == "cpu"
+    return verb_line("train", given, options.common, {"resolution": str(CPU_SIDE_PIXELS)} if on_cpu else None)
+
+
+def _embedding(
+    options: Options, capture: str, output: Path, before: Mapping[str, Any] | None
+) -> tuple[VerbLine, ModelChoice, list[str]]:
+    """Return the line of embed, its models, and what was asked for, of which "auto" may mean others elsewhere."""
+    from ...formats.scan_record import MODEL
+    from ..scanning.choosing import AUTO, ModelChoice, choose_models
+
+    given = [capture, "--output", str(output / FEATURES)]
+    for name, model in {"segmenter": options.segmenter, "encoder": options.encoder}.items():
+        if model is not None and model != AUTO:
+            given += [f"--{name}", model]
+    first = verb_line("embed", given, options.common)
+    named = [first.given.get(name, [[AUTO]])[-1][0] for name in ("segmenter", "encoder")]
+    known = before["models"] if before is not None and not options.overwrite else {}
+    parts = ("segmenter", "encoder", "reason", "cure")
+    if known.get("asked") == named and all(isinstance(known.get(part), str) for part in parts):
+        choice = ModelChoice(*(known[part] for part in parts))
+    else:
+        choice = choose_models(named[0], named[1], first.options.device)
+    defaults = {"segmenter": choice.segmenter, "encoder": choice.encoder}
+    if named[0] == AUTO and choice.segmenter.startswith("facebook/sam2"):
+        defaults |= SAM_ON_A_CPU | {"scene": str(output / MODEL)}
+    line = verb_line("embed", given, options.common, defaults)
+    _ = line.options.point_settings  # or the error that says which options do not go together
+    return line, choice, named
+
+
+def _expected(stages: Sequence[Stage], num_photos: int, choice: ModelChoice) -> dict[str, float]:
+    """Return how many seconds each stage may take."""
+    train = next(stage.line.options for stage in stages if stage.verb == "train")
+    expected = {verb: seconds * num_photos for verb, seconds in SECONDS_PER_PHOTO.items()}
+    expected |= {"train": SECONDS_PER_PHOTO["train"] * train.planned_iterations, "objects": 4.0, "view": 6.0}
+    if choice.segmenter != "graph":
+        expected["embed"] = num_photos * SAM_SECONDS_PER_PHOTO["cpu"]
+    return {stage.verb: expected[stage.verb] for stage in stages}
+
+
+def interrupted(options: Options) -> str:
     """Return what a stopped run keeps, and how to go on."""
-    return f"what is done is kept in {arguments.output}: give the same command again to go on"
+    return f"what is done is kept in {options.folder}: give the same command again to go on"
 
 
 def show(answer: dict[str, Any]) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,19 +19,18 @@ _FACTS = (
 )  # fmt: skip
 
 
-def answered(line: argparse.Namespace, encoder: Sequence[str], common: Sequence[str]) -> dict[str, Any]:
+def answered(page: Any, texts: Sequence[str], encoder: Sequence[str], common: Sequence[str]) -> dict[str, Any]:
     """Ask the queries of a scan as `drsplat locate` does, and write those that have an answer into the page.
 
     Without queries, words that find something are asked. A query that the encoder does not know is an answer with its
-    fault, and does not stop the others.
+    fault, and does not stop the others. page: options of `drsplat view`.
     """
     from . import view
 
-    texts = line.ask or _suggested(line)
-    answers = [_answer(line.field, text, [*encoder, *common]) for text in texts]
-    known = [answer["query"] for answer in answers if "fault" not in answer] or _suggested(line)
-    page = view.run(argparse.Namespace(**vars(line) | {"ask": "; ".join(known)}))
-    return {"answers": answers, "num_shown": page["num_shown"], "bytes": page["bytes"]}
+    answers = [_answer(page.field, text, [*encoder, *common]) for text in texts or _suggested(page)]
+    known = [answer["query"] for answer in answers if "fault" not in answer] or _suggested(page)
+    made = view.run(replace(page, ask="; ".join(known)))
+    return {"answers": answers, "num_shown": made["num_shown"], "bytes": made["bytes"]}
 
 
 def _answer(folder: str, text: str, options: Sequence[str]) -> dict[str, Any]:
@@ -39,7 +38,7 @@ def _answer(folder: str, text: str, options: Sequence[str]) -> dict[str, Any]:
     from . import locate
 
     try:
-        found = locate.run(verb_line("locate", [folder, text], options).arguments)
+        found = locate.run(verb_line("locate", [folder, text], options).options)
     except DrSplatError as error:
         return {"query": text, "fault": str(error)}
     matches = [
@@ -49,13 +48,13 @@ def _answer(folder: str, text: str, options: Sequence[str]) -> dict[str, Any]:
     return {**{name: found[name] for name in _FACTS}, "matches": matches}
 
 
-def _suggested(line: argparse.Namespace) -> list[str]:
+def _suggested(page: Any) -> list[str]:
     """Return words that find something in the scene, else one that the encoder knows."""
+    from ... import open_scene
     from ..viewing.naming import words_of
     from ..viewing.suggestions import suggestions
-    from .query_options import open_scene
 
-    scene = open_scene(line)
+    scene = open_scene(page.field, threads=page.threads, **vars(page.encoders))
     return suggestions(scene) or list(words_of(scene))[:1]
 
 

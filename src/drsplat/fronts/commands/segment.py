@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ...query.schema import CUT
+from .declaring import argument, option, part
+from .kinds import words
 from .leaving_out import lines_of
-from .options import add_query_encoders, words
-from .query_options import (
-    FIELD_HELP,
-    add_fields,
-    add_output_options,
-    check_outputs,
-    chosen_view,
-    cut_of,
-    open_scene_for_output,
-)
+from .options import Encoders, Verb
+from .query_options import FIELD_HELP, Outputs, asked, cut_of
 
 if TYPE_CHECKING:
     from ...query import Scene, Segmentation
+    from .query_options import Asked
 
 EXAMPLES = """\
   drsplat segment room.field --classes "mug,bowl,table"
@@ -33,35 +28,42 @@ classes.ply has a column class_id, -1 for none, and shows the colours of the cla
 DAILY = ("classes", "classes_file", "scene", "encoder", "save", "picture", "views", "overwrite")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("field", help=FIELD_HELP)
-    parser.add_argument("--classes", type=words, metavar="A,B,C", help="classes, separated by commas")
-    parser.add_argument(
-        "--classes-file", metavar="FILE.txt", help="file with a class on each line, instead of --classes"
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    field: str = argument(FIELD_HELP)
+    classes: str | None = option("classes, separated by commas", "A,B,C", words)
+    classes_file: str | None = option("file with a class on each line, instead of --classes", "FILE.txt")
+    encoders: Encoders = part(Encoders)
+    cut: Asked = asked(CUT)
+    outputs: Outputs = part(
+        Outputs,
+        save={
+            "help": "write the scene in the colours of the classes, with a column class_id: the number of the class "
+            "from 0, or -1"
+        },
     )
-    add_query_encoders(parser)
-    add_fields(parser, CUT)
-    saved = (
-        "write the scene in the colours of the classes, with a column class_id: the number of the class from 0, or -1"
-    )
-    add_output_options(parser, saved)
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+def run(options: Options) -> dict[str, Any]:
+    from ... import write_gaussians
+    from ...drawing.legend import colored
     from ...formats.replacing import together
     from ...query.documents import segmentation_document
 
-    check_outputs(arguments)
-    classes = _classes(arguments)
-    scene = open_scene_for_output(arguments)
-    found = scene.segment(classes, cut_of(arguments))
-    rule = found.answers[0].rule
-    report = {"field": arguments.field, "threshold_rule": rule, **segmentation_document(found)}
+    outputs = options.outputs
+    outputs.check()
+    classes = _classes(options.classes, options.classes_file)
+    scene = outputs.open_scene(options.field, **vars(options.encoders), threads=options.threads)
+    found = scene.segment(classes, cut_of(options.cut))
+    report = {"field": options.field, "threshold_rule": found.answers[0].rule, **segmentation_document(found)}
     with together():
-        if arguments.save:
-            _save(arguments, scene, found)
-        if arguments.picture:
-            report["view"] = _draw(arguments, scene, found)
+        if outputs.save:
+            painted = colored(scene.gaussians, found.labels, len(found.names))
+            write_gaussians(outputs.save, painted, {"class_id": found.labels}, overwrite=outputs.overwrite)
+        if outputs.picture:
+            report["view"] = _draw(outputs, outputs.picture, scene, found, options.threads)
     return report
 
 
@@ -82,33 +84,24 @@ def show(answer: dict[str, Any]) -> None:
         print(f"warning: {answer['doubt']}")
 
 
-def _classes(arguments: argparse.Namespace) -> list[str]:
+def _classes(given: str | None, path: str | None) -> list[str]:
     """Return the names of --classes or --classes-file. Raises: InputError: none or both were given."""
     from ...errors import InputError
 
-    if (arguments.classes is None) == (arguments.classes_file is None):
+    if (given is None) == (path is None):
         raise InputError('give --classes "mug,bowl,table" or --classes-file FILE.txt')
-    given = lines_of(arguments.classes_file, "one class") if arguments.classes is None else arguments.classes.split(",")
-    return [name.strip() for name in given if name.strip()]
+    names = lines_of(path, "one class") if path else (given or "").split(",")
+    return [name.strip() for name in names if name.strip()]
 
 
-def _save(arguments: argparse.Namespace, scene: Scene, found: Segmentation) -> None:
-    from ... import write_gaussians
-    from ...drawing.legend import colored
-
-    painted = colored(scene.gaussians, found.labels, len(found.names))
-    columns = {"class_id": found.labels}
-    write_gaussians(arguments.save, painted, columns, overwrite=arguments.overwrite)
-
-
-def _draw(arguments: argparse.Namespace, scene: Scene, found: Segmentation) -> str:
+def _draw(outputs: Outputs, path: str, scene: Scene, found: Segmentation, threads: int) -> str:
     import numpy as np
 
     from ...drawing.legend import class_picture
     from ...drawing.pictures import photo_or_rendering, write_picture
 
-    view = chosen_view(arguments, scene, np.flatnonzero(found.labels >= 0))
-    photo = photo_or_rendering(scene.gaussians, view, threads=arguments.threads)
-    picture = class_picture(scene.gaussians, view, photo, found.labels, list(found.names), arguments.threads)
-    write_picture(arguments.picture, picture, arguments.overwrite)
+    view = outputs.chosen_view(scene, np.flatnonzero(found.labels >= 0))
+    photo = photo_or_rendering(scene.gaussians, view, threads=threads)
+    picture = class_picture(scene.gaussians, view, photo, found.labels, list(found.names), threads)
+    write_picture(path, picture, outputs.overwrite)
     return view.name

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .query_options import add_output_options, add_query_options, answer_json, ask, draw, measured_text, print_doubt
+from .declaring import part
+from .options import Verb
+from .query_options import Outputs, Question, answer_json, ask, draw, measured_text, print_doubt
 
 if TYPE_CHECKING:
     from ...query import Answer, Scene
@@ -23,28 +25,37 @@ cut.ply` cuts the mug out. mug_ids.npy holds row numbers of the scene."""
 DAILY = ("scene", "threshold", "top_share", "encoder", "save", "picture", "views", "overwrite")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_query_options(parser)
-    saved = "OUT.ply: scene with two more columns, relevancy, the measured value, and selected, 0 or 1; OUT.npy: row "
-    add_output_options(parser, saved + "numbers of the selected Gaussians in the scene, int64")
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    question: Question = part(Question)
+    outputs: Outputs = part(
+        Outputs,
+        save={
+            "help": "OUT.ply: scene with two more columns, relevancy, the measured value, and selected, 0 or 1; "
+            "OUT.npy: row numbers of the selected Gaussians in the scene, int64"
+        },
+    )
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+def run(options: Options) -> dict[str, Any]:
     from ...base.terminal import counted
     from ...formats.replacing import together
 
-    scene, answer = ask(arguments, (".ply", ".npy"))
-    report = answer_json(arguments, answer) | {
+    outputs = options.outputs
+    scene, answer = ask(options.question, outputs, options.threads, (".ply", ".npy"))
+    report = answer_json(options.question, answer) | {
         "num_gaussians": answer.field.num_gaussians,
         "share": len(answer.gaussian_ids) / max(len(answer.field), 1),
-        "saved": arguments.save,
+        "saved": outputs.save,
     }
     with together():
-        if arguments.save:
-            _save(arguments, scene, answer)
-        if arguments.picture:
+        if outputs.save:
+            _save(outputs.save, outputs.overwrite, scene, answer)
+        if outputs.picture:
             ids = answer.gaussian_ids
-            report["view"] = draw(arguments, scene, ids, counted(len(ids), "Gaussian"))
+            report["view"] = draw(options.question, outputs, scene, ids, counted(len(ids), "Gaussian"))
     return report
 
 
@@ -60,17 +71,17 @@ def show(answer: dict[str, Any]) -> None:
         print(f"written to {answer['saved']}")
 
 
-def _save(arguments: argparse.Namespace, scene: Scene, answer: Answer) -> None:
+def _save(path: str, overwrite: bool, scene: Scene, answer: Answer) -> None:
     import numpy as np
 
     from ... import write_gaussians
     from ...formats.npy import write_npy
 
     ids = answer.gaussian_ids
-    if arguments.save.lower().endswith(".npy"):
-        write_npy(Path(arguments.save), ids, arguments.overwrite)
+    if path.lower().endswith(".npy"):
+        write_npy(Path(path), ids, overwrite)
         return
     selected = np.zeros(answer.field.num_gaussians, np.uint8)
     selected[ids] = 1
     columns = {"relevancy": answer.dense, "selected": selected}
-    write_gaussians(arguments.save, scene.gaussians, columns, overwrite=arguments.overwrite)
+    write_gaussians(path, scene.gaussians, columns, overwrite=overwrite)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from .declaring import argument, flag, option, part
 from .edit_options import note_own_scenes
-from .listening import add_computing, add_listening, checked_key, own_names
-from .options import add_query_encoders, add_search_device, words
+from .kinds import words
+from .listening import Listening, listening
+from .options import Encoders, Verb, search_device
 
 EXAMPLES = """\
   drsplat serve scenes
@@ -22,42 +24,35 @@ routes; docs/serve.md has examples."""
 DAILY = ("host", "port", "api_key_file", "encoder")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("folder", help="folder of a scene, or of several such folders")
-    add_listening(parser, port=8765)
-    add_computing(parser, workers=2)
-    parser.add_argument(
-        "--allow-origin", action="append", default=[], metavar="ORIGIN",
-        help="origin of web pages whose scripts may read answers (CORS), e.g. https://example.org (default: none); may "
-        "be repeated",
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    folder: str = argument("folder of a scene, or of several such folders")
+    listening: Listening = listening(port=8765, workers=2)
+    allow_origin: list[str] = option(
+        "origin of web pages whose scripts may read answers (CORS), e.g. https://example.org (default: none); may be "
+        "repeated", "ORIGIN", None, [], action="append",
     )  # fmt: skip
-    parser.add_argument(
-        "--take-views", action="store_true",
-        help="accept posed photos at /scenes/SCENE/views and add them to the fields; needs --api-key-file",
-    )  # fmt: skip
-    parser.add_argument(
-        "--segmenter", type=words, metavar="NAME",
-        help="segmenter for these photos, the same as for the scenes (default: only the built-in one)",
-    )  # fmt: skip
-    parser.add_argument("--catalogue", metavar="CATALOGUE", help="catalogue to serve as well, at /catalogue")
-    add_query_encoders(parser)
-    add_search_device(parser)
+    take_views: bool = flag(
+        "accept posed photos at /scenes/SCENE/views and add them to the fields; needs --api-key-file"
+    )
+    segmenter: str | None = option(
+        "segmenter for these photos, the same as for the scenes (default: only the built-in one)", "NAME", words
+    )
+    catalogue: str | None = option("catalogue to serve as well, at /catalogue", "CATALOGUE")
+    encoders: Encoders = part(Encoders)
+    search_device: str = search_device()
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+def run(options: Options) -> dict[str, Any]:
+    from ...base.terminal import counted
     from ..serving.libraries import require
 
     require("serve", "fastapi", "uvicorn", "prometheus_client")
-    _started(arguments, checked_key(arguments))
-    return {"stopped": True}
+    where = options.listening
+    key = where.key()
 
-
-def show(answer: dict[str, Any]) -> None:
-    print("stopped")
-
-
-def _started(arguments: argparse.Namespace, key: str | None) -> None:
-    from ...base.terminal import counted
     from ..serving.app import Settings
     from ..serving.limits import Limits
     from ..serving.listening import address_of, bound_socket
@@ -65,19 +60,24 @@ def _started(arguments: argparse.Namespace, key: str | None) -> None:
     from ..serving.scene_folder import SceneFolder, Sources
 
     sources = Sources(
-        arguments.encoder, arguments.vocabulary, arguments.device, arguments.threads, arguments.search_device,
-        arguments.segmenter,
+        **vars(options.encoders), threads=options.threads, search_device=options.search_device,
+        segmenter=options.segmenter,
     )  # fmt: skip
-    limits = Limits(seconds=arguments.timeout, workers=arguments.workers)
-    names, origins = own_names(arguments), tuple(arguments.allow_origin)
+    limits = Limits(seconds=where.timeout, workers=where.workers)
     settings = Settings(
-        arguments.folder, sources, limits, key, names, origins, arguments.catalogue, arguments.take_views
-    )
-    catalogue = None if arguments.catalogue is None else Path(arguments.catalogue)
-    scene_folder = SceneFolder(Path(arguments.folder), sources, catalogue_path=catalogue)
+        options.folder, sources, limits, key, where.names, tuple(options.allow_origin), options.catalogue,
+        options.take_views,
+    )  # fmt: skip
+    catalogue = None if options.catalogue is None else Path(options.catalogue)
+    scene_folder = SceneFolder(Path(options.folder), sources, catalogue_path=catalogue)
     num_scenes = scene_folder.checked()
     note_own_scenes(scene_folder.folders().values())
-    with bound_socket(arguments.host, arguments.port) as listening:
-        if not arguments.json:
-            print(f"{counted(num_scenes, 'scene')} at {address_of(listening, arguments.host)}/scenes", flush=True)
-        serve(settings, listening, arguments.json)
+    with bound_socket(where.host, where.port) as socket:
+        if not options.json:
+            print(f"{counted(num_scenes, 'scene')} at {address_of(socket, where.host)}/scenes", flush=True)
+        serve(settings, socket, options.json)
+    return {"stopped": True}
+
+
+def show(answer: dict[str, Any]) -> None:
+    print("stopped")

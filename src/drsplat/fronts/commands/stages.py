@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,9 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...errors import DrSplatError, InputError
-from .common import add_common
-from .configuring import OPTIONS_NOT_KEPT, place, table_keys
-from .parsing import VerbParser, did_you_mean
+from .configuring import OPTIONS_NOT_KEPT, Given, place, table_keys
+from .declaring import made
+from .help_texts import did_you_mean
+from .options import verb_parser
 
 if TYPE_CHECKING:
     from ..scanning.display import Display
@@ -25,34 +25,33 @@ STARTED, DONE = "started", "done"
 
 
 class VerbLine(NamedTuple):
-    """A verb's parsed line. options: texts of each use of what was given, by names without dashes."""
+    """A verb's options. given: texts of each use of what was given, by names without dashes."""
 
-    arguments: argparse.Namespace
-    options: dict[str, Any]
+    options: Any
+    given: dict[str, Any]
 
 
 def verb_line(
-    verb: str, given: Sequence[str], common: Sequence[str], defaults: Mapping[str, str] | None = None
+    verb: str, line: Sequence[str], common: Sequence[str], defaults: Mapping[str, str] | None = None
 ) -> VerbLine:
     """Return what a verb's own parser makes of a line and of the verb's table in --config.
 
     Args:
         verb: name of the verb, such as register.
-        given: what the scan settles, positional arguments first.
+        line: what the scan settles, positional arguments first.
         common: --config, --threads and --json of the scan.
         defaults: options and values that count where neither the line nor the file has them.
 
     Raises: UsageError, InputError: as the verb itself.
     """
-    parser, arguments = _parsed(verb, [*given, *common])
-    taken = {use.option.dest for use in parser.given}
+    options, uses = _parsed(verb, [*line, *common])
+    taken = {use.option.dest for use in uses}
     more = [(f"--{name}", value) for name, value in (defaults or {}).items() if name.replace("-", "_") not in taken]
     if more:
-        parser, arguments = _parsed(verb, [*given, *(text for pair in more for text in pair), *common])
-    arguments.overwrite = False  # what a scan replaces, it removes itself
-    ours = {text[2:] for text in given if text.startswith("--")} & set(SETTLED_OPTIONS)
-    options: dict[str, Any] = {}
-    for use in parser.given:
+        options, uses = _parsed(verb, [*line, *(text for pair in more for text in pair), *common])
+    ours = {text[2:] for text in line if text.startswith("--")} & set(SETTLED_OPTIONS)
+    given: dict[str, Any] = {}
+    for use in uses:
         flags = [flag[2:] for flag in use.option.option_strings if flag.startswith("--")]
         if (
             flags
@@ -60,15 +59,16 @@ def verb_line(
             and place(use.option) not in OPTIONS_NOT_RECORDED
             and use.option.dest != "overwrite"
         ):
-            options.setdefault(flags[0], []).append(use.texts)
-    return VerbLine(arguments, options)
+            given.setdefault(flags[0], []).append(use.texts)
+    return VerbLine(options, given)
 
 
-def _parsed(verb: str, line: Sequence[str]) -> tuple[VerbParser, argparse.Namespace]:
-    parser = VerbParser(prog=f"drsplat {verb}")
-    import_module(f".{verb}", __package__).add_arguments(parser)
-    add_common(parser.add_argument_group("all verbs"))
-    return parser, parser.parse_args(list(line))
+def _parsed(verb: str, line: Sequence[str]) -> tuple[Any, list[Given]]:
+    """Return a verb's options of a line, and what it gives. What a scan replaces, it removes itself."""
+    declared = import_module(f".{verb}", __package__).Options
+    parser = verb_parser(f"drsplat {verb}", declared)
+    values = vars(parser.parse_args(list(line))) | {"overwrite": False}
+    return made(declared, values), parser.given
 
 
 def check_tables(path: str, verbs: Sequence[str]) -> None:
@@ -101,14 +101,14 @@ class Stage:
     verb: str
     line: VerbLine
     outputs: tuple[Path, ...] = ()
-    run: Callable[[argparse.Namespace], dict[str, Any]] | None = None
+    run: Callable[[Any], dict[str, Any]] | None = None
     found: Callable[[], dict[str, Any] | None] = lambda: None
 
     def make(self) -> dict[str, Any]:
         """Run the verb. Raises: as the verb; the message begins with its name."""
         run = self.run or import_module(f".{self.verb}", __package__).run
         try:
-            answer: dict[str, Any] = run(self.line.arguments)
+            answer: dict[str, Any] = run(self.line.options)
         except KeyboardInterrupt as interrupt:
             interrupt.args = ()  # the scan says how to go on
             raise
@@ -136,7 +136,7 @@ def differences(before: Mapping[str, Any], stages: Sequence[Stage]) -> list[tupl
     found = []
     for stage in stages:
         if stage.verb in before:
-            old, new = before[stage.verb]["options"], stage.line.options
+            old, new = before[stage.verb]["options"], stage.line.given
             for name in sorted(old.keys() | new.keys()):
                 if old.get(name) != new.get(name):
                     found.append(
@@ -171,10 +171,10 @@ def run_stages(
                 if answer is None:
                     if not state:
                         stage.remove()
-                        states[stage.verb] = {"options": stage.line.options, "state": STARTED}
+                        states[stage.verb] = {"options": stage.line.given, "state": STARTED}
                         save()
                     answer = stage.make()
             cost = display.costs[stage.verb]
-            states[stage.verb] = {"options": stage.line.options, "state": DONE, **cost._asdict(), "answer": answer}
+            states[stage.verb] = {"options": stage.line.given, "state": DONE, **cost._asdict(), "answer": answer}
             save()
         display.say(stage.verb, ended(stage.verb, states[stage.verb]["answer"]))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .options import add_overwrite, count, new_output
+from .declaring import argument, option
+from .kinds import count
+from .options import Verb, new_output, overwrite
 
 EXAMPLES = """\
   drsplat tile scene.ply --output city.tiles
@@ -21,28 +23,27 @@ Every verb takes the folder as a scene. Its rows have a new order; the columns b
 Gaussian came from."""
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "scenes", nargs="+", metavar="SCENE", help="scene files in one world, a streamed SOG, or JSON that lists blocks"
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    scenes: list[str] = argument(
+        "scene files in one world, a streamed SOG, or JSON that lists blocks", value="SCENE", nargs="+"
     )
-    parser.add_argument(
-        "--output", "-o", required=True, metavar="TILES", help="folder to write, conventionally NAME.tiles"
-    )
-    parser.add_argument(
-        "--rows", type=count, default=argparse.SUPPRESS, metavar="N", help="Gaussians per tile (default: 131072)"
-    )
-    add_overwrite(parser)
+    output: str = option("folder to write, conventionally NAME.tiles", "TILES", flags="-o", required=True)
+    rows: int | None = option("Gaussians per tile (default: 131072)", "N", count)
+    overwrite: bool = overwrite()
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
+def run(options: Options) -> dict[str, Any]:
     from ...base.progress import Stopwatch
     from ...base.system import peak_memory_bytes
     from ...field.tiles.cutting import TILE_ROWS, cut
     from ...formats.sources import blocks_of
 
-    output, watch = new_output(arguments.output, arguments.overwrite), Stopwatch()
-    blocks = blocks_of([Path(scene) for scene in arguments.scenes])
-    tiles = cut(blocks, output, getattr(arguments, "rows", TILE_ROWS), overwrite=arguments.overwrite)
+    output, watch = new_output(options.output, options.overwrite), Stopwatch()
+    blocks = blocks_of([Path(scene) for scene in options.scenes])
+    tiles = cut(blocks, output, options.rows or TILE_ROWS, overwrite=options.overwrite)
     watch.lap("cut")
     return {
         "tiles": str(output),

@@ -43,8 +43,9 @@ def _catalogue(path: Path) -> Verified:
 
 
 def _scene(path: Path) -> Verified:
-    from ...formats.motion import MOTION, verify_motion
+    from ...formats.motion import verify_motion
     from ...formats.moving_scenes import read_scene
+    from ...formats.recognising import MOTION
     from ...formats.tensors import read_tensors
     from ...scene.moving import Moving
     from ...training.model_folder import CHECKPOINT

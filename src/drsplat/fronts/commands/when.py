@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-import argparse
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 from ...query.schema import Place, fields
-from .options import add_capture_options, add_query_encoders, words
-from .query_options import FIELD_HELP, add_fields, open_scene, values_of
+from .declaring import argument, option, part
+from .kinds import words
+from .options import Encoders, Photos, Verb
+from .query_options import FIELD_HELP, asked, query_of
+
+if TYPE_CHECKING:
+    from .query_options import Asked
 
 TEXT_CUT = fields(Place.COMMAND_LINE, Place.WORDS)
 RELATIONS = ("on", "in", "next_to", "above", "under", "left_of", "right_of")
@@ -21,33 +26,39 @@ still. The spans cover the scene's times from first to last without gaps."""
 DAILY = ("scene", "view", "views", "threshold", "encoder")
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("field", help=FIELD_HELP)
-    parser.add_argument("one", type=words, help="first object, in words")
-    parser.add_argument("relation", choices=RELATIONS, help="relation of the first object to the second")
-    parser.add_argument("other", type=words, help="second object, in words")
-    parser.add_argument("--scene", help="moving scene that was registered")
-    parser.add_argument("--views", metavar="CAPTURE", help="posed photos, for --view")
-    parser.add_argument("--view", type=words, metavar="NAME", help="photo whose camera defines left_of and right_of")
-    add_fields(parser.add_argument_group("both queries"), TEXT_CUT)
-    add_query_encoders(parser)
-    add_capture_options(parser)
+@dataclass(frozen=True, kw_only=True)
+class Options(Verb):
+    """Options of this verb."""
+
+    field: str = argument(FIELD_HELP)
+    one: str = argument("first object, in words", words)
+    relation: str = argument("relation of the first object to the second", choices=RELATIONS)
+    other: str = argument("second object, in words", words)
+    scene: str | None = option("moving scene that was registered")
+    views: str | None = option("posed photos, for --view", "CAPTURE")
+    view: str | None = option("photo whose camera defines left_of and right_of", "NAME", words)
+    both: Asked = asked(TEXT_CUT, "both queries")
+    encoders: Encoders = part(Encoders)
+    photos: Photos = part(Photos)
 
 
-def run(arguments: argparse.Namespace) -> dict[str, Any]:
-    from ...query import Query
+def run(options: Options) -> dict[str, Any]:
+    from ... import open_scene
 
-    scene = open_scene(arguments)
-    one, other = (Query(text, **values_of(arguments, TEXT_CUT)) for text in (arguments.one, arguments.other))
-    spans = scene.when(one, arguments.relation, other, arguments.view)
+    scene = open_scene(
+        options.field, scene=options.scene, views=options.views, threads=options.threads,
+        **vars(options.encoders), **vars(options.photos),
+    )  # fmt: skip
+    one, other = (query_of({**options.both, "text": text}) for text in (options.one, options.other))
+    spans = scene.when(one, options.relation, other, options.view)
     return {
-        "field": arguments.field,
-        "one": arguments.one,
-        "relation": arguments.relation,
-        "other": arguments.other,
-        "view": arguments.view,
+        "field": options.field,
+        "one": options.one,
+        "relation": options.relation,
+        "other": options.other,
+        "view": options.view,
         "times": list(scene.moving.span),
-        "spans": [list(span) for span in spans],
+        "spans": list(map(list, spans)),
     }
 
 

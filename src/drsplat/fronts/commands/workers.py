@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .options import count, words
+from .declaring import option
+from .kinds import count, words
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -21,22 +22,36 @@ if TYPE_CHECKING:
     Register = Callable[..., Registration]
 
 
-def add_workers(group: argparse._ArgumentGroup) -> None:
-    group.add_argument(
-        "--workers", type=count, metavar="N",
-        help="processes for a tiled scene, each with --threads threads (default: this process only)",
-    )  # fmt: skip
-    group.add_argument(
-        "--ray", type=words, metavar="ADDRESS",
-        help="Ray cluster for a tiled scene, e.g. auto or ray://head:10001; local starts one on this machine. Its "
-        "nodes must see the scene, DIR and the folder of --parts under the same names, or --parts is an address",
-    )  # fmt: skip
-    group.add_argument(
-        "--ray-memory", type=count, metavar="MB", help="memory per task, which limits how many Ray runs on a node"
+@dataclass(frozen=True, kw_only=True)
+class Workers:
+    """Workers on the tiles of a scene."""
+
+    TITLE = "tiles"
+    workers: int | None = option(
+        "processes for a tiled scene, each with --threads threads (default: this process only)", "N", count
     )
+    ray: str | None = option(
+        "Ray cluster for a tiled scene, e.g. auto or ray://head:10001; local starts one on this machine. Its nodes "
+        "must see the scene, DIR and the folder of --parts under the same names, or --parts is an address", "ADDRESS",
+        words,
+    )  # fmt: skip
+    ray_memory: int | None = option("memory per task, which limits how many Ray runs on a node", "MB", count)
+
+    def launcher(self, threads: int) -> Launcher:
+        """Return what runs tasks. Raises: InputError: two ways of working."""
+        from ...errors import InputError
+        from ...field.tiles.launching import OneProcess, Processes, Ray
+
+        if self.workers and self.ray:
+            raise InputError("--workers and --ray are two ways of working: drop one of them")
+        if self.ray:
+            return Ray(self.ray, threads or 1, (self.ray_memory or 0) << 20)
+        return Processes(self.workers) if self.workers else OneProcess()
 
 
-def scene_of(arguments: argparse.Namespace) -> tuple[Gaussians | Moving | Tiles, Register]:
+def scene_of(
+    scene: str, workers: Workers, parts: str | None, threads: int
+) -> tuple[Gaussians | Moving | Tiles, Register]:
     """Return the scene, whose tiles and frames stay on disk, and the function that registers it.
 
     Raises: InputError: workers for a scene without tiles, or two kinds of them.
@@ -45,30 +60,29 @@ def scene_of(arguments: argparse.Namespace) -> tuple[Gaussians | Moving | Tiles,
     from ...field.tiles.registering import register_tiles
     from ...formats.moving_scenes import read_scene
 
-    tiles = tiles_of(arguments)
+    tiles = tiles_of(scene, workers, parts)
     if tiles is not None:
-        return tiles, partial(register_tiles, launcher=launcher_of(arguments))
-    return read_scene(arguments.scene), register
+        return tiles, partial(register_tiles, launcher=workers.launcher(threads))
+    return read_scene(scene), register
 
 
-def tiles_of(arguments: argparse.Namespace) -> Tiles | None:
+def tiles_of(scene: str | None, workers: Workers, parts: str | None) -> Tiles | None:
     """Return the scene in tiles, or None where it is none. Raises: InputError: workers for a scene without tiles."""
     from ...errors import InputError
     from ...formats.tiles import TILES, read_tiles
 
-    path = Path(arguments.scene or "")
+    path = Path(scene or "")
     folder = path.parent if path.name == TILES else path
-    if arguments.scene is not None and (folder / TILES).is_file():
+    if scene is not None and (folder / TILES).is_file():
         return read_tiles(folder)
-    if "://" in str(arguments.parts or ""):
+    if "://" in (parts or ""):
         raise InputError(
             "--parts: an address is for a scene in tiles: give a folder, or cut the scene with drsplat tile"
         )
-    if arguments.workers or arguments.ray:
-        given = "--workers" if arguments.workers else "--ray"
-        scene = arguments.scene or "SCENE"
+    if workers.workers or workers.ray:
+        given = "--workers" if workers.workers else "--ray"
         raise InputError(
-            f"{given} is for a scene in tiles: drsplat tile {scene} --output NAME.tiles, then register those"
+            f"{given} is for a scene in tiles: drsplat tile {scene or 'SCENE'} --output NAME.tiles, then register those"
         )
     return None
 
@@ -77,14 +91,3 @@ def in_memory(scene: Gaussians | Moving | Tiles) -> Gaussians | Moving:
     from ...formats.tiles import Tiles
 
     return scene.gaussians() if isinstance(scene, Tiles) else scene
-
-
-def launcher_of(arguments: argparse.Namespace) -> Launcher:
-    from ...errors import InputError
-    from ...field.tiles.launching import OneProcess, Processes, Ray
-
-    if arguments.workers and arguments.ray:
-        raise InputError("--workers and --ray are two ways of working: drop one of them")
-    if arguments.ray:
-        return Ray(arguments.ray, arguments.threads or 1, (arguments.ray_memory or 0) << 20)
-    return Processes(arguments.workers) if arguments.workers else OneProcess()

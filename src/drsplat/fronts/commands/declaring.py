@@ -1,0 +1,127 @@
+"""Options of verbs as fields of dataclasses: each is declared once, and the parser, help and settings follow from it.
+
+    @dataclass(frozen=True, kw_only=True)
+    class Options(Verb):
+        scene: str = argument("scene that was registered")
+        topk: int = option("Gaussians per pixel (default: 40)", "K", count, 40)
+        photos: Photos = part(Photos)
+
+A verb's `run` takes its Options and nothing else, from the command line, a scan or Python. What several verbs share is
+a dataclass too, which they hold as a part; so a function asks for the part that it needs. TITLE of a dataclass is the
+section of its options in the help.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import field, fields, is_dataclass
+from typing import Any, NamedTuple, TypeVar
+
+T = TypeVar("T")
+
+
+class Item(NamedTuple):
+    """An argument of a line.
+
+    flags: none of a positional one. settings: as argparse takes them. title: of its section in the help. rivals: name
+    of a group of which one can be given.
+    """
+
+    name: str
+    flags: Sequence[str]
+    settings: Mapping[str, Any]
+    title: str = ""
+    rivals: str = ""
+
+
+def argument(meaning: str, kind: Callable[[str], Any] | None = None, value: str | None = None, **more: Any) -> Any:
+    """Declare a positional argument. more: nargs and choices, as in argparse."""
+    default: dict[str, Any] = {"default": None} if more.get("nargs") in ("?", "*") else {}
+    named = {} if value is None else {"metavar": value}  # else the parser names it
+    return field(**default, metadata={"flags": None, "settings": {"help": meaning, "type": kind, **named, **more}})
+
+
+def option(
+    meaning: str, value: Any = None, kind: Callable[[str], Any] | None = None, default: Any = None, *,
+    flags: str = "", title: str = "", rivals: str = "", **more: Any,
+) -> Any:  # fmt: skip
+    """Declare an option with a value.
+
+    Args:
+        meaning: its help.
+        value: what the help calls its value, with the unit.
+        kind: reads the text of a value.
+        default: value where it is not given.
+        flags: other spellings, with spaces between; a long one stands instead of --NAME.
+        title: section of the help.
+        rivals: name of a group of options of which one can be given.
+        more: nargs, const, choices, action and required, as in argparse.
+    """
+    settings = {"help": meaning, "metavar": value, "type": kind, "default": default, **more}
+    about = {"flags": flags, "title": title, "rivals": rivals, "settings": settings}
+    if more.get("required"):
+        return field(metadata=about)
+    return field(default_factory=lambda: list(default) if isinstance(default, list) else default, metadata=about)
+
+
+def flag(meaning: str, *, flags: str = "", title: str = "", rivals: str = "") -> Any:
+    """Declare an option without a value, False where it is not given."""
+    settings = {"help": meaning, "action": "store_true", "default": False}
+    return field(
+        default=False, metadata={"flags": flags, "title": title, "rivals": rivals, "settings": settings}
+    )  # fmt: skip
+
+
+def part(declared: type[T], title: str = "", **others: Mapping[str, Any]) -> T:
+    """Declare all options of another dataclass, whose values are one value. others: settings that differ, by name."""
+    made_of: T = several([*items_of(declared, title, others)], lambda given: made(declared, given))
+    return made_of
+
+
+def several(items: Sequence[Item], make: Callable[[Mapping[str, Any]], Any]) -> Any:
+    """Declare arguments whose values are one value. make: returns it, of the line's values by name."""
+    defaults = {item.name: item.settings.get("default") for item in items}
+    return field(default_factory=lambda: make(defaults), metadata={"items": items, "make": make})
+
+
+def items_of(declared: type, title: str = "", others: Mapping[str, Mapping[str, Any]] | None = None) -> Iterator[Item]:
+    """Return the arguments that a dataclass declares, in order, without those of its bases."""
+    title = title or getattr(declared, "TITLE", "")
+    of_bases = {one.name for base in declared.__bases__ if is_dataclass(base) for one in fields(base)}
+    for one in fields(declared):
+        about = {} if one.name in of_bases else one.metadata
+        if "items" in about:
+            yield from (item if item.title else item._replace(title=title) for item in about["items"])
+        elif about:
+            settings = about["settings"] | (others or {}).get(one.name, {})
+            flags = () if about["flags"] is None else _flags(one.name, about["flags"])
+            yield Item(one.name, flags, settings, about.get("title") or title, about.get("rivals", ""))
+
+
+def _flags(name: str, others: str) -> list[str]:
+    flags = others.split()
+    return flags if any(flag.startswith("--") for flag in flags) else [f"--{name.replace('_', '-')}", *flags]
+
+
+def add_options(parser: argparse.ArgumentParser, items: Iterable[Item]) -> None:
+    """Add arguments to a parser, in their sections and groups."""
+    sections: dict[str, argparse._ActionsContainer] = {"": parser}
+    rivals: dict[str, argparse._ActionsContainer] = {}
+    for name, flags, settings, title, group in items:
+        if title not in sections:
+            sections[title] = parser.add_argument_group(title)
+        if group and group not in rivals:
+            rivals[group] = sections[title].add_mutually_exclusive_group()
+        kept = {**settings, "dest": name} if flags else settings
+        rivals.get(group, sections[title]).add_argument(*(flags or (name,)), **kept)
+
+
+def made(declared: type[T], given: Mapping[str, Any]) -> T:
+    """Return a dataclass of options of a line's values by name."""
+    own = {
+        one.name: one.metadata["make"](given) if "make" in one.metadata else given[one.name]
+        for one in fields(declared)  # type: ignore[arg-type]
+        if one.metadata
+    }  # fmt: skip
+    return declared(**own)
