@@ -1,7 +1,7 @@
 """Formats of scenes, each a record: how it is told, read and written, and what it keeps. To add one, add its row here.
 
 `scenes.read_gaussians` and `write_scene` find their way in `FORMATS`, and so do errors, `drsplat export` and the table
-of docs/formats.md, which `python -m scripts.formats_table` writes.
+of docs/formats.md, which `python -m scripts.made_tables` writes.
 """
 
 from collections.abc import Callable, Mapping
