@@ -149,6 +149,15 @@ def test_lines_are_of_at_most_120_characters(document):
     assert document.name == "README.md" or not [line for line in too_long if " " in line.strip("-* ")]
 
 
+@every_document
+def test_rows_of_tables_have_the_cells_of_their_head(document):
+    """GitHub drops cells that a table has no column for."""
+    prose = re.sub(r"^```.*?^```", "", document.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    for table in re.findall(r"(?:^ *\|.*\n?)+", prose, re.MULTILINE):
+        numbers = {len(re.findall(r"(?<!\\)\|", row)) for row in table.strip().splitlines()}
+        assert len(numbers) == 1, f"{document.name}: {table[:200]}"
+
+
 def references(document: Path) -> list[tuple[str, str]]:
     """`file::name` in a document."""
     text = document.read_text(encoding="utf-8")
