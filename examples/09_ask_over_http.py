@@ -1,6 +1,6 @@
 """Ask a scene over HTTP, as programs in any language can; this one starts and stops the service, too.
 
-Needs `pip install "drsplat[serve]"` and a folder with a field and its scene, such as `drsplat demo` writes. Usage:
+Needs `pip install ".[serve]"` and a folder with a field and its scene, such as `drsplat demo` writes. Usage:
 python examples/09_ask_over_http.py [FOLDER WORDS PORT]
 """
 

@@ -79,4 +79,6 @@ def test_without_a_model(
     table, rest, whole = (len(ds.read_gaussians(name)) for name in (
         "table.ply", "room_without_table.ply", "drsplat-demo/scene.compressed.ply"))  # fmt: skip
     assert table + rest == whole
-    assert table >= ds.open_scene("drsplat-demo").objects[1].gaussian_ids.size  # and its loose border
+    room = ds.open_scene("drsplat-demo")
+    assert room.locate("brown table")[0].object_id == 2  # not the floor, for instance
+    assert table >= room.objects[2].gaussian_ids.size  # and its loose border
