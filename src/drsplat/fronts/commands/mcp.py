@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from .declaring import argument, flag, option, part
+from ...errors import InputError
+from .declaring import Facts, argument, declaration, flag, option, part
 from .edit_options import note_own_scenes
 from .listening import Listening, listening
 from .options import Encoders, Verb
@@ -20,10 +19,10 @@ EXAMPLES = """\
 "scenes" is a folder with a field and its scene, or a folder of such folders. Without --http, the server uses stdin
 and stdout, for programs that start the server themselves: {"command": "drsplat", "args": ["mcp",
 "/path/to/scenes"]}."""
-DAILY = ("http", "port", "encoder")
+DAILY = "http port encoder"
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -34,8 +33,7 @@ class Options(Verb):
     encoders: Encoders = part(Encoders)
 
 
-def run(options: Options) -> dict[str, Any]:
-    from ...errors import InputError
+def run(options: Options) -> Facts:
     from ..serving.libraries import require
 
     require("mcp", "mcp", "prometheus_client")
@@ -73,5 +71,5 @@ def run(options: Options) -> dict[str, Any]:
     return {"stopped": True}
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     """Show nothing: stdout belongs to the protocol."""

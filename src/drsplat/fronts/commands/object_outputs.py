@@ -9,6 +9,8 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ...errors import InputError
+from .declaring import Facts
 from .query_options import check_outputs
 
 if TYPE_CHECKING:
@@ -21,7 +23,6 @@ BOX_NUMBERS = {"center": 3, "extent": 3, "axes": 9}
 
 def check(saved: str | None, picture: str | None, overwrite: bool) -> None:
     """Check what can be checked before any work is done."""
-    from ...errors import InputError
 
     check_outputs(saved, picture, overwrite, ("",))
     if picture and Path(picture).suffix.lower() not in (".jpg", ".jpeg", ".png"):
@@ -30,23 +31,23 @@ def check(saved: str | None, picture: str | None, overwrite: bool) -> None:
         raise InputError(f"{saved}: expected a name that ends in .npy, .ply, .json or .csv, or that of a folder")
 
 
-def save(path: str, scene: Scene, listed: list[dict[str, Any]], overwrite: bool) -> None:
+def save(path: str, scene: Scene, listed: list[Facts], overwrite: bool) -> None:
     _WRITERS[Path(path).suffix.lower()](Path(path), scene, listed, overwrite)
 
 
-def _save_npy(path: Path, scene: Scene, _: list[dict[str, Any]], overwrite: bool) -> None:
+def _save_npy(path: Path, scene: Scene, _: list[Facts], overwrite: bool) -> None:
     from ...formats.npy import write_npy
 
     write_npy(path, scene.object_ids(), overwrite)
 
 
-def _save_ply(path: Path, scene: Scene, _: list[dict[str, Any]], overwrite: bool) -> None:
+def _save_ply(path: Path, scene: Scene, _: list[Facts], overwrite: bool) -> None:
     from ... import write_gaussians
 
     write_gaussians(path, scene.gaussians, {"object_id": scene.object_ids()}, overwrite=overwrite)
 
 
-def _save_json(path: Path, scene: Scene, listed: list[dict[str, Any]], overwrite: bool) -> None:
+def _save_json(path: Path, scene: Scene, listed: list[Facts], overwrite: bool) -> None:
     from ...formats.replacing import replacing
 
     document = {"field": scene.field.fingerprint, "scene": scene.field.scene, "objects": listed}
@@ -54,7 +55,7 @@ def _save_json(path: Path, scene: Scene, listed: list[dict[str, Any]], overwrite
         file.write((json.dumps(document, indent=1) + "\n").encode())
 
 
-def _save_csv(path: Path, _: Scene, listed: list[dict[str, Any]], overwrite: bool) -> None:
+def _save_csv(path: Path, _: Scene, listed: list[Facts], overwrite: bool) -> None:
     """Write a CSV table of objects.
 
     Each number of a box has a column, axes row by row; views share one, with semicolons between them; the last is 0 or
@@ -81,7 +82,7 @@ def _cell(value: Any) -> Any:
     return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA_SIGNS) else value
 
 
-def _save_folder(path: Path, scene: Scene, listed: list[dict[str, Any]], overwrite: bool) -> None:
+def _save_folder(path: Path, scene: Scene, listed: list[Facts], overwrite: bool) -> None:
     """Write a PLY of each object and a table of them; the folder appears whole or not at all."""
     from ... import write_gaussians
     from ...formats.field_folder import replacing_folder

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from .declaring import argument, flag, option, part
+from ...base.terminal import counted
+from ...errors import InputError
+from .declaring import Facts, argument, declaration, flag, option, part
 from .edit_options import note_own_scene
 from .kinds import whole, words
 from .object_outputs import check, save
@@ -33,12 +34,12 @@ The first run finds the objects, which takes the scene, and stores them in the f
 Gaussian of the scene: its object, or -1. objects.ply is the scene with these numbers as a column object_id; a folder
 gets a PLY of each object; .json and .csv get the table, with boxes. Names given with --label are stored in
 NAME.labels.json beside NAME.field: they outlive the field, and a query for such a name selects exactly this object."""
-DAILY = ("scene", "all", "label", "id", "save", "picture", "views", "overwrite")
+DAILY = "scene all label id save picture views overwrite"
 
 MAX_ROWS_SHOWN = 40  # on a terminal without --all; real captures have hundreds of objects
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -68,8 +69,7 @@ class Options(Verb):
     photos: Photos = part(Photos)
 
 
-def run(options: Options) -> dict[str, Any]:
-    from ...errors import InputError
+def run(options: Options) -> Facts:
     from ...formats.replacing import together
     from ...query.documents import object_documents
     from ...query.objects import objects_of
@@ -107,8 +107,7 @@ def run(options: Options) -> dict[str, Any]:
     }
 
 
-def show(answer: dict[str, Any]) -> None:
-    from ...base.terminal import counted
+def show(answer: Facts) -> None:
     from .tables import show_table, text_of
 
     listed = _listed(answer["objects"], answer["all"])
@@ -138,12 +137,12 @@ def show(answer: dict[str, Any]) -> None:
             print(f"written to {output}")
 
 
-def _listed(objects: list[dict[str, Any]], every: bool) -> list[dict[str, Any]]:
+def _listed(objects: list[Facts], every: bool) -> list[Facts]:
     """Return the objects that photos agree on, or all."""
     return [document for document in objects if every or document["agreed"]]
 
 
-def _drifting(scene: Scene) -> dict[str, Any] | None:
+def _drifting(scene: Scene) -> Facts | None:
     """Count the Gaussians of a moving scene that change their object, and between which objects most do."""
     from collections import Counter
 
@@ -157,8 +156,7 @@ def _drifting(scene: Scene) -> dict[str, Any] | None:
     return {"num_gaussians": len(drift.gaussian_ids), "between": most, "gaussian_ids": drift.gaussian_ids}
 
 
-def _drifting_text(drift: dict[str, Any]) -> str:
-    from ...base.terminal import counted
+def _drifting_text(drift: Facts) -> str:
 
     if not drift["num_gaussians"]:
         return "No Gaussian changes what it belongs to over time."
@@ -167,7 +165,7 @@ def _drifting_text(drift: dict[str, Any]) -> str:
     return f"{changes} what it belongs to over time, by objects (-1: none): {between}"
 
 
-def _row(document: dict[str, Any]) -> tuple[str, ...]:
+def _row(document: Facts) -> tuple[str, ...]:
     places = (" ".join(f"{x:.2f}" for x in document[key]) for key in ("center", "extent"))
     name, count = document["label"] or document["name"] or "", f"{document['num_gaussians']:,}"
     return str(document["id"]), name, count, *places, str(document["num_views"]), f"{document['sure']:.2f}"
@@ -188,7 +186,6 @@ def _with_objects(options: Options) -> Scene:
     A scene in tiles is not loaded for it. A run that was killed goes on with the blocks, or the photos, that it had
     finished.
     """
-    from ...errors import InputError
     from ...formats.claiming import claimed_output
     from ...query.opening import scene_files
 
@@ -223,9 +220,8 @@ def _with_objects(options: Options) -> Scene:
     return _opened(options)
 
 
-def _draw(path: str, overwrite: bool, scene: Scene, listed: list[dict[str, Any]]) -> None:
+def _draw(path: str, overwrite: bool, scene: Scene, listed: list[Facts]) -> None:
     from ...drawing.pictures import write_picture
-    from ...errors import InputError
     from ...query.sheets import object_sheet
 
     matches = scene.objects

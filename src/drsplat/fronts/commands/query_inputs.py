@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...base.terminal import quoted
+from ...errors import FormatError, InputError, placed
 from ...query.defaults import AUTO
 from .kinds import finite, words
 
@@ -45,8 +46,6 @@ def pixel(text: str) -> tuple[str, float, float]:
     """Return the view's name and the pixel of "photo_003:210,140". Raises: InputError: it has another form."""
     import re
 
-    from ...errors import InputError
-
     match = re.fullmatch(r"(.+):(\d+(?:\.\d+)?),(\d+(?:\.\d+)?)", text)
     if match is None:
         raise InputError(f"--click {text}: expected VIEW:X,Y in pixels, e.g. photo_003:210,140")
@@ -62,8 +61,6 @@ def point(text: str) -> tuple[float, float, float]:
 def numbers(option: str, text: str, count: int) -> list[float]:
     """Return the numbers "0.3,-0.14,1.2" of an option. Raises: InputError: not so many finite ones."""
     import math
-
-    from ...errors import InputError
 
     try:
         given = [float(part) for part in text.split(",")]
@@ -86,7 +83,6 @@ def read_picture(path: str) -> np.ndarray:
 
     Raises: InputError: there is no such file. FormatError: damaged, or not a picture.
     """
-    from ...errors import FormatError, InputError, placed
     from ...scene.photos import decoded_picture
 
     if not Path(path).is_file():
@@ -102,7 +98,6 @@ def read_vector(path: str) -> np.ndarray:
 
     Raises: InputError: there is no such file, or it holds more than one. FormatError: damaged.
     """
-    from ...errors import InputError
 
     vectors = read_vectors(path)
     if len(vectors) != 1:
@@ -118,7 +113,6 @@ def read_vectors(path: str) -> np.ndarray:
     """
     import numpy as np
 
-    from ...errors import FormatError, InputError
     from ...formats.npy import map_npy
 
     if not Path(path).is_file():

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ...errors import InputError
 from ...query.schema import CUT, FIELDS, SUBJECTS, Place, QueryField, fields
-from .declaring import Item, argument, option, part, several
+from .declaring import Facts, Item, argument, declaration, option, part, several
 from .edit_options import note_own_scene
 from .kinds import words
 from .options import Encoders, Photos, new_output, overwrite, search_device
@@ -46,7 +46,7 @@ def _item(field: QueryField, title: str) -> Item:
     )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Question:
     """A question: what is looked for, who embeds it, and where its scores are cut."""
 
@@ -61,7 +61,7 @@ class Question:
         return {TEXT.name: self.text, **self.others}
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Outputs:
     """Place of the scene of an answer, and what is written of it."""
 
@@ -112,7 +112,6 @@ def check_outputs(
     save: str | None, picture: str | None, overwrite: bool, suffixes: tuple[str, ...] = (".ply",)
 ) -> None:  # fmt: skip
     """Check --save and --picture. Raises: InputError: one exists, has another suffix, or there is no such folder."""
-    from ...errors import InputError
 
     for flag, output in (("--save", save), ("--picture", picture)):
         if output is None:
@@ -131,7 +130,6 @@ def ask(
 
     Raises: as `Outputs.check` and `Outputs.open_scene`; InputError: the words stand where the field should.
     """
-    from ...errors import InputError
 
     outputs.check(suffixes)
     field, text = question.field, question.text
@@ -168,7 +166,7 @@ def query_text(given: Asked) -> str:
     return f"{next(given[one.name] for one in SUBJECTS if given[one.name])}{nots}"
 
 
-def answer_json(question: Question, answer: Answer) -> dict[str, Any]:
+def answer_json(question: Question, answer: Answer) -> Facts:
     """Return what every answer says of its values, and what was asked."""
     from ...query.documents import answer_document
 
@@ -182,7 +180,7 @@ RULES = {
 }  # fmt: skip
 
 
-def measured_text(answer: dict[str, Any]) -> str:
+def measured_text(answer: Facts) -> str:
     """Return a line of the scores and the threshold."""
     low, high = answer["score_range"]
     return (
@@ -191,7 +189,7 @@ def measured_text(answer: dict[str, Any]) -> str:
     )
 
 
-def print_doubt(answer: dict[str, Any]) -> None:
+def print_doubt(answer: Facts) -> None:
     """Print what to know before the answer: why to doubt it, and the photo that sides are meant from."""
     if answer["doubt"]:
         print(f"warning: {answer['doubt']}")
