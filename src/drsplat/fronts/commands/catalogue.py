@@ -12,8 +12,7 @@ from .declaring import Facts, argument, declaration, option, part
 from .edit_options import note_own_scenes
 from .kinds import up_to, words
 from .options import Encoders, Verb, new_output, overwrite
-from .query_inputs import numbers
-from .query_options import asked, query_of
+from .query_options import asked, numbers, query_of
 from .tables import show_table, text_of
 
 if TYPE_CHECKING:

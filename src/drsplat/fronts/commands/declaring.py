@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, TypeVar, dataclass_transform
 
 T = TypeVar("T")
 Facts = dict[str, Any]
-"""What a verb answers, by name: a JSON object, but for NumPy's numbers and arrays, and paths."""
+"""Answer of a verb, by name: a JSON object, but for NumPy's numbers and arrays, and paths."""
 
 
 @dataclass_transform(frozen_default=True, kw_only_default=True)

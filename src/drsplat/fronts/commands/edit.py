@@ -293,7 +293,7 @@ class _Work:
         from ...authoring import editing
         from ...authoring.editing.colouring import color_of
         from ...authoring.editing.making import replaced_by, scaled_on_its_foot
-        from .query_inputs import read_picture
+        from .query_options import read_picture
 
         change = self.options.change
         match name:

@@ -34,7 +34,7 @@ class Options(Verb):
 
 
 def run(options: Options) -> Facts:
-    from ..serving.libraries import require
+    from ..serving.listening import require
 
     require("mcp", "mcp", "prometheus_client")
     if options.json and not options.http:
@@ -46,8 +46,7 @@ def run(options: Options) -> Facts:
     from ..serving.listening import address_of, bound_socket
     from ..serving.metrics import Metrics
     from ..serving.scene_folder import SceneFolder, Sources
-    from ..serving.speaking import over_http, over_stdio
-    from ..serving.tools import make_server
+    from ..serving.tools import make_server, over_http, over_stdio
     from ..serving.workbench import Workbench
     from ..serving.worker import Workplace
 

@@ -45,16 +45,15 @@ class Options(Verb):
 
 def run(options: Options) -> Facts:
     from ...base.terminal import counted
-    from ..serving.libraries import require
+    from ..serving.listening import require
 
     require("serve", "fastapi", "uvicorn", "prometheus_client")
     where = options.listening
     key = where.key()
 
-    from ..serving.app import Settings
+    from ..serving.app import Settings, serve
     from ..serving.limits import Limits
     from ..serving.listening import address_of, bound_socket
-    from ..serving.running import serve
     from ..serving.scene_folder import SceneFolder, Sources
 
     sources = Sources(

@@ -164,7 +164,7 @@ def _serve_catalogue(options: Options, path: str) -> NoReturn:
 
 def _require_packages() -> None:
     """Check the viewer's packages. Raises: MissingExtraError: one is not installed."""
-    from ..serving.libraries import require_packages
+    from ..serving.listening import require_packages
 
     require_packages("viewer", "fastapi", "uvicorn", "prometheus_client")
 
@@ -175,10 +175,8 @@ def _service(options: Options, catalogue: Catalogue | None = None) -> Iterator[S
 
     Raises: InputError: nothing can listen there.
     """
-    from ..viewing.listening import listening_socket
-    from ..viewing.live.service import Service
-    from ..viewing.live.shared import Shared
-    from ..viewing.live.shelf import Shelf
+    from ..viewing.live.service import Service, listening_socket
+    from ..viewing.live.shared import Shared, Shelf
     from ..viewing.saving import Saves
 
     def opened(path: Path) -> Scene:
