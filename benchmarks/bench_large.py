@@ -25,8 +25,7 @@ from drsplat import open_scene
 from drsplat.formats.gaussian_ply import write_gaussians
 from drsplat.formats.scenes import read_gaussians
 from drsplat.fronts.viewing.bare import open_bare
-from drsplat.fronts.viewing.listening import listening_socket
-from drsplat.fronts.viewing.live.service import Service
+from drsplat.fronts.viewing.live.service import Service, listening_socket
 from drsplat.fronts.viewing.live.shared import Shared
 from drsplat.fronts.viewing.saving import Saves
 from drsplat.fronts.viewing.session import Session

@@ -23,8 +23,7 @@ from PIL import Image
 from playwright.sync_api import sync_playwright
 
 from drsplat import export_page, open_scene
-from drsplat.fronts.viewing.listening import listening_socket
-from drsplat.fronts.viewing.live.service import Service
+from drsplat.fronts.viewing.live.service import Service, listening_socket
 from drsplat.fronts.viewing.live.shared import Shared
 from drsplat.fronts.viewing.saving import Saves
 from drsplat.fronts.viewing.session import Session

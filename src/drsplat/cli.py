@@ -179,7 +179,8 @@ def _add_options(parser: VerbParser, command: ModuleType) -> None:
     parser.epilog = f"examples:\n{command.EXAMPLES}"
     parser.usage = getattr(command, "USAGE", None)
     add_verb(parser, command.Options)
-    parser.daily = {"json", *getattr(command, "DAILY", parser.daily)}
+    if hasattr(command, "DAILY"):
+        parser.daily = {"json", *command.DAILY.split()}
     parser.set_defaults(command=command, parser=parser, flags=parser.flags)
 
 

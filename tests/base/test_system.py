@@ -15,7 +15,7 @@ from drsplat.base.system import peak_memory_bytes
 from drsplat.errors import InputError
 from drsplat.formats.claiming import claimed_output
 from drsplat.formats.replacing import replacing, together
-from drsplat.fronts.serving.libraries import require
+from drsplat.fronts.serving.listening import require
 
 SOURCE = Path(drsplat.__file__).parent
 MODULES = {"fcntl", "resource", "pwd", "grp", "termios", "tty", "pty", "msvcrt", "winreg", "posix", "nt"}

@@ -17,7 +17,7 @@ from drsplat.authoring.filming.looking import Standpoints, beside
 from drsplat.errors import FormatError, InputError
 from drsplat.formats.tiles import Tiles
 from drsplat.fronts.viewing.bare import is_bare, open_bare
-from drsplat.fronts.viewing.live.tiles import tile_paint, tile_splats
+from drsplat.fronts.viewing.live.arrays import tile_paint, tile_splats
 from drsplat.fronts.viewing.results import heat, owners
 from drsplat.fronts.viewing.saving import picture_of
 from drsplat.fronts.viewing.session import Mode, Session

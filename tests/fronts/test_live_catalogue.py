@@ -18,7 +18,7 @@ from live_clients import error_of as refusal_of
 
 pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
 
-from drsplat.fronts.viewing.live.shelf import Shelf
+from drsplat.fronts.viewing.live.shared import Shelf
 from drsplat.query.catalogue import Catalogue
 
 

@@ -22,10 +22,10 @@ pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installe
 from browsing import eventually
 from drsplat.errors import DrSplatError, InputError
 from drsplat.fronts.serving.replies import BusyError
-from drsplat.fronts.viewing.listening import listening_socket
-from drsplat.fronts.viewing.live import gate, service
+from drsplat.fronts.viewing.live import service
 from drsplat.fronts.viewing.live.acts import AnyAct
-from drsplat.fronts.viewing.live.events import MAX_STREAMS, Events
+from drsplat.fronts.viewing.live.app import MAX_STREAMS, Events
+from drsplat.fronts.viewing.live.service import listening_socket
 from drsplat.fronts.viewing.live.shared import Shared
 from drsplat.fronts.viewing.live.turns import Turns
 from drsplat.fronts.viewing.live.uploads import UploadLimits, checked_path
@@ -308,23 +308,23 @@ def test_a_silent_stream_beats_and_a_slow_one_gets_only_the_latest() -> None:
 
 
 def test_an_address_that_asks_too_often_is_told_to_wait(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
-    paced, now = gate.Gate(viewer.app, "127.0.0.1", 8080), [100.0]
-    monkeypatch.setattr(gate.time, "monotonic", lambda: now[0])
+    paced, now = service.Gate(viewer.app, "127.0.0.1", 8080), [100.0]
+    monkeypatch.setattr(service.time, "monotonic", lambda: now[0])
     scope = {"client": ("10.0.0.1", 1)}
-    assert all(paced._is_paced(scope) for _ in range(int(gate.BURST_REQUESTS)))
+    assert all(paced._is_paced(scope) for _ in range(int(service.BURST_REQUESTS)))
     assert not paced._is_paced(scope)
     assert paced._is_paced({"client": ("10.0.0.2", 1)})
     now[0] += 1
-    assert sum(paced._is_paced(scope) for _ in range(1000)) == int(gate.REQUESTS_PER_SECOND)
-    for number in range(2 * gate.MAX_PEERS):
+    assert sum(paced._is_paced(scope) for _ in range(1000)) == int(service.REQUESTS_PER_SECOND)
+    for number in range(2 * service.MAX_PEERS):
         paced._is_paced({"client": (f"10.1.{number // 256}.{number % 256}", 1)})
-    assert len(paced._paces) == gate.MAX_PEERS
+    assert len(paced._paces) == service.MAX_PEERS
 
 
 def test_a_flood_is_told_to_wait_and_goes_on_later(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
-    viewer.gate, now = gate.Gate(viewer.app, "127.0.0.1", 8080), [100.0]
-    monkeypatch.setattr(gate, "BURST_REQUESTS", 3.0)
-    monkeypatch.setattr(gate.time, "monotonic", lambda: now[0])
+    viewer.gate, now = service.Gate(viewer.app, "127.0.0.1", 8080), [100.0]
+    monkeypatch.setattr(service, "BURST_REQUESTS", 3.0)
+    monkeypatch.setattr(service.time, "monotonic", lambda: now[0])
     assert [viewer.send("GET", "/client.js").status_code for _ in range(5)] == [200, 200, 200, 429, 429]
     now[0] += 1
     assert viewer.send("GET", "/client.js").status_code == 200
@@ -374,7 +374,7 @@ def test_an_act_that_fails_leaves_the_thread_alive() -> None:
 
 
 @pytest.mark.parametrize(
-    ("path", "most"), [("/view/do", gate.MAX_ACT_BYTES), ("/view/ask-picture", gate.MAX_PICTURE_BYTES)]
+    ("path", "most"), [("/view/do", service.MAX_ACT_BYTES), ("/view/ask-picture", service.MAX_PICTURE_BYTES)]
 )
 def test_bodies_are_bounded_whatever_their_head_says(viewer: Viewer, path: str, most: int) -> None:
     told = OWN | JSON | {"content-length": str(most + 1)}

@@ -11,7 +11,7 @@ import pytest
 
 from drsplat import Query
 from drsplat.cli import make_parser
-from drsplat.fronts.commands.query_inputs import WAYS
+from drsplat.fronts.commands.query_options import WAYS
 from drsplat.query.schema import CUT, FIELDS, Place, QueryField, fields
 
 NAMES = {field.name for field in FIELDS}

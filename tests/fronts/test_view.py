@@ -16,9 +16,8 @@ from drsplat.drawing.heat import heat_of
 from drsplat.errors import InputError
 from drsplat.fronts.viewing import painting, picking, results, saving, shown, texts
 from drsplat.fronts.viewing.bare import is_bare, open_bare
-from drsplat.fronts.viewing.naming import photo_of
+from drsplat.fronts.viewing.naming import photo_of, suggestions
 from drsplat.fronts.viewing.session import MAX_QUERIES, Mode, Session
-from drsplat.fronts.viewing.suggestions import suggestions
 from drsplat.query import Scene
 from scenes import look_at_view, random_gaussians
 from viewing_scenes import CENTERS, EACH, THINGS, boxes_scene

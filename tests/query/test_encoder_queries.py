@@ -14,7 +14,7 @@ from drsplat import Answer, Query, Scene
 from drsplat.cli import main
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.field import LanguageField, build_field
-from drsplat.fronts.commands.query_inputs import read_picture
+from drsplat.fronts.commands.query_options import read_picture
 from drsplat.photos.models.loading import load_encoder
 from drsplat.photos.models.word_list import list_vectors
 from drsplat.query.contrast import contrast

@@ -17,11 +17,9 @@ pytest.importorskip("httpx", reason="httpx, which the tests ask with, is not ins
 import httpx
 
 from drsplat.fronts.viewing.bare import is_bare, open_bare
-from drsplat.fronts.viewing.listening import listening_socket
 from drsplat.fronts.viewing.live.app import create_app
-from drsplat.fronts.viewing.live.gate import Gate
-from drsplat.fronts.viewing.live.shared import Shared
-from drsplat.fronts.viewing.live.shelf import Shelf
+from drsplat.fronts.viewing.live.service import Gate, listening_socket
+from drsplat.fronts.viewing.live.shared import Shared, Shelf
 from drsplat.fronts.viewing.live.turns import Lanes
 from drsplat.fronts.viewing.live.uploads import UploadLimits, Uploads
 from drsplat.fronts.viewing.saving import Saves

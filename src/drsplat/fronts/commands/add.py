@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from ...errors import InputError
 from .changes import FieldToChange, answer_of, field_and_scene, show_change
-from .declaring import flag, option, part
+from .declaring import Facts, declaration, flag, option, part
 from .kinds import finite, words
 from .options import Photos, Verb, capture, features, invert_masks
 
@@ -30,10 +30,10 @@ EXAMPLES = """\
 CAPTURE may hold all views or only the new ones. Views that have features and are not in the field yet are added,
 except those that were removed or left out before: --views adds them. The settings of the registration come from the
 field. To resume a stopped run, give the same command again."""
-DAILY = ("scene", "features", "views", "watch")
+DAILY = "scene features views watch"
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -60,8 +60,7 @@ class Options(Verb):
         return self.photos.views(self.capture, self.invert_masks)
 
 
-def run(options: Options) -> dict[str, Any]:
-    from ...errors import InputError
+def run(options: Options) -> Facts:
 
     if options.watch and options.replace:
         raise InputError("--watch adds views and compares none: drop --replace, and give it afterwards")
@@ -76,7 +75,7 @@ def run(options: Options) -> dict[str, Any]:
     return answer_of(_added(options, path, scene, _views_to_add(options, views, features), features), path)
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     changed = answer["added"] or answer["replaced"]
     show_change(answer, f"{'added to' if changed else 'nothing to add to'} {answer['field']}")
     if not changed and answer["num_views_unchanged"]:
@@ -118,7 +117,7 @@ def _added(
     )  # fmt: skip
 
 
-def _watched(options: Options, path: Path, scene: Gaussians | Moving) -> dict[str, Any]:
+def _watched(options: Options, path: Path, scene: Gaussians | Moving) -> Facts:
     """Add batch after batch; what is told in the end is of all together."""
     from ... import load_field
     from ...field.growing.changing import kept_out

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from .declaring import argument, option
+from .declaring import Facts, argument, declaration, option
 from .kinds import finite, length
 from .options import Verb, invert_masks, overwrite
+from .tables import show_facts, show_table, size_text, text_of
 
 if TYPE_CHECKING:
     from ...base.progress import Meter
@@ -31,7 +31,7 @@ SIZE = "metric scale (default: from the photos' GPS, else lengths have no unit)"
 LENSES = ("pinhole", "radial", "opencv", "fisheye")
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -67,7 +67,7 @@ class Options(Verb):
         )
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from ...base.system import peak_memory_bytes
     from ...photos.capture.capturing import capture
 
@@ -132,8 +132,7 @@ def interrupted(options: Options) -> str:
     return f"what is done is kept in {options.output}: give the same command again to go on"
 
 
-def show(answer: dict[str, Any]) -> None:
-    from .tables import show_facts, show_table, size_text, text_of
+def show(answer: Facts) -> None:
 
     registered, photos = answer["num_registered"], answer["num_photos"]
     residual = answer["gps_residual_m"]
@@ -155,7 +154,6 @@ def show(answer: dict[str, Any]) -> None:
 
 
 def _frames_text(counts: dict[str, int]) -> str:
-    from .tables import text_of
 
     return (
         f"{text_of(counts['num_chosen'])} of {text_of(counts['num_frames'])} became photos, "

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from ...base.terminal import counted
+from ...errors import InputError
 from ...query.schema import Place, fields
-from .declaring import argument, option, part
+from .declaring import Facts, argument, declaration, option, part
 from .edit_options import note_own_scenes
 from .kinds import up_to, words
 from .options import Encoders, Verb, new_output, overwrite
-from .query_inputs import numbers
-from .query_options import asked, query_of
+from .query_options import asked, numbers, query_of
 from .tables import show_table, text_of
 
 if TYPE_CHECKING:
@@ -34,7 +33,7 @@ EXAMPLES = """\
 A scene is a folder as for `drsplat serve`, with objects (`drsplat objects` finds them), or a field alone; adding it
 again replaces its entries. Needs LanceDB: pip install "drsplat[catalogue]". `index` makes searches over more than
 100,000 objects fast."""
-DAILY = ("name", "top", "exclude", "scene", "picture", "encoder")
+DAILY = "name top exclude scene picture encoder"
 ACTIONS = ("add", "remove", "list", "ask", "index")
 MAX_MATCHES = 1000
 STATES = {
@@ -43,7 +42,7 @@ STATES = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -74,7 +73,7 @@ class Options(Verb):
     encoders: Encoders = part(Encoders)
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from ...query.catalogue import Catalogue
 
     _check(options)
@@ -82,13 +81,12 @@ def run(options: Options) -> dict[str, Any]:
     return {"catalogue": options.catalogue, "action": options.action, **_BY_ACTION[options.action][0](options, opened)}
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     _BY_ACTION[answer["action"]][1](answer)
 
 
 def _check(options: Options) -> None:
     """Check all that can be known to be wrong before any work is done."""
-    from ...errors import InputError
 
     wanted = {"add": "folders of scenes", "remove": "names of scenes"}.get(options.action)
     if wanted and not options.given:
@@ -103,7 +101,7 @@ def _check(options: Options) -> None:
         raise InputError(f"--picture: there is no folder for {options.picture}: make it first")
 
 
-def _add(options: Options, catalogue: Catalogue) -> dict[str, Any]:
+def _add(options: Options, catalogue: Catalogue) -> Facts:
     from ...query.opening import scene_files
 
     note_own_scenes(map(Path, options.given))
@@ -118,12 +116,12 @@ def _add(options: Options, catalogue: Catalogue) -> dict[str, Any]:
     }
 
 
-def _remove(options: Options, catalogue: Catalogue) -> dict[str, Any]:
+def _remove(options: Options, catalogue: Catalogue) -> Facts:
     removed = {name: catalogue.remove(name) for name in options.given}
     return {"removed": removed, "num_objects": len(catalogue)}
 
 
-def _list(_: Options, catalogue: Catalogue) -> dict[str, Any]:
+def _list(_: Options, catalogue: Catalogue) -> Facts:
     from ...scene.encoders import identity_text
 
     scenes = catalogue.scenes()
@@ -134,11 +132,11 @@ def _list(_: Options, catalogue: Catalogue) -> dict[str, Any]:
     }
 
 
-def _index(_: Options, catalogue: Catalogue) -> dict[str, Any]:
+def _index(_: Options, catalogue: Catalogue) -> Facts:
     return {"num_objects": catalogue.build_index()}
 
 
-def _ask(options: Options, catalogue: Catalogue) -> dict[str, Any]:
+def _ask(options: Options, catalogue: Catalogue) -> Facts:
     from ...drawing.pictures import write_picture
     from ...query.catalogue import Conditions
     from ...query.catalogue.sheets import entry_sheet
@@ -156,7 +154,7 @@ def _ask(options: Options, catalogue: Catalogue) -> dict[str, Any]:
     return {"query": said, **answer.json(), "matches": [entry.json() for entry in answer.entries], "picture": drawn}
 
 
-def _scene_json(one: Any) -> dict[str, Any]:
+def _scene_json(one: Any) -> Facts:
     return {**vars(one), "added": one.added.isoformat()}
 
 
@@ -167,8 +165,6 @@ def _moment(text: str | None) -> datetime | None:
     """
     from datetime import datetime
 
-    from ...errors import InputError
-
     if text is None:
         return None
     try:
@@ -177,7 +173,7 @@ def _moment(text: str | None) -> datetime | None:
         raise InputError(f"--since {text}: expected a time, e.g. 2026-11-22 or 2026-11-22T14:00") from None
 
 
-def _show_add(answer: dict[str, Any]) -> None:
+def _show_add(answer: Facts) -> None:
     for one in answer["scenes"]:
         agreed = (
             f", {text_of(one['num_agreed'])} that photos agree on" if one["num_agreed"] < one["num_objects"] else ""
@@ -188,7 +184,7 @@ def _show_add(answer: dict[str, Any]) -> None:
         print(f"Every query compares all of them: drsplat catalogue index {answer['catalogue']}")
 
 
-def _show_remove(answer: dict[str, Any]) -> None:
+def _show_remove(answer: Facts) -> None:
     for name, number in answer["removed"].items():
         if number is None:
             print(f"'{name}' was removed before")
@@ -197,7 +193,7 @@ def _show_remove(answer: dict[str, Any]) -> None:
     print(f"{answer['catalogue']} has {counted(answer['num_objects'], 'object')}")
 
 
-def _show_list(answer: dict[str, Any]) -> None:
+def _show_list(answer: Facts) -> None:
     number = counted(len(answer["scenes"]), "scene")
     title = f"{number}, {counted(answer['num_objects'], 'object')}; words by {answer['encoder']}"
     rows = [
@@ -214,7 +210,7 @@ def _show_list(answer: dict[str, Any]) -> None:
     show_table(title, ("scene", "objects", "agreed on", "added", "state", "folder"), rows)
 
 
-def _show_ask(answer: dict[str, Any]) -> None:
+def _show_ask(answer: Facts) -> None:
     compared = counted(answer["num_compared"], "object")
     how = f"{answer['measure']}, threshold {answer['threshold']:.4g}; {compared} compared"
     show_table(
@@ -230,13 +226,13 @@ def _show_ask(answer: dict[str, Any]) -> None:
         print(f"written to {answer['picture']}")
 
 
-def _row(one: dict[str, Any]) -> tuple[str, ...]:
+def _row(one: Facts) -> tuple[str, ...]:
     places = (" ".join(f"{x:.2f}" for x in one[key]) for key in ("center", "extent"))
     name, photo = one["label"] or one["name"] or "", one["photo"] or ""
     return one["scene"], str(one["object_id"]), name, f"{one['score']:.3f}", *places, photo
 
 
-def _show_index(answer: dict[str, Any]) -> None:
+def _show_index(answer: Facts) -> None:
     print(f"indexed {counted(answer['num_objects'], 'object')}")
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from .declaring import argument, option
+from ...errors import InputError
+from .declaring import Facts, argument, declaration, option
 from .query_options import FIELD_HELP
 
 if TYPE_CHECKING:
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ...scene.moving import Moving
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class FieldToChange:
     """The field of a scene that registered it."""
 
@@ -28,7 +28,6 @@ def field_and_scene(given: FieldToChange) -> tuple[Path, Gaussians | Moving]:
 
     Raises: InputError: no such field, or no scene is given or beside it; as `read_scene`.
     """
-    from ...errors import InputError
     from ...formats.moving_scenes import read_scene
     from ...query.opening import registered_scene, scene_files
 
@@ -40,7 +39,7 @@ def field_and_scene(given: FieldToChange) -> tuple[Path, Gaussians | Moving]:
     return files.field, registered_scene(files)[1]
 
 
-def answer_of(change: Change, path: Path) -> dict[str, Any]:
+def answer_of(change: Change, path: Path) -> Facts:
     """Return what has changed, and the new totals."""
     from ...base.system import peak_memory_bytes
     from ...field.labels import LabelFile, matched
@@ -72,7 +71,7 @@ def answer_of(change: Change, path: Path) -> dict[str, Any]:
     }
 
 
-def show_change(answer: dict[str, Any], title: str) -> None:
+def show_change(answer: Facts, title: str) -> None:
     from .tables import show_facts, size_text, text_of
 
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in answer["stage_seconds"].items())
@@ -82,8 +81,8 @@ def show_change(answer: dict[str, Any], title: str) -> None:
             f"{text_of(answer['num_touched'])}; {text_of(answer['num_coded'])} coded again"
         )
     facts |= {
-        "views": text_of(answer["num_views"]),
-        "masks": text_of(answer["num_masks"]),
+        "views": answer["num_views"],
+        "masks": answer["num_masks"],
         "Gaussians": f"{text_of(answer['num_registered'])} of {text_of(answer['num_gaussians'])}",
         "field": size_text(answer["field_bytes"]),
         "time": f"{answer['seconds']:.1f} s ({stages})",

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from .declaring import Facts
 
 if TYPE_CHECKING:
     from ...field.codes import Code, Codebook
 
 
-def code_facts(code: Code) -> dict[str, Any]:
+def code_facts(code: Code) -> Facts:
     """Return kind and bytes of a code, and what it is made of."""
     from ...field.codes import PQCode
     from ...field.codes.mixture import MixtureCode
 
     if isinstance(code, PQCode):
         return {"code": code.kind, **codebook_facts(code.codebook)}
-    facts: dict[str, Any] = {"code": code.kind}
+    facts: Facts = {"code": code.kind}
     if isinstance(code, MixtureCode):
         facts |= {
             "atoms_per_row": code.atoms_per_row,
@@ -25,7 +27,7 @@ def code_facts(code: Code) -> dict[str, Any]:
     return facts
 
 
-def codebook_facts(codebook: Codebook) -> dict[str, Any]:
+def codebook_facts(codebook: Codebook) -> Facts:
     """Return a codebook's hash, and the sizes of its codes."""
     coarse = codebook.coarse
     return {

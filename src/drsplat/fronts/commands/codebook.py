@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from .declaring import argument, option
+from ...errors import FormatError, InputError
+from .declaring import Facts, argument, declaration, option
 from .embed import DEFAULT_ENCODER, ENCODER_HELP, image_encoder, models_device
 from .kinds import count, count_or_all, whole, words
 from .options import Verb, overwrite
@@ -26,12 +26,12 @@ EXAMPLES = """\
       --output scene.field
 
 To resume a stopped run, give the same command again. drsplat inspect describes a codebook."""
-DAILY = ("output", "lvis", "images", "encoder_name", "overwrite")
+DAILY = "output lvis images encoder_name overwrite"
 DEFAULT_PATCHES = 17_500  # 64 for each of 256 centroids to train on, and 5 % held out
 HELD_OUT_SHARE, MAX_HELD_OUT_ROWS = 0.05, 10_000
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -62,10 +62,9 @@ class Options(Verb):
     seed: int = option("random seed (default: 0)", "N", whole, 0, title="method")
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from ...base.progress import Stopwatch
     from ...base.system import peak_memory_bytes
-    from ...errors import InputError
     from ...field.codes import load_codebook, save_codebook
 
     output = new_or_complete(options.output, options.overwrite, ".safetensors")
@@ -103,7 +102,7 @@ def run(options: Options) -> dict[str, Any]:
     }
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     from ...base.terminal import counted
     from .tables import show_facts, size_text, text_of
 
@@ -111,7 +110,7 @@ def show(answer: dict[str, Any]) -> None:
     facts = {
         "encoder": f"{answer['encoder']} ({answer['dim']}-d)",
         "codes": f"{answer['num_subvectors']} bytes",
-        "embeddings": text_of(answer["num_embeddings"]),
+        "embeddings": answer["num_embeddings"],
         "cosine": f"{answer['held_out_cosine']:.4f} on average, {answer['held_out_cosine_worst']:.4f} at worst, of "
         f"{text_of(held_out)} held out" if held_out else "not measured: one embedding",
         "time": ", ".join(f"{name} {s:.1f} s" for name, s in answer["stage_seconds"].items()),
@@ -124,7 +123,6 @@ def show(answer: dict[str, Any]) -> None:
 
 
 def _embedded(options: Options, parts: Path) -> tuple[np.ndarray, EncoderIdentity, dict[str, int]]:
-    from ...errors import InputError
     from ...formats.lvis import read_annotations
     from ...photos.embedding.patches import embed_patches, find_patches
 
@@ -144,7 +142,6 @@ def _embedded(options: Options, parts: Path) -> tuple[np.ndarray, EncoderIdentit
 
 def _training_rows(path: str, encoder: str | None) -> tuple[np.ndarray, EncoderIdentity, dict[str, int]]:
     from ... import EncoderIdentity
-    from ...errors import FormatError, InputError
     from ...formats.npy import map_npy
 
     if encoder is None:

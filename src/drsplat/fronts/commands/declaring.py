@@ -1,6 +1,6 @@
 """Options of verbs as fields of dataclasses: each is declared once, and the parser, help and settings follow from it.
 
-    @dataclass(frozen=True, kw_only=True)
+    @declaration
     class Options(Verb):
         scene: str = argument("scene that was registered")
         topk: int = option("Gaussians per pixel (default: 40)", "K", count, 40)
@@ -15,10 +15,18 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import field, fields, is_dataclass
-from typing import Any, NamedTuple, TypeVar
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any, NamedTuple, TypeVar, dataclass_transform
 
 T = TypeVar("T")
+Facts = dict[str, Any]
+"""Answer of a verb, by name: a JSON object, but for NumPy's numbers and arrays, and paths."""
+
+
+@dataclass_transform(frozen_default=True, kw_only_default=True)
+def declaration(declared: type[T]) -> type[T]:
+    """Make a class of options a dataclass."""
+    return dataclass(frozen=True, kw_only=True)(declared)
 
 
 class Item(NamedTuple):

@@ -1,10 +1,9 @@
 """drsplat demo: photos to answers, on a small scene that ships."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .declaring import option
+from .declaring import Facts, declaration, option
 from .options import Verb, overwrite
 
 EXAMPLES = """\
@@ -20,7 +19,7 @@ CAPTION = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -31,7 +30,7 @@ class Options(Verb):
     overwrite: bool = overwrite()
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from ...evaluation.demo.household import resumable
 
     folder = Path(options.output_dir)
@@ -45,7 +44,7 @@ def interrupted(options: Options) -> str:
     return f"the photos embedded so far are kept in {options.output_dir}: give the same command again{again} to go on"
 
 
-def _run_story(options: Options, folder: Path) -> dict[str, Any]:
+def _run_story(options: Options, folder: Path) -> Facts:
     from ...base.progress import Stopwatch
     from ...base.system import peak_memory_bytes
     from ...evaluation.demo.album import write_album
@@ -80,7 +79,7 @@ def _run_story(options: Options, folder: Path) -> dict[str, Any]:
     }
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     from rich.console import Console
 
     from .tables import show_table, size_text, text_of
@@ -100,7 +99,7 @@ def show(answer: dict[str, Any]) -> None:
     Console(highlight=False, markup=False).print(f"\n{answer['caption']}", style="dim")
 
 
-def _row(query: dict[str, Any]) -> tuple[str, ...]:
+def _row(query: Facts) -> tuple[str, ...]:
     from ...base.terminal import counted
 
     matches = counted(query["num_matches"], "match", "matches")
@@ -112,7 +111,7 @@ def _row(query: dict[str, Any]) -> tuple[str, ...]:
     )  # fmt: skip
 
 
-def _query(verdict: Any, picture: Path) -> dict[str, Any]:
+def _query(verdict: Any, picture: Path) -> Facts:
     return {
         "text": verdict.probe.text,
         "expected": list(verdict.probe.meant),

@@ -7,12 +7,11 @@ import os
 import platform
 import subprocess
 import sys
-from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
-from typing import Any
 
+from .declaring import Facts, declaration
 from .options import Verb
 
 EXAMPLES = """\
@@ -55,12 +54,12 @@ CACHE_TEXTS = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb: none of its own."""
 
 
-def run(_: Options) -> dict[str, Any]:
+def run(_: Options) -> Facts:
     from ...photos.models.devices import has_fast_bfloat16
 
     asked = _start_probe()  # the slowest: importing torch; the rest is done meanwhile
@@ -74,12 +73,12 @@ def run(_: Options) -> dict[str, Any]:
         "models": _models(),
     }
     facts = _probed(asked)
-    devices: dict[str, Any] = {"cpu_cores": os.cpu_count(), "cpu_bfloat16": has_fast_bfloat16()}
+    devices: Facts = {"cpu_cores": os.cpu_count(), "cpu_bfloat16": has_fast_bfloat16()}
     devices |= {"cuda": _gpus(facts), "mps": facts.get("mps", False)}
     return {**answer, "devices": devices, "can": abilities(facts)}
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     from .tables import show_facts, show_table
 
     native, devices = answer["native"], answer["devices"]
@@ -106,7 +105,7 @@ def show(answer: dict[str, Any]) -> None:
                 print(f"      {line}")
 
 
-def abilities(facts: dict[str, Any]) -> dict[str, dict[str, Any]]:
+def abilities(facts: Facts) -> dict[str, Facts]:
     """Return what can run: ready, else the reason, and what to do about it.
 
     facts: as `probe` gives them; empty where torch is not installed.
@@ -126,7 +125,7 @@ def _no_extra(extra: str, modules: tuple[str, ...]) -> tuple[str | None, str | N
     return f"not installed: {', '.join(absent)}", f'pip install "drsplat[{extra}]"'
 
 
-def _ability(reason: str | None, cure: str | None) -> dict[str, Any]:
+def _ability(reason: str | None, cure: str | None) -> Facts:
     return {"ready": reason is None, "reason": reason, "cure": cure}
 
 
@@ -137,7 +136,7 @@ def _no_cuda() -> str | None:
     return unavailable()
 
 
-def _gpus(facts: dict[str, Any]) -> list[str]:
+def _gpus(facts: Facts) -> list[str]:
     """Return the CUDA GPUs that torch finds, or else CuPy."""
     if facts.get("cuda") or _no_cuda() is not None:
         return list(facts.get("cuda", []))
@@ -145,7 +144,7 @@ def _gpus(facts: dict[str, Any]) -> list[str]:
     return [runtime.getDeviceProperties(index)["name"].decode() for index in range(runtime.getDeviceCount())]
 
 
-def _no_models(facts: dict[str, Any]) -> tuple[str | None, str | None]:
+def _no_models(facts: Facts) -> tuple[str | None, str | None]:
     """Return why SAM and CLIP cannot run, and the cure."""
     from ...photos.models.libraries import INSTALL, NO_TORCHVISION
 
@@ -163,7 +162,7 @@ def _no_models(facts: dict[str, Any]) -> tuple[str | None, str | None]:
     return None, None
 
 
-def probe() -> dict[str, Any]:
+def probe() -> Facts:
     """Return what only importing torch can tell."""
     from ...photos.models.probing import torch_facts
 
@@ -176,7 +175,7 @@ def _start_probe() -> subprocess.Popen[str] | None:
     return subprocess.Popen([sys.executable, "-c", _PROBE], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def _probed(asked: subprocess.Popen[str] | None) -> dict[str, Any]:
+def _probed(asked: subprocess.Popen[str] | None) -> Facts:
     """Return the answer of a process, its last line; one that died says why in its own last line."""
     if asked is None:
         return {}
@@ -194,13 +193,13 @@ def _probed(asked: subprocess.Popen[str] | None) -> dict[str, Any]:
     return facts if isinstance(facts, dict) else {}
 
 
-def _native() -> dict[str, Any]:
+def _native() -> Facts:
     from ...kernels import available_isas, default_isa
 
     return {"instruction_sets": list(available_isas()), "chosen": default_isa()}
 
 
-def _models() -> dict[str, dict[str, Any]]:
+def _models() -> dict[str, Facts]:
     """Return the purpose of each default model, and whether it is here (None: cannot be told), by id."""
     from ...photos.models.pretrained import cached_in_full
 

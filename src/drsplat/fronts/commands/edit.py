@@ -9,8 +9,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ...errors import FormatError, InputError
 from ...query.schema import CUT, EXCLUDE, SUBJECTS
-from .declaring import argument, option, part
+from .declaring import Facts, argument, declaration, option, part
 from .edit_options import Changes, Listed, Targets, kept_edits, note_applied, note_left_out, only_one
 from .kinds import words
 from .options import Encoders, Photos, Verb, overwrite
@@ -44,28 +45,13 @@ without a change writes the scene with all kept edits. --save with a change writ
 and keeps nothing; with --edits kept, the change is applied after the kept edits and kept too. Saved scenes have a
 column object_id if the field has objects; every verb, and SuperSplat, open them. Annotations are kept in
 NAME.annotations.json."""
-DAILY = (
-    "field",
-    "text",
-    "object",
-    "everything",
-    "remove",
-    "recolour",
-    "move",
-    "turn",
-    "scale",
-    "list",
-    "undo",
-    "save",
-    "picture",
-    "overwrite",
-)
+DAILY = "field text object everything remove recolour move turn scale list undo save picture overwrite"
 USAGE = "%(prog)s SCENE [--field FIELD] [what] [change ...] [options]"
 QUERIES = tuple(field.name for field in SUBJECTS)
 TARGETS = (*QUERIES, "object", "label", "box", "rows", "copies", "everything")
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -96,7 +82,7 @@ class Options(Verb):
         return {**vars(self.target), **self.others, **self.cut}
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from ... import write_gaussians
     from ...authoring.editing import EditList
     from ...authoring.editing.kept import without_kept
@@ -146,7 +132,7 @@ def run(options: Options) -> dict[str, Any]:
     }
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     from ...base.terminal import counted
     from .tables import show_table
 
@@ -169,7 +155,7 @@ def show(answer: dict[str, Any]) -> None:
         print(f"The scene's file is unchanged: {call} applies the kept edits.")
 
 
-def _edits_json(listed: EditList) -> list[dict[str, Any]]:
+def _edits_json(listed: EditList) -> list[Facts]:
     from ...authoring.editing.stored import NAMES
 
     return [
@@ -178,7 +164,7 @@ def _edits_json(listed: EditList) -> list[dict[str, Any]]:
     ]
 
 
-def _annotation_json(one: Annotation) -> dict[str, Any]:
+def _annotation_json(one: Annotation) -> Facts:
     box = {} if one.outline is None else {"extent": one.outline.extent, "axes": one.outline.axes}
     return {"text": one.text, "center": one.center} | box
 
@@ -221,7 +207,6 @@ class _Work:
 
     @property
     def scene(self) -> Scene:
-        from ...errors import InputError
 
         if self.opened is None:
             raise InputError("queries, objects and labels need the field of the scene: pass field=FIELD")
@@ -250,7 +235,6 @@ class _Work:
 
         from ...authoring.editing import Box, Copies, Everything, Rows
         from ...authoring.editing.resolving import label_rows, object_rows, query_rows
-        from ...errors import InputError
         from ...formats.npy import map_npy
 
         given = self.options.asked
@@ -282,7 +266,6 @@ class _Work:
         """
         from ...authoring.editing import Edit
         from ...authoring.editing.edits import recorded
-        from ...errors import InputError
 
         options, undo, redo = self.options, self.options.listed.undo, self.options.listed.redo
         changes = options.change.changes or ()
@@ -310,7 +293,7 @@ class _Work:
         from ...authoring import editing
         from ...authoring.editing.colouring import color_of
         from ...authoring.editing.making import replaced_by, scaled_on_its_foot
-        from .query_inputs import read_picture
+        from .query_options import read_picture
 
         change = self.options.change
         match name:
@@ -349,7 +332,6 @@ class _Work:
     @property
     def _needed_up(self) -> np.ndarray:
         """Raises: InputError: nothing tells."""
-        from ...errors import InputError
 
         if self._up is None:
             raise InputError("nothing tells which way is up: pass up=DIRECTION, e.g. --up +z, or views=CAPTURE")
@@ -364,7 +346,6 @@ class _Work:
         """
         import numpy as np
 
-        from ...errors import InputError
         from ...formats.annotations import without
         from ...kernels.boxes import box_of
         from ...scene.annotations import Annotation
@@ -400,7 +381,6 @@ class _Work:
         from ...authoring.editing.pictures import before_after
         from ...authoring.editing.targets import Rows
         from ...drawing.pictures import write_picture
-        from ...errors import InputError
 
         scene, last = self.posed, edits.active[-1] if edits.active else None
         if scene is None:
@@ -415,8 +395,6 @@ class _Work:
 
 def _row_numbers(array: np.ndarray, path: str) -> np.ndarray:
     import numpy as np
-
-    from ...errors import FormatError
 
     if array.ndim != 1 or array.dtype.kind not in "iu" or not len(array):
         raise FormatError(f"{path}: expected whole numbers (m,), got {array.dtype} {array.shape}")

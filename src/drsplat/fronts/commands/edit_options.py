@@ -5,11 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ...base.terminal import counted, quoted
-from .declaring import Item, flag, option, several
+from ...errors import DrSplatError, InputError
+from .declaring import Item, declaration, flag, option, several
 from .kinds import count, finite, length, whole, words
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class _Axis(argparse.Action):
             raise argparse.ArgumentError(self, f"expected x, y, z or three numbers, got {quoted(' '.join(values))}")
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Targets:
     """Target of an edit."""
 
@@ -95,7 +95,7 @@ CHANGES = (
 )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Changes:
     """How the target is changed: names and values in the order of the line, and how some of them are meant."""
 
@@ -109,7 +109,7 @@ class Changes:
     up: str | None = option("axis that points up, +x to -z (default: from the orientation of the photos)", "+z")
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Listed:
     """Work on the kept edits and annotations."""
 
@@ -158,7 +158,6 @@ def note_own_scene(path: str | Path | None, gaussians: AnyGaussians | None) -> N
 def note_own_scenes(folders: Iterable[Path]) -> None:
     """Report on stderr which scenes have kept edits that answers on their own files lack."""
     from ...authoring.editing import EditFile
-    from ...errors import DrSplatError
     from ...formats.photo_files import listed
     from ...query.opening import scene_files
 
@@ -203,7 +202,6 @@ def _note(text: str) -> None:
 
 def only_one(given: Mapping[str, Any], names: Iterable[str]) -> str | None:
     """Return which of some options was given. Raises: InputError: several."""
-    from ...errors import InputError
 
     named = [name for name in names if given[name] is not None and given[name] is not False]
     if len(named) > 1:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .declaring import flag, option, part
+from ...errors import InputError
+from .declaring import Facts, declaration, flag, option, part
 from .kinds import count, up_to, words
 from .leaving_out import left_out, without
 from .options import DEVICES, Photos, Verb, capture, invert_masks, overwrite
@@ -31,7 +31,7 @@ EXAMPLES = """\
   drsplat embed capture --masks capture/language_features --encoder facebook/dinov2-base --output capture/dinov2
 
 To resume a stopped run, give the same command again without --overwrite."""
-DAILY = ("output", "segmenter", "encoder", "scene", "device", "overwrite")
+DAILY = "output segmenter encoder scene device overwrite"
 DEFAULT_SEGMENTER = "facebook/sam-vit-huge"
 DEFAULT_ENCODER = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 ENCODER_HELP = (
@@ -60,7 +60,7 @@ def models_device(title: str = "") -> Any:
     )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Cutting:
     """How photos are cut into masks."""
 
@@ -85,7 +85,7 @@ class Cutting:
     )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class WithScene:
     """Work that the scene of the photos spares."""
 
@@ -107,7 +107,6 @@ class WithScene:
 
         Raises: InputError: one is needed, or it moves.
         """
-        from ...errors import InputError
         from ...formats.scenes import read_gaussians
 
         if self.scene is not None:
@@ -118,7 +117,7 @@ class WithScene:
         return None
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -159,7 +158,6 @@ class Options(Verb):
     @property
     def point_settings(self) -> PointMaskSettings | None:
         """Settings of SAM; None for `graph`. Raises: InputError: options of SAM for `graph`."""
-        from ...errors import InputError
         from ...photos.models.graph import GraphSegmenter
         from ...photos.models.point_masks import PointMaskSettings
 
@@ -178,7 +176,7 @@ class Options(Verb):
         return None
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from ...base.progress import Stopwatch
     from ...base.system import peak_memory_bytes
     from ...scene.views import pictures_kind
@@ -239,7 +237,6 @@ def _embedded(
     scene: Gaussians | None,
 ) -> EmbeddingReport:
     """Embed the crops of --crops. Raises: InputError: --masks keeps masks that are embedded one by one."""
-    from ...errors import InputError
     from ...photos.embedding.embed import embed
     from ...photos.embedding.objects_first import embed_objects
     from ...scene.masks.masks import Segmenter
@@ -261,7 +258,7 @@ def interrupted(options: Options) -> str:
     return f"the photos embedded so far are kept in {options.folder}: give the same command again{again} to go on"
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     from ...base.terminal import counted
     from .tables import show_facts, size_text, text_of
 
@@ -273,8 +270,8 @@ def show(answer: dict[str, Any]) -> None:
             answer["pictures"]: f"{text_of(answer['num_photos'])} ({reused} from an earlier run{anew})",
             "not chosen": _not_chosen(answer),
             "masks": f"{text_of(answer['num_masks'])} ({text_of(answer['masks_per_level'])})",
-            "embedded crops": text_of(answer["num_crops"]),
-            "empty masks": text_of(answer["num_empty_masks"]),
+            "embedded crops": answer["num_crops"],
+            "empty masks": answer["num_empty_masks"],
             "encoder": f"{answer['encoder']} ({answer['dim']}-d)",
             "time": f"{answer['seconds']:.1f} s for {counted(made, 'photo')}",
             "peak memory": size_text(answer["peak_memory_bytes"]),
@@ -282,7 +279,7 @@ def show(answer: dict[str, Any]) -> None:
     )
 
 
-def _not_chosen(answer: dict[str, Any]) -> str:
+def _not_chosen(answer: Facts) -> str:
     if answer["seen_share"] is None:
         return "none: all photos are embedded"
     return f"{answer['num_photos_not_chosen']:,} photos; the chosen ones show {answer['seen_share']:.0%} of what all do"
@@ -291,7 +288,6 @@ def _not_chosen(answer: dict[str, Any]) -> str:
 def _segmenter(options: Options) -> Segmenter | FeatureFolder:
     """Return the segmenter of --segmenter, or the masks of --masks. Raises: InputError: both were given."""
     from ... import read_features
-    from ...errors import InputError
     from ...photos.models.sam import load_segmenter
 
     if options.masks is None:
@@ -307,7 +303,6 @@ def _segmenter(options: Options) -> Segmenter | FeatureFolder:
 
 def image_encoder(name: str, device: str, threads: int) -> ImageEncoder:
     """Return an encoder of pictures. Raises: InputError: it embeds words only."""
-    from ...errors import InputError
     from ...photos.models.loading import load_encoder
     from ...scene.encoders import ImageEncoder
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from .declaring import argument, flag, option, part
+from ...errors import InputError
+from .declaring import Facts, argument, declaration, flag, option, part
 from .kinds import finite, length, whole, words
 from .leaving_out import left_out, without
 from .options import Encoders, Verb, overwrite
@@ -29,10 +29,10 @@ EXAMPLES = """\
 Predictions are written to REPORT/predictions and scored from there. Leave the labelled photos out when you register
 (the report says whether you did). Tables give results with a fixed threshold, chosen without these scenes, and with
 one tuned on them, as in the papers: never compare one with the other."""
-DAILY = ("name", "scene", "field", "report", "threshold", "encoder", "overwrite")
+DAILY = "name scene field report threshold encoder overwrite"
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Scenes:
     """Scenes that are judged: lists with a value for each scene."""
 
@@ -51,7 +51,7 @@ class Scenes:
     )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -91,7 +91,7 @@ def device(options: Options) -> str:
     return options.encoders.for_kernels
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from ... import evaluate
     from ...evaluation.label_sets import label_set
     from ...evaluation.report import without_nan
@@ -113,7 +113,7 @@ def run(options: Options) -> dict[str, Any]:
     return dict(without_nan(answer)) if options.json else answer
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     from ...evaluation.report import cell_text
     from ...evaluation.tables import pictures_note, tables_of
     from .tables import show_table
@@ -129,7 +129,6 @@ def show(answer: dict[str, Any]) -> None:
 def _check(options: Options) -> None:
     """Check what can be checked before any work is done."""
     from ...base.terminal import counted
-    from ...errors import InputError
 
     data, scenes, count = Path(options.data), options.scenes, len(options.scenes.scene)
     if not data.is_dir() or (options.in_photos and not (data / "label").is_dir()):
@@ -158,7 +157,6 @@ def _check(options: Options) -> None:
 
 def _names(options: Options) -> list[str]:
     """Return the folder names of the scenes. Raises: InputError: none is given, and there is not exactly one."""
-    from ...errors import InputError
 
     if options.scenes.name:
         return options.scenes.name

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
+from ...errors import InputError
 from ...query.schema import CUT, EXCLUDE, SUBJECTS
-from .declaring import argument, flag, option, part
+from .declaring import Facts, argument, declaration, flag, option, part
 from .edit_options import kept_edits, note_applied, note_left_out, only_one
 from .kinds import finite, whole, words
 from .options import Encoders, Photos, Verb, new_output, overwrite
@@ -38,12 +39,12 @@ A .glb has a table of the objects (number, name, score, box, group) and the obje
 also the relevancy of each Gaussian, and the matches as named nodes. Other formats hold what they can, and the
 command reports what they omit. Objects come from `drsplat objects`: run it first if the field has none. Kept edits
 are applied, and annotations are written too."""
-DAILY = ("output", "field", "scene", "text", "only", "object", "label", "edits", "overwrite")
+DAILY = "output field scene text only object label edits overwrite"
 QUERIES = tuple(field.name for field in SUBJECTS)
 SUFFIXES = ".glb, .ply, .rrd, .sog, .spz, .usda, .usdc, .usdz, DIR/lod-meta.json (streamed SOG)"
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Content:
     """Content that is written of a scene."""
 
@@ -62,7 +63,7 @@ class Content:
     edits: KeptEdits | None = kept_edits("kept")
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -100,7 +101,7 @@ class Options(Verb):
         )
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from ...authoring.exporting.writing import for_8_bits, written
     from ...formats.streamed_sog import LOD_META
 
@@ -118,7 +119,7 @@ def run(options: Options) -> dict[str, Any]:
     return _report(options, scene.query or None, scene.object_of, done)
 
 
-def _report(options: Options, query: str | None, owners: np.ndarray | None, done: Exported) -> dict[str, Any]:
+def _report(options: Options, query: str | None, owners: np.ndarray | None, done: Exported) -> Facts:
     """Return what was written. owners: per Gaussian its object, -1 for none; None where there are no objects."""
     return {
         "scene": options.source,
@@ -136,7 +137,7 @@ def _report(options: Options, query: str | None, owners: np.ndarray | None, done
     }
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     from ...base.terminal import counted
 
     parts = [counted(answer["num_gaussians"], "Gaussian")]
@@ -156,7 +157,6 @@ def show(answer: dict[str, Any]) -> None:
 
 def _output(options: Options) -> Path:
     """Return the output. Raises: InputError: it cannot be written, or options that do not go together."""
-    from ...errors import InputError
     from ...formats.known import writer_of
     from ...formats.streamed_sog import LOD_META
 
@@ -196,15 +196,13 @@ def _whole_tiles(options: Options) -> Path | None:
     return tiles if options.content.edits == "none" or not EditFile.beside(tiles).num_done() else None
 
 
-def _levels_of_tiles(options: Options, output: Path, path: Path) -> dict[str, Any]:
+def _levels_of_tiles(options: Options, output: Path, path: Path) -> Facts:
     """Write levels of detail of a folder of tiles, a few of which are in memory at a time; 3D Tiles with objects."""
     from ...authoring.exporting.labelling import tiled
     from ...authoring.exporting.writing import written_streamed_sog
     from ...formats.tiles import read_tiles
 
     if options.content.fit_8bit:
-        from ...errors import InputError
-
         raise InputError("fit_8bit: the scene is cut into tiles, whose colours are written as they are")
     tiles = read_tiles(path)
     if not options.tiles3d:
@@ -221,7 +219,6 @@ def _labelled(options: Options, output: Path) -> LabelledScene:
     from ...authoring.editing.resolving import label_rows, object_rows
     from ...authoring.exporting.labelling import labelled, labelled_alone
     from ...authoring.exporting.writing import whole_motion
-    from ...errors import InputError
     from ...formats.moving_scenes import read_scene
     from ...scene.moving import canonical_of
 
@@ -252,7 +249,6 @@ def _labelled(options: Options, output: Path) -> LabelledScene:
 
 def _opened(options: Options) -> Scene | None:
     """Return the scene with its field, None for one that has none. Raises: InputError: options that need a field."""
-    from ...errors import InputError
     from ...formats.recognising import Kind, recognised
 
     source = Path(options.source)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from ...errors import InputError
 from .changes import FieldToChange, field_and_scene
-from .declaring import argument, option, part
+from .declaring import Facts, argument, declaration, option, part
 from .options import Verb, new_output, overwrite
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ scene. `field carry` matches each Gaussian by position, opacity and colour, and 
 objects and labels. It fails if more than one in a hundred Gaussians has no match."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -36,14 +36,14 @@ class Options(Verb):
     overwrite: bool = overwrite()
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from ...formats.field_folder import claimed_field
 
     with claimed_field(new_output(options.output, options.overwrite)) as output:
         return _carry(options, output)
 
 
-def _carry(options: Options, output: Path) -> dict[str, Any]:
+def _carry(options: Options, output: Path) -> Facts:
     import numpy as np
 
     from ...field import assign, carry_field, load_field
@@ -74,15 +74,15 @@ def _carry(options: Options, output: Path) -> dict[str, Any]:
     }
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     from .tables import show_facts, text_of
 
     facts = {
         "Gaussians": f"{text_of(answer['num_registered'])} with a feature of {text_of(answer['num_gaussians'])}",
-        "lost": text_of(answer["num_lost"]),
+        "lost": answer["num_lost"],
         "moved": f"{answer['median_distance']:.3g} units in the median, {answer['largest_distance']:.3g} at most, of "
         f"{answer['reach']:.3g} allowed",
-        "objects": "none" if answer["num_objects"] is None else text_of(answer["num_objects"]),
+        "objects": answer["num_objects"],
         "names": ", ".join(answer["labels"]) or "none",
     }
     show_facts(f"carried over: {answer['field']}", facts)
@@ -90,7 +90,6 @@ def show(answer: dict[str, Any]) -> None:
 
 def _still(scene: Any) -> Any:
     """Refuse a scene that moves. Raises: InputError."""
-    from ...errors import InputError
     from ...scene.gaussians import Gaussians
 
     if not isinstance(scene, Gaussians):

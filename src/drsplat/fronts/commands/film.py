@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import argparse
 import re
-from dataclasses import dataclass
 from typing import Any
 
-from .declaring import option
+from .declaring import declaration, option
 from .kinds import finite, length, whole
 
 SCENE, MATCH = "scene", "match"
@@ -34,7 +33,7 @@ def background() -> Any:
     )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Filming:
     """How a film along a path is made."""
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from .code_facts import code_facts, codebook_facts
-from .declaring import argument, flag, part
+from .declaring import Facts, argument, declaration, flag, part
 from .options import Photos, Verb
 from .recognising import kind_of, place_of
 
@@ -25,11 +24,11 @@ EXAMPLES = """\
 --verify names the damaged file and exits with code 1 if any bit of a field, tiles, a film (NAME.motion), a catalogue
 or embedded features has changed since it was written. Other kinds have no checksums; for them, it reports what it
 read."""
-DAILY = ("verify",)
+DAILY = "verify"
 PERCENTILES = (1, 50, 99)
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -41,7 +40,7 @@ class Options(Verb):
     photos: Photos = part(Photos)
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from .verifying import verified
 
     path = Path(options.path)
@@ -52,7 +51,7 @@ def run(options: Options) -> dict[str, Any]:
     return {"path": options.path, "kind": kind, **facts, **more}
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     from ...base.terminal import counted
     from .tables import show_facts
 
@@ -67,7 +66,7 @@ def show(answer: dict[str, Any]) -> None:
     show_facts(f"{answer['kind']}: {answer['path']}", facts)
 
 
-def _scene(options: Options) -> dict[str, Any]:
+def _scene(options: Options) -> Facts:
     from ...authoring.editing import EditFile
     from ...formats.moving_scenes import read_scene
     from ...scene.eight_bits import clamped_in_bytes
@@ -96,7 +95,7 @@ def _scene(options: Options) -> dict[str, Any]:
     }
 
 
-def _levels(path: Path) -> dict[str, Any]:
+def _levels(path: Path) -> Facts:
     """Return the number of Gaussians at each level of a streamed SOG, whose finest is read; {} for other scenes."""
     from ...formats.streamed_sog import LOD_META, counts_of_levels
 
@@ -105,7 +104,7 @@ def _levels(path: Path) -> dict[str, Any]:
     return {"num_gaussians_of_levels": counts_of_levels(lod_meta)} if is_streamed else {}
 
 
-def _named_objects(path: Path) -> dict[str, Any]:
+def _named_objects(path: Path) -> Facts:
     """Return the named objects that a scene file holds; {} if there are none."""
     from ...formats.glb import names_in_glb
     from ...formats.named import read_labels
@@ -121,7 +120,7 @@ def _named_objects(path: Path) -> dict[str, Any]:
     return {"num_objects": len(names), "objects": [{"id": number, "name": name} for number, name in names]}
 
 
-def _capture(options: Options) -> dict[str, Any]:
+def _capture(options: Options) -> Facts:
     from ...scene.views import pictures_kind, scenes_rendered
 
     views = options.photos.views(options.path)
@@ -149,7 +148,7 @@ def _capture(options: Options) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _features(options: Options) -> dict[str, Any]:
+def _features(options: Options) -> Facts:
     from ...formats.langsplat import read_features
     from ...photos.embedding.embed import recorded_renderings
     from ...scene.masks.masks import LEVELS
@@ -173,7 +172,7 @@ def _features(options: Options) -> dict[str, Any]:
     }
 
 
-def _field(options: Options) -> dict[str, Any]:
+def _field(options: Options) -> Facts:
     from ... import load_field
     from ...scene.views import pictures_kind, scenes_rendered
 
@@ -204,7 +203,7 @@ def _field(options: Options) -> dict[str, Any]:
     }
 
 
-def _tiles(options: Options) -> dict[str, Any]:
+def _tiles(options: Options) -> Facts:
     import numpy as np
 
     from ...formats.tiles import read_tiles
@@ -224,7 +223,7 @@ def _tiles(options: Options) -> dict[str, Any]:
     }
 
 
-def _catalogue(options: Options) -> dict[str, Any]:
+def _catalogue(options: Options) -> Facts:
     from ...query.catalogue import Catalogue
 
     catalogue = Catalogue.open(place_of(Path(options.path), "catalogue"))
@@ -239,7 +238,7 @@ def _catalogue(options: Options) -> dict[str, Any]:
     }
 
 
-def _scene_folder(options: Options) -> dict[str, Any]:
+def _scene_folder(options: Options) -> Facts:
     """Describe the parts of a folder as `drsplat view` opens it: its field, scene and capture."""
     from ... import load_field
     from ...authoring.editing import EditFile
@@ -263,7 +262,7 @@ def _scene_folder(options: Options) -> dict[str, Any]:
     }
 
 
-def _tensors(options: Options) -> dict[str, Any]:
+def _tensors(options: Options) -> Facts:
     from ...formats.tensors import map_tensors
 
     tensors, metadata = map_tensors(options.path)
@@ -274,14 +273,14 @@ def _tensors(options: Options) -> dict[str, Any]:
     }
 
 
-def _labels(options: Options) -> dict[str, Any]:
+def _labels(options: Options) -> Facts:
     from ...field.labels import LabelFile
 
     labels = LabelFile(Path(options.path)).read()
     return {"num_labels": len(labels), "names": [label.name for label in labels]}
 
 
-def _edits(options: Options) -> dict[str, Any]:
+def _edits(options: Options) -> Facts:
     from ...authoring.editing.stored import edits_of
     from ...formats.json_files import read_json
 
@@ -289,28 +288,28 @@ def _edits(options: Options) -> dict[str, Any]:
     return {"scene": listed.scene, "num_edits": len(listed.edits), "num_done": listed.done}
 
 
-def _annotations(options: Options) -> dict[str, Any]:
+def _annotations(options: Options) -> Facts:
     from ...formats.annotations import AnnotationFile
 
     annotations = AnnotationFile(Path(options.path)).read()
     return {"num_annotations": len(annotations), "texts": [annotation.text for annotation in annotations]}
 
 
-def _camera_path(options: Options) -> dict[str, Any]:
+def _camera_path(options: Options) -> Facts:
     from ...authoring.filming.path_files import read_path
 
     path = read_path(options.path)
     return {"num_key_frames": len(path.keys), "seconds": path.seconds, "fps": path.fps, "size": path.size}
 
 
-def _codebook(options: Options) -> dict[str, Any]:
+def _codebook(options: Options) -> Facts:
     from ...field.codes.official import read_codebook
 
     codebook = read_codebook(options.path)
     return {"encoder": codebook.encoder.name, "dim": codebook.dim, **codebook_facts(codebook)}
 
 
-def _vocabulary(options: Options) -> dict[str, Any]:
+def _vocabulary(options: Options) -> Facts:
     from ... import read_vocabulary
 
     vocabulary = read_vocabulary(options.path)
@@ -328,7 +327,7 @@ def _percentiles(values: np.ndarray) -> dict[str, float]:
     return {f"p{p}": float(v) for p, v in zip(PERCENTILES, np.percentile(values, PERCENTILES), strict=True)}
 
 
-_INSPECTORS: dict[str, Callable[[Options], dict[str, Any]]] = {
+_INSPECTORS: dict[str, Callable[[Options], Facts]] = {
     "scene": _scene, "capture": _capture, "features": _features, "field": _field, "codebook": _codebook,
     "vocabulary": _vocabulary, "tiles": _tiles, "catalogue": _catalogue, "scene folder": _scene_folder,
     "tensors": _tensors, "labels": _labels, "edits": _edits, "annotations": _annotations, "camera path": _camera_path,

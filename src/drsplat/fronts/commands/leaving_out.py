@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from ...errors import FormatError, InputError
 from .declaring import option
 from .kinds import whole, words
 
@@ -25,7 +26,6 @@ def left_out(names: Sequence[str], without: str | None) -> set[str]:
 
     Raises: InputError: no such file, names that no photo has, all photos, or none.
     """
-    from ...errors import InputError
 
     if without is None:
         return set()
@@ -38,7 +38,6 @@ def left_out(names: Sequence[str], without: str | None) -> set[str]:
 
 
 def _every(names: Sequence[str], without: str) -> set[str]:
-    from ...errors import InputError
 
     try:
         step = whole(without.removeprefix(EVERY_PREFIX), least=2)
@@ -48,7 +47,6 @@ def _every(names: Sequence[str], without: str) -> set[str]:
 
 
 def _listed(names: Sequence[str], path: str) -> set[str]:
-    from ...errors import InputError
     from ...formats.photo_files import listed
 
     by_name = {Path(name).with_suffix("").as_posix(): name for name in names}
@@ -72,7 +70,6 @@ def lines_of(path: str, what: str) -> list[str]:
     Raises: InputError: there is no such file. FormatError: it is not in UTF-8.
     """
     from ...base.contents import file_text
-    from ...errors import FormatError, InputError
 
     if not Path(path).is_file():
         raise InputError(f"{path}: there is no such file")

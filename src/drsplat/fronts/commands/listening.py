@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from ...errors import InputError
 from ..serving.access import is_loopback, names_of
-from .declaring import flag, option, part
+from .declaring import declaration, flag, option, part
 from .kinds import PORT, length, up_to
 
 MAX_WORKERS = 256  # processes
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Listening:
     """Address that requests come to, and how many are answered at a time."""
 
@@ -39,7 +39,6 @@ class Listening:
 
         Raises: InputError: other machines could ask without one, and --open does not say so; no key in its file.
         """
-        from ...errors import InputError
 
         key = None if self.api_key_file is None else _key(Path(self.api_key_file))
         if not is_loopback(self.host) and key is None and not self.open:
@@ -60,7 +59,6 @@ def listening(port: int, workers: int) -> Any:
 
 
 def _key(path: Path) -> str:
-    from ...errors import InputError
 
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
+from ...base.terminal import counted
 from ...query.defaults import MIN_GAUSSIANS
-from .declaring import flag, option, part
+from .declaring import Facts, declaration, flag, option, part
 from .kinds import count
 from .options import Verb
 from .query_options import Outputs, Question, answer_json, ask, draw, measured_text, print_doubt
@@ -28,10 +28,10 @@ EXAMPLES = """\
 Which threshold? Cosines between texts of one encoder are near 1 for a match; those between texts and photos in CLIP
 seldom exceed 0.3. Relevancy has the same scale for every encoder and is the measure for words with --encoder. With
 --threshold auto, each query has its own threshold. For other queries, look at the printed range."""
-DAILY = ("scene", "threshold", "top", "encoder", "save", "picture", "views", "overwrite", "click")
+DAILY = "scene threshold top encoder save picture views overwrite click"
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -54,7 +54,7 @@ class Options(Verb):
     )
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from ...formats.replacing import together
     from ...query.documents import match_document, track_document
 
@@ -79,8 +79,7 @@ def run(options: Options) -> dict[str, Any]:
     return report
 
 
-def show(answer: dict[str, Any]) -> None:
-    from ...base.terminal import counted
+def show(answer: Facts) -> None:
     from .tables import show_table, text_of
 
     of = counted(answer["num_registered"], "Gaussian")
@@ -112,12 +111,12 @@ def show(answer: dict[str, Any]) -> None:
     print(measured)
 
 
-def _row(number: int, match: dict[str, Any]) -> tuple[str, ...]:
+def _row(number: int, match: Facts) -> tuple[str, ...]:
     places = (" ".join(f"{x:.2f}" for x in match[key]) for key in ("center", "extent"))
     return str(number), f"{match['score']:.3f}", f"{match['num_gaussians']:,}", *places
 
 
-def _track_text(track: dict[str, Any]) -> str:
+def _track_text(track: Facts) -> str:
     from ...query.tracks import spans_text
 
     if not len(track["times"]):
@@ -141,8 +140,6 @@ def _save(path: str, overwrite: bool, scene: Scene, answer: Answer, matches: lis
 
 def _draw(options: Options, scene: Scene, matches: list[Match]) -> str:
     import numpy as np
-
-    from ...base.terminal import counted
 
     ids = np.concatenate([match.gaussian_ids for match in matches] or [np.empty(0, np.int64)])
     note = counted(len(matches), "match", "matches") if matches else "no match"

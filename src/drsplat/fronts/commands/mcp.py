@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from .declaring import argument, flag, option, part
+from ...errors import InputError
+from .declaring import Facts, argument, declaration, flag, option, part
 from .edit_options import note_own_scenes
 from .listening import Listening, listening
 from .options import Encoders, Verb
@@ -20,10 +19,10 @@ EXAMPLES = """\
 "scenes" is a folder with a field and its scene, or a folder of such folders. Without --http, the server uses stdin
 and stdout, for programs that start the server themselves: {"command": "drsplat", "args": ["mcp",
 "/path/to/scenes"]}."""
-DAILY = ("http", "port", "encoder")
+DAILY = "http port encoder"
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -34,9 +33,8 @@ class Options(Verb):
     encoders: Encoders = part(Encoders)
 
 
-def run(options: Options) -> dict[str, Any]:
-    from ...errors import InputError
-    from ..serving.libraries import require
+def run(options: Options) -> Facts:
+    from ..serving.listening import require
 
     require("mcp", "mcp", "prometheus_client")
     if options.json and not options.http:
@@ -48,8 +46,7 @@ def run(options: Options) -> dict[str, Any]:
     from ..serving.listening import address_of, bound_socket
     from ..serving.metrics import Metrics
     from ..serving.scene_folder import SceneFolder, Sources
-    from ..serving.speaking import over_http, over_stdio
-    from ..serving.tools import make_server
+    from ..serving.tools import make_server, over_http, over_stdio
     from ..serving.workbench import Workbench
     from ..serving.worker import Workplace
 
@@ -73,5 +70,5 @@ def run(options: Options) -> dict[str, Any]:
     return {"stopped": True}
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     """Show nothing: stdout belongs to the protocol."""

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
-from .declaring import argument, option
+from .declaring import Facts, argument, declaration, option
 from .kinds import finite
 from .options import Verb, new_output, overwrite
 
@@ -18,7 +15,7 @@ SCENE may be a folder of numbered PLY files with the same rows, a PLY file of Sp
 OUT that ends in .motion is written as such; any other becomes a folder of frame0000.ply and so on, one per time."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -31,7 +28,7 @@ class Options(Verb):
     overwrite: bool = overwrite()
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from ...formats.moving_scenes import read_moving, write_moving
 
     if options.output is not None:
@@ -50,14 +47,14 @@ def run(options: Options) -> dict[str, Any]:
     }
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     from .tables import show_facts, text_of
 
     start, end = answer["times"]
     show_facts(
         f"moving scene: {answer['scene']}",
         {
-            "Gaussians": text_of(answer["num_gaussians"]),
+            "Gaussians": answer["num_gaussians"],
             "times": f"{text_of(answer['num_times'])}, from {start:g} to {end:g}",
             "written to": answer["output"] or "nothing: pass --output",
         },

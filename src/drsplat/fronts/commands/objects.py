@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import csv
+import io
+import json
 import shutil
-from dataclasses import dataclass
+from itertools import chain
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .declaring import argument, flag, option, part
+from ...base.terminal import counted
+from ...errors import InputError
+from .declaring import Facts, argument, declaration, flag, option, part
 from .edit_options import note_own_scene
 from .kinds import whole, words
-from .object_outputs import check, save
 from .options import Encoders, Photos, Verb, overwrite
 from .parts import parts_of
-from .query_options import FIELD_HELP
+from .query_options import FIELD_HELP, check_outputs
 from .workers import Workers, tiles_of
 
 if TYPE_CHECKING:
     from ...query import Scene
+
 
 EXAMPLES = """\
   drsplat objects room.field --scene scene.ply
@@ -33,12 +39,15 @@ The first run finds the objects, which takes the scene, and stores them in the f
 Gaussian of the scene: its object, or -1. objects.ply is the scene with these numbers as a column object_id; a folder
 gets a PLY of each object; .json and .csv get the table, with boxes. Names given with --label are stored in
 NAME.labels.json beside NAME.field: they outlive the field, and a query for such a name selects exactly this object."""
-DAILY = ("scene", "all", "label", "id", "save", "picture", "views", "overwrite")
+DAILY = "scene all label id save picture views overwrite"
 
 MAX_ROWS_SHOWN = 40  # on a terminal without --all; real captures have hundreds of objects
+TABLE_FILE = "objects.json"
+FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r", "\n")  # spreadsheets compute a text that begins with one
+BOX_NUMBERS = {"center": 3, "extent": 3, "axes": 9}
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -68,8 +77,7 @@ class Options(Verb):
     photos: Photos = part(Photos)
 
 
-def run(options: Options) -> dict[str, Any]:
-    from ...errors import InputError
+def run(options: Options) -> Facts:
     from ...formats.replacing import together
     from ...query.documents import object_documents
     from ...query.objects import objects_of
@@ -107,8 +115,7 @@ def run(options: Options) -> dict[str, Any]:
     }
 
 
-def show(answer: dict[str, Any]) -> None:
-    from ...base.terminal import counted
+def show(answer: Facts) -> None:
     from .tables import show_table, text_of
 
     listed = _listed(answer["objects"], answer["all"])
@@ -138,12 +145,12 @@ def show(answer: dict[str, Any]) -> None:
             print(f"written to {output}")
 
 
-def _listed(objects: list[dict[str, Any]], every: bool) -> list[dict[str, Any]]:
+def _listed(objects: list[Facts], every: bool) -> list[Facts]:
     """Return the objects that photos agree on, or all."""
     return [document for document in objects if every or document["agreed"]]
 
 
-def _drifting(scene: Scene) -> dict[str, Any] | None:
+def _drifting(scene: Scene) -> Facts | None:
     """Count the Gaussians of a moving scene that change their object, and between which objects most do."""
     from collections import Counter
 
@@ -157,8 +164,7 @@ def _drifting(scene: Scene) -> dict[str, Any] | None:
     return {"num_gaussians": len(drift.gaussian_ids), "between": most, "gaussian_ids": drift.gaussian_ids}
 
 
-def _drifting_text(drift: dict[str, Any]) -> str:
-    from ...base.terminal import counted
+def _drifting_text(drift: Facts) -> str:
 
     if not drift["num_gaussians"]:
         return "No Gaussian changes what it belongs to over time."
@@ -167,7 +173,7 @@ def _drifting_text(drift: dict[str, Any]) -> str:
     return f"{changes} what it belongs to over time, by objects (-1: none): {between}"
 
 
-def _row(document: dict[str, Any]) -> tuple[str, ...]:
+def _row(document: Facts) -> tuple[str, ...]:
     places = (" ".join(f"{x:.2f}" for x in document[key]) for key in ("center", "extent"))
     name, count = document["label"] or document["name"] or "", f"{document['num_gaussians']:,}"
     return str(document["id"]), name, count, *places, str(document["num_views"]), f"{document['sure']:.2f}"
@@ -188,7 +194,6 @@ def _with_objects(options: Options) -> Scene:
     A scene in tiles is not loaded for it. A run that was killed goes on with the blocks, or the photos, that it had
     finished.
     """
-    from ...errors import InputError
     from ...formats.claiming import claimed_output
     from ...query.opening import scene_files
 
@@ -223,9 +228,8 @@ def _with_objects(options: Options) -> Scene:
     return _opened(options)
 
 
-def _draw(path: str, overwrite: bool, scene: Scene, listed: list[dict[str, Any]]) -> None:
+def _draw(path: str, overwrite: bool, scene: Scene, listed: list[Facts]) -> None:
     from ...drawing.pictures import write_picture
-    from ...errors import InputError
     from ...query.sheets import object_sheet
 
     matches = scene.objects
@@ -234,3 +238,78 @@ def _draw(path: str, overwrite: bool, scene: Scene, listed: list[dict[str, Any]]
     names = [document["label"] or document["name"] for document in listed]
     sheet = object_sheet(scene, [matches[document["id"]] for document in listed], names)
     write_picture(path, sheet, overwrite)
+
+
+def check(saved: str | None, picture: str | None, overwrite: bool) -> None:
+    """Check what can be checked before any work is done."""
+
+    check_outputs(saved, picture, overwrite, ("",))
+    if picture and Path(picture).suffix.lower() not in (".jpg", ".jpeg", ".png"):
+        raise InputError(f"{picture}: pictures are written as .png or .jpg")
+    if saved and Path(saved).suffix.lower() not in _WRITERS:
+        raise InputError(f"{saved}: expected a name that ends in .npy, .ply, .json or .csv, or that of a folder")
+
+
+def save(path: str, scene: Scene, listed: list[Facts], overwrite: bool) -> None:
+    _WRITERS[Path(path).suffix.lower()](Path(path), scene, listed, overwrite)
+
+
+def _save_npy(path: Path, scene: Scene, _: list[Facts], overwrite: bool) -> None:
+    from ...formats.npy import write_npy
+
+    write_npy(path, scene.object_ids(), overwrite)
+
+
+def _save_ply(path: Path, scene: Scene, _: list[Facts], overwrite: bool) -> None:
+    from ... import write_gaussians
+
+    write_gaussians(path, scene.gaussians, {"object_id": scene.object_ids()}, overwrite=overwrite)
+
+
+def _save_json(path: Path, scene: Scene, listed: list[Facts], overwrite: bool) -> None:
+    from ...formats.replacing import replacing
+
+    document = {"field": scene.field.fingerprint, "scene": scene.field.scene, "objects": listed}
+    with replacing(path, overwrite) as file:
+        file.write((json.dumps(document, indent=1) + "\n").encode())
+
+
+def _save_csv(path: Path, _: Scene, listed: list[Facts], overwrite: bool) -> None:
+    """Write a CSV table of objects.
+
+    Each number of a box has a column, axes row by row; views share one, with semicolons between them; the last is 0 or
+    1 for `agreed`.
+    """
+    from ...formats.replacing import replacing
+
+    text = io.StringIO(newline="")
+    columns = ("id", "label", "name", "num_gaussians", "mass", "num_views", "sure")
+    rows = csv.writer(text)
+    rows.writerow(
+        [*columns, *(f"{key}_{i}" for key, count in BOX_NUMBERS.items() for i in range(count)), "views", "agreed"]
+    )
+    for document in listed:
+        numbers = [*document["center"], *document["extent"], *chain(*document["axes"])]
+        views = _cell(";".join(document["views"]))
+        rows.writerow([*(_cell(document[key]) for key in columns), *numbers, views, int(document["agreed"])])
+    with replacing(path, overwrite) as file:
+        file.write(text.getvalue().encode())
+
+
+def _cell(value: Any) -> Any:
+    """Return a value that no spreadsheet takes for a formula: one that looks like it gets an apostrophe before it."""
+    return f"'{value}" if isinstance(value, str) and value.startswith(FORMULA_SIGNS) else value
+
+
+def _save_folder(path: Path, scene: Scene, listed: list[Facts], overwrite: bool) -> None:
+    """Write a PLY of each object and a table of them; the folder appears whole or not at all."""
+    from ... import write_gaussians
+    from ...formats.field_folder import replacing_folder
+
+    with replacing_folder(path, overwrite, TABLE_FILE) as folder:
+        for match in scene.objects:
+            write_gaussians(folder / f"object_{match.object_id:04d}.ply", scene.gaussians.subset(match.gaussian_ids))
+        _save_json(folder / TABLE_FILE, scene, listed, False)
+
+
+_WRITERS = {".npy": _save_npy, ".ply": _save_ply, ".json": _save_json, ".csv": _save_csv, "": _save_folder}

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .declaring import add_options, argument, flag, items_of, option
+from ...errors import InputError
+from .declaring import add_options, argument, declaration, flag, items_of, option
 from .kinds import count, length, whole, words
 from .parsing import VerbParser
 
 if TYPE_CHECKING:
-    from ...errors import InputError
     from ...field.codes import Track
     from ...scene.views import View
 
@@ -24,7 +23,7 @@ LEVEL_HELP = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Verb:
     """Options that every verb has."""
 
@@ -45,7 +44,7 @@ class Verb:
         return partial(track, quiet=self.json)
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Photos:
     """How the photos of a capture are read."""
 
@@ -69,7 +68,7 @@ class Photos:
         return read_views(capture, **vars(self), invert_masks=invert_masks)
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Encoders:
     """Models that turn words into vectors."""
 
@@ -137,7 +136,6 @@ def new_output(path: str, overwrite: bool, suffix: str = "") -> Path:
 
     Raises: InputError: it exists and not `overwrite`, or has another suffix.
     """
-    from ...errors import InputError
     from ...formats.writable import refuse_packed_name
 
     refuse_packed_name(path)
@@ -149,7 +147,6 @@ def new_output(path: str, overwrite: bool, suffix: str = "") -> Path:
 
 
 def exists_already(path: str | Path) -> InputError:
-    from ...errors import InputError
 
     return InputError(f"{path} exists already: pass --overwrite to replace it, or name another output")
 

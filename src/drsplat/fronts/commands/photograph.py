@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from .declaring import argument, option
+from ...errors import InputError
+from .declaring import Facts, argument, declaration, option
 from .edit_options import note_own_scene
 from .film import BACKGROUNDS, background, size
 from .kinds import finite, up_to
@@ -27,14 +27,13 @@ EXAMPLES = """\
 Poses are planned from the scene, in the free space of a room or on spheres around an object, so that as much of it
 as possible is seen in three pictures. capture/photograph.json marks the pictures as renderings, and so do all
 results made from them. A stopped run leaves nothing: give the same command again."""
-DAILY = ("output", "overwrite", "number", "size", "up", "path", "time")
+DAILY = "output overwrite number size up path time"
 MAX_PICTURES = 10_000
 
 
 def _direction(text: str) -> tuple[float, float, float]:
     """Return a direction by the name of its axis, or by three numbers."""
     from ...authoring.filming.looking import named_up
-    from ...errors import InputError
 
     parts = text.split(",")
     try:
@@ -46,7 +45,7 @@ def _direction(text: str) -> tuple[float, float, float]:
     return x, y, z
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -77,7 +76,7 @@ class Options(Verb):
     background: str = background()
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from ...authoring.photographing.settings import DEFAULT_FOV_DEGREES, DEFAULT_SIZE_PIXELS, PhotographSettings
     from ...authoring.photographing.taking import photograph
     from ...base.progress import Stopwatch
@@ -114,7 +113,6 @@ def _path(options: Options, scene: Gaussians) -> CameraPath | None:
     import numpy as np
 
     from ...authoring.filming.planning import PHOTOS, path_named
-    from ...errors import InputError
 
     if options.path is None:
         return None
@@ -126,7 +124,7 @@ def _path(options: Options, scene: Gaussians) -> CameraPath | None:
     return path_named(options.path, scene, [], up=up)
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     from .tables import show_facts, size_text, text_of
 
     width, height = answer["settings"]["size"]

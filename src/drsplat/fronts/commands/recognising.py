@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from ...errors import InputError
+
 FORMAT_KINDS = {
     "drsplat labels": "labels",
     "drsplat edits": "edits",
@@ -24,7 +26,6 @@ def kind_of(path: Path) -> str:
 
     Raises: InputError: there is nothing at `path`.
     """
-    from ...errors import InputError
     from ...formats.langsplat import has_features
     from ...formats.moving_scenes import is_moving
 
@@ -56,7 +57,6 @@ def place_of(path: Path, kind: str) -> Path:
 
 def _has_field(path: Path) -> bool:
     """Return whether `drsplat view` and `drsplat serve` would take the folder."""
-    from ...errors import InputError
     from ...query.opening import find_scene
 
     try:

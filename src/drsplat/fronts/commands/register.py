@@ -2,12 +2,13 @@
 
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from ...errors import InputError
 from .code_facts import code_facts
-from .declaring import argument, option, part
+from .declaring import Facts, argument, declaration, option, part
 from .kinds import count, count_or_all, whole, words
 from .leaving_out import left_out, without
 from .options import LEVEL_HELP, Photos, Verb, capture, features, invert_masks, kernel_device, near, overwrite
@@ -39,7 +40,7 @@ EXAMPLES = """\
   drsplat register city.tiles capture --features capture/language_features --workers 8 --output city.field
 
 To resume a stopped run, give the same command again."""
-DAILY = ("output", "features", "codebook", "encoder_name", "overwrite", "images")
+DAILY = "output features codebook encoder_name overwrite images"
 
 
 class _Inputs(NamedTuple):
@@ -61,7 +62,7 @@ def _topk(text: str) -> int:
     return count_or_all(text) or 0
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Method:
     """How masks become features, and what code these are kept in."""
 
@@ -101,7 +102,7 @@ class Method:
     )  # fmt: skip
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -137,7 +138,7 @@ class Options(Verb):
         return given if "://" in str(given) else Path(given)
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from ...formats.field_folder import claimed_field
     from ...kernels.cuda.devices import device_in_use
 
@@ -155,7 +156,7 @@ def interrupted(options: Options) -> str:
     return f"the views registered so far are kept in {options.parts_place}: give the same command again to go on"
 
 
-def _registered(options: Options, output: Path) -> dict[str, Any]:
+def _registered(options: Options, output: Path) -> Facts:
     from ... import load_field
     from ...base.progress import Stopwatch
     from ...base.system import peak_memory_bytes
@@ -230,7 +231,7 @@ def _read(options: Options, known: "LanguageField | None") -> "_Inputs":
     return _Inputs(scene, register, kept, out, features, _code(method, codebook))
 
 
-def _facts(registration: "Registration", field: "LanguageField") -> dict[str, Any]:
+def _facts(registration: "Registration", field: "LanguageField") -> Facts:
     from ...scene.views import pictures_kind, scenes_rendered
 
     return {
@@ -251,7 +252,6 @@ def _facts(registration: "Registration", field: "LanguageField") -> dict[str, An
 
 
 def _code(method: Method, codebook: "Codebook | None") -> "CodeSpecification":
-    from ...errors import InputError
     from ...field.codes import PQ, Mixture, Smaller
     from ...field.codes.mixture import DEFAULT_ATOMS_PER_ROW
 
@@ -266,7 +266,7 @@ def _code(method: Method, codebook: "Codebook | None") -> "CodeSpecification":
     return (Mixture if mixed else Smaller)(method.atoms or DEFAULT_ATOMS_PER_ROW)
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     from .tables import show_facts, size_text, text_of
 
     reused = f" ({answer['num_views_reused']} from an earlier run)" if answer["num_views_reused"] else ""
@@ -279,7 +279,7 @@ def show(answer: dict[str, Any]) -> None:
             "Gaussians": f"{text_of(answer['num_registered'])} of {text_of(answer['num_gaussians'])} ({share:.1%})",
             "views": f"{text_of(answer['num_views'])} {answer['pictures']}{_at_times(answer)}{reused}{out}",
             "masks": f"{text_of(answer['num_masks'])}, embedded by {answer['encoder']} ({answer['dim']}-d)",
-            "weights": text_of(answer["num_weights"]),
+            "weights": answer["num_weights"],
             "codes": f"{answer['bytes_per_gaussian']} bytes per Gaussian",
             "field": size_text(answer["field_bytes"]),
             "time": f"{answer['seconds']:.1f} s ({stages})",
@@ -288,7 +288,7 @@ def show(answer: dict[str, Any]) -> None:
     )
 
 
-def _at_times(answer: dict[str, Any]) -> str:
+def _at_times(answer: Facts) -> str:
     return f" at {answer['num_times']:,} times" if answer["num_times"] else ""
 
 
@@ -298,7 +298,6 @@ def _weights_of(options: Options) -> "LanguageField | None":
     Raises: InputError: options about what the field has settled.
     """
     from ... import load_field
-    from ...errors import InputError
 
     if options.weights_of is None:
         return None
@@ -318,7 +317,6 @@ def _written(parts: str | Path) -> dict[str, int]:
 
 def _sampling(method: Method, how: "Aggregator") -> "Sampling":
     """Return the aggregator's own sampling where it has one; --topk and --first-hits may not contradict it."""
-    from ...errors import InputError
     from ...field.evidence.aggregation import Sampling
 
     given: dict[str, Any] = {} if method.first_hits is None else {"first_hits": method.first_hits}
@@ -333,7 +331,6 @@ def _sampling(method: Method, how: "Aggregator") -> "Sampling":
 
 
 def _codebook(method: Method) -> "Codebook | None":
-    from ...errors import InputError
     from ...field.codes.official import read_codebook
 
     if method.codebook is None:

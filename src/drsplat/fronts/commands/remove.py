@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from .changes import FieldToChange, answer_of, field_and_scene, show_change
-from .declaring import option, part
+from .declaring import Facts, declaration, option, part
 from .kinds import words
 from .options import Verb
 
@@ -22,7 +21,7 @@ The field is then the same, to the bit, as one registered from the remaining vie
 `drsplat add` leaves them out, unless its --views names them."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -33,7 +32,7 @@ class Options(Verb):
     )  # fmt: skip
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from ...field.growing import change_field, remove_views
     from ...field.growing.naming import views_named
 
@@ -48,7 +47,7 @@ def run(options: Options) -> dict[str, Any]:
     return answer_of(change_field(path, gaussians, change, threads=options.threads), path)
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     show_change(answer, f"{'removed' if answer['removed'] else 'nothing to remove'} from {answer['field']}")
     if answer["left_out"]:
         print("Views listed as left out were removed before.")

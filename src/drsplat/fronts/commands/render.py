@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from ...errors import InputError
 from ...query.schema import Place, fields
-from .declaring import argument, flag, option, part
+from .declaring import Facts, argument, declaration, flag, option, part
 from .edit_options import as_edited, kept_edits, note_own_scene
 from .film import BACKGROUNDS, SAME_SCENE, SCENE, Filming, background
 from .kinds import words
@@ -34,11 +34,11 @@ EXAMPLES = """\
   drsplat render scene.ply --path camera_path.json --fps 24 --size 1920x1080 --output flight.webm
   drsplat render scene.ply --views capture --field room.field --query vase --attributes red blue wooden -o vase.png"""
 TEXT_CUT = fields(Place.COMMAND_LINE, Place.WORDS)
-DAILY = ("views", "view", "all", "path", "output_dir", "field", "query", "overwrite", "size", "seconds")
+DAILY = "views view all path output_dir field query overwrite size seconds"
 DEFAULT_FOLDER = "renders"
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -89,7 +89,7 @@ def device(options: Options) -> str:
     return options.encoders.for_kernels
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from ...base.progress import Stopwatch
     from ...formats.moving_scenes import read_scene
     from ...scene.moving import canonical_of
@@ -120,7 +120,7 @@ def run(options: Options) -> dict[str, Any]:
     }
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     from ...base.terminal import counted
 
     if "num_frames" in answer:
@@ -142,7 +142,6 @@ def show(answer: dict[str, Any]) -> None:
 
 def _check(options: Options) -> None:
     """Check the options. Raises: InputError: some do not go together."""
-    from ...errors import InputError
 
     films, row = options.path is not None, options.attributes is not None
     if not (films or row or options.view or options.all):
@@ -202,7 +201,7 @@ def _notes(options: Options) -> list[Mark]:
 def _film(
     options: Options, scene: Gaussians | Moving, views: list[View], answer: Highlight | None,
     opened: OpenedScene | None, notes: list[Mark],
-) -> dict[str, Any]:  # fmt: skip
+) -> Facts:  # fmt: skip
     """Write --output; returns what is in it. answer: of --query, and the scene that gave it. notes: drawn over it."""
     from ...authoring.filming.frames import Film
     from ...authoring.filming.looking import named_up
@@ -242,7 +241,6 @@ def _film(
 
 def _target(options: Options, answer: Highlight | None, opened: OpenedScene | None) -> Match | None:
     """Return the match that --around names; None for the scene. Raises: InputError: it is not there."""
-    from ...errors import InputError
     from ...query.objects import match_of, objects_of
 
     around = options.film.around
@@ -257,9 +255,8 @@ def _target(options: Options, answer: Highlight | None, opened: OpenedScene | No
     return answer.matches[0]
 
 
-def _attributes(options: Options, opened: OpenedScene, answer: Highlight | None) -> dict[str, Any]:
+def _attributes(options: Options, opened: OpenedScene, answer: Highlight | None) -> Facts:
     from ...drawing.pictures import write_picture
-    from ...errors import InputError
     from ...query import Query
     from ...query.sheets import attribute_row
 
@@ -274,7 +271,7 @@ def _attributes(options: Options, opened: OpenedScene, answer: Highlight | None)
 
 def _stills(
     options: Options, scene: Gaussians | Moving, views: list[View], answer: Highlight | None, notes: list[Mark]
-) -> dict[str, Any]:  # fmt: skip
+) -> Facts:  # fmt: skip
     from ...field.evidence.columns import time_of
     from ...kernels import splat_arrays
     from ...query import view_named

@@ -10,7 +10,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .declaring import argument, flag, option
+from ...errors import InputError
+from .declaring import Facts, argument, declaration, flag, option
 from .kinds import count, words
 from .options import Verb
 from .parts import parts_of
@@ -41,10 +42,10 @@ DEFAULT_VIDEO_PHOTOS = 100  # until the frames of a video are chosen
 SECONDS_PER_PHOTO = {"capture": 1.1, "train": 0.05, "embed": 0.7, "register": 0.3}
 """Seconds a photo, in training an iteration, on two cores: the first guess of the time that is left."""
 SAM_SECONDS_PER_PHOTO = {"cpu": 8.0, "cuda": 1.5, "mps": 5.0}
-DAILY = ("output", "ask", "iterations", "segmenter", "encoder", "overwrite", "config")
+DAILY = "output ask iterations segmenter encoder overwrite config"
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -82,7 +83,7 @@ class Options(Verb):
         return [*common, "--json"] if self.json else common
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from ...formats.claiming import claimed_folder
     from ..scanning.inputs import scan_input
 
@@ -98,7 +99,7 @@ def run(options: Options) -> dict[str, Any]:
 STAGE_VERBS = ("scan", "capture", "train", "embed", "register", "objects", "locate", "view")
 
 
-def _scan(options: Options, source: ScanInput, output: Path) -> dict[str, Any]:
+def _scan(options: Options, source: ScanInput, output: Path) -> Facts:
     from ...base.system import peak_memory_bytes
     from ...formats.scan_record import read_scan_record, write_scan_record
     from ..scanning.display import Display
@@ -131,7 +132,6 @@ def _refuse_strangers(output: Path, source: ScanInput) -> None:
 
     Raises: InputError: the output holds files that no scan made, or is the capture itself; a path that is not UTF-8.
     """
-    from ...errors import InputError
     from ...formats.claiming import LOCK
     from ...formats.json_files import is_text
     from ...formats.scan_record import RECORD
@@ -148,13 +148,12 @@ def _refuse_strangers(output: Path, source: ScanInput) -> None:
 
 
 def _states(
-    before: dict[str, Any] | None, plan: Plan, source: ScanInput, output: Path, overwrite: bool
-) -> dict[str, Any]:  # fmt: skip
+    before: Facts | None, plan: Plan, source: ScanInput, output: Path, overwrite: bool
+) -> Facts:  # fmt: skip
     """Return the stages of an earlier scan that stay.
 
     Raises: InputError: it was of other photos, or had other options, and not `overwrite`.
     """
-    from ...errors import InputError
 
     if before is None or (before["stages"].keys() <= {"capture"} and not any(map(is_done, before["stages"].values()))):
         return before["stages"] if before else {}  # what `capture` began it goes on with, also of other photos
@@ -192,7 +191,7 @@ class Plan:
 
     stages: Sequence[Stage]
     capture: str
-    models: dict[str, Any]
+    models: Facts
     encoder_option: Sequence[str]
     expected: Mapping[str, float]
     sentences: Sequence[str]
@@ -234,7 +233,7 @@ def planned(options: Options, source: ScanInput, output: Path, before: Mapping[s
     return Plan(stages, capture, models, encoder, expected, sentences)
 
 
-def _registered(line: Any) -> dict[str, Any]:
+def _registered(line: Any) -> Facts:
     """Run register; a field without parts is of a run that was killed when all but a note was made."""
     from . import register
 
@@ -243,7 +242,7 @@ def _registered(line: Any) -> dict[str, Any]:
     return register.run(line)
 
 
-def _counted(line: Any) -> dict[str, Any]:
+def _counted(line: Any) -> Facts:
     """Find the objects, and return how many; the field has the rest."""
     from . import objects
 
@@ -262,7 +261,7 @@ def _capturing(source: ScanInput, folder: Path, common: Sequence[str]) -> Stage:
     # a capture that is there stays until the new one is complete
     capturing = VerbLine(replace(line, overwrite=True), given)
 
-    def found() -> dict[str, Any] | None:
+    def found() -> Facts | None:
         record = read_json(folder / RECORD) if (folder / RECORD).is_file() and not is_ready(folder) else None
         same = isinstance(record, dict) and record.get("sources") == source.fingerprint
         return record if isinstance(record, dict) and same and record.get("settings") == settings else None
@@ -321,5 +320,5 @@ def interrupted(options: Options) -> str:
     return f"what is done is kept in {options.folder}: give the same command again to go on"
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     show_answer(answer)

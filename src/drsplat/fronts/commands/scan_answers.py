@@ -7,7 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ...base.terminal import counted
+from ...errors import DrSplatError
 from ...query.defaults import MAYBE
+from .declaring import Facts
 from .stages import verb_line
 
 if TYPE_CHECKING:
@@ -19,7 +22,7 @@ _FACTS = (
 )  # fmt: skip
 
 
-def answered(page: Any, texts: Sequence[str], encoder: Sequence[str], common: Sequence[str]) -> dict[str, Any]:
+def answered(page: Any, texts: Sequence[str], encoder: Sequence[str], common: Sequence[str]) -> Facts:
     """Ask the queries of a scan as `drsplat locate` does, and write those that have an answer into the page.
 
     Without queries, words that find something are asked. A query that the encoder does not know is an answer with its
@@ -33,8 +36,7 @@ def answered(page: Any, texts: Sequence[str], encoder: Sequence[str], common: Se
     return {"answers": answers, "num_shown": made["num_shown"], "bytes": made["bytes"]}
 
 
-def _answer(folder: str, text: str, options: Sequence[str]) -> dict[str, Any]:
-    from ...errors import DrSplatError
+def _answer(folder: str, text: str, options: Sequence[str]) -> Facts:
     from . import locate
 
     try:
@@ -51,8 +53,7 @@ def _answer(folder: str, text: str, options: Sequence[str]) -> dict[str, Any]:
 def _suggested(page: Any) -> list[str]:
     """Return words that find something in the scene, else one that the encoder knows."""
     from ... import open_scene
-    from ..viewing.naming import words_of
-    from ..viewing.suggestions import suggestions
+    from ..viewing.naming import suggestions, words_of
 
     scene = open_scene(page.field, threads=page.threads, **vars(page.encoders))
     return suggestions(scene) or list(words_of(scene))[:1]
@@ -60,7 +61,6 @@ def _suggested(page: Any) -> list[str]:
 
 def ended(verb: str, answer: Mapping[str, Any]) -> str:
     """Return what is said when a stage has ended."""
-    from ...base.terminal import counted
 
     if verb == "capture":
         return f"{answer['num_registered']:,} of {counted(answer['num_photos'], 'photo')} have a pose"
@@ -78,7 +78,7 @@ def ended(verb: str, answer: Mapping[str, Any]) -> str:
     return f"{counted(len(answer['answers']), 'query', 'queries')} answered in the page"
 
 
-def summary(states: Mapping[str, Any], source: ScanInput) -> dict[str, Any]:
+def summary(states: Mapping[str, Any], source: ScanInput) -> Facts:
     """Return the numbers of all stages."""
     stages = {verb: state["answer"] for verb, state in states.items()}
     posed = stages.get("capture", {"num_photos": source.num_photos, "num_registered": source.num_photos})
@@ -134,8 +134,8 @@ def show_answer(answer: Mapping[str, Any]) -> None:
         {
             "posed": f"{text_of(answer['num_registered'])} of {text_of(answer['num_photos'])} {answer['pictures']}",
             "held out": "nothing" if psnr is None else f"PSNR {psnr:.2f} dB",
-            "Gaussians": text_of(answer["num_gaussians"]),
-            "masks": text_of(answer["num_masks"]),
+            "Gaussians": answer["num_gaussians"],
+            "masks": answer["num_masks"],
             "objects": f"{text_of(answer['num_objects'])}, and {text_of(answer['num_unsure_objects'])} less sure",
             "time": f"{answer['seconds']:.0f} s ({seconds})",
             "peak memory": size_text(answer["peak_memory_bytes"]),
@@ -153,7 +153,6 @@ def show_answer(answer: Mapping[str, Any]) -> None:
 
 
 def _answer_text(one: Mapping[str, Any]) -> str:
-    from ...base.terminal import counted
 
     if "fault" in one:
         return f"not asked: {one['fault']}"

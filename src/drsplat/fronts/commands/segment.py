@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from ...errors import InputError
 from ...query.schema import CUT
-from .declaring import argument, option, part
+from .declaring import Facts, argument, declaration, option, part
 from .kinds import words
 from .leaving_out import lines_of
 from .options import Encoders, Verb
@@ -25,10 +25,10 @@ EXAMPLES = """\
 A Gaussian gets the class with the highest score if that exceeds the threshold, and otherwise none. The paper labels
 every Gaussian: --threshold -1, or 0 for relevancy. With --threshold auto, each class has its own threshold.
 classes.ply has a column class_id, -1 for none, and shows the colours of the classes in any viewer."""
-DAILY = ("classes", "classes_file", "scene", "encoder", "save", "picture", "views", "overwrite")
+DAILY = "classes classes_file scene encoder save picture views overwrite"
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -46,7 +46,7 @@ class Options(Verb):
     )
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from ... import write_gaussians
     from ...drawing.legend import colored
     from ...formats.replacing import together
@@ -67,7 +67,7 @@ def run(options: Options) -> dict[str, Any]:
     return report
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     from ...base.terminal import counted
     from .tables import show_table, text_of
 
@@ -86,7 +86,6 @@ def show(answer: dict[str, Any]) -> None:
 
 def _classes(given: str | None, path: str | None) -> list[str]:
     """Return the names of --classes or --classes-file. Raises: InputError: none or both were given."""
-    from ...errors import InputError
 
     if (given is None) == (path is None):
         raise InputError('give --classes "mug,bowl,table" or --classes-file FILE.txt')

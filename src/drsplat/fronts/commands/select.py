@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from .declaring import part
+from ...base.terminal import counted
+from .declaring import Facts, declaration, part
 from .options import Verb
 from .query_options import Outputs, Question, answer_json, ask, draw, measured_text, print_doubt
 
@@ -22,10 +22,10 @@ EXAMPLES = """\
 
 mug.ply is the scene with the columns relevancy and selected (0 or 1); `splat-transform mug.ply -V selected,gt,0
 cut.ply` cuts the mug out. mug_ids.npy holds row numbers of the scene."""
-DAILY = ("scene", "threshold", "top_share", "encoder", "save", "picture", "views", "overwrite")
+DAILY = "scene threshold top_share encoder save picture views overwrite"
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -39,8 +39,7 @@ class Options(Verb):
     )
 
 
-def run(options: Options) -> dict[str, Any]:
-    from ...base.terminal import counted
+def run(options: Options) -> Facts:
     from ...formats.replacing import together
 
     outputs = options.outputs
@@ -59,8 +58,7 @@ def run(options: Options) -> dict[str, Any]:
     return report
 
 
-def show(answer: dict[str, Any]) -> None:
-    from ...base.terminal import counted
+def show(answer: Facts) -> None:
     from .tables import text_of
 
     selected, registered = (text_of(answer["num_selected"]), counted(answer["num_registered"], "Gaussian"))

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from .declaring import argument, flag, option, part
+from .declaring import Facts, argument, declaration, flag, option, part
 from .edit_options import note_own_scenes
 from .kinds import words
 from .listening import Listening, listening
@@ -21,10 +19,10 @@ EXAMPLES = """\
 
 "scenes" is a folder with a field and its scene, or a folder of such folders. /docs and /openapi.json describe all
 routes; docs/serve.md has examples."""
-DAILY = ("host", "port", "api_key_file", "encoder")
+DAILY = "host port api_key_file encoder"
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -45,18 +43,17 @@ class Options(Verb):
     search_device: str = search_device()
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from ...base.terminal import counted
-    from ..serving.libraries import require
+    from ..serving.listening import require
 
     require("serve", "fastapi", "uvicorn", "prometheus_client")
     where = options.listening
     key = where.key()
 
-    from ..serving.app import Settings
+    from ..serving.app import Settings, serve
     from ..serving.limits import Limits
     from ..serving.listening import address_of, bound_socket
-    from ..serving.running import serve
     from ..serving.scene_folder import SceneFolder, Sources
 
     sources = Sources(
@@ -79,5 +76,5 @@ def run(options: Options) -> dict[str, Any]:
     return {"stopped": True}
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     print("stopped")

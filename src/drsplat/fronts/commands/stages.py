@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...errors import DrSplatError, InputError
 from .configuring import OPTIONS_NOT_KEPT, Given, place, table_keys
-from .declaring import made
+from .declaring import Facts, made
 from .help_texts import did_you_mean
 from .options import verb_parser
 
@@ -101,14 +101,14 @@ class Stage:
     verb: str
     line: VerbLine
     outputs: tuple[Path, ...] = ()
-    run: Callable[[Any], dict[str, Any]] | None = None
-    found: Callable[[], dict[str, Any] | None] = lambda: None
+    run: Callable[[Any], Facts] | None = None
+    found: Callable[[], Facts | None] = lambda: None
 
-    def make(self) -> dict[str, Any]:
+    def make(self) -> Facts:
         """Run the verb. Raises: as the verb; the message begins with its name."""
         run = self.run or import_module(f".{self.verb}", __package__).run
         try:
-            answer: dict[str, Any] = run(self.line.options)
+            answer: Facts = run(self.line.options)
         except KeyboardInterrupt as interrupt:
             interrupt.args = ()  # the scan says how to go on
             raise
@@ -156,8 +156,8 @@ def _options_text(options: Mapping[str, Any], name: str) -> str:
 
 
 def run_stages(
-    stages: Sequence[Stage], states: dict[str, Any], save: Callable[[], None], display: Display,
-    ended: Callable[[str, dict[str, Any]], str],
+    stages: Sequence[Stage], states: Facts, save: Callable[[], None], display: Display,
+    ended: Callable[[str, Facts], str],
 ) -> None:  # fmt: skip
     """Run the stages that are not done, each in the knowledge of `states`, which `save` keeps.
 

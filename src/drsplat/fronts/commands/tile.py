@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from .declaring import argument, option
+from .declaring import Facts, argument, declaration, option
 from .kinds import count
 from .options import Verb, new_output, overwrite
 
@@ -23,7 +21,7 @@ Every verb takes the folder as a scene. Its rows have a new order; the columns b
 Gaussian came from."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -35,7 +33,7 @@ class Options(Verb):
     overwrite: bool = overwrite()
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from ...base.progress import Stopwatch
     from ...base.system import peak_memory_bytes
     from ...field.tiles.cutting import TILE_ROWS, cut
@@ -59,7 +57,7 @@ def run(options: Options) -> dict[str, Any]:
     }
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     from ...base.terminal import counted
     from .tables import show_facts, size_text, text_of
 

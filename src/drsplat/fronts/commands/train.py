@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from .declaring import flag, option, part
+from ...base.terminal import counted
+from .declaring import Facts, declaration, flag, option, part
 from .kinds import count, whole
 from .options import Photos, Verb, capture, invert_masks, kernel_device, overwrite
 
@@ -23,14 +23,14 @@ EXAMPLES = """\
 
 To resume a stopped run, give the same command again without --overwrite. A finished run of --schedule original
 continues with more --iterations."""
-DAILY = ("output_dir", "overwrite", "iterations", "resolution", "device", "images")
+DAILY = "output_dir overwrite iterations resolution device images"
 RESOLUTION_DIVISORS = (1, 2, 4, 8)
 STARTS = {"given": "given", "triangulated": "triangulated from the photos", "random": "random"}
 EVERYDAY_ITERATIONS, ORIGINAL_ITERATIONS = 4000, 30_000  # of the two schedules
 MAX_SIDE_PIXELS = 1600  # as 3DGS: larger photos are scaled down unless --resolution says otherwise
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Method:
     """How a scene is optimised."""
 
@@ -68,7 +68,7 @@ class Method:
         return self.schedule == "everyday"
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Course:
     """When a run measures itself, and what it keeps."""
 
@@ -85,7 +85,7 @@ class Course:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -132,11 +132,10 @@ class Options(Verb):
         return [view.limited(max(view.width, view.height) / divisor if divisor else most) for view in views]
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from ... import read_sparse_points, train
     from ...base.progress import Meter
     from ...base.system import peak_memory_bytes
-    from ...base.terminal import counted
     from ...kernels.cuda.devices import chosen_device
 
     device, views = chosen_device(options.device), options.views()
@@ -170,9 +169,8 @@ def run(options: Options) -> dict[str, Any]:
     }
 
 
-def show(answer: dict[str, Any]) -> None:
-    from ...base.terminal import counted
-    from .tables import show_facts, size_text, text_of
+def show(answer: Facts) -> None:
+    from .tables import show_facts, size_text
 
     seconds, count = answer["seconds"], max(answer["iterations"], 1)
     stages = answer["stage_seconds"].items()
@@ -185,7 +183,7 @@ def show(answer: dict[str, Any]) -> None:
         {
             "held out": tested,
             "trained on": f"PSNR {answer['psnr_train']:.2f} dB",
-            "Gaussians": text_of(answer["num_gaussians"]),
+            "Gaussians": answer["num_gaussians"],
             "started from": " and ".join(f"{n:,} {STARTS[kind]} points" for kind, n in answer["start"].items() if n),
             "photos": f"{answer['num_views']}, {answer['width']}x{answer['height']}"
             + (f", {answer['num_masked_views']} with masks" if answer["num_masked_views"] else ""),

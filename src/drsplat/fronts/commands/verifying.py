@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from .declaring import Facts
 from .recognising import kind_of, place_of
 
 
@@ -16,7 +17,7 @@ class Verified(NamedTuple):
     checked: str
 
 
-def verified(path: Path) -> dict[str, Any]:
+def verified(path: Path) -> Facts:
     """Verify what is at `path`; return what was checked. Raises: DrSplatError: damage, with the name of the file."""
     kind = kind_of(path)
     return _VERIFIERS[kind](place_of(path, kind))._asdict()

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
-from .declaring import argument, flag, option, part
+from ...base.terminal import counted
+from ...errors import InputError
+from .declaring import Facts, argument, declaration, flag, option, part
 from .edit_options import kept_edits, note_applied
 from .kinds import PORT, count
 from .kinds import words as text  # an option is called words
@@ -32,11 +34,11 @@ EXAMPLES = """\
 Needs pip install "drsplat[viewer]"; --export needs nothing. The address is only for this machine; with --host
 0.0.0.0 it has a token, and anyone who knows it can view, search and save from elsewhere. A scene without a field can
 only be viewed."""
-DAILY = ("scene", "views", "ask", "encoder", "port", "export", "overwrite")
+DAILY = "scene views ask encoder port export overwrite"
 MAX_GAUSSIANS, MAX_PAGE_GAUSSIANS = 1_000_000, 200_000
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -80,8 +82,7 @@ class Options(Verb):
     encoders: Encoders = part(Encoders)
 
 
-def run(options: Options) -> dict[str, Any]:
-    from ...errors import InputError
+def run(options: Options) -> Facts:
 
     if (options.field is None) == (options.catalogue is None):
         raise InputError("view: expected a scene, or --catalogue CATALOGUE")
@@ -93,8 +94,7 @@ def run(options: Options) -> dict[str, Any]:
     return _export(options, options.export) if options.export else _serve(options)
 
 
-def show(answer: dict[str, Any]) -> None:
-    from ...base.terminal import counted
+def show(answer: Facts) -> None:
 
     if "page" in answer:
         print(f"{answer['page']}: {counted(answer['num_shown'], 'Gaussian')}, {answer['bytes'] / 1e6:.1f} MB")
@@ -104,7 +104,7 @@ def show(answer: dict[str, Any]) -> None:
             print(f"  {one['text']}: {counted(one['num_matches'], 'match', 'matches')}")
 
 
-def _export(options: Options, path: str) -> dict[str, Any]:
+def _export(options: Options, path: str) -> Facts:
     from ... import export_page
     from ..viewing.results import split_queries
 
@@ -145,8 +145,6 @@ def _serve(options: Options) -> NoReturn:
 
 
 def _serve_catalogue(options: Options, path: str) -> NoReturn:
-    from ...base.terminal import counted
-    from ...errors import InputError
     from ...query.catalogue import Catalogue
 
     _require_packages()
@@ -166,7 +164,7 @@ def _serve_catalogue(options: Options, path: str) -> NoReturn:
 
 def _require_packages() -> None:
     """Check the viewer's packages. Raises: MissingExtraError: one is not installed."""
-    from ..serving.libraries import require_packages
+    from ..serving.listening import require_packages
 
     require_packages("viewer", "fastapi", "uvicorn", "prometheus_client")
 
@@ -177,10 +175,8 @@ def _service(options: Options, catalogue: Catalogue | None = None) -> Iterator[S
 
     Raises: InputError: nothing can listen there.
     """
-    from ..viewing.listening import listening_socket
-    from ..viewing.live.service import Service
-    from ..viewing.live.shared import Shared
-    from ..viewing.live.shelf import Shelf
+    from ..viewing.live.service import Service, listening_socket
+    from ..viewing.live.shared import Shared, Shelf
     from ..viewing.saving import Saves
 
     def opened(path: Path) -> Scene:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ...query.schema import Place, fields
-from .declaring import argument, option, part
+from .declaring import Facts, argument, declaration, option, part
 from .kinds import words
 from .options import Encoders, Photos, Verb
 from .query_options import FIELD_HELP, asked, query_of
@@ -23,10 +22,10 @@ EXAMPLES = """\
 Each query stands for its best match and those nearly as good: the relation holds if it holds between any of the
 first and any of the second. Left and right are seen from the camera of the photo --view, which is assumed to be
 still. The spans cover the scene's times from first to last without gaps."""
-DAILY = ("scene", "view", "views", "threshold", "encoder")
+DAILY = "scene view views threshold encoder"
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Options(Verb):
     """Options of this verb."""
 
@@ -42,7 +41,7 @@ class Options(Verb):
     photos: Photos = part(Photos)
 
 
-def run(options: Options) -> dict[str, Any]:
+def run(options: Options) -> Facts:
     from ... import open_scene
 
     scene = open_scene(
@@ -62,7 +61,7 @@ def run(options: Options) -> dict[str, Any]:
     }
 
 
-def show(answer: dict[str, Any]) -> None:
+def show(answer: Facts) -> None:
     from ...query.tracks import spans_text
 
     start, end = answer["times"]

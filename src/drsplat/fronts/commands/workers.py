@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .declaring import option
+from ...errors import InputError
+from .declaring import declaration, option
 from .kinds import count, words
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     Register = Callable[..., Registration]
 
 
-@dataclass(frozen=True, kw_only=True)
+@declaration
 class Workers:
     """Workers on the tiles of a scene."""
 
@@ -39,7 +39,6 @@ class Workers:
 
     def launcher(self, threads: int) -> Launcher:
         """Return what runs tasks. Raises: InputError: two ways of working."""
-        from ...errors import InputError
         from ...field.tiles.launching import OneProcess, Processes, Ray
 
         if self.workers and self.ray:
@@ -68,7 +67,6 @@ def scene_of(
 
 def tiles_of(scene: str | None, workers: Workers, parts: str | None) -> Tiles | None:
     """Return the scene in tiles, or None where it is none. Raises: InputError: workers for a scene without tiles."""
-    from ...errors import InputError
     from ...formats.tiles import TILES, read_tiles
 
     path = Path(scene or "")

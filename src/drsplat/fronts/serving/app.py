@@ -1,6 +1,7 @@
 """The HTTP service: every route is one public call in a process of the workbench."""
 
-from collections.abc import AsyncIterator, Sequence
+import socket
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,16 +21,15 @@ from . import models
 from .access import is_own_page
 from .adding import Adding
 from .catalogued import AskCatalogue, CatalogueAnswer, CatalogueScenes
+from .connections import run
 from .front_page import front_page
 from .guards import Guard
 from .limits import Limits
-from .live_routes import add_live
+from .live import LIST, TAKE, NewView, ViewList, ViewState
 from .metrics import Metrics
 from .models import Health, Located, ObjectList, Problem, SceneDetails, SceneList, Segmented, Selected, Words
-from .refusals import faults_of
-from .replies import BUG, GLB, JPEG, NO_JSON, PLY, PNG, is_json, problem, refusal
+from .replies import BUG, GLB, JPEG, NO_JSON, PLY, PNG, Reply, faults_of, is_json, problem, refusal
 from .requests import Export, Locate, Picture, Segment, Select, WhatIs, When
-from .responses import FIELD_HEADER, Scene, sent
 from .scene_folder import SceneFolder, Sources, without_paths
 from .strict import StrictRoute
 from .workbench import Job, Workbench
@@ -40,22 +40,51 @@ Scenes that answer words. Positions are world coordinates in scene units. Whatev
 `{"error": ..., "kind": ...}` with a status of 4xx, 503 where it can be asked again later, or 500 for a fault of the
 service."""
 
+FIELD_HEADER = "x-drsplat-field"
+RETRY_STATUSES = (429, 503)
+GRACE_S = 5  # beyond the longest request
+Scene = Annotated[str, InPath(min_length=1, max_length=200, description="a name from /scenes")]
 Number = Annotated[int, InPath(ge=0, le=2**31 - 1, description="an id from /scenes/{scene}/objects")]
-_REFUSALS = {
+Responses = dict[int | str, dict[str, Any]]
+REFUSALS = {
     400: "not HTTP as expected", 401: "no key, or a wrong one", 404: "no such scene or photo",
     413: "the body is too large", 415: "the content type of the body is not JSON",
     422: "the request makes no sense, or not for this scene",
     500: "a fault of the service; its log has the details",
     503: "too busy, too slow, or the scene's files are damaged",
 }  # fmt: skip
-REFUSALS: dict[int | str, dict[str, Any]] = {
-    status: {"model": Problem, "description": text} for status, text in _REFUSALS.items()
-}
+REFUSALS_OF_VIEWS = {
+    403: "the service takes no photos, or not from this page", 409: "another photo has the name",
+    429: "many photos wait already", 507: "the disk is full",
+}  # fmt: skip
+QUERIES: tuple[tuple[str, type[BaseModel], Any, str], ...] = (
+    ("select", Select, Selected, "Select the Gaussians of a text, vector, image, point or click."),
+    ("locate", Locate, Located, "Locate the matches of a query, best first: centre, oriented box, supporting photos."),
+    ("when", When, models.When, "Find the spans of time in which one match stands in a relation to another."),
+    ("segment", Segment, Segmented, "Give each Gaussian the best of some classes."),
+    ("what-is", WhatIs, Words, "Name what is at a point or a pixel, best words first."),
+    ("picture", Picture, (PNG,), "Render a picture as PNG, optionally with the matches of a query kept in colour."),
+    ("export", Export, (GLB, PLY), "Export the scene for other programs: GLB with named objects, PLY or SPZ."),
+)
+"""Route, request, answer or its types of media, and what it does."""
 
 
-def binary(*media_types: str) -> dict[int | str, dict[str, Any]]:
+def refusals(texts: Mapping[int, str]) -> Responses:
+    """Return the responses of a route that say why there is no answer."""
+    return {status: {"model": Problem, "description": text} for status, text in texts.items()}
+
+
+def binary(*media_types: str) -> Responses:
     """Return the responses of a route that sends bytes."""
     return {200: {"content": {media: {"schema": {"type": "string", "format": "binary"}} for media in media_types}}}
+
+
+def sent(reply: Reply, headers: Any = None) -> Response:
+    """Return a response with the field's fingerprint, and when to come again where that helps."""
+    more = {"retry-after": "1"} if reply.status in RETRY_STATUSES else {}
+    if reply.field:
+        more[FIELD_HEADER] = reply.field
+    return Response(reply.body, reply.status, {**(headers or {}), **more}, media_type=reply.media_type)
 
 
 @dataclass(frozen=True)
@@ -113,7 +142,7 @@ def create_app(settings: Settings) -> FastAPI:
         lifespan=lifespan,
         docs_url=None,  # these load scripts from elsewhere
         redoc_url=None,
-        responses=REFUSALS,
+        responses=refusals(REFUSALS),
     )
     app.router.route_class = StrictRoute
     _add_errors(app, scene_folder)
@@ -121,7 +150,7 @@ def create_app(settings: Settings) -> FastAPI:
     _add_watching(app, scene_folder, metrics)
     _add_scenes(app, bench)
     _add_objects(app, bench)
-    add_live(app, bench, adding, settings.why_not)
+    _add_live(app, bench, adding, settings.why_not)
     for act, request, answer, about in QUERIES:
         _add_query(app, bench, act, request, answer, about)
     if settings.catalogue is not None:
@@ -233,18 +262,6 @@ def _add_objects(app: FastAPI, bench: Workbench) -> None:
         return sent(await bench.run(Job("object-ply", scene, {"number": number})))
 
 
-QUERIES: tuple[tuple[str, type[BaseModel], Any, str], ...] = (
-    ("select", Select, Selected, "Select the Gaussians of a text, vector, image, point or click."),
-    ("locate", Locate, Located, "Locate the matches of a query, best first: centre, oriented box, supporting photos."),
-    ("when", When, models.When, "Find the spans of time in which one match stands in a relation to another."),
-    ("segment", Segment, Segmented, "Give each Gaussian the best of some classes."),
-    ("what-is", WhatIs, Words, "Name what is at a point or a pixel, best words first."),
-    ("picture", Picture, (PNG,), "Render a picture as PNG, optionally with the matches of a query kept in colour."),
-    ("export", Export, (GLB, PLY), "Export the scene for other programs: GLB with named objects, PLY or SPZ."),
-)
-"""Route, request, answer or its types of media, and what it does."""
-
-
 def _add_query(app: FastAPI, bench: Workbench, act: str, request: type[BaseModel], answer: Any, about: str) -> None:
     async def computed(scene: Scene, asked: request) -> Response:  # type: ignore[valid-type]
         return sent(await bench.run(Job(act, scene, asked.model_dump(mode="json"))))  # type: ignore[attr-defined]
@@ -282,3 +299,43 @@ def _add_pages(app: FastAPI) -> None:
     async def page() -> HTMLResponse:
         safe = {"content-security-policy": "default-src 'none'; style-src 'unsafe-inline'"}
         return HTMLResponse(front_page(app.openapi()), headers=safe)
+
+
+def serve(settings: Settings, listening: socket.socket, quiet: bool = False) -> None:
+    """Answer on a socket until stopped (SIGINT, SIGTERM): finish what is being answered, take nothing new.
+
+    A process that computes and dies is started again: nothing is lost but its answer, and views that were taken are
+    on disk.
+    """
+    run(
+        create_app(settings),
+        listening,
+        log_level="warning" if quiet else "info",
+        access_log=False,
+        timeout_graceful_shutdown=int(settings.limits.seconds) + GRACE_S,
+        timeout_keep_alive=30,
+    )
+
+
+def _add_live(app: FastAPI, bench: Workbench, adding: Adding, why_not: Callable[[str | None, str], str]) -> None:
+    """Add routes for views that are sent. why_not: of a request's Origin and Host, why it may not do so, or ""."""
+    responses = refusals(REFUSALS_OF_VIEWS) | {200: {"model": ViewState, "description": "sent before"}}
+
+    @app.get("/scenes/{scene}/views", tags=["views"], response_model=ViewList)
+    async def views(scene: Scene) -> Response:
+        """List the photos that were sent to a scene, and what has become of each."""
+        asked = {"working": adding.working(scene), "problem": adding.problem(scene)}
+        return sent(await bench.run(Job(LIST, scene, asked)))
+
+    @app.post("/scenes/{scene}/views", tags=["views"], status_code=202, response_model=ViewState, responses=responses)
+    async def take_view(scene: Scene, view: NewView, request: Request) -> Response:
+        """Take a posed photo: it is on disk when this is answered, and added to the scene's field within seconds."""
+        refused = why_not(request.headers.get("origin"), request.headers.get("host", ""))
+        if refused:
+            return sent(problem(403, refused, "not let"))
+
+        def added(reply: Reply) -> None:
+            if reply.status == 202:
+                adding.notice(scene)
+
+        return sent(await bench.run(Job(TAKE, scene, view.model_dump(mode="json", exclude_none=True), added)))

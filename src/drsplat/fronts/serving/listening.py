@@ -1,9 +1,27 @@
-"""Sockets that are bound before their address is announced."""
+"""Before a service starts: its packages, and a socket that is bound before its address is announced."""
 
 import errno
 import socket
+from importlib.util import find_spec
 
-from ...errors import InputError
+from ...base import system
+from ...errors import InputError, MissingExtraError
+
+
+def require(extra: str, *modules: str) -> None:
+    """Check an extra's modules. Raises: MissingExtraError: one is not installed. InputError: no services here."""
+    if system.WINDOWS:
+        raise InputError(
+            "services give sockets to their processes, which Windows cannot: run them in WSL or a container"
+        )
+    require_packages(extra, *modules)
+
+
+def require_packages(extra: str, *modules: str) -> None:
+    """Check an extra's modules. Raises: MissingExtraError: one is not installed."""
+    absent = [name for name in modules if find_spec(name) is None]
+    if absent:
+        raise MissingExtraError(f'{" and ".join(absent)} not installed: pip install "drsplat[{extra}]"')
 
 
 class TakenError(InputError):

@@ -1,7 +1,8 @@
-"""Replies to a client: bytes with a status, and a reason in JSON for each refusal."""
+"""Replies to a client: bytes with a status, and a reason in JSON for each refusal, in words for whoever asked."""
 
 import json
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 from ...errors import DrSplatError, MissingExtraError
 from ...formats.claiming import ClaimedError
@@ -13,6 +14,8 @@ BUG = "this is a fault of the service, not of the request; its log has the detai
 NO_JSON = "expected JSON and the header Content-Type: application/json (curl: -H 'content-type: application/json')"
 JSON, PNG, JPEG, PLY = "application/json", "image/png", "image/jpeg", "application/octet-stream"
 GLB = "model/gltf-binary"
+MAX_FAULTS, MAX_CHARACTERS = 5, 1000
+_FAULT_TEXTS = {"extra_forbidden": "there is no such field; /openapi.json lists those there are"}
 
 
 class BusyError(DrSplatError):
@@ -63,3 +66,12 @@ def packed(reply: Reply) -> bytes:
 def unpacked(message: bytes) -> Reply:
     about, _, body = message.partition(b"\n")
     return Reply(body, **json.loads(about))
+
+
+def faults_of(errors: Sequence[Mapping[str, Any]], worded: Mapping[str, str] = _FAULT_TEXTS) -> str:
+    """Return where each fault that pydantic found is, and what was expected there; no values, which may be large.
+
+    worded: what is said instead of pydantic's words, by its names of faults.
+    """
+    faults = [f"{'.'.join(map(str, fault['loc']))}: {worded.get(fault['type'], fault['msg'])}" for fault in errors]
+    return "; ".join(faults[:MAX_FAULTS])[:MAX_CHARACTERS]

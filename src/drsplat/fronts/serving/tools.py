@@ -1,11 +1,16 @@
-"""The MCP server: the conversation's methods as tools of the protocol, computed where those of HTTP are."""
+"""The MCP server: the conversation as tools of the protocol, computed where HTTP's are, and how it is spoken to."""
 
 import asyncio
 import inspect
 import json
+import os
+import signal
+import socket
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
+import anyio
 from mcp.server import MCPServer
 from mcp.server.mcpserver.exceptions import ToolError
 from mcp.server.stdio import stdio_server
@@ -15,12 +20,14 @@ from pydantic import Field, ValidationError
 from ... import __version__
 from ...errors import DrSplatError
 from .catalogued import CatalogueAnswer
+from .connections import run
 from .conversation import MAX_MATCHES, TOOLS, RenderedPicture, RenderedView, Text, ToolEntry
+from .guards import DoorKeeper
 from .limits import Limits
 from .malformed import Answering
 from .models import Body, SceneList
 from .query_fields import annotation, default_of, without_nulls
-from .refusals import faults_of
+from .replies import faults_of
 from .scene_folder import SceneFolder
 from .workbench import Job, Workbench
 
@@ -32,6 +39,7 @@ nothing like it, or another word for it. Check counts with show, which returns a
 T = TypeVar("T", bound=Body)
 SceneName = Annotated[str, Field(description="name from list_scenes; may be left out where there is only one")]
 READ_ONLY = ToolAnnotations(read_only_hint=True, idempotent_hint=True, open_world_hint=False)
+INTERRUPTED_EXIT_CODE = 130  # of shells, for Ctrl-C
 
 
 class _Server(MCPServer):  # type: ignore[type-arg]
@@ -174,3 +182,27 @@ def _add_catalogue(server: MCPServer, asking: _Asking) -> None:
     ) -> CatalogueAnswer:
         """Search all that was scanned: the best objects of a catalogue, with scene, box and photo."""
         return await asking.search(text=text, top=top, scenes=scenes or [])
+
+
+def over_stdio(server: MCPServer) -> None:
+    """Speak until stdin ends, or until SIGINT or SIGTERM.
+
+    The SDK reads stdin in a thread that nothing can interrupt, so Ctrl-C would wait for the next line for ever:
+    the process ends at once, which costs nothing, for it only reads.
+    """
+    for number, code in ((signal.SIGINT, INTERRUPTED_EXIT_CODE), (signal.SIGTERM, 0)):
+        signal.signal(number, _leave(code))
+    anyio.run(server.run_stdio_async)
+
+
+def over_http(server: MCPServer, listening: socket.socket, key: str | None, hosts: Sequence[str] | None) -> None:
+    """Speak streamable HTTP at /mcp of a socket until SIGINT or SIGTERM. key, hosts: see `DoorKeeper`."""
+    app = DoorKeeper(server.streamable_http_app(host=listening.getsockname()[0]), key, hosts)
+    run(app, listening, log_level="warning", timeout_graceful_shutdown=5)
+
+
+def _leave(code: int) -> Callable[[int, Any], None]:
+    def leave(_: int, __: Any) -> None:
+        os._exit(code)
+
+    return leave

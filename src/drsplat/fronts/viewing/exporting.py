@@ -1,31 +1,40 @@
-"""Pages made of a scene and queries."""
+"""Pages made of a scene and queries, with its objects and annotations."""
 
+import base64
+import io
 from collections.abc import Sequence
 from dataclasses import replace
 from os import PathLike
+from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from ...authoring.editing.kept import KeptEdits, without_kept
-from ...authoring.filming.looking import before, up_direction
+from ...authoring.filming.looking import Vector, before, up_direction
 from ...authoring.filming.paths import CameraPath
 from ...authoring.filming.planning import ORBIT, path_named
-from ...base.arrays import Float64, Shaped, UInt8, UInt16
+from ...base.arrays import Shaped, UInt8, UInt16
 from ...drawing.heat import heat_of
 from ...errors import DrSplatError, InputError
-from ...query import Scene
+from ...query import Match, Scene
+from ...scene.annotations import Annotation
 from .bare import NO_FIELD
-from .cameras import first_look
 from .naming import words_of
+from .object_list import in_order, names_of, pictures_of, placed_now
 from .page import MAX_GAUSSIANS, MAX_WORDS, Page, PageAnswer, write_page
-from .page_parts import annotations_of_page, object_numbers, objects_of_page
 from .page_times import PageTimes, boxes_of, times_of_page
-from .playing import placed_now
+from .places import box_document, size_text
 from .results import Result, result_of
 from .session import Mode, Session
+from .shown import first_look
+from .texts import printable
 
 SAMPLED_ROWS, ROWS_AT_ONCE, WORDS_PER_ROW = 20_000, 4096, 3
 MAX_MATCHES = 254  # of one query: a byte per Gaussian says which
+POINT_SIZE = 1.0  # of the browser's units
+MAX_OBJECTS_LISTED = 60  # the largest that photos agree on; and as many of the others, behind "more"
+MAX_PICTURES, PICTURE_SIZE_PIXELS, JPEG_QUALITY = 24, (112, 84), 70  # some 3 KB each
 
 
 def export_page(
@@ -34,7 +43,7 @@ def export_page(
     queries: Sequence[str],
     *,
     words: Sequence[str] | None = None,
-    up: Float64[np.ndarray, " 3"] | None = None,
+    up: Vector | None = None,
     max_gaussians: int | None = None,
     path_name: str = ORBIT,
     plays: bool = False,
@@ -66,9 +75,7 @@ def export_page(
     return page
 
 
-def export_session(
-    path: str | PathLike[str], session: Session, queries: Sequence[str], *, up: Float64[np.ndarray, " 3"]
-) -> Page:
+def export_session(path: str | PathLike[str], session: Session, queries: Sequence[str], *, up: Vector) -> Page:
     """Write a page of a session's scene as edited there, with the answers to queries; the session stays as it is.
 
     Raises: as `export_page`.
@@ -78,9 +85,7 @@ def export_session(
     return page
 
 
-def _filmed_page(
-    session: Session, queries: Sequence[str], up: Float64[np.ndarray, " 3"], title: str, path_name: str
-) -> Page:
+def _filmed_page(session: Session, queries: Sequence[str], up: Vector, title: str, path_name: str) -> Page:
     """Return a page of a session that was not asked anything, with a film."""
     if bool(queries) != session.is_askable:
         raise InputError(
@@ -93,8 +98,8 @@ def _filmed_page(
 def page_of(
     session: Session,
     texts: Sequence[str],
-    look: tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]] | None,
-    up: Float64[np.ndarray, " 3"],
+    look: tuple[Vector, Vector] | None,
+    up: Vector,
     title: str = "",
     path: CameraPath | None = None,
 ) -> Page:
@@ -122,7 +127,7 @@ def page_of(
     )  # fmt: skip
 
 
-def _best_look(answers: Sequence[PageAnswer]) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]] | None:
+def _best_look(answers: Sequence[PageAnswer]) -> tuple[Vector, Vector] | None:
     """Return eye and target before the first match of the first answer that has one."""
     return next(((answer.eyes[0], answer.matches[0].center) for answer in answers if answer.matches), None)
 
@@ -133,7 +138,7 @@ def _shown(session: Session, values: Shaped[np.ndarray, " n"]) -> Shaped[np.ndar
     return np.asarray(np.concatenate([values, added])[session.drawn.ids])
 
 
-def _answer(session: Session, text: str, up: Float64[np.ndarray, " 3"], times: PageTimes | None) -> PageAnswer:
+def _answer(session: Session, text: str, up: Vector, times: PageTimes | None) -> PageAnswer:
     scene = session.scene
     result = result_of(scene, text, scene.ask(text))
     matches = [placed_now(session, match) for match in result.matches[:MAX_MATCHES]]
@@ -177,3 +182,78 @@ def _fitting(scene: Scene, words: tuple[str, ...]) -> tuple[str, ...]:
         scores = scene.field.feature(chosen[begin : begin + ROWS_AT_ONCE]) @ vectors.T
         best[np.argpartition(-scores, WORDS_PER_ROW - 1, axis=1)[:, :WORDS_PER_ROW]] = True
     return tuple(word for word, fits in zip(words, best, strict=True) if fits)
+
+
+def objects_of_page(session: Session, up: Vector, times: PageTimes | None = None) -> list[dict[str, Any]]:
+    """Return each object's name, box, a place to see it from, whether photos agree less on it; [] without objects.
+
+    The first objects also have a picture.
+    """
+    if not session.has_objects:
+        return []
+    scene, frame = session.scene, session.shown.frame
+    every, names, agreed, numbers = scene.objects, names_of(session), scene.agreed, listed_numbers(session)
+    matches = [placed_now(session, every[number]) for number in numbers]
+    pictures = [_data_url(picture) for picture in pictures_of(session, matches[:MAX_PICTURES])]
+    pictures += [""] * (len(matches) - len(pictures))
+    return [
+        box_document(frame, match.center, match.axes, match.extent)
+        | {
+            "number": number,
+            "size": size_text(match.extent),
+            "num_gaussians": len(match),
+            "name": printable(names[number], 60),
+            "unsure": not agreed[number],
+            "picture": picture,
+            "eye": frame.shown(before(match, scene.gaussians, scene.views, up)).tolist(),
+            "boxes": boxes,
+        }
+        for number, match, picture, boxes in zip(
+            numbers, matches, pictures, boxes_of(session, times, matches), strict=True
+        )
+    ]
+
+
+def listed_numbers(session: Session) -> list[int]:
+    """Return the numbers of the objects that a page lists, those that photos agree on first."""
+    sure, unsure = in_order(session)
+    return [*sure[:MAX_OBJECTS_LISTED], *unsure[:MAX_OBJECTS_LISTED]]
+
+
+def object_numbers(session: Session) -> UInt16[np.ndarray, " n"] | None:
+    """Return per Gaussian of the scene 0, or 1 for the first object that is listed; None where there are none."""
+    if not session.has_objects:
+        return None
+    numbers = listed_numbers(session)
+    place_of = np.zeros(len(session.scene.agreed) + 1, np.uint16)  # the last is of -1: no object
+    place_of[numbers] = np.arange(1, len(numbers) + 1)
+    return np.asarray(place_of[session.scene.object_ids()])
+
+
+def annotations_of_page(session: Session, up: Vector) -> list[dict[str, Any]]:
+    """Return text and place of each, and its box where it has one."""
+    frame = session.shown.frame
+    return [
+        {"text": printable(one.text, 200), "center": frame.shown(one.center).tolist(), "eye": _eye(session, one, up)}
+        | ({} if one.outline is None else box_document(frame, one.center, one.outline.axes, one.outline.extent))
+        for one in session.edits.annotations
+    ]
+
+
+def _eye(session: Session, one: Annotation, up: Vector) -> list[float]:
+    """Return a place to see an annotation from, as a match of its size is seen."""
+    scene, frame = session.scene, session.shown.frame
+    axes, extent = (np.eye(3), np.full(3, POINT_SIZE / frame.scale)) if one.outline is None else one.outline
+    place = Match(one.center, axes, extent, 1.0, np.empty(0, np.int64))
+    eye: list[float] = frame.shown(before(place, scene.gaussians, scene.views, up)).tolist()
+    return eye
+
+
+def _data_url(pixels: np.ndarray | None) -> str:
+    if pixels is None:
+        return ""
+    out = io.BytesIO()
+    Image.fromarray(pixels).resize(PICTURE_SIZE_PIXELS, Image.Resampling.LANCZOS).save(
+        out, "JPEG", quality=JPEG_QUALITY
+    )
+    return f"data:image/jpeg;base64,{base64.b64encode(out.getvalue()).decode()}"

@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from ...authoring.filming.looking import FOV_DEGREES
+from ...authoring.filming.looking import FOV_DEGREES, Vector
 from ...authoring.filming.paths import CameraPath
-from ...base.arrays import Float32, Float64, Int64, UInt8, UInt16
+from ...base.arrays import Float32, UInt8, UInt16
 from ...drawing.heat import HEAT
 from ...errors import InputError
 from ...formats.replacing import replacing
@@ -28,7 +28,7 @@ from . import painting
 from .client import page_html
 from .page_times import PageTimes, arrays_of, header_of
 from .places import match_document, rounded
-from .shown import Frame, Shown
+from .shown import Frame, Ids, Shown
 from .texts import printable
 
 MAX_GAUSSIANS = 200_000
@@ -50,7 +50,7 @@ class PageAnswer:
     heat: Float32[np.ndarray, " m"]
     owners: UInt8[np.ndarray, " m"]
     matches: Sequence[Match]
-    eyes: Sequence[Float64[np.ndarray, " 3"]]
+    eyes: Sequence[Vector]
     boxes: Sequence[Sequence[Sequence[float] | None]] = ()
     doubt: str = ""
 
@@ -71,9 +71,9 @@ class Page:
     shown: Shown
     gaussians: Gaussians
     answers: Sequence[PageAnswer]
-    eye: Float64[np.ndarray, " 3"]
-    target: Float64[np.ndarray, " 3"]
-    up: Float64[np.ndarray, " 3"]
+    eye: Vector
+    target: Vector
+    up: Vector
     features: Float32[np.ndarray, "m 3"] | None = None
     words: Sequence[str] = ()
     best_words: UInt16[np.ndarray, " m"] | None = field(default=None)
@@ -110,7 +110,7 @@ def packed(arrays: Mapping[str, np.ndarray]) -> tuple[list[tuple[str, str, int, 
     return layout, b"".join(parts)
 
 
-def _order(page: Page) -> Int64[np.ndarray, " m"]:
+def _order(page: Page) -> Ids:
     """Return the order of rows in the file: those that move, then by falling significance.
 
     A browser that is slow draws the first rows only while the camera moves.
@@ -123,7 +123,7 @@ def _order(page: Page) -> Int64[np.ndarray, " m"]:
     return np.concatenate([page.times.order[:count], still[np.argsort(-weight[still], kind="stable")]])
 
 
-def _arrays(page: Page, order: Int64[np.ndarray, " m"]) -> dict[str, np.ndarray]:
+def _arrays(page: Page, order: Ids) -> dict[str, np.ndarray]:
     arrays: dict[str, np.ndarray] = {}
     if page.features is not None:
         arrays["features"] = _bytes(page.features)
@@ -183,7 +183,7 @@ def _about(page: Page) -> str:
     return " ".join(f"{len(page.shown):,} Gaussians. {moves} {page.shown.summary}".split())
 
 
-def film_document(frame: Frame, path: CameraPath, target: Float64[np.ndarray, " 3"]) -> dict[str, Any]:
+def film_document(frame: Frame, path: CameraPath, target: Vector) -> dict[str, Any]:
     """Return places along a path, near enough to each other for straight lines, in the browser's frame.
 
     Each looks at something as far off as `target`, in the world.

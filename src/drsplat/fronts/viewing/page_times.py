@@ -6,14 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from ...base.arrays import Bool, Float16, Float64, Int64, UInt8, UInt16
+from ...authoring.filming.looking import Vector
+from ...base.arrays import Bool, Float16, Float64, UInt8, UInt16
 from ...errors import InputError
 from ...query import Match
 from ...query.tracks import tracks
 from ...scene.gaussians import Gaussians
 from ...scene.moving import Moving
 from .session import Session
-from .shown import Frame, Shown
+from .shown import Frame, Ids, Shown
 
 MAX_TIMES, MIN_TIMES = 120, 8
 MAX_MOVED_PLACES = 1_000_000
@@ -34,10 +35,10 @@ class PageTimes:
     """
 
     times: Float64[np.ndarray, " t"]
-    order: Int64[np.ndarray, " m"]
+    order: Ids
     places: UInt16[np.ndarray, "t k 3"]
-    low: Float64[np.ndarray, " 3"]
-    step: Float64[np.ndarray, " 3"]
+    low: Vector
+    step: Vector
     covariances: Float16[np.ndarray, "t k 6"]
     opacities: UInt8[np.ndarray, "t k"]
     seconds: float
@@ -75,9 +76,7 @@ def times_of_page(session: Session) -> PageTimes | None:
     return _collected(session, times, order, count, len(known))
 
 
-def _collected(
-    session: Session, times: Float64[np.ndarray, " t"], order: Int64[np.ndarray, " m"], count: int, num_known: int
-) -> PageTimes:
+def _collected(session: Session, times: Float64[np.ndarray, " t"], order: Ids, count: int, num_known: int) -> PageTimes:
     centers = np.empty((len(times), count, 3), np.float32)
     covariances = np.empty((len(times), count, 6), np.float16)
     opacities = np.empty((len(times), count), np.uint8)
@@ -157,8 +156,8 @@ class _Standing:
 
 
 def _numbers(
-    frame: Frame, center: Float64[np.ndarray, " 3"], axes: Float64[np.ndarray, "3 3"],
-    extent: Float64[np.ndarray, " 3"],
+    frame: Frame, center: Vector, axes: Float64[np.ndarray, "3 3"],
+    extent: Vector,
 ) -> list[float]:  # fmt: skip
     numbers = np.concatenate([frame.shown(center), axes.ravel(), extent * frame.scale])
     return np.round(numbers, 4).tolist()  # type: ignore[no-any-return]

@@ -1,22 +1,29 @@
-"""Picking: the Gaussian that a click in a picture, a ray, meets."""
+"""Picking: the Gaussian that a click in a picture, a ray, meets, and those inside of an outline."""
 
 from typing import NamedTuple
 
 import numpy as np
+from PIL import Image, ImageDraw
 
-from ...base.arrays import Bool, Float64, Int64
+from ...authoring.filming.looking import Vector
+from ...base.arrays import Bool, Float64, Int32, Int64
+from ...kernels import SplatArrays, view_weights
 from ...scene.gaussians import Gaussians
+from ...scene.views import View
 
 REACH_DEVIATIONS = 3.0  # standard ones, at which a Gaussian ends
 MIN_ALPHA = 1 / 255
 MAX_ALPHA = 0.99
+GAUSSIANS_PER_PIXEL = 8  # the heaviest: those behind what is seen have next to no weight
+MIN_INSIDE_SHARE = 0.5  # of a Gaussian's weight in the picture
+MIN_WEIGHT_PIXELS = 0.02  # of a Gaussian in the whole picture
 
 
 class Ray(NamedTuple):
     """A half-line. direction: of length 1, as `ray_along` makes it."""
 
-    origin: Float64[np.ndarray, " 3"]
-    direction: Float64[np.ndarray, " 3"]
+    origin: Vector
+    direction: Vector
 
 
 class Hit(NamedTuple):
@@ -24,10 +31,10 @@ class Hit(NamedTuple):
 
     gaussian_ids: Int64[np.ndarray, " h"]
     weights: Float64[np.ndarray, " h"]
-    point: Float64[np.ndarray, " 3"]
+    point: Vector
 
 
-def ray_along(origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]) -> Ray:
+def ray_along(origin: Vector, direction: Vector) -> Ray:
     """Return the ray in a direction, also in one so short or long that its square is 0 or infinite."""
     scaled = direction / np.abs(direction).max()
     return Ray(origin, np.asarray(scaled / np.linalg.norm(scaled)))
@@ -90,3 +97,26 @@ def _met(part: Gaussians, ray: Ray) -> tuple[Float64[np.ndarray, " m"], Float64[
     at = start + depth[:, None] * step
     alpha = part.opacities * np.exp(-0.5 * np.einsum("ni,ni->n", at, at))
     return depth, alpha
+
+
+def inside_outline(
+    splats: SplatArrays, view: View, outline: Float64[np.ndarray, "p 2"], *, threads: int = 0
+) -> Int64[np.ndarray, " m"]:
+    """Return the Gaussians, ascending, of which most that a view shows lies inside an outline.
+
+    outline: corners of a polygon, in pixels of the view.
+    """
+    seen = view_weights(splats, view, _filled(view, outline), GAUSSIANS_PER_PIXEL, threads=threads)
+    weights = seen.weights.astype(np.float64)
+    count = len(splats.opacities)
+    every = np.bincount(seen.gaussian_ids, weights, minlength=count)
+    inside = np.bincount(seen.gaussian_ids, weights * (seen.mask_ids == 1), minlength=count)
+    return np.flatnonzero((inside > MIN_INSIDE_SHARE * every) & (every >= MIN_WEIGHT_PIXELS))
+
+
+def _filled(view: View, outline: Float64[np.ndarray, "p 2"]) -> Int32[np.ndarray, "h w"]:
+    """Return 1 for each pixel inside a polygon and 0 for the others."""
+    picture = Image.new("L", (view.width, view.height))
+    corners = np.clip(outline, -8 * max(view.width, view.height), 9 * max(view.width, view.height))
+    ImageDraw.Draw(picture).polygon([tuple(corner) for corner in corners.tolist()], fill=1)
+    return np.asarray(picture, np.int32)

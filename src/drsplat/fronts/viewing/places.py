@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from ...authoring.filming.looking import Vector
 from ...base.arrays import Float64, Shaped
 from ...query import Match, documents
 from .shown import Frame
@@ -15,14 +16,14 @@ DECIMALS = 5  # a browser's unit is a twentieth of the scene
 
 
 def box_document(
-    frame: Frame, center: Float64[np.ndarray, " 3"], axes: Float64[np.ndarray, "3 3"],
-    extent: Float64[np.ndarray, " 3"],
+    frame: Frame, center: Vector, axes: Float64[np.ndarray, "3 3"],
+    extent: Vector,
 ) -> dict[str, Any]:  # fmt: skip
     """Return an oriented box of the world in the browser's frame."""
     return documents.box_document(frame.shown(center), axes, extent * frame.scale, DECIMALS)
 
 
-def match_document(frame: Frame, match: Match, eye: Float64[np.ndarray, " 3"], name: str = "") -> dict[str, Any]:
+def match_document(frame: Frame, match: Match, eye: Vector, name: str = "") -> dict[str, Any]:
     """Return a match with its box, a place to see it from, and its numbers in scene units. eye: in the world."""
     shown = replace(match, center=frame.shown(match.center), extent=match.extent * frame.scale)
     document = documents.match_document(shown, DECIMALS)
@@ -39,11 +40,11 @@ def rounded(values: Shaped[np.ndarray, "*any"]) -> list[Any]:
     return documents.rounded(values, DECIMALS)
 
 
-def size_text(extent: Float64[np.ndarray, " 3"]) -> str:
+def size_text(extent: Vector) -> str:
     """Return the lengths of a box in scene units, such as "0.12 x 0.08 x 0.09"."""
     return " x ".join(f"{x:.3g}" for x in extent)
 
 
-def place_text(point: Float64[np.ndarray, " 3"]) -> str:
+def place_text(point: Vector) -> str:
     """Return a place in the world, such as "0.30, 0.14, 0.82"."""
     return ", ".join(f"{round(float(x), 2) + 0.0:.2f}" for x in point)

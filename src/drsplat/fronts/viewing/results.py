@@ -12,6 +12,7 @@ from ...kernels.boxes import box_of
 from ...query import Answer, Match, Scene
 from ...query.defaults import MAYBE, OBJECT
 from ...scene.boxes import solid
+from .shown import Ids
 
 QUERY_SEPARATOR = ";"
 
@@ -29,7 +30,7 @@ class Result:
     matches: list[Match]
 
     @property
-    def gaussian_ids(self) -> Int64[np.ndarray, " m"]:
+    def gaussian_ids(self) -> Ids:
         """Sorted ids of the Gaussians of all matches."""
         return joined([match.gaussian_ids for match in self.matches])
 
@@ -60,7 +61,7 @@ def result_of(scene: Scene, label: str, answer: Answer) -> Result:
     return Result(label, answer, answer.threshold, scene.locate(answer))
 
 
-def result_of_ids(scene: Scene, label: str, ids: Int64[np.ndarray, " m"]) -> Result:
+def result_of_ids(scene: Scene, label: str, ids: Ids) -> Result:
     """Return exactly some Gaussians, one or more, as the only match of a query; they need no feature."""
     rows = scene.field.rows_of(ids)
     answer = Answer.of_rows(scene.field, rows[rows >= 0], OBJECT)
@@ -80,7 +81,7 @@ def split_queries(text: str) -> list[str]:
     return list(dict.fromkeys(part.strip() for part in text.split(QUERY_SEPARATOR) if part.strip()))
 
 
-def joined(parts: Sequence[Int64[np.ndarray, " _"]]) -> Int64[np.ndarray, " m"]:
+def joined(parts: Sequence[Int64[np.ndarray, " _"]]) -> Ids:
     """Return all ids in any of the parts, ascending."""
     return np.unique(np.concatenate(parts)) if parts else np.empty(0, np.int64)
 

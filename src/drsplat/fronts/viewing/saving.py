@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ...authoring.filming.looking import looking_at, swing
-from ...base.arrays import Float64, UInt8
+from ...authoring.filming.looking import Vector, looking_at, swing
+from ...base.arrays import UInt8
 from ...drawing.pictures import as_pixels
 from ...errors import InputError
 from ...formats.gaussian_ply import write_gaussians
@@ -55,13 +55,7 @@ def picture_of(session: Session, view: View) -> UInt8[np.ndarray, "h w 3"]:
     return as_pixels(drawn.channels)
 
 
-def flight_gif(
-    session: Session,
-    eye: Float64[np.ndarray, " 3"],
-    target: Float64[np.ndarray, " 3"],
-    up: Float64[np.ndarray, " 3"],
-    frames: int = GIF_FRAMES,
-) -> bytes:
+def flight_gif(session: Session, eye: Vector, target: Vector, up: Vector, frames: int = GIF_FRAMES) -> bytes:
     """Render a swing around a target in the world as an endless GIF."""
     places = swing(eye, target, up, frames)
     pictures = [picture_of(session, looking_at(at, target, up, GIF_SIZE_PIXELS)) for at in places]

@@ -13,8 +13,8 @@ from ...authoring.editing import Edit, Isolate, Recolour, Remove, Rows
 from ...authoring.editing.edits import Change
 from ...authoring.editing.resolving import complete_rows
 from ...authoring.editing.targets import MAX_NAME_CHARACTERS
-from ...authoring.filming.looking import radius_of
-from ...base.arrays import Bool, Float32, Float64, Int32, Int64, UInt8
+from ...authoring.filming.looking import Vector, radius_of
+from ...base.arrays import Bool, Float32, Float64, Int32, UInt8
 from ...base.terminal import counted
 from ...drawing.heat import heat_colors
 from ...drawing.palette import class_colors
@@ -28,11 +28,10 @@ from ...scene.moving import Span
 from ...scene.views import View
 from . import painting, results
 from .edits import Edits
-from .lasso import inside_outline
 from .naming import This, known_words, this_is
-from .picking import hit_by_ray, ray_along
+from .picking import hit_by_ray, inside_outline, ray_along
 from .results import Result
-from .shown import Shown, shown_of
+from .shown import Ids, Shown, shown_of
 
 MAX_QUERIES = 8  # at once: as many as there are colours
 
@@ -223,7 +222,7 @@ class Session:
 
     # --- pointing ---
 
-    def click(self, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]) -> This | None:
+    def click(self, origin: Vector, direction: Vector) -> This | None:
         """Return what a ray in the browser's frame meets first, None where that has no feature.
 
         In a field with objects it is selected: the object, or where that is none all that is like it.
@@ -320,7 +319,7 @@ class Session:
         return ~self.edits.present
 
     @property
-    def selection(self) -> Int64[np.ndarray, " m"]:
+    def selection(self) -> Ids:
         """All that was found and is not hidden, ascending."""
         ids = results.joined([result.gaussian_ids for result in self.results])
         return np.asarray(ids[~self.hidden[ids]])
@@ -357,11 +356,11 @@ class Session:
         """Take back everything, as it was before all edits, which can be redone."""
         self.edits.undo(self.edits.listed.done)
 
-    def standing(self, ids: Int64[np.ndarray, " m"]) -> Gaussians:
+    def standing(self, ids: Ids) -> Gaussians:
         """Return some of the scene's own rows, where they are now."""
         return self.edits.standing.subset(ids)
 
-    def _needed(self) -> Int64[np.ndarray, " m"]:
+    def _needed(self) -> Ids:
         if not len(self.selection):
             raise InputError("nothing is selected: make a query that has a match first")
         return self.selection
@@ -413,7 +412,7 @@ class Session:
     def object_ids(self) -> Int32[np.ndarray, " n"]:
         return self.scene.object_ids()
 
-    def edited(self, *, selected_only: bool = False) -> tuple[Gaussians, Int64[np.ndarray, " m"]]:
+    def edited(self, *, selected_only: bool = False) -> tuple[Gaussians, Ids]:
         """Return the Gaussians after all edits, and their rows: the scene's own, then added ones.
 
         selected_only: of that, what is selected. Raises: InputError: nothing is left.

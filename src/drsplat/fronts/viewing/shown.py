@@ -1,13 +1,16 @@
-"""Which Gaussians a browser is given, and in which frame."""
+"""Which Gaussians a browser is given, in which frame, and from where they are first seen."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...authoring.filming.looking import Vector
 from ...base.arrays import Float32, Float64, Int64
 from ...errors import InputError
 from ...scene.gaussians import SH_C0, Gaussians
 from ...scene.significance import most_significant
+from ...scene.views import View
 
 RADIUS = (
     10.0  # of what is shown, in the browser's units: a Gaussian of a thousandth is 1e-4 squared, which float16 holds
@@ -15,13 +18,16 @@ RADIUS = (
 WITHIN_RADIUS_SHARE = 0.9  # of the solid Gaussians
 MIDDLE_QUANTILES = (0.02, 0.98)  # along each axis, whose mean is the middle: few floaters move it little
 MAX_VARIANCE = 6e4  # float16 ends at 65504
+Ids = Int64[np.ndarray, " m"]
+"""Rows of a scene."""
+OUTSIDE_RADII = 2.7  # a ball of one radius fits into 55 degrees from 2.2 on
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
     """Frame of the scene in the browser: x_shown = scale * (x_world - center); directions stay."""
 
-    center: Float64[np.ndarray, " 3"]
+    center: Vector
     scale: float
 
     def shown(self, points: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
@@ -39,7 +45,7 @@ class Shown:
     num_left_out: Gaussians beyond the budget. antialiased: as of `Gaussians`.
     """
 
-    ids: Int64[np.ndarray, " m"]
+    ids: Ids
     centers: Float32[np.ndarray, "m 3"]
     covariances: Float32[np.ndarray, "m 6"]
     rgb: Float32[np.ndarray, "m 3"]
@@ -119,3 +125,15 @@ def frame_of(gaussians: Gaussians) -> Frame:
     center = np.quantile(points, MIDDLE_QUANTILES, axis=0).mean(axis=0)
     reach = float(np.quantile(np.linalg.norm(points - center, axis=1), WITHIN_RADIUS_SHARE))
     return Frame(center, RADIUS / reach if reach > 0 else 1.0)
+
+
+def first_look(views: Sequence[View], frame: Frame, up: Vector) -> tuple[Vector, Vector]:
+    """Return where to begin and what to look at: from one of the photos, else from outside, with all in the picture."""
+    if not views:
+        side = np.array([0.8, 0.5, 0.3])
+        side = side - (side @ up) * up + 0.4 * up
+        return frame.center + OUTSIDE_RADII * RADIUS / frame.scale * side / np.linalg.norm(side), frame.center
+    view = views[len(views) // 2]
+    ahead = view.cam_from_world[2, :3]
+    reach = max(float(ahead @ (frame.center - view.center)), 1 / frame.scale)
+    return view.center, view.center + reach * ahead

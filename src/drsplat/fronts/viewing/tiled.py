@@ -9,6 +9,7 @@ import numpy as np
 
 from ...authoring.editing import EditList
 from ...authoring.editing.edits import Change
+from ...authoring.filming.looking import Vector
 from ...base.arrays import Bool, Float32, Float64, Int32, Int64
 from ...drawing.heat import heat_colors, heat_of
 from ...drawing.palette import class_colors
@@ -24,11 +25,10 @@ from ...scene.gaussians import Gaussians
 from ...scene.significance import most_significant
 from ...scene.views import View
 from . import painting, results
-from .lasso import inside_outline
 from .naming import This, this_is
-from .picking import REACH_DEVIATIONS, Hit, Met, Ray, blended, met_by_ray, ray_along
+from .picking import REACH_DEVIATIONS, Hit, Met, Ray, blended, inside_outline, met_by_ray, ray_along
 from .session import Mode, Session
-from .shown import RADIUS, Frame, Shown, base_colors
+from .shown import RADIUS, Frame, Ids, Shown, base_colors
 
 COARSE_SHARE = 0.25  # of the Gaussians that a browser gets: of all tiles, the most significant of each
 RADIUS_HALF_DIAGONALS = 1.5  # of a middling tile in a browser's RADIUS: a city has the scale of a room there
@@ -75,7 +75,7 @@ class NoEdits:
 
 @dataclass(eq=False, repr=False)
 class TiledSession(Session):
-    """A session of a scene in tiles. Browsers get it part by part (`live.tiles`): of each tile a coarse one, the rest.
+    """A session of a scene in tiles. Browsers get it part by part (`live.arrays`): of each tile a coarse one, the rest.
 
     What is remembered of tiles that were sent are the rows of their coarse parts.
     """
@@ -126,7 +126,7 @@ class TiledSession(Session):
         """Return how many Gaussians the coarse part of a tile has."""
         return max(1, min(tile.num_rows, int(tile.num_rows * COARSE_SHARE * self.budget / len(self.tiles))))
 
-    def part(self, number: int) -> tuple[Gaussians, Int64[np.ndarray, " m"]]:
+    def part(self, number: int) -> tuple[Gaussians, Ids]:
         """Return a part and its rows: 2 k is the coarse one of tile k, 2 k + 1 what that leaves out.
 
         Raises: InputError: there is none. FormatError: the tile is damaged or missing.
@@ -138,7 +138,7 @@ class TiledSession(Session):
         rows = self.rows_of(number) - tile.first
         return whole.subset(rows), rows + tile.first
 
-    def rows_of(self, number: int) -> Int64[np.ndarray, " m"]:
+    def rows_of(self, number: int) -> Ids:
         """Return the rows of a part; the tile is read where nobody has. Raises: as `part`."""
         tile = self.tile_of(number)
         if number // 2 not in self._coarse:
@@ -154,7 +154,7 @@ class TiledSession(Session):
 
     # --- what rows answer ---
 
-    def heat_at(self, rows: Int64[np.ndarray, " m"]) -> Float32[np.ndarray, " m"]:
+    def heat_at(self, rows: Ids) -> Float32[np.ndarray, " m"]:
         """Return how well some rows answer, as `results.heat`."""
         own = self.scene.field.rows_of(rows)
         warmest = np.zeros(len(rows), np.float32)
@@ -163,7 +163,7 @@ class TiledSession(Session):
             warmest[own >= 0] = np.maximum(warmest[own >= 0], warm)
         return warmest
 
-    def owners_at(self, rows: Int64[np.ndarray, " m"]) -> Int32[np.ndarray, " m"]:
+    def owners_at(self, rows: Ids) -> Int32[np.ndarray, " m"]:
         """Return the query that each of some rows answers, as `results.owners`."""
         owners = np.full(len(rows), -1, np.int32)
         for number in range(len(self.results) - 1, -1, -1):
@@ -171,21 +171,21 @@ class TiledSession(Session):
         return owners
 
     @property
-    def _found(self) -> list[Int64[np.ndarray, " m"]]:
+    def _found(self) -> list[Ids]:
         """Rows of each query, made once for its results."""
         known = self.__dict__.get("_rows_found")
         if known is None or known[0] is not self.results:
             known = self.__dict__["_rows_found"] = self.results, [result.gaussian_ids for result in self.results]
         return known[1]
 
-    def objects_at(self, rows: Int64[np.ndarray, " m"]) -> Int32[np.ndarray, " m"]:
+    def objects_at(self, rows: Ids) -> Int32[np.ndarray, " m"]:
         """Return the object of each of some rows, -1 for none."""
         own = self.scene.field.rows_of(rows)
         numbers = np.full(len(rows), -1, np.int32)
         numbers[own >= 0] = objects_of(self.scene.field).thing_of(own[own >= 0])
         return numbers
 
-    def colors_at(self, rgb: Float32[np.ndarray, "m 3"], rows: Int64[np.ndarray, " m"]) -> Float32[np.ndarray, "m 3"]:
+    def colors_at(self, rgb: Float32[np.ndarray, "m 3"], rows: Ids) -> Float32[np.ndarray, "m 3"]:
         """Return the colours of some rows in the present mode, as `Session.colors`. rgb: their own."""
         if self.mode is Mode.CLASSES and self.segmentation is not None:
             palette = class_colors(len(self.segmentation.names))
@@ -223,7 +223,7 @@ class TiledSession(Session):
         self.clicked = None
         return self._answered([results.result_of_ids(self.scene, "outlined", ids)])
 
-    def click(self, origin: Float64[np.ndarray, " 3"], direction: Float64[np.ndarray, " 3"]) -> This | None:
+    def click(self, origin: Vector, direction: Vector) -> This | None:
         if not (np.isfinite(origin).all() and np.isfinite(direction).all() and direction.any()):
             raise InputError("a click needs a place and a direction")
         hit = self._hit(ray_along(self.shown.frame.world(origin), direction))
@@ -270,7 +270,7 @@ class TiledSession(Session):
     def edited(self, *, selected_only: bool = False) -> NoReturn:
         raise InputError(UNEDITED)
 
-    def standing(self, ids: Int64[np.ndarray, " m"]) -> Gaussians:
+    def standing(self, ids: Ids) -> Gaussians:
         return self.scene.rows.shapes_of(ids)
 
 

@@ -1,6 +1,7 @@
-"""The routes of the viewer: each is one call in the thread of its session, but what is slow."""
+"""The routes of the viewer: each is one call in the thread of its session, but what is slow; and what pages hear."""
 
 import asyncio
+import json
 import secrets
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
@@ -17,8 +18,7 @@ from starlette.routing import Route
 
 from ....errors import DrSplatError, InputError
 from ...serving.pictures import decoded
-from ...serving.refusals import faults_of
-from ...serving.replies import BUG, JPEG, PNG, Reply, problem, refusal
+from ...serving.replies import BUG, JPEG, PNG, Reply, faults_of, problem, refusal
 from ..client import client_file, live_html
 from ..saving import Saves
 from ..texts import printable
@@ -26,16 +26,62 @@ from . import files
 from .acts import AnyAct, Open, SlowAct, begun, done, read_act
 from .arrays import ARRAYS_HEADER, ROWS_HEADER, Packed
 from .cameras import MAX_SIDE_PIXELS, Body, Camera, Path, Text, flight_document
-from .events import Events
 from .shared import Shared
 from .stage import Stage
 from .turns import Lanes
 
+MAX_STREAMS = 16
+BEAT_S = 15.0
 MAX_PICTURE_PIXELS = 40_000_000
 FAULT_TEXTS = {"extra_forbidden": "there is no such field"}
 T = TypeVar("T")
 B = TypeVar("B", bound=BaseModel)
 Handler = Callable[[Request], Coroutine[Any, Any, Response]]
+
+
+class Events:
+    """Streams of a service. summary: what a line says. Only the latest is sent to a page that reads slowly."""
+
+    def __init__(self, summary: Callable[[], dict[str, Any]], most: int = MAX_STREAMS, beat_s: float = BEAT_S) -> None:
+        self.summary, self.most, self.beat_s, self.is_closed = summary, most, beat_s, False
+        self._streams: dict[asyncio.Event, asyncio.AbstractEventLoop] = {}
+
+    def __len__(self) -> int:
+        return len(self._streams)
+
+    def tell(self) -> None:
+        """Wake all streams; from any thread."""
+        for changed, loop in list(self._streams.items()):
+            try:
+                loop.call_soon_threadsafe(changed.set)
+            except RuntimeError:  # its loop has ended
+                self._streams.pop(changed, None)
+
+    def close(self) -> None:
+        """End all streams."""
+        self.is_closed = True
+        self.tell()
+
+    def open(self) -> AsyncIterator[bytes]:
+        """Return the lines for one page. Raises: HTTPException: there are enough."""
+        if len(self._streams) >= self.most:
+            raise HTTPException(503, f"{self.most} pages of this viewer are open: close one")
+        changed = asyncio.Event()
+        self._streams[changed] = asyncio.get_running_loop()
+        return self._lines(changed)
+
+    async def _lines(self, changed: asyncio.Event) -> AsyncIterator[bytes]:
+        try:
+            while not self.is_closed:
+                changed.clear()
+                yield f"data: {json.dumps(self.summary())}\n\n".encode()
+                while not changed.is_set():
+                    try:
+                        await asyncio.wait_for(changed.wait(), self.beat_s)
+                    except TimeoutError:
+                        yield b": here\n\n"
+        finally:
+            self._streams.pop(changed, None)
 
 
 class CameraOnly(Body):

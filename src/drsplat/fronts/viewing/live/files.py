@@ -1,8 +1,8 @@
-"""Pictures and files that a browser gets: photos, what is shown, scenes, films and paths."""
+"""Pictures and files that a browser gets: photos, what is shown, scenes with what is known of them, films and paths."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path as FilePath
 from threading import Event
 from typing import Annotated, Any, Literal, NamedTuple
@@ -10,22 +10,31 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import StringConstraints
 
+from ....authoring.editing.draft import OBJECT_ID
+from ....authoring.exporting.after import After
+from ....authoring.exporting.choosing import only_used, rows_of
+from ....authoring.exporting.placing import Placing
+from ....authoring.exporting.things import groups_of, match_thing, things_of
+from ....authoring.filming.looking import up_direction
 from ....authoring.filming.path_files import path_of, write_path
 from ....authoring.filming.paths import frame_count
 from ....authoring.filming.writing import write_film
-from ....base.arrays import UInt8
+from ....base.arrays import Bool, UInt8
 from ....drawing.pictures import OtherPixels, as_pixels
 from ....drawing.rendering import render
 from ....errors import InputError
 from ....formats.json_files import document_in
 from ....formats.known import write_scene
 from ....query.sheets import OBJECTS_AT_ONCE
+from ....scene.gaussians import Gaussians
+from ....scene.labelled import LabelledScene
 from ...serving.pictures import jpeg, png
-from ..carrying import carried
+from .. import results
 from ..exporting import export_session
 from ..naming import photo_of
 from ..object_list import pictures_of
 from ..saving import Saves, flight_gif, picture_of, save_scene, write_bytes
+from ..session import Session
 from ..tiled import UNEDITED
 from .cameras import FILM_SIZE_PIXELS, FPS, Body, Camera, Path, path_document, path_through, view_of
 from .stage import Stage
@@ -216,3 +225,55 @@ def _swing(stage: Stage, camera: Camera | None) -> bytes:
         raise InputError("swing: expected a match to swing about, or a camera")
     eye, target = (session.shown.frame.world(np.array(at, np.float64)) for at in (camera.eye, camera.target))
     return flight_gif(session, eye, target, stage.up)
+
+
+def carried(session: Session, *, selected_only: bool = False) -> LabelledScene:
+    """Return what is not hidden with all that is known of it; the answers are those that are shown, together.
+
+    Raises: InputError: nothing is selected where `selected_only`, or nothing is left.
+    """
+    scene = session.scene
+    gaussians, ids = session.edited(selected_only=selected_only)
+    placing = Placing(scene.gaussians, _after(session), scene.up)
+    things = placing.objects(things_of(scene))
+    owners = gaussians.extra.get(OBJECT_ID) if things else None
+    found = [(result, match) for result in session.results for match in result.matches]
+    matches = [match_thing(scene, number, match) for number, (_, match) in enumerate(found)]
+    up = up_direction(scene)
+    whole = LabelledScene(
+        _without_objects(gaussians),
+        scene.name,
+        tuple(things),
+        groups_of(scene),
+        None if owners is None else rows_of(things, owners),
+        "; ".join(result.label for result in session.results),
+        _relevancy(session, ids) if session.results else None,
+        placing.matches([match for _, match in found], matches),
+        session.edits.annotations,
+        (float(up[0]), float(up[1]), float(up[2])),
+        num_edits=session.edits.listed.done,
+    )
+    return only_used(whole) if selected_only else whole
+
+
+def _after(session: Session) -> After:
+    """Return all rows of the edits on show, those that they added behind the scene's own."""
+    everything, rows = session.edits.part(np.arange(len(session.edits.opacities)))
+    present: Bool[np.ndarray, " d"] = np.zeros(len(rows), bool)
+    present[session.edited()[1]] = True
+    owners = everything.extra.get(OBJECT_ID)
+    known = len(session.scene.field.objects or ())
+    added = [] if owners is None else np.unique(owners[owners >= known]).tolist()
+    return After(everything, present, dict.fromkeys(added, -1))
+
+
+def _relevancy(session: Session, ids: np.ndarray) -> np.ndarray:
+    """Return the highest relevancy of the answers on show; 0 of what edits added."""
+    values = np.zeros(len(ids), np.float32)
+    own = ids < len(session.scene.gaussians)
+    values[own] = results.relevancy(session.results, len(session.scene.gaussians))[ids[own]]
+    return values
+
+
+def _without_objects(gaussians: Gaussians) -> Gaussians:
+    return replace(gaussians, extra={name: own for name, own in gaussians.extra.items() if name != OBJECT_ID})

@@ -1,28 +1,195 @@
-"""Starting the viewer: a socket, the gate, and a server until it is stopped."""
+"""Starting the viewer: a socket, a server until it is stopped, and the gate: who comes in, how often."""
 
 import secrets
 import signal
 import socket
 import threading
-from collections.abc import Iterator
+import time
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
 from typing import Any
+from urllib.parse import parse_qs
 
 import uvicorn
 
-from ...serving.access import ALL_INTERFACES, is_loopback
+from ....errors import InputError
+from ...serving.access import ALL_INTERFACES, is_addressed, is_loopback, is_own_page, is_secret, names_of
 from ...serving.connections import TIMEOUTS_S, Stage, bounded, run_server
-from ...serving.listening import address_of
+from ...serving.guards import Answer, App, Body, DoorKeeper, Message, Receive, Send, refused_length
+from ...serving.limits import Limits
+from ...serving.listening import TakenError, address_of, bound_socket
 from ...serving.replies import BusyError
 from ..session import Session
 from .app import create_app
-from .gate import Gate
 from .shared import Shared
 from .stage import Vector
 from .turns import Lanes
 
+MAX_PORTS_TRIED = 20
+MAX_ACT_BYTES, MAX_PICTURE_BYTES, MAX_SCENE_BYTES = 1 << 20, 20 << 20, 4 << 30
+MAX_BODY_BYTES: Mapping[str, int] = {
+    "/view/ask-picture": MAX_PICTURE_BYTES, "/view/load-path": MAX_PICTURE_BYTES, "/view/open": MAX_SCENE_BYTES,
+    "/view/upload": MAX_SCENE_BYTES,
+}  # fmt: skip
+CONTENT_TYPES = ("application/json", "application/octet-stream")  # which a page of another site cannot send unasked
+REQUESTS_PER_SECOND, BURST_REQUESTS, MAX_PEERS = 120.0, 240.0, 1024  # of one address; addresses noted
+CONTENT_POLICY = (
+    "default-src 'none'; script-src 'self' blob:; worker-src blob:; style-src 'self' 'unsafe-inline'; "
+    "img-src 'self' data: blob:; connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
+)
+SAFE_HEADERS = (
+    (b"content-security-policy", CONTENT_POLICY.encode()), (b"x-content-type-options", b"nosniff"),
+    (b"referrer-policy", b"no-referrer"), (b"cross-origin-resource-policy", b"same-origin"),
+    (b"cache-control", b"no-store"),
+)  # fmt: skip
 GRACE_S = 5  # for what is being answered when the viewer stops
 VIEWER_TIMEOUTS_S = {**TIMEOUTS_S, Stage.BODY: 1800.0}  # a scene of gigabytes may come over a slow network
+
+
+def listening_socket(host: str, port: int) -> socket.socket:
+    """Return a socket that listens on `port`, or on one of the next where it is taken; port 0 takes any.
+
+    Raises: InputError: the address is not one of this machine; no port is free.
+    """
+    for candidate in range(port, max(port + 1, min(port + MAX_PORTS_TRIED, 65536))):
+        try:
+            return bound_socket(host, candidate)
+        except TakenError:
+            continue
+    raise InputError(f"ports {port} to {candidate} of '{host}' are taken: name another one, port=N")
+
+
+class Gate(DoorKeeper):
+    """ASGI middleware around the viewer.
+
+    host: that it listens on. token: what a browser has to show, by its address or a cookie; None for nothing. port: of
+    the cookie's name, so that several viewers of one machine keep theirs apart.
+    """
+
+    def __init__(self, app: App, host: str, port: int, token: str | None = None) -> None:
+        super().__init__(app, None, names_of(host))
+        self.token, self.cookie = token, f"drsplat-{port}"
+        self.large, self.limits = 0, Limits(large_bodies=4)
+        self._paces: OrderedDict[str, tuple[float, float]] = OrderedDict()
+
+    async def __call__(self, scope: Message, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http":
+            return await self.app(scope, receive, send)
+        answer = Answer(_safe(send))
+        if await self._turned_away(scope, answer) or await self._led_home(scope, answer):
+            return None
+        most = MAX_BODY_BYTES.get(scope["path"], MAX_ACT_BYTES)
+        if await refused_length(scope, most, answer):
+            return None
+        body = Body(receive, self, most)
+        try:
+            await self.app(scope, body, answer)
+        finally:
+            self.large -= body.is_large
+
+    async def _turned_away(self, scope: Message, answer: Answer) -> bool:
+        """Refuse a request that may not come in; returns whether it was."""
+        headers = _Headers(scope)
+        if headers.host is None or not is_addressed(headers.host, self.hosts):
+            called = ", ".join(self.hosts or ("its name or address",))
+            await answer.refuse(403, "wrong host", f"this viewer is called: {called}")
+        elif not _is_from_here(scope, headers, headers.host):
+            await answer.refuse(403, "other page", "other pages may not use this viewer")
+        elif not self._is_known(scope, headers):
+            await answer.refuse(401, "unauthorised", "open the address that drsplat view printed, with its token")
+        elif not self._is_paced(scope):
+            await answer.refuse(429, "too fast", f"{REQUESTS_PER_SECOND:g} requests a second are answered: come again")
+        elif scope["method"] == "POST" and headers.content_type not in CONTENT_TYPES:
+            await answer.refuse(415, "media type", f"expected the header Content-Type: {' or '.join(CONTENT_TYPES)}")
+        return bool(answer.status)
+
+    def _is_known(self, scope: Message, headers: "_Headers") -> bool:
+        if self.token is None:
+            return True
+        given = [*(_query(scope).get("token", []) if scope["path"] == "/" else []), *headers.cookies(self.cookie)]
+        return any(is_secret(one, self.token) for one in given)
+
+    def _is_paced(self, scope: Message) -> bool:
+        """Return whether an address has not asked too often; what it may ask at once comes back with time."""
+        peer = scope["client"][0] if scope.get("client") else ""
+        now = time.monotonic()
+        left, last = self._paces.pop(peer, (BURST_REQUESTS, now))
+        left = min(BURST_REQUESTS, left + (now - last) * REQUESTS_PER_SECOND)
+        self._paces[peer] = max(left - 1, 0), now
+        if len(self._paces) > MAX_PEERS:
+            self._paces.popitem(last=False)
+        return left >= 1
+
+    async def _led_home(self, scope: Message, answer: Answer) -> bool:
+        """Send who comes to the page with a query to the page without one; who had the token keeps it as a cookie."""
+        if scope["path"] != "/" or not scope["query_string"]:
+            return False
+        headers = [(b"location", b"/"), (b"content-length", b"0")]
+        if self.token is not None:
+            kept = f"{self.cookie}={self.token}; Path=/; HttpOnly; SameSite=Strict"
+            headers.append((b"set-cookie", kept.encode()))
+        await answer({"type": "http.response.start", "status": 303, "headers": headers})
+        await answer({"type": "http.response.body", "body": b""})
+        return True
+
+
+class _Headers:
+    """Headers of a request that say where it comes from."""
+
+    def __init__(self, scope: Message) -> None:
+        self._pairs: list[tuple[bytes, bytes]] = list(scope["headers"])
+
+    def every(self, name: bytes) -> list[str]:
+        return [value.decode("latin-1") for key, value in self._pairs if key == name]
+
+    @property
+    def host(self) -> str | None:
+        """None where there is none, or more than one."""
+        hosts = self.every(b"host")
+        return hosts[0] if len(hosts) == 1 else None
+
+    @property
+    def content_type(self) -> str:
+        return (self.every(b"content-type") or [""])[0].partition(";")[0].strip().lower()
+
+    def cookies(self, name: str) -> list[str]:
+        pairs = "; ".join(self.every(b"cookie")).split(";")
+        parts = (pair.strip().partition("=") for pair in pairs)
+        return [value for key, _, value in parts if key == name]
+
+
+def _is_from_here(scope: Message, headers: _Headers, host: str) -> bool:
+    """Return whether a request comes from the viewer's own page, or, to look, from no page.
+
+    Browsers say in `Sec-Fetch-Site` where a request comes from that has no `Origin`, such as that of a picture in a
+    page; a link from elsewhere may lead to the page itself. What changes something has to say that it is ours.
+    """
+    origins, sites = headers.every(b"origin"), headers.every(b"sec-fetch-site")
+    if not all(is_own_page(origin, host) for origin in origins):
+        return False
+    own_site = all(site in ("same-origin", "none") for site in sites)
+    if scope["method"] in ("GET", "HEAD"):
+        return own_site or (scope["path"] == "/" and headers.every(b"sec-fetch-mode") == ["navigate"])
+    return own_site and bool(origins or sites)
+
+
+def _query(scope: Message) -> dict[str, list[str]]:
+    try:
+        return parse_qs(scope["query_string"].decode("latin-1"), max_num_fields=8)
+    except ValueError:
+        return {}
+
+
+def _safe(send: Send) -> Send:
+    """Return a send that adds what keeps other pages from framing, sniffing or keeping an answer."""
+
+    async def safe(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            message = {**message, "headers": [*message.get("headers", ()), *SAFE_HEADERS]}
+        await send(message)
+
+    return safe
 
 
 class _Server(uvicorn.Server):

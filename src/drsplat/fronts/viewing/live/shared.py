@@ -6,20 +6,22 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ....base.terminal import counted
 from ....errors import InputError
 from ....query import Scene
+from ....query.catalogue import Catalogue, Entry
 from ...serving.scene_folder import without_paths
 from ..bare import NO_FIELD
 from ..saving import Saves
 from ..session import Session
 from ..texts import printable
-from . import arrays, tiles
+from . import arrays
 from .arrays import Packed, Rows
-from .shelf import Shelf
 from .stage import Stage, Vector
 from .state import MAX_SENTENCE_CHARACTERS, film_formats, header_of, state_of
 from .uploads import Uploads
 
+MAX_ENTRIES = 12
 NOTHING_OPEN = "no scene is open: search the catalogue and open one, or open a file"
 FOLDERS = re.compile(r"(?<![\w.])/(?:[^/\s'\",:;]+/)+")
 CLOSED_STATE = {
@@ -27,6 +29,49 @@ CLOSED_STATE = {
     "annotations": [], "time": None, "edits": [], "can_undo": False, "can_redo": False, "kept": False,
 }  # fmt: skip
 """The state where no scene is open."""
+
+
+@dataclass(eq=False)
+class Shelf:
+    """entries: of the last answer, best first. opened: name and field's fingerprint of the scene that is open."""
+
+    catalogue: Catalogue
+    entries: Sequence[Entry] = ()
+    opened: tuple[str, str] = ("", "")
+
+    def ask(self, text: str) -> dict[str, Any]:
+        """Search all scenes. Raises: InputError: no words, or such as the encoder does not know."""
+        answer = self.catalogue.answer(text, top=MAX_ENTRIES)
+        self.entries = answer.entries
+        matches = counted(len(self.entries), "match", "matches")
+        return {
+            "summary": f"{matches} by {answer.measure}, threshold {answer.threshold:.3g}",
+            "entries": [_entry(number, entry) for number, entry in enumerate(self.entries)],
+        }
+
+    def entry(self, number: int) -> Entry:
+        """Return an entry by its number. Raises: InputError: there is none of that number."""
+        if not 0 <= number < len(self.entries):
+            raise InputError(f"there is no entry {number} of {len(self.entries)}: search the catalogue first")
+        return self.entries[number]
+
+    def picture(self, number: int) -> bytes:
+        """Return the thumbnail of an entry as JPEG. Raises: InputError: it has none."""
+        entry = self.entry(number)
+        if entry.thumbnail is None:
+            raise InputError(f"entry {number} has no picture")
+        entry.picture()  # or the error that says that it is damaged
+        return entry.thumbnail
+
+
+def _entry(number: int, entry: Entry) -> dict[str, Any]:
+    return {
+        "number": number,
+        "title": printable(entry.title, 60),
+        "scene": printable(entry.scene, 60),
+        "score": round(entry.score, 4),
+        "picture": entry.thumbnail is not None,
+    }
 
 
 @dataclass
@@ -189,12 +234,12 @@ class Shared:
         return arrays.nothing() if is_empty else arrays.splats(self.stage, begin)
 
     def tile_splats(self, parts: Sequence[int]) -> Packed:
-        """Return parts of a scene in tiles. Raises: as `tiles.tile_splats`; InputError: no scene is open."""
-        return tiles.tile_splats(self.stage, parts)
+        """Return parts of a scene in tiles. Raises: as `arrays.tile_splats`; InputError: no scene is open."""
+        return arrays.tile_splats(self.stage, parts)
 
     def tile_paint(self, parts: Sequence[int]) -> Packed:
         """Return what the same rows answer. Raises: as `tile_splats`."""
-        return tiles.tile_paint(self.stage, parts)
+        return arrays.tile_paint(self.stage, parts)
 
     def paint(self, begin: int = 0) -> Packed:
         """Return what the same rows answer. Raises: as `splats`."""

@@ -11,11 +11,10 @@ from ....authoring.filming.looking import Standpoints, beside, size_in, up_direc
 from ....base.arrays import Float64, Int64
 from ....query import Match
 from ....scene.significance import significance
-from ..cameras import first_look
-from ..object_list import in_order, names_of
-from ..playing import placed_now
+from ..naming import suggestions
+from ..object_list import in_order, names_of, placed_now
 from ..session import Session
-from ..suggestions import suggestions
+from ..shown import first_look
 
 MAX_WORDS_SUGGESTED = 4
 Vector = Float64[np.ndarray, " 3"]

@@ -22,15 +22,15 @@ from ....scene.annotations import Annotation
 from ....scene.views import View
 from .. import painting
 from ..bare import NO_FIELD
+from ..exporting import POINT_SIZE
 from ..naming import This, best_photo
-from ..page_parts import POINT_SIZE
 from ..page_times import playing_seconds
 from ..places import DECIMALS, box_document, match_document, place_text, rounded, size_text
 from ..results import Result
 from ..session import Session
 from ..texts import printable
+from .arrays import tiles_document
 from .stage import Stage, Vector
-from .tiles import tiles_document
 
 MAX_PHOTOS, MAX_OBJECTS, MAX_MATCHES, MAX_LISTED = 200, 500, 100, 100
 MAX_SENTENCE_CHARACTERS = 600
