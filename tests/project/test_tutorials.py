@@ -82,3 +82,14 @@ def test_without_a_model(
     room = ds.open_scene("drsplat-demo")
     assert room.locate("brown table")[0].object_id == 2  # not the floor, for instance
     assert table >= room.objects[2].gaussian_ids.size  # and its loose border
+
+
+@pytest.mark.slow
+def test_films(
+    household_story: Story, household_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Capsys
+) -> None:
+    shutil.copytree(household_folder, tmp_path / "drsplat-demo")
+    monkeypatch.chdir(tmp_path)
+    run_lines(commands_of(TUTORIALS.parent / "films.md"), capsys)
+    for name in ("vase.webp", "walk.webp", "swing.gif", "row.png"):
+        assert (tmp_path / name).stat().st_size > 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from .query_options import Asked
 
 EXAMPLES = """\
+  drsplat render drsplat-demo --path orbit --query "red vase" --boxes --output vase.webp
   drsplat render scene.ply --views capture --view photo_003 --output-dir renders
   drsplat render scene.ply --views capture --all --max-side 800 --depth
   drsplat render scene.ply --views capture --all --field room.field --query "red mug"
@@ -42,7 +44,10 @@ DEFAULT_FOLDER = "renders"
 class Options(Verb):
     """Options of this verb."""
 
-    scene: str = argument("Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder")
+    scene: str = argument(
+        "Gaussians: .ply, .spz, .sog, .splat, .ksplat or a trained model's folder; or a folder with a field, its scene "
+        "and photos"
+    )
     views: str | None = option("poses to render from; not needed for a film along FILE or an orbit", "CAPTURE")
     view: str | None = option("name of one photo, with or without suffix", "NAME", words, rivals="which")
     all: bool = flag("render from all photos", rivals="which")
@@ -95,8 +100,9 @@ def run(options: Options) -> Facts:
     from ...scene.moving import canonical_of
 
     watch = Stopwatch()
+    options, found = _opened_folder(options)
     _check(options)
-    own = read_scene(options.scene)
+    own = found or read_scene(options.scene)
     views = [] if options.views is None else options.photos.views(options.views)
     opened, answer = _answer(options)
     notes = _notes(options)
@@ -118,6 +124,20 @@ def run(options: Options) -> Facts:
         "seconds": sum(watch.seconds.values()),
         "stage_seconds": watch.seconds,
     }
+
+
+def _opened_folder(options: Options) -> tuple[Options, Gaussians | Moving | None]:
+    """Return the options with scene, field and photos of a folder that has them, and the scene; others as they are."""
+    from ...query.opening import find_scene, registered_scene
+
+    folder = Path(options.scene)
+    if not folder.is_dir() or not any(folder.glob("*.field")):
+        return options, None
+    files = find_scene(folder)
+    path, scene = registered_scene(files)
+    field = options.field or (None if options.query is None else str(folder))
+    views = options.views or (None if files.capture is None else str(files.capture))
+    return replace(options, scene=str(path), field=field, views=views), scene
 
 
 def show(answer: Facts) -> None:
