@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 PATIENCE_S = 2.0
 LINE_EVERY_S = 10.0
+MARK_EVERY_S, MAX_MARKS = 1.0, 600
 BAR_COLUMNS = 10
 
 Follower = Callable[[str, int, int, str], None]
@@ -50,7 +51,8 @@ class Meter:
     def __init__(self, description: str, total: int, *, quiet: bool = False) -> None:
         self._description, self._total, self._quiet = description, total, quiet
         self._begin = self._last_line = time.monotonic()
-        self._first: int | None = None
+        self._elapsed = 0.0
+        self._marks: list[tuple[int, float]] = []  # items and seconds since the first
         self._bar: Progress | None = None
 
     def __enter__(self) -> "Meter":
@@ -70,12 +72,10 @@ class Meter:
 
     def draw(self, done: int, text: str) -> None:
         """Show progress on the terminal, also while a follower is set."""
-        if self._first is None:
-            self._first, self._begin = done - 1, time.monotonic()
-        elapsed = time.monotonic() - self._begin
-        if self._quiet or elapsed < PATIENCE_S:
+        left, per_item = self.left(done)
+        if self._quiet or self._elapsed < PATIENCE_S:
             return
-        facts = self._facts(done, elapsed)
+        facts = f"{done}/{self._total}", f"{1 / max(per_item, 1e-9):.1f}/s", f"{duration(left)} left"
         if self._bar is not None or sys.stderr.isatty():  # which the bar replaces, by what says it is no terminal
             self._show(done, "  ".join(filter(None, (*facts, plain(text)))))
         elif time.monotonic() - self._last_line > LINE_EVERY_S:
@@ -83,11 +83,16 @@ class Meter:
             parts = facts[0], plain(text), *facts[1:]
             print(f"{self._description}: {', '.join(filter(None, parts))}", file=sys.stderr, flush=True)
 
-    def _facts(self, done: int, elapsed: float) -> tuple[str, str, str]:
-        """Return the count, the rate and the time that is left."""
-        per_second = (done - (self._first or 0)) / max(elapsed, 1e-9)
-        left = (self._total - done) / max(per_second, 1e-9)
-        return f"{done}/{self._total}", f"{per_second:.1f}/s", f"{duration(left)} left"
+    def left(self, done: int) -> tuple[float, float]:
+        """Return the seconds that are left, and those of an item of late."""
+        self._begin = self._begin if self._marks else time.monotonic()
+        self._elapsed = time.monotonic() - self._begin
+        now = done, self._elapsed
+        if not self._marks or now[1] > self._marks[-1][1] + MARK_EVERY_S:
+            self._marks.append(now)
+        if len(self._marks) > MAX_MARKS:
+            del self._marks[1::2]
+        return seconds_left([*self._marks, now], self._total)
 
     def _show(self, done: int, line: str) -> None:
         """Draw the bar and a line beside it, which is cut at its end where the terminal is narrow."""
@@ -97,6 +102,25 @@ class Meter:
         room = self._bar.console.width - len(self._description) - BAR_COLUMNS - 3
         self._bar.update(self._bar.task_ids[0], completed=done, line=line[: max(room, 0)])
         self._bar.start()  # which does nothing the second time
+
+
+def seconds_left(marks: Sequence[tuple[int, float]], total: int) -> tuple[float, float]:
+    """Return the time that is left, and that of an item of late.
+
+    Items that become slower, as iterations of training do with the number of Gaussians, go on to: by as much as from
+    the first half of what is done to the second, but at most to twice as slow.
+
+    marks: numbers of finished items and the seconds since the first, ascending.
+    """
+    (first, _), (done, now) = marks[0], marks[-1]
+    middle, then = min(marks, key=lambda mark: abs(2 * mark[0] - first - done))
+    if not first < middle < done:
+        middle, then = first - 1, 0.0
+    late = (now - then) / max(done - middle, 1)
+    early = then / (middle - first) if middle > first else late
+    rest = total - done
+    later = late + max(late - early, 0.0) * (0.5 + rest / max(done - first, 1))
+    return rest * min(later, 2 * late), late
 
 
 def duration(seconds: float) -> str:

@@ -30,8 +30,7 @@ class Display:
         self.costs: dict[str, Cost] = {}
         self._stage, self._job = "", ""
         self._meter: Meter | None = None
-        self._begin = self._job_begin = time.monotonic()
-        self._first = 0
+        self._begin = time.monotonic()
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
@@ -61,11 +60,9 @@ class Display:
     def _update(self, job: str, done: int, total: int, text: str) -> None:
         if job != self._job or self._meter is None:
             self._end_job()
-            self._job, self._job_begin, self._first = job, time.monotonic(), done - 1
+            self._job = job
             self._meter = Meter(f"{self._number(self._stage)} {job}", total, quiet=self._quiet)
-        elapsed = time.monotonic() - self._job_begin
-        job_left = (total - done) * elapsed / max(done - self._first, 1)
-        whole = f"about {duration(self.seconds_left(job_left))} for all"
+        whole = f"about {duration(self.seconds_left(self._meter.left(done)[0]))} for all"
         self._meter.draw(done, "  ".join(filter(None, (whole, text))))
 
     def seconds_left(self, job_left: float) -> float:
