@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from .fronts.commands.options import Verb
 
 VERBS = tuple(SUMMARIES)
-_ARGUMENT = re.compile(r"\b([a-z_]+)=(True\b|[A-Z][A-Z_]*\b(?:\.\w+|[,:][A-Z]\b)*|\d+\b)|\A([a-z_]+)(?=: )")
+_ARGUMENT = re.compile(r"\b([a-z_][a-z_0-9]*)=(True\b|[A-Z][A-Z_]*\b(?:\.\w+|[,:][A-Z]\b)*|\d+\b)|\A([a-z_]+)(?=: )")
 FAILED, MISUSED, INTERRUPTED, PIPE_CLOSED = 1, 2, 130, 141
 SHELLS = ("bash", "zsh", "tcsh", "fish")
 ODD_NUMBERS = (
@@ -116,6 +116,8 @@ class _Completion(argparse.Action):
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     given = list(sys.argv[1:] if argv is None else argv)
+    if given[:1] == ["help"]:  # as other programs have it
+        given = [*given[1:], "--help"]
     options = given[: given.index("--")] if "--" in given else given
     as_json, debug = "--json" in options, "--debug" in options
     if isinstance(sys.stdout, TextIOWrapper):  # a name that the terminal has no letters for is told all the same

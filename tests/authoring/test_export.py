@@ -229,6 +229,7 @@ def test_a_scene_that_moves_is_written_at_a_time(room: Path, capsys: Capture) ->
     [
         (("-o", "a.gbl"), "Did you mean '.glb'"),
         (("-o", "a.obj"), "expected a name that ends in"),
+        (("-o", "a.tiles"), "A folder of 3D Tiles is written with --tiles3d"),
         (("-o", "nowhere/a.glb"), "there is no folder"),
         (("-o", "a.glb", "--only"), "give --query WORDS"),
         (("-o", "a.glb", "--object", "99"), "there is no object 99"),

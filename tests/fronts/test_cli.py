@@ -56,6 +56,19 @@ def files_of(field: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(field.iterdir())}
 
 
+def test_help_is_a_word_too(capsys: Capture) -> None:
+    for line in ([], ["locate"]):
+        assert text_of(capsys, "help", *line) == text_of(capsys, *line, "--help")
+
+
+def test_what_is_no_query_is_refused_in_words(story: Story, room: Path, tmp_path: Path) -> None:
+    """In a process without the tests' checks of types."""
+    story.field.save(tmp_path / "room.field")
+    asked = f"import drsplat; drsplat.open_scene('room.field', scene={str(room / 'scene.ply')!r}).locate(5)"
+    done = subprocess.run([sys.executable, "-c", asked], cwd=tmp_path, capture_output=True, text=True)
+    assert "InputError: expected words or a Query, got int" in done.stderr
+
+
 @pytest.mark.parametrize("verb", ["", *VERBS])
 def test_help_is_complete(verb: str, capsys: Capture) -> None:
     out = text_of(capsys, *([verb] if verb else []), "--help")

@@ -255,6 +255,8 @@ class Scene:
         point. MismatchError: a vector of another dimension.
         """
         query = Query(query) if isinstance(query, str) else query
+        if not isinstance(query, Query):
+            raise InputError(f"expected words or a Query, got {type(query).__name__}")
         if query.during is not None:
             return self.during(query.during).ask(replace(query, during=None))
         return replace(self._answer(query), drawn=self.picture)

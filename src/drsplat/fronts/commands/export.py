@@ -164,7 +164,10 @@ def _output(options: Options) -> Path:
     place = output.resolve().parent if output.name == LOD_META else output
     new_output(str(place), options.overwrite)
     if not options.tiles3d:
-        writer_of(output)
+        try:
+            writer_of(output)
+        except InputError as error:
+            raise InputError(f"{error} A folder of 3D Tiles is written with tiles3d=True") from None
     if not place.parent.is_dir():
         raise InputError(f"there is no folder {place.parent} to write {place.name} into: make it first")
     chosen = only_one(options.asked, ("only", "object", "label"))
