@@ -22,7 +22,7 @@ M = TypeVar("M", bound=BaseModel)
 class Request(BaseModel):
     """Unknown keys are refused: a misspelt option would otherwise be ignored in silence."""
 
-    model_config = ConfigDict(extra="forbid", strict=True)
+    model_config = ConfigDict(extra="forbid", strict=True, use_attribute_docstrings=True)
 
     @model_validator(mode="before")
     @classmethod
