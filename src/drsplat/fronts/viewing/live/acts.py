@@ -95,8 +95,8 @@ class Ask(Act):
 class MoreLikeThis(Act):
     act: Literal["more_like_this"]
 
-    def do(self, shared: Shared) -> str | None:
-        return shared.session.more_like_this()
+    def do(self, shared: Shared) -> None:
+        shared.session.more_like_this()
 
 
 class Threshold(Act):
@@ -116,29 +116,26 @@ class Classify(Act):
     act: Literal["classify"]
     text: Text
 
-    def do(self, shared: Shared) -> str | None:
+    def do(self, shared: Shared) -> None:
         shared.session.classify(self.text.split(","))
-        return None
 
 
 class SetMode(Act):
     act: Literal["mode"]
     mode: str
 
-    def do(self, shared: Shared) -> str | None:
+    def do(self, shared: Shared) -> None:
         modes = [mode.value for mode in shared.session.modes]
         if self.mode not in modes:
             raise InputError(f"mode: expected one of {', '.join(modes)}; got {self.mode!a:.40}")
         shared.session.mode = Mode(self.mode)
-        return None
 
 
 class Clear(Act):
     act: Literal["clear"]
 
-    def do(self, shared: Shared) -> str | None:
+    def do(self, shared: Shared) -> None:
         shared.session.clear()
-        return ""
 
 
 class Click(Act):
@@ -169,36 +166,26 @@ class Choose(Act):
     act: Literal["choose"]
     number: Number
 
-    def do(self, shared: Shared) -> str | None:
+    def do(self, shared: Shared) -> None:
         shared.session.choose_object(self.number)
-        return None
 
 
-class Smaller(Act):
-    act: Literal["smaller"]
+class Step(Act):
+    act: Literal["smaller", "larger"]
 
-    def do(self, shared: Shared) -> str | None:
-        shared.session.smaller()
-        return None
-
-
-class Larger(Act):
-    act: Literal["larger"]
-
-    def do(self, shared: Shared) -> str | None:
-        shared.session.larger()
-        return None
+    def do(self, shared: Shared) -> None:
+        session = shared.session
+        (session.smaller if self.act == "smaller" else session.larger)()
 
 
 class Name(Act):
     act: Literal["name"]
     text: Text
 
-    def do(self, shared: Shared) -> str | None:
+    def do(self, shared: Shared) -> None:
         shared.session.name(self.text)
         shared.stage.rename()
         shared.renew_header()
-        return None
 
 
 class Lasso(Act):
@@ -219,25 +206,12 @@ class EditSelection(EditAct, ChangeRequest):
         stage.session.edit(self.made(stage))
 
 
-class Undo(EditAct):
-    act: Literal["undo"]
+class Reverse(EditAct):
+    act: Literal["undo", "redo", "restore"]
 
     def apply(self, stage: Stage) -> None:
-        stage.session.edits.undo()
-
-
-class Redo(EditAct):
-    act: Literal["redo"]
-
-    def apply(self, stage: Stage) -> None:
-        stage.session.edits.redo()
-
-
-class Restore(EditAct):
-    act: Literal["restore"]
-
-    def apply(self, stage: Stage) -> None:
-        stage.session.restore()
+        session = stage.session
+        {"undo": session.edits.undo, "redo": session.edits.redo, "restore": session.restore}[self.act]()
 
 
 class Annotate(Act):
@@ -245,20 +219,18 @@ class Annotate(Act):
     text: Text
     at: Literal["selection", "click"]
 
-    def do(self, shared: Shared) -> str | None:
+    def do(self, shared: Shared) -> None:
         session = shared.session
         here = _clicked_note if self.at == "click" else _selected_notes
         session.edits.annotate(*here(session, self.text))
-        return None
 
 
 class DropAnnotation(Act):
     act: Literal["drop_annotation"]
     number: Number
 
-    def do(self, shared: Shared) -> str | None:
+    def do(self, shared: Shared) -> None:
         shared.session.edits.drop(self.number)
-        return None
 
 
 class Time(Act):
@@ -269,19 +241,17 @@ class Time(Act):
     def key(self) -> Hashable:
         return "time"
 
-    def do(self, shared: Shared) -> str | None:
+    def do(self, shared: Shared) -> None:
         times = shared.session.scene.moving.times
         shared.session.time = float(np.clip(self.at, times[0], times[-1]))
-        return None
 
 
 class During(Act):
     act: Literal["during"]
     span: Span | None
 
-    def do(self, shared: Shared) -> str | None:
+    def do(self, shared: Shared) -> None:
         _set_during(shared.session, self.span)
-        return None
 
 
 class Open(SlowAct):
@@ -301,8 +271,8 @@ class OpenEntry(SlowAct):
 
 
 AnyAct = (
-    Ask | MoreLikeThis | Threshold | Classify | SetMode | Clear | Click | ClickPhoto | Choose | Smaller | Larger | Name
-    | Lasso | EditSelection | Undo | Redo | Restore | Annotate | DropAnnotation | Time | During | Open | OpenEntry
+    Ask | MoreLikeThis | Threshold | Classify | SetMode | Clear | Click | ClickPhoto | Choose | Step | Name
+    | Lasso | EditSelection | Reverse | Annotate | DropAnnotation | Time | During | Open | OpenEntry
 )  # fmt: skip
 _ADAPTER: TypeAdapter[AnyAct] = TypeAdapter(Annotated[AnyAct, Field(discriminator="act")])
 
