@@ -55,7 +55,7 @@ def _auto_or(number: Callable[[str], int], *others: str) -> Callable[[str], int 
 
 def models_device(title: str = "") -> Any:
     return option(
-        "device of the models; auto is a GPU if there is one (default: auto)", None, None, "auto",
+        "device of the models; auto is a GPU if there is one (default: auto)", default="auto",
         choices=("auto", *DEVICES), title=title,
     )  # fmt: skip
 
@@ -99,7 +99,7 @@ class WithScene:
     )  # fmt: skip
     crops: str = option(
         "crops to embed: one per mask and photo, or, for large masks, a few per object of the scene (default: masks; "
-        "objects needs --scene)", None, None, "masks", choices=("masks", "objects"),
+        "objects needs --scene)", default="masks", choices=("masks", "objects"),
     )  # fmt: skip
 
     def read(self) -> Gaussians | None:

@@ -86,7 +86,7 @@ class Method:
     code: str = option(
         "pq: product quantisation, 132 bytes per Gaussian and a codebook, as in the paper. mixture: a few of the "
         "scene's own masks per Gaussian, 14 bytes and the masks' embeddings. auto: the smaller one; pq with --codebook "
-        "or --subvectors (default: auto)", None, None, "auto", choices=("auto", "pq", "mixture"),
+        "or --subvectors (default: auto)", default="auto", choices=("auto", "pq", "mixture"),
     )  # fmt: skip
     atoms: int | None = option("masks per Gaussian of a mixture, 1 to 16 (default: 4)", "K", count)
     codebook: str | None = option(

@@ -320,5 +320,4 @@ def interrupted(options: Options) -> str:
     return f"what is done is kept in {options.folder}: give the same command again to go on"
 
 
-def show(answer: Facts) -> None:
-    show_answer(answer)
+show = show_answer

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -59,7 +59,7 @@ def _suggested(page: Any) -> list[str]:
     return suggestions(scene) or list(words_of(scene))[:1]
 
 
-def ended(verb: str, answer: Mapping[str, Any]) -> str:
+def ended(verb: str, answer: Facts) -> str:
     """Return what is said when a stage has ended."""
 
     if verb == "capture":
@@ -78,7 +78,7 @@ def ended(verb: str, answer: Mapping[str, Any]) -> str:
     return f"{counted(len(answer['answers']), 'query', 'queries')} answered in the page"
 
 
-def summary(states: Mapping[str, Any], source: ScanInput) -> Facts:
+def summary(states: Facts, source: ScanInput) -> Facts:
     """Return the numbers of all stages."""
     stages = {verb: state["answer"] for verb, state in states.items()}
     posed = stages.get("capture", {"num_photos": source.num_photos, "num_registered": source.num_photos})
@@ -100,12 +100,12 @@ def summary(states: Mapping[str, Any], source: ScanInput) -> Facts:
     }
 
 
-def _pictures(answer: Mapping[str, Any]) -> str:
+def _pictures(answer: Facts) -> str:
     """Return what a stage looked at; stages of older versions knew photos only."""
     return str(answer.get("pictures", "photos"))
 
 
-def notes(states: Mapping[str, Any]) -> list[str]:
+def notes(states: Facts) -> list[str]:
     """Return sentences about what was left out, and about what to doubt."""
     stages = {verb: state["answer"] for verb, state in states.items()}
     said = []
@@ -123,7 +123,7 @@ def notes(states: Mapping[str, Any]) -> list[str]:
     return said
 
 
-def show_answer(answer: Mapping[str, Any]) -> None:
+def show_answer(answer: Facts) -> None:
     """Print what a scan has made, for people."""
     from .tables import show_facts, show_table, size_text, text_of
 
@@ -152,7 +152,7 @@ def show_answer(answer: Mapping[str, Any]) -> None:
     print(f"Open {Path(answer['page'])} in a browser. To search it live: {answer['view']}")
 
 
-def _answer_text(one: Mapping[str, Any]) -> str:
+def _answer_text(one: Facts) -> str:
 
     if "fault" in one:
         return f"not asked: {one['fault']}"

@@ -5,7 +5,6 @@ import io
 from collections.abc import Sequence
 from dataclasses import replace
 from os import PathLike
-from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -18,6 +17,7 @@ from ...base.arrays import Shaped, UInt8, UInt16
 from ...drawing.heat import heat_of
 from ...errors import DrSplatError, InputError
 from ...query import Match, Scene
+from ...query.documents import Document
 from ...scene.annotations import Annotation
 from .bare import NO_FIELD
 from .naming import words_of
@@ -184,7 +184,7 @@ def _fitting(scene: Scene, words: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(word for word, fits in zip(words, best, strict=True) if fits)
 
 
-def objects_of_page(session: Session, up: Vector, times: PageTimes | None = None) -> list[dict[str, Any]]:
+def objects_of_page(session: Session, up: Vector, times: PageTimes | None = None) -> list[Document]:
     """Return each object's name, box, a place to see it from, whether photos agree less on it; [] without objects.
 
     The first objects also have a picture.
@@ -230,7 +230,7 @@ def object_numbers(session: Session) -> UInt16[np.ndarray, " n"] | None:
     return np.asarray(place_of[session.scene.object_ids()])
 
 
-def annotations_of_page(session: Session, up: Vector) -> list[dict[str, Any]]:
+def annotations_of_page(session: Session, up: Vector) -> list[Document]:
     """Return text and place of each, and its box where it has one."""
     frame = session.shown.frame
     return [

@@ -22,6 +22,7 @@ from ...errors import InputError
 from ...formats.replacing import replacing
 from ...formats.spz_writing import spz_bytes
 from ...query import Match
+from ...query.documents import Document
 from ...scene.gaussians import Gaussians
 from ...scene.significance import significance
 from . import painting
@@ -137,7 +138,7 @@ def _arrays(page: Page, order: Ids) -> dict[str, np.ndarray]:
     return {name: array[order] for name, array in arrays.items()} | moves
 
 
-def _header(page: Page) -> dict[str, Any]:
+def _header(page: Page) -> Document:
     frame = page.shown.frame
     return {
         "title": printable(page.title),
@@ -171,7 +172,7 @@ def _modes(page: Page) -> list[str]:
     return [*answers, "as it is", *features, *(["objects"] if page.objects else [])]
 
 
-def _can(page: Page) -> dict[str, Any]:
+def _can(page: Page) -> Document:
     """Return what the client offers: a page only answers what it was made with."""
     never = ("ask_picture", "name", "edit", "time", "photos", "save_dir", "catalogue", "open")
     offered = {"ask": bool(page.answers), "objects": bool(page.objects), "film_formats": []}
@@ -183,7 +184,7 @@ def _about(page: Page) -> str:
     return " ".join(f"{len(page.shown):,} Gaussians. {moves} {page.shown.summary}".split())
 
 
-def film_document(frame: Frame, path: CameraPath, target: Vector) -> dict[str, Any]:
+def film_document(frame: Frame, path: CameraPath, target: Vector) -> Document:
     """Return places along a path, near enough to each other for straight lines, in the browser's frame.
 
     Each looks at something as far off as `target`, in the world.
@@ -201,7 +202,7 @@ def film_document(frame: Frame, path: CameraPath, target: Vector) -> dict[str, A
     }
 
 
-def _answer(frame: Frame, number: int, answer: PageAnswer) -> dict[str, Any]:
+def _answer(frame: Frame, number: int, answer: PageAnswer) -> Document:
     boxes = answer.boxes or [[] for _ in answer.matches]
     matches = [
         match_document(frame, match, eye) | {"boxes": box}

@@ -4,11 +4,15 @@ Source of the names and shapes: docs/viewer.md, "For other clients".
 """
 
 from collections.abc import Callable, Hashable
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field, TypeAdapter
 
+from ....authoring.editing import Duplicate, Fill, Isolate, Move, Opacity, Palette, Recolour, Remove, Turn
+from ....authoring.editing.colouring import MAX_COLORS, color_of
+from ....authoring.editing.edits import Change
+from ....authoring.editing.making import scaled_on_its_foot
 from ....errors import InputError
 from ....kernels.boxes import box_of
 from ....query import Match
@@ -17,13 +21,72 @@ from ....scene.annotations import Annotation
 from ...serving.query_fields import asking, values_of
 from ..session import Mode, Session
 from .cameras import Body, Camera, Finite, Number, Point, Span, Text, view_of
-from .changes import ChangeRequest
 from .opening import open_batch, open_entry
 from .shared import Shared
 from .stage import Stage
 
+T = TypeVar("T")
 LASSO_SIDE_PIXELS = 640
 Corner = tuple[Finite, Finite]
+Finish = Callable[[], str | None]
+"""The last step of a slow act: shows what was computed and returns what is to be said, as `Act.do`."""
+
+
+class ChangeRequest(Body):
+    """A change and its numbers. color, colors: as of CSS. by: scene units along the world's axes.
+
+    number: a factor, of opacity or size; degrees of a turn.
+    """
+
+    change: Literal[
+        "remove", "isolate", "fill", "recolour", "palette", "opacity", "move", "duplicate", "turn", "scale"
+    ]  # fmt: skip
+    color: Text | None = None
+    colors: Annotated[list[Text], Field(min_length=1, max_length=MAX_COLORS)] | None = None
+    by: Point | None = None
+    number: Finite | None = None
+
+    def made(self, stage: Stage) -> Change:
+        """Return the change. Raises: InputError: what it needs was not given, or makes no sense."""
+        match self.change:
+            case "remove":
+                return Remove()
+            case "isolate":
+                return Isolate()
+            case "fill":
+                return Fill()
+            case "recolour":
+                return Recolour(color_of(_given(self.color, "recolour: expected a color such as #2060ff")))
+            case "palette":
+                colors = _given(self.colors, "palette: expected colors such as #203040")
+                return Palette(tuple(color_of(one) for one in colors))
+            case "opacity":
+                return Opacity(self._number)
+            case "move":
+                return Move(self._place)
+            case "duplicate":
+                return Duplicate(self._place)
+            case "turn":
+                x, y, z = stage.up.tolist()
+                return Turn(self._number, (x, y, z))
+            case "scale":
+                part = stage.session.edited(selected_only=True)[0]
+                return scaled_on_its_foot(part, self._number, stage.up)
+
+    @property
+    def _number(self) -> float:
+        return _given(self.number, f"{self.change}: expected a number")
+
+    @property
+    def _place(self) -> Point:
+        return _given(self.by, f"{self.change}: expected by, three numbers in scene units")
+
+
+def _given(value: T | None, expected: str) -> T:
+    """Return a value of a request. Raises: InputError: there is none."""
+    if value is None:
+        raise InputError(expected)
+    return value
 
 
 class Act(Body):
@@ -36,10 +99,6 @@ class Act(Body):
     def do(self, shared: Shared) -> str | None:
         """Do it; returns what is to be said, None for what the session says of its answers."""
         raise NotImplementedError
-
-
-Finish = Callable[[], str | None]
-"""The last step of a slow act: shows what was computed and returns what is to be said, as `Act.do`."""
 
 
 class SlowAct(Act):

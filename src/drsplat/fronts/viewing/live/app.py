@@ -17,6 +17,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response, StreamingR
 from starlette.routing import Route
 
 from ....errors import DrSplatError, InputError
+from ....query.documents import Document
 from ...serving.pictures import decoded
 from ...serving.replies import BUG, JPEG, PNG, Reply, faults_of, problem, refusal
 from ..client import client_file, live_html
@@ -42,7 +43,7 @@ Handler = Callable[[Request], Coroutine[Any, Any, Response]]
 class Events:
     """Streams of a service. summary: what a line says. Only the latest is sent to a page that reads slowly."""
 
-    def __init__(self, summary: Callable[[], dict[str, Any]], most: int = MAX_STREAMS, beat_s: float = BEAT_S) -> None:
+    def __init__(self, summary: Callable[[], Document], most: int = MAX_STREAMS, beat_s: float = BEAT_S) -> None:
         self.summary, self.most, self.beat_s, self.is_closed = summary, most, beat_s, False
         self._streams: dict[asyncio.Event, asyncio.AbstractEventLoop] = {}
 
@@ -187,7 +188,7 @@ class Viewer:
     async def do(self, request: Request) -> Response:
         return JSONResponse(await self._done(read_act(await request.body())))
 
-    async def _done(self, act: AnyAct) -> dict[str, Any]:
+    async def _done(self, act: AnyAct) -> Document:
         shared = self.shared
         opened = shared.counted.scene
         if isinstance(act, SlowAct):
@@ -203,7 +204,7 @@ class Viewer:
     async def ask_picture(self, request: Request) -> Response:
         name, body = request.query_params.get("name", "picture"), await request.body()
 
-        def ask() -> dict[str, Any]:
+        def ask() -> Document:
             self.shared.say(self.shared.session.ask_picture(decoded(body, MAX_PICTURE_PIXELS), printable(name, 60)))
             self.shared.note()
             return self.shared.state()

@@ -10,6 +10,7 @@ from ....base.terminal import counted
 from ....errors import InputError
 from ....query import Scene
 from ....query.catalogue import Catalogue, Entry
+from ....query.documents import Document
 from ...serving.scene_folder import without_paths
 from ..bare import NO_FIELD
 from ..saving import Saves
@@ -39,7 +40,7 @@ class Shelf:
     entries: Sequence[Entry] = ()
     opened: tuple[str, str] = ("", "")
 
-    def ask(self, text: str) -> dict[str, Any]:
+    def ask(self, text: str) -> Document:
         """Search all scenes. Raises: InputError: no words, or such as the encoder does not know."""
         answer = self.catalogue.answer(text, top=MAX_ENTRIES)
         self.entries = answer.entries
@@ -64,7 +65,7 @@ class Shelf:
         return entry.thumbnail
 
 
-def _entry(number: int, entry: Entry) -> dict[str, Any]:
+def _entry(number: int, entry: Entry) -> Document:
     return {
         "number": number,
         "title": printable(entry.title, 60),
@@ -104,7 +105,7 @@ class Shared:
     _stage: Stage | None = None
     _counters: Counters = field(default_factory=Counters)
     _seen: tuple[Any, ...] = (None, None, None)
-    _sent_state: tuple[int, dict[str, Any]] | None = None
+    _sent_state: tuple[int, Document] | None = None
     _rows: dict[str, tuple[object, Rows]] = field(default_factory=dict)
 
     @property
@@ -152,7 +153,7 @@ class Shared:
         self._counters.header += 1
         self.say("" if session.is_askable else NO_FIELD)
 
-    def search(self, text: str) -> dict[str, Any]:
+    def search(self, text: str) -> Document:
         """Search the catalogue. Raises: InputError: there is none; as `Shelf.ask`."""
         answer = self.needed_shelf.ask(text)
         self.say(answer["summary"])
@@ -198,11 +199,11 @@ class Shared:
 
     # --- what a browser is told ---
 
-    def header(self) -> dict[str, Any]:
+    def header(self) -> Document:
         counters = {"scene": self._counters.scene, "header": self._counters.header}
         return counters | {"can": self._can()} | ({} if self._stage is None else header_of(self._stage))
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> Document:
         """Return the state, made once after each change: all pages ask for it then."""
         revision = self._counters.revision
         if self._sent_state is None or self._sent_state[0] != revision:
@@ -210,7 +211,7 @@ class Shared:
             self._sent_state = revision, vars(self._counters) | {"message": self.message, "fault": None} | state
         return self._sent_state[1]
 
-    def _can(self) -> dict[str, Any]:
+    def _can(self) -> Document:
         session = None if self._stage is None else self._stage.session
         askable = session is not None and session.is_askable
         return {

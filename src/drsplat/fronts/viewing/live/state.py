@@ -4,7 +4,6 @@ Places are in the browser's frame, texts are safe to show, and sizes in texts ar
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -15,7 +14,7 @@ from ....base.arrays import Float64
 from ....drawing.heat import HEAT
 from ....drawing.palette import class_colors
 from ....query import Match
-from ....query.documents import support_document
+from ....query.documents import Document, support_document
 from ....query.nodes import numbered
 from ....query.objects import objects_of
 from ....scene.annotations import Annotation
@@ -35,7 +34,6 @@ from .stage import Stage, Vector
 MAX_PHOTOS, MAX_OBJECTS, MAX_MATCHES, MAX_LISTED = 200, 500, 100, 100
 MAX_SENTENCE_CHARACTERS = 600
 FILM_FORMATS = (".mp4", ".webm", ".webp", ".gif")
-Document = dict[str, Any]
 
 
 def film_formats() -> tuple[str, ...]:
