@@ -5,14 +5,14 @@ from datetime import datetime
 from typing import Annotated, Any
 from urllib.parse import urlencode
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from ...errors import InputError
 from ...query.catalogue import Catalogue, Conditions, Entry
 from ...query.schema import Place
 from .limits import Limits
 from .models import Body, EarthPosition, Vector, significant
-from .query_fields import LIMITS, Finite, Request, asking, query_of
+from .query_fields import LIMITS, Finite, Request, asking, examples, query_of
 from .replies import JPEG, Reply
 
 SceneNames = Annotated[list[Annotated[str, Field(min_length=1, max_length=200)]], Field(max_length=64)]
@@ -33,7 +33,7 @@ class AskCatalogue(Request):
     since: Annotated[str, Field(max_length=40)] | None = None
     """time of the oldest addition, ISO 8601 with its zone"""
 
-    model_config = ConfigDict(json_schema_extra={"examples": [{"text": "red mug", "top": 5}]})
+    model_config = examples({"text": "red mug", "top": 5})
 
 
 class CataloguePicture(Request):
@@ -111,7 +111,11 @@ def catalogue_reply(catalogue: Catalogue, act: str, asked: Mapping[str, Any], li
     if act == "catalogue-picture":
         which = CataloguePicture(**asked)
         return Reply(catalogue.thumbnail(which.scene, which.object_id, which.tile), JPEG)
-    answer = _listed(catalogue) if act == "catalogue-list" else _answered(catalogue, AskCatalogue(**asked), limits)
+    if act == "catalogue-ask":
+        return Reply(_answered(catalogue, AskCatalogue(**asked), limits).model_dump_json().encode())
+    listed = catalogue.scenes()
+    scenes = [CatalogueScene(**vars(one) | {"name": one.scene, "added": one.added.isoformat()}) for one in listed]
+    answer = CatalogueScenes(scenes=scenes, num_objects=sum(one.num_objects for one in listed))
     return Reply(answer.model_dump_json().encode())
 
 
@@ -132,20 +136,11 @@ def _match(entry: Entry) -> CatalogueMatch:
     return CatalogueMatch(**entry.json(), picture=picture)
 
 
-def _listed(catalogue: Catalogue) -> CatalogueScenes:
-    listed = catalogue.scenes()
-    scenes = [CatalogueScene(**vars(one) | {"name": one.scene, "added": one.added.isoformat()}) for one in listed]
-    return CatalogueScenes(scenes=scenes, num_objects=sum(one.num_objects for one in listed))
-
-
 def _where(asked: AskCatalogue) -> Conditions:
     """Return the conditions of a request. Raises: InputError: a box or an area that is none, or no time."""
     box, area = (None if given is None else tuple(given) for given in (asked.box, asked.area))
-    return Conditions(tuple(asked.scenes), box, area, None if asked.since is None else _time(asked.since))  # type: ignore[arg-type]
-
-
-def _time(text: str) -> datetime:
     try:
-        return datetime.fromisoformat(text)
+        since = None if asked.since is None else datetime.fromisoformat(asked.since)
     except ValueError:
         raise InputError("since: expected a time as 2026-11-22T14:00:00Z") from None
+    return Conditions(tuple(asked.scenes), box, area, since)  # type: ignore[arg-type]

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from ...errors import InputError
 from ...formats.live_views import LiveView, LiveViews
@@ -19,7 +19,7 @@ from ...scene.gaussians import Gaussians
 from ...scene.moving import Moving
 from .limits import Limits
 from .models import Body
-from .query_fields import LIMITS, Finite, Request
+from .query_fields import LIMITS, Finite, Request, examples
 from .replies import Reply
 from .scene_folder import SceneFolder, Sources, without_paths
 
@@ -32,15 +32,11 @@ Numbers4 = Annotated[list[Finite], Field(min_length=4, max_length=4)]
 Numbers3 = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Size = Annotated[int, Field(ge=1, le=1 << 17)]
 Base64 = Annotated[str, Field(min_length=1, max_length=LIMITS.body_bytes)]
-EXAMPLES: dict[str, Any] = {
-    "examples": [
-        {
-            "name": "robot/0001.jpg",
-            "picture": "/9j/4AAQSkZJRg==",
-            "pose": {"quaternion": [1.0, 0.0, 0.0, 0.0], "translation": [0.0, 0.0, 2.5]},
-            "lens": {"fx": 525.0, "fy": 525.0, "cx": 320.0, "cy": 240.0},
-        }
-    ]
+EXAMPLE = {
+    "name": "robot/0001.jpg",
+    "picture": "/9j/4AAQSkZJRg==",
+    "pose": {"quaternion": [1.0, 0.0, 0.0, 0.0], "translation": [0.0, 0.0, 2.5]},
+    "lens": {"fx": 525.0, "fy": 525.0, "cx": 320.0, "cy": 240.0},
 }
 
 
@@ -89,7 +85,7 @@ class NewView(Request):
     features: Base64 | None = None
     """base64 of NAME.features.safetensors: its masks and their embeddings, made by the sender"""
 
-    model_config = ConfigDict(json_schema_extra=EXAMPLES)
+    model_config = examples(EXAMPLE)
 
 
 class ViewState(Body):

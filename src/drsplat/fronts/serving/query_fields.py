@@ -32,6 +32,11 @@ class Request(BaseModel):
         return without_nulls(given, cls.model_fields.keys() - required) if isinstance(given, dict) else given
 
 
+def examples(*given: dict[str, Any]) -> ConfigDict:
+    """Return settings of a request whose schema has examples."""
+    return ConfigDict(json_schema_extra={"examples": list(given)})
+
+
 def without_nulls(given: Mapping[str, Any], optional: Collection[str]) -> dict[str, Any]:
     """Return what is given, without null for what may be left out."""
     return {name: value for name, value in given.items() if value is not None or name not in optional}

@@ -2,16 +2,16 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from ...errors import InputError
 from ...query.defaults import MIN_GAUSSIANS
 from ...query.relations import OfTwo
 from ...query.schema import CUT, Place
 from ...scene.boxes import BoxKind
-from .query_fields import LIMITS, Click, Finite, Point, Request, Text, asking, values_of
+from .query_fields import LIMITS, Click, Finite, Point, Request, Text, asking, examples, values_of
 
-EXAMPLES = ConfigDict(json_schema_extra={"examples": [{"text": "red vase"}, {"point": [0.3, 0.14, 0.82]}]})
+EXAMPLES = examples({"text": "red vase"}, {"point": [0.3, 0.14, 0.82]})
 
 
 @asking(Place.HTTP)
@@ -40,9 +40,7 @@ class When(Request):
     view: Annotated[str, Field(min_length=1, max_length=500)] | None = None
     """a photo's name, for left_of and right_of only"""
 
-    model_config = ConfigDict(
-        json_schema_extra={"examples": [{"one": "red car", "relation": "next_to", "other": "white vase"}]}
-    )
+    model_config = examples({"one": "red car", "relation": "next_to", "other": "white vase"})
 
 
 class Details(Request):
@@ -94,7 +92,7 @@ class Segment(Request):
     labels: bool = False
     """whether to return the class of every Gaussian"""
 
-    model_config = ConfigDict(json_schema_extra={"examples": [{"classes": ["table", "red vase", "orange sofa"]}]})
+    model_config = examples({"classes": ["table", "red vase", "orange sofa"]})
 
 
 @asking(Place.HTTP)
@@ -107,7 +105,7 @@ class Picture(Request):
     """the photo instead of a rendering"""
     max_side: Annotated[int, Field(ge=16, le=LIMITS.side)] = 800
 
-    model_config = ConfigDict(json_schema_extra={"examples": [{"text": "red vase", "max_side": 320}]})
+    model_config = examples({"text": "red vase", "max_side": 320})
 
 
 @asking(Place.HTTP)
@@ -127,7 +125,7 @@ class Export(Request):
     embeddings: bool = False
     """whether objects take their embeddings along"""
 
-    model_config = ConfigDict(json_schema_extra={"examples": [{"text": "red vase", "only": True}, {"format": "ply"}]})
+    model_config = examples({"text": "red vase", "only": True}, {"format": "ply"})
 
 
 class WhatIs(Request):
@@ -137,7 +135,7 @@ class WhatIs(Request):
     click: Click | None = None
     names: Annotated[list[Text], Field(min_length=1, max_length=LIMITS.classes)] | None = None
 
-    model_config = ConfigDict(json_schema_extra={"examples": [{"point": [0.3, 0.14, 0.82]}]})
+    model_config = examples({"point": [0.3, 0.14, 0.82]})
 
 
 def place(given: WhatIs) -> tuple[float, float, float] | tuple[str, float, float]:

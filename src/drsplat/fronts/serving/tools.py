@@ -169,11 +169,6 @@ class _Asking:
     bench: Workbench
     limits: Limits
 
-    async def list_scenes(self) -> SceneList:
-        listed = SceneList.model_validate_json(await self._answer(Job("list")))
-        advice = "" if listed.scenes else "there is no scene: ask the user to add a folder with a field"
-        return listed.model_copy(update={"advice": advice})
-
     async def tool_answer(self, model: type[T], tool: str, scene: str, **arguments: Any) -> T:
         """Return what a tool of `Conversation` answers about a scene; "" is the only one."""
         name = scene or self.scene_folder.only()
@@ -181,12 +176,10 @@ class _Asking:
             known = ", ".join(map(repr, list(self.scene_folder.folders())[:MAX_MATCHES])) or "none"
             raise ToolError(f"name a scene; there are: {known}")
         asked = {"tool": tool, "name": name, "arguments": arguments}
-        return model.model_validate_json(await self._answer(Job("tool", name, asked)))
+        return model.model_validate_json(await self.answer(Job("tool", name, asked)))
 
-    async def search(self, **asked: Any) -> CatalogueAnswer:
-        return CatalogueAnswer.model_validate_json(await self._answer(Job("catalogue-ask", asked=asked)))
-
-    async def _answer(self, job: Job) -> bytes:
+    async def answer(self, job: Job) -> bytes:
+        """Return what the workbench answers. Raises: ToolError: why it does not."""
         try:
             async with asyncio.timeout(self.limits.seconds):
                 reply = await self.bench.run(job)
@@ -224,7 +217,9 @@ def _add_scenes(server: MCPServer, asking: _Asking) -> None:
     @server.tool(title="List scenes", annotations=READ_ONLY)
     async def list_scenes() -> SceneList:
         """List the scenes that can be searched, and how large they are."""
-        return await asking.list_scenes()
+        listed = SceneList.model_validate_json(await asking.answer(Job("list")))
+        advice = "" if listed.scenes else "there is no scene: ask the user to add a folder with a field"
+        return listed.model_copy(update={"advice": advice})
 
 
 def _add_tool(server: MCPServer, asking: _Asking, name: str, tool: ToolEntry) -> None:
@@ -263,7 +258,8 @@ def _add_catalogue(server: MCPServer, asking: _Asking) -> None:
         ] = None,
     ) -> CatalogueAnswer:
         """Search all that was scanned: the best objects of a catalogue, with scene, box and photo."""
-        return await asking.search(text=text, top=top, scenes=scenes or [])
+        asked = {"text": text, "top": top, "scenes": scenes or []}
+        return CatalogueAnswer.model_validate_json(await asking.answer(Job("catalogue-ask", asked=asked)))
 
 
 def over_stdio(server: MCPServer) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from ...authoring.filming.looking import FOV_DEGREES, Vector
 from ...authoring.filming.paths import CameraPath
-from ...base.arrays import Float32, UInt8, UInt16
+from ...base.arrays import Float32, Shaped, UInt8, UInt16
 from ...drawing.heat import HEAT
 from ...errors import InputError
 from ...formats.replacing import replacing
@@ -127,13 +127,13 @@ def _order(page: Page) -> Ids:
 def _arrays(page: Page, order: Ids) -> dict[str, np.ndarray]:
     arrays: dict[str, np.ndarray] = {}
     if page.features is not None:
-        arrays["features"] = _bytes(page.features)
+        arrays["features"] = as_bytes(page.features)
     if page.best_words is not None:
         arrays["words"] = page.best_words
     if page.object_numbers is not None:
         arrays["objects"] = page.object_numbers
     for number, answer in enumerate(page.answers):
-        arrays[f"heat{number}"], arrays[f"owner{number}"] = _bytes(answer.heat), answer.owners
+        arrays[f"heat{number}"], arrays[f"owner{number}"] = as_bytes(answer.heat), answer.owners
     moves = {} if page.times is None else arrays_of(page.times)
     return {name: array[order] for name, array in arrays.items()} | moves
 
@@ -216,5 +216,6 @@ def _answer(frame: Frame, number: int, answer: PageAnswer) -> Document:
     }  # fmt: skip
 
 
-def _bytes(values: np.ndarray) -> UInt8[np.ndarray, "..."]:
+def as_bytes(values: Shaped[np.ndarray, "*any"]) -> UInt8[np.ndarray, "*any"]:
+    """Return numbers in [0, 1] as bytes."""
     return np.asarray(np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)

@@ -14,7 +14,7 @@ from ...query.tracks import tracks
 from ...scene.gaussians import Gaussians
 from ...scene.moving import Moving
 from .session import Session
-from .shown import Frame, Ids, Shown
+from .shown import Ids, Shown
 
 MAX_TIMES, MIN_TIMES = 120, 8
 MAX_MOVED_PLACES = 1_000_000
@@ -136,8 +136,10 @@ def boxes_of(session: Session, times: PageTimes | None, matches: Sequence[Match]
     boxes = []
     for track in found:
         at = {
-            time: _numbers(frame, *box)
-            for time, *box in zip(track.times.tolist(), track.centers, track.axes, track.extents, strict=True)
+            time: np.round(np.concatenate([frame.shown(center), axes.ravel(), extent * frame.scale]), 4).tolist()
+            for time, center, axes, extent in zip(
+                track.times.tolist(), track.centers, track.axes, track.extents, strict=True
+            )
         }
         every = [at.get(time) for time in times.times.tolist()]
         boxes.append([] if all(box == every[0] for box in every) else every)
@@ -153,14 +155,6 @@ class _Standing:
     def at(self, time: float) -> Gaussians:
         self.session.time = time
         return self.session.edits.standing
-
-
-def _numbers(
-    frame: Frame, center: Vector, axes: Float64[np.ndarray, "3 3"],
-    extent: Vector,
-) -> list[float]:  # fmt: skip
-    numbers = np.concatenate([frame.shown(center), axes.ravel(), extent * frame.scale])
-    return np.round(numbers, 4).tolist()  # type: ignore[no-any-return]
 
 
 def arrays_of(times: PageTimes) -> dict[str, np.ndarray]:

@@ -15,7 +15,6 @@ from ....authoring.editing.edits import Change
 from ....authoring.editing.making import scaled_on_its_foot
 from ....errors import InputError
 from ....kernels.boxes import box_of
-from ....query import Match
 from ....query.schema import Place
 from ....scene.annotations import Annotation
 from ...serving.query_fields import asking, values_of
@@ -386,13 +385,10 @@ def _selected_notes(session: Session, text: str) -> list[Annotation]:
     boxes = [match for result in session.results for match in result.matches]
     if not boxes:
         raise InputError("nothing is selected: make a query that has a match first, or click an object")
-    return [_boxed(session, text, match) for match in boxes]
-
-
-def _boxed(session: Session, text: str, match: Match) -> Annotation:
-    """Return a text where a match is now: it may have been moved."""
-    box = box_of(session.standing(match.gaussian_ids), np.arange(len(match)), session.scene.up)
-    return Annotation.box(text, box.center, box.axes, np.maximum(box.extent, 1e-6))
+    here = [  # where a match is now: it may have been moved
+        box_of(session.standing(match.gaussian_ids), np.arange(len(match)), session.scene.up) for match in boxes
+    ]
+    return [Annotation.box(text, box.center, box.axes, np.maximum(box.extent, 1e-6)) for box in here]
 
 
 def _clicked_note(session: Session, text: str) -> list[Annotation]:

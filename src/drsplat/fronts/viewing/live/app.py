@@ -25,7 +25,7 @@ from ..saving import Saves
 from ..texts import printable
 from . import files
 from .acts import AnyAct, Open, SlowAct, begun, done, read_act
-from .arrays import ARRAYS_HEADER, ROWS_HEADER, Packed
+from .arrays import ARRAYS_HEADER, ROWS_HEADER, Packed, tile_paint, tile_splats
 from .cameras import MAX_SIDE_PIXELS, Body, Camera, Path, Text, flight_document
 from .shared import Shared
 from .stage import Stage
@@ -102,7 +102,7 @@ class Viewer:
     def __init__(self, shared: Shared, lanes: Lanes) -> None:
         self.shared, self.lanes, self.turns, self.pictures = shared, lanes, lanes.quick, files.ObjectPictures()
         self.progress = files.Progress()
-        self.events = Events(lambda: vars(shared.counted))
+        self.events = Events(lambda: vars(shared.counters))
         shared.tell = self.events.tell
 
     def routes(self) -> list[Route]:
@@ -152,11 +152,11 @@ class Viewer:
 
     async def tiles(self, request: Request) -> Response:
         parts = _numbers(request, "parts")
-        return _binary(await self.turns.take(lambda: self.shared.tile_splats(parts)))
+        return _binary(await self.turns.take(lambda: tile_splats(self.shared.stage, parts)))
 
     async def tiles_paint(self, request: Request) -> Response:
         parts = _numbers(request, "parts")
-        return _binary(await self.turns.take(lambda: self.shared.tile_paint(parts)))
+        return _binary(await self.turns.take(lambda: tile_paint(self.shared.stage, parts)))
 
     async def paint(self, request: Request) -> Response:
         begin = _number(request, "from", "0")
@@ -190,14 +190,14 @@ class Viewer:
 
     async def _done(self, act: AnyAct) -> Document:
         shared = self.shared
-        opened = shared.counted.scene
+        opened = shared.counters.scene
         if isinstance(act, SlowAct):
             state = await self.lanes.take_change(lambda: begun(shared, act))
         elif act.key is None:
             state = await self.turns.take(lambda: done(shared, act))
         else:
             state = await self.turns.take_latest(act.key, lambda: done(shared, act), shared.state)
-        if shared.counted.scene != opened:
+        if shared.counters.scene != opened:
             self.lanes.change(shared.prepare)
         return state
 

@@ -3,8 +3,6 @@
 Places are in the browser's frame, texts are safe to show, and sizes in texts are in scene units.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from ....authoring.editing.stored import NAMES
@@ -45,7 +43,7 @@ def film_formats() -> tuple[str, ...]:
 
 
 def header_of(stage: Stage) -> Document:
-    session, frame = stage.session, stage.session.shown.frame
+    session, frame, views = stage.session, stage.session.shown.frame, stage.session.scene.views
     eye, target = stage.first_look
     return {
         "title": printable(session.scene.name, 60),
@@ -61,7 +59,7 @@ def header_of(stage: Stage) -> Document:
         "words": _words(stage),
         "modes": [mode.value for mode in session.modes],
         "objects": _objects(stage),
-        "photos": [_photo(stage, view) for view in _evenly(session.scene.views, MAX_PHOTOS)],
+        "photos": [_photo(stage, view) for view in views[:: -(-len(views) // MAX_PHOTOS) or 1]],
         "times": _times(session),
         "tiles": tiles_document(stage),
     }
@@ -233,7 +231,3 @@ def _annotation(stage: Stage, annotation: Annotation) -> Document:
 def _box(stage: Stage, center: Vector, axes: Float64[np.ndarray, "3 3"], extent: Vector) -> Document:
     frame = stage.session.shown.frame
     return box_document(frame, center, axes, extent) | {"eye": rounded(frame.shown(stage.eye_before(center, extent)))}
-
-
-def _evenly(views: Sequence[View], most: int) -> Sequence[View]:
-    return views[:: -(-len(views) // most) or 1]
