@@ -13,11 +13,10 @@ pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed
 
 from cities import write_city
 from drsplat.formats.tiles import Tiles
-from drsplat.fronts.serving.answers import ANSWERS
 from drsplat.fronts.serving.live import Adder
 from drsplat.fronts.serving.replies import Reply
 from drsplat.fronts.serving.scene_folder import SceneFolder
-from drsplat.fronts.serving.worker import Workplace, reply_to
+from drsplat.fronts.serving.worker import ANSWERS, Workplace, reply_to
 from toy_capture import THINGS
 
 WORDS = list(THINGS)

@@ -271,9 +271,9 @@ def test_clear_lets_go_of_everything(viewer: Viewer) -> None:
 
 
 def test_a_picture_needs_an_encoder_that_sees_and_is_a_picture(viewer: Viewer) -> None:
-    from drsplat.fronts.viewing.saving import png_of
+    from drsplat.fronts.serving.pictures import png
 
-    picture = png_of(np.zeros((4, 4, 3), np.uint8))
+    picture = png(np.zeros((4, 4, 3), np.uint8))
     answer = viewer.post("/view/ask-picture?name=x.png", picture)
     assert answer.status_code == 422
     assert "images" in answer.json()["error"]

@@ -19,6 +19,7 @@ pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installe
 from test_film_paths import nerfstudio_file
 
 from drsplat import open_scene, read_gaussians, write_gaussians
+from drsplat.authoring.editing import Remove
 from drsplat.authoring.filming.path_files import read_path
 from drsplat.errors import InputError
 from drsplat.fronts.viewing import saving
@@ -271,7 +272,7 @@ def test_lists_of_edits_that_are_sent_are_not_done(viewer: Viewer, room: Path) -
     own = open_scene(room / "room.field", scene=room / "scene.ply", threads=1)
     session = Session(own)
     session.choose_object(0)
-    session.hide()
+    session.edit(Remove())
     assert (room / "scene.edits.json").exists()
     for path in room.rglob("*"):
         if path.is_file() and "capture" not in path.parts:

@@ -13,6 +13,7 @@ import pytest
 pytest.importorskip("fastapi", reason="the extra drsplat[viewer] is not installed")
 pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
 
+from drsplat.authoring.editing import Remove
 from drsplat.fronts.viewing.edits import Edits
 from drsplat.fronts.viewing.live import files
 from drsplat.fronts.viewing.live.turns import Lanes
@@ -154,7 +155,7 @@ def test_a_copy_of_a_session_stays_as_it_was() -> None:
     session = Session(boxes_scene(), words=THINGS)
     session.ask("red mug")
     copied, before = session.copied(), session.opacities
-    session.hide()
+    session.edit(Remove())
     session.ask("blue mug")
     assert [result.label for result in copied.results] == ["red mug"]
     np.testing.assert_array_equal(copied.opacities, before)

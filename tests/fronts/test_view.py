@@ -11,9 +11,11 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from drsplat import read_gaussians, write_gaussians
+from drsplat.authoring.editing import Isolate, Recolour, Remove
 from drsplat.authoring.filming import looking
 from drsplat.drawing.heat import heat_of
 from drsplat.errors import InputError
+from drsplat.fronts.serving.pictures import png
 from drsplat.fronts.viewing import painting, picking, results, saving, shown, texts
 from drsplat.fronts.viewing.bare import is_bare, open_bare
 from drsplat.fronts.viewing.naming import photo_of, suggestions
@@ -355,7 +357,7 @@ def test_classes_colour_everything_that_has_a_feature(session: Session) -> None:
 
 def test_hidden_is_not_met_not_shown_and_not_saved(session: Session, tmp_path: Path) -> None:
     session.ask("red mug")
-    session.hide()
+    session.edit(Remove())
     assert (session.opacities[rows(0)] == 0).all()
     assert not len(session.selection)
     count = saving.save_scene(tmp_path / "rest.ply", session)
@@ -366,14 +368,13 @@ def test_hidden_is_not_met_not_shown_and_not_saved(session: Session, tmp_path: P
 
 def test_kept_alone_everything_else_is_hidden(session: Session) -> None:
     session.ask("red mug")
-    session.keep()
+    session.edit(Isolate())
     np.testing.assert_array_equal(np.flatnonzero(session.opacities), rows(0))
 
 
 def test_without_a_selection_nothing_is_changed(session: Session) -> None:
-    for change in (session.hide, session.keep, lambda: session.repaint((1, 2, 3))):
-        with pytest.raises(InputError, match="nothing is selected"):
-            change()
+    with pytest.raises(InputError, match="nothing is selected"):
+        session.edit(Remove())
     assert not session.hidden.any()
 
 
@@ -391,7 +392,7 @@ def test_a_saved_scene_has_its_columns_and_stays_the_scene(session: Session, tmp
 
 def test_a_selection_is_saved_alone_and_in_its_new_colour(session: Session, tmp_path: Path) -> None:
     session.ask("red mug")
-    session.repaint((0, 255, 0))
+    session.edit(Recolour((0, 1, 0)))
     saving.save_scene(tmp_path / "mug.ply", session, selected_only=True)
     saved = read_gaussians(tmp_path / "mug.ply")
     assert len(saved) == EACH
@@ -406,7 +407,7 @@ def test_a_picture_shows_what_was_found(session: Session) -> None:
     session.ask("tall lamp")
     found = saving.picture_of(session, view)
     assert not np.array_equal(plain, found)
-    assert Image.open(io.BytesIO(saving.png_of(found))).size == (320, 224)
+    assert Image.open(io.BytesIO(png(found))).size == (320, 224)
 
 
 def test_a_flight_is_an_endless_gif(session: Session) -> None:

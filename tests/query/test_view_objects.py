@@ -104,7 +104,7 @@ def test_without_objects_a_click_selects_nothing() -> None:
     assert plain.results == ()
     assert not plain.has_objects
     assert Mode.OBJECTS not in plain.modes
-    for press in (plain.smaller, plain.larger, plain.everything, lambda: plain.name("mug")):
+    for press in (plain.smaller, plain.larger, lambda: plain.name("mug")):
         with pytest.raises(InputError, match="object"):
             press()
     assert plain.mode is Mode.SCENE
@@ -191,22 +191,18 @@ def test_where_nothing_can_be_kept_no_name_is_offered(tmp_path: Path) -> None:
     assert Session(open_scene(tmp_path / "a.field", scene=tmp_path / "a.ply")).can_name
 
 
-# --- everything ---
+# --- all objects ---
 
 
-def test_everything_colours_each_thing_by_its_number_and_back(session: Session) -> None:
+def test_all_objects_are_coloured_by_their_numbers(session: Session) -> None:
     before = session.colors.copy()
-    session.everything()
-    assert session.mode is Mode.OBJECTS
+    session.mode = Mode.OBJECTS
     colors = session.colors
     for number, hue in enumerate(painting.object_colors(3)):
         plain = before[rows(number)]
         shade = 0.35 + 0.65 * plain @ painting.LUMA
         np.testing.assert_allclose(colors[rows(number)], 0.58 * plain + 0.42 * shade[:, None] * hue, atol=1e-6)
     np.testing.assert_array_equal(colors[-10:], colors[-10:, :1].repeat(3, axis=1))  # in no object: grey
-    session.everything()
-    assert session.mode is Mode.SCENE
-    np.testing.assert_array_equal(session.colors, before)
 
 
 def test_however_many_things_no_two_have_one_colour() -> None:
@@ -214,12 +210,9 @@ def test_however_many_things_no_two_have_one_colour() -> None:
     assert len(np.unique(painting.object_colors(1000), axis=0)) == 1000
 
 
-def test_a_click_among_all_colours_keeps_them_and_marks_the_thing(session: Session) -> None:
-    session.everything()
-    assert session.marked == ()
+def test_a_click_among_all_colours_keeps_them(session: Session) -> None:
+    session.mode = Mode.OBJECTS
     click(session, CENTERS[1])
     assert session.mode is Mode.OBJECTS
-    assert [result.label for result in session.marked] == ["object 1"]
-    session.everything()
-    assert session.mode is Mode.ANSWER
+    assert [result.label for result in session.results] == ["object 1"]
     np.testing.assert_array_equal(session.selection, rows(1))

@@ -55,7 +55,7 @@ class Options(Verb):
     lens: str = option(
         "model of the lens distortion: pinhole none, radial one term (phones, cameras), opencv two radial and two "
         "tangential terms (wide angles); fisheye photos are undistorted to a pinhole (default: radial)",
-        None, None, "radial", choices=LENSES,
+        default="radial", choices=LENSES,
     )  # fmt: skip
 
     @property

@@ -55,7 +55,7 @@ def _auto_or(number: Callable[[str], int], *others: str) -> Callable[[str], int 
 
 def models_device(title: str = "") -> Any:
     return option(
-        "device of the models; auto is a GPU if there is one (default: auto)", None, None, "auto",
+        "device of the models; auto is a GPU if there is one (default: auto)", default="auto",
         choices=("auto", *DEVICES), title=title,
     )  # fmt: skip
 
@@ -99,7 +99,7 @@ class WithScene:
     )  # fmt: skip
     crops: str = option(
         "crops to embed: one per mask and photo, or, for large masks, a few per object of the scene (default: masks; "
-        "objects needs --scene)", None, None, "masks", choices=("masks", "objects"),
+        "objects needs --scene)", default="masks", choices=("masks", "objects"),
     )  # fmt: skip
 
     def read(self) -> Gaussians | None:
@@ -268,7 +268,12 @@ def show(answer: Facts) -> None:
         f"embedded: {answer['output']}",
         {
             answer["pictures"]: f"{text_of(answer['num_photos'])} ({reused} from an earlier run{anew})",
-            "not chosen": _not_chosen(answer),
+            "not chosen": "none: all photos are embedded"
+            if answer["seen_share"] is None
+            else (
+                f"{answer['num_photos_not_chosen']:,} photos; the chosen ones show {answer['seen_share']:.0%} of what "
+                "all do"
+            ),
             "masks": f"{text_of(answer['num_masks'])} ({text_of(answer['masks_per_level'])})",
             "embedded crops": answer["num_crops"],
             "empty masks": answer["num_empty_masks"],
@@ -277,12 +282,6 @@ def show(answer: Facts) -> None:
             "peak memory": size_text(answer["peak_memory_bytes"]),
         },
     )
-
-
-def _not_chosen(answer: Facts) -> str:
-    if answer["seen_share"] is None:
-        return "none: all photos are embedded"
-    return f"{answer['num_photos_not_chosen']:,} photos; the chosen ones show {answer['seen_share']:.0%} of what all do"
 
 
 def _segmenter(options: Options) -> Segmenter | FeatureFolder:

@@ -29,7 +29,7 @@ def around(text: str) -> str | int:
 
 def background() -> Any:
     return option(
-        "colour behind the Gaussians (default: black)", None, None, "black", choices=sorted(BACKGROUNDS)
+        "colour behind the Gaussians (default: black)", default="black", choices=sorted(BACKGROUNDS)
     )  # fmt: skip
 
 

@@ -37,7 +37,7 @@ def _block(lines: list[str], width: int, indent: str) -> list[str]:
     """Return lines in a width: commands and lists, which are indented, each by itself, and prose filled."""
     made: list[str] = []
     prose: list[str] = []
-    for line in [*_joined(lines), "  "]:
+    for line in [*re.sub(r" \\\n +", " ", "\n".join(lines)).split("\n"), "  "]:  # with those put together that go on
         if not line.startswith("  "):
             prose.append(line)
             continue

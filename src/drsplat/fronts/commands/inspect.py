@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from .code_facts import code_facts, codebook_facts
 from .declaring import Facts, argument, declaration, flag, part
 from .options import Photos, Verb
-from .recognising import kind_of, place_of
+from .recognising import kind_of, place_of, verified
 
 if TYPE_CHECKING:
     import numpy as np
@@ -41,13 +41,11 @@ class Options(Verb):
 
 
 def run(options: Options) -> Facts:
-    from .verifying import verified
-
     path = Path(options.path)
     kind = kind_of(path)
     proof = verified(path) if options.verify else None
     facts = _INSPECTORS[kind](options)
-    more = {} if proof is None else {"verified": proof["names"], "checked": proof["checked"]}
+    more = {} if proof is None else {"verified": proof.names, "checked": proof.checked}
     return {"path": options.path, "kind": kind, **facts, **more}
 
 

@@ -42,7 +42,7 @@ class Options(Verb):
     )
     box: Literal["upright", "free"] = option(
         "upright: boxes stand upright, if the photos show which way is up; free: boxes follow the match's own axes "
-        "(default: upright)", None, None, "upright", choices=("upright", "free"),
+        "(default: upright)", default="upright", choices=("upright", "free"),
     )  # fmt: skip
     tracks: bool = flag("list where each match is at all times of a moving scene, and when photos see it")
     outputs: Outputs = part(

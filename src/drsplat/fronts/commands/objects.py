@@ -42,6 +42,7 @@ NAME.labels.json beside NAME.field: they outlive the field, and a query for such
 DAILY = "scene all label id save picture views overwrite"
 
 MAX_ROWS_SHOWN = 40  # on a terminal without --all; real captures have hundreds of objects
+SAVED_SUFFIXES = (".npy", ".ply", ".json", ".csv", "")
 TABLE_FILE = "objects.json"
 FORMULA_SIGNS = ("=", "+", "-", "@", "\t", "\r", "\n")  # spreadsheets compute a text that begins with one
 BOX_NUMBERS = {"center": 3, "extent": 3, "axes": 9}
@@ -246,24 +247,26 @@ def check(saved: str | None, picture: str | None, overwrite: bool) -> None:
     check_outputs(saved, picture, overwrite, ("",))
     if picture and Path(picture).suffix.lower() not in (".jpg", ".jpeg", ".png"):
         raise InputError(f"{picture}: pictures are written as .png or .jpg")
-    if saved and Path(saved).suffix.lower() not in _WRITERS:
+    if saved and Path(saved).suffix.lower() not in SAVED_SUFFIXES:
         raise InputError(f"{saved}: expected a name that ends in .npy, .ply, .json or .csv, or that of a folder")
 
 
 def save(path: str, scene: Scene, listed: list[Facts], overwrite: bool) -> None:
-    _WRITERS[Path(path).suffix.lower()](Path(path), scene, listed, overwrite)
-
-
-def _save_npy(path: Path, scene: Scene, _: list[Facts], overwrite: bool) -> None:
+    from ... import write_gaussians
     from ...formats.npy import write_npy
 
-    write_npy(path, scene.object_ids(), overwrite)
-
-
-def _save_ply(path: Path, scene: Scene, _: list[Facts], overwrite: bool) -> None:
-    from ... import write_gaussians
-
-    write_gaussians(path, scene.gaussians, {"object_id": scene.object_ids()}, overwrite=overwrite)
+    place = Path(path)
+    match place.suffix.lower():
+        case ".npy":
+            write_npy(place, scene.object_ids(), overwrite)
+        case ".ply":
+            write_gaussians(place, scene.gaussians, {"object_id": scene.object_ids()}, overwrite=overwrite)
+        case ".json":
+            _save_json(place, scene, listed, overwrite)
+        case ".csv":
+            _save_csv(place, listed, overwrite)
+        case _:
+            _save_folder(place, scene, listed, overwrite)
 
 
 def _save_json(path: Path, scene: Scene, listed: list[Facts], overwrite: bool) -> None:
@@ -274,7 +277,7 @@ def _save_json(path: Path, scene: Scene, listed: list[Facts], overwrite: bool) -
         file.write((json.dumps(document, indent=1) + "\n").encode())
 
 
-def _save_csv(path: Path, _: Scene, listed: list[Facts], overwrite: bool) -> None:
+def _save_csv(path: Path, listed: list[Facts], overwrite: bool) -> None:
     """Write a CSV table of objects.
 
     Each number of a box has a column, axes row by row; views share one, with semicolons between them; the last is 0 or
@@ -310,6 +313,3 @@ def _save_folder(path: Path, scene: Scene, listed: list[Facts], overwrite: bool)
         for match in scene.objects:
             write_gaussians(folder / f"object_{match.object_id:04d}.ply", scene.gaussians.subset(match.gaussian_ids))
         _save_json(folder / TABLE_FILE, scene, listed, False)
-
-
-_WRITERS = {".npy": _save_npy, ".ply": _save_ply, ".json": _save_json, ".csv": _save_csv, "": _save_folder}

@@ -77,7 +77,7 @@ class Encoders:
         "laion/CLIP-ViT-B-16-laion2B-s34B-b88K (default: none; fields of the built-in words encoder need none)",
         "NAME", words,
     )  # fmt: skip
-    device: str = option("device for --encoder (default: auto)", None, None, "auto", choices=("auto", *DEVICES))
+    device: str = option("device for --encoder (default: auto)", default="auto", choices=("auto", *DEVICES))
     vocabulary: str | None = option(
         "texts with their vectors from the encoder that embedded the masks, instead of the encoder: JSON {text: "
         "[numbers]} or safetensors", "FILE",
@@ -120,14 +120,14 @@ def features() -> Any:
 def kernel_device() -> Any:
     """Declare --device of a verb that computes with kernels of our own and no models."""
     return option(
-        "device to compute on; auto is CUDA if CuPy and a GPU are available (default: auto)", None, None, "auto",
+        "device to compute on; auto is CUDA if CuPy and a GPU are available (default: auto)", default="auto",
         choices=("auto", "cpu", "cuda"),
     )  # fmt: skip
 
 
 def search_device() -> Any:
     return option(
-        "device for searching features (default: cpu)", None, None, "cpu", choices=("auto", "cpu", "cuda")
+        "device for searching features (default: cpu)", default="cpu", choices=("auto", "cpu", "cuda")
     )  # fmt: skip
 
 

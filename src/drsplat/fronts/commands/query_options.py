@@ -142,15 +142,11 @@ def read_vectors(path: str) -> np.ndarray:
         return np.ascontiguousarray(array, np.float32)
 
 
-def _same(value: Any) -> Any:
-    return value
-
-
 class Way(NamedTuple):
     """How the command line takes values of a kind: argparse's options, how they are read, and a note to the help."""
 
     options: Mapping[str, Any]
-    read: Callable[[Any], Any] = _same
+    read: Callable[[Any], Any] = lambda value: value
     note: str = ""
 
 

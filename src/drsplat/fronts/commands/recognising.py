@@ -1,8 +1,10 @@
-"""Kinds of files and folders that `drsplat inspect` knows, recognised by name and content."""
+"""Kinds of files and folders that `drsplat inspect` knows: recognised by name and content, and how each is verified."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 from ...errors import InputError
 
@@ -107,3 +109,126 @@ def _json_kind(path: Path) -> str:
     frames = document.get("frames") if isinstance(document, dict) else document
     posed = isinstance(frames, list) and not any(isinstance(frame, int | float) for frame in frames)
     return "capture" if posed or path.name == "transforms.json" else "vocabulary"
+
+
+class Verified(NamedTuple):
+    """Names of the files that were compared with checksums, and a phrase on what was checked."""
+
+    names: list[str]
+    checked: str
+
+
+def verified(path: Path) -> Verified:
+    """Verify what is at `path`; return what was checked. Raises: DrSplatError: damage, with the name of the file."""
+    kind = kind_of(path)
+    return _VERIFIERS[kind](place_of(path, kind))
+
+
+def _field(path: Path) -> Verified:
+    from ...field.loading import verify_field
+
+    names = verify_field(path)
+    return Verified(names, "all files" if names else "read whole: fields of versions 1 and 2 have no checksums")
+
+
+def _tiles(path: Path) -> Verified:
+    from ...formats.tiles import read_tiles
+
+    return Verified(read_tiles(path).verify(), "all files")
+
+
+def _catalogue(path: Path) -> Verified:
+    from ...query.catalogue import Catalogue
+
+    names = Catalogue.open(path).verify()
+    return Verified(names, "all files" if names else "opened: it has no checksums before the next add or remove")
+
+
+def _scene(path: Path) -> Verified:
+    from ...formats.motion import verify_motion
+    from ...formats.moving_scenes import read_scene
+    from ...formats.recognising import MOTION
+    from ...formats.tensors import read_tensors
+    from ...scene.moving import Moving
+    from ...training.model_folder import CHECKPOINT
+
+    if path.name == MOTION or (path / MOTION).is_file():
+        return Verified(verify_motion(path.parent if path.name == MOTION else path), "all files")
+    scene = read_scene(path)
+    if isinstance(scene, Moving):
+        for time in scene.times.tolist():
+            scene.at(time)
+    names = [CHECKPOINT] if (path / CHECKPOINT).is_file() else []
+    for name in names:
+        read_tensors(path / name)
+    return Verified(names, "read whole: files of Gaussians have no checksums")
+
+
+def _features(path: Path) -> Verified:
+    from ... import read_features
+    from ...formats.embedding_record import verify_embedding
+    from ...formats.feature_files import COMPACT, stems
+
+    names, folder = verify_embedding(path), read_features(path)
+    for key in folder:
+        folder.stored(key)
+    compact = [f"{stem}{COMPACT}" for stem in stems(path, COMPACT)]  # with checksums of their own
+    return Verified(sorted({*names, *compact}), "all photos read whole; .npy files of masks have no checksums")
+
+
+def _tensors(path: Path) -> Verified:
+    from ...formats.checksums import TENSORS
+    from ...formats.tensors import map_tensors, read_tensors
+
+    if TENSORS not in map_tensors(path)[1]:
+        return Verified([], "its header was read: it has no checksums")
+    read_tensors(path)
+    return Verified([path.name], "all of it")
+
+
+def _codebook(path: Path) -> Verified:
+    from ...field.codes.official import read_codebook
+
+    read_codebook(path)
+    return _tensors_or_read(path)
+
+
+def _vocabulary(path: Path) -> Verified:
+    from ... import read_vocabulary
+
+    read_vocabulary(path)
+    return _tensors_or_read(path)
+
+
+def _tensors_or_read(path: Path) -> Verified:
+    return _tensors(path) if path.suffix == ".safetensors" else Verified([], "read whole: it has no checksum")
+
+
+def _capture(path: Path) -> Verified:
+    return Verified([], "poses and cameras were read, photos were not opened: captures have no checksums")
+
+
+def _document(path: Path) -> Verified:
+    return Verified([], "read whole: it has no checksum, as people may edit it")
+
+
+def _scene_folder(path: Path) -> Verified:
+    """Verify all parts of a folder: the field, scenes beside it, and features."""
+    from ...query.opening import find_scene
+
+    files = find_scene(path)
+    parts = [files.field, *(scene for scene in files.scenes if scene != path)]
+    parts += [folder for folder in sorted(path.iterdir()) if folder.is_dir() and kind_of(folder) == "features"]
+    names, checked = list[str](), list[str]()
+    for part in parts:
+        result = _VERIFIERS[kind_of(part)](part)
+        names += [f"{part.name}/{name}" for name in result.names]
+        checked.append(f"{part.name}: {result.checked}")
+    return Verified(names, "; ".join(checked))
+
+
+_VERIFIERS: dict[str, Callable[[Path], Verified]] = {
+    "field": _field, "tiles": _tiles, "catalogue": _catalogue, "scene": _scene, "scene folder": _scene_folder,
+    "features": _features, "tensors": _tensors, "codebook": _codebook, "vocabulary": _vocabulary, "capture": _capture,
+    "labels": _document, "edits": _document, "annotations": _document, "camera path": _document,
+}  # fmt: skip

@@ -86,7 +86,7 @@ class Method:
     code: str = option(
         "pq: product quantisation, 132 bytes per Gaussian and a codebook, as in the paper. mixture: a few of the "
         "scene's own masks per Gaussian, 14 bytes and the masks' embeddings. auto: the smaller one; pq with --codebook "
-        "or --subvectors (default: auto)", None, None, "auto", choices=("auto", "pq", "mixture"),
+        "or --subvectors (default: auto)", default="auto", choices=("auto", "pq", "mixture"),
     )  # fmt: skip
     atoms: int | None = option("masks per Gaussian of a mixture, 1 to 16 (default: 4)", "K", count)
     codebook: str | None = option(
@@ -271,13 +271,14 @@ def show(answer: Facts) -> None:
 
     reused = f" ({answer['num_views_reused']} from an earlier run)" if answer["num_views_reused"] else ""
     out = f", {text_of(len(answer['left_out']))} left out" if answer["left_out"] else ""
+    times = f" at {answer['num_times']:,} times" if answer["num_times"] else ""
     stages = ", ".join(f"{name} {seconds:.1f}" for name, seconds in answer["stage_seconds"].items())
     share = answer["num_registered"] / max(1, answer["num_gaussians"])
     show_facts(
         f"registered: {answer['field']}{COMPLETE if answer['was_complete'] else ''}",
         {
             "Gaussians": f"{text_of(answer['num_registered'])} of {text_of(answer['num_gaussians'])} ({share:.1%})",
-            "views": f"{text_of(answer['num_views'])} {answer['pictures']}{_at_times(answer)}{reused}{out}",
+            "views": f"{text_of(answer['num_views'])} {answer['pictures']}{times}{reused}{out}",
             "masks": f"{text_of(answer['num_masks'])}, embedded by {answer['encoder']} ({answer['dim']}-d)",
             "weights": answer["num_weights"],
             "codes": f"{answer['bytes_per_gaussian']} bytes per Gaussian",
@@ -286,10 +287,6 @@ def show(answer: Facts) -> None:
             "peak memory": size_text(answer["peak_memory_bytes"]),
         },
     )
-
-
-def _at_times(answer: Facts) -> str:
-    return f" at {answer['num_times']:,} times" if answer["num_times"] else ""
 
 
 def _weights_of(options: Options) -> "LanguageField | None":

@@ -15,8 +15,20 @@ from .declaring import Facts, argument, declaration, flag, option
 from .kinds import count, words
 from .options import Verb
 from .parts import parts_of
-from .scan_answers import answered, ended, notes, show_answer, summary
-from .stages import Stage, VerbLine, check_tables, differences, is_done, run_stages, verb_line
+from .stages import (
+    Stage,
+    VerbLine,
+    answered,
+    check_tables,
+    differences,
+    ended,
+    is_done,
+    notes,
+    run_stages,
+    show_answer,
+    summary,
+    verb_line,
+)
 from .train import EVERYDAY_ITERATIONS
 
 if TYPE_CHECKING:
@@ -320,5 +332,4 @@ def interrupted(options: Options) -> str:
     return f"what is done is kept in {options.folder}: give the same command again to go on"
 
 
-def show(answer: Facts) -> None:
-    show_answer(answer)
+show = show_answer

@@ -37,11 +37,11 @@ class Method:
     TITLE = "method"
     schedule: str = option(
         "schedule of the optimisation: drsplat's, which takes minutes, or that of 3DGS (default: everyday)",
-        None, None, "everyday", choices=("everyday", "original"),
+        default="everyday", choices=("everyday", "original"),
     )  # fmt: skip
     strategy: str = option(
         "densification strategy: adaptive density control, or relocation within a budget (default: default)",
-        None, None, "default", choices=("default", "mcmc"),
+        default="default", choices=("default", "mcmc"),
     )  # fmt: skip
     max_gaussians: int | None = option(
         "maximum number of Gaussians (default: half the pixels of a photo, more for more than 100 photos; no limit "
@@ -49,7 +49,7 @@ class Method:
     )  # fmt: skip
     background: str = option(
         "colour behind the Gaussians; random is a new one each iteration (default: black)",
-        None, None, "black", choices=("black", "white", "random"),
+        default="black", choices=("black", "white", "random"),
     )  # fmt: skip
     sh_degree: int = option(
         "degree of the colours' spherical harmonics (default: 3)", None, int, 3, choices=range(4)

@@ -271,6 +271,30 @@ def _add_query(app: FastAPI, bench: Workbench, act: str, request: type[BaseModel
     app.post(f"/scenes/{{scene}}/{act}", tags=["queries"], name=name, description=about, **made)(computed)
 
 
+def _add_live(app: FastAPI, bench: Workbench, adding: Adding, why_not: Callable[[str | None, str], str]) -> None:
+    """Add routes for views that are sent. why_not: of a request's Origin and Host, why it may not do so, or ""."""
+    responses = refusals(REFUSALS_OF_VIEWS) | {200: {"model": ViewState, "description": "sent before"}}
+
+    @app.get("/scenes/{scene}/views", tags=["views"], response_model=ViewList)
+    async def views(scene: Scene) -> Response:
+        """List the photos that were sent to a scene, and what has become of each."""
+        asked = {"working": adding.working(scene), "problem": adding.problem(scene)}
+        return sent(await bench.run(Job(LIST, scene, asked)))
+
+    @app.post("/scenes/{scene}/views", tags=["views"], status_code=202, response_model=ViewState, responses=responses)
+    async def take_view(scene: Scene, view: NewView, request: Request) -> Response:
+        """Take a posed photo: it is on disk when this is answered, and added to the scene's field within seconds."""
+        refused = why_not(request.headers.get("origin"), request.headers.get("host", ""))
+        if refused:
+            return sent(problem(403, refused, "not let"))
+
+        def added(reply: Reply) -> None:
+            if reply.status == 202:
+                adding.notice(scene)
+
+        return sent(await bench.run(Job(TAKE, scene, view.model_dump(mode="json", exclude_none=True), added)))
+
+
 def _add_catalogue(app: FastAPI, bench: Workbench) -> None:
     @app.get("/catalogue", tags=["catalogue"], response_model=CatalogueScenes)
     async def catalogue_scenes() -> Response:
@@ -315,27 +339,3 @@ def serve(settings: Settings, listening: socket.socket, quiet: bool = False) -> 
         timeout_graceful_shutdown=int(settings.limits.seconds) + GRACE_S,
         timeout_keep_alive=30,
     )
-
-
-def _add_live(app: FastAPI, bench: Workbench, adding: Adding, why_not: Callable[[str | None, str], str]) -> None:
-    """Add routes for views that are sent. why_not: of a request's Origin and Host, why it may not do so, or ""."""
-    responses = refusals(REFUSALS_OF_VIEWS) | {200: {"model": ViewState, "description": "sent before"}}
-
-    @app.get("/scenes/{scene}/views", tags=["views"], response_model=ViewList)
-    async def views(scene: Scene) -> Response:
-        """List the photos that were sent to a scene, and what has become of each."""
-        asked = {"working": adding.working(scene), "problem": adding.problem(scene)}
-        return sent(await bench.run(Job(LIST, scene, asked)))
-
-    @app.post("/scenes/{scene}/views", tags=["views"], status_code=202, response_model=ViewState, responses=responses)
-    async def take_view(scene: Scene, view: NewView, request: Request) -> Response:
-        """Take a posed photo: it is on disk when this is answered, and added to the scene's field within seconds."""
-        refused = why_not(request.headers.get("origin"), request.headers.get("host", ""))
-        if refused:
-            return sent(problem(403, refused, "not let"))
-
-        def added(reply: Reply) -> None:
-            if reply.status == 202:
-                adding.notice(scene)
-
-        return sent(await bench.run(Job(TAKE, scene, view.model_dump(mode="json", exclude_none=True), added)))

@@ -5,14 +5,14 @@ from datetime import datetime
 from typing import Annotated, Any
 from urllib.parse import urlencode
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from ...errors import InputError
 from ...query.catalogue import Catalogue, Conditions, Entry
 from ...query.schema import Place
 from .limits import Limits
 from .models import Body, EarthPosition, Vector, significant
-from .query_fields import LIMITS, Finite, Request, asking, query_of
+from .query_fields import LIMITS, Finite, Request, asking, examples, query_of
 from .replies import JPEG, Reply
 
 SceneNames = Annotated[list[Annotated[str, Field(min_length=1, max_length=200)]], Field(max_length=64)]
@@ -22,19 +22,18 @@ SceneNames = Annotated[list[Annotated[str, Field(min_length=1, max_length=200)]]
 class AskCatalogue(Request):
     """Exactly one of text, vector and image; and which objects are looked at."""
 
-    top: Annotated[int, Field(ge=1, le=LIMITS.matches, description="matches to return, best first")] = 10
-    scenes: SceneNames = Field([], description="names of scenes to search; none for all")
-    box: Annotated[list[Finite], Field(min_length=6, max_length=6)] | None = Field(
-        None, description="lowest and highest corner of a box that centres lie in, in the world of each scene"
-    )
-    area: Annotated[list[Finite], Field(min_length=4, max_length=4)] | None = Field(
-        None, description="west, south, east and north in degrees, of scenes with a georeference"
-    )
-    since: Annotated[str, Field(max_length=40)] | None = Field(
-        None, description="time of the oldest addition, ISO 8601 with its zone"
-    )
+    top: Annotated[int, Field(ge=1, le=LIMITS.matches)] = 10
+    """matches to return, best first"""
+    scenes: SceneNames = Field([])
+    """names of scenes to search; none for all"""
+    box: Annotated[list[Finite], Field(min_length=6, max_length=6)] | None = None
+    """lowest and highest corner of a box that centres lie in, in the world of each scene"""
+    area: Annotated[list[Finite], Field(min_length=4, max_length=4)] | None = None
+    """west, south, east and north in degrees, of scenes with a georeference"""
+    since: Annotated[str, Field(max_length=40)] | None = None
+    """time of the oldest addition, ISO 8601 with its zone"""
 
-    model_config = ConfigDict(json_schema_extra={"examples": [{"text": "red mug", "top": 5}]})
+    model_config = examples({"text": "red mug", "top": 5})
 
 
 class CataloguePicture(Request):
@@ -50,42 +49,56 @@ class CatalogueMatch(Body):
 
     scene: str
     tile: int
-    object_id: int = Field(description="its number in the scene, as from /scenes/{scene}/objects")
-    label: str | None = Field(description="the name that people gave it")
-    name: str | None = Field(description="the best word for it, where one was known")
+    object_id: int
+    """its number in the scene, as from /scenes/{scene}/objects"""
+    label: str | None
+    """the name that people gave it"""
+    name: str | None
+    """the best word for it, where one was known"""
     score: float
     center: Vector
-    extent: Vector = Field(description="full lengths of the box along its axes")
+    extent: Vector
+    """full lengths of the box along its axes"""
     axes: list[Vector]
-    position: EarthPosition | None = Field(description="on the Earth, where the scene has a georeference")
+    position: EarthPosition | None
+    """on the Earth, where the scene has a georeference"""
     num_gaussians: int
     num_views: int
     sure: float
-    photo: str | None = Field(description="the photo that shows it best")
-    mask: int | None = Field(description="its mask there")
+    photo: str | None
+    """the photo that shows it best"""
+    mask: int | None
+    """its mask there"""
     added: str
-    field: str = Field(description="fingerprint of the field that it is of")
-    picture: str | None = Field(description="where to get its thumbnail, a JPEG")
+    field: str
+    """fingerprint of the field that it is of"""
+    picture: str | None
+    """where to get its thumbnail, a JPEG"""
 
 
 class CatalogueAnswer(Body):
     query: str
     num_matches: int
-    matches: list[CatalogueMatch] = Field(description="best first, of all scenes")
-    measure: str = Field(description="cosine or relevancy")
+    matches: list[CatalogueMatch]
+    """best first, of all scenes"""
+    measure: str
+    """cosine or relevancy"""
     threshold: float
     threshold_rule: str
     num_compared: int
-    exact: bool = Field(description="whether no index was used")
+    exact: bool
+    """whether no index was used"""
     advice: str = ""
 
 
 class CatalogueScene(Body):
     name: str
     num_objects: int
-    num_agreed: int = Field(description="of its objects, those that photos agree on, or that have a label")
+    num_agreed: int
+    """of its objects, those that photos agree on, or that have a label"""
     added: str
-    state: str = Field(description="current, changed (its field is another one now), missing or unknown")
+    state: str
+    """current, changed (its field is another one now), missing or unknown"""
 
 
 class CatalogueScenes(Body):
@@ -98,7 +111,11 @@ def catalogue_reply(catalogue: Catalogue, act: str, asked: Mapping[str, Any], li
     if act == "catalogue-picture":
         which = CataloguePicture(**asked)
         return Reply(catalogue.thumbnail(which.scene, which.object_id, which.tile), JPEG)
-    answer = _listed(catalogue) if act == "catalogue-list" else _answered(catalogue, AskCatalogue(**asked), limits)
+    if act == "catalogue-ask":
+        return Reply(_answered(catalogue, AskCatalogue(**asked), limits).model_dump_json().encode())
+    listed = catalogue.scenes()
+    scenes = [CatalogueScene(**vars(one) | {"name": one.scene, "added": one.added.isoformat()}) for one in listed]
+    answer = CatalogueScenes(scenes=scenes, num_objects=sum(one.num_objects for one in listed))
     return Reply(answer.model_dump_json().encode())
 
 
@@ -119,20 +136,11 @@ def _match(entry: Entry) -> CatalogueMatch:
     return CatalogueMatch(**entry.json(), picture=picture)
 
 
-def _listed(catalogue: Catalogue) -> CatalogueScenes:
-    listed = catalogue.scenes()
-    scenes = [CatalogueScene(**vars(one) | {"name": one.scene, "added": one.added.isoformat()}) for one in listed]
-    return CatalogueScenes(scenes=scenes, num_objects=sum(one.num_objects for one in listed))
-
-
 def _where(asked: AskCatalogue) -> Conditions:
     """Return the conditions of a request. Raises: InputError: a box or an area that is none, or no time."""
     box, area = (None if given is None else tuple(given) for given in (asked.box, asked.area))
-    return Conditions(tuple(asked.scenes), box, area, None if asked.since is None else _time(asked.since))  # type: ignore[arg-type]
-
-
-def _time(text: str) -> datetime:
     try:
-        return datetime.fromisoformat(text)
+        since = None if asked.since is None else datetime.fromisoformat(asked.since)
     except ValueError:
         raise InputError("since: expected a time as 2026-11-22T14:00:00Z") from None
+    return Conditions(tuple(asked.scenes), box, area, since)  # type: ignore[arg-type]

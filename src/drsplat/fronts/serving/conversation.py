@@ -93,25 +93,33 @@ class Measurement(Body):
 class Count(Measurement):
     query: str
     count: int
-    of: int = Field(description="how many there are in the whole scene")
-    centers: list[Vector] = Field(description="of the matches counted, best score first")
+    of: int
+    """how many there are in the whole scene"""
+    centers: list[Vector]
+    """of the matches counted, best score first"""
 
 
 class BestMatch(Measurement):
     """Best match of a query."""
 
     query: str
-    best: Match | None = Field(None, description="null where nothing matches")
-    others: int = Field(0, description="further matches that fit less well")
-    best_view: str | None = Field(None, description="the photo that shows most of it")
+    best: Match | None = None
+    """null where nothing matches"""
+    others: int = 0
+    """further matches that fit less well"""
+    best_view: str | None = None
+    """the photo that shows most of it"""
 
 
 class Distance(Measurement):
     first: str
     second: str
-    center_distance: float = Field(description="between the centres of the two")
-    gap: float = Field(description="between their nearest parts")
-    offset: Vector = Field(description="from the centre of the first to that of the second")
+    center_distance: float
+    """between the centres of the two"""
+    gap: float
+    """between their nearest parts"""
+    offset: Vector
+    """from the centre of the first to that of the second"""
     first_center: Vector
     second_center: Vector
 
@@ -119,13 +127,16 @@ class Distance(Measurement):
 class PointWords(Measurement):
     """Words for what is at a point."""
 
-    point: Vector = Field(description="centre of the Gaussian that is there")
-    words: list[Word] = Field(description="best first")
+    point: Vector
+    """centre of the Gaussian that is there"""
+    words: list[Word]
+    """best first"""
 
 
 class Part(Body):
     name: str
-    share: float = Field(description="of the registered Gaussians in the region")
+    share: float
+    """of the registered Gaussians in the region"""
     num_gaussians: int
     center: Vector
 
@@ -140,17 +151,22 @@ class About(Measurement):
     """Frame of a scene: the meaning of its positions and lengths."""
 
     scene: str
-    low: Vector = Field(description="corner of the box of the middle 98 % of the Gaussians")
+    low: Vector
+    """corner of the box of the middle 98 % of the Gaussians"""
     high: Vector
-    up: Vector | None = Field(None, description="unit direction that is up; null where unknown")
-    times: Annotated[Span | None, Field(description="first and last time of a scene that moves, else null")] = None
+    up: Vector | None = None
+    """unit direction that is up; null where unknown"""
+    times: Span | None = None
+    """first and last time of a scene that moves, else null"""
     num_photos: int
-    some_photos: list[str] = Field(description="names of a few, for show and what_is_at_pixel")
+    some_photos: list[str]
+    """names of a few, for show and what_is_at_pixel"""
 
 
 class Related(ObjectList):
     relation: str
-    to: list[int | None] = Field(description="the objects that they are related to; null for a place that is none")
+    to: list[int | None]
+    """the objects that they are related to; null for a place that is none"""
 
 
 class RenderedView(Body):

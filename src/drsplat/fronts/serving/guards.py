@@ -47,7 +47,7 @@ class DoorKeeper:
         headers = dict(scope["headers"])
         if not self._is_let_in(scope["path"], headers):
             await answer.refuse(401, "unauthorised", "give the key: Authorization: Bearer KEY")
-        elif not self._is_meant(headers.get(b"host", b"")):
+        elif self.hosts is not None and not is_addressed(headers.get(b"host", b"").decode("latin-1"), self.hosts):
             known = f"expected one of: {', '.join(self.hosts or ())}"
             await answer.refuse(400, "wrong host", known)
         return bool(answer.status)
@@ -57,9 +57,6 @@ class DoorKeeper:
             return True
         given = headers.get(b"x-api-key") or _bearer(headers.get(b"authorization", b""))
         return is_secret(given, self.key)
-
-    def _is_meant(self, host: bytes) -> bool:
-        return self.hosts is None or is_addressed(host.decode("latin-1"), self.hosts)
 
 
 class Guard(DoorKeeper):

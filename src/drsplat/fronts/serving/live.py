@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from ...errors import InputError
 from ...formats.live_views import LiveView, LiveViews
@@ -19,7 +19,7 @@ from ...scene.gaussians import Gaussians
 from ...scene.moving import Moving
 from .limits import Limits
 from .models import Body
-from .query_fields import LIMITS, Finite, Request
+from .query_fields import LIMITS, Finite, Request, examples
 from .replies import Reply
 from .scene_folder import SceneFolder, Sources, without_paths
 
@@ -32,61 +32,60 @@ Numbers4 = Annotated[list[Finite], Field(min_length=4, max_length=4)]
 Numbers3 = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 Size = Annotated[int, Field(ge=1, le=1 << 17)]
 Base64 = Annotated[str, Field(min_length=1, max_length=LIMITS.body_bytes)]
-EXAMPLES: dict[str, Any] = {
-    "examples": [
-        {
-            "name": "robot/0001.jpg",
-            "picture": "/9j/4AAQSkZJRg==",
-            "pose": {"quaternion": [1.0, 0.0, 0.0, 0.0], "translation": [0.0, 0.0, 2.5]},
-            "lens": {"fx": 525.0, "fy": 525.0, "cx": 320.0, "cy": 240.0},
-        }
-    ]
+EXAMPLE = {
+    "name": "robot/0001.jpg",
+    "picture": "/9j/4AAQSkZJRg==",
+    "pose": {"quaternion": [1.0, 0.0, 0.0, 0.0], "translation": [0.0, 0.0, 2.5]},
+    "lens": {"fx": 525.0, "fy": 525.0, "cx": 320.0, "cy": 240.0},
 }
 
 
 class Pose(Request):
     """Place and direction of the camera, in the scene's coordinates: exactly one of three forms."""
 
-    cam_from_world: Annotated[list[Numbers4], Field(min_length=4, max_length=4)] | None = Field(
-        None, description="4x4, row by row: x_cam = M x_world; camera axes x right, y down, z forward (OpenCV)"
-    )
-    quaternion: Numbers4 | None = Field(
-        None, description="w, x, y, z of the rotation of cam_from_world, as COLMAP has it; translation with it"
-    )
+    cam_from_world: Annotated[list[Numbers4], Field(min_length=4, max_length=4)] | None = None
+    """4x4, row by row: x_cam = M x_world; camera axes x right, y down, z forward (OpenCV)"""
+    quaternion: Numbers4 | None = None
+    """w, x, y, z of the rotation of cam_from_world, as COLMAP has it; translation with it"""
     translation: Numbers3 | None = None
-    transform_matrix: Annotated[list[Numbers4], Field(min_length=3, max_length=4)] | None = Field(
-        None, description="camera to world, camera axes x right, y up, z backward (OpenGL), as ARKit and nerfstudio"
-    )
+    transform_matrix: Annotated[list[Numbers4], Field(min_length=3, max_length=4)] | None = None
+    """camera to world, camera axes x right, y up, z backward (OpenGL), as ARKit and nerfstudio"""
 
 
 class Lens(Request):
     """OpenCV's pinhole with distortion, in pixels; the centre of the first pixel is at 0.5, 0.5."""
 
     fx: Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)]
-    fy: Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)] | None = Field(None, description="default: fx")
-    cx: Finite | None = Field(None, description="default: the middle")
+    fy: Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)] | None = None
+    """default: fx"""
+    cx: Finite | None = None
+    """default: the middle"""
     cy: Finite | None = None
-    k1: Finite | None = Field(None, description="distortion k1, k2, p1, p2; default: none")
+    k1: Finite | None = None
+    """distortion k1, k2, p1, p2; default: none"""
     k2: Finite | None = None
     p1: Finite | None = None
     p2: Finite | None = None
-    width: Size | None = Field(None, description="raster of these numbers, if it is not the picture's")
+    width: Size | None = None
+    """raster of these numbers, if it is not the picture's"""
     height: Size | None = None
 
 
 class NewView(Request):
     """A posed photo for the scene."""
 
-    name: Annotated[str, Field(min_length=1, max_length=500, description="of the photo, with .jpg, .jpeg or .png")]
-    picture: Base64 = Field(description="base64 of a JPEG or PNG")
+    name: Annotated[str, Field(min_length=1, max_length=500)]
+    """of the photo, with .jpg, .jpeg or .png"""
+    picture: Base64
+    """base64 of a JPEG or PNG"""
     pose: Pose
     lens: Lens
-    time: Finite | None = Field(None, description="when it was taken, in the unit of the times of a scene that moves")
-    features: Base64 | None = Field(
-        None, description="base64 of NAME.features.safetensors: its masks and their embeddings, made by the sender"
-    )
+    time: Finite | None = None
+    """when it was taken, in the unit of the times of a scene that moves"""
+    features: Base64 | None = None
+    """base64 of NAME.features.safetensors: its masks and their embeddings, made by the sender"""
 
-    model_config = ConfigDict(json_schema_extra=EXAMPLES)
+    model_config = examples(EXAMPLE)
 
 
 class ViewState(Body):
@@ -94,15 +93,20 @@ class ViewState(Body):
 
     name: str
     state: Literal["waiting", "working", "added", "refused"]
-    arrived: float = Field(description="seconds since 1970")
-    ended: float | None = Field(description="when it was added or refused")
-    reason: str = Field("", description="why it was refused")
+    arrived: float
+    """seconds since 1970"""
+    ended: float | None
+    """when it was added or refused"""
+    reason: str = ""
+    """why it was refused"""
 
 
 class ViewList(Body):
     num_waiting: int
-    views: list[ViewState] = Field(description="the last ones, in the order of arrival")
-    problem: str = Field("", description="why views go on waiting, if something is wrong")
+    views: list[ViewState]
+    """the last ones, in the order of arrival"""
+    problem: str = ""
+    """why views go on waiting, if something is wrong"""
 
 
 class Adder:

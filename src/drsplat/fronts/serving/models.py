@@ -23,34 +23,42 @@ Span = Annotated[list[float], Field(min_length=2, max_length=2)]
 class Body(BaseModel):
     """A JSON object of an answer."""
 
-    model_config = ConfigDict(ser_json_inf_nan="null")
+    model_config = ConfigDict(ser_json_inf_nan="null", use_attribute_docstrings=True)
 
 
 Fingerprint = Annotated[str, Field(description="fingerprint of the field that answered: another one, another version")]
 
 
 class SceneSummary(Body):
-    name: str = Field(description="what to pass as scene")
-    num_gaussians: int = Field(description="Gaussians of the scene")
-    num_registered: int = Field(description="those that have a language feature")
-    encoder: str = Field(description="the model that embeds words for this scene")
-    fault: str = Field("", description="why it cannot be opened; empty if it can")
+    name: str
+    """what to pass as scene"""
+    num_gaussians: int
+    """Gaussians of the scene"""
+    num_registered: int
+    """those that have a language feature"""
+    encoder: str
+    """the model that embeds words for this scene"""
+    fault: str = ""
+    """why it cannot be opened; empty if it can"""
 
 
 class Word(Body):
     name: str
-    score: float = Field(description="cosine; only the order means something across encoders")
+    score: float
+    """cosine; only the order means something across encoders"""
 
 
 class Words(Body):
-    words: list[Word] = Field(description="best first")
+    words: list[Word]
+    """best first"""
     field: Fingerprint = ""
 
 
 class Problem(Body):
     """Why there is no answer."""
 
-    error: str = Field(description="what was given, what is expected, what to do")
+    error: str
+    """what was given, what is expected, what to do"""
     kind: str
 
 
@@ -60,13 +68,18 @@ class Health(Body):
 
 
 class SceneDetails(SceneSummary):
-    views: list[str] = Field(description="names of the photos")
-    low: Vector = Field(description="corner of the box of the middle 98 % of the Gaussians")
+    views: list[str]
+    """names of the photos"""
+    low: Vector
+    """corner of the box of the middle 98 % of the Gaussians"""
     high: Vector
-    up: Vector | None = Field(None, description="unit direction, told by the photos")
-    times: Annotated[Span | None, Field(description="first and last time of a scene that moves, else null")] = None
+    up: Vector | None = None
+    """unit direction, told by the photos"""
+    times: Span | None = None
+    """first and last time of a scene that moves, else null"""
     units: str = UNITS
-    scene: str = Field("", description="fingerprint of the Gaussians: of their count, positions and order")
+    scene: str = ""
+    """fingerprint of the Gaussians: of their count, positions and order"""
     field: Fingerprint = ""
 
 
@@ -76,14 +89,17 @@ DOUBT: str = Field("", description="reason not to rely on the answer; empty if t
 class Measured(Body):
     """How a query was scored and cut."""
 
-    measure: str = Field(description="cosine or relevancy")
+    measure: str
+    """cosine or relevancy"""
     threshold: float
     threshold_rule: str
     num_selected: int
     num_registered: int
-    certainty: str = Field(description="sure, maybe where there is a doubt, or nothing")
+    certainty: str
+    """sure, maybe where there is a doubt, or nothing"""
     doubt: str = DOUBT
-    seen_from: str = Field("", description="the photo that left and right are meant from")
+    seen_from: str = ""
+    """the photo that left and right are meant from"""
 
 
 class Selected(Body):
@@ -91,14 +107,16 @@ class Selected(Body):
 
     measured: Measured
     score_range: Annotated[list[float], Field(min_length=2, max_length=2)]
-    gaussian_ids: list[int] | None = Field(None, description="rows of the scene, ascending; only with 'ids': true")
+    gaussian_ids: list[int] | None = None
+    """rows of the scene, ascending; only with 'ids': true"""
     field: Fingerprint = ""
 
 
 class ClassCount(Body):
     name: str
     num_gaussians: int
-    share: float = Field(description="of the registered Gaussians")
+    share: float
+    """of the registered Gaussians"""
     threshold: float
 
 
@@ -107,7 +125,8 @@ class Segmented(Body):
     num_registered: int
     num_labelled: int
     classes: list[ClassCount]
-    labels: list[int] | None = Field(None, description="per Gaussian of the scene the number of its class, -1 for none")
+    labels: list[int] | None = None
+    """per Gaussian of the scene the number of its class, -1 for none"""
     field: Fingerprint = ""
     doubt: str = DOUBT
 
@@ -121,25 +140,33 @@ class Support(Body):
     """A mask of a supporting photo."""
 
     view: str
-    mask: int = Field(description="its number in the photo")
-    share: float = Field(description="its part of all support")
+    mask: int
+    """its number in the photo"""
+    share: float
+    """its part of all support"""
 
 
 class Track(Body):
     """Track of a match: its places over time, and when photos see it."""
 
-    times: list[float] = Field(description="those of the scene's times at which it is there, ascending")
-    centers: list[Vector] = Field(description="one of each time, as are extents and axes")
+    times: list[float]
+    """those of the scene's times at which it is there, ascending"""
+    centers: list[Vector]
+    """one of each time, as are extents and axes"""
     extents: list[Vector]
     axes: list[Annotated[list[Vector], Field(min_length=3, max_length=3)]]
-    spans: list[Span] = Field(description="first and last time of each span in which a photo sees it")
-    views: list[str] = Field(description="these photos")
+    spans: list[Span]
+    """first and last time of each span in which a photo sees it"""
+    views: list[str]
+    """these photos"""
 
 
 class EarthPosition(Body):
-    longitude: float = Field(description="degrees, WGS 84")
+    longitude: float
+    """degrees, WGS 84"""
     latitude: float
-    height: float = Field(description="metres above the ellipsoid")
+    height: float
+    """metres above the ellipsoid"""
 
 
 class Footprint(Body):
@@ -159,41 +186,55 @@ class Match(Body):
     """A place that a query matches, with its oriented box."""
 
     center: Vector
-    extent: Vector = Field(description="full lengths of the box along its axes")
-    axes: list[Vector] = Field(
-        description="unit directions of the box, one per row: the third is up, or, of free boxes, the longest first"
-    )
+    extent: Vector
+    """full lengths of the box along its axes"""
+    axes: list[Vector]
+    """unit directions of the box, one per row: the third is up, or, of free boxes, the longest first"""
     score: float
-    sure: bool = Field(description="whether the query surely means it")
+    sure: bool
+    """whether the query surely means it"""
     num_gaussians: int
     support: list[Support]
     position: EarthPosition | None = POSITION
     footprint: Footprint | None = FOOTPRINT
-    track: Annotated[Track | None, Field(description="only with 'tracks': true, of a scene that moves")] = None
+    track: Track | None = None
+    """only with 'tracks': true, of a scene that moves"""
 
 
 class SceneObject(Body):
     """An object that photos agree on, with or without a word for it."""
 
-    id: int = Field(description="its number: 0 has the largest mass")
-    label: str | None = Field(description="the name that people gave it")
-    name: str | None = Field(description="the word that the encoder is sure of among its list")
+    id: int
+    """its number: 0 has the largest mass"""
+    label: str | None
+    """the name that people gave it"""
+    name: str | None
+    """the word that the encoder is sure of among its list"""
     center: Vector
-    extent: Vector = Field(description="full lengths of the box along its axes")
-    axes: list[Vector] = Field(description="unit directions of the box, one per row: the third is up where it is known")
+    extent: Vector
+    """full lengths of the box along its axes"""
+    axes: list[Vector]
+    """unit directions of the box, one per row: the third is up where it is known"""
     num_gaussians: int
-    num_views: int = Field(description="photos that see it")
-    sure: float = Field(description="how far the photos agree on it, from 0 to 1")
-    agreed: bool = Field(description="whether photos agree on it, or it has a label; most others are scraps")
-    views: list[str] = Field(description="photos, those that show most of it first")
+    num_views: int
+    """photos that see it"""
+    sure: float
+    """how far the photos agree on it, from 0 to 1"""
+    agreed: bool
+    """whether photos agree on it, or it has a label; most others are scraps"""
+    views: list[str]
+    """photos, those that show most of it first"""
     position: EarthPosition | None = POSITION
     footprint: Footprint | None = FOOTPRINT
 
 
 class ObjectList(Body):
-    num_objects: int = Field(description="all, listed or not")
-    num_agreed: int = Field(description="of these, those that photos agree on")
-    objects: list[SceneObject] = Field(description="largest mass first")
+    num_objects: int
+    """all, listed or not"""
+    num_agreed: int
+    """of these, those that photos agree on"""
+    objects: list[SceneObject]
+    """largest mass first"""
     units: str = UNITS
     advice: str = ""
     field: Fingerprint = ""
@@ -201,7 +242,8 @@ class ObjectList(Body):
 
 class Located(Body):
     query: str
-    count: int = Field(description="of the matches, those that are surely meant")
+    count: int
+    """of the matches, those that are surely meant"""
     num_matches: int
     matches: list[Match]
     units: str = UNITS
@@ -214,8 +256,10 @@ class When(Body):
     one: str
     relation: str
     other: str
-    spans: list[Span] = Field(description="first and last time of each span in which it holds")
-    times: Span = Field(description="first and last time of the scene")
+    spans: list[Span]
+    """first and last time of each span in which it holds"""
+    times: Span
+    """first and last time of the scene"""
     field: Fingerprint = ""
     advice: str = ""
 

@@ -22,7 +22,7 @@ M = TypeVar("M", bound=BaseModel)
 class Request(BaseModel):
     """Unknown keys are refused: a misspelt option would otherwise be ignored in silence."""
 
-    model_config = ConfigDict(extra="forbid", strict=True)
+    model_config = ConfigDict(extra="forbid", strict=True, use_attribute_docstrings=True)
 
     @model_validator(mode="before")
     @classmethod
@@ -30,6 +30,11 @@ class Request(BaseModel):
         """Take null for the default, where there is one: libraries of clients send it for what is left out."""
         required = {name for name, field in cls.model_fields.items() if field.is_required()}
         return without_nulls(given, cls.model_fields.keys() - required) if isinstance(given, dict) else given
+
+
+def examples(*given: dict[str, Any]) -> ConfigDict:
+    """Return settings of a request whose schema has examples."""
+    return ConfigDict(json_schema_extra={"examples": list(given)})
 
 
 def without_nulls(given: Mapping[str, Any], optional: Collection[str]) -> dict[str, Any]:

@@ -2,16 +2,16 @@
 
 from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
 from ...errors import InputError
 from ...query.defaults import MIN_GAUSSIANS
 from ...query.relations import OfTwo
 from ...query.schema import CUT, Place
 from ...scene.boxes import BoxKind
-from .query_fields import LIMITS, Click, Finite, Point, Request, Text, asking, values_of
+from .query_fields import LIMITS, Click, Finite, Point, Request, Text, asking, examples, values_of
 
-EXAMPLES = ConfigDict(json_schema_extra={"examples": [{"text": "red vase"}, {"point": [0.3, 0.14, 0.82]}]})
+EXAMPLES = examples({"text": "red vase"}, {"point": [0.3, 0.14, 0.82]})
 
 
 @asking(Place.HTTP)
@@ -20,16 +20,13 @@ class Locate(Request):
 
     model_config = EXAMPLES
 
-    top: Annotated[int, Field(ge=1, le=LIMITS.matches, description="matches to return, best first")] = 10
+    top: Annotated[int, Field(ge=1, le=LIMITS.matches)] = 10
+    """matches to return, best first"""
     min_gaussians: Annotated[int, Field(ge=2, le=1_000_000)] = MIN_GAUSSIANS
-    box: BoxKind = Field(
-        "upright",
-        description="upright: the third axis of boxes is up, where the photos tell it; free: along the match's own "
-        "axes",
-    )
-    tracks: bool = Field(
-        False, description="whether to tell where each match is over time, and when photos see it (scenes that move)"
-    )
+    box: BoxKind = "upright"
+    """upright: the third axis of boxes is up, where the photos tell it; free: along the match's own axes"""
+    tracks: bool = False
+    """whether to tell where each match is over time, and when photos see it (scenes that move)"""
 
 
 @asking(Place.HTTP, Place.WORDS)
@@ -37,15 +34,13 @@ class When(Request):
     """Two queries in words, of which the sure matches are taken, and a relation of the one to the other."""
 
     one: Text
-    relation: OfTwo = Field(description="left_of and right_of are meant as seen from view")
+    relation: OfTwo
+    """left_of and right_of are meant as seen from view"""
     other: Text
-    view: Annotated[str, Field(min_length=1, max_length=500)] | None = Field(
-        None, description="a photo's name, for left_of and right_of only"
-    )
+    view: Annotated[str, Field(min_length=1, max_length=500)] | None = None
+    """a photo's name, for left_of and right_of only"""
 
-    model_config = ConfigDict(
-        json_schema_extra={"examples": [{"one": "red car", "relation": "next_to", "other": "white vase"}]}
-    )
+    model_config = examples({"one": "red car", "relation": "next_to", "other": "white vase"})
 
 
 class Details(Request):
@@ -87,42 +82,50 @@ class Select(Request):
 
     model_config = EXAMPLES
 
-    ids: bool = Field(False, description="whether to return the rows of the selected Gaussians")
+    ids: bool = False
+    """whether to return the rows of the selected Gaussians"""
 
 
 @asking(Place.HTTP, of=CUT)
 class Segment(Request):
     classes: Annotated[list[Text], Field(min_length=1, max_length=LIMITS.classes)]
-    labels: bool = Field(False, description="whether to return the class of every Gaussian")
+    labels: bool = False
+    """whether to return the class of every Gaussian"""
 
-    model_config = ConfigDict(json_schema_extra={"examples": [{"classes": ["table", "red vase", "orange sofa"]}]})
+    model_config = examples({"classes": ["table", "red vase", "orange sofa"]})
 
 
 @asking(Place.HTTP)
 class Picture(Request):
     """A rendering, with the matches of a query in colour; without a query the scene as it is."""
 
-    view: Annotated[str, Field(min_length=1, max_length=500)] | None = Field(
-        None, description="a photo's name; left out: the one that shows most of the matches"
-    )
-    photo: bool = Field(False, description="the photo instead of a rendering")
+    view: Annotated[str, Field(min_length=1, max_length=500)] | None = None
+    """a photo's name; left out: the one that shows most of the matches"""
+    photo: bool = False
+    """the photo instead of a rendering"""
     max_side: Annotated[int, Field(ge=16, le=LIMITS.side)] = 800
 
-    model_config = ConfigDict(json_schema_extra={"examples": [{"text": "red vase", "max_side": 320}]})
+    model_config = examples({"text": "red vase", "max_side": 320})
 
 
 @asking(Place.HTTP)
 class Export(Request):
     """The scene as a file, with the answer to a query where there is one."""
 
-    format: Literal["glb", "ply", "spz"] = Field("glb", description="a .glb has names, boxes and matches")
-    only: bool = Field(False, description="whether to leave out all that does not match the query")
-    object: Annotated[int, Field(ge=0, le=2**31 - 1)] | None = Field(None, description="an object to write alone")
-    time: Finite | None = Field(None, description="the time of a scene that moves")
-    edits: Literal["none", "kept"] = Field("none", description="kept: as edited, with the edits beside the scene")
-    embeddings: bool = Field(False, description="whether objects take their embeddings along")
+    format: Literal["glb", "ply", "spz"] = "glb"
+    """a .glb has names, boxes and matches"""
+    only: bool = False
+    """whether to leave out all that does not match the query"""
+    object: Annotated[int, Field(ge=0, le=2**31 - 1)] | None = None
+    """an object to write alone"""
+    time: Finite | None = None
+    """the time of a scene that moves"""
+    edits: Literal["none", "kept"] = "none"
+    """kept: as edited, with the edits beside the scene"""
+    embeddings: bool = False
+    """whether objects take their embeddings along"""
 
-    model_config = ConfigDict(json_schema_extra={"examples": [{"text": "red vase", "only": True}, {"format": "ply"}]})
+    model_config = examples({"text": "red vase", "only": True}, {"format": "ply"})
 
 
 class WhatIs(Request):
@@ -132,7 +135,7 @@ class WhatIs(Request):
     click: Click | None = None
     names: Annotated[list[Text], Field(min_length=1, max_length=LIMITS.classes)] | None = None
 
-    model_config = ConfigDict(json_schema_extra={"examples": [{"point": [0.3, 0.14, 0.82]}]})
+    model_config = examples({"point": [0.3, 0.14, 0.82]})
 
 
 def place(given: WhatIs) -> tuple[float, float, float] | tuple[str, float, float]:

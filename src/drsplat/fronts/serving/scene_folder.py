@@ -89,8 +89,8 @@ class SceneFolder:
     @cached_property
     def roots(self) -> tuple[Path, ...]:
         """Folders that clients are not told: of the scenes, and of the files that embed words."""
-        given = (self.sources.vocabulary, self.sources.encoder)
-        files = [Path(one) for one in given if one is not None and _is_file(one)]
+        given = [Path(one) for one in (self.sources.vocabulary, self.sources.encoder) if one is not None]
+        files = [path for path in given if path.is_absolute() or path.exists()]  # others are models of a hub
         catalogue = () if self.catalogue_path is None else (self.catalogue_path,)
         return (self.folder, *catalogue, *(way.parent for one in files for way in (one, one.resolve())))
 
@@ -253,11 +253,6 @@ def _stats(*paths: Path) -> set[tuple[str, int, int, int, int]]:
                 continue
             found.add((str(path), now.st_ino, now.st_size, now.st_mtime_ns, now.st_ctime_ns))
     return found
-
-
-def _is_file(given: str) -> bool:
-    """Return True if a text names a file or folder of this machine, be it there or not, and no model of a hub."""
-    return Path(given).is_absolute() or Path(given).exists()
 
 
 def _has_field(folder: Path) -> bool:

@@ -6,7 +6,7 @@ import json
 import os
 import signal
 import socket
-from collections.abc import Callable, Sequence
+from collections.abc import AsyncIterator, Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
@@ -14,7 +14,18 @@ import anyio
 from mcp.server import MCPServer
 from mcp.server.mcpserver.exceptions import ToolError
 from mcp.server.stdio import stdio_server
-from mcp_types import CallToolResult, ImageContent, TextContent, ToolAnnotations
+from mcp.shared.message import SessionMessage
+from mcp_types import (
+    INVALID_REQUEST,
+    PARSE_ERROR,
+    CallToolResult,
+    ErrorData,
+    ImageContent,
+    JSONRPCError,
+    JSONRPCNotification,
+    TextContent,
+    ToolAnnotations,
+)
 from pydantic import Field, ValidationError
 
 from ... import __version__
@@ -24,22 +35,93 @@ from .connections import run
 from .conversation import MAX_MATCHES, TOOLS, RenderedPicture, RenderedView, Text, ToolEntry
 from .guards import DoorKeeper
 from .limits import Limits
-from .malformed import Answering
 from .models import Body, SceneList
 from .query_fields import annotation, default_of, without_nulls
 from .replies import faults_of
 from .scene_folder import SceneFolder
 from .workbench import Job, Workbench
 
+NOTIFICATIONS = "notifications/"  # how the methods of all notifications of the protocol begin
 INSTRUCTIONS = """\
 3D scenes that can be searched in words. Start with list_scenes. Name objects as people do ("red mug"); "mug, not red"
 excludes some. Positions are world coordinates [x, y, z] in scene units. An empty result is an answer: the scene has
 nothing like it, or another word for it. Check counts with show, which returns a picture."""
-
 T = TypeVar("T", bound=Body)
 SceneName = Annotated[str, Field(description="name from list_scenes; may be left out where there is only one")]
 READ_ONLY = ToolAnnotations(read_only_hint=True, idempotent_hint=True, open_world_hint=False)
 INTERRUPTED_EXIT_CODE = 130  # of shells, for Ctrl-C
+
+
+class Answering:
+    """The messages of a stream without the malformed ones, each of which is answered with an error.
+
+    Args: messages: the SDK's stream of messages, and of exceptions in place of malformed ones. answers: its stream to
+    the client.
+    """
+
+    def __init__(self, messages: Any, answers: Any) -> None:
+        self._messages, self._answers = messages, answers
+
+    def __aiter__(self) -> AsyncIterator[SessionMessage]:
+        return self
+
+    async def __anext__(self) -> SessionMessage:
+        while True:
+            item: SessionMessage | Exception = await anext(self._messages)
+            if isinstance(item, SessionMessage) and not _lacks_an_id(item.message):
+                return item
+            error = error_for(item) if isinstance(item, Exception) else _invalid_request(None)
+            if error is not None:
+                await self._answers.send(SessionMessage(error))
+
+    async def aclose(self) -> None:
+        await self._messages.aclose()
+
+
+def error_for(fault: Exception) -> JSONRPCError | None:
+    """Return what answers a line that the SDK could not read, or None for an empty line."""
+    faults = fault.errors(include_url=False) if isinstance(fault, ValidationError) else []
+    line = next((str(one["input"]) for one in faults if one["type"] == "json_invalid"), None)
+    if line is None:
+        # the fields that an answer has and a request lacks are missing in the whole message
+        whole = next((one["input"] for one in faults if one["type"] == "missing"), None)
+        return _invalid_request(_id_of(whole))
+    if not line.strip():
+        return None
+    return _error(_id_in(line), PARSE_ERROR, f"expected one JSON-RPC message a line; {faults[0]['msg']}")
+
+
+def _lacks_an_id(message: Any) -> bool:
+    """Return whether a message asks for something under no id that an answer could name.
+
+    The SDK takes it for a notification, which nothing answers: an id of null, 1.5 or a list is dropped.
+    """
+    return isinstance(message, JSONRPCNotification) and not message.method.startswith(NOTIFICATIONS)
+
+
+def _invalid_request(request: str | int | None) -> JSONRPCError:
+    expected = '{"jsonrpc": "2.0", "id": ..., "method": ..., "params": {...}}, the id a text or a whole number'
+    return _error(request, INVALID_REQUEST, f"expected a JSON-RPC message: {expected}")
+
+
+def _error(request: str | int | None, code: int, message: str) -> JSONRPCError:
+    return JSONRPCError(jsonrpc="2.0", id=request, error=ErrorData(code=code, message=message))
+
+
+def _id_in(line: str) -> str | int | None:
+    """Return the id of a request as Python's lenient reader finds it, or None. It takes halves of surrogate pairs."""
+    try:
+        return _id_of(json.loads(line))
+    except (ValueError, RecursionError):
+        return None
+
+
+def _id_of(message: object) -> str | int | None:
+    """Return the id of a message, or None where there is none that can be written."""
+    found = message.get("id") if isinstance(message, dict) else None
+    if isinstance(found, str):
+        return found if found.isprintable() else None  # halves of surrogate pairs cannot be written
+    return found if type(found) is int else None
 
 
 class _Server(MCPServer):  # type: ignore[type-arg]
@@ -87,11 +169,6 @@ class _Asking:
     bench: Workbench
     limits: Limits
 
-    async def list_scenes(self) -> SceneList:
-        listed = SceneList.model_validate_json(await self._answer(Job("list")))
-        advice = "" if listed.scenes else "there is no scene: ask the user to add a folder with a field"
-        return listed.model_copy(update={"advice": advice})
-
     async def tool_answer(self, model: type[T], tool: str, scene: str, **arguments: Any) -> T:
         """Return what a tool of `Conversation` answers about a scene; "" is the only one."""
         name = scene or self.scene_folder.only()
@@ -99,12 +176,10 @@ class _Asking:
             known = ", ".join(map(repr, list(self.scene_folder.folders())[:MAX_MATCHES])) or "none"
             raise ToolError(f"name a scene; there are: {known}")
         asked = {"tool": tool, "name": name, "arguments": arguments}
-        return model.model_validate_json(await self._answer(Job("tool", name, asked)))
+        return model.model_validate_json(await self.answer(Job("tool", name, asked)))
 
-    async def search(self, **asked: Any) -> CatalogueAnswer:
-        return CatalogueAnswer.model_validate_json(await self._answer(Job("catalogue-ask", asked=asked)))
-
-    async def _answer(self, job: Job) -> bytes:
+    async def answer(self, job: Job) -> bytes:
+        """Return what the workbench answers. Raises: ToolError: why it does not."""
         try:
             async with asyncio.timeout(self.limits.seconds):
                 reply = await self.bench.run(job)
@@ -142,7 +217,9 @@ def _add_scenes(server: MCPServer, asking: _Asking) -> None:
     @server.tool(title="List scenes", annotations=READ_ONLY)
     async def list_scenes() -> SceneList:
         """List the scenes that can be searched, and how large they are."""
-        return await asking.list_scenes()
+        listed = SceneList.model_validate_json(await asking.answer(Job("list")))
+        advice = "" if listed.scenes else "there is no scene: ask the user to add a folder with a field"
+        return listed.model_copy(update={"advice": advice})
 
 
 def _add_tool(server: MCPServer, asking: _Asking, name: str, tool: ToolEntry) -> None:
@@ -181,7 +258,8 @@ def _add_catalogue(server: MCPServer, asking: _Asking) -> None:
         ] = None,
     ) -> CatalogueAnswer:
         """Search all that was scanned: the best objects of a catalogue, with scene, box and photo."""
-        return await asking.search(text=text, top=top, scenes=scenes or [])
+        asked = {"text": text, "top": top, "scenes": scenes or []}
+        return CatalogueAnswer.model_validate_json(await asking.answer(Job("catalogue-ask", asked=asked)))
 
 
 def over_stdio(server: MCPServer) -> None:

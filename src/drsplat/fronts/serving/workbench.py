@@ -43,7 +43,7 @@ class Job:
     scene: str = ""
     asked: Mapping[str, Any] = field(default_factory=dict)
     then: Callable[[Reply], None] = lambda _: None
-    _ended: bool = False
+    ended: bool = False
     _process: "subprocess.Popen[bytes] | None" = None
     _lock: Lock = field(default_factory=Lock)
 
@@ -56,21 +56,17 @@ class Job:
         """Say where it is computed; False where it has ended already."""
         with self._lock:
             self._process = process
-            return not self._ended
+            return not self.ended
 
     def leave(self) -> None:
         """Let go of the process, which now does what other questions need as well, or is free."""
         with self._lock:
             self._process = None
 
-    @property
-    def ended(self) -> bool:
-        return self._ended
-
     def end(self, kill: bool = True) -> None:
         """Keep it from beginning. kill: whether the process that computes it ends, too."""
         with self._lock:
-            self._ended = True
+            self.ended = True
             if kill and self._process is not None:
                 self._process.kill()
 

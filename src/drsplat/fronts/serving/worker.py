@@ -9,24 +9,194 @@ import json
 import logging
 import signal
 import sys
+import tempfile
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydantic import BaseModel
 
 from ...base.system import end_with
-from ...errors import DrSplatError, FormatError
-from ...query import Scene
-from .answers import ANSWERS, answered
+from ...errors import DrSplatError, FormatError, InputError
+from ...formats.gaussian_ply import write_gaussians
+from ...query import Match, Query, Scene
+from ...query.documents import answer_document, rounded, segmentation_document
+from ...query.objects import match_of, objects_of
+from ...query.sheets import object_picture
+from . import models, requests
 from .catalogued import catalogue_reply
+from .conversation import tool_answer
+from .files import exported
 from .limits import Limits
 from .live import ACTS, Adder, live_reply
-from .models import SceneList, SceneSummary
-from .replies import BUG, Reply, packed, problem, refusal
+from .models import (
+    SceneList,
+    SceneSummary,
+    decimals_of,
+    listed_objects,
+    matches_of,
+    measured,
+    object_list,
+    significant,
+    span_of,
+    tracked,
+)
+from .pictures import jpeg, png
+from .query_fields import Request, asks_something, cut_of, query_of, values_of
+from .replies import BUG, JPEG, PLY, PNG, Reply, packed, problem, refusal
 from .scene_folder import SceneFaultError, SceneFolder, Sources, without_paths
 
+OBJECT_SIZE_PIXELS = (640, 480)
 _log = logging.getLogger(__name__)
+
+
+class Answering(NamedTuple):
+    """How a request is read and answered. words: whether its answers need who embeds words. media_type: of bytes."""
+
+    asked: type[Request]
+    answer: Callable[[Scene, Any, Limits], BaseModel | bytes | Reply]
+    words: bool = True
+    media_type: str = PNG
+
+
+def details(scene: Scene, asked: requests.Details, _: Limits) -> models.SceneDetails:
+    low, high = scene.box
+    digits = decimals_of(scene)
+    return models.SceneDetails(
+        name=asked.name,
+        num_gaussians=len(scene.rows),
+        num_registered=len(scene.field),
+        encoder=scene.field.encoder.name,
+        fault="",
+        views=[view.name for view in scene.views],
+        low=rounded(low, digits),
+        high=rounded(high, digits),
+        up=None if scene.up is None else rounded(scene.up, 4),
+        times=span_of(scene),
+        scene=scene.rows.fingerprint,
+        field=scene.field.fingerprint,
+    )
+
+
+def photo(scene: Scene, asked: requests.Photo, _: Limits) -> bytes:
+    """Return a photo as PNG. Raises: InputError: no such view, or it has no photo."""
+    chosen = scene.view(asked.view)
+    if chosen.image_path is None:
+        raise InputError(f"view '{chosen.name}' has no photo here: request a picture")
+    return png(scene.picture(chosen, photo=True, max_side=asked.max_side))
+
+
+def objects(scene: Scene, asked: requests.Objects, _: Limits) -> models.ObjectList:
+    shown, unsure = listed_objects(scene, asked.all)
+    if not scene.objects:
+        return object_list(scene, [], "photos agree on nothing: more of them, or larger masks, may help")
+    more = f"{unsure} more that photos agree less on: all=true lists them" if unsure else ""
+    return object_list(scene, shown, ". ".join(filter(None, (more, scene.doubt))))
+
+
+def object_photo(scene: Scene, asked: requests.OneObject, _: Limits) -> bytes:
+    return jpeg(object_picture(scene, _numbered(scene, asked), size=OBJECT_SIZE_PIXELS))
+
+
+def object_ply(scene: Scene, asked: requests.OneObject, _: Limits) -> bytes:
+    part = scene.rows.subset(_numbered(scene, asked).gaussian_ids)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "object.ply"
+        write_gaussians(path, part)
+        return path.read_bytes()
+
+
+def _numbered(scene: Scene, asked: requests.OneObject) -> Match:
+    return match_of(scene.field, objects_of(scene.field).thing(asked.number))
+
+
+def selected(scene: Scene, asked: requests.Select, limits: Limits) -> models.Selected:
+    answer = scene.ask(query_of(asked, limits))
+    return models.Selected(
+        measured=measured(answer),
+        score_range=[significant(score) for score in answer_document(answer)["score_range"]],
+        gaussian_ids=answer.gaussian_ids.tolist() if asked.ids else None,
+        field=scene.field.fingerprint,
+    )
+
+
+def located(scene: Scene, asked: requests.Locate, limits: Limits) -> models.Located:
+    query = query_of(asked, limits)
+    answer = scene.ask(query)
+    found = scene.locate(answer, min_gaussians=asked.min_gaussians, box=asked.box)
+    listed = found[: asked.top]
+    return models.Located(
+        query=query.text or "",
+        count=sum(match.sure for match in found),
+        num_matches=len(found),
+        matches=tracked(scene, listed, asked.box) if asked.tracks else matches_of(scene, listed),
+        advice="" if found else "no match: try other words, or a lower threshold",
+        measured=measured(answer),
+        field=scene.field.fingerprint,
+    )
+
+
+def when(scene: Scene, asked: requests.When, _: Limits) -> models.When:
+    one, other = (Query(text, **values_of(vars(asked))) for text in (asked.one, asked.other))
+    return models.when_told(scene, one, asked.relation, other, asked.view)
+
+
+def segmented(scene: Scene, asked: requests.Segment, _: Limits) -> models.Segmented:
+    found = scene.segment(asked.classes, cut_of(asked))
+    document = segmentation_document(found)
+    for one in document["classes"]:
+        one |= {key: significant(one[key]) for key in ("share", "threshold")}
+    labels = found.labels.tolist() if asked.labels else None
+    return models.Segmented(**document, labels=labels, field=scene.field.fingerprint)
+
+
+def named(scene: Scene, asked: requests.WhatIs, _: Limits) -> models.Words:
+    words = scene.what_is(requests.place(asked), asked.names)
+    best = [models.Word(name=word.text, score=round(word.score, 4)) for word in words]
+    return models.Words(words=best, field=scene.field.fingerprint)
+
+
+def picture(scene: Scene, asked: requests.Picture, limits: Limits) -> bytes:
+    shown = None
+    if asks_something(asked):
+        found = scene.locate(query_of(asked, limits))
+        shown = np.concatenate([match.gaussian_ids for match in found] or [np.empty(0, np.int64)])
+    nothing = shown is not None and not len(shown)
+    view = asked.view or (scene.best_view() if nothing else None)
+    return png(scene.picture(view, shown, photo=asked.photo, max_side=asked.max_side))
+
+
+ANSWERS: Mapping[str, Answering] = {
+    "details": Answering(requests.Details, details, words=False),
+    "photo": Answering(requests.Photo, photo, words=False),
+    "objects": Answering(requests.Objects, objects),
+    "object-picture": Answering(requests.OneObject, object_photo, words=False, media_type=JPEG),
+    "object-ply": Answering(requests.OneObject, object_ply, words=False, media_type=PLY),
+    "select": Answering(requests.Select, selected),
+    "locate": Answering(requests.Locate, located),
+    "when": Answering(requests.When, when),
+    "segment": Answering(requests.Segment, segmented),
+    "what-is": Answering(requests.WhatIs, named),
+    "picture": Answering(requests.Picture, picture),
+    "export": Answering(requests.Export, exported),
+    "tool": Answering(requests.Tool, tool_answer),
+}
+
+
+def answered(scene: Scene, what: str, asked: Mapping[str, Any], limits: Limits) -> Reply:
+    """Return the reply to one of `ANSWERS`. Raises: DrSplatError: the question does not fit the scene."""
+    way = ANSWERS[what]
+    answer = way.answer(scene, way.asked(**asked), limits)
+    field = scene.field.fingerprint
+    if isinstance(answer, Reply):
+        return answer._replace(field=field)
+    if isinstance(answer, bytes):
+        return Reply(answer, way.media_type, field=field)
+    return Reply(answer.model_dump_json().encode(), field=field)
 
 
 @dataclass(frozen=True)

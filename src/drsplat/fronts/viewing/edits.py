@@ -48,13 +48,34 @@ class _State:
 
 
 @dataclass(eq=False)
-class Edits:
-    """file, notes: where edits and annotations are kept, None for in memory only."""
+class Notes:
+    """Annotations of a scene. notes: where they are kept, None for in memory only."""
+
+    notes: AnnotationFile | None
+    annotations: tuple[Annotation, ...]
+
+    @staticmethod
+    def beside(scene: Scene) -> tuple[AnnotationFile | None, tuple[Annotation, ...]]:
+        """Return the file of a scene's annotations, and what is in it. Raises: FormatError: it is damaged."""
+        notes = None if scene.path is None else AnnotationFile.beside(scene.path)
+        return notes, () if notes is None else notes.read()
+
+    def annotate(self, *annotations: Annotation) -> None:
+        """Keep some more."""
+        self.annotations = (*self.annotations, *annotations) if self.notes is None else self.notes.add(annotations)
+
+    def drop(self, number: int) -> None:
+        """Drop an annotation, counted from 1. Raises: InputError: there is none."""
+        kept = without(self.annotations, number)
+        self.annotations = kept if self.notes is None else self.notes.drop(number)
+
+
+@dataclass(eq=False)
+class Edits(Notes):
+    """file: where edits are kept, None for in memory only."""
 
     gaussians: Gaussians
     file: EditFile | None
-    notes: AnnotationFile | None
-    annotations: tuple[Annotation, ...]
     _state: _State
     _first: Gaussians
     _standing: Gaussians
@@ -73,11 +94,9 @@ class Edits:
         if scene.field.objects:
             gaussians = replace(gaussians, extra={**gaussians.extra, OBJECT_ID: scene.object_ids()})
         file = EditFile.beside(scene.path) if scene.path is not None and kept else None
-        notes = None if scene.path is None else AnnotationFile.beside(scene.path)
         listed = EditList(gaussians.fingerprint) if file is None else file.read(gaussians)
         first = _State.of(gaussians, listed, file)
-        own, annotations = scene.gaussians, () if notes is None else notes.read()
-        return cls(gaussians, file, notes, annotations, first, own, own)
+        return cls(*cls.beside(scene), gaussians, file, first, scene.gaussians, scene.gaussians)
 
     @property
     def listed(self) -> EditList:
@@ -113,7 +132,13 @@ class Edits:
 
     def undo(self, count: int = 1) -> None:
         """Undo the last edits. Raises: InputError: there is nothing to undo."""
-        self._change(lambda listed: _times(EditList.undone, count, listed))
+
+        def undone(listed: EditList) -> EditList:
+            for _ in range(count):
+                listed = listed.undone()
+            return listed
+
+        self._change(undone)
 
     def redo(self) -> None:
         """Do the next edit again. Raises: InputError: nothing was undone."""
@@ -132,18 +157,6 @@ class Edits:
         else:
             self.file.change(self.gaussians, tried)
         self._state = made[-1]
-
-    def annotate(self, *annotations: Annotation) -> None:
-        """Keep some more."""
-        if self.notes is None:
-            self.annotations = (*self.annotations, *annotations)
-        else:
-            self.annotations = self.notes.add(annotations)
-
-    def drop(self, number: int) -> None:
-        """Drop an annotation, counted from 1. Raises: InputError: there is none."""
-        kept = without(self.annotations, number)
-        self.annotations = kept if self.notes is None else self.notes.drop(number)
 
     # --- what it makes ---
 
@@ -203,9 +216,3 @@ class Edits:
 def _reader(file: EditFile | None) -> Callable[[str], Gaussians]:
     """Return what reads the scenes that edits name, whose paths begin at the list's folder."""
     return read_gaussians if file is None else file.other
-
-
-def _times(step: Callable[[EditList], EditList], count: int, listed: EditList) -> EditList:
-    for _ in range(count):
-        listed = step(listed)
-    return listed

@@ -5,7 +5,6 @@ import io
 from collections.abc import Sequence
 from dataclasses import replace
 from os import PathLike
-from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -14,10 +13,11 @@ from ...authoring.editing.kept import KeptEdits, without_kept
 from ...authoring.filming.looking import Vector, before, up_direction
 from ...authoring.filming.paths import CameraPath
 from ...authoring.filming.planning import ORBIT, path_named
-from ...base.arrays import Shaped, UInt8, UInt16
+from ...base.arrays import Shaped, UInt16
 from ...drawing.heat import heat_of
 from ...errors import DrSplatError, InputError
 from ...query import Match, Scene
+from ...query.documents import Document
 from ...scene.annotations import Annotation
 from .bare import NO_FIELD
 from .naming import words_of
@@ -25,7 +25,7 @@ from .object_list import in_order, names_of, pictures_of, placed_now
 from .page import MAX_GAUSSIANS, MAX_WORDS, Page, PageAnswer, write_page
 from .page_times import PageTimes, boxes_of, times_of_page
 from .places import box_document, size_text
-from .results import Result, result_of
+from .results import result_of
 from .session import Mode, Session
 from .shown import first_look
 from .texts import printable
@@ -117,7 +117,8 @@ def page_of(
     features = session.drawn_colors[shown.ids]
     words, best = _words(scene, session.words)
     numbers = object_numbers(session)
-    look = look or _best_look(answers) or first_look(scene.views, session.shown.frame, up)
+    best_look = next(((answer.eyes[0], answer.matches[0].center) for answer in answers if answer.matches), None)
+    look = look or best_look or first_look(scene.views, session.shown.frame, up)
     return Page(
         title or scene.name, shown, session.edits.part(shown.ids)[0], answers, *look, up, features, words,
         None if best is None else _shown(session, best),
@@ -125,11 +126,6 @@ def page_of(
         object_numbers=None if numbers is None else _shown(session, numbers), path=path, times=times,
         num_edits=session.edits.listed.done,
     )  # fmt: skip
-
-
-def _best_look(answers: Sequence[PageAnswer]) -> tuple[Vector, Vector] | None:
-    """Return eye and target before the first match of the first answer that has one."""
-    return next(((answer.eyes[0], answer.matches[0].center) for answer in answers if answer.matches), None)
 
 
 def _shown(session: Session, values: Shaped[np.ndarray, " n"]) -> Shaped[np.ndarray, " m"]:
@@ -143,22 +139,18 @@ def _answer(session: Session, text: str, up: Vector, times: PageTimes | None) ->
     result = result_of(scene, text, scene.ask(text))
     matches = [placed_now(session, match) for match in result.matches[:MAX_MATCHES]]
     warm = heat_of(result.answer.values, result.threshold)
+    owners = np.zeros(len(scene.gaussians), np.uint8)
+    for number, one in enumerate(result.matches[:MAX_MATCHES]):
+        owners[one.gaussian_ids] = number + 1
     return PageAnswer(
         text,
         _shown(session, scene.field.dense(warm, fill=0.0)),
-        _shown(session, _owners(result, scene)),
+        _shown(session, owners),
         matches,
         [before(match, scene.gaussians, scene.views, up) for match in matches],
         boxes_of(session, times, matches),
         result.answer.doubt,
     )
-
-
-def _owners(result: Result, scene: Scene) -> UInt8[np.ndarray, " n"]:
-    owners = np.zeros(len(scene.gaussians), np.uint8)
-    for number, one in enumerate(result.matches[:MAX_MATCHES]):
-        owners[one.gaussian_ids] = number + 1
-    return owners
 
 
 def _words(scene: Scene, given: Sequence[str] | None) -> tuple[Sequence[str], UInt16[np.ndarray, " n"] | None]:
@@ -184,7 +176,7 @@ def _fitting(scene: Scene, words: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(word for word, fits in zip(words, best, strict=True) if fits)
 
 
-def objects_of_page(session: Session, up: Vector, times: PageTimes | None = None) -> list[dict[str, Any]]:
+def objects_of_page(session: Session, up: Vector, times: PageTimes | None = None) -> list[Document]:
     """Return each object's name, box, a place to see it from, whether photos agree less on it; [] without objects.
 
     The first objects also have a picture.
@@ -230,7 +222,7 @@ def object_numbers(session: Session) -> UInt16[np.ndarray, " n"] | None:
     return np.asarray(place_of[session.scene.object_ids()])
 
 
-def annotations_of_page(session: Session, up: Vector) -> list[dict[str, Any]]:
+def annotations_of_page(session: Session, up: Vector) -> list[Document]:
     """Return text and place of each, and its box where it has one."""
     frame = session.shown.frame
     return [

@@ -97,7 +97,11 @@ def suggestions(scene: Scene, words: Sequence[str] | None = None, most: int = 4)
     words: to choose from; None takes the encoder's own. Nothing where no encoder is known.
     """
     try:
-        found = (word for word in _likely(scene, words or words_of(scene)) if _finds(scene, word))
+        found = (
+            word
+            for word in _likely(scene, words or words_of(scene))
+            if any(match.sure for match in scene.locate(word, top=1))
+        )
         return [word for word, _ in zip(found, range(most), strict=False)]
     except DrSplatError:
         return []
@@ -113,7 +117,3 @@ def _likely(scene: Scene, words: Sequence[str]) -> list[str]:
     share = np.bincount(best, minlength=len(words)) / len(chosen)
     order = np.lexsort((-share, share > LARGE_SHARE))
     return [words[at] for at in order if share[at]][:MAX_WORDS_TRIED]
-
-
-def _finds(scene: Scene, word: str) -> bool:
-    return any(match.sure for match in scene.locate(word, top=1))

@@ -16,12 +16,13 @@ import numpy as np
 
 from ...authoring.filming.looking import FOV_DEGREES, Vector
 from ...authoring.filming.paths import CameraPath
-from ...base.arrays import Float32, UInt8, UInt16
+from ...base.arrays import Float32, Shaped, UInt8, UInt16
 from ...drawing.heat import HEAT
 from ...errors import InputError
 from ...formats.replacing import replacing
 from ...formats.spz_writing import spz_bytes
 from ...query import Match
+from ...query.documents import Document
 from ...scene.gaussians import Gaussians
 from ...scene.significance import significance
 from . import painting
@@ -126,18 +127,18 @@ def _order(page: Page) -> Ids:
 def _arrays(page: Page, order: Ids) -> dict[str, np.ndarray]:
     arrays: dict[str, np.ndarray] = {}
     if page.features is not None:
-        arrays["features"] = _bytes(page.features)
+        arrays["features"] = as_bytes(page.features)
     if page.best_words is not None:
         arrays["words"] = page.best_words
     if page.object_numbers is not None:
         arrays["objects"] = page.object_numbers
     for number, answer in enumerate(page.answers):
-        arrays[f"heat{number}"], arrays[f"owner{number}"] = _bytes(answer.heat), answer.owners
+        arrays[f"heat{number}"], arrays[f"owner{number}"] = as_bytes(answer.heat), answer.owners
     moves = {} if page.times is None else arrays_of(page.times)
     return {name: array[order] for name, array in arrays.items()} | moves
 
 
-def _header(page: Page) -> dict[str, Any]:
+def _header(page: Page) -> Document:
     frame = page.shown.frame
     return {
         "title": printable(page.title),
@@ -171,7 +172,7 @@ def _modes(page: Page) -> list[str]:
     return [*answers, "as it is", *features, *(["objects"] if page.objects else [])]
 
 
-def _can(page: Page) -> dict[str, Any]:
+def _can(page: Page) -> Document:
     """Return what the client offers: a page only answers what it was made with."""
     never = ("ask_picture", "name", "edit", "time", "photos", "save_dir", "catalogue", "open")
     offered = {"ask": bool(page.answers), "objects": bool(page.objects), "film_formats": []}
@@ -183,7 +184,7 @@ def _about(page: Page) -> str:
     return " ".join(f"{len(page.shown):,} Gaussians. {moves} {page.shown.summary}".split())
 
 
-def film_document(frame: Frame, path: CameraPath, target: Vector) -> dict[str, Any]:
+def film_document(frame: Frame, path: CameraPath, target: Vector) -> Document:
     """Return places along a path, near enough to each other for straight lines, in the browser's frame.
 
     Each looks at something as far off as `target`, in the world.
@@ -201,7 +202,7 @@ def film_document(frame: Frame, path: CameraPath, target: Vector) -> dict[str, A
     }
 
 
-def _answer(frame: Frame, number: int, answer: PageAnswer) -> dict[str, Any]:
+def _answer(frame: Frame, number: int, answer: PageAnswer) -> Document:
     boxes = answer.boxes or [[] for _ in answer.matches]
     matches = [
         match_document(frame, match, eye) | {"boxes": box}
@@ -215,5 +216,6 @@ def _answer(frame: Frame, number: int, answer: PageAnswer) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _bytes(values: np.ndarray) -> UInt8[np.ndarray, "..."]:
+def as_bytes(values: Shaped[np.ndarray, "*any"]) -> UInt8[np.ndarray, "*any"]:
+    """Return numbers in [0, 1] as bytes."""
     return np.asarray(np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)

@@ -14,7 +14,7 @@ from ...query.tracks import tracks
 from ...scene.gaussians import Gaussians
 from ...scene.moving import Moving
 from .session import Session
-from .shown import Frame, Ids, Shown
+from .shown import Ids, Shown
 
 MAX_TIMES, MIN_TIMES = 120, 8
 MAX_MOVED_PLACES = 1_000_000
@@ -24,6 +24,7 @@ MAX_STILL_SPREAD_SHARE = 0.02  # what turns or grows by less of its spread does 
 MIN_SEEN_OPACITY = 1 / 255
 STEPS_PER_AXIS = 65_535  # that 16 bits count
 TIMES_PER_SECOND, MIN_PLAYING_S, MAX_PLAYING_S = 15, 2.0, 10.0
+Times = Float64[np.ndarray, " t"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +35,7 @@ class PageTimes:
     seconds: that it plays. num_known: times of the scene.
     """
 
-    times: Float64[np.ndarray, " t"]
+    times: Times
     order: Ids
     places: UInt16[np.ndarray, "t k 3"]
     low: Vector
@@ -76,7 +77,7 @@ def times_of_page(session: Session) -> PageTimes | None:
     return _collected(session, times, order, count, len(known))
 
 
-def _collected(session: Session, times: Float64[np.ndarray, " t"], order: Ids, count: int, num_known: int) -> PageTimes:
+def _collected(session: Session, times: Times, order: Ids, count: int, num_known: int) -> PageTimes:
     centers = np.empty((len(times), count, 3), np.float32)
     covariances = np.empty((len(times), count, 6), np.float16)
     opacities = np.empty((len(times), count), np.uint8)
@@ -96,7 +97,7 @@ def playing_seconds(num_times: int) -> float:
     return float(np.clip(num_times / TIMES_PER_SECOND, MIN_PLAYING_S, MAX_PLAYING_S))
 
 
-def _moving(session: Session, times: Float64[np.ndarray, " t"]) -> Bool[np.ndarray, " m"]:
+def _moving(session: Session, times: Times) -> Bool[np.ndarray, " m"]:
     """Return which of the shown rows are not at all times where they are at the first."""
     first = session.drawn
     spread = first.covariances[:, [0, 3, 5]].sum(1)
@@ -110,7 +111,7 @@ def _moving(session: Session, times: Float64[np.ndarray, " t"]) -> Bool[np.ndarr
     return moves
 
 
-def _drawn(session: Session, times: Float64[np.ndarray, " t"]) -> Iterator[Shown]:
+def _drawn(session: Session, times: Times) -> Iterator[Shown]:
     """Yield what is shown at each time, one after the other, and at last set the first time again."""
     for time in times.tolist():
         session.time = time
@@ -118,7 +119,7 @@ def _drawn(session: Session, times: Float64[np.ndarray, " t"]) -> Iterator[Shown
     session.time = float(times[0])
 
 
-def _evenly(times: Float64[np.ndarray, " t"], most: int) -> Float64[np.ndarray, " s"]:
+def _evenly(times: Times, most: int) -> Float64[np.ndarray, " s"]:
     return np.asarray(times[np.linspace(0, len(times) - 1, min(len(times), most)).round().astype(int)])
 
 
@@ -136,8 +137,10 @@ def boxes_of(session: Session, times: PageTimes | None, matches: Sequence[Match]
     boxes = []
     for track in found:
         at = {
-            time: _numbers(frame, *box)
-            for time, *box in zip(track.times.tolist(), track.centers, track.axes, track.extents, strict=True)
+            time: np.round(np.concatenate([frame.shown(center), axes.ravel(), extent * frame.scale]), 4).tolist()
+            for time, center, axes, extent in zip(
+                track.times.tolist(), track.centers, track.axes, track.extents, strict=True
+            )
         }
         every = [at.get(time) for time in times.times.tolist()]
         boxes.append([] if all(box == every[0] for box in every) else every)
@@ -153,14 +156,6 @@ class _Standing:
     def at(self, time: float) -> Gaussians:
         self.session.time = time
         return self.session.edits.standing
-
-
-def _numbers(
-    frame: Frame, center: Vector, axes: Float64[np.ndarray, "3 3"],
-    extent: Vector,
-) -> list[float]:  # fmt: skip
-    numbers = np.concatenate([frame.shown(center), axes.ravel(), extent * frame.scale])
-    return np.round(numbers, 4).tolist()  # type: ignore[no-any-return]
 
 
 def arrays_of(times: PageTimes) -> dict[str, np.ndarray]:

@@ -99,19 +99,19 @@ def heat(results: Sequence[Result], count: int) -> Float32[np.ndarray, " n"]:
 
 def owners(results: Sequence[Result], count: int) -> Int32[np.ndarray, " n"]:
     """Return per Gaussian the number of the query that it matches, of several the first; -1 for none."""
-    owner = np.full(count, -1, np.int32)
-    for number in range(len(results) - 1, -1, -1):
-        owner[results[number].gaussian_ids] = number
-    return owner
+    return _numbered([result.gaussian_ids for result in results], count)
 
 
 def match_ids(results: Sequence[Result], count: int) -> Int32[np.ndarray, " n"]:
     """Return per Gaussian the number of its match, counted through all queries; -1 for none."""
-    ids = np.full(count, -1, np.int32)
-    matches = [match for result in results for match in result.matches]
-    for number in range(len(matches) - 1, -1, -1):
-        ids[matches[number].gaussian_ids] = number
-    return ids
+    return _numbered([match.gaussian_ids for result in results for match in result.matches], count)
+
+
+def _numbered(parts: Sequence[Ids], count: int) -> Int32[np.ndarray, " n"]:
+    numbers = np.full(count, -1, np.int32)
+    for number in range(len(parts) - 1, -1, -1):
+        numbers[parts[number]] = number
+    return numbers
 
 
 def relevancy(results: Sequence[Result], count: int) -> Float32[np.ndarray, " n"]:

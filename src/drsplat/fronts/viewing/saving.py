@@ -118,9 +118,3 @@ def new_name(folder: Path, stem: str, suffix: str) -> Path:
 def write_bytes(path: Path, data: bytes) -> None:
     with replacing(path, overwrite=False) as file:
         file.write(data)
-
-
-def png_of(pixels: UInt8[np.ndarray, "h w 3"]) -> bytes:
-    out = io.BytesIO()
-    Image.fromarray(pixels).save(out, "PNG")
-    return out.getvalue()

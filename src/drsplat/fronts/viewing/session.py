@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...authoring.editing import Edit, Isolate, Recolour, Remove, Rows
+from ...authoring.editing import Edit, Rows
 from ...authoring.editing.edits import Change
 from ...authoring.editing.resolving import complete_rows
 from ...authoring.editing.targets import MAX_NAME_CHARACTERS
@@ -29,7 +29,7 @@ from ...scene.views import View
 from . import painting, results
 from .edits import Edits
 from .naming import This, known_words, this_is
-from .picking import hit_by_ray, inside_outline, ray_along
+from .picking import Hit, Ray, hit_by_ray, inside_outline, ray_along
 from .results import Result
 from .shown import Ids, Shown, shown_of
 
@@ -70,7 +70,6 @@ class Session:
     edits_kept: bool = True
     asked: tuple[str, ...] = ()
     _edits: Edits = field(init=False)
-    _before: Mode = Mode.SCENE
 
     def __repr__(self) -> str:
         return f"Session({self.scene.name!r}, {self.mode}, {counted(len(self.results), 'result')})"
@@ -190,12 +189,6 @@ class Session:
         return self.segmentation
 
     @property
-    def marked(self) -> tuple[Result, ...]:
-        """Those whose boxes and names the colours go with."""
-        fits = self.mode in (Mode.ANSWER, Mode.HEAT) or (self.mode is Mode.OBJECTS and self.chosen is not None)
-        return self.results if fits else ()
-
-    @property
     def summary(self) -> str:
         return " \n".join(result.summary for result in self.results)
 
@@ -212,13 +205,16 @@ class Session:
 
         outline: corners in pixels of the view. Raises: InputError: nothing is seen there.
         """
-        splats = self.edits.splats if self.edits.is_edited else self.here.splats
-        ids = inside_outline(splats, view, outline, threads=self.scene.threads)
-        ids = ids[ids < len(self.scene.gaussians)]  # what edits added answers nothing
+        ids = self._inside(view, outline)
         if not len(ids):
             raise InputError("nothing is seen inside the outline: draw it around something")
         self.clicked = None
         return self._answered([results.result_of_ids(self.scene, "outlined", ids)])
+
+    def _inside(self, view: View, outline: Float64[np.ndarray, "p 2"]) -> Ids:
+        splats = self.edits.splats if self.edits.is_edited else self.here.splats
+        ids = inside_outline(splats, view, outline, threads=self.scene.threads)
+        return np.asarray(ids[ids < len(self.scene.gaussians)])  # what edits added answers nothing
 
     # --- pointing ---
 
@@ -231,15 +227,16 @@ class Session:
         """
         if not (np.isfinite(origin).all() and np.isfinite(direction).all() and direction.any()):
             raise InputError("a click needs a place and a direction")
-        visible = np.zeros(len(self.scene.gaussians), bool)
-        visible[self.scene.field.gaussian_ids] = True
-        visible &= ~self.hidden
-        ray = ray_along(self.shown.frame.world(origin), direction)
-        hit = hit_by_ray(self.edits.standing, ray, visible)
+        hit = self._hit(ray_along(self.shown.frame.world(origin), direction))
         self.clicked, self.chosen = None if hit is None else this_is(self.scene, hit, self.words), None
         if hit is not None and self.has_objects:
             self._choose(chosen_at(self.scene, hit.gaussian_ids, hit.weights))
         return self.clicked
+
+    def _hit(self, ray: Ray) -> Hit | None:
+        visible = np.zeros(len(self.scene.gaussians), bool)
+        visible[self.scene.field.gaussian_ids] = True
+        return hit_by_ray(self.edits.standing, ray, visible & ~self.hidden)
 
     # --- objects ---
 
@@ -268,17 +265,6 @@ class Session:
             raise InputError("there is nothing larger that it is part of")
         self._choose(larger)
 
-    def everything(self) -> None:
-        """Show each object in a colour of its own; the second time the colours before.
-
-        Raises: InputError: the field has no objects.
-        """
-        objects_of(self.scene.field)
-        if self.mode is Mode.OBJECTS:
-            self.mode = self._before
-        else:
-            self._before, self.mode = self.mode, Mode.OBJECTS
-
     def name(self, text: str) -> None:
         """Call the selected part, thing or group so from now on.
 
@@ -304,7 +290,7 @@ class Session:
             self.clicked = None if self.clicked is None else replace(self.clicked, match=match)
         self.chosen = chosen
         if was_everything:
-            self._before, self.mode = Mode.ANSWER, Mode.OBJECTS
+            self.mode = Mode.OBJECTS
 
     def _needed_node(self) -> Chosen:
         if self.chosen is None:
@@ -338,19 +324,6 @@ class Session:
         if number >= 0 and objects is not None and objects.thing(number) == chosen.node:  # type: ignore[union-attr]
             return Rows.of(ids, "object", str(number))
         return Rows.of(ids, "query", "; ".join(result.label for result in self.results)[:MAX_NAME_CHARACTERS])
-
-    def hide(self) -> None:
-        """Remove the selection. Raises: InputError: nothing is selected."""
-        self.edit(Remove())
-
-    def keep(self) -> None:
-        """Keep nothing but the selection. Raises: InputError: nothing is selected."""
-        self.edit(Isolate())
-
-    def repaint(self, rgb: Sequence[int]) -> None:
-        """Give the selection one hue, with its own light and shade. Raises: InputError: nothing is selected."""
-        red, green, blue = (part / 255 for part in rgb)
-        self.edit(Recolour((red, green, blue)))
 
     def restore(self) -> None:
         """Take back everything, as it was before all edits, which can be redone."""

@@ -9,24 +9,20 @@ import numpy as np
 
 from ...authoring.editing import EditList
 from ...authoring.editing.edits import Change
-from ...authoring.filming.looking import Vector
 from ...base.arrays import Bool, Float32, Float64, Int32, Int64
 from ...drawing.heat import heat_colors, heat_of
 from ...drawing.palette import class_colors
 from ...errors import InputError
-from ...formats.annotations import AnnotationFile, without
 from ...formats.tiles import Tile, Tiles
 from ...query import Scene
-from ...query.nodes import chosen_at
 from ...query.objects import objects_of
 from ...query.seen import Seen
-from ...scene.annotations import Annotation
 from ...scene.gaussians import Gaussians
 from ...scene.significance import most_significant
 from ...scene.views import View
-from . import painting, results
-from .naming import This, this_is
-from .picking import REACH_DEVIATIONS, Hit, Met, Ray, blended, inside_outline, met_by_ray, ray_along
+from . import painting
+from .edits import Notes
+from .picking import REACH_DEVIATIONS, Hit, Met, Ray, blended, inside_outline, met_by_ray
 from .session import Mode, Session
 from .shown import RADIUS, Frame, Ids, Shown, base_colors
 
@@ -40,28 +36,16 @@ UNEDITED = (
 
 
 @dataclass(eq=False)
-class NoEdits:
+class NoEdits(Notes):
     """The edits of a scene in tiles, none, and its annotations. Stands for `Edits`."""
 
     listed: EditList
-    notes: AnnotationFile | None
-    annotations: tuple[Annotation, ...] = ()
     is_edited: bool = False
     file: None = None
 
     @classmethod
     def of(cls, scene: Scene) -> "NoEdits":
-        notes = None if scene.path is None else AnnotationFile.beside(scene.path)
-        return cls(EditList(scene.rows.fingerprint), notes, () if notes is None else notes.read())
-
-    def annotate(self, *annotations: Annotation) -> None:
-        """Keep some more."""
-        self.annotations = (*self.annotations, *annotations) if self.notes is None else self.notes.add(annotations)
-
-    def drop(self, number: int) -> None:
-        """Drop an annotation, counted from 1. Raises: InputError: there is none."""
-        kept = without(self.annotations, number)
-        self.annotations = kept if self.notes is None else self.notes.drop(number)
+        return cls(*cls.beside(scene), EditList(scene.rows.fingerprint))
 
     def take(self, other: "NoEdits") -> None:
         """Take the edits of a copy: there are none."""
@@ -214,23 +198,10 @@ class TiledSession(Session):
         """False for each Gaussian: nothing is removed."""
         return np.broadcast_to(np.False_, len(self.scene.rows))
 
-    def lasso(self, view: View, outline: Float64[np.ndarray, "p 2"]) -> str:
+    def _inside(self, view: View, outline: Float64[np.ndarray, "p 2"]) -> Ids:
         seen = self.scene.seen(view)
         assert seen.rows is not None
-        ids = seen.rows[inside_outline(seen.splats, view, outline, threads=self.scene.threads)]
-        if not len(ids):
-            raise InputError("nothing is seen inside the outline: draw it around something")
-        self.clicked = None
-        return self._answered([results.result_of_ids(self.scene, "outlined", ids)])
-
-    def click(self, origin: Vector, direction: Vector) -> This | None:
-        if not (np.isfinite(origin).all() and np.isfinite(direction).all() and direction.any()):
-            raise InputError("a click needs a place and a direction")
-        hit = self._hit(ray_along(self.shown.frame.world(origin), direction))
-        self.clicked, self.chosen = None if hit is None else this_is(self.scene, hit, self.words), None
-        if hit is not None and self.has_objects:
-            self._choose(chosen_at(self.scene, hit.gaussian_ids, hit.weights))
-        return self.clicked
+        return np.asarray(seen.rows[inside_outline(seen.splats, view, outline, threads=self.scene.threads)])
 
     def _hit(self, ray: Ray) -> Hit | None:
         """Return what a ray meets, read tile after tile until no light reaches the next one."""

@@ -4,26 +4,88 @@ Source of the names and shapes: docs/viewer.md, "For other clients".
 """
 
 from collections.abc import Callable, Hashable
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 import numpy as np
 from pydantic import Field, TypeAdapter
 
+from ....authoring.editing import Duplicate, Fill, Isolate, Move, Opacity, Palette, Recolour, Remove, Turn
+from ....authoring.editing.colouring import MAX_COLORS, color_of
+from ....authoring.editing.edits import Change
+from ....authoring.editing.making import scaled_on_its_foot
 from ....errors import InputError
 from ....kernels.boxes import box_of
-from ....query import Match
 from ....query.schema import Place
 from ....scene.annotations import Annotation
 from ...serving.query_fields import asking, values_of
 from ..session import Mode, Session
 from .cameras import Body, Camera, Finite, Number, Point, Span, Text, view_of
-from .changes import ChangeRequest
 from .opening import open_batch, open_entry
 from .shared import Shared
 from .stage import Stage
 
+T = TypeVar("T")
 LASSO_SIDE_PIXELS = 640
 Corner = tuple[Finite, Finite]
+Finish = Callable[[], str | None]
+"""The last step of a slow act: shows what was computed and returns what is to be said, as `Act.do`."""
+
+
+class ChangeRequest(Body):
+    """A change and its numbers. color, colors: as of CSS. by: scene units along the world's axes.
+
+    number: a factor, of opacity or size; degrees of a turn.
+    """
+
+    change: Literal[
+        "remove", "isolate", "fill", "recolour", "palette", "opacity", "move", "duplicate", "turn", "scale"
+    ]  # fmt: skip
+    color: Text | None = None
+    colors: Annotated[list[Text], Field(min_length=1, max_length=MAX_COLORS)] | None = None
+    by: Point | None = None
+    number: Finite | None = None
+
+    def made(self, stage: Stage) -> Change:
+        """Return the change. Raises: InputError: what it needs was not given, or makes no sense."""
+        match self.change:
+            case "remove":
+                return Remove()
+            case "isolate":
+                return Isolate()
+            case "fill":
+                return Fill()
+            case "recolour":
+                return Recolour(color_of(_given(self.color, "recolour: expected a color such as #2060ff")))
+            case "palette":
+                colors = _given(self.colors, "palette: expected colors such as #203040")
+                return Palette(tuple(color_of(one) for one in colors))
+            case "opacity":
+                return Opacity(self._number)
+            case "move":
+                return Move(self._place)
+            case "duplicate":
+                return Duplicate(self._place)
+            case "turn":
+                x, y, z = stage.up.tolist()
+                return Turn(self._number, (x, y, z))
+            case "scale":
+                part = stage.session.edited(selected_only=True)[0]
+                return scaled_on_its_foot(part, self._number, stage.up)
+
+    @property
+    def _number(self) -> float:
+        return _given(self.number, f"{self.change}: expected a number")
+
+    @property
+    def _place(self) -> Point:
+        return _given(self.by, f"{self.change}: expected by, three numbers in scene units")
+
+
+def _given(value: T | None, expected: str) -> T:
+    """Return a value of a request. Raises: InputError: there is none."""
+    if value is None:
+        raise InputError(expected)
+    return value
 
 
 class Act(Body):
@@ -36,10 +98,6 @@ class Act(Body):
     def do(self, shared: Shared) -> str | None:
         """Do it; returns what is to be said, None for what the session says of its answers."""
         raise NotImplementedError
-
-
-Finish = Callable[[], str | None]
-"""The last step of a slow act: shows what was computed and returns what is to be said, as `Act.do`."""
 
 
 class SlowAct(Act):
@@ -95,8 +153,8 @@ class Ask(Act):
 class MoreLikeThis(Act):
     act: Literal["more_like_this"]
 
-    def do(self, shared: Shared) -> str | None:
-        return shared.session.more_like_this()
+    def do(self, shared: Shared) -> None:
+        shared.session.more_like_this()
 
 
 class Threshold(Act):
@@ -116,29 +174,26 @@ class Classify(Act):
     act: Literal["classify"]
     text: Text
 
-    def do(self, shared: Shared) -> str | None:
+    def do(self, shared: Shared) -> None:
         shared.session.classify(self.text.split(","))
-        return None
 
 
 class SetMode(Act):
     act: Literal["mode"]
     mode: str
 
-    def do(self, shared: Shared) -> str | None:
+    def do(self, shared: Shared) -> None:
         modes = [mode.value for mode in shared.session.modes]
         if self.mode not in modes:
             raise InputError(f"mode: expected one of {', '.join(modes)}; got {self.mode!a:.40}")
         shared.session.mode = Mode(self.mode)
-        return None
 
 
 class Clear(Act):
     act: Literal["clear"]
 
-    def do(self, shared: Shared) -> str | None:
+    def do(self, shared: Shared) -> None:
         shared.session.clear()
-        return ""
 
 
 class Click(Act):
@@ -169,36 +224,26 @@ class Choose(Act):
     act: Literal["choose"]
     number: Number
 
-    def do(self, shared: Shared) -> str | None:
+    def do(self, shared: Shared) -> None:
         shared.session.choose_object(self.number)
-        return None
 
 
-class Smaller(Act):
-    act: Literal["smaller"]
+class Step(Act):
+    act: Literal["smaller", "larger"]
 
-    def do(self, shared: Shared) -> str | None:
-        shared.session.smaller()
-        return None
-
-
-class Larger(Act):
-    act: Literal["larger"]
-
-    def do(self, shared: Shared) -> str | None:
-        shared.session.larger()
-        return None
+    def do(self, shared: Shared) -> None:
+        session = shared.session
+        (session.smaller if self.act == "smaller" else session.larger)()
 
 
 class Name(Act):
     act: Literal["name"]
     text: Text
 
-    def do(self, shared: Shared) -> str | None:
+    def do(self, shared: Shared) -> None:
         shared.session.name(self.text)
         shared.stage.rename()
         shared.renew_header()
-        return None
 
 
 class Lasso(Act):
@@ -219,25 +264,12 @@ class EditSelection(EditAct, ChangeRequest):
         stage.session.edit(self.made(stage))
 
 
-class Undo(EditAct):
-    act: Literal["undo"]
+class Reverse(EditAct):
+    act: Literal["undo", "redo", "restore"]
 
     def apply(self, stage: Stage) -> None:
-        stage.session.edits.undo()
-
-
-class Redo(EditAct):
-    act: Literal["redo"]
-
-    def apply(self, stage: Stage) -> None:
-        stage.session.edits.redo()
-
-
-class Restore(EditAct):
-    act: Literal["restore"]
-
-    def apply(self, stage: Stage) -> None:
-        stage.session.restore()
+        session = stage.session
+        {"undo": session.edits.undo, "redo": session.edits.redo, "restore": session.restore}[self.act]()
 
 
 class Annotate(Act):
@@ -245,20 +277,18 @@ class Annotate(Act):
     text: Text
     at: Literal["selection", "click"]
 
-    def do(self, shared: Shared) -> str | None:
+    def do(self, shared: Shared) -> None:
         session = shared.session
         here = _clicked_note if self.at == "click" else _selected_notes
         session.edits.annotate(*here(session, self.text))
-        return None
 
 
 class DropAnnotation(Act):
     act: Literal["drop_annotation"]
     number: Number
 
-    def do(self, shared: Shared) -> str | None:
+    def do(self, shared: Shared) -> None:
         shared.session.edits.drop(self.number)
-        return None
 
 
 class Time(Act):
@@ -269,19 +299,17 @@ class Time(Act):
     def key(self) -> Hashable:
         return "time"
 
-    def do(self, shared: Shared) -> str | None:
+    def do(self, shared: Shared) -> None:
         times = shared.session.scene.moving.times
         shared.session.time = float(np.clip(self.at, times[0], times[-1]))
-        return None
 
 
 class During(Act):
     act: Literal["during"]
     span: Span | None
 
-    def do(self, shared: Shared) -> str | None:
+    def do(self, shared: Shared) -> None:
         _set_during(shared.session, self.span)
-        return None
 
 
 class Open(SlowAct):
@@ -301,8 +329,8 @@ class OpenEntry(SlowAct):
 
 
 AnyAct = (
-    Ask | MoreLikeThis | Threshold | Classify | SetMode | Clear | Click | ClickPhoto | Choose | Smaller | Larger | Name
-    | Lasso | EditSelection | Undo | Redo | Restore | Annotate | DropAnnotation | Time | During | Open | OpenEntry
+    Ask | MoreLikeThis | Threshold | Classify | SetMode | Clear | Click | ClickPhoto | Choose | Step | Name
+    | Lasso | EditSelection | Reverse | Annotate | DropAnnotation | Time | During | Open | OpenEntry
 )  # fmt: skip
 _ADAPTER: TypeAdapter[AnyAct] = TypeAdapter(Annotated[AnyAct, Field(discriminator="act")])
 
@@ -357,13 +385,10 @@ def _selected_notes(session: Session, text: str) -> list[Annotation]:
     boxes = [match for result in session.results for match in result.matches]
     if not boxes:
         raise InputError("nothing is selected: make a query that has a match first, or click an object")
-    return [_boxed(session, text, match) for match in boxes]
-
-
-def _boxed(session: Session, text: str, match: Match) -> Annotation:
-    """Return a text where a match is now: it may have been moved."""
-    box = box_of(session.standing(match.gaussian_ids), np.arange(len(match)), session.scene.up)
-    return Annotation.box(text, box.center, box.axes, np.maximum(box.extent, 1e-6))
+    here = [  # where a match is now: it may have been moved
+        box_of(session.standing(match.gaussian_ids), np.arange(len(match)), session.scene.up) for match in boxes
+    ]
+    return [Annotation.box(text, box.center, box.axes, np.maximum(box.extent, 1e-6)) for box in here]
 
 
 def _clicked_note(session: Session, text: str) -> list[Annotation]:

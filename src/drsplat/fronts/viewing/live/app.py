@@ -17,6 +17,7 @@ from starlette.responses import HTMLResponse, JSONResponse, Response, StreamingR
 from starlette.routing import Route
 
 from ....errors import DrSplatError, InputError
+from ....query.documents import Document
 from ...serving.pictures import decoded
 from ...serving.replies import BUG, JPEG, PNG, Reply, faults_of, problem, refusal
 from ..client import client_file, live_html
@@ -24,7 +25,7 @@ from ..saving import Saves
 from ..texts import printable
 from . import files
 from .acts import AnyAct, Open, SlowAct, begun, done, read_act
-from .arrays import ARRAYS_HEADER, ROWS_HEADER, Packed
+from .arrays import ARRAYS_HEADER, ROWS_HEADER, Packed, tile_paint, tile_splats
 from .cameras import MAX_SIDE_PIXELS, Body, Camera, Path, Text, flight_document
 from .shared import Shared
 from .stage import Stage
@@ -42,7 +43,7 @@ Handler = Callable[[Request], Coroutine[Any, Any, Response]]
 class Events:
     """Streams of a service. summary: what a line says. Only the latest is sent to a page that reads slowly."""
 
-    def __init__(self, summary: Callable[[], dict[str, Any]], most: int = MAX_STREAMS, beat_s: float = BEAT_S) -> None:
+    def __init__(self, summary: Callable[[], Document], most: int = MAX_STREAMS, beat_s: float = BEAT_S) -> None:
         self.summary, self.most, self.beat_s, self.is_closed = summary, most, beat_s, False
         self._streams: dict[asyncio.Event, asyncio.AbstractEventLoop] = {}
 
@@ -101,7 +102,7 @@ class Viewer:
     def __init__(self, shared: Shared, lanes: Lanes) -> None:
         self.shared, self.lanes, self.turns, self.pictures = shared, lanes, lanes.quick, files.ObjectPictures()
         self.progress = files.Progress()
-        self.events = Events(lambda: vars(shared.counted))
+        self.events = Events(lambda: vars(shared.counters))
         shared.tell = self.events.tell
 
     def routes(self) -> list[Route]:
@@ -151,11 +152,11 @@ class Viewer:
 
     async def tiles(self, request: Request) -> Response:
         parts = _numbers(request, "parts")
-        return _binary(await self.turns.take(lambda: self.shared.tile_splats(parts)))
+        return _binary(await self.turns.take(lambda: tile_splats(self.shared.stage, parts)))
 
     async def tiles_paint(self, request: Request) -> Response:
         parts = _numbers(request, "parts")
-        return _binary(await self.turns.take(lambda: self.shared.tile_paint(parts)))
+        return _binary(await self.turns.take(lambda: tile_paint(self.shared.stage, parts)))
 
     async def paint(self, request: Request) -> Response:
         begin = _number(request, "from", "0")
@@ -187,23 +188,23 @@ class Viewer:
     async def do(self, request: Request) -> Response:
         return JSONResponse(await self._done(read_act(await request.body())))
 
-    async def _done(self, act: AnyAct) -> dict[str, Any]:
+    async def _done(self, act: AnyAct) -> Document:
         shared = self.shared
-        opened = shared.counted.scene
+        opened = shared.counters.scene
         if isinstance(act, SlowAct):
             state = await self.lanes.take_change(lambda: begun(shared, act))
         elif act.key is None:
             state = await self.turns.take(lambda: done(shared, act))
         else:
             state = await self.turns.take_latest(act.key, lambda: done(shared, act), shared.state)
-        if shared.counted.scene != opened:
+        if shared.counters.scene != opened:
             self.lanes.change(shared.prepare)
         return state
 
     async def ask_picture(self, request: Request) -> Response:
         name, body = request.query_params.get("name", "picture"), await request.body()
 
-        def ask() -> dict[str, Any]:
+        def ask() -> Document:
             self.shared.say(self.shared.session.ask_picture(decoded(body, MAX_PICTURE_PIXELS), printable(name, 60)))
             self.shared.note()
             return self.shared.state()

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ....base.arrays import Shaped, UInt8
+from ....base.arrays import Shaped
 from ....errors import InputError
 from .. import results
-from ..page import packed
+from ..page import as_bytes, packed
 from ..places import rounded
 from ..session import Mode
 from ..shown import shown_part
@@ -66,7 +66,7 @@ def paint(stage: Stage) -> Rows:
         "owner": (results.owners(found, count) + 1).astype(np.uint8),
     }
     if session.has_objects:
-        arrays["object"] = _numbered(session.object_ids)
+        arrays["object"] = (np.minimum(session.object_ids, MAX_OBJECTS - 1) + 1).astype(np.uint16)
     return {name: _drawn(stage, values) for name, values in arrays.items()}
 
 
@@ -98,20 +98,6 @@ def _drawn(stage: Stage, values: Shaped[np.ndarray, " n"]) -> Shaped[np.ndarray,
     session = stage.session
     added = np.zeros(len(session.edits.opacities) - len(values), values.dtype)
     return np.asarray(np.concatenate([values, added])[session.drawn.ids][stage.order])
-
-
-def _numbered(ids: Shaped[np.ndarray, " n"]) -> Shaped[np.ndarray, " n"]:
-    return (np.minimum(ids, MAX_OBJECTS - 1) + 1).astype(np.uint16)
-
-
-def as_bytes(values: Shaped[np.ndarray, "*any"]) -> UInt8[np.ndarray, "*any"]:
-    """Return numbers in [0, 1] as bytes."""
-    return np.asarray(np.clip(values, 0, 1) * 255 + 0.5).astype(np.uint8)
-
-
-def packed_rows(part: Rows, rows: int) -> Packed:
-    """Return all rows of an answer as bytes."""
-    return _packed(part, 0, rows)
 
 
 def _packed(part: Rows, begin: int, rows: int) -> Packed:
@@ -149,7 +135,7 @@ def tile_splats(stage: Stage, parts: Sequence[int]) -> Packed:
         "centers": centers, "covariances": covariances.astype(np.float16), "rgb": as_bytes(rgb),
         "opacity": as_bytes(opacities),
     }  # fmt: skip
-    return packed_rows(arrays, len(centers))
+    return _packed(arrays, 0, len(centers))
 
 
 def tile_paint(stage: Stage, parts: Sequence[int]) -> Packed:
@@ -162,7 +148,7 @@ def tile_paint(stage: Stage, parts: Sequence[int]) -> Packed:
     if session.mode in COLOUR_MODES and session.mode is Mode.CLASSES:
         own = np.concatenate([shown_part(session.part(number)[0], session.shown.frame)[2] for number in parts])
         arrays["rgb"] = as_bytes(session.colors_at(own, rows))
-    return packed_rows(arrays, len(rows))
+    return _packed(arrays, 0, len(rows))
 
 
 def _checked(stage: Stage, parts: Sequence[int]) -> TiledSession:

@@ -1,6 +1,6 @@
 """Cameras as browsers send them, in their frame, and as views of the world."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 from ....authoring.filming.looking import looking_at
 from ....authoring.filming.paths import CameraPath, KeyFrame
 from ....errors import InputError
+from ....query.documents import Document
 from ....scene.views import View
 from ..page import film_document
 from .stage import Stage
@@ -70,7 +71,7 @@ def path_through(stage: Stage, path: Path) -> CameraPath:
     return CameraPath(tuple(keys), path.closed, False, path.seconds, FPS, FILM_SIZE_PIXELS)
 
 
-def flight_document(stage: Stage, path: Path) -> dict[str, Any]:
+def flight_document(stage: Stage, path: Path) -> Document:
     """Return the places that a browser flies through: those of the film that would be saved.
 
     Raises: InputError: a key frame stands where it looks.
@@ -79,7 +80,7 @@ def flight_document(stage: Stage, path: Path) -> dict[str, Any]:
     return film_document(frame, path_through(stage, path), frame.world(np.array(path.keys[0].target, np.float64)))
 
 
-def path_document(stage: Stage, path: CameraPath) -> dict[str, Any]:
+def path_document(stage: Stage, path: CameraPath) -> Document:
     """Return a path of the world as browsers take it. Raises: InputError: more key frames than they take."""
     if len(path.keys) > MAX_KEYS:
         raise InputError(f"a path of the viewer has up to {MAX_KEYS} key frames, this one has {len(path.keys):,}")

@@ -26,7 +26,6 @@ from ....errors import InputError
 from ....formats.json_files import document_in
 from ....formats.known import write_scene
 from ....query.sheets import OBJECTS_AT_ONCE
-from ....scene.gaussians import Gaussians
 from ....scene.labelled import LabelledScene
 from ...serving.pictures import jpeg, png
 from .. import results
@@ -241,7 +240,7 @@ def carried(session: Session, *, selected_only: bool = False) -> LabelledScene:
     matches = [match_thing(scene, number, match) for number, (_, match) in enumerate(found)]
     up = up_direction(scene)
     whole = LabelledScene(
-        _without_objects(gaussians),
+        replace(gaussians, extra={name: own for name, own in gaussians.extra.items() if name != OBJECT_ID}),
         scene.name,
         tuple(things),
         groups_of(scene),
@@ -273,7 +272,3 @@ def _relevancy(session: Session, ids: np.ndarray) -> np.ndarray:
     own = ids < len(session.scene.gaussians)
     values[own] = results.relevancy(session.results, len(session.scene.gaussians))[ids[own]]
     return values
-
-
-def _without_objects(gaussians: Gaussians) -> Gaussians:
-    return replace(gaussians, extra={name: own for name, own in gaussians.extra.items() if name != OBJECT_ID})

@@ -64,12 +64,10 @@ def _show_batch(shared: Shared, name: str, session: Session) -> str:
 
 def confined(view: View, folder: Path) -> View:
     """Return a view without the photo and the mask that lie outside of a folder: who sent it may have named any."""
-    inside = [path is None or path.resolve().is_relative_to(folder.resolve()) for path in _files_of(view)]
+    inside = [
+        path is None or path.resolve().is_relative_to(folder.resolve()) for path in (view.image_path, view.mask_path)
+    ]
     return view if all(inside) else replace(view, image_path=None, mask_path=None)
-
-
-def _files_of(view: View) -> tuple[Path | None, Path | None]:
-    return view.image_path, view.mask_path
 
 
 def open_entry(shared: Shared, number: int) -> Callable[[], Callable[[], str]]:

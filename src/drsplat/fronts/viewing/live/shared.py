@@ -10,6 +10,7 @@ from ....base.terminal import counted
 from ....errors import InputError
 from ....query import Scene
 from ....query.catalogue import Catalogue, Entry
+from ....query.documents import Document
 from ...serving.scene_folder import without_paths
 from ..bare import NO_FIELD
 from ..saving import Saves
@@ -39,7 +40,7 @@ class Shelf:
     entries: Sequence[Entry] = ()
     opened: tuple[str, str] = ("", "")
 
-    def ask(self, text: str) -> dict[str, Any]:
+    def ask(self, text: str) -> Document:
         """Search all scenes. Raises: InputError: no words, or such as the encoder does not know."""
         answer = self.catalogue.answer(text, top=MAX_ENTRIES)
         self.entries = answer.entries
@@ -64,7 +65,7 @@ class Shelf:
         return entry.thumbnail
 
 
-def _entry(number: int, entry: Entry) -> dict[str, Any]:
+def _entry(number: int, entry: Entry) -> Document:
     return {
         "number": number,
         "title": printable(entry.title, 60),
@@ -102,9 +103,9 @@ class Shared:
     message: str = ""
     tell: Callable[[], None] = lambda: None
     _stage: Stage | None = None
-    _counters: Counters = field(default_factory=Counters)
+    counters: Counters = field(default_factory=Counters)
     _seen: tuple[Any, ...] = (None, None, None)
-    _sent_state: tuple[int, dict[str, Any]] | None = None
+    _sent_state: tuple[int, Document] | None = None
     _rows: dict[str, tuple[object, Rows]] = field(default_factory=dict)
 
     @property
@@ -139,20 +140,16 @@ class Shared:
         saves = [] if self.saves.folder is None else [self.saves.folder]
         return FOLDERS.sub("", without_paths(message, [*self.uploads.roots, *own, *saves]))
 
-    @property
-    def counted(self) -> Counters:
-        return self._counters
-
     # --- changing ---
 
     def show(self, session: Session, up: Vector | None = None) -> None:
         """Show another session in place of the one that is open."""
         self._stage = Stage.of(session, up)
-        self._counters.scene += 1
-        self._counters.header += 1
+        self.counters.scene += 1
+        self.counters.header += 1
         self.say("" if session.is_askable else NO_FIELD)
 
-    def search(self, text: str) -> dict[str, Any]:
+    def search(self, text: str) -> Document:
         """Search the catalogue. Raises: InputError: there is none; as `Shelf.ask`."""
         answer = self.needed_shelf.ask(text)
         self.say(answer["summary"])
@@ -177,11 +174,11 @@ class Shared:
 
     def renew_header(self) -> None:
         """Count that the header is another one, as after an object was named."""
-        self._counters.header += 1
+        self.counters.header += 1
 
     def note(self) -> None:
         """Count what has changed since the last time, and tell whoever listens."""
-        counters = self._counters
+        counters = self.counters
         seen = self._seen_now()
         changed = [one is not other for one, other in zip(seen, self._seen, strict=True)]
         counters.geometry += changed[0]
@@ -198,19 +195,19 @@ class Shared:
 
     # --- what a browser is told ---
 
-    def header(self) -> dict[str, Any]:
-        counters = {"scene": self._counters.scene, "header": self._counters.header}
+    def header(self) -> Document:
+        counters = {"scene": self.counters.scene, "header": self.counters.header}
         return counters | {"can": self._can()} | ({} if self._stage is None else header_of(self._stage))
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> Document:
         """Return the state, made once after each change: all pages ask for it then."""
-        revision = self._counters.revision
+        revision = self.counters.revision
         if self._sent_state is None or self._sent_state[0] != revision:
             state = CLOSED_STATE if self._stage is None else state_of(self._stage)
-            self._sent_state = revision, vars(self._counters) | {"message": self.message, "fault": None} | state
+            self._sent_state = revision, vars(self.counters) | {"message": self.message, "fault": None} | state
         return self._sent_state[1]
 
-    def _can(self) -> dict[str, Any]:
+    def _can(self) -> Document:
         session = None if self._stage is None else self._stage.session
         askable = session is not None and session.is_askable
         return {
@@ -233,21 +230,13 @@ class Shared:
         is_empty = stage is None or stage.session.scene.tiles is not None  # whose parts are asked for
         return arrays.nothing() if is_empty else arrays.splats(self.stage, begin)
 
-    def tile_splats(self, parts: Sequence[int]) -> Packed:
-        """Return parts of a scene in tiles. Raises: as `arrays.tile_splats`; InputError: no scene is open."""
-        return arrays.tile_splats(self.stage, parts)
-
-    def tile_paint(self, parts: Sequence[int]) -> Packed:
-        """Return what the same rows answer. Raises: as `tile_splats`."""
-        return arrays.tile_paint(self.stage, parts)
-
     def paint(self, begin: int = 0) -> Packed:
         """Return what the same rows answer. Raises: as `splats`."""
-        return self._piece("paint", (self._counters.geometry, self._counters.paint), arrays.paint, begin)
+        return self._piece("paint", (self.counters.geometry, self.counters.paint), arrays.paint, begin)
 
     def colors(self, mode: str, begin: int = 0) -> Packed:
         """Return the colours of the same rows. Raises: as `splats`; InputError: another mode."""
-        key = self._counters.geometry, self._counters.paint, mode
+        key = self.counters.geometry, self.counters.paint, mode
         return self._piece("colors", key, lambda stage: arrays.colors(stage, mode), begin)
 
     def _piece(self, name: str, version: object, make: Callable[[Stage], Rows], begin: int) -> Packed:

@@ -3,9 +3,6 @@
 Places are in the browser's frame, texts are safe to show, and sizes in texts are in scene units.
 """
 
-from collections.abc import Sequence
-from typing import Any
-
 import numpy as np
 
 from ....authoring.editing.stored import NAMES
@@ -15,7 +12,7 @@ from ....base.arrays import Float64
 from ....drawing.heat import HEAT
 from ....drawing.palette import class_colors
 from ....query import Match
-from ....query.documents import support_document
+from ....query.documents import Document, support_document
 from ....query.nodes import numbered
 from ....query.objects import objects_of
 from ....scene.annotations import Annotation
@@ -35,7 +32,6 @@ from .stage import Stage, Vector
 MAX_PHOTOS, MAX_OBJECTS, MAX_MATCHES, MAX_LISTED = 200, 500, 100, 100
 MAX_SENTENCE_CHARACTERS = 600
 FILM_FORMATS = (".mp4", ".webm", ".webp", ".gif")
-Document = dict[str, Any]
 
 
 def film_formats() -> tuple[str, ...]:
@@ -47,7 +43,7 @@ def film_formats() -> tuple[str, ...]:
 
 
 def header_of(stage: Stage) -> Document:
-    session, frame = stage.session, stage.session.shown.frame
+    session, frame, views = stage.session, stage.session.shown.frame, stage.session.scene.views
     eye, target = stage.first_look
     return {
         "title": printable(session.scene.name, 60),
@@ -63,7 +59,7 @@ def header_of(stage: Stage) -> Document:
         "words": _words(stage),
         "modes": [mode.value for mode in session.modes],
         "objects": _objects(stage),
-        "photos": [_photo(stage, view) for view in _evenly(session.scene.views, MAX_PHOTOS)],
+        "photos": [_photo(stage, view) for view in views[:: -(-len(views) // MAX_PHOTOS) or 1]],
         "times": _times(session),
         "tiles": tiles_document(stage),
     }
@@ -235,7 +231,3 @@ def _annotation(stage: Stage, annotation: Annotation) -> Document:
 def _box(stage: Stage, center: Vector, axes: Float64[np.ndarray, "3 3"], extent: Vector) -> Document:
     frame = stage.session.shown.frame
     return box_document(frame, center, axes, extent) | {"eye": rounded(frame.shown(stage.eye_before(center, extent)))}
-
-
-def _evenly(views: Sequence[View], most: int) -> Sequence[View]:
-    return views[:: -(-len(views) // most) or 1]
