@@ -18,12 +18,8 @@ from drsplat.scene.photos import load_image
 from drsplat.training.settings import TrainingSettings
 from drsplat.training.start_points import start_points
 from drsplat.training.triangulation import detecting, filling, triangulate
-from drsplat.training.triangulation.detecting import detect_all
-from drsplat.training.triangulation.keypoints import as_stored, keypoints
-from drsplat.training.triangulation.matching import _nearest, fundamental_matrix
-from drsplat.training.triangulation.meeting import meet
-from drsplat.training.triangulation.pairs import neighbours
-from drsplat.training.triangulation.tracks import Tracks, join
+from drsplat.training.triangulation.detecting import as_stored, detect_all, keypoints
+from drsplat.training.triangulation.structure import Tracks, _nearest, fundamental_matrix, join, meet, neighbours
 from scenes import look_at_view
 
 ROOM = Path(__file__).parents[2] / "world/scenes/table_1"

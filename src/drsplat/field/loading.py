@@ -1,6 +1,7 @@
 """Fields from disk: believed only as far as their files agree."""
 
 import os
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -35,7 +36,6 @@ from .language_field import (
     Negatives,
     WordList,
 )
-from .stored import StoredField
 
 FIRST_SEALED_VERSION = 3  # the first with checksums
 
@@ -46,6 +46,48 @@ CURE = "Restore the field from a copy, or register again"
 _Tensors = dict[str, np.ndarray]
 _ARRAYS = {"gaussian_ids": ("uint32", "r"), "coarse_ids": ("uint16", "r"), "inverse_norms": ("float32", "r")}
 _OLD_CODES, _GROUPED_CODES = {"codes": ("uint8", "r L")}, {"grouped_codes": ("uint8", "g L k")}
+
+
+def _guarded(name: str, file: str) -> property:
+    def value(self: "StoredField") -> object:
+        self._compare(file)
+        return self.__dict__[name]
+
+    def keep(self: "StoredField", value: object) -> None:
+        self.__dict__[name] = value
+
+    return property(value, keep)
+
+
+class StoredField(LanguageField):
+    """A field whose arrays are maps of files. Made by `load_field`.
+
+    Attributes raise a FormatError where their file is damaged.
+    """
+
+    gaussian_ids = _guarded("gaussian_ids", CODES)  # type: ignore[assignment]
+    code = _guarded("code", CODES)  # type: ignore[assignment]
+    evidence = _guarded("evidence", EVIDENCE)  # type: ignore[assignment]
+    negatives = _guarded("negatives", NEGATIVES)  # type: ignore[assignment]
+    contrast = _guarded("contrast", CONTRAST)  # type: ignore[assignment]
+    objects = _guarded("objects", OBJECTS)  # type: ignore[assignment]  # read as a whole when first used
+    growth = _guarded("growth", GROWTH)  # type: ignore[assignment]  # so is this
+
+    def compared_by(self, checks: Mapping[str, Callable[["StoredField"], None]]) -> "StoredField":
+        """Return this field with checks to run once, before a file's arrays are used."""
+        self.__dict__["_checks"] = dict(checks)
+        return self
+
+    def verify(self) -> None:
+        """See LanguageField."""
+        for file in tuple(self.__dict__.get("_checks", ())):
+            self._compare(file)
+
+    def _compare(self, file: str) -> None:
+        checks = self.__dict__.get("_checks", {})
+        if file in checks:
+            checks[file](self)
+            checks.pop(file, None)
 
 
 def load_field(path: str | os.PathLike[str], *, search_device: str = "cpu") -> LanguageField:

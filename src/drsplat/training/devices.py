@@ -6,7 +6,7 @@ from pathlib import Path
 from ..formats.captures import SparsePoints
 from ..kernels.cuda.devices import chosen_device
 from ..scene.views import View
-from . import cuda, loop
+from . import device_run, loop
 from .everyday import everyday
 from .job import CHECKPOINT_EVERY, SAVE_AT, Job, Status
 from .result import Training
@@ -54,4 +54,4 @@ def train(
     job = Job(
         views, settings or everyday(views), output_dir, points, overwrite, save_at, checkpoint_every, threads, report
     )
-    return (loop if chosen_device(device) == "cpu" else cuda).train(job)
+    return (loop if chosen_device(device) == "cpu" else device_run).train(job)

@@ -12,7 +12,7 @@ import numpy as np
 from ...base.arrays import Float32, UInt8
 from ...errors import FormatError, InputError
 from ...scene.encoders import EncoderIdentity
-from .memory import fitting
+from .devices import fitting
 from .preprocessing import Preprocessing
 
 BATCH_BYTES = {"cpu": 5 << 20, "mps": 20 << 20, "cuda": 80 << 20}

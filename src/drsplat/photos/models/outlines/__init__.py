@@ -4,7 +4,6 @@ Begin with `network.py`; `regions.py` makes a hierarchy of regions of what it se
 network, from HED's edges of real photos and from made rooms.
 """
 
-from .network import outlines, shipped_outlines
-from .regions import identity, region_tree
+from .regions import identity, outlines, region_tree, shipped_outlines
 
 __all__ = ["identity", "outlines", "region_tree", "shipped_outlines"]
