@@ -15,7 +15,7 @@ from test_scannet_protocols import write_scene
 import drsplat as ds
 from drsplat import WordEncoder, cli
 from drsplat.errors import FormatError, InputError, MismatchError
-from drsplat.evaluation import report, svg, tables, thresholds
+from drsplat.evaluation import predictions, report, svg, tables
 from drsplat.evaluation.report import Figure, write_report
 from drsplat.evaluation.running import automatic_choosers
 from drsplat.evaluation.scorers import cosine_scorer, feature_scorer, hashed, relevant
@@ -24,7 +24,7 @@ from drsplat.query import Query, Scene
 from fields import TOY, ToyEncoder, toy_field, unit_rows
 
 
-@pytest.mark.parametrize("module", [thresholds, tables, svg, report])
+@pytest.mark.parametrize("module", [predictions, tables, svg, report])
 def test_examples(module) -> None:
     result = doctest.testmod(module, extraglobs={"np": np})
     assert result.attempted

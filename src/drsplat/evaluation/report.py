@@ -208,7 +208,8 @@ def charts_of(results: Results) -> list[str]:
     charts = [_word_bars(result, column) for result, column in with_queries]
     charts += [_class_bars(result) for result in results if "segmentation" in result]
     if with_queries:
-        charts.append(_success([_success_curve(result, column) for result, column in with_queries]))
+        series = [_success_curve(result, column) for result, column in with_queries]
+        charts.append(curves(series, "IoU", "percent of answers that reach it", "How many answers are good"))
     return [*charts, *_sweeps(results)]
 
 
@@ -245,10 +246,6 @@ def _success_curve(result: Mapping[str, Any], column: str) -> Curve:
     ious = np.array([query["iou"][column] for query in result["queries"]])
     steps = np.arange(IOU_STEPS + 1) / IOU_STEPS
     return str(result["method"]), [(float(step), 100 * float((ious >= step).mean())) for step in steps]
-
-
-def _success(series: Sequence[Curve]) -> str:
-    return curves(series, "IoU", "percent of answers that reach it", "How many answers are good")
 
 
 def _sweeps(results: Results) -> Iterator[str]:

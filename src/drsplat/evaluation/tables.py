@@ -1,4 +1,8 @@
-"""Results as tables: ours by choice of threshold, those of papers beside them."""
+"""Results as tables: ours by choice of threshold, those of papers beside them.
+
+Every number of a paper has its source. `same_data` says whether a result is of the same scenes and labels; only then is
+a difference shown.
+"""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

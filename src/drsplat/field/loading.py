@@ -1,4 +1,8 @@
-"""Fields from disk: believed only as far as their files agree."""
+"""Fields from disk: believed only as far as their files agree.
+
+What a file holds is compared with its checksums when it is first used: comparing all at once would cost several times
+what loading costs, and most of it is often not used. See docs/formats.md, Checksums.
+"""
 
 import os
 from collections.abc import Callable, Mapping
@@ -8,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float64
 from ..errors import FormatError, InputError, MismatchError
 from ..formats.checksums import DOCUMENT, check_checksums, check_document, check_seal
 from ..formats.field_folder import MANIFEST, read_manifest
@@ -108,7 +111,7 @@ def load_field(path: str | os.PathLike[str], *, search_device: str = "cpu") -> L
         raise FormatError(f"{path}: expected the scene's fingerprint and its number of Gaussians")
     tensors = files[CODES].tensors
     code = _searched_on(_code(tensors, manifest, path), search_device)
-    evidence = _evidence(files.get(EVIDENCE))
+    evidence, up = _evidence(files.get(EVIDENCE)), manifest.get("up")
     try:
         field = StoredField(
             tensors["gaussian_ids"],
@@ -120,7 +123,7 @@ def load_field(path: str | os.PathLike[str], *, search_device: str = "cpu") -> L
             _negatives(files.get(NEGATIVES), manifest, code.dim),
             record_from_json(manifest.get("aggregator"), str(path)),
             _contrast(files.get(CONTRAST), manifest, code.dim),
-            _up(manifest.get("up"), path),
+            None if up is None else as_vector(up, 3, f"{path}: up"),  # older versions have none
             _left_out(manifest.get("left_out", []), path),
         )
     except InputError as error:
@@ -192,11 +195,6 @@ def _compare(file: _File, evidence: Evidence | None, _: StoredField | None = Non
         raise FormatError(f"{error}. {CURE}") from error
     except InputError as error:
         raise FormatError(f"{file.path}: {error}. {CURE}") from error
-
-
-def _up(document: object, path: Path) -> Float64[np.ndarray, " 3"] | None:
-    """Return the upward direction; fields of older versions have none."""
-    return None if document is None else as_vector(document, 3, f"{path}: up")
 
 
 def _left_out(document: object, path: Path) -> tuple[str, ...]:

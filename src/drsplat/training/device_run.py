@@ -25,11 +25,10 @@ from ..kernels.cuda.training import (
 )
 from ..kernels.training import Rates, SceneParameters
 from ..scene.views import View
-from .job import Beginning, Job
+from .job import Beginning, Job, Training
 from .keeper import Keeper
 from .loop import optimise, trained
 from .optimizer import Optimizer, Slopes
-from .result import Training
 from .run import Outcome, Run
 from .schedules import active_sh_degree
 from .training_photos import Photo, TrainingPhotos

@@ -1,4 +1,7 @@
-"""Everything about a run that is not a step: its files, how it goes on, and its measures."""
+"""Everything about a run that is not a step: its files, how it goes on, and its measures.
+
+A run that was killed and goes on ends with the same bits as one that was not.
+"""
 
 import hashlib
 import json
@@ -18,9 +21,8 @@ from ..formats.point_ply import read_point_ply
 from ..formats.tensors import check_tensors, read_tensors, write_tensors
 from ..scene.views import View
 from .evaluation import Evaluation, evaluate
-from .job import Job
+from .job import Job, Training
 from .model_folder import ModelFolder
-from .result import Training
 from .run import Run
 from .schedules import same_until
 from .settings import TrainingSettings

@@ -197,7 +197,7 @@ def loose_parts(
         agreed: whether photos agree on each object.
         threads: 0 for all cores; the same Gaussians at any number.
     """
-    thing = _solid(gaussians, inside)
+    thing = gaussians.means[inside & (gaussians.opacities >= HAZE_OPACITY)].astype(np.float64)
     if len(thing) < MIN_PLANE_GAUSSIANS:
         return np.zeros_like(inside)
     low, high = np.quantile(thing, (0.01, 0.99), axis=0)
@@ -281,7 +281,3 @@ def _nearest_along_paths(gaussians: Gaussians, inside: Mask, others: Mask, loose
     belong = np.zeros_like(inside)
     belong[rows[reached]] = inside[rows[sources[reached]]]
     return belong
-
-
-def _solid(gaussians: Gaussians, rows: Mask) -> Thing:
-    return np.asarray(gaussians.means[rows & (gaussians.opacities >= HAZE_OPACITY)].astype(np.float64))

@@ -1,6 +1,9 @@
 """Pictures as a film that plays: MP4 and WebM by the program ffmpeg, WebP and GIF without it.
 
 A picture is written as it comes and forgotten. The film takes its name when it is whole.
+
+Source: GIF89a specification, with Netscape's application extension for the loop; WebP Container Specification (RIFF,
+VP8X, ANIM, ANMF), developers.google.com/speed/webp/docs/riff_container.
 """
 
 import io

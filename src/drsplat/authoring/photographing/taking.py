@@ -169,7 +169,10 @@ def _at_time(scene: Gaussians | Moving, time: float | None) -> Gaussians:
 def _take(space: Space, views: Sequence[View], settings: PhotographSettings, folder: Path, track: Track) -> None:
     """Write the model, and a picture of each of its poses."""
     digits = max(4, len(str(len(views))))
-    named = [_named(view, f"view_{number:0{digits}d}.png") for number, view in enumerate(views)]
+    named = [
+        View(f"view_{number:0{digits}d}.png", view.K, view.cam_from_world, view.width, view.height)
+        for number, view in enumerate(views)
+    ]
     (folder / MODEL).mkdir(parents=True)
     (folder / IMAGES).mkdir()
     write_colmap(folder / MODEL, named, *_points(space.gaussians))
@@ -178,10 +181,6 @@ def _take(space: Space, views: Sequence[View], settings: PhotographSettings, fol
             space.gaussians, view, background=settings.background, threads=space.threads, splats=space.splats
         )  # fmt: skip
         write_picture(folder / IMAGES / view.name, as_pixels(drawn.rgb))
-
-
-def _named(view: View, name: str) -> View:
-    return View(name, view.K, view.cam_from_world, view.width, view.height)
 
 
 def _points(gaussians: Gaussians) -> tuple[Float64[np.ndarray, "m 3"], UInt8[np.ndarray, "m 3"]]:

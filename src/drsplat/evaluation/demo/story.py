@@ -1,4 +1,8 @@
-"""Run of the demo through the public interface only: masks, embeddings, registration, field, words."""
+"""Run of the demo through the public interface only: masks, embeddings, registration, field, words.
+
+Its household is packed by `world/packing.py` from a room of the procedural household world that no model here was
+trained on.
+"""
 
 import json
 import shutil

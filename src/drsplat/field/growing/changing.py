@@ -266,7 +266,9 @@ class Comparison:
         return [view for view, key in track(views, "comparing views") if not self._is_same(view, features[key])]
 
     def _is_same(self, view: View, features: ViewFeatures) -> bool:
-        return self.has_masks(view, features) and self._has_embeddings(view, features)
+        return self.has_masks(view, features) and np.array_equal(
+            self.registration.embeddings[self._columns(view.name)], features.embeddings
+        )
 
     def has_masks(self, view: View, features: ViewFeatures) -> bool:
         """Return whether camera and masks, and so W's columns, are those of the registration."""
@@ -276,9 +278,6 @@ class Comparison:
         if int(np.count_nonzero(self._columns(view.name))) != len(features.embeddings):
             return False
         return bool(registration.provenance.keys[number].tobytes() == self._maker.key(view, features))
-
-    def _has_embeddings(self, view: View, features: ViewFeatures) -> bool:
-        return np.array_equal(self.registration.embeddings[self._columns(view.name)], features.embeddings)
 
     def _columns(self, name: str) -> np.ndarray:
         masks = self.registration.masks

@@ -1,4 +1,7 @@
-"""Nodes of a block's forest: regions of Gaussians in it and around it, as masks of all photos hold them together."""
+"""Nodes of a block's forest: regions of Gaussians in it and around it, as masks of all photos hold them together.
+
+Where a block ends is told by places and weights alone, not by tiles, workers or the order of rows.
+"""
 
 from typing import NamedTuple
 

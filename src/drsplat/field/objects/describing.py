@@ -2,6 +2,9 @@
 
 Linear in the weights of the evidence: rows of W are summed into nodes and these into those above, and no step is
 nodes times Gaussians.
+
+Descriptors are a few embeddings that say what a node looks like, by spherical k-means of those of its masks, all nodes
+at once: one mean of a mug's front and back fits neither as well as two do.
 """
 
 from dataclasses import dataclass, replace

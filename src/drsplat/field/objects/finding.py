@@ -2,6 +2,12 @@
 
 Two Gaussians of one thing lie in the same mask in the photos that see both. Neighbours are merged, best first, while
 their masks agree; of the regions that come about, things are those that single masks fit best. See docs/objects.md.
+
+Of a scene that is too large for one forest, each block gets one, and the scene one of all their nodes:
+
+W, places -> blocks               of a few million weights, each with what is around it
+a block   -> its nodes            in the memory of that block, by whoever has time
+all nodes -> nodes of the scene   what two blocks see of one region is told by the rows that both look at
 """
 
 from collections.abc import Callable, Iterable, Sequence

@@ -7,6 +7,9 @@
 
 W, its masks and their embeddings stay in files, which are mapped: memory holds the tiles of a view, the weights of a
 run of tiles, and the codes of all rows.
+
+Rows are coded in a task for each run of tiles, as `field.building` codes all of them, to the bit. What a code is learnt
+from are a few views: it goes to all tasks. A row's code depends on that and on its own row of W.
 """
 
 import hashlib

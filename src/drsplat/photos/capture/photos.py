@@ -1,6 +1,9 @@
 """Photos, each checked and copied into the capture: upright, in a common format, with its facts.
 
 The photos' own folder is only read. A photo that is upright already and a plain JPEG or PNG is copied byte for byte.
+
+Masks come along: people, a photographer's shadow, the gripper of a robot, anything that moves by itself or with the
+camera misleads poses.
 """
 
 import json

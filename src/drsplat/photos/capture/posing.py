@@ -1,4 +1,11 @@
-"""COLMAP's models of photos: features, pairs, matches, poses. Finished steps are kept and not repeated."""
+"""COLMAP's models of photos: features, pairs, matches, poses. Finished steps are kept and not repeated.
+
+The pairs to match are all of few photos; of many, neighbours in order, place and looks, whose number grows with that of
+the photos. The look of a photo is its SIFT descriptors relative to the words of a small vocabulary that is trained on
+the photos themselves.
+Source: Jegou et al., Aggregating local descriptors into a compact image representation, CVPR 2010 (VLAD), with the
+intra-normalisation of Arandjelovic and Zisserman, All about VLAD, CVPR 2013.
+"""
 
 import hashlib
 from collections.abc import Callable, Iterator, Sequence

@@ -1,4 +1,8 @@
-"""Frames of a video as photos. FFmpeg's libraries, by PyAV, decode it twice: to measure, and to write."""
+"""Frames of a video as photos. FFmpeg's libraries, by PyAV, decode it twice: to measure, and to write.
+
+Frames that become photos are sharp ones, each after the picture has moved on. Time plays no part: a camera that stands
+still gives one photo, one that turns quickly gives many.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

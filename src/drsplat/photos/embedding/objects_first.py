@@ -1,6 +1,9 @@
 """Language features of photos of a known scene: masks, W, objects, then a few crops of each object.
 
 The masks and the vectors of the chosen crops are folders of features of their own, so each photo is kept once finished.
+
+W needs masks and no embeddings, and objects need W alone. So masks of many photos that show the same part, thing or
+group need not be embedded one by one: a few of each object represent the others.
 """
 
 import hashlib

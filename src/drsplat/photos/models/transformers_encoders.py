@@ -1,4 +1,8 @@
-"""CLIP, MetaCLIP 2, SigLIP, SigLIP 2, DINOv2, DINOv3 and TIPSv2 of transformers as encoders."""
+"""CLIP, MetaCLIP 2, SigLIP, SigLIP 2, DINOv2, DINOv3 and TIPSv2 of transformers as encoders.
+
+Source: OpenCLIP 3.3, transformer.py and model.py (names and shapes), push_to_hf_hub.py (names of files); read for
+these facts.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

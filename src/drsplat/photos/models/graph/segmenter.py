@@ -1,4 +1,9 @@
-"""Segmenter `graph`."""
+"""Segmenter `graph`.
+
+Its network is a U-Net, which sees where objects end and what each pixel has in common with others: convolutions at a
+half, a quarter ... of the size, and back, joined by the features of each size. The rule for merging regions is a
+network of one hidden layer. Both are trained in `world/segmenter/`.
+"""
 
 import hashlib
 from collections.abc import Mapping
@@ -137,15 +142,11 @@ def label_masks(labels: Int32[np.ndarray, "h w"]) -> Masks:
     areas = np.bincount(labels.ravel())
     order = [int(i) for i in np.argsort(-areas, kind="stable") if areas[i]]
     slices = find_objects(labels + 1)
-    boxes = np.array([_box(slices[i]) for i in order], np.int32).reshape(-1, 4)
+    edges = [(columns.start, rows.start, columns.stop, rows.stop) for rows, columns in (slices[i] for i in order)]
+    boxes = np.array(edges, np.int32).reshape(-1, 4)
     parts = tuple(np.asarray(labels[slices[i]] == i) for i in order)
     height, width = labels.shape
     return Masks(height, width, boxes, parts, np.ones(len(order), np.float32))
-
-
-def _box(place: tuple[slice, slice]) -> tuple[int, int, int, int]:
-    rows, columns = place
-    return columns.start, rows.start, columns.stop, rows.stop
 
 
 def working_share(pixels: int) -> float:
@@ -179,11 +180,11 @@ def enlarged(labels: Int32[np.ndarray, "h w"], height: int, width: int) -> Int32
     return np.asarray(labels[rows[:, None], columns], np.int32)
 
 
-def shipped_network() -> tuple[Tensors, str]:
-    """Return the weights in the package and the BLAKE2b hash of their file."""
+def shipped_network(package: str = __package__) -> tuple[Tensors, str]:
+    """Return the weights in a package and the BLAKE2b hash of their file."""
     from safetensors.numpy import load
 
-    data = (files(__package__) / "network.safetensors").read_bytes()
+    data = (files(package) / "network.safetensors").read_bytes()
     weights = {name: array.astype(np.float32) for name, array in load(data).items()}
     return weights, hashlib.blake2b(data, digest_size=8).hexdigest()
 

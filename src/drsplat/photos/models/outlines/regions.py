@@ -1,8 +1,6 @@
 """Regions that outlines bound, and the order in which `graph`'s rule merges them."""
 
-import hashlib
 from functools import cache
-from importlib.resources import files
 
 import numpy as np
 from PIL import Image
@@ -70,11 +68,8 @@ def basins(strength: Float32[np.ndarray, "h w"]) -> Int32[np.ndarray, "h w"]:
 @cache
 def shipped_outlines() -> tuple[Layers, str]:
     """Return the layers in the package and the BLAKE2b hash of their file."""
-    from safetensors.numpy import load
-
-    data = (files(__package__) / "network.safetensors").read_bytes()
-    weights = {name: array.astype(np.float32) for name, array in load(data).items()}
-    return layers_of(weights), hashlib.blake2b(data, digest_size=8).hexdigest()
+    weights, seen = shipped_network(__package__)
+    return layers_of(weights), seen
 
 
 def outlines(image: UInt8[np.ndarray, "h w 3"], *, threads: int = 0) -> Float32[np.ndarray, "h w"]:
