@@ -42,8 +42,7 @@ from drsplat.query.catalogue.nearest import Search, nearest_objects
 from drsplat.query.catalogue.record import read_record
 from drsplat.query.catalogue.schema import batch, described_of
 from drsplat.query.catalogue.snapshot import ROW_ID, current
-from drsplat.query.packed import Packed
-from drsplat.query.sketch import Sketch
+from drsplat.query.sketch import Packed, Sketch
 
 KINDS, AT_ONCE, TOP = 5000, 25, 10
 OFTEN = (38, 64, 75, 48)  # objects of 1 to 4 descriptors, of the room of `drsplat demo` and of a phone's capture

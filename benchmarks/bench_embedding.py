@@ -27,7 +27,7 @@ from benchmarks.bench_masks import random_model
 from benchmarks.study_embedding import cameras, points_of
 from benchmarks.suite.answers import place_of
 from benchmarks.suite.places import Place
-from drsplat.photos.embedding.shared_crops import share_crops
+from drsplat.photos.embedding.objects_first import share_crops
 from drsplat.photos.embedding.view_choice import choose_views
 from drsplat.photos.models.loading import load_encoder
 from drsplat.photos.models.sam import ModelFrame, SamPredictor

@@ -16,9 +16,8 @@ from machine import arguments
 
 from drsplat.authoring.filming.encoding import SUFFIXES as ENCODED
 from drsplat.authoring.filming.encoding import ffmpeg
-from drsplat.authoring.filming.frames import Film
-from drsplat.authoring.filming.highlights import Highlight, marks_of
-from drsplat.authoring.filming.ways import around_scene, orbit
+from drsplat.authoring.filming.frames import Film, Highlight, marks_of
+from drsplat.authoring.filming.planning import around_scene, orbit
 from drsplat.authoring.filming.writing import SUFFIXES, write_film
 from drsplat.kernels.boxes import box_of
 from drsplat.query import Match

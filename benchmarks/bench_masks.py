@@ -25,8 +25,9 @@ from PIL import Image
 from skimage.segmentation import felzenszwalb
 
 from drsplat.kernels import photo_regions as native
-from drsplat.photos.models.graph import GraphSegmenter, regions
-from drsplat.photos.models.graph.network import layers_of
+from drsplat.photos.models.graph import GraphSegmenter
+from drsplat.photos.models.graph import segmenter as graph
+from drsplat.photos.models.graph.segmenter import layers_of
 from drsplat.scene.masks.masks import Masks, cut_masks
 from drsplat.scene.masks.selection import mask_nms
 
@@ -77,15 +78,15 @@ class Stages:
     def __init__(self, image: np.ndarray) -> None:
         segmenter = GraphSegmenter(threads=1)
         self.image, self.rule, settings = image, segmenter.rule, segmenter.settings
-        self.layers, share = layers_of(segmenter.network), regions.working_share(image[..., 0].size)
+        self.layers, share = layers_of(segmenter.network), graph.working_share(image[..., 0].size)
         self.limits = float(self.rule.threshold[0]), settings.least_area * share, settings.least_width
-        self.scale, self.least = regions.MERGE_SCALE * share, round(regions.MIN_AREA_PIXELS * share)
+        self.scale, self.least = graph.MERGE_SCALE * share, round(graph.MIN_AREA_PIXELS * share)
 
     def twins(self) -> dict[str, Callable[[dict], object]]:
         return {
             "colours": lambda _: twin.lab_colors(self.image),
             "small regions": lambda made: felzenszwalb(
-                made["colours"] / native.LAB_STEPS, self.scale, regions.BLUR_PIXELS, self.least
+                made["colours"] / native.LAB_STEPS, self.scale, graph.BLUR_PIXELS, self.least
             ).astype(np.int32),
             "network": lambda _: photo_network.look(self.image, self.layers),
             "sums": lambda made: twin.region_graph(made["small regions"], made["colours"], made["network"]),
@@ -142,13 +143,13 @@ def made_picture() -> np.ndarray:
 
 def bench_graph(photos: Sequence[str], rounds: int) -> None:
     images = [np.asarray(Image.open(photo).convert("RGB")) for photo in photos] or [made_picture()]
-    first_stages = Stages(np.ascontiguousarray(regions.working_image(images[0])))
+    first_stages = Stages(np.ascontiguousarray(graph.working_image(images[0])))
     fast_peak, slow_peak = (
         peak_growth(lambda made=made: done(made)) for made in (first_stages.natives(), first_stages.twins())
     )
     seconds, ties, others = np.zeros((2, 5)), 0, 0
     for image in images:
-        stages = Stages(np.ascontiguousarray(regions.working_image(image)))
+        stages = Stages(np.ascontiguousarray(graph.working_image(image)))
         least = np.full((2, 5), np.inf)
         for _ in range(rounds):
             (before, first), (after, second) = done(stages.twins()), done(stages.natives())

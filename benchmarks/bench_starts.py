@@ -21,8 +21,8 @@ from machine import describe
 import drsplat as ds
 from drsplat.formats.captures import SparsePoints
 from drsplat.training.start import scene_extent, split_views
+from drsplat.training.start_points import fill
 from drsplat.training.triangulation import triangulate
-from drsplat.training.triangulation.filling import fill
 
 STARTS = ("given", "triangulated", "filled", "seen", "cube")
 FILLED, CUBE, GREY = 20_000, 100_000, 128

@@ -19,7 +19,7 @@ import drsplat as ds
 from drsplat.field.evidence.changing import without_views
 from drsplat.field.evidence.evidence import Evidence
 from drsplat.field.forest import THING
-from drsplat.field.objects import by_blocks, finding
+from drsplat.field.objects import finding
 from drsplat.field.objects.choosing import NONE, _owners
 from drsplat.field.objects.finding import tree_of
 
@@ -52,7 +52,7 @@ def in_blocks(evidence: Evidence, points: np.ndarray, parts: int) -> tuple[int, 
     with (
         patch.object(finding, "MAX_WEIGHTS", 0),
         patch.object(finding, "WEIGHTS_PER_ROW", weights),
-        patch.object(by_blocks, "BLOCK_WEIGHTS", int(1.02 * weights / parts)),
+        patch.object(finding, "BLOCK_WEIGHTS", int(1.02 * weights / parts)),
     ):
         return len(finding.divided(evidence, points).blocks), things(evidence, points)
 

@@ -38,7 +38,7 @@ from benchmarks.suite.trials import LEAST
 from benchmarks.suite.vocabularies import Clip
 from drsplat import View, load_image
 from drsplat.field.objects.choosing import Tree
-from drsplat.photos.embedding.shared_crops import share_crops
+from drsplat.photos.embedding.objects_first import share_crops
 from drsplat.photos.embedding.view_choice import choose_views
 from drsplat.photos.models.point_masks import PointSegmenter
 

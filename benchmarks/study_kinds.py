@@ -24,7 +24,7 @@ from benchmarks.suite.tables import markdown
 from benchmarks.suite.trials import field_of
 from benchmarks.suite.vocabularies import OF_MASKS, Names
 from drsplat import Scene
-from drsplat.photos.models.nouns import names_under
+from drsplat.photos.models.word_list import names_under
 from drsplat.query.defaults import MAYBE, MIN_GAUSSIANS, NOTHING, SURE
 
 PRESENT, ABSENT = 4, 6

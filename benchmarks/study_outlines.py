@@ -36,8 +36,7 @@ from drsplat.drawing.pictures import contact_sheet, write_picture
 from drsplat.kernels.photo_regions import BORDER_STEPS
 from drsplat.kernels.photo_regions import look as look_through
 from drsplat.photos.models.graph import GraphSegmenter
-from drsplat.photos.models.graph.network import look, shipped_network
-from drsplat.photos.models.graph.regions import working_image
+from drsplat.photos.models.graph.segmenter import look, shipped_network, working_image
 from drsplat.photos.models.outlines import outlines, shipped_outlines
 
 TOLERANCE_PIXELS = 3

@@ -32,8 +32,7 @@ from drsplat import MiniEncoder, Scene, embed, read_features, read_gaussians, re
 from drsplat.authoring.photographing.settings import PhotographSettings
 from drsplat.authoring.photographing.taking import photograph
 from drsplat.evaluation.demo import story
-from drsplat.evaluation.demo.household import unpack_household
-from drsplat.evaluation.demo.probes import PROBES
+from drsplat.evaluation.demo.story import PROBES, unpack_household
 from drsplat.field.objects.finding import find_objects
 from drsplat.kernels import splat_arrays
 from drsplat.photos.models.graph import GraphSegmenter

@@ -25,7 +25,7 @@ from benchmarks.study_boxes import LEAST_ALIKE, most_alike
 from benchmarks.study_objects import ours, room_of
 from benchmarks.suite.masks import MASKS
 from drsplat import Gaussians, read_views
-from drsplat.query.contact import rests_on
+from drsplat.query.relations import rests_on
 from drsplat.scene.boxes import solid, upward
 
 Rule = Callable[[Gaussians, np.ndarray, np.ndarray, np.ndarray], bool]

@@ -39,7 +39,7 @@ from benchmarks.study_poses import EACH, _film, _frame, _photos, said
 from drsplat.authoring.filming.paths import CameraPath, KeyFrame
 from drsplat.drawing.pictures import as_pixels
 from drsplat.drawing.rendering import render
-from drsplat.evaluation.demo.household import SCENE, unpack_household
+from drsplat.evaluation.demo.story import SCENE, unpack_household
 from drsplat.formats.cameras_json import read_cameras_json, write_cameras_json
 from drsplat.formats.captures import read_views
 from drsplat.formats.scan_record import read_scan_record

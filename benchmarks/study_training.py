@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import drsplat as ds
 from benchmarks.machine import describe
 from drsplat.training import TrainingSettings, everyday, train
-from drsplat.training.everyday import RATES
+from drsplat.training.devices import RATES
 
 ORIGINAL_RATES = {name: getattr(TrainingSettings, name) for name in RATES}
 EVERYDAY: dict[str, dict[str, Any]] = {

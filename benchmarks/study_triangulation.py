@@ -31,7 +31,7 @@ import drsplat as ds
 from drsplat.formats.captures import SparsePoints
 from drsplat.training.start import split_views
 from drsplat.training.triangulation import triangulate
-from drsplat.training.triangulation.pairs import neighbours
+from drsplat.training.triangulation.structure import neighbours
 
 OURS, COLMAP, RANDOM = "ours", "colmap", "random"
 MAX_SIDE, MAX_FEATURES = 1200, 4096  # as drsplat capture

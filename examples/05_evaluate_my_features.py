@@ -13,7 +13,7 @@ from PIL import Image
 from skimage.measure import find_contours
 
 import drsplat as ds
-from drsplat.evaluation.demo.household import read_household
+from drsplat.evaluation.demo.story import read_household
 
 THINGS = ("red vase", "green toy duck", "orange sofa")
 

@@ -16,7 +16,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 import drsplat as ds
-from drsplat.authoring.filming.highlights import Highlight
+from drsplat.authoring.filming.frames import Highlight
 from drsplat.authoring.filming.looking import looking_at
 from drsplat.authoring.filming.paths import CameraPath, KeyFrame
 from drsplat.drawing.pictures import as_pixels

@@ -13,7 +13,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "src"))
 
-from drsplat.photos.models.nouns import broad_list
+from drsplat.photos.models.word_list import broad_list
 
 OUTPUT = Path(__file__).resolve().parent.parent / "src/drsplat/photos/models/kinds.txt"
 THING = "00001930"  # physical entity

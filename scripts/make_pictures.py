@@ -17,8 +17,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 import drsplat as ds
 from drsplat.authoring.editing import Duplicate, Edit, Recolour, Remove, Rows, edited
-from drsplat.authoring.filming.frames import Film
-from drsplat.authoring.filming.highlights import Highlight
+from drsplat.authoring.filming.frames import Film, Highlight
 from drsplat.authoring.filming.looking import looking_at
 from drsplat.authoring.filming.planning import ORBIT, path_named, planned
 from drsplat.drawing.labels import Mark, marked

@@ -24,7 +24,7 @@ from drsplat.field.evidence.evidence import Evidence, evidence_from_tensors
 from drsplat.formats.checksums import hash_file
 from drsplat.formats.tensors import read_tensors, write_tensors
 from drsplat.kernels import render_channels, splat_arrays
-from drsplat.photos.embedding.shared_crops import SharedCrops
+from drsplat.photos.embedding.objects_first import SharedCrops
 from drsplat.photos.models.graph import GraphSegmenter
 from drsplat.photos.models.point_masks import PointSegmenter
 from drsplat.scene.masks.masks import LEVELS

@@ -8,8 +8,8 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from drsplat.evaluation import lerf_ovs, scannet_points, scannet_volume, voxel
-from drsplat.evaluation.choosers import AUTOMATIC, automatic_choosers
 from drsplat.evaluation.predictions import FIXED, Chooser, sweep_column
+from drsplat.evaluation.running import AUTOMATIC, automatic_choosers
 from drsplat.evaluation.scorers import Scorer
 
 from .scenes import BenchScene

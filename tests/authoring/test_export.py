@@ -14,7 +14,7 @@ from drsplat import Gaussians, Scene, open_scene, read_gaussians, write_gaussian
 from drsplat.authoring.editing import Duplicate, Edit, EditFile, Move, Remove, Rows
 from drsplat.authoring.editing.resolving import object_rows
 from drsplat.authoring.exporting import export, labelled
-from drsplat.authoring.exporting.choosing import only_used
+from drsplat.authoring.exporting.placing import only_used
 from drsplat.cli import main
 from drsplat.errors import InputError
 from drsplat.formats.annotations import AnnotationFile

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from drsplat.authoring.filming import path_files, planning, ways
+from drsplat.authoring.filming import path_files, planning
 from drsplat.authoring.filming.looking import looking_at
 from drsplat.authoring.filming.paths import MAX_FRAMES, CameraPath, KeyFrame, frame_count
 from drsplat.errors import DrSplatError, FormatError, InputError
@@ -149,9 +149,9 @@ def ring(count: int = 12, radius: float = 3.0) -> list[View]:
 
 
 def test_an_orbit_is_a_level_circle_about_what_the_photos_look_at() -> None:
-    around = ways.around_scene(random_gaussians(200), ring(), UP)
+    around = planning.around_scene(random_gaussians(200), ring(), UP)
     np.testing.assert_allclose(around.target, (1, 2, 0.5), atol=0.02)
-    views = ways.orbit(around, UP).views(120, SIZE)
+    views = planning.orbit(around, UP).views(120, SIZE)
     arms = centers(views) - around.target
     np.testing.assert_allclose(np.linalg.norm(arms[:, :2], axis=1), 3.0, atol=0.01)
     np.testing.assert_allclose(centers(views)[:, 2], 1.5, atol=0.01)
@@ -165,9 +165,9 @@ def test_an_orbit_is_a_level_circle_about_what_the_photos_look_at() -> None:
 def test_an_orbit_turns_back_where_no_photo_was_taken() -> None:
     """Photos from 0 to 180 degrees: the orbit goes as far as most of them, and back; with a full ring it goes round."""
     seen = [view for view in ring(24) if view.center[1] > 1.99]
-    around = ways.around_scene(random_gaussians(200), seen, UP)
+    around = planning.around_scene(random_gaussians(200), seen, UP)
     for views, most in ((seen, 160.0), (ring(24), 400.0)):
-        arms = centers(ways.orbit(around, UP, views).views(144, SIZE)) - around.target
+        arms = centers(planning.orbit(around, UP, views).views(144, SIZE)) - around.target
         angles = np.degrees(np.unwrap(np.arctan2(arms[:, 1], arms[:, 0])))
         assert np.ptp(angles) < most
         assert np.ptp(angles) > most - 50
@@ -176,22 +176,22 @@ def test_an_orbit_turns_back_where_no_photo_was_taken() -> None:
 
 def test_an_orbit_without_photos_is_outside_of_the_scene() -> None:
     scene = random_gaussians(500, extent=2.0)
-    around = ways.around_scene(scene, (), UP)
+    around = planning.around_scene(scene, (), UP)
     assert np.linalg.norm(around.eye - around.target) > 2.0
     with pytest.raises(InputError, match="right above or below"):
-        ways.orbit(ways.Around(np.zeros(3), 5 * UP), UP)
+        planning.orbit(planning.Around(np.zeros(3), 5 * UP), UP)
 
 
 def test_photos_that_look_outward_are_circled_about_the_middle() -> None:
     outward = [
         look_at_view((np.cos(a), np.sin(a), 0.1), (5 * np.cos(a), 5 * np.sin(a), 0.0)) for a in (0.1, 1.5, 3.0, 5)
     ]
-    np.testing.assert_array_equal(ways.focus_of(outward, np.full(3, 0.25)), np.full(3, 0.25))
+    np.testing.assert_array_equal(planning.focus_of(outward, np.full(3, 0.25)), np.full(3, 0.25))
 
 
 def test_a_swing_keeps_to_its_side_and_ends_where_it_began() -> None:
-    around = ways.Around(np.zeros(3), np.array([4.0, 0, 1]))
-    views = ways.swinging(around, UP).views(60, SIZE)
+    around = planning.Around(np.zeros(3), np.array([4.0, 0, 1]))
+    views = planning.swinging(around, UP).views(60, SIZE)
     angles = np.degrees(np.arctan2(*centers(views).T[1::-1]))
     assert 29 < angles.max() < 31
     assert -31 < angles.min() < -29
@@ -200,12 +200,12 @@ def test_a_swing_keeps_to_its_side_and_ends_where_it_began() -> None:
 
 def test_photos_are_passed_in_their_order_and_not_too_many_of_them() -> None:
     views = [look_at_view((x, -4.0, 1 + 0.1 * (x % 2)), (x, 0, 1)) for x in range(100)]
-    path = ways.through_photos(views, seconds=4.0)
+    path = planning.through_photos(views, seconds=4.0)
     assert len(path.keys) == 9
     assert (np.diff([key.eye[0] for key in path.keys]) > 0).all()
-    assert len(ways.through_photos(views[:5]).keys) == 5
+    assert len(planning.through_photos(views[:5]).keys) == 5
     with pytest.raises(InputError, match="two of them or more, got 1"):
-        ways.through_photos(views[:1])
+        planning.through_photos(views[:1])
 
 
 def test_a_plan_is_what_is_given_else_what_the_path_wishes() -> None:

@@ -14,8 +14,7 @@ from test_film_paths import nerfstudio_file
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Gaussians, Query, cli, render
-from drsplat.authoring.filming.frames import Film
-from drsplat.authoring.filming.highlights import Highlight
+from drsplat.authoring.filming.frames import Film, Highlight
 from drsplat.authoring.filming.looking import looking_at
 from drsplat.drawing import labels
 from drsplat.drawing.labels import Mark, lines_of, marked

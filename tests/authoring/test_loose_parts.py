@@ -9,9 +9,8 @@ from drsplat import Gaussians
 from drsplat.authoring.editing import Edit, Fill, Remove, Rows, edited
 from drsplat.authoring.editing.draft import OBJECT_ID
 from drsplat.authoring.editing.edits import EditList
-from drsplat.authoring.editing.loose_parts import loose_parts
-from drsplat.authoring.editing.resolving import completed
-from drsplat.authoring.editing.shifts import Surface, best_shift
+from drsplat.authoring.editing.ground import Surface, best_shift
+from drsplat.authoring.editing.resolving import completed, loose_parts
 from drsplat.authoring.editing.stored import document_of, edits_of
 from drsplat.errors import InputError
 from drsplat.scene.gaussians import SH_C0

@@ -17,8 +17,7 @@ from drsplat.authoring.photographing import candidates, taking
 from drsplat.authoring.photographing.coverage import ENOUGH_SIGHTS, Sights, chosen_views, sights
 from drsplat.authoring.photographing.settings import PhotographSettings
 from drsplat.authoring.photographing.space import Space
-from drsplat.authoring.photographing.taking import photograph
-from drsplat.authoring.photographing.upright import guessed_up
+from drsplat.authoring.photographing.taking import guessed_up, photograph
 from drsplat.drawing.pictures import as_pixels
 from drsplat.errors import DrSplatWarning, FormatError, InputError
 from drsplat.evaluation.report import html_page

@@ -15,10 +15,8 @@ from drsplat import read_features, read_views
 from drsplat.drawing.pictures import visible_share
 from drsplat.errors import InputError
 from drsplat.evaluation.demo.album import note, write_album
-from drsplat.evaluation.demo.household import read_household, unpack_household
 from drsplat.evaluation.demo.page import write_page
-from drsplat.evaluation.demo.probes import PROBES
-from drsplat.evaluation.demo.story import Story, Verdict, tell
+from drsplat.evaluation.demo.story import PROBES, Story, Verdict, read_household, tell, unpack_household
 
 SHIPPED = Path(__file__).parents[2] / "src/drsplat/evaluation/demo/scene"
 

@@ -15,16 +15,16 @@ from test_scannet_protocols import write_scene
 import drsplat as ds
 from drsplat import WordEncoder, cli
 from drsplat.errors import FormatError, InputError, MismatchError
-from drsplat.evaluation import plots, published, report, svg, tables, thresholds
-from drsplat.evaluation.choosers import automatic_choosers
+from drsplat.evaluation import predictions, report, svg, tables
 from drsplat.evaluation.report import Figure, write_report
+from drsplat.evaluation.running import automatic_choosers
 from drsplat.evaluation.scorers import cosine_scorer, feature_scorer, hashed, relevant
 from drsplat.formats.peer_features import read_peer_features
 from drsplat.query import Query, Scene
 from fields import TOY, ToyEncoder, toy_field, unit_rows
 
 
-@pytest.mark.parametrize("module", [thresholds, published, svg, report])
+@pytest.mark.parametrize("module", [predictions, tables, svg, report])
 def test_examples(module) -> None:
     result = doctest.testmod(module, extraglobs={"np": np})
     assert result.attempted
@@ -125,14 +125,14 @@ def lerf_result(pairs: dict[str, int], miou: float = 0.5) -> dict:
 
 
 def test_differences_are_shown_on_the_same_data_only() -> None:
-    first, *_ = tables.tables_of([lerf_result(published.LERF_PAIRS)])
+    first, *_ = tables.tables_of([lerf_result(tables.LERF_PAIRS)])
     gaps = next(row for row in first.rows if row[0] == "ours minus the paper's")
     assert gaps[3:] == (pytest.approx(50 - 43.58), pytest.approx(75 - 63.87), None, None)
     mine, papers, _ = tables.tables_of([lerf_result({"teatime": 59})])
     assert not any("minus" in str(row[0]) or "paper" in str(row[0]) for row in mine.rows)
     assert papers.aside
     assert "cannot be compared" in papers.note
-    assert not published.same_data(lerf_result({**published.LERF_PAIRS, "teatime": 58}))
+    assert not tables.same_data(lerf_result({**tables.LERF_PAIRS, "teatime": 58}))
 
 
 def test_fixed_and_tuned_are_never_one_row() -> None:
@@ -267,7 +267,7 @@ def asked(category: str, iou: float) -> dict:
 def test_charts_show_each_word_how_many_are_good_and_thresholds() -> None:
     queries = [asked("mug", 0.9), asked("mug", 0.7), asked("plate", 0.3)]
     result = {"method": "ours", "queries": queries, "sweep": {"sweep 0.100": 0.25, "sweep 0.300": 0.5}}
-    words, good, sweep = (ElementTree.fromstring(chart) for chart in plots.charts_of([result]))
+    words, good, sweep = (ElementTree.fromstring(chart) for chart in report.charts_of([result]))
     texts = ["".join(one.itertext()) for one in words.iter() if one.tag.endswith("text")]
     assert texts[1:] == ["mug", "80 %", "plate", "30 %"]
     assert "automatic" in texts[0]
@@ -284,7 +284,7 @@ def test_charts_show_each_word_how_many_are_good_and_thresholds() -> None:
 
 def test_of_many_words_the_worst_are_shown() -> None:
     queries = [asked(f"word {number}", number / 100) for number in range(50)]
-    (words, _) = plots.charts_of([{"method": "ours", "queries": queries}])
+    (words, _) = report.charts_of([{"method": "ours", "queries": queries}])
     assert "the 20 worst of 50" in words
     assert ">word 19<" in words
     assert ">word 20<" not in words
@@ -292,7 +292,7 @@ def test_of_many_words_the_worst_are_shown() -> None:
 
 def test_several_methods_are_curves_of_one_chart() -> None:
     results = [{"method": name, "queries": [asked("mug", 0.5)]} for name in ("ours", "theirs <b>")]
-    *_, good = plots.charts_of(results)
+    *_, good = report.charts_of(results)
     tree = ElementTree.fromstring(good)
     colors = [one.attrib["stroke"] for one in tree.iter() if one.tag.endswith("polyline")]
     assert colors == list(svg.LINES[:2])

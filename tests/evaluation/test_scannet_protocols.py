@@ -15,10 +15,9 @@ from test_metrics import weighted_iou
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.evaluation import metrics, reference, scannet_points, scannet_volume, voxel
 from drsplat.evaluation.label_sets import LabelSet
-from drsplat.evaluation.predictions import AUTOMATIC, FIXED, Manifest
+from drsplat.evaluation.predictions import AUTOMATIC, FIXED, Manifest, best_sweep, sweep_weighted_ious
 from drsplat.evaluation.scannet import ScannetScene, read_nyu40_scene, read_raw_category_scene, scores_path
 from drsplat.evaluation.scorers import Scorer
-from drsplat.evaluation.thresholds import best_sweep, sweep_weighted_ious
 from drsplat.formats.npy import write_npy
 from drsplat.formats.ply import write_vertices
 from drsplat.scene.gaussians import Gaussians
@@ -113,7 +112,7 @@ def test_an_empty_prediction_scores_zero(scene: ScannetScene, tmp_path: Path) ->
 def test_missing_files_count_zero(scene: ScannetScene, tmp_path: Path) -> None:
     scannet_volume.predict(scene, knowing(scene), tmp_path)
     (tmp_path / scene.name / "labels.npy").unlink()
-    scores_path(tmp_path, scene.name, 2).unlink()
+    scores_path(tmp_path, scene.name, "scores", 2).unlink()
     result = scannet_volume.score([scene], tmp_path)
     assert result["segmentation"]["scene_macro"]["miou"] == 0
     assert result["localization"]["fixed"]["scene_macro"]["miou"] == pytest.approx(2 / 3)

@@ -14,11 +14,10 @@ from scipy.sparse import csr_array
 
 from drsplat.errors import InputError
 from drsplat.field.evidence.aggregation import AGGREGATORS, Aggregator, aggregator
-from drsplat.field.evidence.aggregation.by_view import effective_views, view_sums
 from drsplat.field.evidence.aggregation.entries import BLOCK_ROWS, canonical, column_counts, of_columns, with_weights
 from drsplat.field.evidence.aggregation.outliers import OutlierRejection
-from drsplat.field.evidence.aggregation.reliability import reliability, resultant_lengths
 from drsplat.field.evidence.aggregation.trust import MaskTrust, tally
+from drsplat.field.evidence.aggregation.voting import effective_views, reliability, resultant_lengths, view_sums
 from drsplat.field.evidence.evidence import Evidence, MaskIds
 from fields import random_weights, unit_rows
 

@@ -13,8 +13,7 @@ from test_aggregation import evidence_of
 from drsplat.errors import InputError, MismatchError
 from drsplat.field import build_field
 from drsplat.field.evidence.aggregation import Aggregated, Aggregator, aggregator
-from drsplat.field.evidence.aggregation.reliability import reliability
-from drsplat.field.evidence.aggregation.voting import SUPPORT_TOLERANCE, ModeVoting
+from drsplat.field.evidence.aggregation.voting import SUPPORT_TOLERANCE, ModeVoting, reliability
 from drsplat.field.evidence.evidence import Evidence, MaskIds
 from drsplat.scene.encoders import EncoderIdentity
 from drsplat.scene.gaussians import Gaussians

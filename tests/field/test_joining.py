@@ -13,8 +13,17 @@ from drsplat.field.evidence.provenance import Provenance, cameras_of
 from drsplat.field.forest import GROUP, PART, THING, check_forest
 from drsplat.field.objects.borders import Borders, borders
 from drsplat.field.objects.choosing import Tree
-from drsplat.field.objects.joining import MIN_RELIEF, Joined, join, with_joined
-from drsplat.field.objects.standing_out import RELIEF_PRIOR_PIXELS, Outlines, PieceSet, grown, refined
+from drsplat.field.objects.joining import (
+    MIN_RELIEF,
+    RELIEF_PRIOR_PIXELS,
+    Joined,
+    Outlines,
+    PieceSet,
+    grown,
+    join,
+    refined,
+    with_joined,
+)
 from splat_captures import look_at
 
 SIZE = 200

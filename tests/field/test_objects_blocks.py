@@ -16,9 +16,8 @@ import drsplat as ds
 from drsplat.cli import main
 from drsplat.errors import FormatError
 from drsplat.field.objects import finding
-from drsplat.field.objects.block_nodes import nodes_of
-from drsplat.field.objects.blocks import in_blocks
-from drsplat.field.objects.by_blocks import Division, at_once
+from drsplat.field.objects.block_nodes import in_blocks, nodes_of
+from drsplat.field.objects.finding import Division, at_once
 from drsplat.field.objects.uniting import fits_of, united
 from drsplat.field.tiles import finding as in_tiles
 from drsplat.field.tiles import store
@@ -42,7 +41,7 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of three thousand weights each; three or four for a row of things."""
     monkeypatch.setattr(finding, "MAX_WEIGHTS", 0)
     monkeypatch.setattr(finding, "WEIGHTS_PER_ROW", 1000)
-    monkeypatch.setattr("drsplat.field.objects.by_blocks.BLOCK_WEIGHTS", 3000)
+    monkeypatch.setattr("drsplat.field.objects.finding.BLOCK_WEIGHTS", 3000)
 
 
 def divided(scene: ds.Gaussians, field: ds.LanguageField) -> Division:

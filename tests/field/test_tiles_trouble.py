@@ -9,7 +9,7 @@ from test_tiles import inputs, saved, written
 
 import drsplat as ds
 from drsplat.errors import FormatError
-from drsplat.field.objects import by_blocks, finding
+from drsplat.field.objects import finding
 from drsplat.field.tiles import finding as in_tiles
 from drsplat.field.tiles.cutting import cut
 from drsplat.field.tiles.launching import OneProcess, Processes
@@ -28,7 +28,7 @@ def capture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Some photos and tiles, of which runs and blocks are made small, so that there are several."""
     monkeypatch.setattr("drsplat.field.tiles.transposing.RUN_BYTES", 20_000)
     monkeypatch.setattr(finding, "MAX_WEIGHTS", 0)
-    monkeypatch.setattr(by_blocks, "BLOCK_WEIGHTS", 2000)
+    monkeypatch.setattr(finding, "BLOCK_WEIGHTS", 2000)
     folder = write_toy_capture(tmp_path / "toy")
     cut(blocks_of([folder / "scene.ply"]), folder / "scene.tiles", 37)
     return folder

@@ -19,7 +19,7 @@ from drsplat import EncoderIdentity, WordEncoder, cli, load_field, read_gaussian
 from drsplat.base.progress import track
 from drsplat.cli import VERBS, main
 from drsplat.evaluation.demo import story as household
-from drsplat.evaluation.demo.probes import PROBES
+from drsplat.evaluation.demo.story import PROBES
 from drsplat.field.codes import save_codebook
 from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.npy import write_npy

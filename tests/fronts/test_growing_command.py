@@ -206,7 +206,7 @@ def test_a_field_of_an_older_version_says_what_to_do(room: Path, capsys: Capture
 KILLED = """
 import os, signal
 from drsplat.formats import field_folder
-from drsplat.field.evidence.aggregation import sampling
+from drsplat.field.evidence.aggregation import record
 from drsplat.cli import main
 def killed(*args, **options):
     os.kill(os.getpid(), signal.SIGKILL)
@@ -391,12 +391,12 @@ def swapped(room: Path, capsys: Capture, *more: object, code: int = 0) -> tuple[
 def test_another_encoder_takes_the_weights_of_a_field(
     room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from drsplat.field.evidence.aggregation import sampling
+    from drsplat.field.evidence.aggregation import record
 
     field = register(room, capsys, "a.field", *PHOTOS, more=("--topk", "7", "--near", "0.3"))
     argv = swapped(room, capsys)
     answer_of(capsys, *argv, "--output", room / "whole.field", "--topk", "7", "--near", "0.3")
-    monkeypatch.setattr(sampling, "view_weights", None)  # no photo is rasterised
+    monkeypatch.setattr(record, "view_weights", None)  # no photo is rasterised
     told = answer_of(capsys, *argv, "--output", room / "swapped.field", "--weights-of", field)
     assert (told["num_views_reused"], told["topk"], told["dim"]) == (4, 7, 64)
     assert files_of(room / "swapped.field") == files_of(room / "whole.field")

@@ -15,7 +15,7 @@ from drsplat.field.evidence.evidence import Evidence, MaskIds
 from drsplat.field.objects.choosing import Tree
 from drsplat.field.objects.describing import describe
 from drsplat.field.objects.drifting import drifting
-from drsplat.field.spans import field_during
+from drsplat.field.regrowing import field_during
 from drsplat.formats.moving_scenes import write_moving
 from drsplat.query.tracks import runs
 from drsplat.scene.moving import Frames, Moving

@@ -14,7 +14,7 @@ from drsplat.drawing.legend import class_colors, legend
 from drsplat.evaluation.demo import story as household
 from drsplat.formats.npy import write_npy
 from drsplat.formats.vocabulary import VocabularyEncoder, write_vocabulary
-from drsplat.photos.models.nouns import NOUNS
+from drsplat.photos.models.word_list import NOUNS
 from drsplat.query.thresholds import share_threshold
 from furnished.story import Story, intersection_over_union
 

@@ -1,6 +1,6 @@
 """What is asked of the furnished room, and the names of the things that are meant."""
 
-from drsplat.evaluation.demo.probes import Probe
+from drsplat.evaluation.demo.story import Probe
 
 PROBES = (
     Probe("red mug", ("red mug",)),

@@ -9,8 +9,7 @@ from jaxtyping import Int64
 
 from drsplat.base.progress import Stopwatch
 from drsplat.errors import InputError
-from drsplat.evaluation.demo.probes import Probe
-from drsplat.evaluation.demo.story import FIELD, Verdict
+from drsplat.evaluation.demo.story import FIELD, Probe, Verdict
 from drsplat.field import LanguageField, load_field
 from drsplat.field.codes import Track, untracked
 from drsplat.field.registration import register

@@ -20,8 +20,8 @@ from drsplat.kernels import SplatArrays, render_channels, splat_arrays, topk_con
 from drsplat.kernels.cuda.devices import using_device
 from drsplat.kernels.cuda.engine import CudaEngine, cuda_engine, unavailable
 from drsplat.kernels.cuda.sorting import running_sums, sorted_pairs
-from drsplat.training.checkpoint import load_checkpoint, save_checkpoint
 from drsplat.training.device_run import DeviceRun
+from drsplat.training.keeper import load_checkpoint, save_checkpoint
 from drsplat.training.run import Run
 from scenes import random_mask_map
 from tiny_encoders import write_model

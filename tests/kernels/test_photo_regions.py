@@ -27,7 +27,7 @@ from drsplat.kernels.photo_regions import (
     TRAITS,
     Sight,
 )
-from drsplat.photos.models.graph.network import layers_of, shipped_network
+from drsplat.photos.models.graph.segmenter import layers_of, shipped_network
 from twins import photo_network
 from twins import photo_regions as twin
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array
 
 from drsplat.errors import InputError
-from drsplat.field.objects.neighbours import along_a_curve, neighbours
+from drsplat.field.objects.block_nodes import along_a_curve, neighbours
 from drsplat.kernels import Forest, MergeRule, agglomerate
 from fields import random_weights
 from twins import regions as twin

@@ -22,8 +22,7 @@ from drsplat.formats.captures import read_sparse_points, read_views
 from drsplat.photos.capture import program
 from drsplat.photos.capture.capturing import _bring_all, capture
 from drsplat.photos.capture.finding import find_photos
-from drsplat.photos.capture.measuring import KnownDistance, _meeting
-from drsplat.photos.capture.places import Place, read_places
+from drsplat.photos.capture.measuring import KnownDistance, Place, _meeting, read_places
 from drsplat.photos.capture.posing import camera_key
 from drsplat.photos.capture.settings import CaptureSettings
 from drsplat.photos.capture.work import Work, _remove

@@ -12,8 +12,7 @@ from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.formats.captures import read_views
 from drsplat.photos.capture.capturing import capture
 from drsplat.photos.capture.finding import find_photos
-from drsplat.photos.capture.masks import bring_mask
-from drsplat.photos.capture.photos import bring
+from drsplat.photos.capture.photos import bring, bring_mask
 from drsplat.photos.capture.settings import CaptureSettings
 from drsplat.scene.photo_masks import load_mask
 from drsplat.scene.photos import load_image

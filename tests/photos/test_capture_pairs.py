@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from drsplat.photos.capture.looks import looks_of
-from drsplat.photos.capture.pairs import (
+from drsplat.photos.capture.posing import (
     NEIGHBOURS_IN_LOOKS,
     NEIGHBOURS_IN_ORDER,
     all_pairs,
+    looks_of,
     pairs_in_looks,
     pairs_in_order,
     pairs_in_place,

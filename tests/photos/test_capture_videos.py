@@ -15,8 +15,7 @@ from drsplat.cli import main
 from drsplat.errors import InputError
 from drsplat.formats.captures import read_views
 from drsplat.photos.capture.capturing import capture
-from drsplat.photos.capture.frames import Film, choose, movement, shift_of
-from drsplat.photos.capture.videos import is_video
+from drsplat.photos.capture.videos import Film, choose, is_video, movement, shift_of
 from photographed_room import photographed, room_views
 
 has_av = pytest.mark.skipif(find_spec("av") is None, reason='needs pip install "drsplat[capture]"')

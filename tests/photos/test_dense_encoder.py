@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from PIL import Image
 
 from drsplat.errors import FormatError
-from drsplat.photos.embedding.mask_rows import MaskEncoder, mask_rows
+from drsplat.photos.embedding.keeping import MaskEncoder, mask_rows
 from drsplat.photos.models.dense_encoder import coverage
 from drsplat.photos.models.loading import load_encoder
 from drsplat.scene.masks.crops import crops

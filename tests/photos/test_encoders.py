@@ -15,7 +15,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
 from drsplat.errors import DrSplatError, FormatError, InputError, MissingExtraError
-from drsplat.field.codes.files import encoder_from_json
+from drsplat.field.codes.codebook import encoder_from_json
 from drsplat.photos.models import devices, libraries, pretrained, sam, torch_encoder
 from drsplat.photos.models.loading import DEFAULT_ENCODER, load_encoder
 from drsplat.photos.models.preprocessing import Preprocessing, read_preprocessing

@@ -39,10 +39,19 @@ from drsplat.kernels.photo_regions import (
     region_graph,
 )
 from drsplat.photos.models.graph import GraphSegmenter
-from drsplat.photos.models.graph.network import look, shipped_network
-from drsplat.photos.models.graph.regions import WORKING_PIXELS, enlarged, small_regions, working_image
-from drsplat.photos.models.graph.rule import MergeRule, shipped_rule
-from drsplat.photos.models.graph.segmenter import GraphSettings, label_masks, segment_labels
+from drsplat.photos.models.graph.segmenter import (
+    WORKING_PIXELS,
+    GraphSettings,
+    MergeRule,
+    enlarged,
+    label_masks,
+    look,
+    segment_labels,
+    shipped_network,
+    shipped_rule,
+    small_regions,
+    working_image,
+)
 from drsplat.photos.models.point_masks import PointMaskSettings
 from drsplat.photos.models.sam import load_segmenter
 from drsplat.scene.masks.masks import Masks, Segmenter
@@ -529,7 +538,7 @@ def test_a_halved_photo_keeps_its_things() -> None:
 SEE = """
 import hashlib, numpy as np
 from drsplat import MiniEncoder
-from drsplat.photos.models.graph.network import look, shipped_network
+from drsplat.photos.models.graph.segmenter import look, shipped_network
 image = np.random.default_rng(0).integers(0, 256, (240, 320, 3), np.uint8)
 sight = look(image, shipped_network()[0], threads={threads})
 rows = MiniEncoder(threads={threads}).encode_images([image[:90, :90], image])

@@ -15,7 +15,7 @@ from drsplat.errors import InputError
 from drsplat.field import build_field
 from drsplat.photos.models.loading import load_encoder
 from drsplat.photos.models.mini import MiniEncoder
-from drsplat.photos.models.mini.encoder import DIM, _pixels
+from drsplat.photos.models.mini.encoder import DIM, STRIDES, _pixels, embed_images
 from drsplat.photos.models.mini.lexicon import (
     COLORS,
     GROUPS,
@@ -28,7 +28,6 @@ from drsplat.photos.models.mini.lexicon import (
     fits,
     words_of,
 )
-from drsplat.photos.models.mini.network import STRIDES, embed_images
 from drsplat.scene.encoders import Encoder, ImageEncoder
 from drsplat.scene.masks.crops import crop
 from fields import SCENE, random_evidence

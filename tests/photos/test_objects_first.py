@@ -19,8 +19,15 @@ from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.langsplat import read_features
 from drsplat.photos.embedding.embed import embed
 from drsplat.photos.embedding.keeping import WithoutEmbedding
-from drsplat.photos.embedding.objects_first import CROPS, MASKS, embed_objects
-from drsplat.photos.embedding.shared_crops import MAX_CROPS_PER_OBJECT, _spread, node_fits, share_crops
+from drsplat.photos.embedding.objects_first import (
+    CROPS,
+    MASKS,
+    MAX_CROPS_PER_OBJECT,
+    _spread,
+    embed_objects,
+    node_fits,
+    share_crops,
+)
 from drsplat.photos.embedding.view_choice import SIGHTS_PER_GAUSSIAN, choose_views, greedy
 from drsplat.scene.views import View
 from fake_models import ColorSegmenter, LargeSegmenter, ThumbnailEncoder

@@ -13,7 +13,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from drsplat.errors import FormatError, InputError
-from drsplat.photos.models import open_clip, pretrained
+from drsplat.photos.models import pretrained, transformers_encoders
 from drsplat.photos.models.loading import DEFAULT_ENCODER, load_encoder
 from drsplat.photos.models.open_clip_settings import config_arguments
 from tiny_encoders import PATCH, SIDE, TOKENS, write_clip_tokenizer, write_model
@@ -254,7 +254,7 @@ def test_the_published_settings_are_those_of_vit_b_16(tmp_path: Path) -> None:
         assert (tower.num_hidden_layers, tower.num_attention_heads) == (12, heads)
         assert (tower.hidden_act, tower.layer_norm_eps) == ("gelu", 1e-5)
     assert (text.max_position_embeddings, text.vocab_size) == (77, 49408)
-    names = {tensor.name: tensor.shape for tensor in open_clip.tensors(config)}
+    names = {tensor.name: tensor.shape for tensor in transformers_encoders.tensors(config)}
     assert len(names) == 302  # 12 of each layer, and 14
     assert names["visual.positional_embedding"] == (197, 768)
     assert names["visual.transformer.resblocks.11.attn.in_proj_weight"] == (2304, 768)
@@ -267,24 +267,24 @@ def test_the_published_settings_are_those_of_vit_b_16(tmp_path: Path) -> None:
 
 def test_each_tensor_is_needed_in_its_shape(direct: Path, tensors: dict[str, Any]) -> None:
     config = transformers.CLIPConfig.from_pretrained(direct)
-    assert len(open_clip.renamed(tensors, config, "here")) == 12 * 4 + 4 * 4 + 14
+    assert len(transformers_encoders.renamed(tensors, config, "here")) == 12 * 4 + 4 * 4 + 14
     for name, tensor in tensors.items():
         rest = {other: t for other, t in tensors.items() if other != name}
         with pytest.raises(FormatError, match=rf"here: lacks the tensor '{re.escape(name)}'"):
-            open_clip.renamed(rest, config, "here")
+            transformers_encoders.renamed(rest, config, "here")
         for wrong in (tensor[None], tensor.new_zeros(3, 5), tensor.int()):
             with pytest.raises(FormatError, match=rf"here: '{re.escape(name)}': expected floats"):
-                open_clip.renamed({**rest, name: wrong}, config, "here")
+                transformers_encoders.renamed({**rest, name: wrong}, config, "here")
 
 
 @pytest.mark.parametrize("name", ["logit_bias", "visual.transformer.resblocks.2.ln_1.weight"])
 def test_tensors_left_over(name: str, direct: Path, tensors: dict[str, Any]) -> None:
     config = transformers.CLIPConfig.from_pretrained(direct)
     with pytest.raises(FormatError, match=f"has 1 tensors .* first '{name}'"):
-        open_clip.renamed({**tensors, name: torch.zeros(1)}, config, "here")
+        transformers_encoders.renamed({**tensors, name: torch.zeros(1)}, config, "here")
     twice = {**tensors, "text.ln_final.weight": tensors["ln_final.weight"]}
     with pytest.raises(FormatError, match=r"first 'text\.ln_final\.weight'"):
-        open_clip.renamed(twice, config, "here")
+        transformers_encoders.renamed(twice, config, "here")
 
 
 def test_what_is_wrong_is_said_when_the_model_is_asked_for(renamed: Path, tensors: dict[str, Any]) -> None:

@@ -7,7 +7,7 @@ from PIL import Image
 
 from drsplat.errors import InputError
 from drsplat.kernels.photo_regions import BORDER_STEPS
-from drsplat.photos.models.graph.network import layers_of, shipped_network
+from drsplat.photos.models.graph.segmenter import layers_of, shipped_network
 from drsplat.photos.models.outlines import outlines, shipped_outlines
 from twins import photo_network
 

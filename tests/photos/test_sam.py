@@ -17,7 +17,10 @@ from scipy.optimize import linear_sum_assignment
 
 from drsplat.errors import DrSplatError, FormatError, InputError, MissingExtraError
 from drsplat.photos.models import sam
-from drsplat.photos.models.mask_geometry import (
+from drsplat.photos.models.point_masks import (
+    PointMasks,
+    PointMaskSettings,
+    PointSegmenter,
     box_nms,
     crop_boxes,
     cut_by_crop,
@@ -26,7 +29,6 @@ from drsplat.photos.models.mask_geometry import (
     spread,
     without_small_regions,
 )
-from drsplat.photos.models.point_masks import PointMasks, PointMaskSettings, PointSegmenter
 from drsplat.scene.masks.masks import LEVELS, Segmenter, cut_masks
 from drsplat.scene.masks.selection import mask_maps
 from places import SUPPORT

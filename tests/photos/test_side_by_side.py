@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_embedding import a_view
 
-from drsplat.photos.embedding.embed import embed
-from drsplat.photos.embedding.side_by_side import MAX_PHOTOS_AT_ONCE, photos_at_once, side_by_side
+from drsplat.photos.embedding.embed import MAX_PHOTOS_AT_ONCE, embed, photos_at_once, side_by_side
 from drsplat.photos.models.graph import GraphSegmenter
 from drsplat.photos.models.mini import MiniEncoder
 from fake_models import ColorSegmenter

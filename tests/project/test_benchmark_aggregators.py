@@ -21,8 +21,8 @@ from test_registration import capture, named_view, same
 from drsplat.errors import InputError, MismatchError
 from drsplat.field import load_field
 from drsplat.field.evidence.aggregation import AggregatorRecord, Sampling, aggregator
-from drsplat.field.evidence.aggregation.by_view import effective_views
 from drsplat.field.evidence.aggregation.outliers import OutlierRejection
+from drsplat.field.evidence.aggregation.voting import effective_views
 from drsplat.field.evidence.evidence import Evidence, MaskIds
 from drsplat.field.registration import Registration, register
 from drsplat.kernels import splat_arrays, view_weights

@@ -12,7 +12,7 @@ from PIL import Image
 from scripts import pictures
 
 import drsplat as ds
-from drsplat.authoring.filming.highlights import Highlight
+from drsplat.authoring.filming.frames import Highlight
 from drsplat.evaluation.demo.album import write_album
 from drsplat.evaluation.demo.story import Story
 

@@ -29,18 +29,16 @@ from drsplat.formats.checksums import sealed
 from drsplat.formats.claiming import claimed_output
 from drsplat.formats.tiles import write_tiles
 from drsplat.query.objects import support_of
-from drsplat.query.packed import Packed
-from drsplat.query.sketch import Sketch
-from drsplat.query.sketched import SketchedScene
+from drsplat.query.sketch import Packed, Sketch, SketchedScene
 from known_objects import CENTERS, EACH, known_scene
 
 pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
 
-from drsplat.query.catalogue import Catalogue, Conditions, agreeing, record, table
+from drsplat.query.catalogue import Catalogue, Conditions, reading, record, table
 from drsplat.query.catalogue.conditions import quoted
+from drsplat.query.catalogue.rows import MAX_BYTES, thumbnail
 from drsplat.query.catalogue.schema import KEY, batch, schema_of
 from drsplat.query.catalogue.snapshot import current
-from drsplat.query.catalogue.thumbnails import MAX_BYTES, thumbnail
 
 ANYWHERE = Conditions()
 WORDS = {"kitchen": ("red mug", "wooden table", "green plant"), "o'hara": ("blue mug", "red chair", "white lamp")}
@@ -511,8 +509,8 @@ def test_no_more_scenes_are_asked_than_answers_are_missing(filled: Catalogue, mo
         asked.append(sorted(map(int, names)))
         return {name: EveryOther(name) for name in names}
 
-    monkeypatch.setattr(agreeing, "_read", read)
-    rules = agreeing.SceneRules(filled._snapshot(), WordEncoder)
+    monkeypatch.setattr(reading, "_read", read)
+    rules = reading.SceneRules(filled._snapshot(), WordEncoder)
     objects = [(str(number), 0) for number in range(40)]
     assert rules.first(Query("mug"), objects, 10) == list(range(0, 20, 2))
     assert asked == [[*range(10)], [*range(10, 15)], [*range(15, 19)]]

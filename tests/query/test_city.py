@@ -22,10 +22,9 @@ from drsplat.formats.tiles import Tiles, read_tiles
 from drsplat.query import Scene, open_scene
 from drsplat.query.places import nearest_gaussian
 from drsplat.query.regions import region
-from drsplat.query.relations import related
+from drsplat.query.relations import gap, related
 from drsplat.query.seen import seen_of_tiles
 from drsplat.query.sheets import attribute_row, object_picture
-from drsplat.query.spatial import gap
 from drsplat.scene.parted import AnyGaussians, middle
 from scenes import look_at_view
 from toy_capture import THINGS

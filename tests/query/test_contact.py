@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drsplat import Gaussians
-from drsplat.query.contact import contacts, rests_on, widest_gap
+from drsplat.query.relations import contacts, rests_on, widest_gap
 
 UP = np.array([0.0, 0, 1])
 THICK = 0.005

@@ -16,8 +16,7 @@ from drsplat.field.codes import Mixture
 from drsplat.field.evidence.evidence import Evidence, MaskIds
 from drsplat.formats.vocabulary import VocabularyEncoder
 from drsplat.photos.models.mini import MiniEncoder
-from drsplat.photos.models.nouns import NOUNS, broad_list
-from drsplat.photos.models.word_list import MAX_TEXTS, list_vectors
+from drsplat.photos.models.word_list import MAX_TEXTS, NOUNS, broad_list, list_vectors
 from drsplat.query.contrast import (
     CLEAR_MARGIN_PER_EFOLD,
     CLEAR_MARGIN_ROWS,

@@ -16,7 +16,7 @@ from drsplat.cli import main
 from drsplat.errors import FormatError
 from drsplat.formats.georeference import NAME, Georeference, write_georeference
 from drsplat.query import Scene, open_scene
-from drsplat.query.geography import earth_document, hull
+from drsplat.query.documents import earth_document, hull
 from drsplat.scene.geodesy import local_offsets
 
 HERE = (8.55, 47.37, 410.0)

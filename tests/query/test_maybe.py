@@ -7,7 +7,7 @@ from test_contrast import World, field_and_truth, relevancies, words_of
 
 from drsplat import Answer, Cut, Query, Scene
 from drsplat.formats.vocabulary import VocabularyEncoder
-from drsplat.photos.models.nouns import broad_list, names_under
+from drsplat.photos.models.word_list import broad_list, names_under
 from drsplat.query.contrast import CLEAR_MARGIN, MAYBE_SPREADS, certainty_of, contrast_of
 from drsplat.query.defaults import MAYBE, NOTHING, SURE
 from drsplat.query.thresholds import PEAK_ROWS

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_allclose
 
-from drsplat.query.packed import Packed
+from drsplat.query.sketch import Packed
 
 
 @pytest.mark.parametrize("dim", [1, 2, 3, 4, 24, 513])

@@ -16,8 +16,8 @@ from drsplat.evaluation.demo import story as household
 from drsplat.query import Cut, Query, Scene, find_scene, open_scene
 from drsplat.query.places import nearest_gaussian
 from drsplat.query.regions import region
+from drsplat.query.relations import gap, stands_on
 from drsplat.query.search import feature_at
-from drsplat.query.spatial import gap, stands_on
 from drsplat.scene.boxes import upward
 from furnished.story import Story
 

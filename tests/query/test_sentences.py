@@ -14,7 +14,7 @@ from drsplat.field.codes import Mixture
 from drsplat.field.evidence.evidence import Evidence, MaskIds
 from drsplat.field.objects.finding import find_objects
 from drsplat.formats.vocabulary import VocabularyEncoder
-from drsplat.photos.models.nouns import broad_list
+from drsplat.photos.models.word_list import broad_list
 from drsplat.query.sentences import Sentence, parsed
 
 WORDS = ("table", "bowl", "apple", "mug", "plate", "lamp", "chair")

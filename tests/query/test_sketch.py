@@ -10,9 +10,7 @@ from safetensors.numpy import load, save
 from catalogued import boxes_of
 from drsplat import Query, Scene, WordEncoder
 from drsplat.errors import FormatError
-from drsplat.query.packed import Packed
-from drsplat.query.sketch import Sketch, sketch_of
-from drsplat.query.sketched import SketchedScene, _Copies
+from drsplat.query.sketch import Packed, Sketch, SketchedScene, _Copies, sketch_of
 from known_objects import known_scene
 
 WORDS = ("red mug", "wooden table", "green plant")

@@ -16,7 +16,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from test_sam import DECODER, IMAGE, IMAGENET, LOOSE, PROMPTS, fill
 
 from drsplat.photos.models.loading import load_encoder
-from drsplat.photos.models.mask_geometry import point_grid
+from drsplat.photos.models.point_masks import point_grid
 from drsplat.photos.models.sam import load_segmenter
 from torchvision_standin import install_where_absent
 

@@ -39,10 +39,10 @@ from drsplat.kernels.cuda import engine as engines
 from drsplat.kernels.cuda import training as there
 from drsplat.kernels.training import Rates
 from drsplat.scene.eight_bits import MAX_ABS_CONSTANT
-from drsplat.training import cuda
-from drsplat.training.checkpoint import load_checkpoint, save_checkpoint
+from drsplat.training import device_run
 from drsplat.training.device_run import DeviceOptimizer, DeviceRun
 from drsplat.training.job import Beginning, Job
+from drsplat.training.keeper import load_checkpoint, save_checkpoint
 from drsplat.training.optimizer import Optimizer
 from drsplat.training.run import Run
 from drsplat.training.start import first_gaussians
@@ -395,7 +395,7 @@ def test_the_whole_of_train(cuda_engine_on_cpu, views, points, tmp_path):
     reports: list[ds.Status] = []
     folder = tmp_path / "model"
     job = Job(views, s, folder, points, save_at=(10,), report=reports.append)
-    training = cuda.train(job, cuda_engine_on_cpu)
+    training = device_run.train(job, cuda_engine_on_cpu)
     assert [status.iteration for status in reports] == list(range(1, 15))
     assert np.mean([status.loss for status in reports[-5:]]) < 0.9 * np.mean([status.loss for status in reports[:5]])
     assert np.isnan(reports[8].psnr)
@@ -443,7 +443,7 @@ def test_full_memory_is_explained(views, points, tmp_path):
             super().launch(kernel, *rest, **more)
 
     with pytest.raises(DrSplatError, match=r"full at 60 Gaussians, in iteration 1.*max_gaussians=N.*3 GiB"):
-        cuda.train(Job(views, BUSY, points=points), Full(compiled()))
+        device_run.train(Job(views, BUSY, points=points), Full(compiled()))
 
 
 def test_a_gpu_without_room_for_the_start_says_so(views, points):
@@ -457,7 +457,7 @@ def test_a_gpu_without_room_for_the_start_says_so(views, points):
     full = CpuEngine(compiled())
     full.xp = Numpy()
     with pytest.raises(DrSplatError, match=r"full at 60 Gaussians, which are sent there: .*max_gaussians=N.*3 GiB"):
-        cuda.train(Job(views, BUSY, points=points), full)
+        device_run.train(Job(views, BUSY, points=points), full)
 
 
 # --- the device that is chosen ---------------------------------------------------------------------
@@ -510,7 +510,7 @@ def test_what_is_absent_is_said_with_the_cure(machine, tmp_path, absent, said):
         lambda: devices.chosen_device("cuda"),
         engines.cuda_engine,
         lambda: ds.train([], None, tmp_path / "model", device="cuda"),
-        lambda: cuda.train(Job([], output_dir=tmp_path / "model")),
+        lambda: device_run.train(Job([], output_dir=tmp_path / "model")),
     ):
         with pytest.raises(MissingExtraError, match=said) as caught:
             use()

@@ -16,14 +16,10 @@ from drsplat.errors import InputError
 from drsplat.scene.lens import undistort_points
 from drsplat.scene.photos import load_image
 from drsplat.training.settings import TrainingSettings
-from drsplat.training.start_points import start_points
-from drsplat.training.triangulation import detecting, filling, triangulate
-from drsplat.training.triangulation.detecting import detect_all
-from drsplat.training.triangulation.keypoints import as_stored, keypoints
-from drsplat.training.triangulation.matching import _nearest, fundamental_matrix
-from drsplat.training.triangulation.meeting import meet
-from drsplat.training.triangulation.pairs import neighbours
-from drsplat.training.triangulation.tracks import Tracks, join
+from drsplat.training.start_points import fill, start_points
+from drsplat.training.triangulation import detecting, triangulate
+from drsplat.training.triangulation.detecting import as_stored, detect_all, keypoints
+from drsplat.training.triangulation.structure import Tracks, _nearest, fundamental_matrix, join, meet, neighbours
 from scenes import look_at_view
 
 ROOM = Path(__file__).parents[2] / "world/scenes/table_1"
@@ -283,7 +279,7 @@ def test_what_another_process_cannot_find_fails_in_this_one(views, monkeypatch, 
 
 def test_random_points_keep_away_from_known_ones():
     views, known = ring(8), np.random.default_rng(0).normal(0, 0.3, (200, 3))
-    drawn = filling.fill(views, known, 3000, np.random.default_rng(0), 3.0)
+    drawn = fill(views, known, 3000, np.random.default_rng(0), 3.0)
     spacing = np.median(cKDTree(known).query(known, k=2)[0][:, 1])
     assert len(drawn) > 1000
     assert cKDTree(known).query(drawn)[0].min() >= spacing

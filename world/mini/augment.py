@@ -5,7 +5,7 @@ from jaxtyping import Bool, UInt8
 from PIL import Image
 from scipy.ndimage import binary_dilation, binary_erosion
 
-from drsplat.photos.models.mini.network import INPUT_SIDE_PIXELS
+from drsplat.photos.models.mini.encoder import INPUT_SIDE_PIXELS
 from drsplat.scene.masks.crops import crop
 from drsplat.scene.masks.masks import tight_box
 

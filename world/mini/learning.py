@@ -14,9 +14,8 @@ import torch
 from safetensors.numpy import save_file
 from torch import nn
 
-from drsplat.photos.models.mini.encoder import DIM
+from drsplat.photos.models.mini.encoder import DIM, STRIDES
 from drsplat.photos.models.mini.lexicon import WORDS
-from drsplat.photos.models.mini.network import STRIDES
 
 from .augment import augmented, repainted
 from .texts import Label, bank, said_of, truth

@@ -24,8 +24,8 @@ from skimage.color import lab2rgb, rgb2lab
 
 from drsplat.photos.models.graph import GraphSegmenter
 from drsplat.photos.models.mini import MiniEncoder
+from drsplat.photos.models.mini.encoder import INPUT_SIDE_PIXELS
 from drsplat.photos.models.mini.lexicon import COLORS
-from drsplat.photos.models.mini.network import INPUT_SIDE_PIXELS
 from drsplat.scene.masks.crops import crop
 
 from .color_names import term_shares

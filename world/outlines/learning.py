@@ -21,7 +21,7 @@ from jaxtyping import UInt8
 from PIL import Image
 from torch import Tensor, nn
 
-from drsplat.photos.models.graph.network import Tensors, shipped_network
+from drsplat.photos.models.graph.segmenter import Tensors, shipped_network
 
 from ..segmenter.scenes import Photo, photos
 from ..segmenter.sight import SightNet, piece, repainted, save_network, touching

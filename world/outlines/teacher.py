@@ -19,7 +19,7 @@ from jaxtyping import Float32, UInt8
 from PIL import Image
 from torch import Tensor
 
-from drsplat.photos.models.graph.regions import working_image
+from drsplat.photos.models.graph.segmenter import working_image
 
 MEAN_BGR = (104.00699, 116.66877, 122.67892)
 CONVOLUTIONS = 2, 2, 3, 3, 3  # of each block

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64
 from scipy.optimize import minimize
 
-from drsplat.photos.models.graph.rule import MergeRule
+from drsplat.photos.models.graph.segmenter import MergeRule
 
 _DECAY = 3e-5
 

@@ -2,7 +2,7 @@
 
 A small U-Net learns, from photos of made rooms, at which pixels things end, and traits: numbers of each pixel that are
 near for two pixels of one thing, near or far in the photo. Hues are turned at random, so that it does not remember the
-paint of the training rooms. Needs PyTorch; what is learned runs on NumPy (`drsplat.photos.models.graph.network`).
+paint of the training rooms. Needs PyTorch; what is learned runs on NumPy (`drsplat.photos.models.graph.segmenter`).
 """
 
 import argparse
@@ -21,7 +21,7 @@ from safetensors.numpy import save_file
 from torch import Tensor, nn
 
 from drsplat.kernels.photo_regions import TRAITS
-from drsplat.photos.models.graph.network import LEVELS
+from drsplat.photos.models.graph.segmenter import LEVELS
 
 from .scenes import Photo, photos
 
@@ -175,7 +175,7 @@ def learned(shown: Sequence[Photo], steps: int) -> SightNet:
 
 
 def save_network(net: SightNet, path: Path) -> None:
-    """As `drsplat.photos.models.graph.network.shipped_network` reads it, in half precision."""
+    """As `drsplat.photos.models.graph.segmenter.shipped_network` reads it, in half precision."""
     named = {"stem": net.stem, "head": net.head}
     for kind, blocks in (("down", net.down), ("up", net.up)):
         for level, block in enumerate(blocks):

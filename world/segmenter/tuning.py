@@ -18,10 +18,17 @@ from jaxtyping import Float64, Int64
 from safetensors.numpy import save_file
 
 from drsplat.kernels.photo_regions import AREA, RegionGraph, lab_colors, region_graph
-from drsplat.photos.models.graph.network import Tensors, look, shipped_network
-from drsplat.photos.models.graph.regions import small_regions, working_image
-from drsplat.photos.models.graph.rule import MergeRule, read_rule
-from drsplat.photos.models.graph.segmenter import GraphSettings, merged
+from drsplat.photos.models.graph.segmenter import (
+    GraphSettings,
+    MergeRule,
+    Tensors,
+    look,
+    merged,
+    read_rule,
+    shipped_network,
+    small_regions,
+    working_image,
+)
 
 from .network import both, first_rule, learn_rule, padded
 from .scenes import Photo, photos, with_smaller
@@ -170,7 +177,7 @@ def main() -> None:
 
 
 def save_rule(rule: MergeRule, path: Path) -> None:
-    """As `drsplat.photos.models.graph.rule.shipped_rule` reads it."""
+    """As `drsplat.photos.models.graph.segmenter.shipped_rule` reads it."""
     save_file({name: array.astype(np.float32) for name, array in vars(rule).items()}, path)
 
 

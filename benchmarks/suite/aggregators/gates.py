@@ -9,8 +9,8 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from drsplat.field.evidence.aggregation.by_view import ViewSums, view_sums
 from drsplat.field.evidence.aggregation.entries import with_weights
+from drsplat.field.evidence.aggregation.voting import ViewSums, view_sums
 from drsplat.field.evidence.evidence import Evidence
 
 

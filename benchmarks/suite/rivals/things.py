@@ -9,7 +9,7 @@ from scipy.sparse import coo_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
 from drsplat.field.evidence.evidence import Evidence
-from drsplat.field.objects.neighbours import neighbours
+from drsplat.field.objects.block_nodes import neighbours
 
 NONE = -1
 Labels = Int64[np.ndarray, " r"]

@@ -39,6 +39,7 @@ from .predictions import (
     TUNED,
     Chooser,
     Manifest,
+    best_sweep,
     columns_of,
     is_sweep,
     mask_path,
@@ -49,7 +50,6 @@ from .predictions import (
     write_mask,
 )
 from .scorers import Scorer
-from .thresholds import best_sweep
 
 PROTOCOL = "lerf-ovs@1"
 SILHOUETTE_ALPHA = 0.7  # of the selected Gaussians, rendered alone

@@ -6,19 +6,22 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from ..base.arrays import Float32
 from ..errors import InputError
 from ..field.codes import Track, untracked
 from ..formats.captures import read_views
 from ..formats.checksums import hash_file
 from ..formats.peer_features import Rows
 from ..query import Scene
+from ..query.thresholds import CUT_SHARE, default_threshold
 from ..scene.encoders import Encoder
 from ..scene.gaussians import Gaussians
 from . import lerf_ovs, scannet_points, scannet_volume, voxel
-from .choosers import automatic_choosers
 from .figures import lerf_figures, scannet_figures
 from .label_sets import LabelSet, label_set
-from .predictions import Chooser
+from .predictions import AUTOMATIC, Chooser
 from .report import RESULTS, Figure, write_report
 from .scannet import ScannetScene, read_nyu40_scene, read_raw_category_scene
 from .scorers import Scorer, cosine_scorer, feature_scorer, relevant
@@ -177,3 +180,18 @@ def _scannet_scene(task: _Task, folder: Path, gaussians: Gaussians) -> ScannetSc
     if task.labels.name == "scannet200":
         return read_raw_category_scene(folder, task.labels, gaussians, task.label_table)
     return read_nyu40_scene(folder, task.labels, gaussians)
+
+
+def automatic_choosers(scorer: Scorer) -> dict[str, tuple[Chooser, str]]:
+    """Return, by column, a function from scores to a threshold, and its description.
+
+    Gaussians without a feature do not count; without any feature, nothing is selected.
+    """
+    least = scorer.least
+    how = "from" if least is None else f"the encoder's {least:g} or {CUT_SHARE:g} of the peak of"
+
+    def chosen(scores: Float32[np.ndarray, " N"]) -> float:
+        finite = scores[np.isfinite(scores)]
+        return default_threshold(finite, least) if len(finite) else float("inf")
+
+    return {AUTOMATIC: (chosen, f"per query, {how} its scores")}

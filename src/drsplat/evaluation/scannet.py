@@ -29,6 +29,7 @@ from .pseudo_labels import LabelledPoints, pseudo_labels
 from .scorers import Scorer, hashed
 
 LABELS = "labels.npy"
+SCORES, ANSWER = "scores", "answer"  # answer: what a class's own threshold is compared with, if not the scores
 ACCURACY_IOUS = (0.15, 0.30, 0.45)
 
 
@@ -127,12 +128,12 @@ def predict_classes(
         higher = compared > best  # false for NaN
         classes[higher], best[higher] = number, compared[higher]
         if keep_scores:
-            write_npy(scores_path(folder, scene.name, number), scores, overwrite=True)
+            write_npy(scores_path(folder, scene.name, SCORES, number), scores, overwrite=True)
             for name, (choose, _) in chosen.items():
                 picked[name][str(number)] = choose(scores)
             if answers is not None:
                 values, threshold = answers(scene.labels.prompts[number - 1])
-                write_npy(answer_path(folder, scene.name, number), values, overwrite=True)
+                write_npy(scores_path(folder, scene.name, ANSWER, number), values, overwrite=True)
                 picked[AUTOMATIC][str(number)] = threshold
     write_npy(place / LABELS, classes, overwrite=True)
     columns = {"argmax": "the class of the highest score; no threshold"}
@@ -149,15 +150,6 @@ def predict_classes(
     Manifest(protocol, scorer.name, scene.name, columns, inputs).write(folder)
 
 
-def scores_path(folder: Path, scene: str, number: int) -> Path:
-    return folder / scene / f"scores_{number:03d}.npy"
-
-
-def answer_path(folder: Path, scene: str, number: int) -> Path:
-    """Return the path of what a class's own threshold is compared with, if that is not the scores."""
-    return folder / scene / f"answer_{number:03d}.npy"
-
-
 def predicted_classes(scene: ScannetScene, folder: Path) -> Int32[np.ndarray, " n"]:
     """Read the classes that `predict_classes` wrote; all 0 where they are missing.
 
@@ -172,20 +164,21 @@ def predicted_classes(scene: ScannetScene, folder: Path) -> Int32[np.ndarray, " 
     return classes.astype(np.int32)
 
 
-def predicted_scores(scene: ScannetScene, folder: Path, number: int) -> Float32[np.ndarray, " n"] | None:
-    scores = read_array(scores_path(folder, scene.name, number), len(scene.gaussians), "f")
+def scores_path(folder: Path, scene: str, kind: str, number: int) -> Path:
+    return folder / scene / f"{kind}_{number:03d}.npy"
+
+
+def predicted_scores(scene: ScannetScene, folder: Path, kind: str, number: int) -> Float32[np.ndarray, " n"] | None:
+    scores = read_array(scores_path(folder, scene.name, kind, number), len(scene.gaussians), "f")
     return None if scores is None else scores.astype(np.float32)
 
 
-def predicted_answers(scene: ScannetScene, folder: Path, number: int) -> Float32[np.ndarray, " n"] | None:
-    values = read_array(answer_path(folder, scene.name, number), len(scene.gaussians), "f")
-    return None if values is None else values.astype(np.float32)
-
-
 def segmentation_record(
-    ious: Float64[np.ndarray, " c"], accuracies: Float64[np.ndarray, " c"], labels: LabelSet
+    predicted: metrics.Labels, truth: metrics.Labels, labels: LabelSet, weights: Float64[np.ndarray, " n"] | None = None
 ) -> dict[str, Any]:
     """Return the means over the classes of the scene, and the numbers of each."""
+    ious = metrics.class_ious(predicted, truth, len(labels), weights)
+    accuracies = metrics.class_accuracies(predicted, truth, len(labels), weights)
     present = ~np.isnan(ious)
     names = [name for name, there in zip(labels.names, present, strict=True) if there]
     return {

@@ -16,7 +16,6 @@ import numpy as np
 
 from ..base.arrays import Int32
 from ..errors import MismatchError
-from . import metrics
 from .predictions import read_manifests
 from .scannet import ScannetScene, over_scenes, predict_classes, predicted_classes, segmentation_record
 
@@ -66,7 +65,5 @@ def frozen_truth(scene: ScannetScene) -> Int32[np.ndarray, " n"]:
 
 
 def _record(scene: ScannetScene, folder: Path) -> dict[str, Any]:
-    truth, predicted, count = frozen_truth(scene), predicted_classes(scene, folder), len(scene.labels)
-    return segmentation_record(
-        metrics.class_ious(predicted, truth, count), metrics.class_accuracies(predicted, truth, count), scene.labels
-    )
+    truth = frozen_truth(scene)
+    return segmentation_record(predicted_classes(scene, folder), truth, scene.labels)

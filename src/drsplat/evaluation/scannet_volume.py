@@ -17,18 +17,18 @@ import numpy as np
 
 from ..errors import MismatchError
 from . import metrics
-from .predictions import AUTOMATIC, FIXED, TUNED, Manifest, is_sweep, read_manifests
+from .predictions import AUTOMATIC, FIXED, TUNED, Manifest, best_sweep, is_sweep, read_manifests, sweep_weighted_ious
 from .scannet import (
     ACCURACY_IOUS,
+    ANSWER,
+    SCORES,
     ScannetScene,
     over_scenes,
     predict_classes,
-    predicted_answers,
     predicted_classes,
     predicted_scores,
     segmentation_record,
 )
-from .thresholds import best_sweep, sweep_weighted_ious
 
 PROTOCOL = "scannet-volume@1"
 
@@ -65,13 +65,8 @@ def score(scenes: Sequence[ScannetScene], folder: Path) -> dict[str, Any]:
 
 def segmentation(scene: ScannetScene, folder: Path, *, weighted: bool = True) -> dict[str, Any]:
     """Score the segmentation by Eq. 3; if not weighted, every Gaussian counts alike (the left of Fig. S3)."""
-    predicted, truth, count = predicted_classes(scene, folder), scene.pseudo_labels, len(scene.labels)
     weights = scene.significance if weighted else None
-    return segmentation_record(
-        metrics.class_ious(predicted, truth, count, weights),
-        metrics.class_accuracies(predicted, truth, count, weights),
-        scene.labels,
-    )
+    return segmentation_record(predicted_classes(scene, folder), scene.pseudo_labels, scene.labels, weights)
 
 
 def _class_ious_by_column(scene: ScannetScene, manifest: Manifest, folder: Path) -> dict[str, dict[str, float]]:
@@ -81,13 +76,13 @@ def _class_ious_by_column(scene: ScannetScene, manifest: Manifest, folder: Path)
     thresholds = manifest.inputs.get("thresholds", {})
     ious_by_column: dict[str, dict[str, float]] = {column: {} for column in manifest.columns}
     for number in np.unique(truth[counted]).tolist():
-        name, scores = scene.labels.names[number - 1], predicted_scores(scene, folder, number)
+        name, scores = scene.labels.names[number - 1], predicted_scores(scene, folder, SCORES, number)
         at = [_threshold(thresholds, column, number) for column in manifest.columns]
         ious = np.zeros(len(at))
         if scores is not None:
             is_class = truth[counted] == number
             ious = sweep_weighted_ious(scores[counted], is_class, weights, at)
-            values = predicted_answers(scene, folder, number)
+            values = predicted_scores(scene, folder, ANSWER, number)
             if AUTOMATIC in ious_by_column and values is not None:
                 own = list(manifest.columns).index(AUTOMATIC)
                 cut = sweep_weighted_ious(values[counted], is_class, weights, [at[own]])

@@ -123,19 +123,15 @@ def score(
 
 def voxel_record(scene: ScannetScene, folder: Path, *, side: float = VOXEL_SIDE, threads: int = 0) -> dict[str, Any]:
     """Return IoU and accuracy of the classes of one scene, in voxels."""
-    predictions, truth, count = predicted_classes(scene, folder), scene.pseudo_labels, len(scene.labels)
+    predictions, truth = predicted_classes(scene, folder), scene.pseudo_labels
     labelled = np.flatnonzero(truth > 0)
     grid = grid_over(scene.points.positions, side)
     labellings = [truth[labelled], predictions[labelled]]
-    true, predicted = voxel_labels(scene.gaussians.subset(labelled), labellings, count + 1, grid, threads=threads)
+    true, predicted = voxel_labels(
+        scene.gaussians.subset(labelled), labellings, len(scene.labels) + 1, grid, threads=threads
+    )
     filled = true >= 0
-    predicted, true = predicted[filled], true[filled]
-    return {
-        **segmentation_record(
-            metrics.class_ious(predicted, true, count), metrics.class_accuracies(predicted, true, count), scene.labels
-        ),
-        "voxels": int(filled.sum()),
-    }
+    return {**segmentation_record(predicted[filled], true[filled], scene.labels), "voxels": int(filled.sum())}
 
 
 def study(compared: Sequence[Mapping[str, Any]]) -> dict[str, Any]:

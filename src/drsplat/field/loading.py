@@ -1,13 +1,17 @@
-"""Fields from disk: believed only as far as their files agree."""
+"""Fields from disk: believed only as far as their files agree.
+
+What a file holds is compared with its checksums when it is first used: comparing all at once would cost several times
+what loading costs, and most of it is often not used. See docs/formats.md, Checksums.
+"""
 
 import os
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float64
 from ..errors import FormatError, InputError, MismatchError
 from ..formats.checksums import DOCUMENT, check_checksums, check_document, check_seal
 from ..formats.field_folder import MANIFEST, read_manifest
@@ -35,7 +39,6 @@ from .language_field import (
     Negatives,
     WordList,
 )
-from .stored import StoredField
 
 FIRST_SEALED_VERSION = 3  # the first with checksums
 
@@ -46,6 +49,48 @@ CURE = "Restore the field from a copy, or register again"
 _Tensors = dict[str, np.ndarray]
 _ARRAYS = {"gaussian_ids": ("uint32", "r"), "coarse_ids": ("uint16", "r"), "inverse_norms": ("float32", "r")}
 _OLD_CODES, _GROUPED_CODES = {"codes": ("uint8", "r L")}, {"grouped_codes": ("uint8", "g L k")}
+
+
+def _guarded(name: str, file: str) -> property:
+    def value(self: "StoredField") -> object:
+        self._compare(file)
+        return self.__dict__[name]
+
+    def keep(self: "StoredField", value: object) -> None:
+        self.__dict__[name] = value
+
+    return property(value, keep)
+
+
+class StoredField(LanguageField):
+    """A field whose arrays are maps of files. Made by `load_field`.
+
+    Attributes raise a FormatError where their file is damaged.
+    """
+
+    gaussian_ids = _guarded("gaussian_ids", CODES)  # type: ignore[assignment]
+    code = _guarded("code", CODES)  # type: ignore[assignment]
+    evidence = _guarded("evidence", EVIDENCE)  # type: ignore[assignment]
+    negatives = _guarded("negatives", NEGATIVES)  # type: ignore[assignment]
+    contrast = _guarded("contrast", CONTRAST)  # type: ignore[assignment]
+    objects = _guarded("objects", OBJECTS)  # type: ignore[assignment]  # read as a whole when first used
+    growth = _guarded("growth", GROWTH)  # type: ignore[assignment]  # so is this
+
+    def compared_by(self, checks: Mapping[str, Callable[["StoredField"], None]]) -> "StoredField":
+        """Return this field with checks to run once, before a file's arrays are used."""
+        self.__dict__["_checks"] = dict(checks)
+        return self
+
+    def verify(self) -> None:
+        """See LanguageField."""
+        for file in tuple(self.__dict__.get("_checks", ())):
+            self._compare(file)
+
+    def _compare(self, file: str) -> None:
+        checks = self.__dict__.get("_checks", {})
+        if file in checks:
+            checks[file](self)
+            checks.pop(file, None)
 
 
 def load_field(path: str | os.PathLike[str], *, search_device: str = "cpu") -> LanguageField:
@@ -66,7 +111,7 @@ def load_field(path: str | os.PathLike[str], *, search_device: str = "cpu") -> L
         raise FormatError(f"{path}: expected the scene's fingerprint and its number of Gaussians")
     tensors = files[CODES].tensors
     code = _searched_on(_code(tensors, manifest, path), search_device)
-    evidence = _evidence(files.get(EVIDENCE))
+    evidence, up = _evidence(files.get(EVIDENCE)), manifest.get("up")
     try:
         field = StoredField(
             tensors["gaussian_ids"],
@@ -78,7 +123,7 @@ def load_field(path: str | os.PathLike[str], *, search_device: str = "cpu") -> L
             _negatives(files.get(NEGATIVES), manifest, code.dim),
             record_from_json(manifest.get("aggregator"), str(path)),
             _contrast(files.get(CONTRAST), manifest, code.dim),
-            _up(manifest.get("up"), path),
+            None if up is None else as_vector(up, 3, f"{path}: up"),  # older versions have none
             _left_out(manifest.get("left_out", []), path),
         )
     except InputError as error:
@@ -150,11 +195,6 @@ def _compare(file: _File, evidence: Evidence | None, _: StoredField | None = Non
         raise FormatError(f"{error}. {CURE}") from error
     except InputError as error:
         raise FormatError(f"{file.path}: {error}. {CURE}") from error
-
-
-def _up(document: object, path: Path) -> Float64[np.ndarray, " 3"] | None:
-    """Return the upward direction; fields of older versions have none."""
-    return None if document is None else as_vector(document, 3, f"{path}: up")
 
 
 def _left_out(document: object, path: Path) -> tuple[str, ...]:

@@ -10,8 +10,7 @@ from ..base.arrays import Bool, Float32, UInt8
 from ..errors import InputError
 from ..field import LanguageField, Negatives, relevancy_from_scores
 from ..kernels.algebra import row_products
-from ..photos.models.nouns import names_under
-from ..photos.models.word_list import list_vectors, listed_words, rival_vectors
+from ..photos.models.word_list import list_vectors, listed_words, names_under, rival_vectors
 from ..scene.encoders import Encoder, ImageEncoder
 from ..scene.masks.crops import crop
 from .answer import Answer

@@ -78,16 +78,18 @@ def find_scene(folder: str | PathLike[str]) -> SceneFiles:
         scenes.append(folder)
     edited = {path.name.removesuffix(EDITS_ENDING) for path in entries if path.name.endswith(EDITS_ENDING)}
     # what was saved of a scene lies beside it with the same rows
-    scenes.sort(key=lambda path: (path.stem not in edited, path.suffix.lower() in COPY_ENDINGS, _is_edited(path)))
+    scenes.sort(
+        key=lambda path: (
+            path.stem not in edited,
+            path.suffix.lower() in COPY_ENDINGS,
+            path.is_file() and was_edited(path),
+        )
+    )
     if not scenes:
         kinds = f"{', '.join(SCENE_SUFFIXES)}, a folder NAME.motion, one of numbered PLY files, or one of tiles"
         raise InputError(f"{folder}: expected a scene ({kinds}) beside the field")
     has_capture = any((folder / camera).exists() for camera in CAMERA_FILES)
     return SceneFiles(name, fields[0], tuple(scenes), folder if has_capture else None)
-
-
-def _is_edited(path: Path) -> bool:
-    return path.is_file() and was_edited(path)
 
 
 def _is_folder_of_a_scene(path: Path) -> bool:

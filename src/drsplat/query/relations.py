@@ -1,19 +1,30 @@
 """How objects lie to each other: on, in, next to, above, under, between; by boxes and contact, without words for them.
 
 Defined in docs/objects.md. Functions of Gaussians, matches and the direction that is up.
+
+Boxes overlap, or hover by the thickness of a splat, and photos see little of what lies under a thing. Both say little
+of whether it stands there; Gaussians beside its foot do: one thing rests on another whose Gaussians its lower ones
+touch, around or under its middle. Defined in docs/objects.md.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from ..base.arrays import Float64
+from ..base.arrays import Float64, Integer
 from ..errors import InputError
+from ..scene.boxes import solid
 from ..scene.parted import AnyGaussians
 from ..scene.views import View
 from .answer import Match
-from .spatial import gap, is_over, solid_centers, stands_on
+from .query import Query
+
+if TYPE_CHECKING:
+    from .scene import Scene
 
 Relation = Literal["on", "in", "next_to", "above", "under", "between"]
 RELATIONS: tuple[Relation, ...] = get_args(Relation)
@@ -27,6 +38,17 @@ NUM_SECTORS, MIN_WALLED_SECTORS = 16, 12  # around an object; with a wall of wha
 MIN_OVER = 8  # Gaussians of what a thing is under, above its middle half
 MIN_COMMON_HEIGHT_SHARE = 0.1  # of the lower of two objects next to each other
 _Holds = Callable[[AnyGaussians, Match, Match, Up], bool]
+MAX_OVERHANG_SHARE = 0.05  # of a thing's size, that its middle may stand out of what it is over
+FOOT_SHARE = 0.1  # of a thing's height above its lower side: what can touch
+TOUCHING_DEVIATIONS = 2.0  # of two Gaussians, towards each other
+NUM_NEIGHBOURS = 8
+SPACING_NEIGHBOUR = 3  # whose median distance is the typical spacing
+MIN_TOUCHING_SHARE = 0.1  # of the foot's Gaussians
+MAX_ENCLOSED_GAP_RADIANS = np.pi  # without contact around what cannot fall off
+MAX_ONE_SIDED_GAP_RADIANS = 4 / 3 * np.pi  # the same where only the foot touches: photos see one side of a shelf
+
+Points = Float64[np.ndarray, "_ 3"]
+Ids = Integer[np.ndarray, " _"]
 
 
 def related(
@@ -150,6 +172,131 @@ def _same(one: Match, other: Match) -> bool:
         return True
     common = np.isin(one.gaussian_ids, other.gaussian_ids, assume_unique=True).sum()
     return bool(common > 0.5 * min(len(one), len(other)))
+
+
+def gap(gaussians: AnyGaussians, one: Match, other: Match) -> float:
+    """Return the distance between the nearest solid Gaussians of two things, centre to centre, in scene units."""
+    first, second = solid_centers(gaussians, one), solid_centers(gaussians, other)
+    small, large = (first, second) if len(first) < len(second) else (second, first)
+    return float(cKDTree(large).query(small)[0].min())
+
+
+def standing_on(scene: Scene, matches: Sequence[Match], query: Query | str) -> list[Match]:
+    """Return the matches that stand on a sure match of a query.
+
+    Raises: InputError: nothing is called so, or the photos do not tell which way is up.
+    """
+    supports = [one for one in scene.locate(query) if one.sure]
+    if not supports:
+        text = query if isinstance(query, str) else query.text or ""
+        raise InputError(f"no match for '{text[:60]}', so nothing can stand on it")
+    gaussians, up = scene.rows, scene.up
+    if up is None:
+        raise InputError("the photos of this scene do not tell which way is up: query without 'on'")
+    return [one for one in matches if any(stands_on(gaussians, one, support, up) for support in supports)]
+
+
+def stands_on(gaussians: AnyGaussians, thing: Match, support: Match, up: Float64[np.ndarray, " 3"]) -> bool:
+    """Return whether a thing rests on another one, by contact of their Gaussians; see `contact.rests_on`."""
+    return rests_on(gaussians, thing.gaussian_ids, support.gaussian_ids, up)
+
+
+def is_over(
+    above: Float64[np.ndarray, "m 3"], below: Float64[np.ndarray, "n 3"], up: Float64[np.ndarray, " 3"]
+) -> bool:
+    """Return True if the middle of some points is over others, seen from above: within a twentieth of their size."""
+    flat = np.eye(3) - np.outer(up, up)
+    size = float(np.linalg.norm(np.ptp(below @ flat, axis=0)))
+    distance = cKDTree(below @ flat).query(above.mean(0) @ flat)[0]
+    return bool(distance <= MAX_OVERHANG_SHARE * size)
+
+
+def solid_centers(gaussians: AnyGaussians, thing: Match) -> Float64[np.ndarray, "n 3"]:
+    """Return the centres of what can be seen of a thing."""
+    return gaussians.shapes_of(solid(gaussians, thing.gaussian_ids)).positions
+
+
+def rests_on(gaussians: AnyGaussians, thing: Ids, support: Ids, up: Up) -> bool:
+    """Return whether some Gaussians rest on others, by contact.
+
+    Args:
+        gaussians: the scene.
+        thing: rows of what may rest; those that can be seen count, here and of the support.
+        support: rows of what it may rest on; those that it shares do not count, so that nothing is on itself.
+        up: the unit direction that is up.
+    """
+    own = solid(gaussians, thing)
+    heights, others = _centers(gaussians, own) @ up, solid(gaussians, np.setdiff1d(support, thing))
+    low, high = np.quantile(heights, (0.02, 0.98))
+    ankle = low + FOOT_SHARE * (high - low)
+    foot, rest = own[heights <= ankle], own[heights > ankle]
+    touching, touched = contacts(gaussians, own, foot, others)
+    if len(touching) < max(MIN_TOUCHING_SHARE * len(foot), 1):
+        return False
+    places = _centers(gaussians, touched)
+    if heights.mean() <= (places @ up).mean():
+        return False
+    gap = widest_gap(places, _centers(gaussians, foot).mean(axis=0), up)
+    if MAX_ENCLOSED_GAP_RADIANS < gap <= MAX_ONE_SIDED_GAP_RADIANS:
+        beside = contacts(gaussians, own, rest, others)[1]
+        return not len(beside) or bool((_centers(gaussians, beside) @ up).mean() <= ankle)
+    return gap <= MAX_ENCLOSED_GAP_RADIANS
+
+
+def contacts(gaussians: AnyGaussians, thing: Ids, part: Ids, others: Ids) -> tuple[Ids, Ids]:
+    """Return those rows of a part of a thing that touch others, and those of the others that they touch, each once.
+
+    Two touch where their centres are no further apart than two standard deviations of both, along the line between
+    them, and the mean of the typical spacings of the thing and of the others there. Of each, the eight nearest others
+    are looked at. Things of so few Gaussians that they have no spacing touch nothing.
+    """
+    others = _near(gaussians, part, others)
+    if min(len(others), len(thing)) <= SPACING_NEIGHBOUR or not len(part):
+        return part[:0], others[:0]
+    here, there = (_centers(gaussians, ids) for ids in (part, others))
+    spacing = (_spacing(_centers(gaussians, thing)) + _spacing(there)) / 2
+    distances, nearest = cKDTree(there).query(here, np.arange(1, min(NUM_NEIGHBOURS, len(others)) + 1))
+    first, second = np.repeat(part, nearest.shape[1]), others[nearest.ravel()]
+    along = there[nearest.ravel()] - np.repeat(here, nearest.shape[1], axis=0)
+    along /= np.maximum(np.linalg.norm(along, axis=1), 1e-300)[:, None]
+    deviations = _deviations(gaussians, first, along) + _deviations(gaussians, second, along)
+    touch = distances.ravel() <= TOUCHING_DEVIATIONS * deviations + spacing
+    return np.unique(first[touch]), np.unique(second[touch])
+
+
+def _near(gaussians: AnyGaussians, part: Ids, others: Ids) -> Ids:
+    """Return the others in the box of a part of a thing, widened by half of its diagonal."""
+    here, there = (_centers(gaussians, ids) for ids in (part, others))
+    if not len(here):
+        return others[:0]
+    low, high = here.min(axis=0), here.max(axis=0)
+    margin = float(np.linalg.norm(high - low)) / 2
+    return np.asarray(others[((there >= low - margin) & (there <= high + margin)).all(axis=1)])
+
+
+def widest_gap(places: Points, middle: Up, up: Up) -> float:
+    """Return the widest angle, seen from above, in which none of some places lies around a middle, in radians."""
+    east = np.cross(up, np.eye(3)[np.abs(up).argmin()])
+    offsets = places - middle
+    angles = np.sort(np.arctan2(offsets @ np.cross(up, east), offsets @ east))
+    return float(np.diff(np.append(angles, angles[0] + 2 * np.pi)).max())
+
+
+def _centers(gaussians: AnyGaussians, ids: Ids) -> Points:
+    return gaussians.shapes_of(ids).positions
+
+
+def _spacing(points: Points) -> float:
+    """Return the typical distance to a near neighbour."""
+    return float(np.median(cKDTree(points).query(points, SPACING_NEIGHBOUR + 1)[0][:, -1]))
+
+
+def _deviations(gaussians: AnyGaussians, ids: Ids, directions: Points) -> Float64[np.ndarray, " _"]:
+    """Return the standard deviation of each Gaussian along a unit direction of its own."""
+    covariances = gaussians.shapes_of(ids).covariances().astype(np.float64)
+    a, b = np.triu_indices(3)
+    factors = np.where(a == b, 1.0, 2.0) * directions[:, a] * directions[:, b]
+    return np.asarray(np.sqrt(np.maximum((covariances * factors).sum(axis=1), 0)))
 
 
 _HOLDS: dict[Relation, _Holds] = {

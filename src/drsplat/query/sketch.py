@@ -1,23 +1,30 @@
 """A scene in few vectors: enough for its own rules to tell, nearly as its field does, which objects it answers with."""
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from ..base.arrays import Float32, Int32, Int64, Integer
+from ..base.arrays import Bool, Float32, Int8, Int32, Int64, Integer, UInt8
 from ..errors import FormatError
 from ..field import LanguageField
+from ..field.codes.code import Best, Hits
 from ..field.codes.mixture.scene_atoms import spherical_kmeans
+from ..field.labels import same_name
 from ..kernels.mixture import nearest_centres
+from ..photos.models.word_list import list_vectors
 from ..scene.boxes import HAZE_OPACITY
-from .contrast import usual_pictures
+from ..scene.encoders import Encoder, EncoderIdentity
+from .contrast import Contrast, contrast_of, usual_pictures
+from .defaults import MIN_GAUSSIANS, RELEVANCY
+from .measuring import Background, Measuring
 from .objects import objects_of
-from .packed import Packed
+from .query import Query
 from .scene import Scene
 from .thresholds import PEAK_ROWS
+from .wholes import with_objects
 
 MAX_VECTORS_OF_OBJECT, MAX_LOOSE_VECTORS = 4, 32  # loose: for all Gaussians that belong to no object
 MIN_ROWS_PER_VECTOR = 16  # that it is the mean of
@@ -26,6 +33,78 @@ MAX_PICTURES = 128
 MAX_ROWS = 20_000  # that all vectors together stand for; large scenes are thinned
 SEED = 0
 VECTORS, NUMBERS = ("features", "pictures", "words"), ("counts", "numbers", "solid")
+LARGEST = 31  # of the numbers
+RELEVANCY_ERROR = 0.02  # that values of a sketch are off by: what lies nearer to the threshold is left out
+
+
+@dataclass(frozen=True, eq=False)
+class Packed:
+    """Vectors whose numbers are whole numbers from -31 to 31, times a step for each of the D dimensions.
+
+    data: the numbers plus 31. Those of three quarters of a vector are the low six bits of a byte each; those of the
+    last quarter lie in the high bits, the lowest two in the first quarter. So whole runs of bytes are unpacked at once.
+    """
+
+    data: UInt8[np.ndarray, "p b"]
+    steps: Float32[np.ndarray, " D"]
+
+    @classmethod
+    def checked(cls, data: np.ndarray, steps: np.ndarray, dim: int) -> "Packed":
+        """Return vectors that come from a file. Raises: ValueError: other shapes or steps than they have."""
+        expected = 3 * _quarter(dim)
+        if data.dtype != np.uint8 or data.shape[1:] != (expected,):
+            raise ValueError(f"expected vectors of {expected} bytes, got {data.dtype} {data.shape}")
+        if steps.dtype != np.float32 or steps.shape != (dim,) or not ((steps >= 0) & (steps <= 1)).all():
+            raise ValueError(f"expected {dim} steps between 0 and 1")
+        return cls(data, steps)
+
+    @classmethod
+    def none(cls, dim: int) -> "Packed":
+        return cls(np.empty((0, 3 * _quarter(dim)), np.uint8), np.ones(dim, np.float32))
+
+    @classmethod
+    def of(cls, vectors: Float32[np.ndarray, "p D"]) -> "Packed":
+        """Return vectors rounded, the largest number of each dimension 31 or -31."""
+        steps = np.maximum(np.abs(vectors).max(axis=0, initial=0) / LARGEST, 1e-12).astype(np.float32)
+        return cls(_packed(np.round(vectors / steps).astype(np.int8)), steps)
+
+    def __len__(self) -> int:
+        return len(self.data)
+
+    @property
+    def dim(self) -> int:
+        return len(self.steps)
+
+    @property
+    def vectors(self) -> Float32[np.ndarray, "p D"]:
+        return np.asarray(_unpacked(self.data, self.dim) * self.steps, np.float32)
+
+    def products(self, queries: Float32[np.ndarray, "q D"]) -> Float32[np.ndarray, "q p"]:
+        """Return the vectors' inner products with queries, without unpacking them."""
+        weights = np.zeros((len(queries), 4 * _quarter(self.dim)), np.float32)
+        weights[:, : self.dim] = queries * self.steps
+        low, last = weights[:, : -_quarter(self.dim)], weights[:, -_quarter(self.dim) :]
+        high = np.concatenate([last, 4 * last, 16 * last], axis=1)
+        # Not by BLAS, whose threads would spin for longer than so few products take.
+        sums = np.einsum("qb,pb->qp", low, (self.data & 63).astype(np.float32))
+        sums += np.einsum("qb,pb->qp", high, (self.data >> 6).astype(np.float32))
+        return np.asarray(sums - LARGEST * weights.sum(axis=1, keepdims=True), np.float32)
+
+
+def _quarter(dim: int) -> int:
+    return -(-dim // 4)
+
+
+def _packed(numbers: Int8[np.ndarray, "p D"]) -> UInt8[np.ndarray, "p b"]:
+    padded = np.pad(numbers + LARGEST, ((0, 0), (0, -numbers.shape[1] % 4))).astype(np.uint8)
+    a, b, c, last = np.split(padded, 4, axis=1)
+    return np.concatenate([a | last << 6, b | last >> 2 << 6, c | last >> 4 << 6], axis=1)
+
+
+def _unpacked(data: UInt8[np.ndarray, "p b"], dim: int) -> Int8[np.ndarray, "p D"]:
+    low, mid, high = np.split(data >> 6, 3, axis=1)
+    numbers = np.concatenate([data & 63, low | mid << 2 | high << 4], axis=1)[:, :dim]
+    return numbers.view(np.int8) - np.int8(LARGEST)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,3 +236,131 @@ def _check(
     is_known = numbers.min(initial=-1) >= -1 and numbers.max(initial=-1) < len(solid)
     if not is_known or not all(0 <= number < len(solid) for number in labels):
         raise FormatError(f"a sketch of a scene with an object that is not among its {len(solid)}")
+
+
+@dataclass(frozen=True, eq=False)
+class _Copies:
+    """A code whose rows are copies of a few vectors."""
+
+    packed: Packed
+    of_row: Int32[np.ndarray, " n"]
+    kind = "copies"
+
+    @property
+    def dim(self) -> int:
+        return self.packed.dim
+
+    @property
+    def nbytes(self) -> int:
+        return self.of_row.nbytes
+
+    def __len__(self) -> int:
+        return len(self.of_row)
+
+    def scores(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Float32[np.ndarray, "q n"]:
+        return np.asarray(self.packed.products(queries)[:, self.of_row])
+
+    def select(
+        self, query: Float32[np.ndarray, " D"], threshold: float, floor: Float32[np.ndarray, " n"] | None = None,
+        *, threads: int = 0,
+    ) -> Hits:  # fmt: skip
+        scores = self.scores(query[None])[0]
+        (rows,) = np.nonzero(scores - (0 if floor is None else floor) > threshold)
+        return Hits(rows, scores[rows])
+
+    def top(self, query: Float32[np.ndarray, " D"], count: int, *, threads: int = 0) -> Hits:
+        scores = self.scores(query[None])[0]
+        rows = np.argsort(-scores, kind="stable")[:count]
+        return Hits(rows, scores[rows])
+
+    def best(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Best:
+        scores = self.packed.products(queries)
+        order = np.sort(np.concatenate([np.full_like(scores[:1], -np.inf), scores]), axis=0)
+        index = scores.argmax(axis=0).astype(np.int32)
+        return Best(index[self.of_row], order[-1][self.of_row], order[-2][self.of_row])
+
+    def decode(self, rows: Integer[np.ndarray, " b"]) -> Float32[np.ndarray, "b D"]:
+        return np.asarray(self.packed.vectors[self.of_row[rows]])
+
+    def rows(self, index: Integer[np.ndarray, " b"]) -> "_Copies":
+        return _Copies(self.packed, self.of_row[index])
+
+    def run(self, begin: int, end: int) -> "_Copies":
+        return _Copies(self.packed, self.of_row[begin:end])
+
+    def tensors(self) -> dict[str, np.ndarray]:
+        return {"data": self.packed.data, "steps": self.packed.steps, "of_row": self.of_row}
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Sketched(Background):
+    """A background that does once for each vector of the sketch what others do for each Gaussian."""
+
+    sketch: Sketch
+
+    def by_object(self, field: LanguageField, values: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
+        """Return values as whole objects have them if the field is `field`, and themselves if it is `plain`."""
+        if field is not self.field:
+            return values
+        counts, numbers = self.sketch.counts, self.sketch.numbers
+        no_pieces = np.full(len(numbers), -1, np.int32)
+        return np.repeat(with_objects(values[self.sketch.firsts], numbers, no_pieces, counts), counts)
+
+    @cached_property
+    def contrast(self) -> Contrast | None:
+        vectors = list_vectors(self.encoder)
+        return self._of_list(vectors) if len(vectors) else None
+
+    @cached_property
+    def kept_contrast(self) -> Contrast | None:
+        kept = self.field.contrast
+        return None if kept is None else self._of_list(kept.embeddings)
+
+    def contrast_of_kind(self, vectors: Float32[np.ndarray, "n D"]) -> Contrast:
+        return self._of_list(vectors, of_kind=True)
+
+    def _of_list(self, words: Float32[np.ndarray, "n D"], *, of_kind: bool = False) -> Contrast:
+        sketch = self.sketch
+        known = contrast_of(sketch.features.vectors, words, pictures=unit(sketch.pictures), of_kind=of_kind)
+        return replace(known, counts=sketch.counts)
+
+
+class SketchedScene:
+    """A sketch that is asked, with a scene's own rules.
+
+    Args: source: makes the encoder of queries.
+    """
+
+    def __init__(self, sketch: Sketch, encoder: EncoderIdentity, source: Callable[[], Encoder]) -> None:
+        self._sketch = sketch
+        self._background = _Sketched(_field_of(sketch, encoder), source, threads=1, sketch=sketch)
+
+    def answers(self, query: Query) -> Bool[np.ndarray, " o"]:
+        """Return for each object whether the scene answers a text, a vector or a picture with it.
+
+        Raises: as `Scene.ask`.
+        """
+        sketch, result = self._sketch, np.zeros(len(self._sketch.solid), np.bool_)
+        if query.text is not None and query.is_default and not query.exclude:
+            named = [number for number, label in sketch.labels.items() if same_name(label, query.text)]
+            if named:
+                result[named] = True
+                return result
+        answer = Measuring(self._background, query, query.exclude).of(query).without_maybe()
+        least = answer.threshold + (RELEVANCY_ERROR if answer.measure == RELEVANCY else 0.0)
+        numbers = sketch.numbers[answer.values[sketch.firsts] > least]
+        result[numbers[numbers >= 0]] = True
+        return result & (sketch.solid >= MIN_GAUSSIANS)
+
+
+def _field_of(sketch: Sketch, encoder: EncoderIdentity) -> LanguageField:
+    """Return a field with copies of the sketch's vectors as its features; of its objects the sketch tells."""
+    of_row = np.repeat(np.arange(len(sketch.counts), dtype=np.int32), sketch.counts)
+    field = LanguageField(
+        np.arange(len(of_row), dtype=np.uint32),
+        _Copies(sketch.features, of_row),
+        encoder,
+        scene="",
+        num_gaussians=len(of_row),
+    )
+    return field.with_contrast(unit(sketch.words), ("",) * len(sketch.words)) if len(sketch.words) else field

@@ -12,7 +12,7 @@ from ..base.arrays import Bool, Float64
 from ..errors import InputError
 from ..field import LanguageField
 from ..field.objects.describing import objects_during
-from ..field.spans import field_during
+from ..field.regrowing import field_during
 from ..formats.tiles import Tiles
 from ..kernels.boxes import box_of
 from ..scene.boxes import HAZE_OPACITY, solid

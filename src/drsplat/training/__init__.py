@@ -5,10 +5,8 @@ Begin with `loop` and `run`.
 Imports `scene`, `formats`, `kernels` and `drawing`.
 """
 
-from .devices import train
-from .everyday import everyday
-from .job import Status
-from .result import Training
+from .devices import everyday, train
+from .job import Status, Training
 from .settings import TrainingSettings
 
 __all__ = ["Status", "Training", "TrainingSettings", "everyday", "train"]

@@ -13,8 +13,8 @@ from ..base.arrays import Anywhere, Bool, Float32, Integer
 from ..formats.activation import sigmoid
 from ..kernels.cuda.places import on_host, placed
 from ..kernels.training import SceneParameters
+from ..scene.rotations import rotation_rows
 from .optimizer import Optimizer, Slopes
-from .rotations import rotated
 from .schedules import refines, resets_opacity
 from .settings import TrainingSettings
 
@@ -141,3 +141,27 @@ def _largest(values: Float32[Anywhere, " n"], count: int) -> Bool[Anywhere, " n"
     order: Integer[Anywhere, " n"] = np.argsort(-values, kind="stable")
     marked[order[: max(count, 0)]] = True
     return marked
+
+
+def unit(quats: Float32[Anywhere, "n 4"]) -> Float32[Anywhere, "n 4"]:
+    w, x, y, z = quats.T
+    unit: Anywhere = quats / np.sqrt(w * w + x * x + y * y + z * z)[:, None]
+    return unit
+
+
+def rotated(quats: Float32[Anywhere, "n 4"], vectors: Float32[Anywhere, "n 3"]) -> Float32[Anywhere, "n 3"]:
+    """Rotate vectors from the local axes of each row to the world."""
+    x, y, z = vectors.T
+    turned: Anywhere = np.stack([a * x + b * y + c * z for a, b, c in rotation_rows(unit(quats).T)], -1)
+    return turned
+
+
+def spread(
+    quats: Float32[Anywhere, "n 4"], scales: Float32[Anywhere, "n 3"], vectors: Float32[Anywhere, "n 3"]
+) -> Float32[Anywhere, "n 3"]:
+    """Return the covariance times vector: R S S^T R^T v."""
+    rows = rotation_rows(unit(quats).T)
+    x, y, z = vectors.T
+    local = [(rows[0][k] * x + rows[1][k] * y + rows[2][k] * z) * scales[:, k] ** 2 for k in range(3)]
+    world: Anywhere = np.stack([a * local[0] + b * local[1] + c * local[2] for a, b, c in rows], -1)
+    return world

@@ -2,14 +2,15 @@
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, cast
 
 import numpy as np
 
 from ..base.arrays import Anywhere
-from ..kernels.cuda.engine import Engine, memory_explained
+from ..kernels.cuda.engine import Engine, cuda_engine, memory_explained
 from ..kernels.cuda.places import on_host
 from ..kernels.cuda.training import (
     DeviceGradients,
@@ -24,7 +25,9 @@ from ..kernels.cuda.training import (
 )
 from ..kernels.training import Rates, SceneParameters
 from ..scene.views import View
-from .job import Beginning
+from .job import Beginning, Job, Training
+from .keeper import Keeper
+from .loop import optimise, trained
 from .optimizer import Optimizer, Slopes
 from .run import Outcome, Run
 from .schedules import active_sh_degree
@@ -153,3 +156,24 @@ def _psnr(xp: Any, image: Any, photo: DevicePhoto) -> float:
     if photo.unused is not None:
         error = error[photo.unused == 0]
     return min(-10 * math.log10(max(float(error.mean()), 1e-30)), 99.0)
+
+
+def train(job: Job, engine: Engine | None = None) -> Training:
+    """Train on the device, see `loop.train`: start, photos, schedules, density control and files are those of the CPU.
+
+    Held-out photos are rendered by the CPU's kernels, so that the measures of all devices compare.
+
+    Raises: as `loop.train`, and MissingExtraError: no GPU, or no CuPy. DrSplatError: the device's memory is full.
+    """
+    return trained(job, partial(DeviceRun, engine=engine or cuda_engine()), _optimise)
+
+
+def _optimise(run: DeviceRun, keeper: Keeper, job: Job) -> None:
+    with _memory_explained(run):
+        optimise(run, keeper, job)
+
+
+@contextmanager
+def _memory_explained(run: DeviceRun) -> Iterator[None]:
+    with memory_explained(lambda: f"at {len(run):,} Gaussians, in iteration {run.iteration}: {CURE}"):
+        yield

@@ -1,16 +1,63 @@
-"""`train` on the device that is asked for: on the CPU, or on a CUDA GPU."""
+"""`train` on the device that is asked for: on the CPU, or on a CUDA GPU; and everyday settings for it.
+
+These are drsplat's own numbers: a schedule for a few minutes of a CPU, planned for its length. Each was chosen by the
+PSNR of held-out photos and by time, see docs/training.md.
+"""
 
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
+from typing import Any
 
 from ..formats.captures import SparsePoints
 from ..kernels.cuda.devices import chosen_device
 from ..scene.views import View
-from . import cuda, loop
-from .everyday import everyday
-from .job import CHECKPOINT_EVERY, SAVE_AT, Job, Status
-from .result import Training
+from . import device_run, loop
+from .job import CHECKPOINT_EVERY, SAVE_AT, Job, Status, Training
 from .settings import TrainingSettings
+
+DEFAULT_ITERATIONS = 4000
+REFINE_FROM_SHARE = 1 / 8  # of the iterations; and no later than originally
+REFINE_UNTIL_SHARE = 0.63  # of the iterations
+MCMC_REFINE_UNTIL_SHARE = 25 / 30  # as in the original schedule of mcmc
+FULL_SIZE_FROM_SHARE = 1 / 4  # of the iterations; photos are coarser before
+SH_DEGREES = 7  # of harmonics that all the iterations would have time for
+OPACITY_PENALTY = 0.01
+RATES = {"means_rate_end": 1.6e-5, "sh_rest_rate": 5e-4, "scales_rate": 1e-2, "quats_rate": 4e-3}
+"""Steps of Adam, in the units of TrainingSettings: there are few, so that longer ones reach as far."""
+PIXELS_PER_GAUSSIAN = 1.9  # of a photo
+MAX_BUDGET_PHOTOS = 100  # that a budget of one photo's pixels serves; more photos show more
+
+
+def everyday(views: Sequence[View], iterations: int = DEFAULT_ITERATIONS, **chosen: Any) -> TrainingSettings:
+    """Return settings for so many iterations: rates, degrees and refinement have come to their end at the last one.
+
+    Steps are fewer than originally, and longer (`RATES`). No opacity is reset. A penalty on opacities removes what no
+    photo needs instead; photos are small at first; and the number of Gaussians follows the pixels of the photos
+    (`budget_of`).
+    views: to train on, at the size to train at. chosen: any other field of TrainingSettings, which counts.
+
+    Raises: InputError: as TrainingSettings.
+    """
+    refined = MCMC_REFINE_UNTIL_SHARE if chosen.get("strategy") == "mcmc" else REFINE_UNTIL_SHARE
+    numbers = RATES | {
+        "iterations": iterations,
+        "means_rate_steps": iterations,
+        "sh_degree_every": max(iterations // SH_DEGREES, 1),
+        "full_size_from": round(FULL_SIZE_FROM_SHARE * iterations),
+        "refine_from": min(round(REFINE_FROM_SHARE * iterations), TrainingSettings.refine_from),
+        "refine_until": round(refined * iterations),
+        "reset_every": iterations,
+        "reset_recovery": iterations,
+        "opacity_penalty": OPACITY_PENALTY,
+        "max_gaussians": budget_of(views),
+    }
+    return TrainingSettings(**(numbers | {name: value for name, value in chosen.items() if value is not None}))
+
+
+def budget_of(views: Sequence[View]) -> int:
+    """Return the most Gaussians that photos of this size and number are given."""
+    pixels = sum(view.width * view.height for view in views)
+    return max(round(pixels / PIXELS_PER_GAUSSIAN / min(max(len(views), 1), MAX_BUDGET_PHOTOS)), 4)
 
 
 def train(
@@ -54,4 +101,4 @@ def train(
     job = Job(
         views, settings or everyday(views), output_dir, points, overwrite, save_at, checkpoint_every, threads, report
     )
-    return (loop if chosen_device(device) == "cpu" else cuda).train(job)
+    return (loop if chosen_device(device) == "cpu" else device_run).train(job)

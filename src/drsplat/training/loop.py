@@ -1,17 +1,18 @@
 """`train`: posed photos in, Gaussians out."""
 
 import math
+import signal
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import numpy as np
 
-from .interrupting import deferred_interrupt
-from .job import Beginning, Job, Status
+from .job import Beginning, Job, Status, Training
 from .keeper import Keeper, start_of
 from .model_folder import model_folder
 from .optimizer import Optimizer
-from .result import Training
 from .run import R, Run
 from .start import first_gaussians, local_capture, split_views
 
@@ -58,3 +59,27 @@ def optimise(run: Run, keeper: Keeper, job: Job) -> None:
                 psnr = now if math.isnan(psnr) else PSNR_MEMORY * psnr + (1 - PSNR_MEMORY) * now
             iterations = run.settings.iterations
             job.report(Status(run.iteration, iterations, outcome.loss, psnr, len(run)))
+
+
+@contextmanager
+def deferred_interrupt() -> Iterator[Callable[[], bool]]:
+    """Yield whether Ctrl-C was pressed since the block began; pressed again, it interrupts at once.
+
+    Where Python's own handler is not in force, as in a thread or in a program that has another one, nothing changes.
+    """
+    in_main = threading.current_thread() is threading.main_thread()
+    if not in_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
+        yield lambda: False
+        return
+    pressed = threading.Event()
+
+    def note(*_: object) -> None:
+        if pressed.is_set():
+            raise KeyboardInterrupt
+        pressed.set()
+
+    signal.signal(signal.SIGINT, note)
+    try:
+        yield pressed.is_set
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)

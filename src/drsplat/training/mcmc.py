@@ -12,9 +12,8 @@ import numpy as np
 from ..base.arrays import Anywhere, Float32, Float64, Integer
 from ..formats.activation import sigmoid
 from ..kernels.cuda.places import placed
-from .density import add_opacity_penalty
+from .density import add_opacity_penalty, spread
 from .optimizer import Optimizer, Slopes
-from .rotations import spread
 from .schedules import refines
 from .settings import TrainingSettings
 

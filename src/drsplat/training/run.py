@@ -12,7 +12,7 @@ import numpy as np
 
 from ..base.arrays import Anywhere, Float32
 from ..errors import DrSplatError
-from ..kernels.training import Gradients, Loss, Rates, TrainingView, forward, photometric_loss
+from ..kernels.training import Loss, Rates, TrainingView, forward, photometric_loss
 from ..scene.gaussians import Gaussians
 from ..scene.placing import near_plane
 from ..scene.views import View
@@ -92,7 +92,8 @@ class Run:
         loss = self._loss(drawn, target, photo, threads)
         gradients = drawn.backward(loss.gradient)
         if photo.left_out is not None:
-            gradients = _of_used_pixels(gradients)
+            # Gaussians that only left-out pixels show are unseen: density control counts who is seen
+            gradients = gradients._replace(radii=np.where(gradients.screen > 0, gradients.radii, np.float32(0)))
         self._lap("backward")
         return Outcome(loss.value, partial(_psnr, drawn.image, target, photo)), gradients
 
@@ -196,11 +197,6 @@ class Run:
 
 
 R = TypeVar("R", bound=Run)
-
-
-def _of_used_pixels(gradients: Gradients) -> Gradients:
-    """Return the gradients with Gaussians unseen that only left-out pixels show: density control counts who is seen."""
-    return gradients._replace(radii=np.where(gradients.screen > 0, gradients.radii, np.float32(0)))
 
 
 def _psnr(image: Float32[np.ndarray, "h w 3"], target: Float32[np.ndarray, "h w 3"], photo: Photo) -> float:

@@ -13,9 +13,8 @@ from ...scene.boxes import HAZE_OPACITY
 from .draft import Draft
 from .earlier_fills import EarlierGround, closed_as_earlier
 from .fill_record import FIRST_RECORDED_VERSION, Clones, FillRecord
-from .ground import Ground
+from .ground import Ground, best_shift
 from .planes import planes_around, surfaces_around
-from .shifts import best_shift
 
 SEARCH_MARGIN_SHARE = 0.8  # of the object's size: how far around it planes are fitted and clones are taken
 MAX_SHIFTS = 16  # that clones are taken by

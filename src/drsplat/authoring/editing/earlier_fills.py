@@ -7,9 +7,7 @@ import numpy as np
 from ...base.arrays import Int64, Integer
 from ...formats.runs import spans_of
 from .fill_record import Clones
-from .ground import COVERED_OPACITY, MIN_STANDING_TOLERANCES, Ground
-from .plane_grid import Cells
-from .shifts import Surface, best_shift
+from .ground import COVERED_OPACITY, MIN_STANDING_TOLERANCES, Cells, Ground, Surface, best_shift
 
 MAX_SHIFTS = 8  # that clones are taken by
 Ids = Int64[np.ndarray, " m"]

@@ -1,19 +1,20 @@
 """The ground or wall of a thing: the Gaussians of one plane near it, whose they are, and the hole in them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy import ndimage
+from scipy.signal import fftconvolve
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from ...base.arrays import Bool, Float64, Int64, Integer
+from ...drawing.rendering import Picture, render
 from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import SH_C0, Gaussians
+from ...scene.views import View
 from .draft import OBJECT_ID
-from .plane_grid import Cells, PlaneGrid
 from .planes import Plane
-from .shifts import Surface
 
 COVERED_OPACITY = 0.6  # of a plane, from which on it hides what is behind it
 HINT_OPACITY = 0.05  # of a plane, from which on there is some of it in a cell
@@ -28,6 +29,135 @@ RING_CELLS = 12  # around a hole: objects in the ring may continue into the hole
 MIN_SURROUNDED_SHARE = 0.5  # of a hole, by the rest of the plane: less, and the hole lies beside the plane
 Ids = Int64[np.ndarray, " m"]
 Places = Float64[np.ndarray, "n 3"]
+GRID_CELLS = 128  # along the longer side
+VIEW_DISTANCE_SIZES = 40.0  # from which a plane is rendered, in its own sizes
+Cells = Bool[np.ndarray, "h w"]
+MEDIAN_WINDOW_CELLS = 21  # side of the window whose median colour a plane has in its middle
+MIN_OUTLIER_DIFFERENCE = 0.12  # from that colour, of 1
+OUTLIER_MEDIANS = 1.5  # in median differences: an outlier exceeds both
+MIN_CLOSED_OF_BEST_SHARE = 0.9  # of the cells that the best shift closes: among such shifts the seam decides
+MAX_SEAM_SHIFTS = 100  # whose seams are compared
+SEAM_CELLS = 2  # around the missing ones
+Colors = Float64[np.ndarray, "h w 3"]
+Shifts = Int64[np.ndarray, "s 2"]
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """The cells of a plane: their colours, and whether each is known, which it is outside of holes."""
+
+    colors: Colors
+    known: Cells
+
+    def holds(self, colors: Float64[np.ndarray, "m 3"], cells: Shifts) -> Bool[np.ndarray, " m"]:
+        """Return which Gaussians, in some cells, are of the surface: not cutlery, crumbs, whatever lies on it.
+
+        Neither they nor what is drawn in their cells stand out from the colour around.
+        """
+        if not self.known.any():
+            return np.ones(len(colors), bool)
+        drawn = np.where(self.known[..., None], self.colors, np.median(self.colors[self.known], axis=0))
+        middle = ndimage.median_filter(drawn, (MEDIAN_WINDOW_CELLS, MEDIAN_WINDOW_CELLS, 1))
+        off = np.abs(drawn - middle).max(axis=2)
+        plain = ~ndimage.binary_dilation(self.known & (off > _limit(off[self.known])))[cells[:, 0], cells[:, 1]]
+        off = np.abs(colors - middle[cells[:, 0], cells[:, 1]]).max(axis=1)
+        return np.asarray(plain & (off <= _limit(off)))
+
+    def seam(self, missing: Cells, shift: Int64[np.ndarray, " 2"]) -> float:
+        """Return how far the colours that a shift brings are from those around a hole; infinite where few are known."""
+        ring = np.argwhere(ndimage.binary_dilation(missing, iterations=SEAM_CELLS) & ~missing & self.known)
+        ring, there = _within(ring, shift, missing.shape)
+        good = self.known[there[:, 0], there[:, 1]]
+        if 2 * np.count_nonzero(good) < max(1, len(ring)):
+            return np.inf
+        ring, there = ring[good], there[good]
+        return float(np.abs(self.colors[ring[:, 0], ring[:, 1]] - self.colors[there[:, 0], there[:, 1]]).mean())
+
+    def closed(self, cells: Cells, shift: tuple[int, int]) -> "Surface":
+        """Return the surface with colours cloned into some cells."""
+        at, colors = np.argwhere(cells), self.colors.copy()
+        there = at + shift
+        colors[at[:, 0], at[:, 1]] = self.colors[there[:, 0], there[:, 1]]
+        return Surface(colors, self.known | cells)
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneGrid:
+    """Cells of a plane. low: the corner of the first. step: their side, in scene units."""
+
+    plane: Plane
+    low: Float64[np.ndarray, " 2"]
+    step: float
+    shape: tuple[int, int]
+
+    @classmethod
+    def over(cls, plane: Plane, places: Float64[np.ndarray, "n 3"]) -> "PlaneGrid":
+        """Return cells below all of some places."""
+        points = plane.flat(places)
+        low, size = points.min(axis=0), np.ptp(points, axis=0)
+        step = float(size.max()) / GRID_CELLS
+        rows, columns = (np.floor(size / step).astype(int) + 1).tolist()
+        return cls(plane, low, step, (rows, columns))
+
+    def cells(self, places: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, "n 2"]:
+        """Return row and column of the cell below each place, of the nearest cell for places beside all."""
+        steps = ((self.plane.flat(places) - self.low) / self.step).astype(np.int64)
+        return np.asarray(np.clip(steps, 0, np.array(self.shape) - 1))
+
+    def among(self, cells: Cells, places: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Return which places are over some cells."""
+        down, across = self.cells(places).T
+        return np.asarray(cells[down, across])
+
+    @property
+    def middles(self) -> Float64[np.ndarray, "c 3"]:
+        """Middles of all cells, in the scene."""
+        flat, plane = self._flat_middles, self.plane
+        return np.asarray(flat @ plane.axes + plane.offset * plane.normal)
+
+    @property
+    def _flat_middles(self) -> Float64[np.ndarray, "c 2"]:
+        rows, columns = np.indices(self.shape)
+        return np.asarray(self.low + (np.stack([rows.ravel(), columns.ravel()], axis=1) + 0.5) * self.step)
+
+    def shift(self, by: tuple[int, int]) -> Float64[np.ndarray, " 3"]:
+        """Return by how far so many cells are, in the scene."""
+        return np.asarray(self.step * (np.array(by, np.float64) @ self.plane.axes))
+
+    def shadow(self, places: Float64[np.ndarray, "n 3"]) -> Cells:
+        """Return the cells below some places, and what they close in."""
+        distance = cKDTree(self.plane.flat(places)).query(self._flat_middles, distance_upper_bound=1.5 * self.step)[0]
+        near = (distance < np.inf).reshape(self.shape)
+        closed: Cells = ndimage.binary_closing(near, iterations=3) | near
+        return np.asarray(ndimage.binary_fill_holes(closed))
+
+    def coverage(self, gaussians: Gaussians) -> Float64[np.ndarray, "h w"]:
+        """Return the opacity of all Gaussians together in each cell, as a camera far away sees the plane."""
+        return np.asarray(self._drawn(gaussians).alpha, np.float64)
+
+    def colors(self, gaussians: Gaussians) -> Float64[np.ndarray, "h w 3"]:
+        """Return the colour of each cell from where the object was, without the harmonics above the constant."""
+        plane = self.plane
+        behind = plane.normal @ np.cross(plane.axes[1], plane.axes[0]) > 0  # as `_drawn` looks: then mirrored
+        heights = plane.heights(gaussians.means.astype(np.float64)) if behind else np.zeros(len(gaussians))
+        means = (gaussians.means - 2 * heights[:, None] * plane.normal).astype(np.float32)
+        return np.asarray(self._drawn(replace(gaussians, means=means, sh=gaussians.sh[:, :1])).rgb, np.float64)
+
+    def _drawn(self, gaussians: Gaussians) -> Picture:
+        down, right = self.plane.axes
+        ahead = np.cross(right, down)  # from either side: what is opaque is so from both
+        middle, distance = (
+            self.low + np.array(self.shape) / 2 * self.step,
+            VIEW_DISTANCE_SIZES * self.step * max(self.shape),
+        )
+        eye = middle @ self.plane.axes + self.plane.offset * self.plane.normal - distance * ahead
+        pose, focal = np.eye(4), distance / self.step
+        pose[:3, :3] = np.stack([right, down, ahead])
+        pose[:3, 3] = -pose[:3, :3] @ eye
+        rows, columns = self.shape
+        K = np.array([[focal, 0, columns / 2], [0, focal, rows / 2], [0, 0, 1.0]])
+        here = replace(gaussians, origin=np.zeros(3))
+        return render(here, View("plane", K, pose, columns, rows), threads=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,3 +336,37 @@ def _is_of_surface(owners: Integer[np.ndarray, " l"], in_hole: Bool[np.ndarray, 
 def _distances(places: Places, points: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, " n"]:
     """Return how far each place is from the nearest point; infinite without any."""
     return np.asarray(cKDTree(points).query(places)[0]) if len(points) else np.full(len(places), np.inf)
+
+
+def _limit(off: Float64[np.ndarray, " n"]) -> float:
+    return max(MIN_OUTLIER_DIFFERENCE, OUTLIER_MEDIANS * float(np.median(off)))
+
+
+def best_shift(missing: Cells, good: Cells, surface: Surface | None) -> tuple[tuple[int, int], Cells]:
+    """Return by how many cells a good one is away from most of what is missing, and the cells that this closes.
+
+    Of shifts that close nearly as much, the one with the best seam; without a surface the nearest of equals.
+    """
+    counts = np.round(fftconvolve(good.astype(float), missing[::-1, ::-1].astype(float))).astype(int)
+    rows, columns = (np.arange(length) - (side - 1) for length, side in zip(counts.shape, missing.shape, strict=True))
+    lengths = np.hypot(rows[:, None], columns[None])
+    order = np.lexsort((lengths.ravel(), -counts.ravel()))
+    if surface is not None:
+        nearly = order[: np.count_nonzero(counts >= max(1.0, MIN_CLOSED_OF_BEST_SHARE * counts.max()))]
+        order = nearly[:: -(-len(nearly) // MAX_SEAM_SHIFTS)] if len(nearly) else order[:1]  # closes nothing
+    down, across = np.unravel_index(order, counts.shape)
+    shifts = np.stack([rows[down], columns[across]], axis=1)
+    best = 0 if surface is None else int(np.argmin([surface.seam(missing, shift) for shift in shifts]))
+    at, there = _within(np.argwhere(missing), shifts[best], missing.shape)
+    closed = np.zeros_like(missing)
+    closed[at[:, 0], at[:, 1]] = good[there[:, 0], there[:, 1]]
+    return (int(shifts[best][0]), int(shifts[best][1])), closed
+
+
+def _within(
+    cells: Shifts, shift: Int64[np.ndarray, " 2"] | tuple[int, int], shape: tuple[int, ...]
+) -> tuple[Int64[np.ndarray, "k 2"], Int64[np.ndarray, "k 2"]]:
+    """Return the cells whose shifted ones are on the grid, and these."""
+    there = cells + shift
+    inside = ((there >= 0) & (there < np.array(shape))).all(axis=1)
+    return cells[inside], there[inside]

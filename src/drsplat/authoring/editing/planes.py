@@ -50,11 +50,11 @@ class Plane:
 
 def surfaces_around(thing: Thing, around: Points) -> list[Plane]:
     """Return the planes around a thing that do not lie across several others: most points are on its side of each."""
-    return planes_around(thing, around, lambda plane: _share_behind(plane, around) <= MAX_SHARE_BEHIND)
 
+    def is_before(plane: Plane) -> bool:
+        return bool((plane.heights(around) < -BEHIND_TOLERANCES * plane.tolerance).mean() <= MAX_SHARE_BEHIND)
 
-def _share_behind(plane: Plane, points: Points) -> float:
-    return float((plane.heights(points) < -BEHIND_TOLERANCES * plane.tolerance).mean())
+    return planes_around(thing, around, is_before)
 
 
 def planes_around(thing: Thing, around: Points, fits: Callable[[Plane], bool] = lambda _: True) -> list[Plane]:

@@ -26,10 +26,7 @@ from ..editing import EditFile, EditList, Rows
 from ..editing.draft import OBJECT_ID
 from ..editing.kept import KeptEdits
 from ..editing.resolving import complete_rows
-from .after import After, after_edits
-from .choosing import only_used, rows_of
-from .placing import Placing
-from .things import groups_of, match_thing, things_of
+from .placing import After, Placing, after_edits, groups_of, match_thing, only_used, rows_of, things_of
 
 MATCHES: Literal["matches"] = "matches"
 Only = Literal["matches"] | Rows | None

@@ -1,21 +1,41 @@
 """Boxes of objects and matches where their Gaussians are after edits, or at a time."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
-from ...base.arrays import Bool, Float64, Int64
+from ...base.arrays import Bool, Float32, Float64, Int32, Int64, Integer
+from ...field.forest import GROUP, Objects
+from ...formats.scenes import read_gaussians
 from ...kernels.boxes import box_of
-from ...query import Match
+from ...query import Match, Scene
+from ...query.objects import object_of, objects_of
 from ...scene.boxes import solid
 from ...scene.gaussians import Gaussians
-from ...scene.labelled import Thing
-from ..editing.draft import OBJECT_ID
-from .after import After
+from ...scene.labelled import LabelledScene, Thing
+from ..editing import Duplicate, Edit, EditFile, EditList
+from ..editing.draft import OBJECT_ID, Draft
+from ..editing.edits import drafted
 
 Ids = Int64[np.ndarray, " m"]
+
+
+@dataclass(frozen=True, eq=False)
+class After:
+    """The rows of a scene after a list of edits.
+
+    everything: all rows, those that edits added behind the scene's own, removed ones still in it.
+
+    present: which of them are there. copies: per number of an object that an edit made, that of which it is a copy; -1
+    for none.
+    """
+
+    everything: Gaussians
+    present: Bool[np.ndarray, " d"]
+    copies: dict[int, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,3 +98,141 @@ class Placing:
         rows = np.flatnonzero(self.after.present & (owners >= 0))
         order = rows[np.argsort(owners[rows], kind="stable")]
         return order, owners[order]
+
+
+def rows_of(things: Sequence[Thing], numbers: Integer[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
+    """Return per Gaussian the place of its object in a list, from its number; -1 for none."""
+    places = np.full(max((thing.number for thing in things), default=-1) + 2, -1, np.int32)
+    for place, thing in enumerate(things):
+        places[thing.number] = place
+    return places[np.where((numbers >= 0) & (numbers < len(places) - 1), numbers, -1)]  # the last one is that of -1
+
+
+def only_used(scene: LabelledScene) -> LabelledScene:
+    """Return a scene without objects and groups that it has no Gaussians of, and without annotations outside of it."""
+    low, high = scene.gaussians.positions.min(axis=0), scene.gaussians.positions.max(axis=0)
+    notes = tuple(one for one in scene.annotations if ((one.center >= low) & (one.center <= high)).all())
+    owners = scene.object_of
+    used = [] if owners is None else np.unique(owners[owners >= 0]).tolist()
+    groups = _above(scene, used)
+    object_of = None if owners is None else _renumbered(used, len(scene.things))[owners]
+    to_group = _renumbered(groups, len(scene.groups))
+    return replace(
+        scene,
+        things=tuple(_moved(scene.things[place], to_group) for place in used),
+        groups=tuple(_moved(scene.groups[place], to_group) for place in groups),
+        object_of=object_of,
+        annotations=notes,
+    )
+
+
+def _above(scene: LabelledScene, used: Sequence[int]) -> list[int]:
+    """Return the groups that some objects are in, and those that these are in."""
+    found: set[int] = set()
+    waiting = [scene.things[place].parent for place in used]
+    while waiting:
+        group = waiting.pop()
+        if group >= 0 and group not in found:
+            found.add(group)
+            waiting.append(scene.groups[group].parent)
+    return sorted(found)
+
+
+def _renumbered(places: Sequence[int], count: int) -> Int32[np.ndarray, " c"]:
+    """Return the new place of each of `count` old ones, -1 for those left out; the last one is that of -1."""
+    new = np.full(count + 1, -1, np.int32)
+    new[list(places)] = np.arange(len(places), dtype=np.int32)
+    return new
+
+
+def _moved(thing: Thing, to_group: Int32[np.ndarray, " c"]) -> Thing:
+    return replace(thing, parent=int(to_group[thing.parent]))
+
+
+def things_of(scene: Scene, embeddings: bool = False) -> list[Thing]:
+    """Return the objects of a scene by number, as `drsplat objects` lists them; none where nobody has looked.
+
+    Their names are the labels that people gave, else the words that the encoder is sure of, else "object 7".
+    """
+    if scene.field.objects is None:
+        return []
+    objects = objects_of(scene.field)
+    place = {node: number for number, node in enumerate(_group_nodes(objects))}
+    return [
+        Thing(
+            match.label or name or f"object {number}",
+            match.score,
+            match.center,
+            match.axes,
+            match.extent,
+            place.get(int(objects.parents[node]), -1),
+            _embedding(objects, node) if embeddings else None,
+            number,
+        )
+        for number, (node, match, name) in enumerate(
+            zip(objects.things.tolist(), scene.objects, scene.object_names(), strict=True)
+        )
+    ]
+
+
+def groups_of(scene: Scene) -> tuple[Thing, ...]:
+    """Return the groups of a scene's objects, which are numbered in the order of their nodes."""
+    if scene.field.objects is None:
+        return ()
+    objects, labels = objects_of(scene.field), scene.labels.by_node
+    nodes = _group_nodes(objects)
+    place = {node: number for number, node in enumerate(nodes)}
+    return tuple(
+        Thing(
+            labels[node].name if node in labels else f"group {number}",
+            float(objects.sure[node]),
+            objects.centers[node],
+            objects.axes[node],
+            objects.extents[node],
+            place.get(int(objects.parents[node]), -1),
+        )
+        for number, node in enumerate(nodes)
+    )
+
+
+def match_thing(scene: Scene, number: int, match: Match) -> Thing:
+    """Return a match as a named box: by its label, else by its number and that of its object."""
+    owner = object_of(scene.field, match)
+    name = f"match {number}" if owner is None else f"match {number}, object {owner}"
+    return Thing(match.label or name, match.score, match.center, match.axes, match.extent)
+
+
+def _group_nodes(objects: Objects) -> Sequence[int]:
+    nodes: list[int] = np.flatnonzero(objects.levels == GROUP).tolist()
+    return nodes
+
+
+def _embedding(objects: Objects, node: int) -> Float32[np.ndarray, " d"] | None:
+    """Return the descriptor of most of an object's masks, None where it has none."""
+    found = objects.descriptors_of(node)
+    return found[0] if len(found) else None
+
+
+def after_edits(gaussians: Gaussians, path: Path | None, listed: EditList) -> After:
+    """Return a scene after the edits of a list; without any, its own arrays.
+
+    path: of the scene, which other scenes that edits name lie relative to. Raises: as `authoring.editing.edited`.
+    """
+    if not listed.active:
+        return After(gaussians, np.ones(len(gaussians), bool))
+    draft = drafted(gaussians, listed.active, read_gaussians if path is None else EditFile.beside(path).other)
+    return After(draft.part(np.arange(len(draft))), draft.present, _copies(draft, listed.active))
+
+
+def _copies(draft: Draft, edits: Sequence[Edit]) -> dict[int, int]:
+    """Return whose copy each object is that an edit added."""
+    owners, copies = draft.extra.get(OBJECT_ID), {}
+    for edit, (begin, end) in zip(edits, draft.added, strict=True):
+        if owners is None or begin == end:
+            continue
+        source = -1
+        if isinstance(edit.change, Duplicate):
+            own = owners[edit.target.ids(draft)]
+            source = int(np.bincount(own[own >= 0], minlength=1).argmax()) if (own >= 0).any() else -1
+        copies[int(owners[begin])] = source
+    return copies

@@ -46,11 +46,12 @@ def encode(file: BinaryIO, path: Path, pictures: Iterable[OtherPixels], size: tu
 
     Raises: InputError: ffmpeg fails, with its own words; it has no encoder for that.
     """
-    program = ffmpeg() or "ffmpeg"
+    program, suffix = ffmpeg() or "ffmpeg", path.suffix.lower()
+    container = ("-movflags", "+faststart", "-f", "mp4") if suffix == ".mp4" else ("-f", suffix[1:])
     command = [
         program, "-hide_banner", "-loglevel", "error", "-nostdin", "-y",
         "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}", "-r", f"{fps:.6g}", "-i", "pipe:0",
-        "-an", *COLORS, "-c:v", *_encoder(program, path.suffix.lower()), *_container(path.suffix.lower()),
+        "-an", *COLORS, "-c:v", *_encoder(program, suffix), *container,
         f"file:{Path(file.name).absolute()}",
     ]  # fmt: skip
     with tempfile.TemporaryFile() as said:
@@ -101,10 +102,6 @@ def _encoders(program: str) -> frozenset[str]:
         raise InputError(f"{program} does not run: {error}") from error
     lines = (line.split() for line in listed.stdout.decode(errors="replace").splitlines())
     return frozenset(parts[1] for parts in lines if len(parts) > 1)
-
-
-def _container(suffix: str) -> tuple[str, ...]:
-    return ("-movflags", "+faststart", "-f", "mp4") if suffix == ".mp4" else ("-f", suffix[1:])
 
 
 def _end_of(code: int) -> str:

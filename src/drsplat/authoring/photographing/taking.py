@@ -24,17 +24,21 @@ from ...scene.gaussians import SH_C0, Gaussians, ShapesDigest
 from ...scene.moving import Moving, canonical_of
 from ...scene.placing import SOLID_OPACITY
 from ...scene.views import View
+from ..filming.looking import UP_WITHOUT_VIEWS
 from ..filming.paths import CameraPath
 from .candidates import candidates
 from .coverage import Coverage, chosen_views, sights
 from .settings import PhotographSettings
-from .space import Space
-from .upright import axis_name, guessed_up
+from .space import BOX_QUANTILES, Space, solid_centers
 
 MODEL, IMAGES = Path("sparse/0"), "images"
 DEFAULT = PhotographSettings()
 MAX_POINTS = 100_000  # of the capture
 DEFAULT_PATH_PICTURES = 60
+MAX_HEIGHT_SHARE = 0.75  # of the box's second shortest side: a shorter side is its height
+SLICE_SHARE = 0.2  # of the height: the lowest and the highest slice are compared
+FOOTPRINT_CELLS = 24  # along each of the other two sides
+AXES = ("x", "y", "z")
 
 
 class Plan(NamedTuple):
@@ -165,7 +169,10 @@ def _at_time(scene: Gaussians | Moving, time: float | None) -> Gaussians:
 def _take(space: Space, views: Sequence[View], settings: PhotographSettings, folder: Path, track: Track) -> None:
     """Write the model, and a picture of each of its poses."""
     digits = max(4, len(str(len(views))))
-    named = [_named(view, f"view_{number:0{digits}d}.png") for number, view in enumerate(views)]
+    named = [
+        View(f"view_{number:0{digits}d}.png", view.K, view.cam_from_world, view.width, view.height)
+        for number, view in enumerate(views)
+    ]
     (folder / MODEL).mkdir(parents=True)
     (folder / IMAGES).mkdir()
     write_colmap(folder / MODEL, named, *_points(space.gaussians))
@@ -174,10 +181,6 @@ def _take(space: Space, views: Sequence[View], settings: PhotographSettings, fol
             space.gaussians, view, background=settings.background, threads=space.threads, splats=space.splats
         )  # fmt: skip
         write_picture(folder / IMAGES / view.name, as_pixels(drawn.rgb))
-
-
-def _named(view: View, name: str) -> View:
-    return View(name, view.K, view.cam_from_world, view.width, view.height)
 
 
 def _points(gaussians: Gaussians) -> tuple[Float64[np.ndarray, "m 3"], UInt8[np.ndarray, "m 3"]]:
@@ -194,3 +197,39 @@ def _checksum(gaussians: Gaussians) -> str:
     digest = hashlib.blake2b(ShapesDigest(gaussians.origin).add(gaussians).text().encode(), digest_size=16)
     digest.update(np.ascontiguousarray(gaussians.sh).data)
     return digest.hexdigest()
+
+
+def guessed_up(gaussians: Gaussians) -> Float64[np.ndarray, " 3"]:
+    """Return the most likely upward axis of a scene.
+
+    Rooms, and objects with the ground around them, are lower than they are wide, and a floor covers more of their
+    outline than a ceiling, which few photos show. A scene without such a shortest side gets the -y of COLMAP's first
+    camera.
+    """
+    points = solid_centers(gaussians)
+    low, high = np.quantile(points, BOX_QUANTILES, axis=0)
+    sides = high - low
+    shortest, second = np.argsort(sides, kind="stable")[:2].tolist()
+    if not sides[shortest] < MAX_HEIGHT_SHARE * sides[second]:
+        return np.array(UP_WITHOUT_VIEWS)
+    shares = (points - low) / np.maximum(sides, 1e-12)
+    height = shares[:, shortest]
+    below, above = (_footprint(shares[part], shortest) for part in (height < SLICE_SHARE, height > 1 - SLICE_SHARE))
+    up = np.zeros(3)
+    up[shortest] = 1.0 if below >= above else -1.0
+    return up
+
+
+def _footprint(shares: Float64[np.ndarray, "n 3"], axis: int) -> int:
+    """Count the cells across an axis that contain points. shares: of the box, 0 to 1 inside."""
+    flat = np.delete(shares, axis, axis=1)
+    inside = ((flat >= 0) & (flat < 1)).all(1)
+    return len(np.unique((flat[inside] * FOOTPRINT_CELLS).astype(int), axis=0))
+
+
+def axis_name(up: Float64[np.ndarray, " 3"]) -> str:
+    """Return "+z" and so on, or three numbers for a direction between the axes."""
+    axis = int(np.abs(up).argmax())
+    if abs(up[axis]) > 1 - 1e-9:
+        return f"{'+' if up[axis] > 0 else '-'}{AXES[axis]}"
+    return " ".join(f"{number:.3f}" for number in up)

@@ -1,20 +1,32 @@
-"""Run of the demo through the public interface only: masks, embeddings, registration, field, words."""
+"""Run of the demo through the public interface only: masks, embeddings, registration, field, words.
 
+Its household is packed by `world/packing.py` from a room of the procedural household world that no model here was
+trained on.
+"""
+
+import json
+import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from importlib.resources import as_file, files
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from PIL import Image
 
 from ...base.arrays import Bool, Float32, Float64, Int64
 from ...base.progress import Stopwatch
+from ...errors import InputError
 from ...field import LanguageField, load_field
 from ...field.codes import Track, untracked
 from ...field.objects.finding import find_objects
 from ...field.registration import register
 from ...formats.captures import read_views
 from ...formats.langsplat import read_features
+from ...formats.replacing import replacing, saying_what_is_full
 from ...formats.scenes import read_gaussians
 from ...kernels import SplatArrays, render_channels, splat_arrays
 from ...photos.embedding.embed import embed
@@ -24,12 +36,54 @@ from ...query import Scene
 from ...scene.gaussians import Gaussians
 from ...scene.views import View
 from ..metrics import mask_iou
-from .household import SCENE, Household, unpack_household
-from .probes import PROBES, Probe
 
 FIELD, FEATURES = "room.field", "language_features"
 
 MIN_RIGHT_IOU = 0.5  # an answer counts as right above
+SCENE = "scene.compressed.ply"
+UNFINISHED = "UNFINISHED"  # name of the file that marks a folder of a demo that was stopped
+
+
+class Probe(NamedTuple):
+    """Query in words, and the names of the right objects (categories of `truth.json`); none if there are none."""
+
+    text: str
+    meant: tuple[str, ...]
+
+
+PROBES = (
+    Probe("yellow apple", ("yellow apple",)),
+    Probe("orange carrot", ("orange carrot",)),
+    Probe("green cup", ("green mug",)),
+    Probe("toy duck", ("green toy duck",)),
+    Probe("green car", ("green toy car",)),
+    Probe("red vase", ("red vase",)),
+    Probe("blue candle", ("blue candle",)),
+    Probe("couch", ("orange sofa",)),
+    Probe("houseplant", ("green plant",)),
+    Probe("wooden table", ("brown table",)),
+    Probe("chair", ("brown chair",)),
+    Probe("bookcase", ("red shelf",)),
+    Probe("something to eat", ("yellow apple", "orange carrot")),
+    Probe("fork", ("grey fork",)),
+    Probe("laptop", ()),
+    Probe("teddy bear", ()),
+)
+
+
+@dataclass(frozen=True)
+class Household:
+    """Scene of the demo. categories: by id. held_out: photos that neither training nor registration used."""
+
+    folder: Path
+    categories: dict[int, str]
+    held_out: tuple[str, ...]
+
+    def mask(self, view_name: str, meant: Collection[str]) -> Bool[np.ndarray, "h w"]:
+        """Return where a held-out photo shows one of these categories."""
+        ids = np.asarray(Image.open(self.folder / "ids" / f"{Path(view_name).stem}.png"))
+        numbers = [number for number, name in self.categories.items() if name in meant]
+        return np.asarray(np.isin(ids.astype(np.int32) - 1, numbers))
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,3 +213,52 @@ class _Judge:
     def _true(self, meant: tuple[str, ...]) -> Bool[np.ndarray, "h w"]:
         """Return where the held-out photos show these categories."""
         return np.concatenate([self.household.mask(view.name, meant) for view in self.held_out])
+
+
+def unpack_household(folder: Path, *, overwrite: bool = False) -> Household:
+    """Copy the scene's files to `folder`, where a user finds them.
+
+    Raises: InputError: the folder has something in it and not `overwrite`, or cannot be written to; the disk is full.
+    """
+    refuse_full(folder, overwrite)
+    with as_file(files(__package__) / "scene") as shipped:
+        _copy(shipped, folder)
+    return read_household(folder)
+
+
+def refuse_full(folder: Path, overwrite: bool) -> None:
+    """Check a folder for output. Raises: InputError: it has something in it and not `overwrite`."""
+    if folder.is_dir() and any(folder.iterdir()) and not overwrite:
+        raise InputError(f"{folder} exists already: choose another folder, or pass overwrite=True to replace it")
+
+
+@contextmanager
+def resumable(folder: Path, overwrite: bool) -> Iterator[None]:
+    """Mark a folder as unfinished until the block ends well, so that a stopped demo can be continued in it.
+
+    Raises: InputError: the folder has something in it, that no stopped demo left, and not `overwrite`.
+    """
+    marker = folder / UNFINISHED
+    refuse_full(folder, overwrite or marker.is_file())
+    with saying_what_is_full(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        marker.write_text("drsplat demo was stopped here; the same command goes on.\n", encoding="utf-8")
+    yield
+    marker.unlink(missing_ok=True)
+
+
+def _copy(shipped: Path, folder: Path) -> None:
+    for file in sorted(shipped.rglob("*")):
+        if file.is_file():
+            place = folder / file.relative_to(shipped)
+            with saying_what_is_full(place.parent):
+                place.parent.mkdir(parents=True, exist_ok=True)
+            with file.open("rb") as source, replacing(place, overwrite=True) as target:
+                shutil.copyfileobj(source, target)
+
+
+def read_household(folder: Path) -> Household:
+    """Read the truth of an unpacked scene."""
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
+    categories = {thing["id"]: thing["category"] for thing in truth["objects"]}
+    return Household(folder, categories, tuple(truth["held_out"]))

@@ -8,8 +8,7 @@ Source: Dr. Splat Sec. B; Jegou et al. 2011.
 from ...formats.embedding_record import encoder_from_json
 from ...kernels.kmeans import Track, untracked
 from .code import Best, Code, Hits
-from .codebook import Codebook, Codes, train_codebook
-from .files import codebook_from_tensors, load_codebook, save_codebook
+from .codebook import Codebook, Codes, codebook_from_tensors, load_codebook, save_codebook, train_codebook
 from .official import OfficialRows, from_official_bytes, official_bytes, read_faiss_codebook
 from .pq_code import PQCode, pq_code
 from .specification import PQ, CodeSpecification, Mixture, Smaller, choose_code

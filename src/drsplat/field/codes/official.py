@@ -9,8 +9,7 @@ from ...base.arrays import UInt8, UInt32
 from ...errors import FormatError, InputError
 from ...formats.faiss_index import is_faiss, read_faiss_quantizer
 from ...scene.encoders import EncoderIdentity
-from .codebook import Codebook, Codes
-from .files import load_codebook
+from .codebook import Codebook, Codes, load_codebook
 
 
 def read_faiss_codebook(path: str | os.PathLike[str], encoder: EncoderIdentity) -> Codebook:

@@ -68,7 +68,8 @@ def _times(both: tuple[MaskIds, MaskIds], rank: dict[str, int]) -> Float64[np.nd
 def rows_with(weights: csr_array, columns: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " n"]:
     """Return which rows have an entry in any of some columns."""
     rows = np.zeros(weights.shape[0], np.bool_)
-    rows[_rows_of(weights, np.flatnonzero(columns[weights.indices]))] = True
+    entries = np.flatnonzero(columns[weights.indices])
+    rows[np.searchsorted(weights.indptr, entries, side="right") - 1] = True
     return rows
 
 
@@ -95,10 +96,6 @@ def _interleaved(own: np.ndarray, its: np.ndarray, order: Int64[np.ndarray, " n"
         parts.append(source[first : first + end - begin])
         begin = end
     return np.concatenate(parts)
-
-
-def _rows_of(weights: csr_array, entries: Int64[np.ndarray, " e"]) -> Int64[np.ndarray, " e"]:
-    return np.asarray(np.searchsorted(weights.indptr, entries, side="right") - 1)
 
 
 def _ranked(masks: MaskIds, rank: dict[str, int]) -> Int32[np.ndarray, " m"]:

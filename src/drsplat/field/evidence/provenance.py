@@ -86,12 +86,10 @@ class Provenance:
 
 def cameras_of(views: Sequence[View]) -> Float64[np.ndarray, "v 18"]:
     """Return the numbers of each view's camera, as `Provenance.cameras` has them."""
-    rows = [[*v.cam_from_world[:3].ravel(), *_lens(v), v.width, v.height] for v in views]
+    rows = [
+        [*v.cam_from_world[:3].ravel(), v.K[0, 0], v.K[1, 1], v.K[0, 2], v.K[1, 2], v.width, v.height] for v in views
+    ]
     return np.array(rows, np.float64).reshape(-1, CAMERA_NUMBERS)
-
-
-def _lens(view: View) -> tuple[float, float, float, float]:
-    return view.K[0, 0], view.K[1, 1], view.K[0, 2], view.K[1, 2]
 
 
 def _view(name: str, numbers: Float64[np.ndarray, " 18"]) -> View:

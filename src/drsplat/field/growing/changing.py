@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from warnings import warn
 
@@ -20,10 +21,10 @@ from .. import LanguageField, regrown_field
 from ..codes import Track, untracked
 from ..evidence.aggregation import Aggregator, aggregator
 from ..evidence.changing import rows_with
+from ..evidence.columns import ColumnMaker, scenery_of
 from ..evidence.evidence import Evidence
 from ..evidence.provenance import Provenance
 from ..registration import Registration, register, with_features
-from .comparing import Comparison
 
 CURE = "register its photos once more with `drsplat register`, and it can grow"
 
@@ -249,3 +250,42 @@ def _touched(evidence: Evidence, names: Collection[str]) -> Bool[np.ndarray, " n
     if not changed.any():
         return np.zeros(len(evidence), np.bool_)
     return rows_with(evidence.weights, changed[masks.views])
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Comparison of views with a registration of these Gaussians whose provenance is known."""
+
+    registration: Registration
+    scene: Gaussians | Moving
+
+    def changed(
+        self, views: Sequence[tuple[View, str]], features: Mapping[str, ViewFeatures], track: Track = untracked
+    ) -> list[View]:
+        """Return the views whose camera, masks or embeddings have changed. views: each with its features' name."""
+        return [view for view, key in track(views, "comparing views") if not self._is_same(view, features[key])]
+
+    def _is_same(self, view: View, features: ViewFeatures) -> bool:
+        return self.has_masks(view, features) and np.array_equal(
+            self.registration.embeddings[self._columns(view.name)], features.embeddings
+        )
+
+    def has_masks(self, view: View, features: ViewFeatures) -> bool:
+        """Return whether camera and masks, and so W's columns, are those of the registration."""
+        registration = self.registration
+        assert registration.provenance is not None
+        number = registration.masks.view_names.index(view.name)
+        if int(np.count_nonzero(self._columns(view.name))) != len(features.embeddings):
+            return False
+        return bool(registration.provenance.keys[number].tobytes() == self._maker.key(view, features))
+
+    def _columns(self, name: str) -> np.ndarray:
+        masks = self.registration.masks
+        return np.asarray(masks.views == masks.view_names.index(name))
+
+    @cached_property
+    def _maker(self) -> ColumnMaker:
+        sampling = self.registration.sampling
+        if sampling is None:
+            raise InputError("how the photos were looked at is not known of this registration: register again")
+        return ColumnMaker(scenery_of(self.scene, sampling.near), Path(), sampling, 0)

@@ -27,20 +27,10 @@ def views_named(wanted: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
 def _meant(text: str, names: Sequence[str]) -> set[str]:
     if text in names:
         return {text}
-    for spelled in (_full_path, _without_suffix, _stem):
-        matches = {name for name in names if fnmatchcase(spelled(PurePosixPath(name)), text)}
+    paths = [PurePosixPath(name) for name in names]
+    full, without_suffix = [path.as_posix() for path in paths], [path.with_suffix("").as_posix() for path in paths]
+    for spelled in (full, without_suffix, [path.stem for path in paths]):
+        matches = {name for name, way in zip(names, spelled, strict=True) if fnmatchcase(way, text)}
         if matches:
             return matches
     return set()
-
-
-def _full_path(path: PurePosixPath) -> str:
-    return path.as_posix()
-
-
-def _without_suffix(path: PurePosixPath) -> str:
-    return path.with_suffix("").as_posix()
-
-
-def _stem(path: PurePosixPath) -> str:
-    return path.stem

@@ -14,8 +14,7 @@ from ...scene.views import View
 from .. import LanguageField
 from ..codes import Track, untracked
 from ..registration import UNKNOWN_ENCODER, Registration, with_features
-from .changing import kept_out, registration_of, warn_of_isa
-from .comparing import Comparison
+from .changing import Comparison, kept_out, registration_of, warn_of_isa
 
 
 def with_weights_of(

@@ -2,9 +2,13 @@
 
 Linear in the weights of the evidence: rows of W are summed into nodes and these into those above, and no step is
 nodes times Gaussians.
+
+Descriptors are a few embeddings that say what a node looks like, by spherical k-means of those of its masks, all nodes
+at once: one mean of a mug's front and back fits neither as well as two do.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -12,20 +16,24 @@ from scipy.sparse import csr_array
 
 from ...base.arrays import Float32, Float64, Int32, Int64
 from ...errors import InputError
+from ...kernels import weighted_rows
 from ...kernels.boxes import Boxes, boxes_of
 from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import Gaussians
 from .. import LanguageField
 from ..evidence.aggregation.entries import row_chunks
 from ..evidence.evidence import Evidence
-from ..forest import MAX_MASKS_PER_NODE, Objects, check_forest
+from ..forest import MAX_DESCRIPTORS_PER_NODE, MAX_MASKS_PER_NODE, Objects, check_forest
 from .choosing import Tree, pairs_above
-from .descriptors import descriptors
-from .heaviest import heaviest
 
 ROWS_AT_ONCE = 1 << 20
 NO_BOXES = Boxes(np.empty((0, 3)), np.empty((0, 3, 3)), np.empty((0, 3)))
 MIN_SHOWN_SHARE = 0.01  # of what the best photo of a node shows of it
+MAX_MASKS_CLUSTERED = 64  # of a node, those of the largest weights
+ALIKE_COSINE = 0.8  # what is as near as this to a centre needs none of its own
+MIN_CLUSTER_SHARE = 0.05  # of a node's weight: masks with less together are left out
+LLOYD_ROUNDS = 4  # after each new centre
+ENTRIES_AT_ONCE = 4096
 
 
 def describe(field: LanguageField, gaussians: Gaussians, tree: Tree, *, threads: int = 0) -> Objects:
@@ -185,3 +193,121 @@ def _exclusive(weights: csr_array, evidence: Evidence) -> csr_array:
         np.add.at(totals, evidence.weights.indices[entries], evidence.weights.data[entries].astype(np.float64))
     exclusive = weights.data * (weights.data / np.maximum(totals[weights.indices], weights.data))
     return csr_array((exclusive, weights.indices, weights.indptr), shape=weights.shape)
+
+
+def descriptors(
+    weights: csr_array, embeddings: Float32[np.ndarray, "M D"], *, threads: int = 0
+) -> tuple[Int64[np.ndarray, " T1"], Float32[np.ndarray, "P D"]]:
+    """Return up to four unit vectors for each row of `weights` (T, M), as row starts and vectors, the heaviest first.
+
+    The first centre is the weighted mean; a further one starts from the mask that is served worst, weight times
+    (1 - cosine), as long as one is unlike all centres. The same bits at any number of threads.
+    """
+    clusters = _Clusters(heaviest(weights, MAX_MASKS_CLUSTERED), embeddings, threads)
+    labels = np.zeros(clusters.weights.nnz, np.int64)
+    part = np.arange(len(labels))  # entries of rows that may need more
+    for count in range(1, MAX_DESCRIPTORS_PER_NODE):
+        far = part[clusters.worst_served(part, clusters.cosines(labels, part, count).max(axis=1, initial=-1))]
+        needing = np.zeros(weights.shape[0], bool)
+        needing[clusters.rows[far]] = True
+        part = part[needing[clusters.rows[part]]]
+        labels[far] = count
+        clusters.settle(labels, part, count + 1)
+    return clusters.centers(labels)
+
+
+@dataclass(frozen=True, eq=False)
+class _Clusters:
+    """Up to MAX_DESCRIPTORS_PER_NODE clusters in each row. weights: (T, M), with the entries that are put into them.
+
+    labels: the cluster of each entry, counted in its row. part: numbers of some of the entries.
+    """
+
+    weights: csr_array
+    embeddings: Float32[np.ndarray, "M D"]
+    threads: int
+
+    @cached_property
+    def rows(self) -> Int64[np.ndarray, " e"]:
+        return np.repeat(np.arange(self.weights.shape[0]), np.diff(self.weights.indptr))
+
+    def settle(self, labels: Int64[np.ndarray, " e"], part: Int64[np.ndarray, " p"], count: int) -> None:
+        """Move the entries of `part` to the cluster of the nearest centre, the first of equal ones, in some rounds."""
+        for _ in range(LLOYD_ROUNDS):
+            nearest = self.cosines(labels, part, count).argmax(axis=1)
+            if (nearest == labels[part]).all():
+                break
+            labels[part] = nearest
+
+    def worst_served(
+        self, part: Int64[np.ndarray, " p"], cosines: Float32[np.ndarray, " p"]
+    ) -> Int64[np.ndarray, " t"]:
+        """Return the place of each row's worst served entry of `part`, among those that are unlike all centres."""
+        served = np.where(cosines < ALIKE_COSINE, self.weights.data[part] * (1 - cosines.astype(np.float64)), 0)
+        rows = self.rows[part]
+        most = np.zeros(self.weights.shape[0])
+        np.maximum.at(most, rows, served)
+        (worst,) = np.nonzero((served > 0) & (served == most[rows]))
+        return np.asarray(worst[np.diff(rows[worst], prepend=-1) > 0])
+
+    def means(self, labels: Int64[np.ndarray, " e"]) -> Float32[np.ndarray, "T k D"]:
+        """Return the unit mean of each cluster, zero where it has no entries or they cancel out."""
+        clusters = self.rows * MAX_DESCRIPTORS_PER_NODE + labels
+        order = np.argsort(clusters, kind="stable")
+        count = self.weights.shape[0] * MAX_DESCRIPTORS_PER_NODE
+        starts = np.append(0, np.cumsum(np.bincount(clusters, minlength=count)))
+        data = self.weights.data[order].astype(np.float32)
+        means = weighted_rows(
+            starts, self.weights.indices[order], data, self.embeddings, 0, count, threads=self.threads
+        )
+        return means.reshape(-1, MAX_DESCRIPTORS_PER_NODE, means.shape[1])
+
+    def cosines(
+        self, labels: Int64[np.ndarray, " e"], part: Int64[np.ndarray, " p"], count: int
+    ) -> Float32[np.ndarray, "p k"]:
+        """Return the cosines of the entries of `part` with the first `count` centres of their rows, -1 with empty ones.
+
+        BLAS is avoided: its bits depend on the number of its threads.
+        """
+        means = self.means(labels)
+        filled = np.asarray(means.any(axis=2))
+        cosines = np.empty((len(part), count), np.float32)
+        for begin in range(0, len(part), ENTRIES_AT_ONCE):
+            entries = part[begin : begin + ENTRIES_AT_ONCE]
+            rows, own = self.rows[entries], self.embeddings[self.weights.indices[entries]]
+            for k in range(count):
+                row_cosines = np.einsum("ed,ed->e", own, means[rows, k])
+                cosines[begin : begin + ENTRIES_AT_ONCE, k] = np.where(filled[rows, k], row_cosines, -1)
+        return cosines
+
+    def centers(self, labels: Int64[np.ndarray, " e"]) -> tuple[Int64[np.ndarray, " T1"], Float32[np.ndarray, "P D"]]:
+        """Return the row starts and unit means, the heaviest cluster of each row first, without specks."""
+        means = self.means(labels)
+        shape = means.shape[:2]
+        clusters = self.rows * MAX_DESCRIPTORS_PER_NODE + labels
+        mass = np.bincount(clusters, self.weights.data, shape[0] * shape[1]).reshape(shape)
+        mass[~means.any(axis=2) | (mass < MIN_CLUSTER_SHARE * mass.sum(axis=1, keepdims=True))] = 0
+        order = np.argsort(-mass, axis=1, kind="stable")
+        sorted_means = np.take_along_axis(means, order[..., None], axis=1)
+        filled = np.take_along_axis(mass, order, axis=1) > 0
+        return np.append(0, np.cumsum(filled.sum(axis=1))), np.asarray(sorted_means[filled])
+
+
+def heaviest(matrix: csr_array, most: int) -> csr_array:
+    """Return up to `most` entries of each row, the heaviest first, of equal ones the first column first."""
+    rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+    (heavy,) = np.nonzero(matrix.data >= _bars(matrix, most)[rows])  # and more, where some are equal
+    order = heavy[np.lexsort((matrix.indices[heavy], -matrix.data[heavy], rows[heavy]))]
+    begins = np.searchsorted(rows[order], np.arange(matrix.shape[0]))
+    kept = order[np.arange(len(order)) - begins[rows[order]] < most]
+    starts = np.append(0, np.cumsum(np.minimum(np.diff(matrix.indptr), most)))
+    return csr_array((matrix.data[kept], matrix.indices[kept], starts), shape=matrix.shape)
+
+
+def _bars(matrix: csr_array, most: int) -> Float64[np.ndarray, " r"]:
+    """Return the `most`-th largest weight of each row, -inf where it has no more than that."""
+    bars = np.full(matrix.shape[0], -np.inf)
+    for row in np.flatnonzero(np.diff(matrix.indptr) > most):
+        data = matrix.data[matrix.indptr[row] : matrix.indptr[row + 1]]
+        bars[row] = np.partition(data, len(data) - most)[len(data) - most]
+    return bars

@@ -23,7 +23,6 @@ from ...scene.gaussians import Gaussians
 from ..codes import Track
 from ..evidence.aggregation import Aggregated, Aggregator
 from ..evidence.aggregation.outliers import OutlierRejection
-from ..evidence.aggregation.reliability import reliability
 from ..evidence.aggregation.trust import MaskTrust, Tally, tally
 from ..evidence.aggregation.voting import (
     RECEIVERS_AT_ONCE,
@@ -32,6 +31,7 @@ from ..evidence.aggregation.voting import (
     Voters,
     nearest,
     nearest_first,
+    reliability,
 )
 from ..evidence.evidence import Evidence, MaskIds
 from .launching import Launcher, followed

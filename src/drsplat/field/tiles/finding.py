@@ -26,12 +26,10 @@ from .. import LanguageField
 from ..codes import Track, untracked
 from ..evidence.columns import is_finished, part_name
 from ..forest import Objects
-from ..objects.block_nodes import BlockNodes, nodes_of
-from ..objects.blocks import BlockRows
+from ..objects.block_nodes import BlockNodes, BlockRows, nodes_of
 from ..objects.borders import Borders, ViewBorders, borders_in, of_all_views
-from ..objects.by_blocks import Division
 from ..objects.describing import describe
-from ..objects.finding import cameras_of, pieces_of, seen_by, tree_of, with_pieces_joined
+from ..objects.finding import Division, cameras_of, pieces_of, seen_by, tree_of, with_pieces_joined
 from .launching import ONE_PROCESS, Launcher, followed
 from .seeing import Gallery, with_tiles
 from .store import Shared, Store, make_once, store_of

@@ -80,8 +80,7 @@ def run(options: Options) -> Facts:
 
 
 def _known_distance(given: list[str] | None, places: str | None) -> KnownDistance | None:
-    from ...photos.capture.measuring import KnownDistance
-    from ...photos.capture.places import Place, marker_named, read_places
+    from ...photos.capture.measuring import KnownDistance, Place, marker_named, read_places
     from .parsing import UsageError
 
     if given is None:

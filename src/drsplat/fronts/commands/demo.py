@@ -31,7 +31,7 @@ class Options(Verb):
 
 
 def run(options: Options) -> Facts:
-    from ...evaluation.demo.household import resumable
+    from ...evaluation.demo.story import resumable
 
     folder = Path(options.output_dir)
     with resumable(folder, options.overwrite):
@@ -48,9 +48,8 @@ def _run_story(options: Options, folder: Path) -> Facts:
     from ...base.progress import Stopwatch
     from ...base.system import peak_memory_bytes
     from ...evaluation.demo.album import write_album
-    from ...evaluation.demo.household import SCENE
     from ...evaluation.demo.page import write_page
-    from ...evaluation.demo.story import FIELD, tell
+    from ...evaluation.demo.story import FIELD, SCENE, tell
 
     watch, threads, followed = Stopwatch(), options.threads, options.track
     story = tell(folder, overwrite=True, anew=options.overwrite, threads=threads, track=followed)

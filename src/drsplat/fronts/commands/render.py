@@ -17,7 +17,7 @@ from .query_options import asked, values_of
 
 if TYPE_CHECKING:
     from ...authoring.editing.kept import KeptEdits
-    from ...authoring.filming.highlights import Highlight
+    from ...authoring.filming.frames import Highlight
     from ...drawing.labels import Mark
     from ...kernels import SplatArrays
     from ...query import Match
@@ -197,7 +197,7 @@ def _edited(options: Options, scene: Gaussians | Moving) -> Gaussians | Moving:
 def _answer(options: Options) -> tuple[OpenedScene | None, Highlight | None]:
     """Return the scene of --field, and what --query finds in it."""
     from ... import open_scene
-    from ...authoring.filming.highlights import Highlight
+    from ...authoring.filming.frames import Highlight
     from ...query import Query
 
     if options.query is None or options.field is None:

@@ -13,9 +13,8 @@ from ...errors import InputError
 from ...query.documents import rounded
 from ...query.objects import object_of, objects_of
 from ...query.regions import region
-from ...query.relations import OfTwo, Relation, related
+from ...query.relations import OfTwo, Relation, gap, related, standing_on
 from ...query.schema import CUT, Place, QueryField, fields
-from ...query.spatial import gap, standing_on
 from ...scene.boxes import BoxKind
 from .limits import Limits
 from .models import (  # fmt: skip

@@ -1,6 +1,9 @@
 """Photos, each checked and copied into the capture: upright, in a common format, with its facts.
 
 The photos' own folder is only read. A photo that is upright already and a plain JPEG or PNG is copied byte for byte.
+
+Masks come along: people, a photographer's shadow, the gripper of a robot, anything that moves by itself or with the
+camera misleads poses.
 """
 
 import json
@@ -14,18 +17,19 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from ...base.arrays import UInt8
 from ...base.contents import open_file
-from ...errors import FormatError, MissingExtraError
+from ...errors import FormatError, MismatchError, MissingExtraError
 from ...formats.checksums import hash_file
 from ...formats.mask_files import FOLDER as MASKS
 from ...formats.mask_files import SUFFIX as MASK_SUFFIX
 from ...formats.mask_files import is_inverted
 from ...formats.recognising import STILL_BRANDS
 from ...formats.replacing import replacing
+from ...scene.photo_masks import MIN_WHITE, read_mask
 from ...scene.photos import PHOTO_FORMATS, is_wide, orientation_of, rgb_of
 from ...scene.picture_costs import check_cost
+from ...scene.views import same_aspect
 from .exif import ExifFacts, exif_facts
 from .finding import Source
-from .masks import bring_mask
 
 Vector = tuple[float, float, float]
 
@@ -39,6 +43,12 @@ DIGEST_LETTERS = 24
 _BLOCK_BYTES = 1 << 20
 # per EXIF orientation, right and down of the upright photo in (right, down) of the stored one
 _TURNS = {1: ((1, 0), (0, 1)), 3: ((-1, 0), (0, -1)), 6: ((0, -1), (1, 0)), 8: ((0, 1), (-1, 0))}
+_TRANSPOSE = {
+    2: Image.Transpose.FLIP_LEFT_RIGHT, 3: Image.Transpose.ROTATE_180, 4: Image.Transpose.FLIP_TOP_BOTTOM,
+    5: Image.Transpose.TRANSPOSE, 6: Image.Transpose.ROTATE_270, 7: Image.Transpose.TRANSVERSE,
+    8: Image.Transpose.ROTATE_90,
+}  # fmt: skip
+"""Operation that turns a photo of each EXIF orientation upright."""
 
 
 @dataclass(frozen=True)
@@ -215,3 +225,26 @@ def add_heif() -> None:
     except ImportError:
         raise MissingExtraError(f"HEIC photos need pi-heif: {INSTALL}") from None
     register_heif_opener()
+
+
+def bring_mask(mask: Path, target: Path, size: tuple[int, int], orientation: int, invert: bool) -> bool:
+    """Write a mask as 0 and 255 on the raster of its upright photo; return whether it keeps any of it.
+
+    size: width and height of the upright photo. orientation: of the photo's EXIF; a mask of the shape of the photo as
+    stored is turned with it, and one that is upright already stays.
+
+    Raises: FormatError: no picture. MismatchError: of another shape than the photo.
+    """
+    picture = read_mask(mask)
+    if (orientation > 4 and not same_aspect(picture.size, size)) or orientation in (2, 3, 4):
+        picture = picture.transpose(_TRANSPOSE[orientation])
+    if not same_aspect(picture.size, size):
+        width, height = picture.size
+        raise MismatchError(
+            f"{mask}: the mask is {width}x{height}, its photo {size[0]}x{size[1]}: make it of the photo as it is"
+        )
+    used = np.asarray(picture.resize(size, Image.Resampling.NEAREST)) >= MIN_WHITE
+    pixels = np.where(used != invert, np.uint8(255), np.uint8(0))
+    with replacing(target, overwrite=True) as file:
+        Image.fromarray(pixels).save(file, format="PNG")
+    return bool(pixels.any())

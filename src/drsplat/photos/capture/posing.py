@@ -1,20 +1,25 @@
-"""COLMAP's models of photos: features, pairs, matches, poses. Finished steps are kept and not repeated."""
+"""COLMAP's models of photos: features, pairs, matches, poses. Finished steps are kept and not repeated.
+
+The pairs to match are all of few photos; of many, neighbours in order, place and looks, whose number grows with that of
+the photos. The look of a photo is its SIFT descriptors relative to the words of a small vocabulary that is trained on
+the photos themselves.
+Source: Jegou et al., Aggregating local descriptors into a compact image representation, CVPR 2010 (VLAD), with the
+intra-normalisation of Arandjelovic and Zisserman, All about VLAD, CVPR 2013.
+"""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...base.arrays import Float64
+from ...base.arrays import Float32, Float64
 from ...formats.replacing import replacing
 from ...scene.geodesy import geocentric
 from . import database as colmap_database
-from . import pairs as pairing
 from .finding import are_numbered
-from .looks import looks_of
 from .photos import Photo, mask_path
 from .program import ColmapFailure, ask_colmap
 from .settings import LENSES
@@ -30,6 +35,18 @@ _TWO_FOCAL = ("OPENCV", "OPENCV_FISHEYE")
 
 Progress = Callable[[str, int, int], None]
 """Function that is called with a stage, the number of finished steps and their total."""
+NUM_WORDS, KMEANS_STEPS = 32, 12
+MAX_TRAINING_DESCRIPTORS = 40_000  # of the vocabulary
+MAX_DESCRIPTORS = 2_000  # of a photo
+
+Descriptors = Float32[np.ndarray, "n 128"]
+MAX_EXHAUSTIVE_PHOTOS = 150  # 11,175 pairs
+MAX_EXHAUSTIVE_NUMBERED_PHOTOS = 40  # their order says which overlap
+NEIGHBOURS_IN_ORDER = 12
+NEIGHBOURS_IN_PLACE = 24
+NEIGHBOURS_IN_LOOKS = 20
+NUMBERED_NEIGHBOURS_IN_LOOKS = 8  # for loops
+_BLOCK_ROWS = 512
 
 
 @dataclass(frozen=True)
@@ -117,16 +134,16 @@ class Posing:
         """Return the pairs of files to match, in order."""
         photos = [photo for photo in self.photos if photo.file in features]
         numbered = are_numbered([photo.name for photo in photos])
-        if len(photos) <= (pairing.MAX_EXHAUSTIVE_NUMBERED_PHOTOS if numbered else pairing.MAX_EXHAUSTIVE_PHOTOS):
-            pairs = pairing.all_pairs(len(photos))
+        if len(photos) <= (MAX_EXHAUSTIVE_NUMBERED_PHOTOS if numbered else MAX_EXHAUSTIVE_PHOTOS):
+            pairs = all_pairs(len(photos))
         else:
             looks = looks_of(
                 [photo.file for photo in photos], lambda file: colmap_database.descriptors_of(database, file)
             )
-            alike = pairing.NUMBERED_NEIGHBOURS_IN_LOOKS if numbered else pairing.NEIGHBOURS_IN_LOOKS
-            pairs = pairing.pairs_in_looks(looks, alike) | pairing.pairs_in_place(places_of(photos))
+            alike = NUMBERED_NEIGHBOURS_IN_LOOKS if numbered else NEIGHBOURS_IN_LOOKS
+            pairs = pairs_in_looks(looks, alike) | pairs_in_place(places_of(photos))
             if numbered:
-                pairs |= pairing.pairs_in_order(len(photos))
+                pairs |= pairs_in_order(len(photos))
         return [(photos[i].file, photos[j].file) for i, j in sorted(pairs)]
 
     def _match(self, pairs: list[tuple[str, str]]) -> None:
@@ -236,3 +253,98 @@ def _largest_group(pairs: dict[tuple[str, str], int]) -> set[str]:
     _, labels = connected_components(graph, directed=False)
     largest = np.bincount(labels).argmax()
     return {file for file, label in zip(files, labels, strict=True) if label == largest}
+
+
+def looks_of(keys: Sequence[str], read: Callable[[str], Descriptors]) -> Float32[np.ndarray, "p d"]:
+    """Return a unit vector for each photo, zeros for one without descriptors; one photo is in memory at a time.
+
+    read: returns the descriptors of a photo by its key, of unit length.
+    """
+    vocabulary = _vocabulary(keys, read)
+    if vocabulary is None:
+        return np.zeros((len(keys), 1), np.float32)
+    return np.stack([_look(_thinned(read(key), MAX_DESCRIPTORS), vocabulary) for key in keys])
+
+
+def _vocabulary(keys: Sequence[str], read: Callable[[str], Descriptors]) -> Float32[np.ndarray, "w 128"] | None:
+    """Return the centres of a k-means of descriptors of all photos; None for too few descriptors."""
+    each = max(1, MAX_TRAINING_DESCRIPTORS // max(len(keys), 1))
+    step = max(1, len(keys) // MAX_TRAINING_DESCRIPTORS)
+    sample = np.concatenate([_thinned(read(key), each) for key in keys[::step]] or [np.empty((0, 128), np.float32)])
+    if len(sample) < 4 * NUM_WORDS:
+        return None
+    centres = sample[np.random.default_rng(0).choice(len(sample), NUM_WORDS, replace=False)]
+    for _ in range(KMEANS_STEPS):
+        nearest = _nearest(sample, centres)
+        for word in range(NUM_WORDS):
+            if (nearest == word).any():
+                centres[word] = sample[nearest == word].mean(axis=0)
+    return centres
+
+
+def _look(descriptors: Descriptors, vocabulary: Float32[np.ndarray, "w 128"]) -> Float32[np.ndarray, " d"]:
+    """Return the VLAD vector of a photo."""
+    nearest = _nearest(descriptors, vocabulary)
+    look = np.zeros_like(vocabulary)
+    np.add.at(look, nearest, descriptors - vocabulary[nearest])
+    look /= np.maximum(np.linalg.norm(look, axis=1, keepdims=True), 1e-9)
+    flat = look.reshape(-1)
+    return np.asarray(flat / max(float(np.linalg.norm(flat)), 1e-9), np.float32)
+
+
+def _nearest(descriptors: Descriptors, centres: Float32[np.ndarray, "w 128"]) -> np.ndarray:
+    return np.asarray(((centres**2).sum(1) - 2 * descriptors @ centres.T).argmin(axis=1))
+
+
+def _thinned(descriptors: Descriptors, most: int) -> Descriptors:
+    """Return at most `most` descriptors, evenly chosen."""
+    return descriptors[np.linspace(0, len(descriptors) - 1, min(most, len(descriptors))).astype(np.intp)]
+
+
+def all_pairs(count: int) -> set[tuple[int, int]]:
+    """Return each pair (i, j), i < j, of `count` photos."""
+    return {(i, j) for i in range(count) for j in range(i + 1, count)}
+
+
+def pairs_in_order(count: int) -> set[tuple[int, int]]:
+    """Return pairs of photos that were taken soon after each other, and fewer pairs further apart."""
+    steps = [*range(1, NEIGHBOURS_IN_ORDER + 1)]
+    while steps[-1] * 2 < count:
+        steps.append(steps[-1] * 2)
+    return {(i, i + step) for step in steps for i in range(count - step)}
+
+
+def pairs_in_place(positions: Float64[np.ndarray, "n 3"]) -> set[tuple[int, int]]:
+    """Return pairs of photos that were taken near each other; rows of NaN have no place."""
+    from scipy.spatial import KDTree
+
+    placed = np.flatnonzero(np.isfinite(positions).all(1))
+    if len(placed) < 2:
+        return set()
+    count = min(NEIGHBOURS_IN_PLACE + 1, len(placed))
+    _, near = KDTree(positions[placed]).query(positions[placed], k=count)
+    return _ordered(placed.repeat(count), placed[near].reshape(-1))
+
+
+def pairs_in_looks(looks: Float32[np.ndarray, "n d"], count: int = NEIGHBOURS_IN_LOOKS) -> set[tuple[int, int]]:
+    """Return pairs of photos that look alike. looks: unit vectors; rows of zeros look like nothing."""
+    count = min(count + 1, len(looks))
+    pairs: set[tuple[int, int]] = set()
+    for start, block in _blocks(looks):
+        alike = block @ looks.T
+        best = np.argpartition(-alike, count - 1, axis=1)[:, :count]
+        rows, columns = np.repeat(np.arange(len(block)), count), best.reshape(-1)
+        similar = alike[rows, columns] > 0
+        pairs |= _ordered(start + rows[similar], columns[similar])
+    return pairs
+
+
+def _blocks(looks: Float32[np.ndarray, "n d"]) -> Iterator[tuple[int, Float32[np.ndarray, "r d"]]]:
+    for start in range(0, len(looks), _BLOCK_ROWS):
+        yield start, looks[start : start + _BLOCK_ROWS]
+
+
+def _ordered(first: np.ndarray, second: np.ndarray) -> set[tuple[int, int]]:
+    low, high = np.minimum(first, second), np.maximum(first, second)
+    apart = low < high
+    return set(zip(low[apart].tolist(), high[apart].tolist(), strict=True))

@@ -103,7 +103,7 @@ def upright_rotation(up: Float64[np.ndarray, " 3"], views: Sequence[View]) -> Ro
 
 def _gps_fit(views: Sequence[View], facts: Mapping[str, ExifFacts], upright: Rotation) -> World | None:
     """Return the world in metres east, north and up; None where GPS is missing or coarser than the scene."""
-    placed = [view for view in views if _has_height(facts[view.name])]
+    placed = [view for view in views if (at := facts[view.name].position) is not None and at[2] is not None]
     if len(placed) < MIN_GPS_PHOTOS:
         return None
     places = np.array([facts[view.name].position for view in placed], np.float64)
@@ -124,10 +124,6 @@ def _gps_fit(views: Sequence[View], facts: Mapping[str, ExifFacts], upright: Rot
         middle = float(np.median(_distances(similarity, centers, offsets)))
     georeference = Georeference(*origin, np.eye(3), 1.0)
     return World(similarity, "m", up_from, "GPS", georeference, middle)
-
-
-def _has_height(facts: ExifFacts) -> bool:
-    return facts.position is not None and facts.position[2] is not None
 
 
 def _robust_similarity(source: Points, target: Points) -> tuple[Similarity, Float64[np.ndarray, " n"]]:

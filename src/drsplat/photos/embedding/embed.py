@@ -4,11 +4,14 @@ An `embedding.json` beside the features records the settings of the folder and i
 finished only with an entry there that matches them and their photo.
 """
 
-from collections.abc import Generator, Mapping, Sequence
+import os
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, TypeVar, runtime_checkable
 from warnings import warn
 
 import numpy as np
@@ -30,16 +33,18 @@ from ...scene.masks.selection import MaskMaps, mask_maps
 from ...scene.photo_masks import load_mask, views_with_something
 from ...scene.photos import load_image
 from ...scene.views import View, scenes_rendered
-from ..models.nouns import broad_list
-from ..models.word_list import known_words
-from .keeping import embedded_again, kept_identity, kept_maps, level_counts, masks_hash
-from .mask_rows import mask_rows
-from .side_by_side import Threaded, photos_at_once, side_by_side
+from ..models.word_list import broad_list, known_words
+from .keeping import embedded_again, kept_identity, kept_maps, level_counts, mask_rows, masks_hash
 
 ALGORITHM = "1"  # version of all rules that shape the files; a new one embeds all photos again
 WORD_LIST = "word_list.safetensors"  # beside the features: words that queries are contrasted with
 MAX_HEIGHT_PIXELS = 1080
 """Height in pixels that taller photos are scaled down to. Source: LangSplat preprocess.py."""
+MAX_PHOTOS_AT_ONCE = 8  # each takes memory
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+Model = TypeVar("Model")
 
 
 @dataclass(frozen=True)
@@ -357,3 +362,35 @@ def _warn_of_leftovers(record: EmbeddingRecord) -> None:
             f"views and were made otherwise: remove them, or registering mixes them in: {listed(leftovers)}"
         )
         warn(text, DrSplatWarning, stacklevel=4)
+
+
+@runtime_checkable
+class Threaded(Protocol):
+    """Model with the same answers on any number of threads: on `threads` of its own, 0 for all cores, or on one."""
+
+    threads: int
+
+    def on_one_thread(self: Model) -> Model:
+        """Return the same model on one thread, for several threads to call at once."""
+        ...
+
+
+def photos_at_once(models: Iterable[object]) -> int:
+    """Return the number of photos to process at the same time: 1 unless all models are `Threaded`."""
+    threads = [model.threads or os.cpu_count() or 1 if isinstance(model, Threaded) else 1 for model in models]
+    return min(MAX_PHOTOS_AT_ONCE, *threads)
+
+
+def side_by_side(work: Callable[[Item], Result], items: Iterable[Item], at_once: int) -> Iterator[Result]:
+    """Yield the result of each item, in order; at most `at_once` are started and not yet taken."""
+    if at_once == 1:
+        yield from map(work, items)
+        return
+    with ThreadPoolExecutor(at_once) as pool:
+        started: deque[Future[Result]] = deque()
+        for item in items:
+            started.append(pool.submit(work, item))
+            if len(started) == at_once:
+                yield started.popleft().result()
+        while started:
+            yield started.popleft().result()

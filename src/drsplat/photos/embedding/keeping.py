@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from scipy.ndimage import find_objects
@@ -12,10 +13,10 @@ from ...formats.checksums import hash_file
 from ...formats.embedding_record import read_settings
 from ...formats.langsplat import FeatureFolder
 from ...scene.encoders import EncoderIdentity, ImageEncoder
+from ...scene.masks.crops import crops
 from ...scene.masks.masks import LEVELS, Masks
 from ...scene.photos import load_image
 from ...scene.views import View, same_aspect
-from .mask_rows import mask_rows
 
 
 class WithoutEmbedding:
@@ -104,3 +105,17 @@ def _cut_out(levels: Int32[np.ndarray, "l h w"]) -> tuple[list[int], Masks]:
     boxes = np.array([cutouts[row][0] for row in rows], np.int32).reshape(-1, 4)
     parts = tuple(cutouts[row][1] for row in rows)
     return rows, Masks(levels.shape[1], levels.shape[2], boxes, parts, np.ones(len(rows), np.float32))
+
+
+@runtime_checkable
+class MaskEncoder(Protocol):
+    """Encoder that embeds masks from one pass over the image, without crops of them."""
+
+    def encode_masks(self, image: UInt8[np.ndarray, "h w 3"], masks: Masks) -> Float32[np.ndarray, "n d"]: ...
+
+
+def mask_rows(image: UInt8[np.ndarray, "h w 3"], masks: Masks, encoder: ImageEncoder) -> Float32[np.ndarray, "n d"]:
+    """Return unit vectors of the masks of an image, each with a pixel or more, in their order."""
+    if isinstance(encoder, MaskEncoder):
+        return encoder.encode_masks(image, masks)
+    return encoder.encode_images(crops(image, masks))

@@ -26,7 +26,7 @@ from ...scene.encoders import EncoderIdentity, ImageEncoder, identity_json
 from ...scene.masks.masks import Masks, cut_masks
 from ...scene.photos import load_image, photo_size
 from ...scene.views import View
-from .mask_rows import mask_rows
+from .keeping import mask_rows
 
 ALGORITHM = "1"  # version of everything here that decides a patch
 MIN_AREA_PIXELS = 100

@@ -8,7 +8,7 @@ from PIL import Image
 
 from ...base.arrays import Float32, UInt8
 from ...scene.masks.masks import Masks
-from .memory import fitting
+from .devices import fitting
 from .torch_encoder import as_rows
 from .transformers_encoders import TransformersEncoder
 

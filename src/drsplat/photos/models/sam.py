@@ -13,10 +13,9 @@ from PIL import Image
 from ...base.arrays import Bool, Float32, Float64, Int64, UInt8
 from ...errors import FormatError, InputError, MissingExtraError
 from ...formats.json_files import as_vector, excerpt, read_json
-from .devices import chosen_device
+from .devices import chosen_device, fitting
 from .graph import GraphSegmenter
 from .libraries import models_library
-from .memory import fitting
 from .point_decoder import PointDecoder, SharedImage
 from .point_masks import PointMasks, PointMaskSettings, PointSegmenter
 from .pretrained import load_model, model_folder, model_type, weight_files, weights_hash

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections import OrderedDict
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 from ...base.arrays import Float32, UInt8
 from ...errors import FormatError, InputError
 from ...scene.encoders import EncoderIdentity
-from .memory import fitting
+from .devices import fitting
 from .preprocessing import Preprocessing
 
 BATCH_BYTES = {"cpu": 5 << 20, "mps": 20 << 20, "cuda": 80 << 20}
@@ -56,7 +56,8 @@ class TorchEncoder(ABC):
         """
         self._check_texts(texts)
         new = [text for text in dict.fromkeys(texts) if text not in self._texts]
-        for block in _blocks(len(new), TEXTS_PER_BATCH):
+        for start in range(0, len(new), TEXTS_PER_BATCH):
+            block = slice(start, start + TEXTS_PER_BATCH)
             rows = self._unit([self._text_rows(new[block])], "text")
             self._texts.update(zip(new[block], rows, strict=True))
         for text in texts:
@@ -113,7 +114,3 @@ def as_rows(tensor: Any) -> np.ndarray:
     """Return a tensor as float32 on the host."""
     rows: np.ndarray = tensor.float().cpu().numpy()
     return rows
-
-
-def _blocks(count: int, size: int) -> Iterator[slice]:
-    return (slice(start, start + size) for start in range(0, count, size))

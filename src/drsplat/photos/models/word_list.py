@@ -1,6 +1,8 @@
 """Which words a query is contrasted with."""
 
 from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -9,9 +11,44 @@ from ...base.arrays import Float32
 from ...errors import InputError
 from ...formats.vocabulary import VocabularyEncoder
 from ...scene.encoders import Encoder
-from .nouns import NOUNS, broad_list
 
 MAX_TEXTS = 2000  # of a vocabulary: more make a first question slow
+_THINGS = """
+apple, banana, orange, pear, lemon, grapes, strawberry, watermelon, tomato, carrot, potato, onion, pepper, cucumber,
+lettuce, mushroom, bread, cake, cookie, cheese, egg, meat, fish, rice, noodles, soup, pizza, sandwich, salad, chocolate,
+ice cream, coffee, tea, juice, milk, water, wine, beer,
+cup, mug, glass, bowl, plate, pan, pot, kettle, teapot, jug, bottle, can, jar, spoon, fork, knife, chopsticks, tray,
+cutting board, ladle, spatula, napkin, lid, basket, bucket, bin, box, carton, crate, bag, backpack, suitcase, purse,
+stove, oven, microwave, refrigerator, dishwasher, toaster, blender, sink, faucet, bathtub, shower, toilet, towel, soap,
+toothbrush, sponge, broom, mop, vacuum cleaner, washing machine, iron, hanger,
+bed, mattress, pillow, blanket, quilt, sheet, crib, sofa, armchair, chair, stool, bench, table, desk, counter, shelf,
+bookshelf, cabinet, wardrobe, dresser, drawer, nightstand, lamp, chandelier, candle, curtain, blinds, rug, carpet, mat,
+cushion, mirror, picture, painting, poster, clock, vase, statue, fireplace, radiator, fan, heater,
+window, door, doorway, handle, stairs, railing, ceiling, wall, floor, tiles, bricks, pipe, cable, socket, switch, sign,
+computer, laptop, keyboard, mouse, monitor, television, printer, telephone, remote control, camera, speaker, headphones,
+radio, tablet, projector, whiteboard, robot,
+book, magazine, newspaper, paper, notebook, envelope, map, calendar, pen, pencil, ruler, scissors, tape, glue, stapler,
+toy, doll, teddy bear, stuffed animal, puppet, action figure, ball, balloon, puzzle, playing cards, dice, toy blocks,
+kite,
+toy car, rubber duck, guitar, piano, violin, drum, trumpet,
+shirt, dress, trousers, jacket, coat, sweater, skirt, sock, shoe, boot, sandal, hat, cap, helmet, glove, scarf, tie,
+belt,
+glasses, sunglasses, watch, ring, necklace, umbrella, wallet, key, button,
+hammer, screwdriver, wrench, pliers, saw, drill, nail, screw, rope, chain, ladder, paint, brush, toolbox,
+person, man, woman, child, baby, face, hand, foot, hair, eye, skull, skeleton, mask,
+dog, cat, horse, cow, sheep, pig, rabbit, bear, elephant, lion, monkey, mouse trap, bird, chicken, duck, fish tank,
+frog,
+turtle, snake, insect, butterfly, spider, shell, feather, bone,
+tree, bush, flower, rose, leaf, branch, trunk, cactus, potted plant, grass, moss, root, log,
+car, truck, bus, van, motorcycle, bicycle, scooter, train, airplane, boat, tractor, wheel, tyre, seat, engine,
+house, building, tower, bridge, roof, chimney, balcony, garage, shed, tent, fence, gate, column, arch, fountain,
+monument, church, shop, market stall, street lamp, traffic light, traffic cone, hydrant, mailbox, billboard, flag,
+road, pavement, path, parking lot, rails, field, garden, lawn, forest, hill, mountain, rock, stone, gravel, sand, soil,
+mud, beach, sea, lake, river, waterfall, sky, cloud, sun, moon, snow, ice, fire, smoke, shadow, light, reflection,
+wood, metal, plastic, glass pane, leather, cloth, fur, wool, cardboard, concrete, plaster, marble, rubber, foam
+"""
+
+NOUNS = tuple(dict.fromkeys(word.strip() for word in _THINGS.replace("\n", " ").split(",")))
 
 
 def list_vectors(encoder: Encoder) -> Float32[np.ndarray, "n D"]:
@@ -67,3 +104,29 @@ def _spread_over(texts: Sequence[str]) -> Sequence[str]:
     others = [text for text in texts if text not in set(NOUNS)]
     spread = np.linspace(0, len(others) - 1, MAX_TEXTS - len(nouns)).astype(int)
     return [*nouns, *(others[at] for at in np.unique(spread))]
+
+
+def broad_list() -> tuple[str, ...]:
+    """Return the nouns above and the 1,203 names of LVIS, none twice: structures and ground, and many small things.
+
+    Source: the names of LVIS 1.0 (Gupta, Dollar, Girshick, CVPR 2019), CC BY 4.0; `lvis_names.txt` says so too.
+    """
+    lines = Path(__file__).with_name("lvis_names.txt").read_text(encoding="utf-8").splitlines()
+    return tuple(dict.fromkeys((*NOUNS, *(line for line in lines if not line.startswith("#")))))
+
+
+@cache
+def _kinds() -> dict[str, frozenset[str]]:
+    lines = Path(__file__).with_name("kinds.txt").read_text(encoding="utf-8").splitlines()
+    pairs = (line.split(": ", 1) for line in lines if not line.startswith("#"))
+    return {kind: frozenset(names.split(", ")) for kind, names in pairs}
+
+
+def names_under(text: str) -> frozenset[str]:
+    """Return the names of the list above that are of a kind: canoes and ferries of "boat", none of most texts.
+
+    Source: the hypernyms of WordNet 3.0; `kinds.txt`, made by scripts/make_kinds.py, has its licence.
+    """
+    word = text.lower().strip()
+    word = next((word.removeprefix(article) for article in ("a ", "an ", "the ") if word.startswith(article)), word)
+    return next((_kinds()[one] for one in (word, word[:-1], word[:-2]) if one in _kinds()), frozenset())

@@ -23,13 +23,12 @@ from ..encoding import Load
 from ..opening import SceneFiles, scene_files
 from ..ranking import Surroundings
 from . import table
-from .agreeing import SceneRules
 from .codes import CodeReader, has_codebook
 from .coding import verify as verify_codes
 from .conditions import Conditions, checked_name, of_scene
 from .entries import CatalogueAnswer, Entry, SceneEntry
 from .nearest import Search, nearest_objects
-from .reading import entries_of, listed_of, thumbnail_of
+from .reading import SceneRules, entries_of, listed_of, thumbnail_of
 from .rows import SceneRows, rows_of
 from .schema import batch
 from .snapshot import OF_OBJECTS, Snapshot, current

@@ -1,12 +1,15 @@
 """Objects of a scene as columns of the table."""
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
+from ...base.arrays import UInt8
 from ...errors import InputError
 from ...field import LanguageField
 from ...field.codes import Track
@@ -17,9 +20,11 @@ from ..objects import objects_of, support_of
 from ..sheets import object_picture, object_views
 from ..sketch import sketch_of
 from .entries import Position
-from .thumbnails import SIZE, thumbnail
 
 UNTILED = 0
+SIZE = (240, 180)
+MAX_BYTES = 16 << 10
+QUALITIES = (85, 70, 50, 30, 15)
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,3 +131,20 @@ def _positions(matches: Sequence[Match], georeference: Georeference | None) -> l
         return [None] * len(matches)
     positions = georeference.positions(np.stack([match.center for match in matches]))
     return [Position(*row) for row in positions.tolist()]
+
+
+def thumbnail(pixels: UInt8[np.ndarray, "_ _ 3"]) -> bytes:
+    """Return a JPEG of at most MAX_BYTES, of the best quality that fits; the size is halved until one does."""
+    picture = Image.fromarray(pixels)
+    while True:
+        for quality in QUALITIES:
+            data = _jpeg(picture, quality)
+            if len(data) <= MAX_BYTES:
+                return data
+        picture = picture.resize((max(picture.width // 2, 1), max(picture.height // 2, 1)))
+
+
+def _jpeg(picture: Image.Image, quality: int) -> bytes:
+    file = io.BytesIO()
+    picture.save(file, "JPEG", quality=quality, optimize=True)
+    return file.getvalue()

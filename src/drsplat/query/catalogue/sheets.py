@@ -9,7 +9,7 @@ from ...drawing.cards import Card, card_sheet
 from ...drawing.pictures import OtherPixels
 from ...errors import InputError
 from .entries import Entry
-from .thumbnails import SIZE
+from .rows import SIZE
 
 COLUMNS, MAX_CARDS = 5, 60
 GREY = 214  # of an object without a thumbnail

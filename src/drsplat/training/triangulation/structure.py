@@ -6,18 +6,39 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
-from ...base.arrays import Float64, Integer, UInt8
+from ...base.arrays import Bool, Float64, Integer, UInt8
 from ...scene.views import View
-from .detecting import detect_all
-from .keypoints import Keypoints, as_stored, located
-from .matching import Matches, matches
-from .meeting import meet
-from .pairs import neighbours
-from .tracks import Tracks, join
+from .detecting import Keypoints, as_stored, detect_all, located
 
 MAX_PHOTOS = 250  # more are thinned evenly, by name
 MIN_PHOTOS_PER_POINT = 2
+NEIGHBOUR_RANKS = (1, 2, 3, 5, 8, 12, 18)
+"""Ranks of the neighbours to compare: the nearest share most, farther ones give depth."""
+MAX_TURN_DEGREES = 60.0  # between two cameras' directions; SIFT does not match beyond
+MAX_DISTANCE_RATIO = 0.8  # Lowe's ratio test: nearest over second nearest
+MAX_EPIPOLAR_SHARE = 1 / 320  # of the photo's longer side; 2 pixels of 640
+TOLERANCE_FACTORS = (16, 4, 1)  # by round: an outlier moves the first point off all rays
+MAX_REPROJECTION_SHARE = 1 / 320  # of the photo's longer side; 2 pixels of 640
+MIN_ANGLE_DEGREES = 1.5  # between the outermost rays and their middle; depth is a guess below
+MIN_DETERMINANT = 1e-9
+
+
+class Matches(NamedTuple):
+    """Matches of two photos. pairs: indices into their keypoints. alike: number before the epipolar test."""
+
+    pairs: Integer[np.ndarray, "m 2"]
+    alike: int
+
+
+class Tracks(NamedTuple):
+    """Observations sorted by track, then photo: keypoint `keypoints[i]` of photo `photos[i]` shows `tracks[i]`."""
+
+    tracks: Integer[np.ndarray, " o"]
+    photos: Integer[np.ndarray, " o"]
+    keypoints: Integer[np.ndarray, " o"]
 
 
 class Triangulation(NamedTuple):
@@ -95,3 +116,219 @@ def _mean_colors(
     sums = [np.bincount(tracks[used], channel[used], count) for channel in colors.T]
     means = np.stack(sums, axis=1) / counts[:, None]
     return np.rint(means).astype(np.uint8)
+
+
+def neighbours(views: Sequence[View]) -> Integer[np.ndarray, "p 2"]:
+    """Return the sorted pairs of indices of the views to compare, the smaller index first."""
+    centers = np.array([view.center for view in views])
+    directions = np.array([view.cam_from_world[2, :3] for view in views])
+    pairs: set[tuple[int, int]] = set()
+    for index in range(len(views)):
+        by_distance = _by_distance(index, centers, directions)
+        for rank in NEIGHBOUR_RANKS:
+            if rank <= len(by_distance):
+                other = int(by_distance[rank - 1])
+                pairs.add((min(index, other), max(index, other)))
+    return np.array(sorted(pairs), np.int64).reshape(-1, 2)
+
+
+def _by_distance(
+    index: int, centers: Float64[np.ndarray, "n 3"], directions: Float64[np.ndarray, "n 3"]
+) -> Integer[np.ndarray, " m"]:
+    """Return the other cameras that look about the same way, nearest first."""
+    alike = directions @ directions[index] > np.cos(np.radians(MAX_TURN_DEGREES))
+    alike[index] = False
+    others = np.flatnonzero(alike)
+    distances = np.linalg.norm(centers[others] - centers[index], axis=1)
+    return others[np.argsort(distances, kind="stable")]
+
+
+def matches(first: View, a: Keypoints, second: View, b: Keypoints) -> Matches:
+    """Match mutually nearest descriptors, and keep the pairs that the poses allow."""
+    pairs = _alike(a, b)
+    fits = _fits(first, a.pixels[pairs[:, 0]], second, b.pixels[pairs[:, 1]])
+    return Matches(pairs[fits], len(pairs))
+
+
+def _alike(a: Keypoints, b: Keypoints) -> Integer[np.ndarray, "m 2"]:
+    """Return pairs of mutual nearest neighbours that pass the ratio test.  Source: Lowe 2004, Sec. 7.1."""
+    if len(a.descriptors) < 2 or len(b.descriptors) < 2:
+        return np.empty((0, 2), np.int64)
+    distances2 = _distances2(a, b)
+    forward, backward = _nearest(distances2), _nearest(distances2.T)
+    mutual = (forward >= 0) & (backward[forward] == np.arange(len(forward)))
+    return np.stack([np.flatnonzero(mutual), forward[mutual]], axis=1)
+
+
+def _distances2(a: Keypoints, b: Keypoints) -> np.ndarray:
+    """Compute squared distances of all descriptors. Exact in float32: integers below 2**24."""
+    left, right = a.descriptors.astype(np.float32), b.descriptors.astype(np.float32)
+    squares: np.ndarray = (left**2).sum(1)[:, None] + (right**2).sum(1) - 2 * (left @ right.T)
+    return squares
+
+
+def _nearest(distances2: np.ndarray) -> Integer[np.ndarray, " n"]:
+    """Return each row's nearest neighbour, or -1 where Lowe's ratio test fails."""
+    rows, best = np.arange(len(distances2)), distances2.argmin(axis=1)
+    others = distances2.copy()
+    others[rows, best] = np.inf
+    return np.where(distances2[rows, best] < MAX_DISTANCE_RATIO**2 * others.min(axis=1), best, -1)
+
+
+def _fits(
+    first: View, x: Float64[np.ndarray, "m 2"], second: View, y: Float64[np.ndarray, "m 2"]
+) -> Bool[np.ndarray, " m"]:
+    """Return which pairs lie on each other's epipolar lines, to `MAX_EPIPOLAR_SHARE` of the photo's longer side."""
+    fundamental = fundamental_matrix(first, second)
+    homogeneous = [np.concatenate([points, np.ones((len(points), 1))], axis=1) for points in (x, y)]
+    in_second, in_first = homogeneous[0] @ fundamental.T, homogeneous[1] @ fundamental
+    residuals = np.abs((homogeneous[1] * in_second).sum(axis=1))
+    fits = np.ones(len(x), bool)
+    for lines, view in ((in_second, second), (in_first, first)):
+        tolerance = MAX_EPIPOLAR_SHARE * max(view.width, view.height)
+        fits &= residuals <= tolerance * np.linalg.norm(lines[:, :2], axis=1)
+    return fits
+
+
+def fundamental_matrix(first: View, second: View) -> Float64[np.ndarray, "3 3"]:
+    """Return F with y^T F x = 0 for pixels x of the first and y of the second view that show one point.
+
+    Source: Hartley and Zisserman, "Multiple View Geometry" (2004), Eq. 9.2.
+    """
+    relative = second.cam_from_world[:3, :3] @ first.cam_from_world[:3, :3].T
+    x, y, z = second.cam_from_world[:3, :3] @ (first.center - second.center)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    essential = cross @ relative
+    inverses = [np.linalg.inv(view.K) for view in (first, second)]
+    return np.asarray(inverses[1].T @ essential @ inverses[0])
+
+
+def join(
+    counts: Sequence[int], pairs: Integer[np.ndarray, "p 2"], matches: Sequence[Integer[np.ndarray, "_ 2"]]
+) -> Tracks:
+    """Join matched keypoints into tracks of two photos or more.
+
+    counts: keypoints of each photo. pairs: photos compared. matches: of the keypoints of each pair.
+    A photo with two keypoints in a track is ambiguous there, and leaves it.
+    """
+    starts = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    edges = [matched + starts[pair] for pair, matched in zip(pairs, matches, strict=True)]
+    joined = np.concatenate(edges) if edges else np.empty((0, 2), np.int64)
+    graph = coo_array((np.ones(len(joined), bool), joined.T), shape=(starts[-1], starts[-1]))
+    of_keypoint = connected_components(graph, directed=False)[1]
+    photos = np.repeat(np.arange(len(counts)), counts)
+    order = np.lexsort((photos, of_keypoint))
+    tracks, photos = of_keypoint[order], photos[order]
+    chosen = _once(tracks, photos)
+    chosen &= np.bincount(tracks[chosen], minlength=starts[-1])[tracks] >= 2
+    numbered = np.unique(tracks[chosen], return_inverse=True)[1]
+    return Tracks(numbered, photos[chosen], (order - starts[:-1][photos])[chosen])
+
+
+def _once(tracks: np.ndarray, photos: np.ndarray) -> np.ndarray:
+    """Return which observations are the only one of their photo in their track; both inputs are sorted."""
+    repeated = np.zeros(len(tracks), bool)
+    same = (np.diff(tracks) == 0) & (np.diff(photos) == 0)
+    repeated[:-1] |= same
+    repeated[1:] |= same
+    return ~repeated
+
+
+class Points(NamedTuple):
+    """Triangulated points. tracks: the track of each. used: the observations that agree with their track's point."""
+
+    positions: Float64[np.ndarray, "n 3"]
+    tracks: Integer[np.ndarray, " n"]
+    used: Bool[np.ndarray, " o"]
+
+
+class _Rays(NamedTuple):
+    """Rays by observation. centers: from the mean camera, so that a scene may lie far from its origin."""
+
+    centers: Float64[np.ndarray, "o 3"]
+    directions: Float64[np.ndarray, "o 3"]
+    pixel: Float64[np.ndarray, " o"]  # tolerance as a slope: tolerated pixels over the focal length
+
+
+def meet(views: Sequence[View], tracks: Tracks, pixels: Float64[np.ndarray, "o 2"], least: int) -> Points:
+    """Triangulate each track, and return the points that at least `least` observations agree on.
+
+    pixels: of each observation. In rounds of falling tolerance, observations that are off by more leave their track;
+    the point then minimises the sum of squared distances to the rays, each over its depth.
+    Source: the linear-Eigen triangulation's geometric twin, Hartley and Zisserman, Sec. 12.2; weights ours.
+    """
+    mean_center = np.mean([view.center for view in views], axis=0)
+    rays = _rays(views, tracks.photos, pixels, mean_center)
+    count = int(tracks.tracks.max(initial=-1)) + 1
+    used, weights = np.ones(len(pixels), bool), np.ones(len(pixels))
+    positions = np.zeros((count, 3))
+    for factor in TOLERANCE_FACTORS:
+        positions = _nearest_to_rays(rays, tracks.tracks, weights, count)
+        depths, errors = _off(rays, positions[tracks.tracks])
+        used = (depths > 0) & (errors <= factor * rays.pixel)
+        weights = np.where(used, 1 / np.maximum(depths, MIN_DETERMINANT) ** 2, 0)
+    positions = _nearest_to_rays(rays, tracks.tracks, weights, count)
+    depths, errors = _off(rays, positions[tracks.tracks])
+    used &= (depths > 0) & (errors <= rays.pixel)
+    enough = np.bincount(tracks.tracks[used], minlength=count) >= least
+    enough &= _angles(rays, tracks.tracks, used, count) >= np.radians(MIN_ANGLE_DEGREES)
+    return Points(positions[enough] + mean_center, np.flatnonzero(enough), used)
+
+
+def _rays(
+    views: Sequence[View],
+    photos: Integer[np.ndarray, " o"],
+    pixels: Float64[np.ndarray, "o 2"],
+    mean_center: Float64[np.ndarray, "3"],
+) -> _Rays:
+    homogeneous = np.concatenate([pixels, np.ones((len(pixels), 1))], axis=1)
+    to_world = np.array([view.cam_from_world[:3, :3].T @ np.linalg.inv(view.K) for view in views])
+    directions = np.einsum("oij,oj->oi", to_world[photos], homogeneous)
+    centers = np.array([view.center - mean_center for view in views])
+    slopes = np.array([MAX_REPROJECTION_SHARE * max(v.width, v.height) / v.K[0, 0] for v in views])
+    return _Rays(centers[photos], directions / np.linalg.norm(directions, axis=1, keepdims=True), slopes[photos])
+
+
+def _nearest_to_rays(
+    rays: _Rays, tracks: Integer[np.ndarray, " o"], weights: Float64[np.ndarray, " o"], count: int
+) -> Float64[np.ndarray, "n 3"]:
+    """Return each track's point nearest to its rays; NaN where they are parallel or all weights are 0."""
+    across = np.eye(3) - rays.directions[:, :, None] * rays.directions[:, None, :]
+    across *= weights[:, None, None]
+    matrices = _summed(across.reshape(-1, 9), tracks, count).reshape(-1, 3, 3)
+    sides = _summed(np.einsum("oij,oj->oi", across, rays.centers), tracks, count)
+    scale = np.trace(matrices, axis1=1, axis2=2)
+    solvable = np.linalg.det(matrices) > MIN_DETERMINANT * scale**3
+    positions = np.full((count, 3), np.nan)
+    positions[solvable] = np.linalg.solve(matrices[solvable], sides[solvable][..., None])[..., 0]
+    return positions
+
+
+def _off(
+    rays: _Rays, positions: Float64[np.ndarray, "o 3"]
+) -> tuple[Float64[np.ndarray, " o"], Float64[np.ndarray, " o"]]:
+    """Return the depth of each point along its ray, and its distance from the ray over the depth (NaN stays)."""
+    to_point = positions - rays.centers
+    depths = (to_point * rays.directions).sum(axis=1)
+    aside = np.linalg.norm(to_point - depths[:, None] * rays.directions, axis=1)
+    return depths, aside / np.maximum(depths, MIN_DETERMINANT)
+
+
+def _angles(
+    rays: _Rays, tracks: Integer[np.ndarray, " o"], used: Bool[np.ndarray, " o"], count: int
+) -> Float64[np.ndarray, " n"]:
+    """Return each track's largest angle between a ray and the mean of all, in radians."""
+    means = _summed(rays.directions * used[:, None], tracks, count)
+    means /= np.maximum(np.linalg.norm(means, axis=1, keepdims=True), MIN_DETERMINANT)
+    sines = np.linalg.norm(np.cross(rays.directions, means[tracks]), axis=1)
+    largest = np.zeros(count)
+    np.maximum.at(largest, tracks[used], np.arcsin(np.minimum(sines[used], 1)))
+    return largest
+
+
+def _summed(
+    values: Float64[np.ndarray, "o c"], tracks: Integer[np.ndarray, " o"], count: int
+) -> Float64[np.ndarray, "n c"]:
+    """Sum values by track, in the order of the observations."""
+    columns = [np.bincount(tracks, column, minlength=count) for column in values.T]
+    return np.stack(columns, axis=1)

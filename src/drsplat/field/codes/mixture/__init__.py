@@ -15,11 +15,12 @@ from .encoding import (
     encode_mixture,
     encode_rows,
     encode_with,
+    fits_at_once,
     learn_scene_atoms,
     left_in,
     plan_of,
+    regrown_mixture,
 )
-from .growing import fits_at_once, regrown_mixture
 from .scene_atoms import SceneAtoms, train_scene_atoms
 
 __all__ = [

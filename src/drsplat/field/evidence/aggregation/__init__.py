@@ -8,13 +8,11 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from .aggregators import AGGREGATORS, MEAN, Aggregated, Aggregator, Step, aggregator
-    from .record import MEAN_RECORD, AggregatorRecord, record_from_json, record_json
-    from .sampling import Sampling
+    from .record import MEAN_RECORD, AggregatorRecord, Sampling, record_from_json, record_json
 
 _HOMES = {
     "aggregators": ("AGGREGATORS", "MEAN", "Aggregated", "Aggregator", "Step", "aggregator"),
-    "record": ("MEAN_RECORD", "AggregatorRecord", "record_from_json", "record_json"),
-    "sampling": ("Sampling",),
+    "record": ("MEAN_RECORD", "AggregatorRecord", "Sampling", "record_from_json", "record_json"),
 }
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 

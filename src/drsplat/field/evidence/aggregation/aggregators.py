@@ -14,8 +14,7 @@ from ....scene.gaussians import Gaussians
 from ..evidence import Evidence
 from .entries import canonical
 from .outliers import OutlierRejection
-from .record import MEAN_RECORD, AggregatorRecord
-from .sampling import Sampling
+from .record import MEAN_RECORD, AggregatorRecord, Sampling
 from .trust import MaskTrust
 from .voting import ModeVoting
 

@@ -7,10 +7,10 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ....base.arrays import Float32, Float64, Int32, Int64, Integer
+from ....base.arrays import Bool, Float32, Float64, Int32, Int64, Integer
+from ....kernels import weighted_rows
 from ....scene.gaussians import Gaussians
 from ..evidence import Evidence
-from .reliability import reliability
 
 SUPPORT_TOLERANCE = 1e-5  # relative: float32 products differ between processors
 PARTS_PER_ONE = float(1 << 21)  # products of two are sums of 2^-42, and 2^53 of those are exact
@@ -18,6 +18,7 @@ SPARE_NEIGHBOURS = 4  # more than are asked for, as equally near ones come in no
 RECEIVERS_AT_ONCE = 512  # near each other: they share most neighbours
 
 Points = Float32[np.ndarray, "r 3"]
+ROWS_AT_ONCE = 8192
 
 
 @dataclass(frozen=True)
@@ -170,3 +171,72 @@ def _likeness(
     cosines = (whole @ whole.T) / PARTS_PER_ONE**2
     pairs = np.minimum(cosines[candidates[:, :, None], candidates[:, None, :]], 1)
     return np.asarray(np.exp((pairs - 1) / bandwidth))
+
+
+def resultant_lengths(evidence: Evidence, threads: int = 0) -> Float64[np.ndarray, " r"]:
+    """Return the length of each row's weighted mean of unit embeddings: 1 where all votes agree, 0 without votes."""
+    weights, rows = evidence.weights, len(evidence)
+    # A column of ones beside the embeddings adds up the weights: a row is then (sum of W e, sum of W) but for
+    # its scale, and the quotient of the two parts is the length that the kernel divides away.
+    ones = np.ones((len(evidence.embeddings), 1), np.float32)
+    table = np.concatenate([evidence.embeddings, ones], axis=1)
+    lengths = np.zeros(rows)
+    for begin in range(0, rows, ROWS_AT_ONCE):
+        end = min(begin + ROWS_AT_ONCE, rows)
+        csr = weights.indptr, weights.indices, weights.data
+        mixed = weighted_rows(*csr, table, begin, end, threads=threads)
+        totals = mixed[:, -1].astype(np.float64)
+        norms = np.sqrt(np.einsum("nd,nd->n", mixed[:, :-1], mixed[:, :-1], dtype=np.float64))
+        lengths[begin:end] = np.divide(norms, totals, out=np.zeros(end - begin), where=totals > 0)
+    return np.minimum(lengths, 1)
+
+
+def reliability(evidence: Evidence, threads: int = 0) -> Float64[np.ndarray, " r"]:
+    """Return |f| N_eff / (N_eff + 1), in [0, 1); 0 without evidence. Source: NormLift (2026), reliability."""
+    views = effective_views(evidence)
+    return np.asarray(resultant_lengths(evidence, threads) * views / (views + 1))
+
+
+@dataclass(frozen=True, eq=False)
+class ViewSums:
+    """Sums of W, an element per Gaussian and view with weight, in the order of W's rows, then of views.
+
+    weights: the sum over the view's columns, in pixels. entries: how many entries of W were added up.
+    """
+
+    rows: Int64[np.ndarray, " g"]
+    views: Integer[np.ndarray, " g"]
+    weights: Float64[np.ndarray, " g"]
+    entries: Int64[np.ndarray, " g"]
+
+    def per_entry(self, kept: Bool[np.ndarray, " g"]) -> Bool[np.ndarray, " e"]:
+        """Repeat the value of each sum for every entry of W in it."""
+        return np.repeat(kept, self.entries)
+
+
+def view_sums(evidence: Evidence) -> ViewSums:
+    """Add up W's columns of each view; the evidence has its columns in canonical order."""
+    weights = evidence.weights
+    views = evidence.masks.views[weights.indices]
+    first = np.empty(len(views), np.bool_)
+    first[:1] = True
+    np.not_equal(views[1:], views[:-1], out=first[1:])
+    lengths = np.diff(weights.indptr)
+    first[weights.indptr[:-1][lengths > 0]] = True
+    starts = np.flatnonzero(first)
+    if not len(starts):
+        return ViewSums(starts, views, np.empty(0), starts)
+    sums = np.add.reduceat(weights.data, starts, dtype=np.float64)
+    rows = np.searchsorted(weights.indptr, starts, side="right") - 1
+    return ViewSums(rows, views[starts], sums, np.diff(starts, append=len(views)))
+
+
+def effective_views(evidence: Evidence) -> Float64[np.ndarray, " r"]:
+    """Return N_eff = (sum_v W_v)^2 / sum_v W_v^2, the equivalent number of equal views; 0 without any.
+
+    Source: NormLift (2026), reliability.
+    """
+    sums, rows = view_sums(evidence), len(evidence)
+    total = np.bincount(sums.rows, sums.weights, rows)
+    squares = np.bincount(sums.rows, sums.weights**2, rows)
+    return np.divide(total**2, squares, out=np.zeros(rows), where=squares > 0)

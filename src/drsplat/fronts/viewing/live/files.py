@@ -11,10 +11,7 @@ import numpy as np
 from pydantic import StringConstraints
 
 from ....authoring.editing.draft import OBJECT_ID
-from ....authoring.exporting.after import After
-from ....authoring.exporting.choosing import only_used, rows_of
-from ....authoring.exporting.placing import Placing
-from ....authoring.exporting.things import groups_of, match_thing, things_of
+from ....authoring.exporting.placing import After, Placing, groups_of, match_thing, only_used, rows_of, things_of
 from ....authoring.filming.looking import up_direction
 from ....authoring.filming.path_files import path_of, write_path
 from ....authoring.filming.paths import frame_count

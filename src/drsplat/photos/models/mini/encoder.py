@@ -1,7 +1,7 @@
 """Encoder of words and crops to unit vectors in one space."""
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,13 +9,18 @@ import numpy as np
 from ....base.arrays import Float32, PilImage, UInt8
 from ....errors import InputError, did_you_mean
 from ....formats.tensors import map_tensors
+from ....kernels.algebra import convolve, dense_rows
 from ....scene.encoders import EncoderIdentity
 from .lexicon import COLORS, NAMES, PAINTS, STRUCTURES, WORDS, colors_in, only_colors, words_of
-from .network import INPUT_SIDE_PIXELS, embed_images
 
 DIM = 512
 BATCH_CROPS = 64  # whose layers take some 20 MiB
 _ROWS = {word: row for row, word in enumerate(WORDS)}
+INPUT_SIDE_PIXELS = 64
+STRIDES = (2, 2, 1, 2, 1, 2, 1)
+"""Strides of the convolutions conv0, conv1 ..., each with one pixel of zeros around its input."""
+
+Tensors = Mapping[str, np.ndarray]
 
 
 class MiniEncoder:
@@ -113,3 +118,19 @@ def _square(image: UInt8[np.ndarray, "_ _ 3"]) -> PilImage:
         square.paste(picture, ((side - w) // 2, (side - h) // 2))
         picture = square
     return picture.resize((INPUT_SIDE_PIXELS, INPUT_SIDE_PIXELS), Image.Resampling.BILINEAR)
+
+
+def embed_images(
+    pixels: Float32[np.ndarray, "n h w 3"], weights: Tensors, *, threads: int = 0
+) -> Float32[np.ndarray, "n d"]:
+    """Return unit vectors, the same bits at any `threads`. pixels: from -1 to 1, squares of INPUT_SIDE_PIXELS.
+
+    weights: conv<i>.weight (9 * inputs, outputs), rows in the order of row, column, channel; conv<i>.bias;
+    projection (2 * channels, D), of the mean and the largest of each channel.
+    """
+    x = pixels
+    for layer, stride in enumerate(STRIDES):
+        x = convolve(x, weights[f"conv{layer}.weight"], weights[f"conv{layer}.bias"], stride, threads=threads)
+    pooled = np.concatenate([x.mean((1, 2)), x.max((1, 2))], axis=1)
+    out = dense_rows(pooled, weights["projection"], threads=threads)
+    return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))

@@ -3,15 +3,25 @@
 from functools import cache
 
 import numpy as np
+from PIL import Image
 from scipy import ndimage
 
 from ....base.arrays import Float32, Int32, UInt8
-from ....kernels.photo_regions import BORDER_STEPS, LENGTH, SEEN, Sight, flooded, lab_colors, merge_order, region_graph
+from ....errors import InputError
+from ....kernels.photo_regions import (
+    BORDER_STEPS,
+    LENGTH,
+    SEEN,
+    Layers,
+    Sight,
+    flooded,
+    lab_colors,
+    merge_order,
+    region_graph,
+)
+from ....kernels.photo_regions import look as look_through
 from ....scene.masks.region_tree import RegionTree
-from ..graph.network import look, shipped_network
-from ..graph.regions import working_image
-from ..graph.rule import shipped_rule
-from .network import outlines, shipped_outlines
+from ..graph.segmenter import layers_of, look, shipped_network, shipped_rule, working_image
 
 BLUR_PIXELS = 1.0
 BASIN_PIXELS = 7  # side of the square in which a region begins at the lowest pixels
@@ -53,3 +63,33 @@ def basins(strength: Float32[np.ndarray, "h w"]) -> Int32[np.ndarray, "h w"]:
     lowest = np.maximum(ndimage.minimum_filter(heights, BASIN_PIXELS), round(FLAT_STRENGTH * HEIGHT_STEPS))
     markers, _ = ndimage.label(heights <= lowest)
     return flooded(heights, markers.astype(np.int32)) - 1
+
+
+@cache
+def shipped_outlines() -> tuple[Layers, str]:
+    """Return the layers in the package and the BLAKE2b hash of their file."""
+    weights, seen = shipped_network(__package__)
+    return layers_of(weights), seen
+
+
+def outlines(image: UInt8[np.ndarray, "h w 3"], *, threads: int = 0) -> Float32[np.ndarray, "h w"]:
+    """Return the strength of an outline at each pixel, 0 to 1; the same bits at any `threads`.
+
+    It is the mean of what the network sees in the image and in the image at half its size. Images of more than 640x480
+    pixels are seen at that size, so that memory is bounded, and their outlines enlarged.
+
+    Raises: InputError: an image without pixels.
+    """
+    height, width = image.shape[:2]
+    if not height * width:
+        raise InputError(f"an image of {width}x{height} pixels: expected at least 1x1")
+    full = Image.fromarray(working_image(image))
+    half = full.resize(((full.width + 1) // 2, (full.height + 1) // 2), Image.Resampling.BOX)
+    seen = [_strength(part, (width, height), threads) for part in (full, half)]
+    return np.asarray((seen[0] + seen[1]) / 2, np.float32)
+
+
+def _strength(image: Image.Image, size: tuple[int, int], threads: int) -> Float32[np.ndarray, "h w"]:
+    borders = look_through(np.asarray(image), shipped_outlines()[0], threads=threads).borders
+    strength = Image.fromarray(np.asarray(borders, np.float32) / np.float32(BORDER_STEPS))
+    return np.asarray(strength.resize(size, Image.Resampling.BILINEAR))
