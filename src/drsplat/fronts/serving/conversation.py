@@ -17,15 +17,20 @@ from ...query.relations import OfTwo, Relation, gap, related, standing_on
 from ...query.schema import CUT, Place, QueryField, fields
 from ...scene.boxes import BoxKind
 from .limits import Limits
-from .models import (  # fmt: skip
-    UNITS,
+from .models import (
+    About,
+    BestMatch,
     Body,
-    Fingerprint,
+    Count,
+    Distance,
     Located,
-    Match,
     ObjectList,
-    Span,
-    Vector,
+    Part,
+    PointWords,
+    Region,
+    Related,
+    RenderedPicture,
+    RenderedView,
     When,
     Word,
     decimals_of,
@@ -79,112 +84,6 @@ def _tool(title: str, *places: Place) -> Callable[[M], M]:
         return method
 
     return add
-
-
-class Measurement(Body):
-    """Lengths or positions in a scene, and what to do next."""
-
-    units: str = UNITS
-    field: Fingerprint = ""
-    advice: str = ""
-
-
-class Count(Measurement):
-    query: str
-    count: int
-    of: int
-    """how many there are in the whole scene"""
-    centers: list[Vector]
-    """of the matches counted, best score first"""
-
-
-class BestMatch(Measurement):
-    """Best match of a query."""
-
-    query: str
-    best: Match | None = None
-    """null where nothing matches"""
-    others: int = 0
-    """further matches that fit less well"""
-    best_view: str | None = None
-    """the photo that shows most of it"""
-
-
-class Distance(Measurement):
-    first: str
-    second: str
-    center_distance: float
-    """between the centres of the two"""
-    gap: float
-    """between their nearest parts"""
-    offset: Vector
-    """from the centre of the first to that of the second"""
-    first_center: Vector
-    second_center: Vector
-
-
-class PointWords(Measurement):
-    """Words for what is at a point."""
-
-    point: Vector
-    """centre of the Gaussian that is there"""
-    words: list[Word]
-    """best first"""
-
-
-class Part(Body):
-    name: str
-    share: float
-    """of the registered Gaussians in the region"""
-    num_gaussians: int
-    center: Vector
-
-
-class Region(Measurement):
-    center: Vector
-    radius: float
-    parts: list[Part]
-
-
-class About(Measurement):
-    """Frame of a scene: the meaning of its positions and lengths."""
-
-    scene: str
-    low: Vector
-    """corner of the box of the middle 98 % of the Gaussians"""
-    high: Vector
-    up: Vector | None = None
-    """unit direction that is up; null where unknown"""
-    times: Span | None = None
-    """first and last time of a scene that moves, else null"""
-    num_photos: int
-    some_photos: list[str]
-    """names of a few, for show and what_is_at_pixel"""
-
-
-class Related(ObjectList):
-    relation: str
-    to: list[int | None]
-    """the objects that they are related to; null for a place that is none"""
-
-
-class RenderedView(Body):
-    """View of a picture, and what it shows."""
-
-    view: str
-    query: str | None
-    num_matches: int
-    width: int
-    height: int
-    field: Fingerprint = ""
-    advice: str = ""
-
-
-class RenderedPicture(Body):
-    """Picture with its view. png: base64."""
-
-    view: RenderedView
-    png: str
 
 
 @dataclass(frozen=True)

@@ -32,10 +32,10 @@ from ... import __version__
 from ...errors import DrSplatError
 from .catalogued import CatalogueAnswer
 from .connections import run
-from .conversation import MAX_MATCHES, TOOLS, RenderedPicture, RenderedView, Text, ToolEntry
+from .conversation import MAX_MATCHES, TOOLS, Text, ToolEntry
 from .guards import DoorKeeper
 from .limits import Limits
-from .models import Body, SceneList
+from .models import Body, RenderedPicture, RenderedView, SceneList
 from .query_fields import annotation, default_of, without_nulls
 from .replies import faults_of
 from .scene_folder import SceneFolder

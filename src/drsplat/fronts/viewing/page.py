@@ -63,7 +63,7 @@ class Page:
     gaussians: the shown rows, as the scene's own file would have them. eye, target, up: of the first look, in the
     world. features: their colours, in [0, 1].
 
-    best_words: per shown Gaussian 0, or 1 for the first of `words`. objects, annotations: as of `page_parts`.
+    best_words: per shown Gaussian 0, or 1 for the first of `words`. objects, annotations: as of `exporting`.
     object_numbers: per shown Gaussian 0, or 1 for the first object. path: that the page flies along. times: of a scene
     that moves. num_edits: kept edits that are in it. plays: whether it flies along the path when it is opened.
     """
