@@ -23,7 +23,7 @@ from drsplat.authoring.filming.looking import looking_at
 from drsplat.authoring.filming.planning import ORBIT, path_named, planned
 from drsplat.drawing.labels import Mark, marked
 from drsplat.drawing.legend import tinted
-from drsplat.drawing.palette import class_colors
+from drsplat.drawing.heat import class_colors
 from drsplat.drawing.pictures import as_pixels, highlighted
 from drsplat.drawing.rendering import render
 from drsplat.evaluation.demo.album import OVERVIEW

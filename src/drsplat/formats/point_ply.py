@@ -8,8 +8,7 @@ import numpy as np
 from ..base.arrays import Float64, UInt8
 from ..base.contents import file_bytes
 from ..errors import FormatError, placed
-from .ply import Records, read_elements
-from .ply_header import read_header
+from .ply import Records, read_elements, read_header
 
 AXES, COLORS = ("x", "y", "z"), ("red", "green", "blue")
 DEFAULT_GREY = 128  # of points without colour

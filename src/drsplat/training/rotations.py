@@ -6,7 +6,7 @@ Written out, because libraries contract products of small matrices in orders and
 import numpy as np
 
 from ..base.arrays import Anywhere, Float32
-from ..scene.rotations import rotation_rows
+from ..scene.gaussians import rotation_rows
 
 
 def unit(quats: Float32[Anywhere, "n 4"]) -> Float32[Anywhere, "n 4"]:
