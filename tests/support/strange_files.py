@@ -28,7 +28,7 @@ from drsplat.formats.captures import read_times
 from drsplat.formats.gaussian_ply import write_gaussians
 from drsplat.formats.langsplat import write_features
 from drsplat.formats.peer_features import read_peer_features
-from drsplat.formats.point_ply import read_point_ply
+from drsplat.formats.ply import read_point_ply
 from drsplat.formats.sources import sources_of
 from drsplat.photos.capture.finding import find_photos
 from drsplat.scene.gaussians import SH_C0

@@ -8,7 +8,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from ..base.arrays import Float64
-from ..scene.annotations import Annotation, Outline
+from ..scene.annotations import Annotation
 from ..scene.views import View
 from .pictures import OUTLINE_COLOR, Pixels
 
@@ -52,11 +52,10 @@ class Mark:
 
 def notes_of(annotations: Sequence[Annotation]) -> list[Mark]:
     """Return the marks of annotations."""
-    return [_note(annotation.text, annotation.center, annotation.outline) for annotation in annotations]
-
-
-def _note(text: str, center: Float64[np.ndarray, " 3"], outline: Outline | None) -> Mark:
-    return Mark(text, center) if outline is None else Mark(text, center, outline.extent, outline.axes)
+    return [
+        Mark(one.text, one.center, one.outline and one.outline.extent, one.outline and one.outline.axes)
+        for one in annotations
+    ]
 
 
 def marked(picture: Pixels, view: View, marks: Sequence[Mark], share: float = 1.0) -> Pixels:

@@ -23,7 +23,7 @@ from .json_files import read_json
 from .live_views import ADDED_POSES, read_live_views, stem_of
 from .mask_files import with_masks
 from .photo_files import by_folded, capture_folder, find_files, folded, image_folder, listed, on_photo, view_name
-from .point_ply import read_point_ply
+from .ply import read_point_ply
 from .recognising import CAMERAS, TRAIN_TRANSFORMS, TRANSFORMS, Kind, mistaken
 from .rendering_record import with_renderings
 from .transforms import point_file, read_applied_transform, read_transforms
@@ -196,11 +196,10 @@ def _with_photos(views: list[View], path: Path, images: str | Path | None) -> li
     if missing:
         text = f"{path}: {len(missing)} of {len(views)} views have no photo in {folder}: {listed(missing)}"
         warnings.warn(text, DrSplatWarning, stacklevel=5)
-    return [view if photo is None else _attach(view, photo) for view, photo in zip(views, found, strict=True)]
-
-
-def _attach(view: View, photo: Path) -> View:
-    return on_photo(replace(view, name=view_name(view.name, photo)), photo)
+    return [
+        view if photo is None else on_photo(replace(view, name=view_name(view.name, photo)), photo)
+        for view, photo in zip(views, found, strict=True)
+    ]
 
 
 def _scene_frame(source: _Source, capture: Path, named: str | Path | None) -> SceneFrame | None:

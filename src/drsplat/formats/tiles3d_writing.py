@@ -49,7 +49,7 @@ from .glb_layout import (
 )
 from .glb_tables import Table, object_table
 from .glb_writing import Binary, features_of, head_of, tables_document
-from .leaves import Leaf, Leaves, leaves_of
+from .leaves import Leaf, leaves_of
 from .replacing import replacing
 from .spz_writing import TO_RUB, spz_bytes
 from .tensors import read_tensors, write_tensors
@@ -108,7 +108,12 @@ def write_tiles3d(
     FormatError: damaged tiles.
     """
     source = TiledScene(source) if isinstance(source, Tiles) else source
-    leaves, middle = _leaves_of_tiles(source) if isinstance(source, TiledScene) else leaves_of(_bare(source), rows)
+    if isinstance(source, TiledScene):  # each tile is a leaf
+        leaves: list[Leaf] = [partial(_tile_of, source, tile) for tile in source.tiles.tiles]
+        middle = leaves_of(source.tiles, LEAF_ROWS).middle
+    else:
+        extra = {} if source.object_of is None else {OBJECT: source.object_of}
+        leaves, middle = leaves_of(replace(source.gaussians, extra=extra), rows)
     things = source.things
     scale = 1.0 if georeference is None else georeference.scale
     with replacing_folder(path, overwrite, TILESET) as folder:
@@ -117,17 +122,6 @@ def write_tiles3d(
         document = _tileset(root, _transform(georeference, middle, source.up))
         with replacing(folder / TILESET) as file:
             file.write(json.dumps(document, separators=(",", ":")).encode())
-
-
-def _bare(scene: LabelledScene) -> Gaussians:
-    """Return the Gaussians with the place of each one's object as their only column."""
-    return replace(scene.gaussians, extra={} if scene.object_of is None else {OBJECT: scene.object_of})
-
-
-def _leaves_of_tiles(source: TiledScene) -> Leaves:
-    """Take each tile for a leaf, with the objects of its rows."""
-    leaves: list[Leaf] = [partial(_tile_of, source, tile) for tile in source.tiles.tiles]
-    return Leaves(leaves, leaves_of(source.tiles, LEAF_ROWS).middle)
 
 
 def _tile_of(source: TiledScene, tile: Tile) -> Gaussians:

@@ -10,7 +10,7 @@ import numpy as np
 from ..base.arrays import Float64
 from ..errors import DrSplatWarning, InputError
 from ..formats.captures import SparsePoints
-from ..formats.point_ply import read_point_ply
+from ..formats.ply import read_point_ply
 from ..scene.views import View
 from .checkpoint import capture_fingerprint, load_checkpoint, save_checkpoint
 from .evaluation import Evaluation, evaluate
