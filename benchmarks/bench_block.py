@@ -40,7 +40,7 @@ from PIL import Image
 
 import drsplat as ds
 from drsplat.field.codes.mixture.scene_atoms import spherical_kmeans
-from drsplat.formats.colmap_writing import write_colmap
+from drsplat.formats.colmap_binary import write_colmap
 from drsplat.formats.langsplat import FeatureFolder, level_index, write_features
 from drsplat.photos.embedding.embed import embed
 from drsplat.scene.gaussians import concatenated

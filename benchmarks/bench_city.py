@@ -29,7 +29,7 @@ import drsplat as ds
 from drsplat.field.codes import Smaller
 from drsplat.field.objects.finding import find_objects
 from drsplat.field.tiles.registering import register_tiles
-from drsplat.formats.colmap_writing import write_colmap
+from drsplat.formats.colmap_binary import write_colmap
 from drsplat.formats.tiles import read_tiles
 
 SERVED: list[tuple[str, dict[str, object] | None]] = [

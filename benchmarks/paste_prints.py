@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.suite.outlines import inside, outlines_path, read_outlines
 from drsplat import Gaussians, View, load_image, read_gaussians, read_views
-from drsplat.formats.colmap_writing import write_colmap
+from drsplat.formats.colmap_binary import write_colmap
 from drsplat.kernels import SplatArrays, render_channels, splat_arrays
 
 SIDE = 1008  # pixels of the longer side of the photos written

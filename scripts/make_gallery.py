@@ -19,8 +19,8 @@ import numpy as np
 from PIL import Image
 
 import drsplat as ds
+from drsplat.drawing.heat import class_colors
 from drsplat.drawing.labels import Mark, marked
-from drsplat.drawing.palette import class_colors
 from drsplat.field.objects.finding import find_objects
 from drsplat.fronts.viewing.page import PageAnswer
 from drsplat.photos.embedding.embed import embed

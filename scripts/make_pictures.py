@@ -20,9 +20,9 @@ from drsplat.authoring.editing import Duplicate, Edit, Recolour, Remove, Rows, e
 from drsplat.authoring.filming.frames import Film, Highlight
 from drsplat.authoring.filming.looking import looking_at
 from drsplat.authoring.filming.planning import ORBIT, path_named, planned
+from drsplat.drawing.heat import class_colors
 from drsplat.drawing.labels import Mark, marked
 from drsplat.drawing.legend import tinted
-from drsplat.drawing.palette import class_colors
 from drsplat.drawing.pictures import as_pixels, highlighted
 from drsplat.drawing.rendering import render
 from drsplat.evaluation.demo.album import OVERVIEW

@@ -35,7 +35,7 @@ from drsplat.authoring.editing import (
 from drsplat.authoring.editing.edits import Change
 from drsplat.authoring.editing.fill_record import Clones, FillRecord
 from drsplat.authoring.editing.replacement import placed_in
-from drsplat.drawing.palette import LUMA
+from drsplat.drawing.heat import LUMA
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
 from drsplat.formats.gaussian_ply import write_gaussians
 from drsplat.kernels.boxes import box_of

@@ -17,9 +17,8 @@ from drsplat import Gaussians, Query, cli, render
 from drsplat.authoring.filming.frames import Film, Highlight
 from drsplat.authoring.filming.looking import looking_at
 from drsplat.drawing import labels
-from drsplat.drawing.labels import Mark, lines_of, marked
+from drsplat.drawing.labels import Mark, lines_of, marked, plates_of
 from drsplat.drawing.pictures import as_pixels, titled
-from drsplat.drawing.plates import plates_of
 from drsplat.errors import InputError
 from drsplat.formats.annotations import AnnotationFile
 from drsplat.query.sheets import attribute_row

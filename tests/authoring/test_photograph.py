@@ -26,7 +26,7 @@ from drsplat.evaluation.tables import pictures_judged, pictures_note
 from drsplat.field.evidence.aggregation.entries import canonical
 from drsplat.field.registration import Registration
 from drsplat.formats.colmap import read_colmap
-from drsplat.formats.colmap_writing import write_colmap
+from drsplat.formats.colmap_binary import write_colmap
 from drsplat.formats.field_folder import MANIFEST
 from drsplat.formats.gaussian_ply import write_gaussians
 from drsplat.formats.moving_scenes import write_moving

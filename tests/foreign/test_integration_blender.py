@@ -17,8 +17,7 @@ import numpy as np
 import pytest
 
 import drsplat as ds
-from drsplat.scene.gaussians import SH_C0
-from drsplat.scene.rotations import rotation_matrices
+from drsplat.scene.gaussians import SH_C0, rotation_matrices
 from places import SUPPORT
 from scenes import random_gaussians
 

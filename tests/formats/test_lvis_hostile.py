@@ -8,8 +8,7 @@ import pytest
 from test_views_hostile import bounded_memory, memory_path, survive  # noqa: F401
 
 from drsplat.errors import FormatError
-from drsplat.formats.lvis import Annotations, read_annotations
-from drsplat.formats.rle import decode_runs, fill_polygon, unpack_counts
+from drsplat.formats.lvis import Annotations, decode_runs, fill_polygon, read_annotations, unpack_counts
 from lvis_files import document
 from mutations import quota, seeded
 

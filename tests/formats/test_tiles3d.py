@@ -21,10 +21,9 @@ from drsplat.formats.known import parse_gaussians
 from drsplat.formats.sources import Block, sources_of
 from drsplat.formats.tiles3d_writing import write_tiles3d
 from drsplat.formats.usd_writing import write_usda
-from drsplat.scene.gaussians import Gaussians
+from drsplat.scene.gaussians import Gaussians, rotation_matrices
 from drsplat.scene.geodesy import geocentric
 from drsplat.scene.labelled import LabelledScene, Thing
-from drsplat.scene.rotations import rotation_matrices
 from glb_files import Read
 from scene_files import random_gaussians
 

@@ -8,7 +8,7 @@ import pytest
 
 from drsplat import View, read_views
 from drsplat.errors import FormatError, InputError
-from drsplat.formats.view_times import with_times
+from drsplat.formats.captures import with_times
 from scenes import look_at_view
 from written_captures import transforms_document, write_json, write_photos
 

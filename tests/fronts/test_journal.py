@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from drsplat.errors import FormatError, InputError
-from drsplat.formats.journal import Journal, changes_to
+from drsplat.formats.embedding_record import Journal, changes_to
 
 DOCUMENT, CURE = "0badcafe", "Make it anew."
 CHANGES = [{"stem": "a", "finished": {"masks": 3}}, {"stem": "cam0/b", "finished": None}, {"stem": "\n\u00e4"}]

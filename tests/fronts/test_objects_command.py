@@ -13,8 +13,15 @@ from PIL import Image
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Scene, load_field, open_scene, read_gaussians, write_gaussians
-from drsplat.drawing.cards import GAP_PIXELS, HEADING_PIXELS, LINE_SPACING, MARGIN_PIXELS, NOTE_PIXELS
-from drsplat.drawing.cutouts import TILE_PIXELS, cut_out
+from drsplat.drawing.cards import (
+    GAP_PIXELS,
+    HEADING_PIXELS,
+    LINE_SPACING,
+    MARGIN_PIXELS,
+    NOTE_PIXELS,
+    TILE_PIXELS,
+    cut_out,
+)
 from drsplat.drawing.pictures import PAPER
 from drsplat.errors import InputError
 from drsplat.formats.cameras_json import write_cameras_json

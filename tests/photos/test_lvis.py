@@ -15,8 +15,7 @@ from PIL import Image
 import drsplat as ds
 from drsplat import cli
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
-from drsplat.formats.lvis import read_annotations
-from drsplat.formats.rle import decode_runs, fill_polygon, unpack_counts
+from drsplat.formats.lvis import decode_runs, fill_polygon, read_annotations, unpack_counts
 from drsplat.photos.embedding.patches import MIN_AREA_PIXELS, PatchSource, embed_patches, find_patches, patches
 from drsplat.scene.masks.crops import crop, crops
 from fake_models import DIM, ThumbnailEncoder
@@ -120,11 +119,11 @@ def test_a_rectangle_has_its_pixels():
 
 
 def test_large_polygons_are_filled_in_pieces(monkeypatch):
-    from drsplat.formats import rle
+    from drsplat.formats import lvis
 
     points = np.random.default_rng(0).uniform(0, 40, (30, 2))
     whole = fill_polygon(points, 37, 41)
-    monkeypatch.setattr(rle, "_BLOCK_CROSSINGS", 1)
+    monkeypatch.setattr(lvis, "_BLOCK_CROSSINGS", 1)
     np.testing.assert_array_equal(fill_polygon(points, 37, 41), whole)
     assert 0 < whole.sum() < whole.size
 

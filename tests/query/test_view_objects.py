@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drsplat import write_gaussians
-from drsplat.drawing.palette import class_colors
+from drsplat.drawing.heat import class_colors
 from drsplat.errors import InputError
 from drsplat.field.labels import LabelFile
 from drsplat.field.objects.choosing import Tree

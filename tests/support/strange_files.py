@@ -24,12 +24,12 @@ from PIL import Image
 
 from drsplat import load_codebook, load_image, read_features, read_gaussians, read_views, read_vocabulary
 from drsplat.errors import DrSplatError, DrSplatWarning
+from drsplat.formats.captures import read_times
 from drsplat.formats.gaussian_ply import write_gaussians
 from drsplat.formats.langsplat import write_features
 from drsplat.formats.peer_features import read_peer_features
-from drsplat.formats.point_ply import read_point_ply
+from drsplat.formats.ply import read_point_ply
 from drsplat.formats.sources import sources_of
-from drsplat.formats.view_times import read_times
 from drsplat.photos.capture.finding import find_photos
 from drsplat.scene.gaussians import SH_C0
 from drsplat.scene.photo_masks import load_mask, views_with_something

@@ -20,8 +20,7 @@ from drsplat.formats.activation import sigmoid
 from drsplat.formats.captures import SparsePoints
 from drsplat.fronts.commands.train import EVERYDAY_ITERATIONS, ORIGINAL_ITERATIONS
 from drsplat.kernels.training import Gradients, Rates, SceneParameters
-from drsplat.scene.gaussians import SH_C0
-from drsplat.scene.rotations import rotation_matrices
+from drsplat.scene.gaussians import SH_C0, rotation_matrices
 from drsplat.training.density import AdaptiveDensity, reset_opacity, rotated, split, spread, unit
 from drsplat.training.devices import budget_of, everyday
 from drsplat.training.mcmc import MonteCarlo, drawn, grow, relocate, shared_place

@@ -1,4 +1,4 @@
-"""Boxes and names of objects over a picture of a view."""
+"""Boxes and names of objects over a picture of a view, no name over another where there is room."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,10 +8,15 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from ..base.arrays import Float64
-from ..scene.annotations import Annotation, Outline
+from ..scene.annotations import Annotation
 from ..scene.views import View
 from .pictures import OUTLINE_COLOR, Pixels
-from .plates import Box, plates_of
+
+MAX_DODGING_NAMES = 200  # that make room for each other; further ones are placed as if alone
+PLATE_HEIGHTS = (0, 1, 2, 3)  # between an object and its name
+PLATE_WIDTHS = (0.0, -0.5, 0.5, -1.0, 1.0)  # by which a name moves aside
+Box = Float64[np.ndarray, " 4"]  # left, top, right, bottom, in pixels
+
 
 CORNERS = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)]) - 0.5
 EDGES = [(i, k) for i, k in combinations(range(8), 2) if (i ^ k).bit_count() == 1]
@@ -47,11 +52,10 @@ class Mark:
 
 def notes_of(annotations: Sequence[Annotation]) -> list[Mark]:
     """Return the marks of annotations."""
-    return [_note(annotation.text, annotation.center, annotation.outline) for annotation in annotations]
-
-
-def _note(text: str, center: Float64[np.ndarray, " 3"], outline: Outline | None) -> Mark:
-    return Mark(text, center) if outline is None else Mark(text, center, outline.extent, outline.axes)
+    return [
+        Mark(one.text, one.center, one.outline and one.outline.extent, one.outline and one.outline.axes)
+        for one in annotations
+    ]
 
 
 def marked(picture: Pixels, view: View, marks: Sequence[Mark], share: float = 1.0) -> Pixels:
@@ -171,3 +175,40 @@ def _draw_name(pen: ImageDraw.ImageDraw, mark: Mark, plate: Box, letters: Letter
 def _in_a_line(text: str) -> str:
     """Join the lines of a text."""
     return " ".join(text.split())
+
+
+def plates_of(
+    things: Sequence[Box], sizes: Sequence[tuple[float, float]], margin: float, picture: tuple[int, int]
+) -> list[Box]:
+    """Return a plate for each name, in order: above its object, else at the nearest free place above or below.
+
+    things: boxes of the objects' visible parts. sizes: of their plates, width and height. margin: between both. Where
+    no place is free it is the one that hides least.
+    """
+    taken = np.empty((0, 4))
+    for number, (thing, size) in enumerate(zip(things, sizes, strict=True)):
+        places = _places(thing, size, margin, picture)
+        hidden = _shared(places, taken if number < MAX_DODGING_NAMES else taken[:0]).sum(1)
+        taken = np.concatenate([taken, places[[int(np.argmin(hidden))]]])
+    return list(taken)
+
+
+def _places(
+    thing: Box, size: tuple[float, float], margin: float, picture: tuple[int, int]
+) -> Float64[np.ndarray, "c 4"]:
+    """Return all candidate places, nearest first, within the picture."""
+    (wide, high), (left, top, right, bottom) = size, thing.tolist()
+    rows = [(float(step), top - margin - (step + 1) * high) for step in PLATE_HEIGHTS]
+    rows += [(step + 0.5, bottom + margin + step * high) for step in PLATE_HEIGHTS]
+    ways = sorted(((step + abs(aside), aside, y) for step, y in rows for aside in PLATE_WIDTHS), key=lambda way: way[0])
+    x = np.array([(left + right - wide) / 2 + aside * wide for _, aside, _ in ways])
+    y = np.array([y for *_, y in ways])
+    x, y = x.clip(0, max(picture[0] - wide, 0)), y.clip(0, max(picture[1] - high, 0))
+    return np.stack([x, y, x + wide, y + high], axis=1)
+
+
+def _shared(places: Float64[np.ndarray, "c 4"], taken: Float64[np.ndarray, "t 4"]) -> Float64[np.ndarray, "c t"]:
+    """Return the number of pixels that each place shares with each taken plate."""
+    a, b = places[:, None], taken[None]
+    sides = np.minimum(a[..., 2:], b[..., 2:]) - np.maximum(a[..., :2], b[..., :2])
+    return np.asarray(sides.clip(0).prod(-1))

@@ -9,7 +9,7 @@ from ..base.arrays import Float32, Int32
 from ..kernels import render_channels, splat_arrays
 from ..scene.gaussians import SH_C0, Gaussians
 from ..scene.views import View
-from .palette import LUMA, class_colors
+from .heat import LUMA, class_colors
 from .pictures import INK, PAPER, OtherPixels, Pixels
 
 UNCLASSED_CONTRAST = 0.35  # share of its own light that a Gaussian without class keeps, around a middle grey

@@ -17,8 +17,7 @@ from ..scene.gaussians import Gaussians
 from ..scene.moving import Moving, canonical_of
 from ..scene.photos import load_image
 from ..scene.views import View
-from .heat import heat_colors
-from .palette import LUMA
+from .heat import LUMA, heat_colors
 from .rendering import render
 
 Pixels = UInt8[np.ndarray, "h w 3"]

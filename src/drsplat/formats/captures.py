@@ -1,6 +1,9 @@
-"""A capture of any supported kind -> views, sorted by name."""
+"""A capture of any supported kind -> views, sorted by name, with the times of a table or of a pattern of names."""
 
+import math
+import re
 import warnings
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -13,17 +16,21 @@ from ..errors import DrSplatWarning, FormatError, InputError
 from ..scene.views import View
 from .cameras_json import read_cameras_json
 from .colmap import find_models, has_points, incomplete_model, num_images, num_unread_images, read_colmap, read_points
+from .csv_tables import read_rows
 from .dataparser import FILE_NAME as DATAPARSER_FILE
 from .dataparser import SceneFrame, read_dataparser_transforms
 from .json_files import read_json
 from .live_views import ADDED_POSES, read_live_views, stem_of
 from .mask_files import with_masks
-from .photo_files import capture_folder, find_files, image_folder, listed, on_photo, view_name
-from .point_ply import read_point_ply
+from .photo_files import by_folded, capture_folder, find_files, folded, image_folder, listed, on_photo, view_name
+from .ply import read_point_ply
 from .recognising import CAMERAS, TRAIN_TRANSFORMS, TRANSFORMS, Kind, mistaken
 from .rendering_record import with_renderings
 from .transforms import point_file, read_applied_transform, read_transforms
-from .view_times import with_times
+
+HOLE = "{time}"
+_NUMBER = r"([0-9]{1,15}(?:\.[0-9]{1,15})?)"
+
 
 PHOTO_FOLDERS = ("images", "input", "rgb", "frames", "photos")  # of a capture; input is that of 3DGS' convert.py
 CAMERA_FILES = (("transforms", TRANSFORMS), ("transforms", TRAIN_TRANSFORMS), ("cameras", CAMERAS))
@@ -67,7 +74,7 @@ def read_views(
     capture's folder is used without being named. transforms.json's own applied_transform is
     accounted for.
     max_side: photos with a longer side, in pixels, are scaled down to it.
-    times: when the photos were taken, see `view_times.with_times`; None: what a transforms.json says (`time`), if it
+    times: when the photos were taken, see `captures.with_times`; None: what a transforms.json says (`time`), if it
     does.
     invert_masks: in the masks of the photos (masks/ beside images/, see `mask_files`) black is kept, not white.
     Views that were sent to the scene and added (`live_views`) belong to it, in the coordinates of the scene, but for
@@ -189,11 +196,10 @@ def _with_photos(views: list[View], path: Path, images: str | Path | None) -> li
     if missing:
         text = f"{path}: {len(missing)} of {len(views)} views have no photo in {folder}: {listed(missing)}"
         warnings.warn(text, DrSplatWarning, stacklevel=5)
-    return [view if photo is None else _attach(view, photo) for view, photo in zip(views, found, strict=True)]
-
-
-def _attach(view: View, photo: Path) -> View:
-    return on_photo(replace(view, name=view_name(view.name, photo)), photo)
+    return [
+        view if photo is None else on_photo(replace(view, name=view_name(view.name, photo)), photo)
+        for view, photo in zip(views, found, strict=True)
+    ]
 
 
 def _scene_frame(source: _Source, capture: Path, named: str | Path | None) -> SceneFrame | None:
@@ -210,3 +216,67 @@ def _sorted(views: list[View], path: Path) -> list[View]:
     if twice:
         raise FormatError(f"{path}: {len(twice)} image names occur more than once: {listed(twice)}")
     return ordered
+
+
+def with_times(views: Sequence[View], times: str | Path) -> list[View]:
+    """Return every view with its time.
+
+    times: the name of a table, NAME.csv, with a line "name,time" first; or a pattern of names such as
+    "cam*/frame_{time}.png": {time} stands for the number that is the time, * for anything within a folder's or file's
+    name, and all of the name has to fit, but for its suffix where the pattern has none.
+
+    Raises: InputError: no such table, no {time} in the pattern, or views that have no time by it. FormatError: a
+    damaged table.
+    """
+    text = str(times)
+    if HOLE in text:
+        found = _by_pattern(views, text)
+    elif text.lower().endswith(".csv"):
+        found = read_times(Path(times))
+    else:
+        raise InputError(f"times: expected a table NAME.csv, or a pattern such as cam*/frame_{HOLE}.png; got {text!r}")
+    found = {key: found[name] for key, name in by_folded(found).items()} | found
+    missing = [view.name for view in views if _key(view, found) is None]
+    if missing:
+        raise InputError(f"{len(missing)} of {len(views)} views have no time by {text!r}: {listed(missing)}")
+    return [replace(view, time=found[key]) for view in views if (key := _key(view, found)) is not None]
+
+
+def read_times(path: Path) -> dict[str, float]:
+    """Read the times of a table by the names of photos, with or without suffix.
+
+    Raises: InputError: there is no such file. FormatError: not a table of names and finite numbers, or a name twice.
+    """
+    found: dict[str, float] = {}
+    for number, row in enumerate(read_rows(path, ("name", "time"), "a name and a number"), 2):
+        name, time = _row(row, f"{path}, line {number}")
+        if name in found:
+            raise FormatError(f"{path}, line {number}: '{name}' is there twice")
+        found[name] = time
+    return found
+
+
+def _row(row: list[str], where: str) -> tuple[str, float]:
+    try:
+        name, time = row[0].strip(), float(row[1])
+        if len(row) == 2 and math.isfinite(time):
+            return name, time
+    except (ValueError, IndexError):
+        pass
+    raise FormatError(f"{where}: expected a name and a finite number, got {ascii(','.join(row))[:80]}")
+
+
+def _by_pattern(views: Sequence[View], pattern: str) -> dict[str, float]:
+    before, _, after = pattern.partition(HOLE)
+    if HOLE in after:
+        raise InputError(f"times: expected {HOLE} once in {pattern!r}")
+    parts = (re.escape(part).replace(r"\*", "[^/]*?") for part in (before, after))
+    suffix = "" if Path(pattern).suffix else r"(?:\.[^./]+)?"
+    whole = re.compile(_NUMBER.join(parts) + suffix)
+    fits = {view.name: whole.fullmatch(view.name) for view in views}
+    return {name: float(fit[1]) for name, fit in fits.items() if fit}
+
+
+def _key(view: View, found: Mapping[str, float]) -> str | None:
+    stem = str(Path(view.name).with_suffix("").as_posix())
+    return next((key for key in (view.name, stem, folded(view.name), folded(stem)) if key in found), None)

@@ -1,4 +1,4 @@
-"""COLMAP's cameras.bin, images.bin and points3D.bin, record by record.
+"""COLMAP's cameras.bin, images.bin and points3D.bin, read record by record, and written.
 
 Little-endian, no padding; images and points have records of variable length.
 """
@@ -6,14 +6,23 @@ Little-endian, no padding; images and points have records of variable length.
 import mmap
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from ..base.arrays import Float64, UInt8
 from ..base.contents import MAX_READ_BYTES, open_file
-from ..errors import FormatError
+from ..errors import FormatError, InputError
+from ..scene.views import View
 from .colmap_records import MODEL_NAMES, CameraRecord, ImageRecord, PointRecord, parameter_names
+from .replacing import replacing
+
+_PINHOLE = MODEL_NAMES.index("PINHOLE")
+Lens = tuple[int, int, float, float, float, float]
+
 
 COUNT = struct.Struct("<Q")
 CAMERA = struct.Struct("<IiQQ")  # id, model, width, height; then the model's parameters
@@ -108,3 +117,45 @@ def points(path: Path) -> Iterator[PointRecord]:
             cursor.skip(int(track) * _TRACK_BYTES)
             yield x, y, z, int(r), int(g), int(b)
         cursor.finish()
+
+
+def write_colmap(
+    model: Path, views: Sequence[View], positions: Float64[np.ndarray, "n 3"], colors: UInt8[np.ndarray, "n 3"]
+) -> None:
+    """Write cameras.bin, images.bin and points3D.bin into a folder that is there.
+
+    Views of one lens share a camera. Points have no tracks. A pose is written as a quaternion: what `read_colmap` reads
+    may differ from it in the last digits, and is the same at every reading.
+
+    Raises: InputError: a lens with distortion; files that are there already; the disk is full.
+    """
+    lenses = [_lens(view) for view in views]
+    numbers = {lens: number for number, lens in enumerate(dict.fromkeys(lenses), 1)}
+    with replacing(model / "cameras.bin") as file:
+        file.write(COUNT.pack(len(numbers)))
+        for (width, height, *parameters), number in numbers.items():
+            file.write(CAMERA.pack(number, _PINHOLE, width, height) + np.array(parameters, "<f8").tobytes())
+    with replacing(model / "images.bin") as file:
+        file.write(COUNT.pack(len(views)))
+        for number, (view, lens) in enumerate(zip(views, lenses, strict=True), 1):
+            placed = (*_quaternion(view), *view.cam_from_world[:3, 3].tolist())
+            file.write(IMAGE.pack(number, *placed, numbers[lens]) + view.name.encode() + b"\0" + COUNT.pack(0))
+    with replacing(model / "points3D.bin") as file:
+        file.write(COUNT.pack(len(positions)))
+        for number, (place, color) in enumerate(zip(positions.tolist(), colors.tolist(), strict=True), 1):
+            file.write(POINT.pack(number, *place, *color, 0.0, 0))  # no reprojection error, no track
+
+
+def _lens(view: View) -> Lens:
+    if view.distortion is not None:
+        raise InputError(f"view '{view.name}' has a distortion: only pinholes are written")
+    K = view.K
+    return view.width, view.height, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2])
+
+
+def _quaternion(view: View) -> list[float]:
+    """Return the rotation as w, x, y, z with w >= 0."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(view.cam_from_world[:3, :3]).as_quat(canonical=True).tolist()
+    return [w, x, y, z]

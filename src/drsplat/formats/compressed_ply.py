@@ -16,8 +16,7 @@ from ..errors import FormatError
 from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians
 from .activation import checked, exp, from_smallest_three
 from .gaussian_ply import drawn_as_marked, extra_columns
-from .ply import Records, gather, read_elements
-from .ply_header import Header
+from .ply import Header, Records, gather, read_elements
 
 CHUNK_ROWS = 256
 BLOCK_CHUNKS = 64  # that are unpacked at once

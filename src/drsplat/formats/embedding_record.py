@@ -2,22 +2,56 @@
 
 While `embed` runs, it appends a line to the journal embedding.jsonl for each photo that it finishes: rewriting the
 document each time would cost more with every photo. At the end the document takes over all entries, and the journal is
-removed.
+removed. The journal's first line names the document that it continues by its checksum: a journal beside another
+document is one that had been taken into it, and is not read. Each line carries its own checksum. A last line without
+its end was being written when the process was killed, and does not count.
 """
 
 import json
+import os
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import BinaryIO
 
+from ..base.contents import open_file
 from ..errors import FormatError, InputError, MismatchError
 from ..scene.encoders import EncoderIdentity
 from .checksums import DOCUMENT, check_document, check_seal, hash_file, sealed
 from .feature_files import COMPACT, EMBEDDINGS, MAPS, Form, stems
-from .journal import Journal, changes_to
-from .json_files import excerpt, is_text, read_json
+from .json_files import document_in, excerpt, is_text, read_json
 from .photo_files import listed
-from .replacing import replacing
+from .replacing import replacing, saying_what_is_full, sync_folder
+
+CONTINUES = "continues"
+
+
+class Journal:
+    """A new journal of a document; it replaces another. A line is on disk when `add` returns.
+
+    document: the checksum of what the lines continue.
+    """
+
+    def __init__(self, path: Path, document: str) -> None:
+        self.path = path
+        path.unlink(missing_ok=True)
+        with saying_what_is_full(path):
+            self._file: BinaryIO = path.open("xb", buffering=0)
+        self.add({CONTINUES: document})
+        sync_folder(path.parent)
+
+    def add(self, change: dict[str, object]) -> None:
+        """Append a change and sync it to disk. Raises: NoRoom: the disk is full."""
+        with saying_what_is_full(self.path):
+            line = json.dumps(sealed(change)).encode() + b"\n"
+            while line:
+                line = line[self._file.write(line) :]
+            os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Leave the file as it is; it is removed when all that it holds stands in the document."""
+        self._file.close()
+
 
 FILE_NAME, JOURNAL, FORMAT = "embedding.json", "embedding.jsonl", "drsplat embedding 1"
 _CURE = "Name another folder, or pass overwrite to make all anew"
@@ -275,14 +309,10 @@ def _fits(entry: Finished, folder: Path, stem: str) -> bool:
     if entry.form == "compact":
         hashed = folder / f"{stem}{COMPACT}"
         return hashed.is_file() and hash_file(hashed) == entry.embeddings
-    embeddings = folder / f"{stem}{EMBEDDINGS}"
-    if _sized(folder / f"{stem}{MAPS}") != entry.map_bytes or not embeddings.is_file():
+    maps, embeddings = folder / f"{stem}{MAPS}", folder / f"{stem}{EMBEDDINGS}"
+    if not maps.is_file() or maps.stat().st_size != entry.map_bytes or not embeddings.is_file():
         return False
     return hash_file(embeddings) == entry.embeddings
-
-
-def _sized(path: Path) -> int | None:
-    return path.stat().st_size if path.is_file() else None
 
 
 def _listed_stems(folder: Path) -> list[str]:
@@ -305,3 +335,27 @@ def _changed(before: object, now: object, name: str = "") -> Iterator[str]:
             yield from _changed(before.get(key), now.get(key), f"{name}.{key}" if name else key)
     elif before != now:
         yield f"{name}: {json.dumps(before)} -> {json.dumps(now)}"
+
+
+def changes_to(path: Path, document: str, cure: str) -> Iterator[dict[str, object]]:
+    """Yield the changes that the journal at `path` holds of a document with this checksum, in their order.
+
+    cure: what to do about damage, a sentence.
+
+    Raises: FormatError: a line that is not what was written. InputError: a folder or a pipe is in its place.
+    """
+    try:
+        with open_file(path) as file:
+            *lines, _ = file.read().split(b"\n")
+    except FileNotFoundError:
+        return
+    for number, line in enumerate(lines):
+        where = f"{path}: line {number + 1}"
+        change = document_in(line, where)
+        if not isinstance(change, dict) or json.dumps(change).encode() != line:
+            raise FormatError(f"{where}: damaged or edited: expected an object as it was written. {cure}")
+        check_seal(change, where, cure=cure)
+        if number > 0:
+            yield change
+        elif change.get(CONTINUES) != document:
+            return

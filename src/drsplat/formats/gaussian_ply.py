@@ -27,8 +27,7 @@ from ..errors import DrSplatWarning, FormatError, InputError
 from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians, filled, flat
 from ..scene.placing import local_origin
 from .activation import checked, exp, logit, sigmoid
-from .ply import Records, gather, read_elements, write_vertices
-from .ply_header import Header
+from .ply import Header, Records, gather, read_elements, write_vertices
 from .writable import refuse_packed_name, refuse_unreadable
 
 MEANS = ("x", "y", "z")

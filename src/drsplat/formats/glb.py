@@ -43,9 +43,8 @@ from .glb_layout import (
     UNSIGNED_BYTE,
     UNSIGNED_SHORT,
 )
-from .glb_names import ObjectName, labels_of_tables, object_names, object_numbers
-from .glb_nodes import placed_meshes
-from .gltf import Entry, Gltf, gltf_in, inner, listed, whole_number
+from .glb_tables import ObjectName, labels_of_tables, object_names, object_numbers
+from .gltf import Entry, Gltf, gltf_in, inner, listed, placed_meshes, whole_number
 from .json_files import excerpt
 from .labels import Labels
 from .spz import parse_spz

@@ -16,12 +16,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float32, Int32, UInt8
+from ..base.arrays import Float32, Float64, Int32, UInt8
 from ..errors import InputError
+from ..scene.annotations import Annotation
 from ..scene.gaussians import SH_C0, Gaussians
-from ..scene.labelled import LabelledScene
+from ..scene.labelled import LabelledScene, Thing
 from .axes import standing_up
-from .glb_boxes import named_nodes
 from .glb_layout import (
     BINARY_CHUNK,
     CHUNK,
@@ -54,6 +54,14 @@ from .glb_layout import (
 )
 from .glb_tables import Table, tables_of
 from .replacing import replacing
+
+
+class NamedNodes(NamedTuple):
+    """Nodes of boxes. roots: numbers of those that hang at the world's node."""
+
+    nodes: list[dict[str, Any]]
+    roots: list[int]
+
 
 BLOCK_ROWS = 1 << 14  # that are converted at once
 ARRAY_BUFFER = 34962
@@ -278,3 +286,44 @@ def _nodes(scene: LabelledScene) -> list[dict[str, Any]]:
     rotation = rotation_xyzw(standing_up(np.array(scene.up, np.float64)))
     root = {"name": scene.title, "rotation": rotation, "children": [1, *boxes.roots], "extras": {OURS: own}}
     return [root, splats, *boxes.nodes]
+
+
+def named_nodes(scene: LabelledScene, first: int) -> NamedNodes:
+    """Return a node "matches" and a node "annotations", where there are some, with a child for each.
+
+    A child is a unit cube about zero that its rotation, scale and translation make the box; a point has a translation
+    alone. first: number of the first node.
+    """
+    kinds = {
+        "matches": [_match(match, scene.query) for match in scene.matches],
+        "annotations": [_annotation(one) for one in scene.annotations],
+    }
+    nodes: list[dict[str, Any]] = []
+    roots: list[int] = []
+    for name, children in kinds.items():
+        if children:
+            number = first + len(nodes)
+            roots.append(number)
+            nodes += [{"name": name, "children": list(range(number + 1, number + 1 + len(children)))}, *children]
+    return NamedNodes(nodes, roots)
+
+
+def _match(match: Thing, query: str) -> dict[str, Any]:
+    said: dict[str, Any] = {"kind": "match", "score": match.score} | ({"query": query} if query else {})
+    return {"name": match.name, **_box(match.center, match.axes, match.extent), "extras": said}
+
+
+def _annotation(one: Annotation) -> dict[str, Any]:
+    if one.outline is None:
+        box: dict[str, Any] = {"translation": one.center.tolist()}
+    else:
+        box = _box(one.center, one.outline.axes, one.outline.extent)
+    return {"name": one.text, **box, "extras": {"kind": "annotation"}}
+
+
+def _box(
+    center: Float64[np.ndarray, " 3"], axes: Float64[np.ndarray, "3 3"], extent: Float64[np.ndarray, " 3"]
+) -> dict[str, Any]:
+    """Return what makes the cube of side 1 about zero a box; columns of the rotation are the box's directions."""
+    columns = axes.T * [1.0, 1.0, np.sign(np.linalg.det(axes))]  # people may write a left-handed box, which is the same
+    return {"translation": center.tolist(), "rotation": rotation_xyzw(columns), "scale": extent.tolist()}

@@ -23,7 +23,7 @@ from .ksplat import MAGIC as KSPLAT_MAGIC
 from .ksplat import parse_ksplat
 from .lcc2 import SUFFIX as LCC2
 from .lcc2 import read_lcc2
-from .ply_header import MARK, read_header
+from .ply import MARK, read_header
 from .replacing import replacing
 from .rerun_writing import write_rrd
 from .sog import parse_sog, read_unpacked_sog

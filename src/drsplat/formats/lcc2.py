@@ -62,12 +62,9 @@ def _index(document: Any, path: Path) -> tuple[dict[str, Any], list[str], str]:
     kind = document.get("splatType", ".sog")
     if not isinstance(kind, str) or kind not in PARSERS:
         raise FormatError(f"{path}: splatType: expected .sog or .spz, got {excerpt(kind)}")
-    return root, [_current(name) for name in names] if is_old else names, kind
-
-
-def _current(name: str) -> str:
-    """Return a name of older files as newer ones have it."""
-    return name.removeprefix("/").removesuffix(".sog") + ".sog"
+    if is_old:  # whose names newer files have in another way
+        names = [name.removeprefix("/").removesuffix(".sog") + ".sog" for name in names]
+    return root, names, kind
 
 
 def _environment(root: dict[str, Any], where: str) -> int | None:

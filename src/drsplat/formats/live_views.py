@@ -149,7 +149,8 @@ class LiveViews:
         return replace(posed(view, photo_size(photo)), image_path=photo)
 
     def _write(self, view: LiveView) -> None:
-        _write(self._entry(view.state, view.stem), _document(view))
+        document = json.dumps(sealed({"format": FORMAT, **asdict(view)}), indent=1) + "\n"
+        _write(self._entry(view.state, view.stem), document.encode())
 
     def _forget_waiting(self, view: LiveView) -> None:
         """Remove the file that says that a view waits, after that of its last state was written."""
@@ -237,10 +238,6 @@ def _has(sent: Mapping[str, object], name: str) -> bool:
 
 def _entries(folder: Path) -> list[Path]:
     return sorted(path for path in folder.rglob("*.json") if not path.name.startswith("."))
-
-
-def _document(view: LiveView) -> bytes:
-    return (json.dumps(sealed({"format": FORMAT, **asdict(view)}), indent=1) + "\n").encode()
 
 
 def _read(path: Path, state: State) -> LiveView | None:

@@ -1,20 +1,130 @@
-"""PLY as tables: read elements by header into structured arrays, write one `vertex` element.
+"""PLY as tables: read elements by header into structured arrays, write one `vertex` element; point clouds of any tool.
 
 Source: Greg Turk, "The PLY Polygon File Format" (1994). Little- and big-endian binary and ASCII.
 """
 
 import io
 import warnings
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import islice
 from os import PathLike
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float32, Shaped
-from ..errors import DrSplatWarning, FormatError, InputError
-from .ply_header import SCALAR_TYPES, Element, Header
+from ..base.arrays import Float32, Float64, Shaped, UInt8
+from ..base.contents import file_bytes
+from ..errors import DrSplatWarning, FormatError, InputError, placed
 from .replacing import replacing
+
+AXES, COLORS = ("x", "y", "z"), ("red", "green", "blue")
+DEFAULT_GREY = 128  # of points without colour
+
+
+MARK = b"\xef\xbb\xbf"  # byte order mark of UTF-8, which some editors put before text
+MAX_HEADER_BYTES = 1 << 20
+SCALAR_TYPES = {
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
+    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
+    **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8", "float16": "f2", "half": "f2"},
+}
+LENGTH_TYPES = {name for name, code in SCALAR_TYPES.items() if code[0] != "f"}
+BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">", "ascii": "="}
+
+
+class Property(NamedTuple):
+    """One property: `code` is its NumPy type; `count_code` that of a list's length, else empty."""
+
+    name: str
+    code: str
+    count_code: str = ""
+
+
+@dataclass(frozen=True)
+class Element:
+    """`count` rows of `properties`; nothing here has been checked against the file's size yet."""
+
+    name: str
+    count: int
+    properties: tuple[Property, ...]
+
+    def __post_init__(self) -> None:
+        twice = [name for name, times in Counter(self.names()).items() if times > 1]
+        if twice:
+            raise FormatError(f"PLY header names the property '{twice[0]}' twice")
+
+    @property
+    def has_lists(self) -> bool:
+        return any(p.count_code for p in self.properties)
+
+    def names(self) -> list[str]:
+        return [p.name for p in self.properties]
+
+    def record(self, order: str) -> np.dtype:
+        """Return one row as a packed NumPy record."""
+        return np.dtype([(p.name, order + p.code) for p in self.properties])
+
+
+@dataclass(frozen=True)
+class Header:
+    """Header of a PLY file. `order`: "<", ">" or, for ASCII, "="; `body`: its offset. comments: in order."""
+
+    order: str
+    elements: dict[str, Element]
+    body: int
+    comments: tuple[str, ...] = ()
+
+
+def read_header(buffer: memoryview) -> Header:
+    """Parse the header, in which no number is to be trusted yet.
+
+    Raises: FormatError: not PLY, or a header that is damaged or longer than 1 MiB.
+    """
+    head = bytes(buffer[: 1 << 14])
+    begin = len(MARK) * head.startswith(MARK)
+    if not head.startswith((b"ply\n", b"ply\r\n"), begin):
+        raise FormatError("not a PLY file: it does not begin with the line 'ply'")
+    if b"\nend_header" not in head:
+        head = bytes(buffer[:MAX_HEADER_BYTES])
+    end = head.find(b"\nend_header")
+    line_end = head.find(b"\n", end + 1)
+    if end < 0 or line_end < 0 or head[end + 11 : line_end].strip():
+        raise FormatError("PLY header has no 'end_header' line: the file is truncated or damaged")
+    lines = head[begin + 4 : end].decode("latin-1").split("\n")
+    order, elements = _parse_lines(lines)
+    comments = tuple(line.partition(" ")[2].strip() for line in lines if line.startswith(("comment ", "obj_info ")))
+    return Header(order, elements, line_end + 1, comments)
+
+
+def _parse_lines(lines: list[str]) -> tuple[str, dict[str, Element]]:
+    order = ""
+    counts: dict[str, int] = {}
+    properties: dict[str, list[Property]] = {}
+    current: list[Property] | None = None
+    for line in lines:
+        match line.split():
+            case [] | ["comment" | "obj_info", *_]:
+                continue
+            case ["format", encoding, "1.0"] if encoding in BYTE_ORDERS and not order:
+                order = BYTE_ORDERS[encoding]
+            case ["element", name, count] if count.isdecimal() and len(count) < 19 and name not in counts:
+                counts[name] = int(count)
+                current = properties[name] = []
+            case ["property", kind, name] if kind in SCALAR_TYPES and current is not None:
+                current.append(Property(name, SCALAR_TYPES[kind]))
+            case ["property", "list", length, kind, name] if (
+                kind in SCALAR_TYPES and length in LENGTH_TYPES and current is not None
+            ):
+                current.append(Property(name, SCALAR_TYPES[kind], SCALAR_TYPES[length]))
+            case _:
+                raise FormatError(f"PLY header line not understood: {line[:80]!r}")
+    if not order:
+        raise FormatError("PLY header has no 'format' line")
+    return order, {name: Element(name, counts[name], tuple(properties[name])) for name in counts}
+
 
 Records = np.ndarray  # structured: a row each; jaxtyping would spell out its dtype at every call
 BLOCK_ROWS = 2048  # of 62 floats fit a core's second-level cache
@@ -186,3 +296,41 @@ def _code(name: str, column: Shaped[np.ndarray, " n"]) -> str:
             f"column '{name}' is {column.dtype}, which PLY cannot hold: cast it to float32, float64, int32 or uint8"
         )
     return "<" + code
+
+
+def read_point_ply(path: str | PathLike[str]) -> tuple[Float64[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
+    """Return the positions and RGB of the element `vertex`, in file order; other elements and properties are left out.
+
+    red, green and blue are whole numbers up to 255, or fractions up to 1; without them points are grey.
+
+    Raises: InputError: there is no such file. FormatError: no PLY, truncated, without x, y, z, or a
+    point that is not finite.
+    """
+    path = Path(path)
+    buffer = file_bytes(path).data
+    try:
+        return _points(read_elements(buffer, read_header(buffer), {"vertex"})["vertex"])
+    except FormatError as error:
+        raise FormatError(placed(path, error)) from None
+
+
+def _points(rows: Records) -> tuple[np.ndarray, np.ndarray]:
+    names = rows.dtype.names or ()
+    missing = [name for name in AXES if name not in names]
+    if missing:
+        raise FormatError(f"no points: vertex has no {', '.join(missing)}")
+    positions = np.stack([rows[name].astype(np.float64) for name in AXES], axis=1)
+    bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
+    if len(bad):
+        raise FormatError(f"{len(bad)} of {len(rows)} points are not finite, the first at index {bad[0]}")
+    if not set(COLORS) <= set(names):
+        return positions, np.full(positions.shape, DEFAULT_GREY, np.uint8)
+    return positions, _bytes(np.stack([rows[name] for name in COLORS], axis=1))
+
+
+def _bytes(colors: np.ndarray) -> UInt8[np.ndarray, "n 3"]:
+    with np.errstate(all="ignore"):  # judged below
+        scaled = colors * 255.0 if colors.dtype.kind == "f" else colors.astype(np.float64)
+    if not ((scaled >= 0) & (scaled <= 255)).all():
+        raise FormatError("expected colours of 0 to 255, or of 0 to 1 where they are fractions")
+    return np.rint(scaled).astype(np.uint8)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..base.arrays import Float64
 from ..errors import FormatError, InputError
-from ..scene.rotations import rotation_matrices
+from ..scene.gaussians import rotation_matrices
 from ..scene.views import View
 
 Matrix3 = Float64[np.ndarray, "3 3"]

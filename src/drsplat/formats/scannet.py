@@ -18,8 +18,7 @@ from ..base.arrays import Float32, Int32
 from ..base.contents import file_bytes, file_text
 from ..errors import FormatError, InputError, MismatchError
 from .json_files import excerpt, read_json
-from .ply import gather, read_elements
-from .ply_header import read_header
+from .ply import gather, read_elements, read_header
 
 MAX_LABEL = 1 << 20
 MAX_TABLE_BYTES = 1 << 26

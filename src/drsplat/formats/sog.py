@@ -30,7 +30,7 @@ from .activation import checked, exp, from_smallest_three, sigmoid
 from .json_files import as_count, as_number, as_vector, excerpt
 from .labels import Labels, parse_labels
 from .sog_files import META, Member, folder_member, webp_pixels, webp_size, zip_member
-from .spz_streams import refuse_implausible
+from .spz import refuse_implausible
 
 REST_COEFFICIENTS = (0, 3, 8, 15)  # of each channel without the constant one, by degree
 PALETTE_ROW_ENTRIES = 64

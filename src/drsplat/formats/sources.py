@@ -15,8 +15,7 @@ from ..scene.similarity import IDENTITY, Similarity, similarity_of
 from .compressed_ply import is_compressed
 from .gaussian_ply import MEANS, SCALES, activated_columns, drawn_as_marked, gaussian_rows, gaussians_of
 from .json_files import as_matrix, as_vector, excerpt, is_text, read_json
-from .ply import Records
-from .ply_header import Header, read_header
+from .ply import Header, Records, read_header
 from .scenes import read_gaussians, scene_file
 from .streamed_sog import LOD_META, chunks_of
 

@@ -15,11 +15,9 @@ import numpy as np
 
 from ..base.contents import file_bytes
 from ..errors import FormatError, InputError
-from ..scene.moving import Moving
-from ..scene.spacetime import Spacetime
+from ..scene.moving import Moving, Spacetime
 from .gaussian_ply import QUATS, drawn_as_marked, gaussian_rows, gaussians_of
-from .ply import gather
-from .ply_header import Header, read_header
+from .ply import Header, gather, read_header
 
 CENTER, WIDTH = "trbf_center", "trbf_scale"
 MOTION = tuple(f"motion_{number}" for number in range(9))

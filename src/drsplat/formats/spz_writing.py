@@ -20,8 +20,17 @@ from ..errors import FormatError, InputError
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians
 from ..scene.labelled import LabelledScene
 from .labels import has_labels, labels_bytes
-from .spz import ANTIALIASED, COLOUR_SCALE, HAS_EXTENSIONS, HEADER_BYTES, MAGIC, OBJECTS, PARITIES, PREFIX
-from .spz_streams import refuse_implausible
+from .spz import (
+    ANTIALIASED,
+    COLOUR_SCALE,
+    HAS_EXTENSIONS,
+    HEADER_BYTES,
+    MAGIC,
+    OBJECTS,
+    PARITIES,
+    PREFIX,
+    refuse_implausible,
+)
 
 VERSION, VERSION_4 = 3, 4
 ZSTD_LEVEL = 12

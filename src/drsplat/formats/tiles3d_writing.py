@@ -4,7 +4,12 @@ Leaves are runs of neighbouring Gaussians; what is above them is merged from fou
 largest of them has. Tiles wait on disk for the one above, so that a few are in memory whatever the size of the scene.
 The tileset's axes are those of a PLY turned upright, in metres; the root's transform sets it on the Earth.
 
-Source: OGC 22-025r4, "3D Tiles Specification 1.1".
+The content of a tile is a GLB whose Gaussians are one SPZ stream, with the objects that are in it. CesiumJS draws
+splats of a tileset only where KHR_gaussian_splatting and its child for SPZ are both required; the attributes are then
+declared by accessors without data. Numbers of objects are an attribute of its own, with data.
+
+Source: OGC 22-025r4, "3D Tiles Specification 1.1"; KHR_gaussian_splatting, KHR_gaussian_splatting_compression_spz_2
+(draft), EXT_mesh_features, EXT_structural_metadata.
 """
 
 import json
@@ -20,18 +25,39 @@ import numpy as np
 from ..base.arrays import Float64, Int32
 from ..scene.gaussians import Gaussians, concatenated
 from ..scene.geodesy import enu_axes, geocentric
-from ..scene.labelled import PLY_UP, LabelledScene, Thing
+from ..scene.labelled import PLY_UP, LabelledScene, Thing, numbers_of
 from ..scene.merging import coarser
 from .axes import Z_UP_FROM_PLY, standing_as_ply
 from .field_folder import replacing_folder
 from .georeference import Georeference
-from .glb_layout import SPLATTING, SPZ
-from .leaves import Leaf, Leaves, leaves_of
+from .glb_layout import (
+    COLOR,
+    COLOR_SPACE,
+    FEATURE_ID,
+    FEATURES,
+    FLOAT,
+    HARMONICS,
+    KERNEL,
+    METADATA,
+    OPACITY,
+    POSITION,
+    ROTATION,
+    SCALE,
+    SPLATTING,
+    SPZ,
+    UNSIGNED_BYTE,
+)
+from .glb_tables import Table, object_table
+from .glb_writing import Binary, features_of, head_of, tables_document
+from .leaves import Leaf, leaves_of
 from .replacing import replacing
+from .spz_writing import TO_RUB, spz_bytes
 from .tensors import read_tensors, write_tensors
 from .tiles import Tile, Tiles
-from .tiles3d_content import content_glb
 from .usd_writing import extent_of
+
+KEPT = {"kernel": KERNEL, "colorSpace": COLOR_SPACE, "sortingMethod": "cameraDistance"}
+
 
 TILESET = "tileset.json"
 LEAF_ROWS = 1 << 16
@@ -82,7 +108,12 @@ def write_tiles3d(
     FormatError: damaged tiles.
     """
     source = TiledScene(source) if isinstance(source, Tiles) else source
-    leaves, middle = _leaves_of_tiles(source) if isinstance(source, TiledScene) else leaves_of(_bare(source), rows)
+    if isinstance(source, TiledScene):  # each tile is a leaf
+        leaves: list[Leaf] = [partial(_tile_of, source, tile) for tile in source.tiles.tiles]
+        middle = leaves_of(source.tiles, LEAF_ROWS).middle
+    else:
+        extra = {} if source.object_of is None else {OBJECT: source.object_of}
+        leaves, middle = leaves_of(replace(source.gaussians, extra=extra), rows)
     things = source.things
     scale = 1.0 if georeference is None else georeference.scale
     with replacing_folder(path, overwrite, TILESET) as folder:
@@ -91,17 +122,6 @@ def write_tiles3d(
         document = _tileset(root, _transform(georeference, middle, source.up))
         with replacing(folder / TILESET) as file:
             file.write(json.dumps(document, separators=(",", ":")).encode())
-
-
-def _bare(scene: LabelledScene) -> Gaussians:
-    """Return the Gaussians with the place of each one's object as their only column."""
-    return replace(scene.gaussians, extra={} if scene.object_of is None else {OBJECT: scene.object_of})
-
-
-def _leaves_of_tiles(source: TiledScene) -> Leaves:
-    """Take each tile for a leaf, with the objects of its rows."""
-    leaves: list[Leaf] = [partial(_tile_of, source, tile) for tile in source.tiles.tiles]
-    return Leaves(leaves, leaves_of(source.tiles, LEAF_ROWS).middle)
 
 
 def _tile_of(source: TiledScene, tile: Tile) -> Gaussians:
@@ -223,3 +243,72 @@ def _transform(
     matrix[:3, :3] = earth_from_world @ Z_UP_FROM_PLY.T
     matrix[:3, 3] = geocentric(np.array([place]))[0] + earth_from_world @ (georeference.scale * middle)
     return matrix
+
+
+def content_glb(
+    gaussians: Gaussians,
+    offset: Float64[np.ndarray, " 3"],
+    objects: Int32[np.ndarray, " n"] | None = None,
+    things: tuple[Thing, ...] = (),
+) -> bytes:
+    """Encode the content of a tile.
+
+    Args:
+        gaussians: in metres, counted from the middle of the tile, in the axes of a PLY.
+        offset: that middle, counted from the middle of the tileset, in the same axes.
+        objects: number of each Gaussian's object in `things`, -1 for none.
+        things: objects of the scene; those that are in the tile get a row of its table.
+    """
+    from .. import __version__
+
+    binary = Binary()
+    spz = binary.column(np.frombuffer(spz_bytes(gaussians), np.uint8))
+    extensions: dict[str, Any] = {
+        SPLATTING: {**KEPT, "projection": "perspective", "extensions": {SPZ: {"bufferView": spz}}}
+    }
+    attributes = _declared(gaussians, binary)
+    document: dict[str, Any] = {}
+    if objects is not None and (objects >= 0).any():
+        used, table = _table_of(objects, things)
+        rows = np.where(objects < 0, -1, np.searchsorted(used, objects)).astype(np.int32)
+        attributes[FEATURE_ID], extensions[FEATURES] = features_of(rows, len(used), binary)
+        document["extensions"] = {METADATA: tables_document([table], binary)}
+    names = [SPLATTING, SPZ, *([FEATURES] if FEATURES in extensions else []), *document.get("extensions", {})]
+    document |= {
+        "asset": {"version": "2.0", "generator": f"drsplat {__version__}"},
+        "extensionsUsed": names,
+        "extensionsRequired": [SPLATTING, SPZ],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0, "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, *(offset * TO_RUB + 0.0).tolist(), 1]}],
+        "meshes": [{"primitives": [{"attributes": attributes, "mode": 0, "extensions": extensions}]}],
+        "accessors": binary.accessors,
+        "bufferViews": binary.views,
+        "buffers": [{"byteLength": binary.size}],
+    }
+    return head_of(document, binary.size) + b"".join(binary.blocks())
+
+
+def _declared(gaussians: Gaussians, binary: Binary) -> dict[str, int]:
+    """Append accessors of what the SPZ stream holds, in which nothing is stored; returns the attributes they are of."""
+    turned = gaussians.means * TO_RUB
+    kinds = {
+        POSITION: ("VEC3", FLOAT, {"min": turned.min(0).tolist(), "max": turned.max(0).tolist()}),
+        COLOR: ("VEC4", UNSIGNED_BYTE, {"normalized": True}),
+        ROTATION: ("VEC4", FLOAT, {}),
+        SCALE: ("VEC3", FLOAT, {}),
+        OPACITY: ("SCALAR", FLOAT, {}),
+    }
+    kinds |= {name: ("VEC3", FLOAT, {}) for name in HARMONICS[1 : gaussians.sh.shape[1]]}
+    binary.accessors += [
+        {"componentType": component, "count": len(gaussians), "type": kind, **more}
+        for kind, component, more in kinds.values()
+    ]
+    return {name: number for number, name in enumerate(kinds)}
+
+
+def _table_of(objects: Int32[np.ndarray, " n"], things: Sequence[Thing]) -> tuple[Int32[np.ndarray, " u"], Table]:
+    """Return the places of the objects that are in the tile, and their table."""
+    used = np.unique(objects[objects >= 0])
+    numbers = numbers_of(things)
+    return used, object_table([things[place] for place in used], [numbers[place] for place in used])

@@ -1,9 +1,15 @@
 """Binary OpenUSD (`.usdc`, `.usdz`) through its own library, `usd-core`: the format is defined by that code alone.
 
-A layer is read as it lies in the file: nothing that it refers to is opened.
+A layer is read as it lies in the file: nothing that it refers to is opened. Counts in the head of a `.usdc` are checked
+before the library allocates what they promise: byte 16 says where the table of contents is, a count and, of 32 bytes
+each, a section's name, start and size. A section begins with the count of its entries; a second one follows in two of
+them. Numbers are little-endian, of 8 bytes.
+
+Source: OpenUSD 26.11, pxr/usd/sdf/crateFile.cpp, which is all that describes the format.
 """
 
 import shutil
+import struct
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -14,9 +20,14 @@ from ..base.arrays import UInt8
 from ..errors import FormatError, MissingExtraError
 from ..scene.labelled import LabelledScene
 from .replacing import replacing
-from .usd_crate import refuse_false_counts
 from .usd_text import API_SCHEMAS, MAX_NESTING, TIME_SAMPLES, UsdPrim, Value, is_wanted
 from .usd_writing import ROOT, SPLAT, Column, columns_of, layer_text
+
+HEAD_BYTES, ENTRY_BYTES = 24, 32
+MAX_INTEGERS_PER_BYTE = 4 * 255  # LZ4 makes at most 255 bytes of one, with four integers in each
+FIRST_COMPRESSED_VERSION = (0, 4)  # the first whose sections are compressed and begin as they do here
+TWO_COUNTS = (b"TOKENS", b"PATHS")
+
 
 MARK = b"PXR-USDC"
 INSTALL = 'pip install "drsplat[usd]"'
@@ -157,3 +168,25 @@ def _value(value: Any) -> Value | None:
     except (TypeError, ValueError):
         return None
     return numbers.reshape(-1) if numbers.dtype.kind in "fiub" else None
+
+
+def refuse_false_counts(content: UInt8[np.ndarray, " n"]) -> None:
+    """Check the counts of a file. Raises: FormatError: one that its bytes have no room for, or a section elsewhere."""
+    view = content.data
+    if len(view) < HEAD_BYTES:
+        raise FormatError(f"the file ends after {len(view)} bytes")
+    version, table = tuple(view[8:10]), _number(view, 16)
+    if table + 8 > len(view) or _number(view, table) > (len(view) - table - 8) // ENTRY_BYTES:
+        raise FormatError(f"no table of contents at byte {table:,} of {len(view):,}")
+    for place in range(table + 8, table + 8 + ENTRY_BYTES * _number(view, table), ENTRY_BYTES):
+        name, start, size = bytes(view[place : place + 16]).rstrip(b"\0"), *struct.unpack_from("<QQ", view, place + 16)
+        counts = 2 if name in TWO_COUNTS and version >= FIRST_COMPRESSED_VERSION else 1
+        if start + size > len(view) or size < 8 * counts:
+            raise FormatError(f"section {name!r}: {size:,} bytes at byte {start:,} of {len(view):,}")
+        most = max(_number(view, start + 8 * number) for number in range(counts))
+        if most > MAX_INTEGERS_PER_BYTE * size:
+            raise FormatError(f"section {name!r}: {size:,} bytes hold no {most:,} entries")
+
+
+def _number(view: memoryview, place: int) -> int:
+    return int(struct.unpack_from("<Q", view, place)[0])

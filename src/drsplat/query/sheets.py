@@ -5,8 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..base.terminal import counted
-from ..drawing.cards import Card, card_sheet
-from ..drawing.cutouts import TILE_PIXELS, cut_out
+from ..drawing.cards import TILE_PIXELS, Card, card_sheet, cut_out
 from ..drawing.heat import heat_of
 from ..drawing.pictures import (
     OtherPixels,

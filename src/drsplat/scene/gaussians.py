@@ -8,10 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Bool, Float32, Float64, Integer
+from ..base.arrays import Anywhere, Bool, Float, Float32, Float64, Integer
 from ..errors import InputError
 from .placing import MIN_SIZED_GAUSSIANS, local_origin, near_plane
-from .rotations import rotation_matrices, rotation_rows
 
 SH_COEFFICIENTS = (1, 4, 9, 16)
 SURFEL_THICKNESS = np.float32(1e-6)  # standard deviation of a surfel along its normal, scene units
@@ -244,3 +243,19 @@ def drawing_mark(antialiased: bool) -> bytes:
 def filled(sh: Float32[np.ndarray, "n k 3"], coefficients: int) -> Float32[np.ndarray, "n c 3"]:
     """Pad harmonics with zeros up to a number of coefficients."""
     return np.pad(sh, ((0, 0), (0, coefficients - sh.shape[1]), (0, 0)))
+
+
+def rotation_matrices(quats: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 3 3"]:
+    """Return the matrices from local axes (their columns) to the world, in the precision of the input."""
+    matrices: np.ndarray = np.stack([np.stack(row, -1) for row in rotation_rows(quats.T)], -2)
+    return matrices
+
+
+def rotation_rows(quats: Float[Anywhere, "4 n"]) -> list[list[Float[Anywhere, " n"]]]:
+    """Return the entries of `rotation_matrices` as three rows of three arrays, each over all quaternions."""
+    w, x, y, z = quats
+    return [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]

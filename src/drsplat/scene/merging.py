@@ -52,7 +52,7 @@ def coarser(gaussians: Gaussians, count: int, within: Int[np.ndarray, " n"] | No
         step = _paired(gaussians, most, kinds)
         if step.max() + 1 == len(gaussians):
             break
-        kinds = kinds[_first_rows(step)]
+        kinds = kinds[np.unique(step, return_index=True)[1]]
         gaussians, group_of = merged(gaussians, step), step[group_of]
     return Level(gaussians, group_of)
 
@@ -195,7 +195,3 @@ def _matched(count: int, first: Int64[np.ndarray, " e"], second: Int64[np.ndarra
         taken[first[chosen[-1]]] = taken[second[chosen[-1]]] = True
         alive = alive[~(taken[first[alive]] | taken[second[alive]])]
     return np.sort(np.concatenate([*chosen, np.empty(0, np.int64)]).astype(np.int64))
-
-
-def _first_rows(group_of: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " g"]:
-    return np.asarray(np.unique(group_of, return_index=True)[1])

@@ -13,7 +13,7 @@ from ..base.arrays import Anywhere, Bool, Float32, Integer
 from ..formats.activation import sigmoid
 from ..kernels.cuda.places import on_host, placed
 from ..kernels.training import SceneParameters
-from ..scene.rotations import rotation_rows
+from ..scene.gaussians import rotation_rows
 from .optimizer import Optimizer, Slopes
 from .schedules import refines, resets_opacity
 from .settings import TrainingSettings

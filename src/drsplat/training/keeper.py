@@ -17,7 +17,7 @@ from ..base.arrays import Float64
 from ..errors import DrSplatWarning, FormatError, InputError, MismatchError
 from ..formats.captures import SparsePoints
 from ..formats.checksums import hash_file
-from ..formats.point_ply import read_point_ply
+from ..formats.ply import read_point_ply
 from ..formats.tensors import check_tensors, read_tensors, write_tensors
 from ..scene.views import View
 from .evaluation import Evaluation, evaluate

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...base.arrays import Float32, Float64, Int64
-from ...drawing.palette import LUMA
+from ...drawing.heat import LUMA
 from ...errors import InputError
 from ...scene.gaussians import SH_C0
 from .draft import Draft

@@ -117,7 +117,7 @@ class Space:
     @cached_property
     def _surface_points(self) -> Float64[np.ndarray, "m 3"]:
         """Centres of all Gaussians, and one standard deviation to both sides along each of their axes."""
-        from ...scene.rotations import rotation_matrices
+        from ...scene.gaussians import rotation_matrices
 
         g = self.gaussians
         arms = rotation_matrices(g.quats.astype(np.float64)) * g.scales[:, None, :]

@@ -16,7 +16,7 @@ from ...errors import DrSplatWarning, InputError
 from ...field.codes import Track, untracked
 from ...formats.claiming import claimed_output
 from ...formats.colmap import read_colmap
-from ...formats.colmap_writing import write_colmap
+from ...formats.colmap_binary import write_colmap
 from ...formats.field_folder import refuse_to_replace_others, replacing_folder
 from ...formats.json_files import written_name
 from ...formats.rendering_record import RECORD, write_rendering_record

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...base.arrays import Bool, Float32, Int32, UInt8
-from ...drawing import palette
+from ...drawing import heat
 from ...field import LanguageField
 
 Colors = Float32[np.ndarray, "n 3"]
@@ -17,7 +17,7 @@ ACCENTS = (
 )  # fmt: skip
 """Colours of several queries at once, in the order of the queries."""
 
-LUMA = palette.LUMA.astype(np.float32)
+LUMA = heat.LUMA.astype(np.float32)
 DIMMED_SHARE, DIM_FLOOR = 0.52, 0.08  # of its light that a Gaussian keeps where another is meant: dimmed, never black
 GREYED_SHARE = 0.72  # of its colour that it loses
 TINT_SHARE = 0.35  # of a query's colour in its matches, where there are several queries

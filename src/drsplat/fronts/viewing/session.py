@@ -16,8 +16,7 @@ from ...authoring.editing.targets import MAX_NAME_CHARACTERS
 from ...authoring.filming.looking import Vector, radius_of
 from ...base.arrays import Bool, Float32, Float64, Int32, UInt8
 from ...base.terminal import counted
-from ...drawing.heat import heat_colors
-from ...drawing.palette import class_colors
+from ...drawing.heat import class_colors, heat_colors
 from ...errors import InputError
 from ...query import Query, Scene, Segmentation
 from ...query.defaults import OBJECT

@@ -10,8 +10,7 @@ import numpy as np
 from ...authoring.editing import EditList
 from ...authoring.editing.edits import Change
 from ...base.arrays import Bool, Float32, Float64, Int32, Int64
-from ...drawing.heat import heat_colors, heat_of
-from ...drawing.palette import class_colors
+from ...drawing.heat import class_colors, heat_colors, heat_of
 from ...errors import InputError
 from ...formats.tiles import Tile, Tiles
 from ...query import Scene

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import InputError
-from ...scene.rotations import rotation_rows
+from ...scene.gaussians import rotation_rows
 from ..splats import SplatArrays
 from .drawing import drawn_channels
 from .engine import Engine, cuda_engine

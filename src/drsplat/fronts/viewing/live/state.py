@@ -9,8 +9,7 @@ from ....authoring.editing.stored import NAMES
 from ....authoring.filming.encoding import ffmpeg
 from ....authoring.filming.looking import FOV_DEGREES
 from ....base.arrays import Float64
-from ....drawing.heat import HEAT
-from ....drawing.palette import class_colors
+from ....drawing.heat import HEAT, class_colors
 from ....query import Match
 from ....query.documents import Document, support_document
 from ....query.nodes import numbered
