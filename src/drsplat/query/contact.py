@@ -1,7 +1,7 @@
 """Contact between things: one rests on another whose Gaussians its lower ones touch, around or under its middle.
 
 Boxes overlap, or hover by the thickness of a splat, and photos see little of what lies under a thing. Both say little
-of whether it stands there; Gaussians beside its foot do. Defined in docs/objects.md.
+of whether it stands there; Gaussians beside its foot do. Defined in docs/grouping.md.
 """
 
 import numpy as np

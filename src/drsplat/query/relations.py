@@ -1,6 +1,6 @@
 """How objects lie to each other: on, in, next to, above, under, between; by boxes and contact, without words for them.
 
-Defined in docs/objects.md. Functions of Gaussians, matches and the direction that is up.
+Defined in docs/grouping.md. Functions of Gaussians, matches and the direction that is up.
 """
 
 from collections.abc import Callable, Sequence
