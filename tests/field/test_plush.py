@@ -101,8 +101,8 @@ def clicks(tmp_path_factory: pytest.TempPathFactory) -> Clicks:
 def test_a_click_cuts_out_the_quilt_and_a_few_the_doll(clicks):
     """Colours hold the quilt together, and tear the doll, whose pieces are it together.
 
-    The scene is too rough for the carrot, which few of these photos show; docs/objects.md has the numbers of a whole
-    one.
+    The scene is too rough for the carrot, which few of these photos show; docs/measured/objects.md has the numbers
+    of a whole one.
     """
     quilt, doll = next(clicks.of("quilt")), next(clicks.of("doll"))
     assert quilt.answer.mean > 0.4

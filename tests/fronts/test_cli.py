@@ -290,15 +290,15 @@ def test_register_takes_the_names_that_others_use(room: Path, tmp_path: Path, ca
 
 KILLED_AFTER = """
 import os, signal
-from drsplat.field.evidence.aggregation import sampling
+from drsplat.field.evidence.aggregation import record
 from drsplat.cli import main
-whole, done = sampling.view_weights, []
+whole, done = record.view_weights, []
 def weights(*args, **options):
     if len(done) == {count}:
         os.kill(os.getpid(), signal.SIGKILL)
     done.append(1)
     return whole(*args, **options)
-sampling.view_weights = weights
+record.view_weights = weights
 main({argv})
 """
 

@@ -211,11 +211,11 @@ from drsplat.cli import main
 def killed(*args, **options):
     os.kill(os.getpid(), signal.SIGKILL)
 if {moment!r} == "second view":
-    whole, done = sampling.view_weights, []
+    whole, done = record.view_weights, []
     def second(*args, **options):
         done.append(1)
         return killed() if len(done) == 2 else whole(*args, **options)
-    sampling.view_weights = second
+    record.view_weights = second
 else:
     field_folder._exchange = killed
 main({argv})

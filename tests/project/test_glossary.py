@@ -19,7 +19,8 @@ from drsplat.cli import VERBS, make_parser
 ROOT = Path(__file__).resolve().parents[2]
 GLOSSARY = ROOT / "docs" / "glossary.md"
 # `docs/evaluation.md` is generated; README.md quotes commands.
-DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), ROOT / "world/README.md"])
+FOLDERS = (ROOT, ROOT / "docs", ROOT / "docs/measured")
+DOCUMENTS = sorted([*(path for folder in FOLDERS for path in folder.glob("*.md")), ROOT / "world/README.md"])
 KEYED = ("fronts/commands", "evaluation/demo", "fronts/serving", "evaluation")  # what makes JSON that people read
 THEIRS = {
     "info", "objects", "things",  # files of LERF-OVS

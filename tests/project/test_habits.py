@@ -267,7 +267,7 @@ def test_ctrl_c_in_embed_says_how_to_go_on_and_it_does(
 def test_ctrl_c_in_register_says_how_to_go_on(room: Path, tmp_path: Path) -> None:
     argv = ["register", room / "scene.ply", room / "capture", "--features", room / "capture/language_features"]
     argv += ["--encoder-name", "drsplat-words", "-o", tmp_path / "a.field"]
-    said = stopped("field.evidence.aggregation.sampling", "view_weights", *argv)
+    said = stopped("field.evidence.aggregation.record", "view_weights", *argv)
     assert said.endswith(f"are kept in {tmp_path / 'a.field.parts'}: give the same command again to go on\n")
     assert len(list((tmp_path / "a.field.parts").glob("*.columns.safetensors"))) == 2
 

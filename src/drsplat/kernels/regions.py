@@ -12,7 +12,7 @@ from ..errors import InputError
 
 @dataclass(frozen=True)
 class MergeRule:
-    """Rule for merging two neighbouring regions; see docs/objects.md.
+    """Rule for merging two neighbouring regions; see docs/grouping.md.
 
     soft: the weight in a view at which the view counts half. far: of a region's weight, for how well masks fit it.
     local: the share of the agreement along the border, the rest is that of the regions as wholes. prior, least: the

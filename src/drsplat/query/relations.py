@@ -1,10 +1,10 @@
 """How objects lie to each other: on, in, next to, above, under, between; by boxes and contact, without words for them.
 
-Defined in docs/objects.md. Functions of Gaussians, matches and the direction that is up.
+Defined in docs/grouping.md. Functions of Gaussians, matches and the direction that is up.
 
 Boxes overlap, or hover by the thickness of a splat, and photos see little of what lies under a thing. Both say little
 of whether it stands there; Gaussians beside its foot do: one thing rests on another whose Gaussians its lower ones
-touch, around or under its middle. Defined in docs/objects.md.
+touch, around or under its middle. Defined in docs/grouping.md.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Objects from the masks of photos: what belongs together is in one mask wherever it is seen.
 
 Two Gaussians of one thing lie in the same mask in the photos that see both. Neighbours are merged, best first, while
-their masks agree; of the regions that come about, things are those that single masks fit best. See docs/objects.md.
+their masks agree; of the regions that come about, things are those that single masks fit best. See docs/grouping.md.
 
 Of a scene that is too large for one forest, each block gets one, and the scene one of all their nodes:
 
@@ -132,7 +132,7 @@ def find_objects(
     (`by_blocks`). The same bits at any number of threads.
 
     Raises: InputError: the field keeps no evidence. MismatchError: it is of another scene.
-    Source: agglomeration by agreement over views as in Trace3D and SAI3D; see docs/objects.md.
+    Source: agglomeration by agreement over views as in Trace3D and SAI3D; see docs/grouping.md.
     """
     field.check_scene(gaussians)
     if field.evidence is None:

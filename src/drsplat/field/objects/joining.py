@@ -1,7 +1,7 @@
 """Join pieces into the things that they are pieces of: what no mask holds, but stands out from all around it as one.
 
 A thing of many colours is found in pieces where masks end at colours. Photos still show that the pieces are one
-surface: at the borders between them depth goes on, and around all of them it jumps. See docs/objects.md.
+surface: at the borders between them depth goes on, and around all of them it jumps. See docs/grouping.md.
 
 *Relief* of a set is the share of its outline at which it stands in front of what is beside it; where it is behind
 something else nobody knows how it goes on, and that counts for neither side. Borders within the set do not count.

@@ -2,7 +2,7 @@
 
 One photo cannot tell a print from the sheet that it is on; many can. Each photo's regions are registered, so that any
 node of its tree is a sum of columns of W, and the best node for an object is found without drawing anything. See
-docs/objects.md.
+docs/grouping.md.
 """
 
 from collections import Counter

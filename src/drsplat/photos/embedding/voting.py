@@ -38,7 +38,7 @@ def vote_for_objects(
 ) -> Objects:
     """Find the objects of a field as `find_objects` does, and join the pieces that its photos outline as one thing.
 
-    Masks may be anyone's; docs/objects.md says what it gains.
+    Masks may be anyone's; docs/measured/objects.md says what it gains.
 
     Args:
         field: with evidence.

@@ -1,6 +1,6 @@
 """Acts of people: each is one JSON object, and one call or a few of the session.
 
-Source of the names and shapes: docs/viewer.md, "For other clients".
+Source of the names and shapes: docs/viewer_service.md, "For other clients".
 """
 
 from collections.abc import Callable, Hashable
