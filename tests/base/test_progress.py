@@ -10,7 +10,7 @@ from drsplat.base.progress import Meter, seconds_left
 def after(costs: list[float], done: int) -> tuple[float, float]:
     """What is said after some items, one mark each, and what is true."""
     total = len(costs)
-    marks = [(number, sum(costs[1:number])) for number in range(1, done + 1)]
+    marks = [(number, float(sum(costs[1:number]))) for number in range(1, done + 1)]
     return seconds_left(marks, total)[0], sum(costs[done:])
 
 

@@ -85,7 +85,8 @@ class Meter:
 
     def left(self, done: int) -> tuple[float, float]:
         """Return the seconds that are left, and those of an item of late."""
-        self._begin = self._begin if self._marks else time.monotonic()
+        if not self._marks:
+            self._begin = time.monotonic()
         self._elapsed = time.monotonic() - self._begin
         now = done, self._elapsed
         if not self._marks or now[1] > self._marks[-1][1] + MARK_EVERY_S:

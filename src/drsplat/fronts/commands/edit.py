@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +18,8 @@ from .options import Encoders, Photos, Verb, overwrite
 from .query_options import asked, check_outputs, query_of, query_text
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
     import numpy as np
 
     from ...authoring.editing import EditFile, EditList
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from ...authoring.editing.edits import Change
     from ...authoring.editing.kept import KeptEdits
     from ...authoring.editing.targets import Target
+    from ...formats.annotations import AnnotationFile
     from ...query import Scene
     from ...scene.annotations import Annotation
     from ...scene.gaussians import Gaussians
@@ -83,7 +86,6 @@ class Options(Verb):
 
 
 def run(options: Options) -> Facts:
-    from ... import write_gaussians
     from ...authoring.editing import EditList
     from ...authoring.editing.kept import without_kept
     from ...formats.annotations import AnnotationFile
@@ -91,13 +93,10 @@ def run(options: Options) -> Facts:
 
     check_outputs(options.save, options.picture, options.overwrite)
     work, changes, wanted = _work(options), options.change.changes, options.listed
-    notes, after, view = AnnotationFile.beside(work.path), None, None
+    notes, after = AnnotationFile.beside(work.path), None
     alone = without_kept(options.edits, changes=bool(changes), saves=bool(options.save))
     writes = wanted.undo or wanted.redo or wanted.annotate or wanted.drop_annotation or (changes and not alone)
-    with ExitStack() as held:
-        for file in (work.file, notes) if writes else ():
-            held.enter_context(file.held())
-        held.enter_context(together())
+    with _held((work.file, notes) if writes else ()), together():
         kept, noted = work.file.read(work.gaussians), notes.read()
         first = EditList(kept.scene) if alone else kept
         edits = work.changed(first)
@@ -108,10 +107,7 @@ def run(options: Options) -> Facts:
             work.file.write(edits)
         if annotations is not noted:
             notes.write(annotations)
-        if options.save and after is not None:
-            write_gaussians(options.save, after, overwrite=options.overwrite, is_edited=True)
-        if options.picture and after is not None:
-            view = work.draw(options.picture, edits, after)
+        view = None if after is None else _written(options, work, edits, after)
     if alone:
         note_left_out(kept.done)
     elif options.save or options.picture:
@@ -130,6 +126,24 @@ def run(options: Options) -> Facts:
         "picture": options.picture,
         "view": None if view is None else view.name,
     }
+
+
+@contextmanager
+def _held(files: Iterable[EditFile | AnnotationFile]) -> Iterator[None]:
+    """Lock lists against other processes while the block runs."""
+    with ExitStack() as held:
+        for file in files:
+            held.enter_context(file.held())
+        yield
+
+
+def _written(options: Options, work: _Work, edits: EditList, after: Gaussians) -> View | None:
+    """Write --save and --picture; returns the view of the picture."""
+    from ... import write_gaussians
+
+    if options.save:
+        write_gaussians(options.save, after, overwrite=options.overwrite, is_edited=True)
+    return work.draw(options.picture, edits, after) if options.picture else None
 
 
 def show(answer: Facts) -> None:
