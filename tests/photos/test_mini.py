@@ -1,6 +1,7 @@
 """The built-in encoder: its words, its network, what it says to strangers."""
 
 import itertools
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -28,6 +29,7 @@ from drsplat.photos.models.mini.lexicon import (
     fits,
     words_of,
 )
+from drsplat.photos.models.word_list import NOUNS, broad_list
 from drsplat.scene.encoders import Encoder, ImageEncoder
 from drsplat.scene.masks.crops import crop
 from fields import SCENE, random_evidence
@@ -120,6 +122,35 @@ def test_what_it_was_not_taught_is_an_error(mini: MiniEncoder, text: str) -> Non
 def test_a_near_miss_is_helped(mini: MiniEncoder) -> None:
     with pytest.raises(InputError, match=r"'tabel'.*Did you mean 'table'"):
         mini.encode_texts(["tabel"])
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("rote Tasse", "German, and the built-in encoder reads English: ask for 'red mug'"),
+        ("une tasse rouge", "French.* ask for 'red mug'"),
+        ("la taza roja", "Spanish.* ask for 'red mug'"),
+        ("Sofás", "was not taught"),  # no form of it is listed: nothing is guessed
+        ("blue chaise", "French.* ask for 'blue chair'"),
+        ("红色的杯子", "Chinese.* ask for 'red mug'"),
+        ("赤いコップ", "Japanese.* ask for 'red mug'"),
+        ("кружка", "Russian.* ask for 'mug'"),
+        ("rote foo", "was not taught 'rote', 'foo'"),
+        ("кружка foo", "was not taught"),
+    ],
+)
+def test_other_languages_are_named(mini: MiniEncoder, text: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        mini.encode_texts([text])
+
+
+def test_other_languages_are_translated_to_what_was_taught(mini: MiniEncoder) -> None:
+    file = files("drsplat.photos.models.mini") / "languages.txt"
+    for line in file.read_text(encoding="utf-8").splitlines():
+        if ": " in line and line[0] != "#":
+            english, foreign = line.split(": ")
+            assert english in {*NAMES, *COLORS, *MATERIALS, *STRUCTURES, "toy", "the"}, line
+            assert english == "the" or not {*foreign.split()} & {*WORDS, *broad_list(), *NOUNS}, line
 
 
 def test_the_lexicon_holds_together() -> None:

@@ -11,7 +11,7 @@ from ....errors import InputError, did_you_mean
 from ....formats.tensors import map_tensors
 from ....kernels.algebra import convolve, dense_rows
 from ....scene.encoders import EncoderIdentity
-from .lexicon import COLORS, NAMES, PAINTS, STRUCTURES, WORDS, colors_in, only_colors, words_of
+from .lexicon import COLORS, NAMES, PAINTS, STRUCTURES, WORDS, colors_in, from_other_language, only_colors, words_of
 
 DIM = 512
 BATCH_CROPS = 64  # whose layers take some 20 MiB
@@ -94,6 +94,9 @@ class MiniEncoder:
 def _unknown(text: str, strange: Sequence[str]) -> str:
     if not strange:
         return f"{text!r} has no word to look for: name an object, e.g. 'red mug'"
+    language, english = from_other_language(words_of(text))
+    if english:
+        return f"{text!r} is {language}, and the built-in encoder reads English: ask for {english!r}"
     meant = "".join(did_you_mean(word, WORDS, 2) for word in strange)
     return (
         f"the built-in encoder was not taught {', '.join(map(repr, strange))}.{meant} It knows these English words: "

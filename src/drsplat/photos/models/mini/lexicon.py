@@ -1,6 +1,8 @@
 """Words that `mini` knows, and the objects, colours and materials they stand for."""
 
 import re
+from collections.abc import Sequence
+from pathlib import Path
 
 NAMES = (
     "apple", "ball", "banana", "basket", "book", "bottle", "bowl", "box", "bread", "candle", "carrot",
@@ -118,6 +120,30 @@ def colors_in(text: str) -> list[str]:
     tones = [TONES.get(word, word) for word in words if word != "dark"]
     named = [COLORS[PAINTS.index(tone)] for tone in tones if tone in PAINTS]
     return named or [COLORS[PAINTS.index(TONES[word])] for word in words if word in TONES]
+
+
+def from_other_language(words: Sequence[str]) -> tuple[str, str]:
+    """Return a language in which words that were not taught mean some that were, and those: ("French", "red mug").
+
+    Words of `words_of`; ("", "") if no language of languages.txt has all that are unknown. Of signs that are written
+    without spaces, parts count.
+    """
+    for section in Path(__file__).with_name("languages.txt").read_text(encoding="utf-8").split("\n[")[1:]:
+        language, *lines = section.splitlines()
+        meaning = {word: line.split(":")[0] for line in lines for word in line.partition(":")[2].split()}
+        signs = re.compile("|".join(sorted(meaning, key=len, reverse=True)))
+        found = [[word] if word in _KNOWN or word in meaning else _signs(signs, word) for word in words]
+        english = [meaning.get(word, word) for parts in found for word in parts]
+        if all(found):
+            english.sort(key=lambda word: word not in COLORS + MATERIALS)
+            return language.rstrip("]"), " ".join(word for word in english if word not in IGNORED)
+    return "", ""
+
+
+def _signs(known: re.Pattern[str], word: str) -> list[str]:
+    """Return the words that a run of signs without spaces consists of, [] if of letters or of others as well."""
+    parts = known.findall(word)
+    return parts if ord(word[0]) > 0x2E80 and "".join(parts) == word else []
 
 
 def only_colors(text: str) -> bool:
