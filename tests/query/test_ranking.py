@@ -70,6 +70,29 @@ def test_an_encoder_with_a_threshold() -> None:
     assert ranked(WordEncoder(), Query("mug", exclude=("blue",)), described, words)[1] == [True, False, False]
 
 
+def test_a_kind_finds_its_names_and_these_are_no_rivals() -> None:
+    class Boats(ClipLike):
+        nouns = (*NOUNS, "canoe", "ferry")
+
+    things = pictured(*Boats.nouns)
+    described = objects(*things[:, None])
+    assert ranked(Boats(), Query("boat"), described, things)[1] == [noun in ("canoe", "ferry") for noun in Boats.nouns]
+    assert ranked(Boats(), Query("ferry"), described, things)[1] == [noun == "ferry" for noun in Boats.nouns]
+    none = objects(*things[: len(NOUNS), None])
+    assert not any(ranked(Boats(), Query("boat"), none, things)[1])
+
+
+def test_a_sentence_is_never_read_as_its_nouns() -> None:
+    words = WordEncoder().encode_texts(["red mug", "blue mug", "table"])
+    described = objects(*words[:, None])
+    with pytest.raises(InputError, match="'the mug on the table': a catalogue .* ask it for 'mug'"):
+        ranked(WordEncoder(), Query("the mug on the table"), described, words)
+    with pytest.raises(InputError, match="'behind' is not understood"):
+        ranked(WordEncoder(), Query("mug behind the table"), described, words)
+    assert ranked(WordEncoder(), Query("how many mugs are there?"), described, words)[1] == [True, True, False]
+    assert ranked(WordEncoder(), Query("mug that is not blue"), described, words)[1] == [True, False, False]
+
+
 def test_words_are_held_against_a_list() -> None:
     """A cosine of 0.2 is much for a text and a picture: whether it fits is told by how far other words reach."""
     things = pictured(*NOUNS)

@@ -126,6 +126,26 @@ class Contrast:
         to_words, to_pictures = row_products(sides / np.linalg.norm(sides, axis=1, keepdims=True), query)
         return bool(to_words > to_pictures)
 
+    def raised(
+        self,
+        query: Float32[np.ndarray, " D"],
+        scores: Float32[np.ndarray, " r"],
+        same: Bool[np.ndarray, " n"] | None,
+        score: Score,
+    ) -> Float32[np.ndarray, " r"]:
+        """Return the cosines of a query, raised to those of the best name of its kind, what is usual of each taken off.
+
+        same: the names of its kind, None for none. score: gives the cosines (c, r) of some vectors.
+        """
+        if same is None:
+            return scores
+        best, vectors = scores.copy(), self.vectors[same]
+        usual = row_products(vectors, self.usual) - np.float32(query @ self.usual)
+        for begin in range(0, len(vectors), WORDS_AT_ONCE):
+            some = slice(begin, begin + WORDS_AT_ONCE)
+            np.maximum(best, (score(vectors[some]) - usual[some, None]).max(axis=0), out=best)
+        return best
+
     def rival(
         self,
         query: Float32[np.ndarray, " D"],
@@ -219,13 +239,17 @@ def certainty_of(relevancy: Float32[np.ndarray, " r"], peak: int, clear_margin: 
     Maybe: it misses the clear margin by at most `MAYBE_SPREADS`, because another word fits nearly as well or better.
     names: that answer the query, each of which may fit something by chance.
     """
-    height = peak_score(relevancy, peak)
-    clear_margin += KIND_MARGIN_PER_EFOLD * float(np.log(max(names, 1)))
+    height, clear_margin = peak_score(relevancy, peak), margin_of(clear_margin, names)
     return next(
         (said for margin, said in ((clear_margin, SURE), (clear_margin - MAYBE_SPREADS, MAYBE))
          if height > least_clear(len(relevancy), margin)),
         NOTHING,
     )  # fmt: skip
+
+
+def margin_of(clear_margin: float, names: int) -> float:
+    """Return the clear margin of a query that any of several names may answer."""
+    return clear_margin + KIND_MARGIN_PER_EFOLD * float(np.log(max(names, 1)))
 
 
 def own_level(relevancy: Float32[np.ndarray, " r"], peak: int = PEAK_ROWS) -> float:

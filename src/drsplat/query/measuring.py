@@ -2,14 +2,13 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from ..base.arrays import Bool, Float32, UInt8
 from ..errors import InputError
 from ..field import LanguageField, Negatives, relevancy_from_scores
-from ..kernels.algebra import row_products
 from ..photos.models.word_list import list_vectors, listed_words, names_under, rival_vectors
 from ..scene.encoders import Encoder, ImageEncoder
 from ..scene.masks.crops import crop
@@ -102,12 +101,8 @@ class Background:
 
     def same_kind(self, known: Contrast, text: str | None) -> Bool[np.ndarray, " n"] | None:
         """Mark the words of a contrast that name what is of the kind of a text; None: there are none."""
-        if text is None or np.isfinite(self.least_peak):  # an encoder of few words was taught what they stand for
-            return None
-        names = names_under(text)
-        texts = self.texts_of(known) if names else ()
-        same = np.array([one in names for one in texts], np.bool_)
-        return same if same.any() else None
+        is_taught = np.isfinite(self.least_peak)  # an encoder of few words was taught what they stand for
+        return None if text is None or is_taught else same_kind(self.texts_of(known), text)
 
     def by_object(self, field: LanguageField, values: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
         """Return values per row of the field, with or without objects, as whole objects have them."""
@@ -267,26 +262,10 @@ class Measuring:
 
         They are those of `lower_partial_fits` where the texts of an encoder are sums of words. A colour has no halves.
         """
-        fits = scores if same is None else self._kind_scores(known, query, scores, same)
+        fits = known.raised(query, scores, same, partial(self._field.scores, threads=self.background.threads))
         values = known.relevancy(query, fits, same)
         is_sum = np.isfinite(self.background.least_peak) and not known.of_kind
         return lower_partial_fits(scores, values) if values is not None and is_sum else values
-
-    def _kind_scores(
-        self,
-        known: Contrast,
-        query: Float32[np.ndarray, " D"],
-        scores: Float32[np.ndarray, " r"],
-        same: Bool[np.ndarray, " n"],
-    ) -> Float32[np.ndarray, " r"]:
-        """Return cosines raised to those of the best name of the query's kind, what is usual of each taken off."""
-        best, vectors = scores.copy(), known.vectors[same]
-        usual = row_products(vectors, known.usual) - np.float32(query @ known.usual)
-        for begin in range(0, len(vectors), QUERIES_AT_ONCE):
-            some = slice(begin, begin + QUERIES_AT_ONCE)
-            every = self._field.scores(vectors[some], threads=self.background.threads)
-            np.maximum(best, (every - usual[some, None]).max(axis=0), out=best)
-        return best
 
     def _measured(
         self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"], default: _Default
@@ -329,6 +308,13 @@ class Measuring:
         if isinstance(given, tuple):
             return text_negatives(field, background.encoder, given, threads=background.threads)
         return field.score_negatives(given, threads=background.threads)
+
+
+def same_kind(texts: Sequence[str], text: str) -> Bool[np.ndarray, " n"] | None:
+    """Mark the texts that name what is of the kind of a text (`names_under`); None: there are none."""
+    names = names_under(text)
+    same = np.array([one in names for one in texts], np.bool_)
+    return same if same.any() else None
 
 
 def own_threshold(encoder: Encoder) -> float | None:

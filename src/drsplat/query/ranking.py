@@ -15,14 +15,15 @@ from ..base.arrays import Bool, Float32, Int64
 from ..errors import InputError, MismatchError
 from ..field import relevancy_from_scores
 from ..kernels.algebra import dense_rows, row_products
-from ..photos.models.word_list import list_vectors, rival_vectors
+from ..photos.models.word_list import list_vectors, listed_words, rival_vectors
 from ..scene.encoders import Encoder, identity_text
-from .contrast import Contrast, contrast_of, relevancy_threshold
+from .contrast import Contrast, contrast_of, margin_of, relevancy_threshold
 from .defaults import AUTO, COSINE, DEFAULT, ENCODER, GIVEN, LIST, RELEVANCY, RELEVANCY_THRESHOLD
 from .encoding import Embedded
-from .measuring import embedded_image, least_peak, lower_partial_fits, own_threshold
+from .measuring import embedded_image, least_peak, lower_partial_fits, own_threshold, same_kind
 from .query import Query
 from .search import NEGATIVES, embed_query, split_negation
+from .sentences import parsed
 from .thresholds import automatic_threshold, threshold_above
 
 MIN_OBJECTS = 1  # object that fits is enough
@@ -103,7 +104,7 @@ class Surroundings:
         if not query.asks_objects:
             raise InputError("a catalogue holds nothing but objects: a query that never asks them has no answer there")
         if query.text is not None:
-            return self._text(split_negation(query.text)[0])
+            return self._text(_said(query.text)[0])
         if query.image is not None:
             return _unit(embedded_image(self.encoder, query.image))
         assert query.vector is not None
@@ -132,11 +133,14 @@ class Surroundings:
         own = own_threshold(self.encoder) if query.text is not None else None
         if own is not None:
             return cosines, COSINE, threshold_above(cosines, own, OBJECT_CUT_SHARE, peak=MIN_OBJECTS), ENCODER
-        text = None if query.text is None else split_negation(query.text)[0]
+        text = None if query.text is None else _said(query.text)[0]
         known = None if text is None else self._contrast_for(text)
-        contrasted = None if known is None else self._contrasted(known, vector, objects, cosines)
-        if known is not None and contrasted is not None:
-            return contrasted, RELEVANCY, self._list_threshold(known, cosines, contrasted), LIST
+        if known is not None and text is not None:
+            same = self._same_kind(known, text)
+            contrasted = self._contrasted(known, vector, objects, cosines, same)
+            if contrasted is not None:
+                names = 1 if same is None else int(same.sum())
+                return contrasted, RELEVANCY, self._list_threshold(known, cosines, contrasted, names), LIST
         return cosines, COSINE, self._automatic(vector, cosines), AUTO
 
     def _contrast_for(self, text: str) -> Contrast | None:
@@ -146,10 +150,20 @@ class Surroundings:
             return self.contrast
         return contrast_of(self.usual, rivals, of_kind=True)
 
+    def _same_kind(self, known: Contrast, text: str) -> Bool[np.ndarray, " n"] | None:
+        """Mark the words of the list that name what is of a kind, as of one scene (`Background.same_kind`)."""
+        if known.of_kind or np.isfinite(least_peak(self.encoder, known, MIN_OBJECTS)):
+            return None
+        return same_kind(listed_words(self.encoder)[0], text)
+
     def _contrasted(
-        self, known: Contrast, vector: Float32[np.ndarray, " D"], objects: Described, cosines: Float32[np.ndarray, " o"]
-    ) -> Float32[np.ndarray, " o"] | None:
-        values = known.at(objects.descriptors).relevancy(vector, objects.products(vector))
+        self, known: Contrast, vector: Float32[np.ndarray, " D"], objects: Described,
+        cosines: Float32[np.ndarray, " o"], same: Bool[np.ndarray, " n"] | None,
+    ) -> Float32[np.ndarray, " o"] | None:  # fmt: skip
+        fits = known.raised(
+            vector, objects.products(vector), same, lambda some: dense_rows(objects.descriptors, some.T, threads=1).T
+        )
+        values = known.at(objects.descriptors).relevancy(vector, fits, same)
         if values is None:
             return None
         values = objects.best(values)
@@ -157,10 +171,13 @@ class Surroundings:
         return lower_partial_fits(cosines, values, MIN_OBJECTS) if is_sum else values
 
     def _list_threshold(
-        self, known: Contrast, cosines: Float32[np.ndarray, " o"], values: Float32[np.ndarray, " o"]
+        self, known: Contrast, cosines: Float32[np.ndarray, " o"], values: Float32[np.ndarray, " o"], names: int
     ) -> float:
-        """Return the threshold; the highest value where nothing stands out, or no cosine is high enough."""
-        least = relevancy_threshold(values, MIN_OBJECTS, known.clear_margin)
+        """Return the threshold; the highest value where nothing stands out, or no cosine is high enough.
+
+        names: that answer the query.
+        """
+        least = relevancy_threshold(values, MIN_OBJECTS, margin_of(known.clear_margin, names))
         if not len(values) or least != RELEVANCY_THRESHOLD:
             return least
         if cosines.max() <= least_peak(self.encoder, known, MIN_OBJECTS):
@@ -176,7 +193,7 @@ class Surroundings:
         """Return objects that the text with an excluded word before it fits as well: "red mug", of "mug, not red"."""
         out = np.zeros(len(cosines), np.bool_)
         if query.text is not None:
-            wanted, unwanted = split_negation(query.text)
+            wanted, unwanted = _said(query.text)
             for word in (*unwanted, *query.exclude):
                 out |= objects.cosines(self._text(f"{word} {wanted}")) >= cosines
         return out
@@ -189,6 +206,17 @@ class Surroundings:
 
     def _text(self, text: str) -> Float32[np.ndarray, " D"]:
         return _unit(embed_query(self.encoder, self.embedded, text))
+
+
+def _said(text: str) -> tuple[str, tuple[str, ...]]:
+    """Return what a text wants and what it does not. Raises: InputError: it says how two things lie."""
+    sentence = parsed(text)
+    if sentence.relation:
+        raise InputError(
+            f"'{text}': a catalogue knows single objects and not how they lie: ask it for "
+            f"'{sentence.text or sentence.others[0]}', and a scene that has it for the rest"
+        )
+    return split_negation(sentence.text)
 
 
 def _unit(vector: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, " D"]:
