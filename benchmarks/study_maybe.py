@@ -1,18 +1,23 @@
 """Answers that are sure, maybe or nothing: how often each is given, of words that are there and of words that are not.
 
     python benchmarks/study_maybe.py PLACE... --kept FOLDER [--clip FOLDER] [--names FOLDER] [--masks whole]
+    python benchmarks/study_maybe.py --built-in ROOM=FIELD...
 
 PLACE: as of study_answers.py. Words and embeddings are drawn as there, a fifth of the masks with a wrong embedding in
 every second trial; 20 absent words a trial. `clean`: masks show the best picture of a word, `rough`: one of three, of
 which another word may fit some a little better. First table: what is answered, and mean IoU of present words as it was
 when a maybe was refused, as answered, and when nothing is refused (`present`). Second: shares by how many spreads a
 peak may miss the clear margin (`MAYBE_SPREADS`), which was chosen on table_1, table_3 and the four captures.
+
+--built-in: asks the fields of the built-in encoder for its own nouns, each with and without the colours of the things
+that are there; its maybe (`MAYBE_LEAST_SHARE`) was chosen on table_1, table_3 and three rooms that were made for it.
 """
 
 import argparse
+import json
 import sys
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,12 +25,16 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+from study_thresholds import true_things
+
 from benchmarks.machine import describe
 from benchmarks.suite.answers import kind_of, place_of
+from benchmarks.suite.scenes import read_scene
 from benchmarks.suite.tables import markdown
-from benchmarks.suite.trials import Trial, trial
+from benchmarks.suite.trials import LEAST, Trial, trial
 from benchmarks.suite.vocabularies import KINDS, Clip, Names
-from drsplat import Query
+from drsplat import MiniEncoder, Query, Scene, load_field
+from drsplat.photos.models.mini.lexicon import COLORS, NAMES
 from drsplat.photos.models.word_list import list_vectors
 from drsplat.query.contrast import _margin, contrast, least_clear
 from drsplat.query.defaults import MAYBE, NOTHING, SURE
@@ -71,15 +80,50 @@ def shares(some: list[Asked]) -> str:
     return ", ".join(f"{np.mean([one.certainty == said for one in some]):.1%}" for said in (SURE, MAYBE, NOTHING))
 
 
+def built_in(given: str) -> Iterator[Asked]:
+    """Ask a room for what the built-in encoder was taught, things of a few Gaussians left out."""
+    folder, _, path = given.partition("=")
+    made, encoder = read_scene(Path(folder)), MiniEncoder()
+    scene = Scene(load_field(path), made.gaussians, made.views, encoder)
+    labels = true_things(made)[0][scene.field.gaussian_ids]
+    truth = json.loads((Path(folder) / "truth.json").read_text(encoding="utf-8"))
+    called = [(one["id"], {one["name"], one.get("category", one["name"])})
+              for one in (*truth["objects"], *truth["structures"])]  # fmt: skip
+    colors = {one["color"] for one in truth["objects"]} & {*COLORS}
+    for text in (*encoder.nouns, *(f"{color} {name}" for color in sorted(colors) for name in NAMES)):
+        meant = np.isin(labels, [number for number, names in called if text in names])
+        if 0 < meant.sum() < LEAST:
+            continue
+        answer, free = scene.ask(text), scene.ask(Query(text, present=True))
+        selected = [one.values > one.threshold for one in (answer.without_maybe(), answer, free)]
+        ious = [float((rows & meant).sum() / max((rows | meant).sum(), 1)) for rows in selected]
+        yield Asked(bool(meant.any()), answer.certainty, 0.0, *ious)
+
+
+def table(found: Mapping[str, list[Asked]]) -> str:
+    rows = []
+    for name, every in found.items():
+        there, absent = ([one for one in every if one.present is present] for present in (True, False))
+        ious = (f"{np.mean([getattr(one, rule) for one in there]):.3f}" for rule in ("refused", "answered", "forced"))
+        rows.append((f"{name} ({len(there)}, {len(absent)})", shares(there), shares(absent), *ious))
+    titles = ("words there, absent", "there: sure, maybe, nothing", "absent: sure, maybe, nothing")
+    return markdown((*titles, "IoU, maybe refused", "answered", "nothing refused"), rows)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("places", nargs="+")
+    parser.add_argument("places", nargs="*")
+    parser.add_argument("--built-in", nargs="+", default=[], metavar="ROOM=FIELD")
     parser.add_argument("--clip", type=Path)
     parser.add_argument("--names", type=Path)
-    parser.add_argument("--kept", type=Path, required=True)
+    parser.add_argument("--kept", type=Path)
     parser.add_argument("--masks", choices=("graph", "whole"), default="graph")
     arguments = parser.parse_args()
     print(describe())
+    if arguments.built_in:
+        rooms = {Path(given.partition("=")[0]).name: list(built_in(given)) for given in arguments.built_in}
+        print(table(rooms | {"all": [one for some in rooms.values() for one in some]}))
+        return
     found: dict[str, list[Asked]] = defaultdict(list)
     for given in arguments.places:
         whole = "true" if kind_of(given) == "room" else "sam"
@@ -96,20 +140,13 @@ def main() -> None:
                         found[f"{make.__name__}, {kind}"] += own
                         found["all"] += own
         print(f"{place.name}: {len(found[place.name])} words", flush=True)
-    rows, curve = [], []
-    for name, every in found.items():
-        there, absent = ([one for one in every if one.present is present] for present in (True, False))
-        ious = (f"{np.mean([getattr(one, rule) for one in there]):.3f}" for rule in ("refused", "answered", "forced"))
-        rows.append((f"{name} ({len(there)}, {len(absent)})", shares(there), shares(absent), *ious))
+    curve = []
     for spreads in SPREADS:
         given = [
             np.mean([one.missed < spreads for one in found["all"] if one.present is there]) for there in (True, False)
         ]
         curve.append((f"{spreads:.1f}", *(f"{share:.1%}" for share in given)))
-    print()
-    titles = ("words there, absent", "there: sure, maybe, nothing", "absent: sure, maybe, nothing")
-    print(markdown((*titles, "IoU, maybe refused", "answered", "nothing refused"), rows))
-    print()
+    print(f"\n{table(found)}\n")
     print(markdown(("spreads missed, at most", "answered of those there", "of the absent"), curve))
 
 

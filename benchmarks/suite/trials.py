@@ -20,7 +20,7 @@ from drsplat.field.objects.finding import find_objects
 from drsplat.scene.encoders import Encoder
 
 from .places import Place
-from .vocabularies import Pictures, Vocabulary
+from .vocabularies import OF_NOTHING, Names, Pictures, Vocabulary
 
 LEAST = 120  # Gaussians of what is asked for
 MOST_ABSENT = 40  # words asked for in one trial
@@ -122,6 +122,20 @@ def trial(
     absent = [words.words[word] for word in callable_words if word not in given and word not in rivals]
     name = f"{place.name}, {kind}, {wrong:.0%} wrong, {seed}"
     return Trial(name, field, place.gaussians, words.encoder, present, absent[:MOST_ABSENT], mass)
+
+
+def called(place: Place, words: Names, names: Mapping[str, str], seed: int = 0) -> LanguageField:
+    """Return the field of a place whose things are called as said, each mask with a drawn picture of its thing's name.
+
+    names: a word of `words` by thing; masks of anything else show what has no name.
+    """
+    rng = np.random.default_rng(seed)
+    numbers = [words.words.index(name) for name in names.values()]
+    vectors = words.drawn(np.array([*numbers, *[-1] * OF_NOTHING]), rng)
+    row = {thing: at for at, name in enumerate(names) for thing in place.things[name]}
+    rows = [row.get(owner, len(numbers) + int(rng.integers(OF_NOTHING))) for owner in place.owners.tolist()]
+    own = unit(vectors[rows] + words.noise_of_masks(rng, len(rows)))
+    return field_of(replace(place, evidence=place.evidence_of(own)), words.encoder.identity)
 
 
 def _pictures_of_masks(

@@ -147,7 +147,11 @@ class Names(Vocabulary):
         own = {word: rows[at * each : (at + 1) * each] for at, word in enumerate(chosen)}
         nothing, anything = np.split(rows[len(chosen) * each :], [OF_NOTHING])
         vectors = self.drawn(names, rng)
-        return Pictures(vectors, own, nothing, anything, lambda rng, count: self._noise(rng, count, OF_MASKS))
+        return Pictures(vectors, own, nothing, anything, self.noise_of_masks)
+
+    def noise_of_masks(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Return what differs from mask to mask of one thing."""
+        return self._noise(rng, count, OF_MASKS)
 
     def _noise(self, rng: np.random.Generator, count: int, share: float) -> np.ndarray:
         """Return rows of which cosines with names, and their mean over all names, have that share of the measured

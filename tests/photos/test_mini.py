@@ -27,6 +27,7 @@ from drsplat.photos.models.mini.lexicon import (
     STRUCTURES,
     WORDS,
     fits,
+    swapped,
     words_of,
 )
 from drsplat.photos.models.word_list import NOUNS, broad_list
@@ -122,6 +123,16 @@ def test_what_it_was_not_taught_is_an_error(mini: MiniEncoder, text: str) -> Non
 def test_a_near_miss_is_helped(mini: MiniEncoder) -> None:
     with pytest.raises(InputError, match=r"'tabel'.*Did you mean 'table'"):
         mini.encode_texts(["tabel"])
+
+
+def test_swapped_texts_have_the_colour_or_the_thing_and_not_both() -> None:
+    texts = swapped("the red mugs")
+    assert {"blue mug", "orange mug", "red vase", "red toy car"} <= {*texts}
+    assert not {"red mug", "mug", "red"} & {*texts}
+    assert len(texts) == len(COLORS) - 1 + len(NAMES) - 1
+    assert not {"green apple", "green banana"} & {*swapped("green fruit")}  # which are some
+    assert "black wooden chair" in swapped("red wooden chair")
+    assert not any(map(swapped, ["mug", "something red", "red", "red and blue mug", "zebra"]))
 
 
 @pytest.mark.parametrize(

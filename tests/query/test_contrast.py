@@ -30,7 +30,7 @@ from drsplat.query.contrast import (
     own_level,
     relevancy_threshold,
 )  # fmt: skip
-from drsplat.query.defaults import MAYBE, SURE
+from drsplat.query.defaults import MAYBE, NOTHING, SURE
 from drsplat.query.thresholds import PEAK_ROWS
 from fields import SCENE, ToyEncoder, unit_rows
 
@@ -321,13 +321,31 @@ def faint_room(level: float, mug: float) -> LanguageField:
 
 
 @pytest.mark.parametrize("level", [0.12, 0.8])
-@pytest.mark.parametrize(("mug", "found"), [(0.6, 2 * PEAK_ROWS), (0.3, 0)])
-def test_what_the_built_in_encoder_has_to_reach_follows_the_scene(level: float, mug: float, found: int) -> None:
+@pytest.mark.parametrize(("mug", "certainty"), [(0.6, SURE), (0.35, MAYBE), (0.25, NOTHING)])
+def test_what_the_built_in_encoder_has_to_reach_follows_the_scene(level: float, mug: float, certainty: str) -> None:
     """A mug fits its rows best in all of these; where it hardly fits, for this scene, there is none."""
     field = faint_room(level, mug)
     answer = Scene(field, encoder=MINI).ask("mug")
     assert (answer.values[-2 * PEAK_ROWS :] > 0.5).all()
-    assert len(answer.gaussian_ids) == found
+    assert len(answer.gaussian_ids) == (0 if certainty == NOTHING else 2 * PEAK_ROWS)
+    assert len(answer.without_maybe().gaussian_ids) == (2 * PEAK_ROWS if certainty == SURE else 0)
+
+
+@pytest.mark.parametrize(
+    ("text", "rival"),
+    [("yellow chair", ""), ("chair", ""), ("yellow mug", "yellow chair"), ("green chair", "yellow chair")],
+)
+def test_what_has_another_colour_or_is_another_thing_is_never_found_for_sure(text: str, rival: str) -> None:
+    """ "Yellow mug" fits a yellow chair better than any plain noun does, where nothing is a mug."""
+    shown = MINI.encode_texts(["floor", "table", "yellow chair"])
+    shown[2] += 0.6 * (shown[2] - MINI.encode_texts(["chair"])[0])  # more of its colour, as pictures have
+    shown /= np.linalg.norm(shown, axis=1, keepdims=True)
+    field = build_field(evidence_of(np.repeat(shown, [400, 400, 80], axis=0)), SCENE, MINI.identity, Mixture(1))
+    answer = Scene(field, encoder=MINI).ask(text)
+    assert answer.certainty == (MAYBE if rival else SURE)
+    assert answer.doubt == (f"only maybe: '{rival}' fits as well or better" if rival else "")
+    assert len(answer.gaussian_ids) == 80
+    assert len(answer.without_maybe().gaussian_ids) == (0 if rival else 80)
 
 
 def test_the_height_of_a_list_is_what_enough_rows_reach() -> None:

@@ -5,7 +5,8 @@ import pytest
 from numpy.testing import assert_array_equal
 from test_contrast import World, field_and_truth, relevancies, words_of
 
-from drsplat import Answer, Cut, Query, Scene
+from drsplat import Answer, Cut, EncoderIdentity, Query, Scene
+from drsplat.errors import InputError
 from drsplat.formats.vocabulary import VocabularyEncoder
 from drsplat.photos.models.word_list import broad_list, names_under
 from drsplat.query.contrast import CLEAR_MARGIN, MAYBE_SPREADS, certainty_of, contrast_of
@@ -80,6 +81,45 @@ def test_a_rival_is_the_word_that_most_of_the_best_rows_fit() -> None:
     known = contrast_of(rows.astype(np.float32), words)
     assert known.rival(words[4], np.repeat([0.9, 0.1], 50).astype(np.float32)) == 1
     assert known.rival(words[4], np.repeat([0.1, 0.9], 50).astype(np.float32)) == 2
+
+
+def test_of_few_taught_words_a_maybe_fits_best_but_less_well_than_others_do() -> None:
+    """The features of thing 1 turn to what no word means: nothing fits it better than its own, which fits ever less."""
+
+    class Taught(VocabularyEncoder):
+        least_share = 0.9
+
+    certainties = []
+    for share in np.linspace(0, 1, 21):
+        world = World(41)  # of the last of which there is no word
+        turned = (1 - share) * world.meanings[1] + share * world.meanings[40]
+        world.meanings[1] = turned / np.linalg.norm(turned)
+        field, _ = field_and_truth(world, SHARES, rows=1200)
+        known = words_of(world)
+        known.texts, known.embeddings = known.texts[:40], known.embeddings[:40]
+        scene = Scene(field, encoder=Taught(known.identity, known.texts, known.embeddings))
+        answer = scene.ask("word 1")
+        certainties.append(answer.certainty)
+        if answer.certainty == MAYBE:
+            assert answer.doubt == "only maybe: it fits less well than what is found here usually does"
+            assert len(answer.gaussian_ids) >= PEAK_ROWS
+            assert not len(answer.without_maybe().gaussian_ids)
+    ranks = [(SURE, MAYBE, NOTHING).index(one) for one in certainties]
+    assert ranks == sorted(ranks)
+    assert set(ranks) == {0, 1, 2}
+
+
+@pytest.mark.parametrize(
+    ("said", "text"),
+    [("mug", "mug"), ("Mugs", "mug"), ("the mug", "mug"), ("a glass", "glass"), ("toothbrushes", "toothbrush"),
+     ("berries", "berry"), ("tv", "TV"), ("TV", "TV"), ("a mug", "a mug")],
+)  # fmt: skip
+def test_a_vocabulary_knows_plurals_articles_and_capitals(said: str, text: str) -> None:
+    texts = ("mug", "glass", "toothbrush", "berry", "TV", "a mug")
+    known = VocabularyEncoder(EncoderIdentity("some", 6), texts, np.eye(6, dtype=np.float32))
+    assert_array_equal(known.encode_texts([said])[0], np.eye(6)[texts.index(text)])
+    with pytest.raises(InputError, match="'cups' is not among the 6 texts"):
+        known.encode_texts(["cups"])
 
 
 KIND = ("canoe", "ferry", "kayak")

@@ -85,7 +85,7 @@ def test_a_kind_finds_its_names_and_these_are_no_rivals() -> None:
 def test_a_sentence_is_never_read_as_its_nouns() -> None:
     words = WordEncoder().encode_texts(["red mug", "blue mug", "table"])
     described = objects(*words[:, None])
-    with pytest.raises(InputError, match="'the mug on the table': a catalogue .* ask it for 'mug'"):
+    with pytest.raises(InputError, match=r"'the mug on the table': a catalogue .* ask it for 'mug'"):
         ranked(WordEncoder(), Query("the mug on the table"), described, words)
     with pytest.raises(InputError, match="'behind' is not understood"):
         ranked(WordEncoder(), Query("mug behind the table"), described, words)

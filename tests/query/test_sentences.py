@@ -39,6 +39,7 @@ LISTED = (*WORDS, *(f"other {n}" for n in range(17)))
         ("book that is not red", ("book, not red",)),
         ("the ball under the chair, not red", ("ball, not red", "under", ("chair",))),
         ("what is on the table?", ("", "on", ("table",))),
+        ("What's on the table?", ("", "on", ("table",))),
         ("everything in the box", ("", "in", ("box",))),
         ("on the table", ("", "on", ("table",))),
         ("pot near the stove", ("pot", "next_to", ("stove",))),

@@ -25,10 +25,11 @@ class VocabularyEncoder:
 
     def __init__(self, identity: EncoderIdentity, texts: Sequence[str], embeddings: Float32[np.ndarray, "t d"]) -> None:
         self.identity, self.texts, self.embeddings = identity, tuple(texts), embeddings
-        self._rows = {text: row for row, text in enumerate(self.texts)}
+        self._rows = {text.lower(): row for row, text in reversed(list(enumerate(self.texts)))}
+        self._rows |= {text: row for row, text in enumerate(self.texts)}
 
     def encode_texts(self, texts: Sequence[str]) -> Float32[np.ndarray, "t d"]:
-        """Look the texts up.
+        """Look the texts up, as they are or else as `spellings` of one that is there: "Mugs" is "mug".
 
         Raises: InputError: a text that is not in the vocabulary; the message has the closest ones.
         """
@@ -38,12 +39,20 @@ class VocabularyEncoder:
         return self.embeddings[np.array(rows, np.intp)]
 
     def _row(self, text: str) -> int:
-        if text in self._rows:
-            return self._rows[text]
+        known = next((one for one in (text, *spellings(text)) if one in self._rows), None)
+        if known is not None:
+            return self._rows[known]
         near = did_you_mean(text, self.texts) or f" It starts with {', '.join(map(repr, self.texts[:5]))}."
         raise InputError(
             f"{text!r} is not among the {len(self.texts)} texts of vocabulary '{self.identity.name}'.{near}"
         )
+
+
+def spellings(text: str) -> tuple[str, ...]:
+    """Return a text in small letters and without its article, and what it may be the plural of."""
+    word = text.lower().strip()
+    word = next((word.removeprefix(article) for article in ("a ", "an ", "the ") if word.startswith(article)), word)
+    return (word, word[:-1], word[:-2], f"{word[:-3]}y") if word.endswith("s") else (word,)
 
 
 def read_vocabulary(path: str | Path, name: str | None = None) -> VocabularyEncoder:

@@ -9,12 +9,27 @@ import numpy as np
 from ..base.arrays import Bool, Float32, UInt8
 from ..errors import InputError
 from ..field import LanguageField, Negatives, relevancy_from_scores
+from ..kernels.algebra import dense_rows
+from ..photos.models.mini import MiniEncoder
 from ..photos.models.word_list import list_vectors, listed_words, names_under, rival_vectors
 from ..scene.encoders import Encoder, ImageEncoder
 from ..scene.masks.crops import crop
 from .answer import Answer
 from .contrast import LIST_RELEVANCY, Contrast, certainty_of, contrast, contrast_of_kind, own_level
-from .defaults import AUTO, COSINE, DEFAULT, ENCODER, GIVEN, LIST, NOTHING, RELEVANCY, RELEVANCY_THRESHOLD, SHARE, SURE
+from .defaults import (
+    AUTO,
+    COSINE,
+    DEFAULT,
+    ENCODER,
+    GIVEN,
+    LIST,
+    MAYBE,
+    NOTHING,
+    RELEVANCY,
+    RELEVANCY_THRESHOLD,
+    SHARE,
+    SURE,
+)
 from .naming import doubt_of
 from .query import Cut, Query
 from .search import (
@@ -30,6 +45,9 @@ from .search import (
 from .thresholds import PEAK_ROWS, default_threshold, peak_score, share_threshold
 from .wholes import by_object
 
+MAYBE_LEAST_SHARE = 0.7  # of the least peak, for a maybe of an encoder that has one
+WEAK_DOUBT = "only maybe: it fits less well than what is found here usually does"
+SWAP_TOLERANCE = 0.02  # cosine by which what has another colour, or is another thing, may fit better
 HALF_FIT_SHARE = 0.6  # of the 40th highest cosine; half, and some more
 
 _Default = tuple[float | None, str]
@@ -214,12 +232,32 @@ class Measuring:
         if known is None or values is None:
             return self._measured(query, scores, (None, AUTO))
         certainty = self._certainty(known, scores, values, same) if len(scores) else NOTHING
+        swap = self._better_swap(scores, text) if certainty == SURE and text is not None else ""
         answer = self._cut(query, scores, values, RELEVANCY, (self._list_threshold(known, values, certainty), LIST))
-        if answer.rule != LIST or certainty == SURE or self.cut.present or answer.certainty == NOTHING:
+        is_sure = certainty == SURE and not swap
+        if answer.rule != LIST or is_sure or self.cut.present or answer.certainty == NOTHING:
             return answer
-        rival, texts = known.rival(query, values, same), self.background.texts_of(known)
-        fits = f"'{texts[rival]}' fits" if texts and rival is not None else "other words fit"
+        if certainty == MAYBE and np.isfinite(self.background.least_peak_of(known)):
+            return replace(answer, sure=False, doubt=WEAK_DOUBT)
+        rival, texts = None if swap else known.rival(query, values, same), self.background.texts_of(known)
+        named = swap or (texts[rival] if texts and rival is not None else "")
+        fits = f"'{named}' fits" if named else "other words fit"
         return replace(answer, sure=False, doubt=f"only maybe: {fits} as well or better")
+
+    def _better_swap(self, scores: Float32[np.ndarray, " r"], text: str) -> str:
+        """Return the text that fits what a text fits best better, though it has another colour or names another thing.
+
+        "" if there is none, and of encoders that have no such texts: of those whose texts are sums of words, "yellow
+        mug" fits a yellow chair better than all plain nouns do.
+        """
+        encoder = self.background.encoder
+        others = encoder.swapped(text) if isinstance(encoder, MiniEncoder) else []
+        if not others or not len(scores):
+            return ""
+        best = np.argpartition(-scores, min(PEAK_ROWS, len(scores)) - 1)[:PEAK_ROWS]
+        shown = self._field.feature(np.sort(best))
+        own, *fits = dense_rows(shown, encoder.encode_texts([text, *others]).T, threads=1).mean(axis=0).tolist()
+        return others[int(np.argmax(fits))] if max(fits) > own + SWAP_TOLERANCE else ""
 
     def _certainty(
         self,
@@ -230,13 +268,17 @@ class Measuring:
     ) -> str:
         """Return whether a text is found for sure, maybe, or not.
 
-        An encoder with a least peak knows few words, which lie far apart: of it there is no maybe.
+        An encoder with a least peak knows few words, which lie far apart: maybe is what fits better than all others,
+        but less well than things of the scene usually fit their words.
         """
         least = self.background.least_peak_of(known)
         if not np.isfinite(least):
             return certainty_of(values, known.peak, known.clear_margin, 1 if same is None else int(same.sum()))
-        clear = peak_score(scores) > least and certainty_of(values, PEAK_ROWS, known.clear_margin) == SURE
-        return SURE if clear else NOTHING
+        if certainty_of(values, PEAK_ROWS, known.clear_margin) != SURE:
+            return NOTHING
+        height = peak_score(scores)
+        is_maybe = height > MAYBE_LEAST_SHARE * least and not known.of_kind
+        return SURE if height > least else MAYBE if is_maybe else NOTHING
 
     def _list_threshold(self, known: Contrast, values: Float32[np.ndarray, " r"], certainty: str) -> float:
         """Return the threshold of values that were compared with a list; the highest where nothing is found.

@@ -33,7 +33,8 @@ _UNKNOWN = (
 _ANYTHING = {"", "all", "anything", "everything", "something", "object", "objects", "thing", "things", "what"}
 _HERE = {"scene", "room", "picture", "photo", "photos", "here", "use", "total", "there", "it"}
 _ASKING = re.compile(
-    r"^(?:how many|(?:the )?number of|count(?: all)?|find(?: me)?|show(?: me)?|where(?: is| are)|what(?: is| are)?)\s+"
+    r"^(?:how many|(?:the )?number of|count(?: all)?|find(?: me)?|show(?: me)?|where(?:'s| is| are)|"
+    r"what(?:'s| is| are)?)\s+"
 )
 _THERE = re.compile(r"\s+(?:are|is) there\b")
 _ARTICLE = re.compile(r"^(?:(?:the|this|an?|any|some|all|my)\s+)+", re.IGNORECASE)

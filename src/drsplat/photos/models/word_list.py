@@ -9,7 +9,7 @@ import numpy as np
 
 from ...base.arrays import Float32
 from ...errors import InputError
-from ...formats.vocabulary import VocabularyEncoder
+from ...formats.vocabulary import VocabularyEncoder, spellings
 from ...scene.encoders import Encoder
 
 MAX_TEXTS = 2000  # of a vocabulary: more make a first question slow
@@ -127,6 +127,4 @@ def names_under(text: str) -> frozenset[str]:
 
     Source: the hypernyms of WordNet 3.0; `kinds.txt`, made by scripts/make_kinds.py, has its licence.
     """
-    word = text.lower().strip()
-    word = next((word.removeprefix(article) for article in ("a ", "an ", "the ") if word.startswith(article)), word)
-    return next((_kinds()[one] for one in (word, word[:-1], word[:-2]) if one in _kinds()), frozenset())
+    return next((_kinds()[one] for one in spellings(text) if one in _kinds()), frozenset())

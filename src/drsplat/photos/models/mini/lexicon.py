@@ -146,6 +146,19 @@ def _signs(known: re.Pattern[str], word: str) -> list[str]:
     return parts if ord(word[0]) > 0x2E80 and "".join(parts) == word else []
 
 
+def swapped(text: str) -> list[str]:
+    """Return "blue mug", "red vase" ... of "red mug": all that has its colour or its thing, and not both.
+
+    [] of a text that has not one colour and a thing.
+    """
+    nouns, colors = nouns_in(text), colors_in(text)
+    if len(colors) != 1 or not nouns:
+        return []
+    names = [name for name in NAMES if any(fits(noun, name, "", "") is False for noun in nouns)]
+    painted = [f"{color} {' '.join(nouns)}" for color in COLORS if color != colors[0]]
+    return painted + [f"{colors[0]} {name}" for name in names]
+
+
 def only_colors(text: str) -> bool:
     """Return whether a text asks for a colour and nothing else: "something red", "white", "a green thing"."""
     words = words_of(text)
