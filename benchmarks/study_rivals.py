@@ -27,11 +27,10 @@ from machine import describe, forget_peak, interleaved, resident_mib
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks.bench_boxes import owners
 from benchmarks.suite.masks import MASKS, features_of
 from benchmarks.suite.rivals.fitting import RIVALS, make
 from benchmarks.suite.rivals.rasterising import WIDTH, photos_of
-from benchmarks.suite.scenes import BenchScene, read_scene
+from benchmarks.suite.scenes import BenchScene, owners, read_scene
 from drsplat import PQ, MiniEncoder, Registration, read_views, register
 
 EFFORTS = (0.003, 0.01, 0.03, 0.1, 0.3, 1.0)

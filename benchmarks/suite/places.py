@@ -92,7 +92,7 @@ def room(folder: Path, kind: str, kept: Path) -> Place:
         things[thing["name"]].append(thing["id"])
     path = _kept(kept, folder, kind, scene.gaussians)
     if not path.is_file():
-        _write(path, *_registered(scene.gaussians, scene.views, _masks_of(scene, kind), scene.ids), *_true(scene))
+        _write(path, *_registered(scene.gaussians, scene.views, _masks_of(scene, kind), scene.ids), *true_things(scene))
     evidence, owners, labels, mass = _read(path)
     return Place(
         f"{folder.name}, {kind}", scene.gaussians, evidence, owners, labels, mass, things, [], scene.views,
@@ -198,7 +198,8 @@ def _compact(ids: Int32[np.ndarray, "h w"]) -> tuple[Int32[np.ndarray, "h w"], I
     return (numbers.reshape(ids.shape) - int(there[0] < 0)).astype(np.int32), there[there >= 0]
 
 
-def _true(scene: BenchScene) -> tuple[np.ndarray, np.ndarray]:
+def true_things(scene: BenchScene) -> tuple[np.ndarray, np.ndarray]:
+    """Per Gaussian the number of its thing, -1 for none, and the weight that photos give it."""
     count = 1 + max(int(scene.ids(view).max()) for view in scene.views)
     votes = _votes(scene.gaussians, scene.views, scene.ids, count)
     return np.where(votes.any(1), votes.argmax(1), UNKNOWN), votes.sum(1)
