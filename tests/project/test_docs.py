@@ -25,7 +25,7 @@ from drsplat.formats.tensors import map_tensors
 from toy_capture import NEGATIVES, PER_THING, THINGS, write_toy_capture
 
 ROOT = Path(__file__).resolve().parents[2]
-DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "world/README.md"])
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "world/README.md", ROOT / "benchmarks/README.md"])
 WITH_SNIPPETS = ["README.md", "docs/api.md"]
 CODE_FOLDERS = ("", "src/drsplat", "native")
 
