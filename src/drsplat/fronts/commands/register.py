@@ -108,7 +108,7 @@ class Options(Verb):
 
     scene: str = argument(
         "Gaussians: .ply, .spz, .sog, .splat, .ksplat, a trained model's folder, tiles of a huge scene, or a moving "
-        "scene: a folder of numbered PLY files, NAME.motion, a PLY of SpacetimeGaussians"
+        "scene: a folder of numbered PLY files or NAME.motion"
     )
     capture: str = capture()
     features: str = features()
