@@ -151,13 +151,9 @@ class PlaneGrid:
             VIEW_DISTANCE_SIZES * self.step * max(self.shape),
         )
         eye = middle @ self.plane.axes + self.plane.offset * self.plane.normal - distance * ahead
-        pose, focal = np.eye(4), distance / self.step
-        pose[:3, :3] = np.stack([right, down, ahead])
-        pose[:3, 3] = -pose[:3, :3] @ eye
-        rows, columns = self.shape
-        K = np.array([[focal, 0, columns / 2], [0, focal, rows / 2], [0, 0, 1.0]])
+        axes, size = np.stack([right, down, ahead]), self.shape[::-1]
         here = replace(gaussians, origin=np.zeros(3))
-        return render(here, View("plane", K, pose, columns, rows), threads=1)
+        return render(here, View.standing("plane", eye, axes, distance / self.step, size), threads=1)
 
 
 @dataclass(frozen=True, eq=False)
