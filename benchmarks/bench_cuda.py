@@ -24,8 +24,8 @@ from machine import arguments
 import drsplat as ds
 from drsplat.kernels import render_channels, splat_arrays, view_weights
 from drsplat.kernels.cuda import using_device
+from drsplat.kernels.cuda.devices import on_host
 from drsplat.kernels.cuda.engine import cuda_engine
-from drsplat.kernels.cuda.places import on_host
 from drsplat.training.device_run import DeviceRun
 from drsplat.training.job import Beginning
 from drsplat.training.optimizer import Optimizer

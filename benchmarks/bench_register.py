@@ -6,7 +6,7 @@ DEMO: a folder that `drsplat demo` wrote. Scenes: that of the demo with the mask
 --statistics (a folder with a CLIP codebook, see drawn_embeddings.py), the same with embeddings drawn like CLIP's, and a
 made room (rooms.py) of 137,000 Gaussians that are seen. All with one thread. --before: the interpreter of another
 environment with another version of the package; both take turns, in a process of their own each. Seconds are minima
-over the rounds. Score rms, top-2 % IoU and the winner of 200 queries are those of study_codes.py, of every third row.
+over the rounds. Score rms, top-2 % IoU and the winner of 200 queries are of every third row.
 """
 
 import argparse
@@ -19,18 +19,20 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
-from drawn_embeddings import Drawn
+from drawn_embeddings import Drawn, unit
 from machine import describe
 from rooms import mask_map, room, room_views
-from study_codes import CLUSTERS, QUERIES, mini_words, quality
 
 from drsplat import MiniEncoder, ViewFeatures, read_features, read_gaussians, read_views, register
 from drsplat.field.codes.mixture import encode_mixture, learn_scene_atoms
 from drsplat.field.codes.mixture.scene_atoms import spherical_kmeans
 from drsplat.field.evidence.evidence import Evidence
 from drsplat.kernels.mixture import nearest_centres
+from drsplat.photos.models.mini.lexicon import COLORS, NAMES
 
 MEASURED = 3  # every third row
+CLUSTERS = 150  # of masks, where things are not known
+QUERIES, TOP_SHARE = 200, 0.02
 VIEWS, MASKS, THINGS, GAUSSIANS = 24, 80, 200, 200_000  # of the made room
 
 
@@ -63,7 +65,7 @@ def made_room(drawn: Drawn) -> tuple[Evidence, np.ndarray, float]:
 
 def scenes(folder: Path, statistics: Path | None) -> Iterator[tuple[str, Evidence, np.ndarray, float]]:
     evidence, seconds = demo(folder)
-    yield "demo, mini", evidence, mini_words(evidence.embeddings).queries, seconds
+    yield "demo, mini", evidence, mini_words(), seconds
     if statistics is None:
         return
     drawn = Drawn(statistics)
@@ -72,6 +74,25 @@ def scenes(folder: Path, statistics: Path | None) -> Iterator[tuple[str, Evidenc
     like_clip = drawn.masks(things[nearest_centres(evidence.embeddings, clusters, threads=1)])
     yield "demo, drawn", replace(evidence, embeddings=like_clip), drawn.texts(things), seconds
     yield "made room, drawn", *made_room(drawn)
+
+
+def mini_words() -> np.ndarray:
+    texts = [*NAMES, *[f"{color} {name}" for name in NAMES for color in COLORS][::2]]
+    return MiniEncoder().encode_texts(texts[:QUERIES])
+
+
+def quality(features: np.ndarray, decoded: np.ndarray, queries: np.ndarray) -> dict[str, float]:
+    decoded = unit(decoded)
+    exact, got = features @ queries.T, decoded @ queries.T
+    kept = max(1, round(TOP_SHARE * len(features)))
+    best = [np.argpartition(-scores, kept - 1, axis=0)[:kept].T for scores in (exact, got)]
+    common = [len(np.intersect1d(*pair)) for pair in zip(*best, strict=True)]
+    return {
+        "cosine": 100 * float((features * decoded).sum(axis=1).mean()),
+        "score_rms": float(np.sqrt(((exact - got) ** 2).mean())),
+        "selection_iou": float(np.mean([c / (2 * kept - c) for c in common])),
+        "argmax_agreement": float((exact.argmax(axis=1) == got.argmax(axis=1)).mean()),
+    }
 
 
 def measured(evidence: Evidence, queries: np.ndarray) -> dict[str, float]:

@@ -25,10 +25,9 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from study_thresholds import true_things
-
 from benchmarks.machine import describe
 from benchmarks.suite.answers import kind_of, place_of
+from benchmarks.suite.places import true_things
 from benchmarks.suite.scenes import read_scene
 from benchmarks.suite.tables import markdown
 from benchmarks.suite.trials import LEAST, Trial, trial

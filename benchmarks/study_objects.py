@@ -28,12 +28,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks.bench_boxes import owners
 from benchmarks.suite.instances import LEAST, Compared, Region, compare, numbers
 from benchmarks.suite.masks import MASKS, features_of
 from benchmarks.suite.places import with_wrong_masks
 from benchmarks.suite.rivals.things import Agreement, Alike, light_splat, mask_clustering, sureness
-from benchmarks.suite.scenes import read_scene
+from benchmarks.suite.scenes import owners, read_scene
 from drsplat import Gaussians, LanguageField, MiniEncoder, Scene, View, read_gaussians, read_views, register
 from drsplat.evaluation import metrics
 from drsplat.field.codes.code import Code

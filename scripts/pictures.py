@@ -70,10 +70,6 @@ MADE: dict[str, Made] = {
         "python benchmarks/study_worst.py, three of its pictures",
         (ROOT / "docs" / "answers.json", ROOT / "benchmarks" / "study_worst.py"),
     ),
-    "fill.jpg": Made(
-        "python benchmarks/study_fill.py FOLDER... --kept FOLDER --picture docs/images/fill.jpg",
-        (PACKAGE / "authoring" / "editing" / "closing.py", ROOT / "benchmarks" / "study_fill.py"),
-    ),
 }
 
 

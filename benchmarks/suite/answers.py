@@ -127,12 +127,6 @@ def place_of(given: str, kind: str, kept: Path) -> places.Place:
     return places.capture(Path(folder), Path(scene), outlines if outlines.is_file() else None, kind, kept)
 
 
-def places_of(given: str, kept: Path) -> Iterator[places.Place]:
-    """Yield a place with each kind of masks."""
-    for masks in MASKS[kind_of(given)]:
-        yield place_of(given, masks, kept)
-
-
 def kind_of(given: str) -> str:
     return CAPTURE if "=" in given else ROOM
 

@@ -6,7 +6,7 @@ A place knows what its Gaussians belong to and which masks the photos have, and 
 import hashlib
 import json
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Set
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,21 +19,17 @@ from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
 from drsplat import Gaussians, View, ViewFeatures, load_image, read_gaussians, read_views, register
-from drsplat.field.evidence.changing import without_views
 from drsplat.field.evidence.evidence import Evidence, evidence_from_tensors
 from drsplat.formats.checksums import hash_file
 from drsplat.formats.tensors import read_tensors, write_tensors
 from drsplat.kernels import render_channels, splat_arrays
-from drsplat.photos.embedding.objects_first import SharedCrops
 from drsplat.photos.models.graph import GraphSegmenter
-from drsplat.photos.models.point_masks import PointSegmenter
 from drsplat.scene.masks.masks import LEVELS
 from drsplat.scene.masks.selection import mask_maps
 
-from .masks import ASKING, asking, cut_of
+from .masks import MASKS
 from .outlines import inside, outlined_in_part, read_outlines
 from .scenes import BenchScene, read_scene
-from .simulated_sam import SimulatedSam
 
 SIDE = 504  # pixels of the longer side of a capture's photos
 CELLS = 12  # in which what nobody outlined is masked, for want of its true things
@@ -53,8 +49,7 @@ class Place:
     shows. labels: the thing of each Gaussian, mass: its weight in photos whose truth is known, 0 where it is not.
     things: by name. nameless: cells of the rest of a capture. cameras: of all photos. views: whose truth is known, as
     their photos are stored. shown: what each pixel of one of these shows, -1 for nothing and numbers beyond those of
-    `things` for the rest. inputs: name of the kept file, which says what the place was registered from. photos: that
-    are looked at; None: all. crops: which of their masks stand for which; None: each for itself.
+    `things` for the rest. inputs: name of the kept file, which says what the place was registered from.
     """
 
     name: str
@@ -69,22 +64,14 @@ class Place:
     views: list[View]
     shown: Ids
     inputs: str
-    photos: Set[str] | None = None
-    crops: SharedCrops | None = None
 
     def evidence_of(self, embeddings: Float32[np.ndarray, "m D"]) -> Evidence:
         """Return the evidence of the place's photos with embeddings that were drawn for the masks of all."""
-        evidence = replace(self.evidence, embeddings=embeddings)
-        if self.photos is not None:
-            gone = np.array([name not in self.photos for name in evidence.masks.view_names])
-            evidence = without_views(evidence, gone)
-        if self.crops is None:
-            return evidence
-        return replace(evidence, embeddings=self.crops.embeddings(evidence.embeddings[self.crops.chosen]))
+        return replace(self.evidence, embeddings=embeddings)
 
 
 def room(folder: Path, kind: str, kept: Path) -> Place:
-    """One of world/scenes. kind: as in `cut_of`."""
+    """One of world/scenes. kind: of MASKS."""
     scene = read_scene(folder)
     truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))
     things: dict[str, list[int]] = defaultdict(list)
@@ -92,7 +79,7 @@ def room(folder: Path, kind: str, kept: Path) -> Place:
         things[thing["name"]].append(thing["id"])
     path = _kept(kept, folder, kind, scene.gaussians)
     if not path.is_file():
-        _write(path, *_registered(scene.gaussians, scene.views, _masks_of(scene, kind), scene.ids), *_true(scene))
+        _write(path, *_registered(scene.gaussians, scene.views, _masks_of(scene, kind), scene.ids), *true_things(scene))
     evidence, owners, labels, mass = _read(path)
     return Place(
         f"{folder.name}, {kind}", scene.gaussians, evidence, owners, labels, mass, things, [], scene.views,
@@ -103,8 +90,7 @@ def room(folder: Path, kind: str, kept: Path) -> Place:
 def capture(folder: Path, scene: Path, outlines: Path | None, kind: str, kept: Path) -> Place:
     """A real capture with its trained scene. outlines: drawn by hand; None: the capture has labels of its own.
 
-    kind: "graph"; "sam" for masks of whole things as a good segmenter makes them, their borders off by some pixels; or
-    as in `asking`, for those of a simulated SAM.
+    kind: "graph", or "sam" for masks of whole things as a good segmenter makes them, their borders off by some pixels.
     """
     gaussians = read_gaussians(scene)
     photos = read_views(folder)
@@ -115,9 +101,6 @@ def capture(folder: Path, scene: Path, outlines: Path | None, kind: str, kept: P
         labels, mass = _lifted(gaussians, [view for view in views if view.name in known], known, len(names))
         ids = drawn_ids(gaussians, _with_cells(gaussians, labels, len(names)))
         maps = _found(folder) if kind == "graph" else _simulated(ids)
-        if kind.partition(".")[0] in ASKING:
-            settings, draw = asking(kind)
-            maps = _asked(PointSegmenter(SimulatedSam(folder.name, views, ids, {}, draw), settings))
         _write(path, *_registered(gaussians, views, maps, ids), labels, mass)
     evidence, owners, labels, mass = _read(path)
     things = {name: [number] for number, name in enumerate(names)}
@@ -127,12 +110,6 @@ def capture(folder: Path, scene: Path, outlines: Path | None, kind: str, kept: P
         f"{folder.name}, {kind}", gaussians, evidence, owners, labels, mass, things, cells, views, stored,
         lambda view: known[view.name], path.name,
     )  # fmt: skip
-
-
-def capture_sam(place: Place) -> SimulatedSam:
-    """Return a simulated SAM of the photos of a capture, which knows its things and cells."""
-    ids = drawn_ids(place.gaussians, _with_cells(place.gaussians, place.labels, len(place.things)))
-    return SimulatedSam(place.name, place.cameras, ids, {})
 
 
 def _kept(kept: Path, folder: Path, kind: str, gaussians: Gaussians, outlines: Path | None = None) -> Path:
@@ -164,7 +141,7 @@ def with_wrong_masks(evidence: Evidence, percent: int) -> Evidence:
 
 def _masks_of(scene: BenchScene, kind: str) -> Ids:
     def maps(view: View) -> np.ndarray:
-        return mask_maps(cut_of(kind)(scene, view, load_image(view))).mask_ids[LEVELS.index("large")]
+        return mask_maps(MASKS[kind](scene, view, load_image(view))).mask_ids[LEVELS.index("large")]
 
     return maps
 
@@ -198,7 +175,8 @@ def _compact(ids: Int32[np.ndarray, "h w"]) -> tuple[Int32[np.ndarray, "h w"], I
     return (numbers.reshape(ids.shape) - int(there[0] < 0)).astype(np.int32), there[there >= 0]
 
 
-def _true(scene: BenchScene) -> tuple[np.ndarray, np.ndarray]:
+def true_things(scene: BenchScene) -> tuple[np.ndarray, np.ndarray]:
+    """Per Gaussian the number of its thing, -1 for none, and the weight that photos give it."""
     count = 1 + max(int(scene.ids(view).max()) for view in scene.views)
     votes = _votes(scene.gaussians, scene.views, scene.ids, count)
     return np.where(votes.any(1), votes.argmax(1), UNKNOWN), votes.sum(1)
@@ -288,11 +266,6 @@ def _simulated(ids: Ids) -> Ids:
         return _compact(result)[0]
 
     return maps
-
-
-def _asked(sam: PointSegmenter) -> Ids:
-    """The masks that a simulated SAM has of a photo."""
-    return lambda view: mask_maps(sam.segment(load_image(view))).mask_ids[LEVELS.index("large")]
 
 
 def _moved(mask: Bool[np.ndarray, "h w"], pixels: int) -> Bool[np.ndarray, "h w"]:

@@ -16,6 +16,7 @@ from drsplat.evaluation.label_sets import label_set
 from drsplat.evaluation.lerf_ovs import LerfScene, read_lerf_scene, without_labelled
 from drsplat.evaluation.scannet import ScannetScene, read_nyu40_scene
 from drsplat.formats.checksums import hash_file
+from drsplat.kernels import splat_arrays, view_weights
 
 LABEL_SET = "household"
 OPACITY = 0.9  # of Gaussians that stand for labelled points
@@ -57,6 +58,17 @@ def read_scene(folder: Path, every: int = 1) -> BenchScene:
     points = ScannetScene(folder.name, volume.points, labels, frozen)
     views = without_labelled(read_views(folder), lerf)[::every]
     return BenchScene(folder, views, lerf, volume, points)
+
+
+def owners(folder: Path, gaussians: Gaussians, views: list[View], count: int) -> np.ndarray:
+    """The id of each Gaussian's thing or structure, -1 where no photo shows it."""
+    splats, votes = splat_arrays(gaussians), np.zeros((len(gaussians), count))
+    for view in views:
+        path = folder / "ids" / f"{Path(view.name).stem}.png"
+        stored = Image.open(path).resize((view.width, view.height), Image.Resampling.NEAREST)
+        found = view_weights(splats, view, np.asarray(stored).astype(np.int32) - 1, None)
+        np.add.at(votes, (found.gaussian_ids, found.mask_ids), found.weights)
+    return np.where(votes.any(axis=1), votes.argmax(axis=1), -1)
 
 
 def at_points(positions: np.ndarray) -> Gaussians:

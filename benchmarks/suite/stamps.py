@@ -32,17 +32,7 @@ ANSWERS = (
     ROOT / "benchmarks" / "drawn_embeddings.py",
     *(
         SUITE / f"{name}.py"
-        for name in (
-            "answers",
-            "masks",
-            "outlines",
-            "places",
-            "scenes",
-            "scoring",
-            "simulated_sam",
-            "trials",
-            "vocabularies",
-        )
+        for name in ("answers", "masks", "outlines", "places", "scenes", "scoring", "trials", "vocabularies")
     ),
 )
 """What decides the answers to words in rooms and captures."""

@@ -19,8 +19,8 @@ FLOOR, TABLE, OTHER, NOBODY = 0, 1, 2, -1
 FLAT = (0.015, 0.015, 0.001)
 
 
-def filled(scene: Gaussians, rows: np.ndarray, version: int = 4) -> Gaussians:
-    return edited(scene, [Edit(Rows.of(rows), Remove()), Edit(Rows.of(rows), Fill(version))])
+def filled(scene: Gaussians, rows: np.ndarray) -> Gaussians:
+    return edited(scene, [Edit(Rows.of(rows), Remove()), Edit(Rows.of(rows), Fill())])
 
 
 def same_places(scene: Gaussians, part: Gaussians) -> int:
@@ -50,7 +50,6 @@ def below_a_table(patch_owner: int) -> tuple[Gaussians, np.ndarray, Gaussians]:
 def test_what_is_nobodys_below_a_thing_hides_no_hole(owner: int, stay: bool) -> None:
     scene, table, patch = below_a_table(owner)
     middle = patch.subset((np.abs(patch.means[:, :2]) < 0.03).all(axis=1))  # what is around covers the edge
-    assert same_places(filled(scene, table, 3), middle) == len(middle)
     assert same_places(filled(scene, table), middle) == (len(middle) if stay else 0)
 
 
@@ -64,7 +63,6 @@ def test_what_stands_off_a_floor_in_the_place_of_a_thing_goes() -> None:
         more = np.full(2 * len(spike), owner, np.int32)
         whole = replace(joined(scene, spike, beside), extra={OBJECT_ID: np.concatenate([owners, more])})
         assert len(whole) == first + 2 * len(spike)
-        assert same_places(filled(whole, block, 3), spike) == len(spike)
         after = filled(whole, block)
         assert same_places(after, spike) == (0 if gone else len(spike))
         assert same_places(after, beside) == len(beside)

@@ -8,10 +8,8 @@ import pytest
 from drsplat import Gaussians
 from drsplat.authoring.editing import Edit, Fill, Remove, Rows, edited
 from drsplat.authoring.editing.draft import OBJECT_ID
-from drsplat.authoring.editing.edits import EditList
 from drsplat.authoring.editing.ground import Surface, best_shift
 from drsplat.authoring.editing.resolving import completed, loose_parts
-from drsplat.authoring.editing.stored import document_of, edits_of
 from drsplat.errors import InputError
 from drsplat.scene.gaussians import SH_C0
 
@@ -116,8 +114,7 @@ def oranges(scene: Gaussians) -> int:
 def test_what_lies_on_a_table_is_not_cloned_into_a_hole() -> None:
     scene, block = a_hole_among_crumbs()
     rows = Rows.of(block)
-    clean, earlier = (edited(scene, [Edit(rows, Remove()), Edit(rows, Fill(version))]) for version in (2, 1))
-    assert oranges(earlier) > oranges(scene)  # so this can fail
+    clean = edited(scene, [Edit(rows, Remove()), Edit(rows, Fill())])
     assert oranges(clean) == oranges(scene)
     in_hole = (np.abs(clean.means[:, :2]) < 0.09).all(axis=1)
     assert in_hole.sum() > 50
@@ -139,12 +136,9 @@ def test_what_stands_in_a_hole_stays() -> None:
     """The low thing stays, and the grime that training left there goes."""
     scene, block, grime, thing = a_thing_in_a_hole()
     rows = Rows.of(block)
-    counts = {}
-    for version in (2, 3):
-        after = edited(scene, [Edit(rows, Remove()), Edit(rows, Fill(version))])
-        counts[version] = int((after.extra[OBJECT_ID] == 2).sum())
-        assert not (after.means[:, None] == grime.means[None]).all(axis=2).any()
-    assert counts[2] < counts[3] == len(thing)
+    after = edited(scene, [Edit(rows, Remove()), Edit(rows, Fill())])
+    assert np.count_nonzero(after.extra[OBJECT_ID] == 2) == len(thing)
+    assert not (after.means[:, None] == grime.means[None]).all(axis=2).any()
 
 
 def test_seams_are_not_compared_where_no_shift_closes_anything(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -160,12 +154,6 @@ def test_seams_are_not_compared_where_no_shift_closes_anything(monkeypatch: pyte
     assert len(seams) > 2  # so this can fail
 
 
-def test_an_earlier_list_is_filled_as_it_was() -> None:
-    rows = Rows.of(np.arange(3))
-    listed = EditList("scene", (Edit(rows, Fill(3)), Edit(rows, Fill(1))), 2)
-    document = document_of(listed)
-    assert [edit.change for edit in edits_of(document, "list").edits] == [Fill(3), Fill(1)]
-    del document["edits"][1]["version"]  # type: ignore[index]
-    assert edits_of(document, "list").edits[1].change == Fill(1)
-    with pytest.raises(InputError, match="expected version 1 to 4, got 0"):
-        Fill(0)
+def test_a_fill_of_other_rules_is_refused() -> None:
+    with pytest.raises(InputError, match="expected version 4, got 3"):
+        Fill(3)

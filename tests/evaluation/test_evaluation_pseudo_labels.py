@@ -9,10 +9,10 @@ from scipy.spatial.transform import Rotation
 
 from drsplat.errors import InputError
 from drsplat.evaluation import pseudo_labels as module
-from drsplat.evaluation import reference
-from drsplat.evaluation.pseudo_labels import LabelledPoints, density_labels, printed_labels, pseudo_labels
+from drsplat.evaluation.pseudo_labels import LabelledPoints, density_labels, pseudo_labels
 from drsplat.scene.gaussians import Gaussians
 from scenes import random_gaussians
+from twins import evaluation as reference
 
 few = settings(derandomize=True, deadline=None, max_examples=25)
 
@@ -40,8 +40,8 @@ def test_a_near_point_outvotes_two_far_ones() -> None:
     # exp(-0.5) = 0.61 against 2 exp(-2) = 0.27
     points = cloud([(1, 0, 0, 7), (0, 2, 0, 4), (0, -2, 0, 4)])
     assert density_labels(one_gaussian(), points)[0] == 7
-    # the sums of squared distances are 1 and 8
-    assert printed_labels(one_gaussian(), points)[0] == 4
+    # the sums of squared distances, which the paper's Eq. 2 prints, are 1 and 8
+    assert reference.printed_labels(one_gaussian(), points.positions.astype(np.float64), points.labels)[0] == 4
 
 
 def test_shape_and_turn_count() -> None:
@@ -76,20 +76,6 @@ def test_density_labels_are_the_twins(seed: int, size: float, num_labels: int) -
     assert_array_equal(got[clear], votes.argmax(1)[clear])
     border = votes.sum(1) < 0.02  # exp(-4.5) = 0.011: one point on the very edge
     assert_array_equal(got[~border] == -1, ~votes.any(1)[~border])
-
-
-@few
-@given(st.integers(0, 1000))
-def test_printed_labels_are_the_twins(seed: int) -> None:
-    gaussians = random_gaussians(150, seed)
-    points = random_points(400, 5, seed)
-    positions = points.positions.astype(np.float64)
-    squared = reference.squared_distances(gaussians, positions)
-    sums = np.stack([squared[:, points.labels == s].sum(1) for s in range(5)], axis=1)
-    clear = decided(sums)
-    expected = reference.printed_labels(gaussians, positions, points.labels)
-    assert_array_equal(printed_labels(gaussians, points)[clear], expected[clear])
-    assert clear.mean() > 0.9
 
 
 def test_crowded_gaussians_are_judged_by_a_sample() -> None:
@@ -165,9 +151,8 @@ def test_the_vote_comes_before_the_nearest() -> None:
 
 @pytest.mark.parametrize(("rows", "message"), [([(0, 0, np.nan, 1)], "finite"), ([(0, 0, 0, -1)], "0 or more")])
 def test_bad_points_are_refused(rows: list, message: str) -> None:
-    for run in (density_labels, printed_labels):
-        with pytest.raises(InputError, match=message):
-            run(one_gaussian(), cloud(rows))
+    with pytest.raises(InputError, match=message):
+        density_labels(one_gaussian(), cloud(rows))
 
 
 def test_no_points_are_refused() -> None:

@@ -13,7 +13,7 @@ from test_evaluation_pseudo_labels import random_points
 from test_metrics import weighted_iou
 
 from drsplat.errors import FormatError, InputError, MismatchError
-from drsplat.evaluation import metrics, reference, scannet_points, scannet_volume, voxel
+from drsplat.evaluation import metrics, scannet_points, scannet_volume, voxel
 from drsplat.evaluation.label_sets import LabelSet
 from drsplat.evaluation.predictions import AUTOMATIC, FIXED, Manifest, best_sweep, sweep_weighted_ious
 from drsplat.evaluation.scannet import ScannetScene, read_nyu40_scene, read_raw_category_scene, scores_path
@@ -22,6 +22,7 @@ from drsplat.formats.npy import write_npy
 from drsplat.formats.ply import write_vertices
 from drsplat.scene.gaussians import Gaussians
 from scenes import random_gaussians
+from twins import evaluation as reference
 
 few = settings(derandomize=True, deadline=None, max_examples=25)
 LABELS = LabelSet("mine", (1, 2, 7), ("wall", "floor", "table"), ("wall", "floor", "table"))

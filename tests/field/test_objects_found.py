@@ -199,9 +199,8 @@ SCENE = Path(__file__).parents[2] / "world" / "scenes" / "room_5"
 @pytest.mark.slow
 def test_the_true_things_of_a_room_are_objects() -> None:
     """With true masks nearly each thing of 60 Gaussians is one object; the number is that of the page, less some."""
-    from benchmarks.bench_boxes import owners
     from benchmarks.suite.masks import features_of
-    from benchmarks.suite.scenes import read_scene
+    from benchmarks.suite.scenes import owners, read_scene
 
     from drsplat import MiniEncoder, read_views, register
 

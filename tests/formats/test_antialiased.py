@@ -30,7 +30,7 @@ from drsplat.kernels import splat_arrays, view_weights
 from drsplat.scene.gaussians import Gaussians, concatenated
 from drsplat.scene.moving import Frames, Moving
 from drsplat.scene.similarity import similarity_of
-from scene_files import compressed_ply_bytes, ply_bytes, ply_columns, sog_files, spz_bytes, zip_bytes
+from scene_files import commented, compressed_ply_bytes, ply_bytes, ply_columns, sog_files, spz_bytes, zip_bytes
 from scenes import look_at_view, random_gaussians
 
 MIP = b"comment SplatRenderMode: mip"
@@ -38,12 +38,6 @@ MIP = b"comment SplatRenderMode: mip"
 
 def marked(count: int = 40, seed: int = 0) -> Gaussians:
     return replace(random_gaussians(count, seed), antialiased=True)
-
-
-def commented(content: bytes, *comments: str) -> bytes:
-    """A PLY with these comments in its header."""
-    lines = "".join(f"comment {comment}\n" for comment in comments).encode()
-    return content.replace(b"end_header\n", lines + b"end_header\n", 1)
 
 
 # --- the mark in files ---

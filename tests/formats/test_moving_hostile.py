@@ -14,7 +14,7 @@ from drsplat.errors import DrSplatError, DrSplatWarning, FormatError
 from drsplat.formats.motion import FORMAT, MOTION
 from drsplat.formats.moving_scenes import read_moving, write_moving
 from drsplat.formats.tensors import map_tensors, write_tensors
-from moving_scenes import drifting, spacetime_columns, write_spacetime
+from moving_scenes import drifting
 from mutations import bounded_allocations, mutants, quota, seeded
 
 MUTANTS = quota(600)
@@ -51,12 +51,6 @@ def judged(folder: Path, file: Path) -> None:
 def test_damaged_motion(tmp_path: Path) -> None:
     write_moving(tmp_path / "a.motion", drifting(12))
     judged(tmp_path / "a.motion", tmp_path / "a.motion" / MOTION)
-
-
-@pytest.mark.slow
-def test_damaged_spacetime(tmp_path: Path) -> None:
-    write_spacetime(str(tmp_path / "film.ply"), spacetime_columns(12))
-    judged(tmp_path / "film.ply", tmp_path / "film.ply")
 
 
 @pytest.mark.slow
@@ -130,30 +124,3 @@ def test_a_frame_that_vanishes_is_said(tmp_path: Path) -> None:
     shutil.rmtree(tmp_path / "frames")
     with pytest.raises(DrSplatError, match=r"frame0004\.ply"):
         moving.at(4)
-
-
-@pytest.mark.parametrize(
-    ("columns", "message"),
-    [
-        ({"trbf_scale": -1000.0}, "widths: expected times above 0"),
-        ({"trbf_scale": 1000.0}, "widths: row 0 is not finite"),
-        ({"motion_4": np.nan}, "motion: row 0 is not finite"),
-        ({"omega_1": np.inf}, "turning: expected finite"),
-        ({"motion_0": 3e38, "motion_3": 3e38, "trbf_center": -1.0}, "is nowhere|are nowhere"),
-    ],
-)
-def test_rows_that_move_as_none_can_are_said(tmp_path: Path, columns: dict[str, float], message: str) -> None:
-    good = spacetime_columns(12)
-    for name, value in columns.items():
-        good[name][:] = value
-    write_spacetime(str(tmp_path / "film.ply"), good)
-    with pytest.raises(DrSplatError, match=message):
-        read_all(tmp_path / "film.ply")
-
-
-def test_a_spacetime_ply_without_its_motion_is_said(tmp_path: Path) -> None:
-    columns = spacetime_columns(12)
-    del columns["motion_8"]
-    write_spacetime(str(tmp_path / "film.ply"), columns)
-    with pytest.raises(FormatError, match="vertex has no motion_8"):
-        read_moving(tmp_path / "film.ply")

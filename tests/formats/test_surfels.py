@@ -21,7 +21,7 @@ from drsplat.formats.tiles import read_tiles
 from drsplat.scene.gaussians import SURFEL_THICKNESS, Gaussians
 from drsplat.scene.labelled import LabelledScene
 from drsplat.scene.merging import coarser
-from scene_files import compressed_ply_bytes, ply_bytes, ply_columns, random_gaussians, sog_files, zip_bytes
+from scene_files import commented, compressed_ply_bytes, ply_bytes, ply_columns, random_gaussians, sog_files, zip_bytes
 from scenes import look_at_view
 
 MARK = "SplatRenderMode: 2dgs"
@@ -35,11 +35,6 @@ def surfel_ply(order: str = "<", *comments: str) -> bytes:
     """As 2DGS writes it: the columns of 3DGS without the third scale."""
     columns = {name: column for name, column in ply_columns(scene()).items() if name != "scale_2"}
     return commented(ply_bytes(columns, order), *comments)
-
-
-def commented(content: bytes, *comments: str) -> bytes:
-    lines = "".join(f"comment {comment}\n" for comment in comments).encode()
-    return content.replace(b"end_header\n", lines + b"end_header\n", 1)
 
 
 def assert_flat(read: Gaussians) -> None:

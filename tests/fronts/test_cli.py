@@ -24,6 +24,7 @@ from drsplat.field.codes import save_codebook
 from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.npy import write_npy
 from furnished.story import Story
+from growing_fields import files_of
 
 
 @pytest.fixture(scope="module")
@@ -50,10 +51,6 @@ def codebook(story: Story, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def pixels_of(path: Path | str) -> np.ndarray:
     with Image.open(path) as picture:
         return np.asarray(picture, int)
-
-
-def files_of(field: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in sorted(field.iterdir())}
 
 
 def test_help_is_a_word_too(capsys: Capture) -> None:

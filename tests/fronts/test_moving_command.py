@@ -9,8 +9,8 @@ from PIL import Image
 
 from drsplat import load_field
 from drsplat.cli import main
-from drsplat.formats.moving_scenes import read_moving
-from moving_scenes import spacetime_columns, write_film, write_spacetime
+from drsplat.formats.moving_scenes import read_moving, write_moving
+from moving_scenes import drifting, write_film
 
 
 @pytest.fixture(scope="module")
@@ -92,14 +92,14 @@ def test_films_are_described(field: Path, film: Path, capsys: pytest.CaptureFixt
 
 
 def test_films_are_converted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    write_spacetime(str(tmp_path / "film.ply"), spacetime_columns(20))
-    told = run(capsys, "motion", tmp_path / "film.ply", "--output", tmp_path / "film.motion")
-    assert (told["num_gaussians"], told["num_times"], told["times"]) == (20, 51, [0, 1])
+    film = drifting(20)
+    write_moving(tmp_path / "given", film)
+    told = run(capsys, "motion", tmp_path / "given", "--times", 0, 1, "--output", tmp_path / "film.motion")
+    assert (told["num_gaussians"], told["num_times"], told["times"]) == (20, 5, [0, 1])
     run(capsys, "motion", tmp_path / "film.motion", "--output", tmp_path / "frames")
     told = run(capsys, "motion", tmp_path / "frames", "--times", 0, 1)
     assert told["times"] == [0, 1]
     assert told["output"] is None
-    assert np.allclose(read_moving(tmp_path / "frames", (0.0, 1.0)).at(0.5).means, read_moving(tmp_path / "film.ply")
-                       .at(0.5).means, atol=1e-5)  # fmt: skip
+    assert np.allclose(read_moving(tmp_path / "frames", (0.0, 1.0)).at(0.5).means, film.at(1.0).means, atol=1e-5)
     assert main(["motion", str(tmp_path / "film.motion"), "--output", str(tmp_path / "frames")]) == 1
     assert "exists already" in capsys.readouterr().err

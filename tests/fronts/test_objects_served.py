@@ -22,13 +22,12 @@ from scenes import look_at_view
 pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
 
 from drsplat.fronts.serving.conversation import Conversation
-from drsplat.fronts.serving.files import COMPLETING_S, WRITING_S, exported
 from drsplat.fronts.serving.limits import Limits
 from drsplat.fronts.serving.live import Adder
 from drsplat.fronts.serving.replies import Reply
 from drsplat.fronts.serving.requests import Export
 from drsplat.fronts.serving.scene_folder import SceneFolder
-from drsplat.fronts.serving.worker import Workplace, reply_to
+from drsplat.fronts.serving.worker import COMPLETING_S, WRITING_S, Workplace, exported, reply_to
 from drsplat.query.documents import object_documents
 
 EYES = ((0.5, -4.0, 1.5), (1.5, -4.5, 2.0), (2.5, -4.0, 1.0))

@@ -9,7 +9,7 @@ from test_views_hostile import unchecked_types
 
 from drsplat.errors import InputError
 from drsplat.kernels import available_isas
-from drsplat.kernels.ranking import keep_best
+from drsplat.kernels.scan import keep_best
 from twins import ranking as twin
 
 every_isa = pytest.mark.parametrize("isa", available_isas())

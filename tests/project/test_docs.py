@@ -25,7 +25,8 @@ from drsplat.formats.tensors import map_tensors
 from toy_capture import NEGATIVES, PER_THING, THINGS, write_toy_capture
 
 ROOT = Path(__file__).resolve().parents[2]
-DOCUMENTS = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md"), ROOT / "world/README.md"])
+PAGES = (*(ROOT / "docs").rglob("*.md"), *(ROOT / name / "README.md" for name in ("world", "benchmarks")))
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *PAGES])
 WITH_SNIPPETS = ["README.md", "docs/api.md"]
 CODE_FOLDERS = ("", "src/drsplat", "native")
 

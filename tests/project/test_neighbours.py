@@ -1,26 +1,16 @@
 """The layouts of other tools' exports lead to the same answer (docs/neighbours.md)."""
 
-import base64
 import json
-import runpy
 import shutil
 import subprocess
-import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
-from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import drsplat as ds
-from drsplat.formats.live_views import LiveView, live_name, posed
 from toy_capture import HEIGHT, NEGATIVES, THINGS, WIDTH, write_toy_capture
 
 NEIGHBOURS = Path(__file__).resolve().parents[2] / "examples/neighbours"
@@ -130,152 +120,3 @@ def test_photos_to_an_answer_is_a_script_that_goes_on(tmp_path):
     calls = (tmp_path / "calls").read_text().split("\n")[:-1]
     verbs = ["train", "embed", "register", "locate"]
     assert calls == ["colmap automatic_reconstructor", *(f"drsplat {verb}" for verb in verbs)]
-
-
-class Service(BaseHTTPRequestHandler):
-    """Answers as `POST /scenes/{scene}/locate` does, and takes views."""
-
-    views: ClassVar[list[dict[str, object]]] = []
-
-    def do_POST(self) -> None:
-        query = json.loads(self.rfile.read(int(self.headers["content-length"])))
-        known = self.path == "/scenes/my%20room/locate" and query == {"text": "red mug"}
-        body = json.dumps({"matches": [{"center": [1.0, 2.0, 3.0]}]} if known else {}).encode()
-        status = 200
-        if self.path == "/scenes/my%20room/views":
-            taken = self.headers["authorization"] == "Bearer secret"
-            status, body = (202, b"{}") if taken else (401, b'{"error": "give the key"}')
-            self.views.extend([query] if taken else [])
-        self.send_response(status)
-        self.end_headers()
-        self.wfile.write(body)
-
-    def log_message(self, *_: object) -> None:
-        pass
-
-
-@pytest.fixture
-def ros(monkeypatch):
-    """The few names of rclpy and its messages that the node uses; published: what it has sent."""
-    published: list[SimpleNamespace] = []
-
-    class Node:
-        def __init__(self, name: str) -> None:
-            self.parameters, self.errors = {}, []
-
-        def declare_parameter(self, name, usual):
-            self.parameters[name] = usual
-
-        def get_parameter(self, name):
-            return SimpleNamespace(value=self.parameters[name])
-
-        def create_publisher(self, kind, topic, depth):
-            return SimpleNamespace(publish=published.append)
-
-        def create_subscription(self, kind, topic, callback, depth):
-            pass
-
-        def get_clock(self):
-            return SimpleNamespace(now=lambda: SimpleNamespace(to_msg=lambda: "now"))
-
-        def get_logger(self):
-            return SimpleNamespace(error=self.errors.append)
-
-    class Buffer:
-        def lookup_transform(self, target, source, stamp):
-            if (target, source) != ("camera_optical", "map"):
-                raise TransformException(f"no transform from {source} to {target}")
-            return SimpleNamespace(transform=self.placed)
-
-    class TransformException(Exception):
-        pass
-
-    def pose_array(poses):
-        return SimpleNamespace(poses=poses, header=SimpleNamespace())
-
-    names = {
-        "rclpy": {}, "rclpy.node": {"Node": Node}, "std_msgs": {}, "std_msgs.msg": {"String": SimpleNamespace},
-        "sensor_msgs": {}, "sensor_msgs.msg": {"CameraInfo": SimpleNamespace, "CompressedImage": SimpleNamespace},
-        "tf2_ros": {
-            "Buffer": Buffer, "TransformException": TransformException, "TransformListener": lambda *_: None,
-        },
-        "geometry_msgs": {},
-        "geometry_msgs.msg": {"Point": SimpleNamespace, "Pose": SimpleNamespace, "PoseArray": pose_array},
-    }  # fmt: skip
-    for name, content in names.items():
-        module = ModuleType(name)
-        vars(module).update(content)
-        monkeypatch.setitem(sys.modules, name, module)
-    return published
-
-
-@contextmanager
-def robot() -> Iterator[Any]:
-    """The node, at a service that is there."""
-    service = HTTPServer(("127.0.0.1", 0), Service)
-    threading.Thread(target=service.serve_forever, daemon=True).start()
-    try:
-        node = runpy.run_path(str(NEIGHBOURS / "ros2_node.py"))["Robot"]()
-        node.parameters |= {"address": f"http://127.0.0.1:{service.server_port}", "scene": "my room"}
-        yield node
-    finally:
-        service.shutdown()
-        service.server_close()
-
-
-def test_a_robot_is_told_places_over_http(ros):
-    with robot() as node:
-        node.answer(SimpleNamespace(data="red mug"))
-        node.answer(SimpleNamespace(data="something else"))
-    assert [vars(pose.position) for pose in ros[0].poses] == [{"x": 1.0, "y": 2.0, "z": 3.0}]
-    assert (ros[0].header.frame_id, ros[0].header.stamp) == ("map", "now")
-    assert len(ros) == len(node.errors) == 1
-
-
-def photo_of(view: ds.View, seconds: int, frame: str = "camera_optical", form: str = "jpeg") -> SimpleNamespace:
-    stamp = SimpleNamespace(sec=seconds, nanosec=5)
-    return SimpleNamespace(
-        header=SimpleNamespace(stamp=stamp, frame_id=frame), data=view.image_path.read_bytes(), format=form
-    )
-
-
-def test_a_robot_sends_what_it_sees(ros, toy):
-    """What it sends is what `POST /scenes/{scene}/views` takes, with the pose and lens of the camera."""
-    view = ds.read_views(toy / "capture")[0]
-    x, y, z, w = Rotation.from_matrix(view.cam_from_world[:3, :3]).as_quat()
-    shift = view.cam_from_world[:3, 3]
-    Service.views.clear()
-    with robot() as node:
-        node.send(photo_of(view, 1))  # without a lens
-        node.use_lens(SimpleNamespace(distortion_model="plumb_bob", d=[0, 0, 0, 0, 0.1]))
-        node.use_lens(SimpleNamespace(distortion_model="equidistant", d=[]))
-        K = np.diag([2.0, 2.0, 1.0]) @ view.K - [[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]  # counted from the middle
-        camera = {"k": K.ravel().tolist(), "d": [0.1, 0.0, 0.0, 0.02, 0.0], "width": 2 * WIDTH, "height": 2 * HEIGHT}
-        node.use_lens(SimpleNamespace(distortion_model="plumb_bob", **camera))
-        node.transforms.placed = SimpleNamespace(
-            rotation=SimpleNamespace(x=x, y=y, z=z, w=w),
-            translation=SimpleNamespace(x=shift[0], y=shift[1], z=shift[2]),
-        )
-        node.send(photo_of(view, 2))  # without a key
-        node.parameters["key"] = "secret"
-        node.send(photo_of(view, 3, frame="elsewhere"))
-        node.send(photo_of(view, 4, form="rgb8; png compressed"))
-        node.parameters["every"] = 10.0
-        node.send(photo_of(view, 5))
-    assert [text.partition(":")[2] or text for text in node.errors] == [
-        " send rectified images", " send rectified images", " give the key",
-        " TransformException('no transform from map to elsewhere')",
-    ]  # fmt: skip
-    pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed")
-    from drsplat.fronts.serving.live import NewView
-
-    (body,) = Service.views
-    taken = NewView(**body)
-    pose, lens = (one.model_dump(exclude_none=True) for one in (taken.pose, taken.lens))
-    found = posed(LiveView(taken.name, pose, lens, None, False, "", 1.0), (WIDTH, HEIGHT))
-    assert (live_name(taken.name), base64.b64decode(taken.picture)) == (
-        "robot/4_000000005.png", view.image_path.read_bytes(),
-    )  # fmt: skip
-    np.testing.assert_allclose(found.cam_from_world, view.cam_from_world, atol=1e-12)
-    np.testing.assert_allclose(found.K, view.K, atol=1e-12)
-    assert found.distortion == (0.1, 0.0, 0.0, 0.02)

@@ -41,6 +41,15 @@ def test_a_workflow_runs_scripts_that_exist(workflow: Path) -> None:
         assert (ROOT / name).is_file(), name
 
 
+@pytest.mark.parametrize("workflow", WORKFLOWS, ids=lambda path: path.name)
+def test_actions_are_named_by_commit_and_keep_no_credentials(workflow: Path) -> None:
+    """A tag or a branch of an action may be moved by whoever takes its repository."""
+    text = workflow.read_text(encoding="utf-8")
+    used = re.findall(r"uses: (?!\./)(.+)", text)
+    assert all(re.fullmatch(r"[\w/-]+@[0-9a-f]{40}  # v[\d.]+", one) for one in used), used
+    assert text.count("actions/checkout@") == text.count("{ persist-credentials: false }")
+
+
 def test_extras_that_workflows_install_exist() -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
     named = {extra for path in WORKFLOWS for group in re.findall(r"\"\.?\[([\w,]+)\]", path.read_text()) for extra in

@@ -8,7 +8,7 @@ import pytest
 
 from command_line import Capture, answer_of, text_of
 from drsplat import Gaussians, write_gaussians
-from drsplat.scene.eight_bits import MAX_ABS_CONSTANT, clamped_in_bytes, fitted_to_8_bits, in_bytes
+from drsplat.scene.eight_bits import MAX_ABS_CONSTANT, clamped_in_bytes, fitted_to_8_bits
 from drsplat.scene.gaussians import SH_C0
 from drsplat.scene.similarity import sh_basis
 from scenes import random_gaussians
@@ -45,12 +45,6 @@ def test_a_byte_holds_colors_from_zero_to_one_and_what_rounding_makes_of_the_res
     one_channel = of_colors(0.5)
     one_channel.sh[0, 0, 2] = 2.5
     assert clamped_in_bytes(one_channel).tolist() == [True]
-
-
-def test_in_bytes_constants_are_steps_of_a_byte() -> None:
-    np.testing.assert_allclose(
-        constants(in_bytes(of_colors(-1, 0.5, 0.25, 7)))[:, 0], [0, 128 / 255, 64 / 255, 1], atol=1e-6
-    )
 
 
 def test_what_fits_stays_to_the_bit_and_the_rest_fits_then() -> None:

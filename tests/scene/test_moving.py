@@ -1,4 +1,4 @@
-"""Scenes that move: between their times, in the three formats, and against closed forms."""
+"""Scenes that move: between their times, in both formats, and against closed forms."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -8,12 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drsplat import Gaussians, read_gaussians, write_gaussians
+from drsplat import Gaussians, write_gaussians
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.formats.motion import MOTION, SCENE
 from drsplat.formats.moving_scenes import is_moving, read_moving, read_scene, write_moving
 from drsplat.scene.moving import Frames, Moving, between
-from moving_scenes import drifting, spacetime_columns, still, write_spacetime
+from moving_scenes import drifting, still
+from scene_files import ply_bytes, ply_columns
 from scenes import random_gaussians
 
 SHAPES = ("means", "quats", "scales", "opacities", "sh")
@@ -89,59 +90,23 @@ def test_times_have_to_increase(times: list[float]) -> None:
         Moving(random_gaussians(3), stamps, Frames(stamps, lambda _: random_gaussians(3)))
 
 
-def spacetime_by_hand(columns: dict[str, np.ndarray], time: float) -> tuple[np.ndarray, ...]:
-    """The published formulas in float64, row by row."""
-    wide = {name: column.astype(np.float64) for name, column in columns.items()}
-    means, quats, opacities = [], [], []
-    for row in range(len(wide["x"])):
-        c = {name: float(column[row]) for name, column in wide.items()}
-        dt = time - c["trbf_center"]
-        means.append(
-            [
-                c[axis] + c[f"motion_{k}"] * dt + c[f"motion_{k + 3}"] * dt**2 + c[f"motion_{k + 6}"] * dt**3
-                for k, axis in enumerate("xyz")
-            ]
-        )
-        q = np.array([c[f"rot_{k}"] + dt * c[f"omega_{k}"] for k in range(4)])
-        quats.append(q / np.linalg.norm(q))
-        opacities.append(np.exp(-((dt / np.exp(c["trbf_scale"])) ** 2)) / (1 + np.exp(-c["opacity"])))
-    return np.array(means), np.array(quats), np.array(opacities)
-
-
-@pytest.mark.parametrize("time", [0.0, 0.37, 1.0])
-def test_spacetime_gaussians_are_where_the_formulas_say(tmp_path: Path, time: float) -> None:
-    columns = spacetime_columns()
-    write_spacetime(str(tmp_path / "film.ply"), columns)
-    at = read_moving(tmp_path / "film.ply").at(time)
-    means, quats, opacities = spacetime_by_hand(columns, time)
-    assert np.abs(at.means - means).max() < 2e-6
-    assert np.abs(at.quats - quats).max() < 1e-6
-    assert np.abs(at.opacities - opacities).max() < 1e-6
-
-
-def test_the_canonical_rows_of_a_spacetime_ply_are_those_of_the_file(tmp_path: Path) -> None:
-    write_spacetime(str(tmp_path / "film.ply"), spacetime_columns())
-    moving = read_moving(tmp_path / "film.ply")
-    assert moving.canonical.fingerprint == read_gaussians(tmp_path / "film.ply").fingerprint
-    assert moving.span == (0, 1)
-    assert not moving.canonical.extra
-
-
-def test_the_three_formats_agree_on_one_scene(tmp_path: Path) -> None:
-    """Rows that come and go are kept by all three; values pass through logarithms in PLY files."""
-    write_spacetime(str(tmp_path / "film.ply"), spacetime_columns())
-    film = read_moving(tmp_path / "film.ply")
+def test_both_formats_agree_on_one_scene(tmp_path: Path) -> None:
+    """Values pass through logarithms in PLY files."""
+    film = drifting()
     write_moving(tmp_path / "film.motion", film)
     write_moving(tmp_path / "frames", film)
-    ours, frames = read_moving(tmp_path / "film.motion"), read_moving(tmp_path / "frames", times=(0.0, 1.0))
+    ours, frames = read_moving(tmp_path / "film.motion"), read_moving(tmp_path / "frames", film.span)
     assert np.allclose(ours.times, film.times)
-    assert np.allclose(frames.times, film.times)
-    for time in (0.0, 0.02, 0.5, 0.98, 1.0):
-        assert same(ours.at(film.nearest(time)), film.at(time), 1e-6)
+    for time in (*film.span, *np.linspace(*film.span, 7)[1:-1]):
+        assert same(ours.at(time), film.at(time), 2e-6)
         assert same(frames.at(time), film.at(time), 2e-6)
-    for time in (0.013, 0.777):  # between frames those go straight, the polynomial does not
-        assert np.abs(ours.at(time).means - film.at(time).means).max() < 2e-2
-        assert same(frames.at(time), ours.at(time), 2e-6)
+
+
+def test_spacetime_gaussians_are_not_taken_for_a_still_scene(tmp_path: Path) -> None:
+    columns = ply_columns(random_gaussians(3)) | {"trbf_center": np.zeros(3, np.float32)}
+    (tmp_path / "film.ply").write_bytes(ply_bytes(columns))
+    with pytest.raises(FormatError, match="numbered PLY files"):
+        read_scene(tmp_path / "film.ply")
 
 
 def test_our_motion_is_read_as_it_was_written(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Small scenes that move, for tests; and PLY files of SpacetimeGaussians, written by hand."""
+"""Small scenes that move, for tests."""
 
 import json
 from dataclasses import replace
@@ -12,7 +12,6 @@ from drsplat.field.objects.choosing import Tree
 from drsplat.field.objects.describing import describe
 from drsplat.formats.langsplat import write_features
 from drsplat.formats.moving_scenes import write_moving
-from drsplat.formats.ply import write_vertices
 from drsplat.kernels import render_channels, splat_arrays
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.moving import Frames, Moving
@@ -39,24 +38,6 @@ def drifting(count: int = 120, seed: int = 0, times: np.ndarray | None = None) -
         return replace(gaussians, means=means.astype(np.float32), quats=quats.astype(np.float32))
 
     return Moving(frame(0), stamps, Frames(stamps, frame))
-
-
-def spacetime_columns(count: int = 60, seed: int = 0) -> dict[str, np.ndarray]:
-    """The columns of the published format, before any activation; rotations are of no unit length."""
-    rng = np.random.default_rng(seed)
-    names = ["x", "y", "z", "trbf_center", "trbf_scale", "nx", "ny", "nz"]
-    names += [f"motion_{number}" for number in range(9)] + ["f_dc_0", "f_dc_1", "f_dc_2", "opacity"]
-    names += [f"scale_{number}" for number in range(3)] + [f"rot_{number}" for number in range(4)]
-    names += [f"omega_{number}" for number in range(4)]
-    columns = {name: rng.normal(0, 1, count).astype(np.float32) for name in names}
-    columns |= {name: np.zeros(count, np.float32) for name in ("nx", "ny", "nz")}
-    columns |= {f"scale_{number}": rng.normal(-3, 0.3, count).astype(np.float32) for number in range(3)}
-    columns["trbf_center"] = rng.uniform(0, 1, count).astype(np.float32)
-    return columns
-
-
-def write_spacetime(path: str, columns: dict[str, np.ndarray]) -> None:
-    write_vertices(path, columns)
 
 
 WORDS = ("red car", "white vase", "brown table")

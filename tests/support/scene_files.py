@@ -44,6 +44,12 @@ def ply_columns(g: Gaussians) -> dict[str, np.ndarray]:
     return columns
 
 
+def commented(content: bytes, *comments: str) -> bytes:
+    """A PLY with these comments in its header."""
+    lines = "".join(f"comment {comment}\n" for comment in comments).encode()
+    return content.replace(b"end_header\n", lines + b"end_header\n", 1)
+
+
 def ply_bytes(columns: dict[str, np.ndarray], order: str = "<", before: bytes = b"", before_header: str = "") -> bytes:
     """PLY, binary ("<", ">") or ASCII ("a"), of the element vertex, behind others if given."""
     n = len(next(iter(columns.values())))

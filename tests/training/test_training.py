@@ -81,7 +81,7 @@ def capture(scene, views, points, tmp_path_factory) -> Path:
 
 @pytest.mark.slow
 def test_a_known_scene_is_found_again_from_perturbed_points(views, points):
-    """benchmarks/check_refit.py goes on to 3,000 iterations and 33 dB; the start is at 17 dB."""
+    """docs/training.md goes on to 3,000 iterations and 33 dB; the start is at 17 dB."""
     settings = ds.TrainingSettings(iterations=400, sh_degree=1)
     start = ds.train(views, replace(settings, iterations=1), points=points, device="cpu")
     training = ds.train(views, settings, points=points, device="cpu")

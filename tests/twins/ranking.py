@@ -1,4 +1,4 @@
-"""The twin of `kernels.ranking`: every score of a row is sorted anew."""
+"""The twin of `kernels.scan.keep_best`: every score of a row is sorted anew."""
 
 import numpy as np
 

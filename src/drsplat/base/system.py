@@ -8,6 +8,7 @@ import os
 import sys
 import threading
 import time
+from pathlib import Path
 
 try:
     import fcntl
@@ -119,6 +120,11 @@ def _wait_for_windows_process(number: int) -> None:
     handle = kernel.OpenProcess(synchronize, False, number)
     if handle:
         kernel.WaitForSingleObject(ctypes.c_void_p(handle), for_ever)
+
+
+def folder_bytes(folder: Path) -> int:
+    """Return the size of all files in a folder and below it."""
+    return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
 
 
 def peak_memory_bytes() -> int:

@@ -8,7 +8,7 @@ import numpy as np
 from ..base.arrays import Bool, Float32, Integer
 from ..errors import InputError
 from ..kernels import SplatArrays, render_channels, sh_colors, splat_arrays
-from ..kernels.cuda.places import on_host
+from ..kernels.cuda.devices import on_host
 from ..scene.gaussians import Gaussians
 from ..scene.views import View
 

@@ -1,7 +1,7 @@
 """Labels of free Gaussians from labelled points, by a spatial index and never by all pairs.
 
 The protocols use `pseudo_labels`: the vote of `density_labels`, and for small Gaussians between the points
-the nearest one. `printed_labels` is Eq. 2 as the paper prints it.
+the nearest one.
 
 Source: Dr. Splat Sec. C, Eq. 1-2.
 """
@@ -102,7 +102,7 @@ def density_labels(
     sample of at least 2048 of them. The same to the bit for any number of threads.
 
     Raises: InputError: no points, labels below 0, numbers that are not finite.
-    Source: Dr. Splat Sec. C. The paper prints a sum of distances: see `printed_labels`.
+    Source: Dr. Splat Sec. C. Eq. 2 prints a sum of distances, which favours far and frequent labels.
     """
     _check(gaussians, points)
     points = points.relative_to(gaussians.origin)
@@ -117,33 +117,6 @@ def density_labels(
         left = _vote_round(left, sample, cut_off, winners, threads)
         shuffled = shuffled[: -(-len(shuffled) // SAMPLING_STEP)]
     return names[winners]
-
-
-def printed_labels(gaussians: Gaussians, points: LabelledPoints) -> Int32[np.ndarray, " n"]:
-    """Return the argmax over labels s of the *sum of squared Mahalanobis distances* to the points of s.
-
-    This is Eq. 2 as printed, which favours far and frequent labels; for comparison only. The sum
-    over points is trace(inv(cov) (scatter_s + m_s (mean_s - mu)(mean_s - mu)^T)): no pairs at all.
-
-    Raises: InputError: as `density_labels`.
-    Source: Dr. Splat Eq. 2.
-    """
-    _check(gaussians, points)
-    points = points.relative_to(gaussians.origin)
-    whiten = gaussians.whitening().astype(np.float32).astype(np.float64)
-    means = gaussians.means.astype(np.float64)
-    present = np.unique(points.labels)
-    best, labels = np.full(len(gaussians), -np.inf), np.full(len(gaussians), -1, np.int32)
-    for label in present.tolist():
-        members = points.positions[points.labels == label].astype(np.float64)
-        center = members.mean(0)
-        scatter = (members - center).T @ (members - center)
-        spread = np.einsum("nij,jk,nik->n", whiten, scatter, whiten)
-        away = ((whiten @ (center - means)[:, :, None]) ** 2).sum((1, 2))
-        total = spread + len(members) * away
-        labels[total > best] = label
-        np.maximum(best, total, out=best)
-    return labels
 
 
 def _check(gaussians: Gaussians, points: LabelledPoints) -> None:

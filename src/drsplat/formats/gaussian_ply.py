@@ -35,6 +35,7 @@ NORMALS = ("nx", "ny", "nz")
 DC = ("f_dc_0", "f_dc_1", "f_dc_2")
 SCALES = ("scale_0", "scale_1", "scale_2")
 THICKNESS_PROPERTY = SCALES[2]  # surfels lack it
+MOVES = "trbf_center"  # of SpacetimeGaussians
 RGB = ("red", "green", "blue")  # in place of DC, as `ns-export gaussian-splat --ply-color-mode rgb` writes
 QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
 ANTIALIASED, SURFELS = "SplatRenderMode: mip", "SplatRenderMode: 2dgs"  # as Brush writes it
@@ -87,6 +88,11 @@ def gaussian_rows(buffer: memoryview, header: Header) -> Records:
         raise FormatError(
             f"vertex has {', '.join(names[:12]) or 'nothing'}, and no {', '.join(missing)}: no 3DGS PLY, but points or "
             "a mesh. `drsplat train` makes Gaussians of their photos"
+        )
+    if MOVES in names:
+        raise FormatError(
+            f"vertex has {MOVES}: SpacetimeGaussians, which move by formulas that are not read: write the scene "
+            "as numbered PLY files (frame0000.ply), one for each time"
         )
     _refuse_linear_light(buffer, header)
     rows = read_elements(buffer, header, {"vertex"})["vertex"]

@@ -21,8 +21,6 @@ from .glb_layout import MAGIC as GLB_MAGIC
 from .glb_writing import write_glb
 from .ksplat import MAGIC as KSPLAT_MAGIC
 from .ksplat import parse_ksplat
-from .lcc2 import SUFFIX as LCC2
-from .lcc2 import read_lcc2
 from .ply import MARK, read_header
 from .replacing import replacing
 from .rerun_writing import write_rrd
@@ -186,14 +184,6 @@ FORMATS = (
         "moved: one file each |",
     ),
     SceneFormat(
-        "LCC2", suffixes=(LCC2,), read=read_lcc2,
-        row="| LCC2 `.lcc2` (XGRIDS; data organisation format originated from XGRIDS) | yes | no | chunks of SOG or "
-        "SPZ, the leaves of the tree and then the environment, in the order of the chunks; older names; z up is "
-        "turned to y down. From PlayCanvas's description and what splat-transform reads, with which it agrees "
-        "(`tests/formats/test_lcc2.py`); no file of XGRIDS' own was at hand | chunks that are missing or of "
-        "another length, or outside of the folder; archives: unpack them |",
-    ),
-    SceneFormat(
         "trained model",
         row="| folder of a trained model | yes | no | the highest `point_cloud/iteration_*/point_cloud.ply` | a "
         "folder without one: name the file |",
@@ -217,7 +207,7 @@ FORMATS = (
     ),
     SceneFormat(
         "LCC",
-        row="| LCC and others | no | no | | convert first: `splat-transform scene.lcc scene.ply` |",
+        row="| LCC, LCC2 and others | no | no | | convert first: `splat-transform scene.lcc scene.ply` |",
     ),
     SceneFormat(
         "checkpoints",

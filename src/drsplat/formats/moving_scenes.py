@@ -16,10 +16,9 @@ from ..scene.moving import Frames, Moving, counted_from
 from .field_folder import replacing_folder
 from .gaussian_ply import write_gaussians
 from .motion import read_motion, write_motion
-from .ply import MAX_HEADER_BYTES, read_header
+from .ply import read_header
 from .recognising import MOTION
 from .scenes import read_gaussians, scene_file
-from .spacetime_ply import is_spacetime, read_spacetime
 
 NUMBERED = re.compile(r"(.*?)(\d{1,12})\.ply", re.IGNORECASE)
 MAX_FRAME_HEADER_BYTES = 1 << 16
@@ -29,8 +28,6 @@ ROWS = (
     "| moving: numbered PLY files in a folder (`time_00000.ply` of 4DGaussians, `frame0001.ply` of SuperSplat) | "
     "yes | yes | the same rows in each; a frame's time is its number, or evenly between two given times "
     "([motion](#motion)) | frames of different counts, two sequences in a folder |",
-    "| moving: SpacetimeGaussians PLY | yes | no | `trbf_center`, `trbf_scale`, `motion_0..8`, `omega_0..3`; "
-    "times 0 to 1; not `f_t_*`, which feed a decoder of colours | columns that are missing or not finite |",
     "| moving: ours, a folder NAME.motion | 1 | yes | [layout](#motion) | motion of other Gaussians, times that "
     "do not increase, frames that are no Gaussians |",
 )  # fmt: skip
@@ -40,8 +37,7 @@ ROWS = (
 def read_scene(path: str | Path, times: tuple[float, float] | None = None) -> Gaussians | Moving:
     """Read a scene: a moving one as `Moving`, a still one as `read_gaussians` does.
 
-    These move: a folder with motion.safetensors, or that file; a folder of two or more numbered PLY files; a PLY of
-    SpacetimeGaussians.
+    These move: a folder with motion.safetensors, or that file; a folder of two or more numbered PLY files.
 
     Args:
         path: the file or folder.
@@ -56,8 +52,6 @@ def read_scene(path: str | Path, times: tuple[float, float] | None = None) -> Ga
         raise InputError(f"{path}: times are given to numbered PLY files only, this scene has its own or stands still")
     if path.name == MOTION or (path / MOTION).is_file():
         return read_motion(path.parent if path.name == MOTION else path)
-    if _is_spacetime(path):
-        return read_spacetime(path)
     return read_gaussians(path)
 
 
@@ -66,16 +60,15 @@ def read_moving(path: str | Path, times: tuple[float, float] | None = None) -> M
     scene = read_scene(path, times)
     if not isinstance(scene, Moving):
         raise InputError(
-            f"{path}: this scene stands still; moving are a folder of numbered PLY files, a folder with {MOTION} and "
-            "PLY files of SpacetimeGaussians"
+            f"{path}: this scene stands still; moving are a folder of numbered PLY files and a folder with {MOTION}"
         )
     return scene
 
 
 def is_moving(path: str | Path) -> bool:
-    """Return whether `read_scene` would return a moving scene, judging by file names and a PLY's header."""
+    """Return whether `read_scene` would return a moving scene, judging by file names."""
     path = Path(path)
-    return path.name == MOTION or (path / MOTION).is_file() or is_sequence(path) or _is_spacetime(path)
+    return path.name == MOTION or (path / MOTION).is_file() or is_sequence(path)
 
 
 def is_sequence(path: Path) -> bool:
@@ -96,17 +89,6 @@ def write_moving(path: str | Path, moving: Moving, overwrite: bool = False) -> N
     """
     path = Path(path)
     (write_motion if path.suffix == SUFFIX else write_ply_sequence)(path, moving, overwrite)
-
-
-def _is_spacetime(path: Path) -> bool:
-    if path.suffix.lower() != ".ply" or not path.is_file():
-        return False
-    with open_file(path) as file:
-        head = file.read(MAX_HEADER_BYTES)
-    try:
-        return is_spacetime(read_header(memoryview(head)))
-    except FormatError:
-        return False  # reading it reports what is wrong
 
 
 def frames_of(folder: Path) -> dict[int, Path]:

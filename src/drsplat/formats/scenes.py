@@ -17,9 +17,9 @@ from .tiles import TILES
 
 
 def read_gaussians(path: str | PathLike[str]) -> Gaussians:
-    """Read a scene: PLY of 3DGS, compressed PLY, SPZ 2-4, SOG, KSPLAT, `.splat`, GLB, USD, LCC2, tiles, or a model.
+    """Read a scene: PLY of 3DGS, compressed PLY, SPZ 2-4, SOG, KSPLAT, `.splat`, GLB, USD, tiles, or a model.
 
-    The format is told by the file's first bytes; `.splat`, `.gltf` and `.lcc2`, which have no mark, by their suffix.
+    The format is told by the file's first bytes; `.splat` and `.gltf`, which have no mark, by their suffix.
     In a folder, its tiles, its SOG (meta.json; lod-meta.json of a streamed one, the finest level; they may be named
     themselves) or the PLY of the highest `point_cloud/iteration_*` is read. Row order is the file's.
     The result is in the axes of the trained scene (RDF for SPZ, see formats.spz) and owns its

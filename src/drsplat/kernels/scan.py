@@ -1,4 +1,4 @@
-"""Search in product-quantised codes (native): every score, those above a threshold, the best.
+"""Search in product-quantised codes (native): every score, those above a threshold, the best, also of many rounds.
 
 Codes lie in groups of 256 rows, sub-vector by sub-vector, so that a scan is one stream through memory. What
 is looked up in them are tables, one per query: a score is (sum of look-ups + coarse term) / norm. Tables
@@ -218,3 +218,25 @@ def refuse_several_queries(tables: QueryTables) -> None:
     """Refuse the tables of more than one query. Raises: InputError."""
     if len(tables.luts) != 1:
         raise InputError(f"expected the tables of one query, got {len(tables.luts)}")
+
+
+def keep_best(
+    scores: Float32[np.ndarray, "t r"],
+    names: UInt16[np.ndarray, "t r"],
+    more: Float32[np.ndarray, "c r"],
+    first: int,
+    *,
+    threads: int = 0,
+    isa: str = "",
+) -> None:
+    """Let higher scores take the place of lower ones, in place; of equal ones the earlier stays in front.
+
+    scores: of each row the best, highest first, and their `names`. more: further scores, named first, first + 1, ...
+
+    Raises: InputError: more than 256 scores a row, names above 65,535, arrays that are read-only or do not fit.
+    Twin: tests/twins/ranking.py::keep_best.
+    """
+    try:
+        _native.keep_best(scores, names, np.ascontiguousarray(more), first, threads, checked_isa(isa))
+    except (TypeError, ValueError) as error:
+        raise InputError(f"scores {scores.shape}, names {names.shape}, found {more.shape}: {error}") from None

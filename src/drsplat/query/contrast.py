@@ -16,7 +16,7 @@ from ..base.arrays import Bool, Float, Float32, Float64, Integer, UInt16
 from ..base.contents import release, scratch
 from ..field import LanguageField
 from ..kernels.algebra import dense_rows, row_products
-from ..kernels.ranking import keep_best
+from ..kernels.scan import keep_best
 from .defaults import MAYBE, NOTHING, SURE
 from .thresholds import PEAK_ROWS, clear_threshold, peak_score
 

@@ -22,14 +22,6 @@ def clamped_in_bytes(gaussians: Gaussians) -> Bool[np.ndarray, " n"]:
     return np.asarray((np.abs(SH_C0 * gaussians.sh[:, 0]) > 0.5 + BYTE_ROUNDING).any(axis=1))
 
 
-def in_bytes(gaussians: Gaussians) -> Gaussians:
-    """Return the scene with constant colours as such a viewer holds them: from 0 to 1, in steps of 1/255."""
-    steps = np.rint(np.clip(0.5 + SH_C0 * gaussians.sh[:, 0], 0, 1) * 255)
-    sh = gaussians.sh.copy()
-    sh[:, 0] = (steps / 255 - 0.5) / SH_C0
-    return replace(gaussians, sh=sh)
-
-
 def fitted_to_8_bits(gaussians: Gaussians) -> Gaussians:
     """Return the scene with constant colours from 0 to 1, and harmonics that change least what is seen of it.
 

@@ -59,6 +59,18 @@ class View:
         place = ", ".join(f"{x:.4g}" for x in self.center)
         return f"View('{self.name}', {self.width}x{self.height} at ({place}))"
 
+    @classmethod
+    def standing(
+        cls, name: str, eye: Float64[np.ndarray, " 3"], axes: Float64[np.ndarray, "3 3"], focal: float,
+        size: tuple[int, int],
+    ) -> "View":  # fmt: skip
+        """Return a camera at a place. axes: right, down and ahead. focal, size (across and down): pixels."""
+        pose = np.eye(4)
+        pose[:3, :3] = axes
+        pose[:3, 3] = -axes @ eye
+        width, height = size
+        return cls(name, np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]]), pose, width, height)
+
     @property
     def center(self) -> Float64[np.ndarray, " 3"]:
         """Camera centre in world coordinates."""

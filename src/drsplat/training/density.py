@@ -11,7 +11,7 @@ import numpy as np
 
 from ..base.arrays import Anywhere, Bool, Float32, Integer
 from ..formats.activation import sigmoid
-from ..kernels.cuda.places import on_host, placed
+from ..kernels.cuda.devices import on_host, placed
 from ..kernels.training import SceneParameters
 from ..scene.gaussians import rotation_rows
 from .optimizer import Optimizer, Slopes

@@ -10,8 +10,8 @@ from typing import Any, cast
 import numpy as np
 
 from ..base.arrays import Anywhere
+from ..kernels.cuda.devices import on_host
 from ..kernels.cuda.engine import Engine, cuda_engine, memory_explained
-from ..kernels.cuda.places import on_host
 from ..kernels.cuda.training import (
     DeviceGradients,
     DevicePhoto,

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..base.arrays import Anywhere, Float32, Float64, Integer
 from ..formats.activation import sigmoid
-from ..kernels.cuda.places import placed
+from ..kernels.cuda.devices import placed
 from .density import add_opacity_penalty, spread
 from .optimizer import Optimizer, Slopes
 from .schedules import refines

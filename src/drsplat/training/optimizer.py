@@ -7,7 +7,7 @@ import numpy as np
 from ..base.arrays import Anywhere, Bool, Float32, Integer
 from ..errors import FormatError
 from ..formats.activation import checked, sigmoid
-from ..kernels.cuda.places import contiguous, on_host
+from ..kernels.cuda.devices import contiguous, on_host
 from ..kernels.cuda.training import DeviceGradients
 from ..kernels.training import Gradients, Rates, SceneParameters, adam_step
 from ..scene.eight_bits import MAX_ABS_CONSTANT

@@ -15,7 +15,7 @@ from .settings import TrainingSettings
 from .start import NEIGHBOURS, scene_extent
 from .triangulation import Triangulation, triangulate
 
-ENOUGH_POINTS = 300  # triangulated; with so many, random ones between them cost PSNR (bench_starts.py)
+ENOUGH_POINTS = 300  # triangulated; with so many, random ones between them cost PSNR (docs/training.md)
 DEFAULT_GREY = 128
 MIN_AGREEING_SHARE = 0.15  # with right poses 0.4 and more agree, with wrong ones a few hundredths
 MIN_ALIKE_MATCHES = 50  # for a verdict on the poses

@@ -11,10 +11,9 @@ from ...errors import DrSplatWarning, InputError
 from ...formats.runs import spans_of
 from ...scene.boxes import HAZE_OPACITY
 from .draft import Draft
-from .earlier_fills import EarlierGround, closed_as_earlier
-from .fill_record import FIRST_RECORDED_VERSION, Clones, FillRecord
+from .fill_record import Clones, FillRecord
 from .ground import Ground, best_shift
-from .planes import planes_around, surfaces_around
+from .planes import surfaces_around
 
 SEARCH_MARGIN_SHARE = 0.8  # of the object's size: how far around it planes are fitted and clones are taken
 MAX_SHIFTS = 16  # that clones are taken by
@@ -27,8 +26,8 @@ Ids = Int64[np.ndarray, " m"]
 Cells = Bool[np.ndarray, "h w"]
 
 
-def closing(draft: Draft, ids: Ids, version: int) -> FillRecord:
-    """Return what a fill of a version does where some rows stood at first.
+def closing(draft: Draft, ids: Ids) -> FillRecord:
+    """Return what a fill does where some rows stood at first.
 
     Raises: InputError: too few rows to leave a hole, or no plane was found. Warns: DrSplatWarning: a hole that could be
     closed in part only.
@@ -42,8 +41,7 @@ def closing(draft: Draft, ids: Ids, version: int) -> FillRecord:
     near = _near(draft, ids, thing)
     scene = draft.part(near)
     around = scene.means[scene.opacities >= HAZE_OPACITY].astype(np.float64)
-    early = version < FIRST_RECORDED_VERSION
-    planes = (planes_around if early else surfaces_around)(thing, around)
+    planes = surfaces_around(thing, around)
     if not planes:
         raise InputError(
             "fill: no ground and no wall was found beside what was there: it stands free, or nothing flat of "
@@ -51,10 +49,8 @@ def closing(draft: Draft, ids: Ids, version: int) -> FillRecord:
         )
     removed, clones = np.zeros(len(near), bool), list[Clones]()
     for plane in planes:
-        sight = scene, plane, [other for other in planes if other is not plane], thing
-        goes, more, open_share = (
-            closed_as_earlier(near, EarlierGround(*sight), version) if early else _closed(near, Ground(*sight))
-        )
+        behind = [other for other in planes if other is not plane]
+        goes, more, open_share = _closed(near, Ground(scene, plane, behind, thing))
         _warn_if_open(open_share)
         removed[goes] = True
         clones += more
@@ -79,13 +75,12 @@ def _closed(near: Int64[np.ndarray, " k"], ground: Ground) -> tuple[Ids, list[Cl
     open_share = missing.sum() / max(1, ground.hole.sum())
     if open_share > 1 - MIN_CLOSED_SHARE:
         return ground.standing, [], 1.0
-    return np.union1d(ground.standing, ground.guessed(ground.hole)), clones, float(open_share)
+    return np.union1d(ground.standing, ground.guessed), clones, float(open_share)
 
 
 def _clones(near: Int64[np.ndarray, " k"], ground: Ground) -> tuple[list[Clones], Cells]:
     """Return what is cloned, and the cells of the hole that this leaves open."""
-    hole, scene, grid = ground.hole, ground.scene, ground.grid
-    surface = ground.surface(hole)
+    hole, scene, grid, surface = ground.hole, ground.scene, ground.grid, ground.surface
     good, missing, seen_through = ground.cloneable(surface.known), hole, np.ones(grid.shape)
     clones = []
     for _ in range(MAX_SHIFTS):

@@ -107,14 +107,14 @@ def recorded(
 ) -> EditList:  # fmt: skip
     """Return a list whose new fills have their records, so that it makes the same scene whatever is at hand later.
 
-    Edits that were undone, and fills of earlier versions, stay as they are. gaussians, read: as of `edited`, with the
+    Edits that were undone stay as they are. gaussians, read: as of `edited`, with the
     column `object_id` where objects are known.
 
     Raises: as `edited`. Warns: as `Fill.recorded`.
     """
     edits = list(listed.edits)
     for place, edit in enumerate(listed.active):
-        if isinstance(edit.change, Fill) and edit.change.lacks_record:
+        if isinstance(edit.change, Fill) and edit.change.record is None:
             draft = drafted(gaussians, edits[:place], read)
             with _numbered(place + 1):
                 edits[place] = Edit(edit.target, edit.change.recorded(draft, edit.target.ids(draft)))

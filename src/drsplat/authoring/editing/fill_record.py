@@ -9,7 +9,6 @@ from ...errors import InputError
 from ...formats.runs import are_rows, ids_of
 from .draft import Draft
 
-FIRST_RECORDED_VERSION = 4  # edits from this version on are stored with their result
 Spans = Int64[np.ndarray, "s 2"]
 
 

@@ -151,13 +151,9 @@ class PlaneGrid:
             VIEW_DISTANCE_SIZES * self.step * max(self.shape),
         )
         eye = middle @ self.plane.axes + self.plane.offset * self.plane.normal - distance * ahead
-        pose, focal = np.eye(4), distance / self.step
-        pose[:3, :3] = np.stack([right, down, ahead])
-        pose[:3, 3] = -pose[:3, :3] @ eye
-        rows, columns = self.shape
-        K = np.array([[focal, 0, columns / 2], [0, focal, rows / 2], [0, 0, 1.0]])
+        axes, size = np.stack([right, down, ahead]), self.shape[::-1]
         here = replace(gaussians, origin=np.zeros(3))
-        return render(here, View("plane", K, pose, columns, rows), threads=1)
+        return render(here, View.standing("plane", eye, axes, distance / self.step, size), threads=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,10 +222,7 @@ class Ground:
         some, owners = self.rows, self.owners
         if owners is not None and np.mean(owners[some] < 0) < MIN_OWNER_SHARE:
             some = some[owners[some] >= 0]
-        return self.hole_in(self.grid.coverage(self.scene.subset(some)))
-
-    def hole_in(self, coverage: Float64[np.ndarray, "h w"]) -> Cells:
-        """Return the cells below the thing that are not covered, and those below its foot."""
+        coverage = self.grid.coverage(self.scene.subset(some))
         return np.asarray((self.shadow & (coverage < COVERED_OPACITY) | self.foot) & self.in_front)
 
     @cached_property
@@ -237,14 +230,11 @@ class Ground:
         """Objects, -1 for none, that have much of the plane, or of what of it is around the hole."""
         around = ndimage.binary_dilation(self.hole, iterations=RING_CELLS) & ~self.hole
         beside = self.rows[self.grid.among(around, self.places[self.rows])]
-        return np.union1d(self.owners_of(self.rows), self.owners_of(beside))
-
-    def owners_of(self, rows: Ids) -> Integer[np.ndarray, " o"]:
-        """Return the objects, -1 for none, that have much of some rows."""
-        if self.owners is None:
-            return np.zeros(0, np.int64)
-        owners, counts = np.unique(self.owners[rows], return_counts=True)
-        return np.asarray(owners[counts >= MIN_OWNER_SHARE * len(rows)])
+        found = [np.zeros(0, np.int64)]
+        for rows in (self.rows, beside) if self.owners is not None else ():
+            owners, counts = np.unique(self.owners[rows], return_counts=True)
+            found.append(owners[counts >= MIN_OWNER_SHARE * len(rows)])
+        return np.unique(np.concatenate(found))
 
     @cached_property
     def own(self) -> Ids:
@@ -260,9 +250,11 @@ class Ground:
     def own_coverage(self) -> Float64[np.ndarray, "h w"]:
         return self.grid.coverage(self.scene.subset(self.own))
 
-    def surface(self, hole: Cells) -> Surface:
-        """Return the plane's own colours, known outside of a hole."""
-        return Surface(self.grid.colors(self.scene.subset(self.own)), (self.own_coverage >= COVERED_OPACITY) & ~hole)
+    @property
+    def surface(self) -> Surface:
+        """The plane's own colours, known outside of the hole."""
+        known = (self.own_coverage >= COVERED_OPACITY) & ~self.hole
+        return Surface(self.grid.colors(self.scene.subset(self.own)), known)
 
     def cloneable(self, known: Cells) -> Cells:
         """Return known cells that nothing stands on or beside."""
@@ -279,10 +271,11 @@ class Ground:
         within = (np.einsum("ci,si->cs", cells, sides[:, :2]) + sides[:, 2] <= 0).all(axis=1)
         return bool(len(cells) and within.mean() >= MIN_SURROUNDED_SHARE)
 
-    def guessed(self, hole: Cells) -> Ids:
-        """Return the Gaussians about the plane, in a hole of it, that training guessed there unseen."""
+    @property
+    def guessed(self) -> Ids:
+        """Gaussians about the plane, in the hole of it, that training guessed there unseen."""
         low = np.flatnonzero(np.abs(self.heights) <= MIN_STANDING_TOLERANCES * self.plane.tolerance)
-        goes = self.grid.among(hole, self.places[low])
+        goes = self.grid.among(self.hole, self.places[low])
         if self.owners is not None:
             goes &= _is_of_surface(self.owners[low], goes)
         return np.asarray(low[goes])
@@ -342,21 +335,20 @@ def _limit(off: Float64[np.ndarray, " n"]) -> float:
     return max(MIN_OUTLIER_DIFFERENCE, OUTLIER_MEDIANS * float(np.median(off)))
 
 
-def best_shift(missing: Cells, good: Cells, surface: Surface | None) -> tuple[tuple[int, int], Cells]:
+def best_shift(missing: Cells, good: Cells, surface: Surface) -> tuple[tuple[int, int], Cells]:
     """Return by how many cells a good one is away from most of what is missing, and the cells that this closes.
 
-    Of shifts that close nearly as much, the one with the best seam; without a surface the nearest of equals.
+    Of shifts that close nearly as much, the one with the best seam.
     """
     counts = np.round(fftconvolve(good.astype(float), missing[::-1, ::-1].astype(float))).astype(int)
     rows, columns = (np.arange(length) - (side - 1) for length, side in zip(counts.shape, missing.shape, strict=True))
     lengths = np.hypot(rows[:, None], columns[None])
     order = np.lexsort((lengths.ravel(), -counts.ravel()))
-    if surface is not None:
-        nearly = order[: np.count_nonzero(counts >= max(1.0, MIN_CLOSED_OF_BEST_SHARE * counts.max()))]
-        order = nearly[:: -(-len(nearly) // MAX_SEAM_SHIFTS)] if len(nearly) else order[:1]  # closes nothing
+    nearly = order[: np.count_nonzero(counts >= max(1.0, MIN_CLOSED_OF_BEST_SHARE * counts.max()))]
+    order = nearly[:: -(-len(nearly) // MAX_SEAM_SHIFTS)] if len(nearly) else order[:1]  # closes nothing
     down, across = np.unravel_index(order, counts.shape)
     shifts = np.stack([rows[down], columns[across]], axis=1)
-    best = 0 if surface is None else int(np.argmin([surface.seam(missing, shift) for shift in shifts]))
+    best = int(np.argmin([surface.seam(missing, shift) for shift in shifts]))
     at, there = _within(np.argwhere(missing), shifts[best], missing.shape)
     closed = np.zeros_like(missing)
     closed[at[:, 0], at[:, 1]] = good[there[:, 0], there[:, 1]]

@@ -134,9 +134,7 @@ def _edit(entry: object, where: str) -> Edit:
     if not isinstance(kind, str) or kind not in _CHANGES:
         raise FormatError(f"{where}: do: expected one of {', '.join(_CHANGES)}; got {excerpt(kind)}")
     made, readers = _CHANGES[kind]
-    values = _DEFAULTS_OF_EARLIER_LISTS.get(kind, {}) | {
-        name: value for name, value in entry.items() if name not in ("of", "do")
-    }
+    values = {name: value for name, value in entry.items() if name not in ("of", "do")}
     _only(values, readers, where)
     missing = [one.name for one in fields(made) if one.default is MISSING and one.name not in values]
     if missing:
@@ -144,7 +142,7 @@ def _edit(entry: object, where: str) -> Edit:
     try:
         read = {name: readers[name](value, f"{where}: {name}") for name, value in values.items()}
         change = made(**read)
-        if isinstance(change, Fill) and change.lacks_record:
+        if isinstance(change, Fill) and change.record is None:
             raise FormatError(f"{where}: record is missing: expected what this fill removes and clones")
         return Edit(_target(entry.get("of"), where), change)
     except InputError as error:
@@ -265,9 +263,6 @@ _CHANGES: dict[str, tuple[type[Change], dict[str, Read]]] = {
     "replace": (Replace, {"scene": _text, "fingerprint": _text, "matrix": _square(4), "spans": spans_of_runs}),
     "fill": (Fill, {"version": as_count, "record": _record}),
 }
-_DEFAULTS_OF_EARLIER_LISTS: dict[str, dict[str, object]] = {
-    "fill": {"version": 1}
-}  # of attributes that such lists leave out
 NAMES = {made: name for name, (made, _) in _CHANGES.items()}
 
 
@@ -277,8 +272,8 @@ def _change_json(change: Change) -> dict[str, object]:
     if isinstance(change, Replace) and change.spans is not None:
         values["spans"] = runs_of(change.spans)
     if isinstance(change, Fill):
-        if change.lacks_record:
+        if change.record is None:
             raise InputError("fill: its record is missing: store the list with EditFile.change, which makes it")
-        values["record"] = None if change.record is None else _record_json(change.record)
+        values["record"] = _record_json(change.record)
     plain = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in values.items()}
     return {"do": name} | {key: value for key, value in plain.items() if value is not None}

@@ -5,6 +5,7 @@ from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
 
+from ...base.system import folder_bytes
 from ...errors import InputError
 from ...formats.georeference import Georeference
 from ...formats.known import TILES3D, format_of, lacks, write_scene
@@ -124,5 +125,4 @@ def described(path: Path, scene: LabelledScene, kind: str) -> Exported:
 
 def _size(path: Path) -> int:
     path = path.parent if path.name == LOD_META else path
-    files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
-    return sum(file.stat().st_size for file in files)
+    return folder_bytes(path) if path.is_dir() else path.stat().st_size

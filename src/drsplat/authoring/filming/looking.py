@@ -51,13 +51,8 @@ def looking_at(
     if np.linalg.norm(right) < 1e-6:  # straight up or down: any right will do
         right = np.cross(ahead, np.roll(up, 1) + 1e-3)
     right = right / np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = np.stack([right, np.cross(ahead, right), ahead])
-    pose[:3, 3] = -pose[:3, :3] @ eye
-    width, height = size
-    focal = height / (2 * np.tan(np.radians(fov_degrees) / 2))
-    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
-    return View("camera", K, pose, width, height)
+    focal = size[1] / (2 * np.tan(np.radians(fov_degrees) / 2))
+    return View.standing("camera", eye, np.stack([right, np.cross(ahead, right), ahead]), focal, size)
 
 
 def before(match: Match, gaussians: Gaussians, views: Sequence[View], up: Vector) -> Vector:

@@ -55,13 +55,8 @@ class KeyFrame:
 
     def view(self, size: tuple[int, int], name: str = "camera") -> View:
         """Return the view of this key frame. size: pixels across and down."""
-        width, height = size
-        focal = height / (2 * np.tan(np.radians(self.fov_degrees) / 2))
-        pose = np.eye(4)
-        pose[:3, :3] = self.rotation
-        pose[:3, 3] = -self.rotation @ self.eye
-        K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]])
-        return View(name, K, pose, width, height)
+        focal = size[1] / (2 * np.tan(np.radians(self.fov_degrees) / 2))
+        return View.standing(name, self.eye, self.rotation, focal, size)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ def agreed(sure: Float32[np.ndarray, " o"], num_views: Integer[np.ndarray, " o"]
         sure: how well single masks fit each object, from 0 to 1, as of `Objects`.
         num_views: photos that see it.
 
-    Source: chosen and measured by benchmarks/study_list.py.
+    Source: chosen and measured by study_list.py, whose numbers are in docs/measured/objects.md.
     """
     return np.asarray(agreement(sure, num_views) >= MIN_AGREEMENT)
 

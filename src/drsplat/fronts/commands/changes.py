@@ -41,7 +41,7 @@ def field_and_scene(given: FieldToChange) -> tuple[Path, Gaussians | Moving]:
 
 def answer_of(change: Change, path: Path) -> Facts:
     """Return what has changed, and the new totals."""
-    from ...base.system import peak_memory_bytes
+    from ...base.system import folder_bytes, peak_memory_bytes
     from ...field.labels import LabelFile, matched
 
     field = change.field
@@ -66,7 +66,7 @@ def answer_of(change: Change, path: Path) -> Facts:
         "labels_of_none": [label.name for label in orphans],
         "seconds": sum(change.seconds.values()),
         "stage_seconds": dict(change.seconds),
-        "field_bytes": sum(file.stat().st_size for file in path.rglob("*") if file.is_file()),
+        "field_bytes": folder_bytes(path),
         "peak_memory_bytes": peak_memory_bytes(),
     }
 

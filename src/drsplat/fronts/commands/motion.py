@@ -8,18 +8,17 @@ from .options import Verb, new_output, overwrite
 
 EXAMPLES = """\
   drsplat motion gaussian_pertimestamp --times 0 1 --output film.motion
-  drsplat motion spacetime.ply --output film.motion
   drsplat motion film.motion --output frames
 
-SCENE may be a folder of numbered PLY files with the same rows, a PLY file of SpacetimeGaussians, or NAME.motion. An
-OUT that ends in .motion is written as such; any other becomes a folder of frame0000.ply and so on, one per time."""
+SCENE may be a folder of numbered PLY files with the same rows, or NAME.motion. An OUT that ends in .motion is written
+as such; any other becomes a folder of frame0000.ply and so on, one per time."""
 
 
 @declaration
 class Options(Verb):
     """Options of this verb."""
 
-    scene: str = argument("folder of numbered PLY files, PLY of SpacetimeGaussians, or NAME.motion")
+    scene: str = argument("folder of numbered PLY files, or NAME.motion")
     times: list[float] | None = option(
         "times of the first and last numbered PLY file, the others evenly spaced (default: their numbers)",
         ("FIRST", "LAST"), finite, nargs=2,

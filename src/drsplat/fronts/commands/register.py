@@ -108,7 +108,7 @@ class Options(Verb):
 
     scene: str = argument(
         "Gaussians: .ply, .spz, .sog, .splat, .ksplat, a trained model's folder, tiles of a huge scene, or a moving "
-        "scene: a folder of numbered PLY files, NAME.motion, a PLY of SpacetimeGaussians"
+        "scene: a folder of numbered PLY files or NAME.motion"
     )
     capture: str = capture()
     features: str = features()
@@ -159,7 +159,7 @@ def interrupted(options: Options) -> str:
 def _registered(options: Options, output: Path) -> Facts:
     from ... import load_field
     from ...base.progress import Stopwatch
-    from ...base.system import peak_memory_bytes
+    from ...base.system import folder_bytes, peak_memory_bytes
     from ...field.building import AtOnce
     from ...field.evidence.aggregation import aggregator
     from ...photos.embedding.growing import with_words
@@ -197,7 +197,7 @@ def _registered(options: Options, output: Path) -> Facts:
         "topk": registration.sampling.topk if registration.sampling else None,
         "seconds": sum(watch.seconds.values()),
         "stage_seconds": watch.seconds,
-        "field_bytes": sum(file.stat().st_size for file in output.rglob("*") if file.is_file()),
+        "field_bytes": folder_bytes(output),
         "peak_memory_bytes": peak_memory_bytes(),
     }
 

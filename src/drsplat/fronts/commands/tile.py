@@ -35,7 +35,7 @@ class Options(Verb):
 
 def run(options: Options) -> Facts:
     from ...base.progress import Stopwatch
-    from ...base.system import peak_memory_bytes
+    from ...base.system import folder_bytes, peak_memory_bytes
     from ...field.tiles.cutting import TILE_ROWS, cut
     from ...formats.sources import blocks_of
 
@@ -51,7 +51,7 @@ def run(options: Options) -> Facts:
         "sources": list(tiles.sources),
         "origin": tiles.origin.tolist(),
         "near": tiles.near,
-        "bytes": sum(file.stat().st_size for file in output.iterdir()),
+        "bytes": folder_bytes(output),
         "seconds": sum(watch.seconds.values()),
         "peak_memory_bytes": peak_memory_bytes(),
     }

@@ -1,9 +1,10 @@
 """The HTTP service: every route is one public call in a process of the workbench."""
 
 import socket
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Coroutine, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
+from json import JSONDecodeError
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -11,12 +12,14 @@ from fastapi import FastAPI, Query, Request, Response
 from fastapi import Path as InPath
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import HTMLResponse
+from fastapi.routing import APIRoute
 from pydantic import BaseModel
 from starlette.exceptions import HTTPException
 from starlette.middleware.cors import CORSMiddleware
 
 from ... import __version__
 from ...errors import DrSplatError, InputError
+from ...formats.json_files import parsed
 from . import models
 from .access import is_own_page
 from .adding import Adding
@@ -31,9 +34,34 @@ from .models import Health, Located, ObjectList, Problem, SceneDetails, SceneLis
 from .replies import BUG, GLB, JPEG, NO_JSON, PLY, PNG, Reply, faults_of, is_json, problem, refusal
 from .requests import Export, Locate, Picture, Segment, Select, WhatIs, When
 from .scene_folder import SceneFolder, Sources, without_paths
-from .strict import StrictRoute
 from .workbench import Job, Workbench
 from .worker import Workplace
+
+
+class StrictRequest(Request):
+    """Request whose JSON is refused where a reader would have to guess."""
+
+    async def json(self) -> Any:
+        """Return the document of the body. Raises: JSONDecodeError: it is no JSON. HTTPException: as `parsed` says."""
+        try:
+            return parsed(await self.body())
+        except JSONDecodeError:  # FastAPI says where
+            raise
+        except (ValueError, RecursionError) as error:
+            raise HTTPException(422, f"body: {error}; expected JSON in UTF-8 that gives each name once") from None
+
+
+class StrictRoute(APIRoute):
+    """Route whose requests are strict."""
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        handler = super().get_route_handler()
+
+        async def handled(request: Request) -> Response:
+            return await handler(StrictRequest(request.scope, request.receive))
+
+        return handled
+
 
 DESCRIPTION = """\
 Scenes that answer words. Positions are world coordinates in scene units. Whatever cannot be answered gets

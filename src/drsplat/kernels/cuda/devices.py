@@ -1,9 +1,12 @@
-"""The device that scenes are drawn, registered and trained on: chosen here, and nowhere else."""
+"""The device that scenes are drawn, registered and trained on, chosen here and nowhere else; arrays on it or here."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Literal
+from typing import Any, Literal
 
+import numpy as np
+
+from ...base.arrays import Anywhere
 from ...errors import InputError, MissingExtraError
 from .engine import Engine, cuda_engine, unavailable
 
@@ -11,6 +14,22 @@ DEVICES = ("auto", "cpu", "cuda")
 Device = Literal["cpu", "cuda"]
 
 _in_use: list[Device] = ["cpu"]
+
+
+def on_host(array: Any) -> np.ndarray:
+    """Return an array as NumPy's, copied from the device where it is there."""
+    copied: np.ndarray = array.get() if hasattr(array, "get") else array
+    return copied
+
+
+def placed(array: np.ndarray, like: Anywhere) -> Anywhere:
+    """Return an array where another one is."""
+    return np.asarray(array, like=like)
+
+
+def contiguous(array: Anywhere) -> Anywhere:
+    """Return an array row after row, as kernels read it: libraries choose the layouts of their results."""
+    return np.ascontiguousarray(array, like=array)
 
 
 def chosen_device(device: str) -> Device:

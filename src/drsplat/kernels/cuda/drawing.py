@@ -12,8 +12,8 @@ from ...base.arrays import Float32, Int32
 from ...errors import DrSplatError
 from ...scene.views import View
 from ..splats import Contributions, Rendering, SplatArrays, Triples
+from .devices import on_host
 from .engine import Engine, blocks_of, is_memory_full
-from .places import on_host
 from .sorting import empty, running_sums, sorted_pairs
 from .tiling import Raster, Tiles, room_for_splats, sent_camera, tiles_of
 

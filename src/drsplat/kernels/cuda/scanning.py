@@ -21,8 +21,8 @@ from ..scan import (
     refuse_several_queries,
     shapes_of,
 )
+from .devices import on_host
 from .engine import Engine, blocks_of
-from .places import on_host
 from .sorting import MAX_KEYS, sorted_pairs
 
 THREADS_PER_BLOCK = 512  # as in scan.cuh

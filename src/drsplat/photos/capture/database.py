@@ -35,11 +35,6 @@ def num_features(database: sqlite3.Connection) -> dict[str, int]:
     return dict(database.execute(query))
 
 
-def num_matched(database: sqlite3.Connection) -> int:
-    """Return the number of pairs that have been matched, with or without success."""
-    return int(database.execute("SELECT COUNT(*) FROM two_view_geometries").fetchone()[0])
-
-
 def verified_pairs(database: sqlite3.Connection) -> dict[tuple[str, str], int]:
     """Return the number of verified matches of each pair of names that has some."""
     names = dict(database.execute("SELECT image_id, name FROM images"))

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ..base.arrays import Float64, Integer
-from ..scene.gaussians import Gaussians
+from drsplat.base.arrays import Float64, Integer
+from drsplat.scene.gaussians import Gaussians
 
 Positions = Float64[np.ndarray, "m 3"]
 
