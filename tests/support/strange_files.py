@@ -888,7 +888,7 @@ def _(folder: Path) -> str:
 
 
 for _name, _read in (
-    ("features.npy", lambda path: read_peer_features(path)),
+    ("features.pt", lambda path: read_peer_features(path)),
     ("codes.faiss", lambda path: load_codebook(path)),
     ("words.json", lambda path: read_vocabulary(path)),
     ("times.csv", lambda path: read_times(path)),

@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Float32, Num
+from ..base.arrays import Float32
 from ..errors import InputError
 from ..field.codes import Track, untracked
 from ..formats.captures import read_views
 from ..formats.checksums import hash_file
+from ..formats.peer_features import Rows
 from ..query import Scene
 from ..query.thresholds import CUT_SHARE, default_threshold
 from ..scene.encoders import Encoder
@@ -29,7 +30,7 @@ from .tables import pictures_judged
 PROTOCOLS = ("lerf-ovs", "scannet-points", "scannet-volume", "voxel")
 _SCANNET = {"scannet-points": scannet_points, "scannet-volume": scannet_volume, "voxel": voxel}
 
-Judged = Scene | Gaussians | tuple[Gaussians, Num[np.ndarray, "N D"], Encoder]
+Judged = Scene | Gaussians | tuple[Gaussians, Rows, Encoder]
 Names = Callable[[Sequence[str]], Collection[str]]
 
 

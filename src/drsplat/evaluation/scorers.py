@@ -7,9 +7,10 @@ from functools import cache
 
 import numpy as np
 
-from ..base.arrays import Float32, Num
+from ..base.arrays import Float32
 from ..errors import MismatchError
 from ..field import LanguageField, relevancy_from_scores
+from ..formats.peer_features import Rows
 from ..query import Query, Scene
 from ..query.search import NEGATIVES, QUERIES_AT_ONCE, embed_query
 from ..query.wholes import by_object, for_comparing
@@ -113,7 +114,7 @@ def _answer(source: LanguageField, encoder: Encoder, threads: int) -> Callable[[
     return answer
 
 
-def feature_scorer(features: Num[np.ndarray, "N D"], encoder: Encoder, name: str = "features") -> Scorer:
+def feature_scorer(features: Rows, encoder: Encoder, name: str = "features") -> Scorer:
     """Score by cosines with features of any system; rows without direction count as absent.
 
     features: (N, D) of float16 or float32, of any length, may be a memory map: read a block at a time.
@@ -159,7 +160,7 @@ def relevant(cosines: Scorer, name: str = "relevancy") -> Scorer:
     )  # fmt: skip
 
 
-def hashed(array: np.ndarray) -> str:
+def hashed(array: Rows) -> str:
     """Hash the type, shape and content of an array."""
     digest = hashlib.blake2b(f"{array.dtype.str} {array.shape}".encode(), digest_size=16)
     for start in range(0, len(array), BLOCK_ROWS):
@@ -167,7 +168,7 @@ def hashed(array: np.ndarray) -> str:
     return digest.hexdigest()
 
 
-def _cosines(features: Num[np.ndarray, "N D"], unit: Float32[np.ndarray, " D"]) -> Scores:
+def _cosines(features: Rows, unit: Float32[np.ndarray, " D"]) -> Scores:
     scores = np.empty(len(features), np.float32)
     for start in range(0, len(features), BLOCK_ROWS):
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):

@@ -42,7 +42,12 @@ class Scenes:
     field: list[str] | None = option("field that `drsplat register` wrote", action="append")
     features: list[str] | None = option(
         "features of any system, instead of --field: (N, D) float16 or float32, a row per Gaussian, zeros for no "
-        "feature (.npy, .safetensors); with --vocabulary or --encoder for the texts", "FILE.npy", action="append",
+        "feature (.npy, .safetensors), OpenGaussian's cluster_lang.npz, or a PyTorch checkpoint with one such tensor; "
+        "with --vocabulary or --encoder for the texts", "FILE.npy", action="append",
+    )  # fmt: skip
+    decoder: list[str] | None = option(
+        "LangSplat's autoencoder, if --features is its checkpoint: three numbers per Gaussian, decoded to 512",
+        "FILE.pth", action="append",
     )  # fmt: skip
 
 
@@ -144,6 +149,8 @@ def _check(options: Options) -> None:
     for name, given in vars(scenes).items():
         if given and len(given) != count:
             raise InputError(f"--{name} is given {counted(len(given), 'time')} and --scene {counted(count, 'time')}")
+    if scenes.decoder and not scenes.features:
+        raise InputError("--decoder needs --features: give the checkpoint that it decodes")
     if scenes.features and not (options.encoders.vocabulary or options.encoders.encoder):
         raise InputError("--features needs --vocabulary or --encoder: what turns texts into vectors")
 
@@ -174,4 +181,5 @@ def _judged(options: Options, index: int) -> Judged:
     if not scenes.features:
         return gaussians  # with --score-only
     encoder = read_vocabulary(texts.vocabulary) if texts.vocabulary else load_encoder(texts.encoder or "", texts.device)
-    return gaussians, read_peer_features(Path(scenes.features[index])), encoder
+    decoder = None if scenes.decoder is None else Path(scenes.decoder[index])
+    return gaussians, read_peer_features(Path(scenes.features[index]), decoder), encoder
