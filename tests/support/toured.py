@@ -29,12 +29,22 @@ def commands_of(document: Path) -> list[list[str]]:
     return [command[1:] for command in commands if command[:1] == ["drsplat"]]
 
 
+def write_own(folder: Path) -> None:
+    """A reader's own scene, photos with features, texts and field, and a folder of two scenes."""
+    write_toy_capture(folder)
+    words = ds.WordEncoder.identity
+    features = ds.read_features(folder / "capture/language_features", encoder=words)
+    gaussians, views = ds.read_gaussians(folder / "scene.ply"), ds.read_views(folder / "capture")
+    ds.register(gaussians, views, features).to_field().save(folder / "scene.field")
+
+
 def write_tour(folder: Path, clip: str) -> Path:
     """A scene, its photos without features, models, data sets, the demo's folder. Needs transformers."""
     from tiny_encoders import write_model
 
     write_toy_capture(folder)
-    write_demo(folder)
+    if not (folder / "drsplat-demo").exists():
+        write_demo(folder)
     shutil.rmtree(folder / "capture/language_features")
     write_poses_and_points(folder)
     write_model(folder / clip, "clip", dim=DIM, tokens=40)  # for the longest noun
