@@ -24,7 +24,7 @@ import urllib.error
 import urllib.request
 import warnings
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -118,7 +118,7 @@ class Place:
         path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
         done = subprocess.run(
             ["bash", "-euc", self._at_ports(piece.text)], cwd=self.folder, capture_output=True, text=True,
-            env={**os.environ, "PATH": path}, check=False, timeout=300,
+            env={**os.environ, "PATH": path, "HOME": str(self.folder)}, check=False, timeout=300,
         )  # fmt: skip
         self.said += done.stdout
         return "" if done.returncode == 0 else f"exit {done.returncode}: {done.stderr.strip()[-200:]}"
@@ -203,16 +203,28 @@ def furnish(folder: Path, page: str, demo: Path) -> None:
         return
     if page in UNTRAINED:
         write_tour(folder, CLIP)
+        (folder / "room").symlink_to(folder / "capture")
     else:
         write_own(folder)
         write_lerf(folder)
 
 
+def _stand_in() -> Callable[..., Any]:
+    """Return what loads segmenters in place of the library: the built-in one, or colours for those of the hub."""
+    from drsplat.photos.models.sam import load_segmenter
+    from fake_models import ColorSegmenter, LargeSegmenter
+
+    def load(name: str = "", device: str = "auto", settings: Any = None, **options: Any) -> Any:
+        if name == "graph":
+            return load_segmenter(name, device, settings, **options)
+        return LargeSegmenter() if settings and settings.levels == ("large",) else ColorSegmenter()
+
+    return load
+
+
 @contextlib.contextmanager
 def placed(page: str, demo: Path) -> Iterator[Place]:
     """A furnished folder to run a page in, with stand-ins for the models that are fetched."""
-    from fake_models import ColorSegmenter
-
     before = Path.cwd()
     with tempfile.TemporaryDirectory(prefix="drsplat-docs-") as name, contextlib.ExitStack() as stack:
         place = Place(Path(name))
@@ -220,8 +232,7 @@ def placed(page: str, demo: Path) -> Iterator[Place]:
         os.chdir(place.folder)
         stack.callback(os.chdir, before)
         stack.callback(place.stop)
-        stands_in = mock.patch("drsplat.photos.models.sam.load_segmenter", lambda *_, **__: ColorSegmenter())
-        stack.enter_context(stands_in)
+        stack.enter_context(mock.patch("drsplat.photos.models.sam.load_segmenter", _stand_in()))
         yield place
 
 
