@@ -42,6 +42,8 @@ BARE = {"docs/capture.md", "docs/photograph.md", "docs/training.md"}
 """Pages that make a capture or a model of their own, which must not be there yet."""
 SHORT = {"train": ["--iterations", "30"], "scan": ["--iterations", "60", "--segmenter", "graph"]}
 """What is added to a verb that takes minutes."""
+UNTAUGHT = {"when": ["--threshold", "-1"], "edit": ["--threshold", "-1"]}
+"""What is added where an encoder with random weights would find nothing."""
 LASTING = {"view": 8080, "serve": 8765}
 """Services, and the ports that pages name."""
 OTHERS = ("colmap", "ns-export", "blender", "curl", "openssl")
@@ -62,6 +64,7 @@ class Place:
 
     folder: Path
     names: dict[str, Any] = field(default_factory=lambda: {"__name__": "page"})
+    added: dict[str, list[str]] = field(default_factory=dict)
     said: str = ""
     services: dict[int, tuple[subprocess.Popen[str], int]] = field(default_factory=dict)
 
@@ -94,7 +97,7 @@ class Place:
 
         printed, told = io.StringIO(), io.StringIO()
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(told):
-            code = main([*words, *SHORT.get(words[0], [])])
+            code = main([*words, *SHORT.get(words[0], []), *(self.added.get(words[0], []))])
         self.said += printed.getvalue()
         message = told.getvalue().strip().splitlines()[-1:]
         if code and "drsplat[" in told.getvalue():
@@ -195,7 +198,7 @@ def asked(address: str) -> str:
 
 def furnish(folder: Path, page: str, demo: Path) -> None:
     """Put into a folder what a page's commands begin with."""
-    from toured import write_lerf, write_own, write_tour
+    from toured import write_lerf, write_own, write_peers, write_tour
 
     shutil.copytree(demo, folder / "drsplat-demo")
     (folder / "photos").symlink_to(folder / "drsplat-demo/images")
@@ -207,6 +210,7 @@ def furnish(folder: Path, page: str, demo: Path) -> None:
     else:
         write_own(folder)
         write_lerf(folder)
+        write_peers(folder)
 
 
 def _stand_in() -> Callable[..., Any]:
@@ -227,7 +231,7 @@ def placed(page: str, demo: Path) -> Iterator[Place]:
     """A furnished folder to run a page in, with stand-ins for the models that are fetched."""
     before = Path.cwd()
     with tempfile.TemporaryDirectory(prefix="drsplat-docs-") as name, contextlib.ExitStack() as stack:
-        place = Place(Path(name))
+        place = Place(Path(name), added=UNTAUGHT if page in UNTRAINED else {})
         furnish(place.folder, page, demo)
         os.chdir(place.folder)
         stack.callback(os.chdir, before)

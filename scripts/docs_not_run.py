@@ -90,7 +90,7 @@ def reason(piece: Piece) -> Reason | None:
     """Return why a command is not run, or None."""
     if piece.text.startswith("pip install"):
         return INSTALL
-    if piece.language == "bash" and "python -m world" in piece.text or "python -m benchmarks" in piece.text:
+    if (piece.language == "bash" and "python -m world" in piece.text) or "python -m benchmarks" in piece.text:
         return HOURS
     found = [why for (page, begin), why in NOT_RUN.items() if page == piece.page and piece.text.startswith(begin)]
     return found[0] if found else None

@@ -87,8 +87,9 @@ _MISSING = " This run did not measure it: make it again."
 _AGAIN = """\
 ```bash
 pip install -e .
+# goes on when started again
 python -m benchmarks.suite --output docs/evaluation.json \\
-    --captures CAPTURE=SCENE.ply ... --clip FOLDER --kept FOLDER     # goes on when started again
+    --captures CAPTURE=SCENE.ply ... --clip FOLDER --kept FOLDER
 drsplat evaluate lerf-ovs world/scenes --name {scene} \\
     --scene world/scenes/{scene}/scene.compressed.ply --features per_gaussian.npy \\
     --encoder drsplat-mini --report peer     # features of any other system
