@@ -1,12 +1,13 @@
 """Run every command of README and docs/, each page in a folder of its own, and print what ran.
 
-usage: python -m scripts.docs_commands [PAGE...]
+usage: python -m scripts.docs_commands [--demo DIR] [PAGE...]
 
 A page's folder has what `drsplat demo` writes, its photos as photos/, and a toy scene, its capture and texts under the
 names that pages have for a reader's own. Real code with small random weights answers to CLIP's name, colours stand in
 for SAM, training is cut short. Services are started, asked and stopped.
 """
 
+import argparse
 import contextlib
 import io
 import json
@@ -263,17 +264,15 @@ def table(outcomes: list[Outcome]) -> str:
     return "\n".join([*lines, f"{len(outcomes)} commands; {total}"])
 
 
-def main(names: list[str]) -> int:
-    from drsplat.cli import main as drsplat
-
-    wanted = [page for page in PAGES if not names or page.relative_to(ROOT).as_posix() in names]
+def main(arguments: list[str]) -> int:
+    parser = argparse.ArgumentParser(description=str(__doc__).partition("\n")[0])
+    parser.add_argument("pages", nargs="*", metavar="PAGE", help="such as docs/tasks.md (default: all)")
+    parser.add_argument("--demo", type=Path, metavar="DIR", help="what `drsplat demo` has written (default: make it)")
+    given = parser.parse_args(arguments)
+    wanted = [page for page in PAGES if not given.pages or page.relative_to(ROOT).as_posix() in given.pages]
     outcomes = []
     with tempfile.TemporaryDirectory(prefix="drsplat-demo-") as folder:
-        demo = Path(folder) / "drsplat-demo"
-        with contextlib.redirect_stdout(io.StringIO()):
-            code = drsplat(["demo", "--output-dir", str(demo)])
-        if code:
-            return code
+        demo = given.demo.resolve() if given.demo else made_demo(Path(folder) / "drsplat-demo")
         for page in wanted:
             if pieces(page):
                 with placed(page.relative_to(ROOT).as_posix(), demo) as place:
@@ -282,6 +281,16 @@ def main(names: list[str]) -> int:
                 print(table(done).rpartition("\n")[0], flush=True)
     print(table(outcomes).rpartition("\n")[2])
     return int(any(one.state == "failed" for one in outcomes))
+
+
+def made_demo(folder: Path) -> Path:
+    """Run `drsplat demo`. Raises: RuntimeError: it failed."""
+    from drsplat.cli import main as drsplat
+
+    with contextlib.redirect_stdout(io.StringIO()):
+        if drsplat(["demo", "--output-dir", str(folder)]):
+            raise RuntimeError("drsplat demo failed")
+    return folder
 
 
 if __name__ == "__main__":
