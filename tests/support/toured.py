@@ -78,11 +78,9 @@ def write_lerf(folder: Path) -> None:
 
 
 def write_peers(folder: Path) -> None:
-    """Features of other systems: OpenGaussian's leaves on the toy, a row for each Gaussian of a packed room."""
-    gaussians, words = ds.read_gaussians(folder / "scene.ply"), ds.WordEncoder()
-    leaves = words.encode_texts(list(THINGS))
-    leaf_of = np.repeat(np.arange(len(THINGS)), len(gaussians) // len(THINGS))
-    np.savez(folder / "cluster_lang.npz", leaf_feat=leaves, leaf_ind=leaf_of)
+    """Features of other systems: a row for each Gaussian of the toy, and of a packed room."""
+    count = len(ds.read_gaussians(folder / "scene.ply")) // len(THINGS)
+    np.save(folder / "features.npy", np.repeat(ds.WordEncoder().encode_texts(list(THINGS)), count, axis=0))
     (folder / "world").symlink_to(Path(__file__).resolve().parents[2] / "world")
     room = ds.read_gaussians(folder / "world/scenes/room_5/scene.compressed.ply")
     rows = np.random.default_rng(0).standard_normal((len(room), ds.MiniEncoder().identity.dim))
