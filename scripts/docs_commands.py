@@ -121,7 +121,7 @@ class Place:
     def _shell(self, piece: Piece) -> str:
         path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
         done = subprocess.run(
-            ["bash", "-euc", self._at_ports(piece.text)], cwd=self.folder, capture_output=True, text=True,
+            ["bash", "-euc", self._at_ports(piece.text).replace("curl -s ", "curl -sf ")], cwd=self.folder, capture_output=True, text=True,
             env={**os.environ, "PATH": path, "HOME": str(self.folder)}, check=False, timeout=300,
         )  # fmt: skip
         self.said += done.stdout
@@ -192,6 +192,8 @@ def asked(address: str) -> str:
         try:
             with urllib.request.urlopen(address, timeout=60) as answer:
                 return "" if answer.read() else "an empty answer"
+        except urllib.error.HTTPError as refused:
+            return "" if refused.code == 401 else str(refused)  # it asks for its key
         except urllib.error.URLError:
             time.sleep(0.2)
     return f"nobody answers at {address}"
