@@ -120,9 +120,10 @@ class Place:
 
     def _shell(self, piece: Piece) -> str:
         path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+        text = self._at_ports(piece.text).replace("curl -s ", "curl -sf ")  # which fails where it is refused
         done = subprocess.run(
-            ["bash", "-euc", self._at_ports(piece.text).replace("curl -s ", "curl -sf ")], cwd=self.folder, capture_output=True, text=True,
-            env={**os.environ, "PATH": path, "HOME": str(self.folder)}, check=False, timeout=300,
+            ["bash", "-euc", text], cwd=self.folder, capture_output=True, text=True, check=False, timeout=300,
+            env={**os.environ, "PATH": path, "HOME": str(self.folder)},
         )  # fmt: skip
         self.said += done.stdout
         return "" if done.returncode == 0 else f"exit {done.returncode}: {done.stderr.strip()[-200:]}"
