@@ -87,10 +87,12 @@ _MISSING = " This run did not measure it: make it again."
 _AGAIN = """\
 ```bash
 pip install -e .
+# goes on when started again
 python -m benchmarks.suite --output docs/evaluation.json \\
-    --captures CAPTURE=SCENE.ply ... --clip FOLDER --kept FOLDER     # goes on where it was when started again
-drsplat evaluate lerf-ovs world/scenes --name {scene} --scene world/scenes/{scene}/scene.compressed.ply \\
-    --features per_gaussian.npy --encoder drsplat-mini --report peer     # features of any other system
+    --captures CAPTURE=SCENE.ply ... --clip FOLDER --kept FOLDER
+drsplat evaluate lerf-ovs world/scenes --name {scene} \\
+    --scene world/scenes/{scene}/scene.compressed.ply --features per_gaussian.npy \\
+    --encoder drsplat-mini --report peer     # features of any other system
 ```"""
 _UNSTAMPED = "They are of a run before stamps of the code were kept, so they may be older than the rules of today."
 _STALE = "Made by older code than the rest, and not run again: {names}."

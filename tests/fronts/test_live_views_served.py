@@ -314,12 +314,11 @@ def test_the_lines_of_the_document_send_photos(
 ) -> None:
     demo = Path(shutil.copytree(household_folder, tmp_path / "drsplat-demo"))
     (tmp_path / "key.txt").write_text(KEY)
-    text = (Path(__file__).parents[2] / "docs/serve.md").read_text(encoding="utf-8")
-    section = text.partition("### Photos from a robot or a phone")[2].partition("\n### ")[0]
-    blocks = {kind: re.findall(rf"^```{kind}\n(.*?)^```$", section, re.M | re.S) for kind in ("bash", "python")}
+    text = (Path(__file__).parents[2] / "docs/live_views.md").read_text(encoding="utf-8")
+    shells, (program,) = (re.findall(rf"^```{kind}\n(.*?)^```$", text, re.M | re.S) for kind in ("bash", "python"))
     monkeypatch.chdir(tmp_path)
     with served(demo, str(tmp_path / "key.txt")) as (_, port):
-        lines, program = (only.replace("localhost:8765", f"localhost:{port}") for (only,) in blocks.values())
+        lines, program = (one.replace("localhost:8765", f"localhost:{port}") for one in (shells[1], program))
         done = subprocess.run(["bash", "-euc", lines], check=True, capture_output=True, text=True, timeout=120)
         first, listed = (
             json.JSONDecoder().raw_decode(done.stdout)[0],
@@ -327,7 +326,7 @@ def test_the_lines_of_the_document_send_photos(
         )
         assert (first["name"], first["state"]) == ("phone/0001.jpg", "waiting")
         assert [view["name"] for view in listed["views"]] == ["phone/0001.jpg"]
-        exec(compile(program, "docs/serve.md", "exec"), {})
+        exec(compile(program, "docs/live_views.md", "exec"), {})
         wait_for(lambda: fetch(port, VIEWS.replace("room", "drsplat-demo"))["num_waiting"] == 0)
         states = fetch(port, "/scenes/drsplat-demo/views")["views"]
         assert [(view["name"], view["state"]) for view in states] == [

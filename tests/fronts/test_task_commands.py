@@ -1,7 +1,5 @@
 """`drsplat select | locate | segment` on the demo's room, where every Gaussian is known."""
 
-import re
-import shlex
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +9,6 @@ from PIL import Image
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Scene, WordEncoder, load_field, read_gaussians
 from drsplat.drawing.legend import class_colors, legend
-from drsplat.evaluation.demo import story as household
 from drsplat.formats.npy import write_npy
 from drsplat.formats.vocabulary import VocabularyEncoder, write_vocabulary
 from drsplat.photos.models.word_list import NOUNS
@@ -261,25 +258,3 @@ def test_a_legend_of_many_names_has_more_rows() -> None:
     assert few.shape[1] == many.shape[1] == 320
     assert many.shape[0] > 3 * few.shape[0]
     assert legend(320, [], class_colors(0)).shape[1] == 320
-
-
-@pytest.mark.slow
-def test_the_commands_of_the_document_run(
-    household_story: household.Story, household_folder: Path, tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch, capsys: Capture,
-) -> None:  # fmt: skip
-    text = (Path(__file__).parents[2] / "docs/tasks.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"^```bash\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-    lines = "".join(blocks).replace("\\\n", " ").splitlines()
-    (tmp_path / "drsplat-demo").symlink_to(household_folder)
-    monkeypatch.chdir(tmp_path)
-    commands = [shlex.split(line) for line in lines]
-    assert {command[1] for command in commands} == {"demo", "select", "locate", "segment"}
-    printed = ""
-    for command in commands:
-        if command[1] != "demo":
-            printed += text_of(capsys, *command[1:])
-    assert "No match for 'laptop'" in printed
-    assert "of 'blue candle'" in printed
-    written = {path.name for path in tmp_path.iterdir()} - {"drsplat-demo"}
-    assert written == {"vase.ply", "vase_ids.npy", "duck.ply", "duck.png", "classes.ply", "classes.png"}

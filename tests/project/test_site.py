@@ -50,7 +50,7 @@ def built(gallery: Path, site: Path) -> subprocess.CompletedProcess[str]:
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in ("mkdocs", "mkdocstrings", "fastapi", "mcp"):
-        pytest.importorskip(name, reason="needs drsplat[docs,serve,mcp]")
+        pytest.importorskip(name, reason="needs drsplat[docs]")
     folder = tmp_path_factory.mktemp("built")
     done = built(one_page(folder / "gallery"), folder / "site")
     assert done.returncode == 0, done.stderr
@@ -66,6 +66,33 @@ def test_the_site_is_built_and_its_links_lead_somewhere(site: Path) -> None:
     assert 'href="gallery/demo.html"' in (site / "gallery.html").read_text()
     assert "load_field" in (site / "reference/python.html").read_text()
     assert "--vocabulary" in (site / "reference/command_line.html").read_text()
+
+
+OTHERS = """torch transformers sentencepiece open_clip pycolmap pi_heif av lancedb pyarrow ray fsspec rerun pxr shtab
+beartype clang_format faiss gsply hypothesis mypy pytest xdist ruff httpx cv2 schemathesis cupy"""
+"""What other extras install."""
+ONLY_DOCS = f"""
+import sys
+
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {OTHERS.split()}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+sys.meta_path.insert(0, Absent())
+sys.path.insert(0, "scripts")
+import site_pages
+for make in ("examples", "benchmarks", "python_names", "command_line", "http", "mcp", "numbers"):
+    assert len(getattr(site_pages, make)()) > 200, make
+"""
+
+
+@pytest.mark.slow
+def test_pages_are_made_with_the_extra_of_the_site_alone() -> None:
+    for name in ("mkdocs", "fastapi", "mcp"):
+        pytest.importorskip(name, reason="needs drsplat[docs]")
+    done = subprocess.run([sys.executable, "-c", ONLY_DOCS], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.slow

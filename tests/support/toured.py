@@ -1,8 +1,6 @@
-"""Where a tour or a tutorial begins, and its lines: toy models and data under the very names of the documents."""
+"""What pages begin with: toy models and data under the names that they have for a reader's own."""
 
 import json
-import re
-import shlex
 import shutil
 from pathlib import Path
 
@@ -17,24 +15,20 @@ from written_captures import write_colmap_text
 DIM = 128  # what 128 sub-vectors divide
 
 
-def blocks(document: Path, language: str) -> list[str]:
-    text = document.read_text(encoding="utf-8")
-    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
-
-
-def commands_of(document: Path) -> list[list[str]]:
-    """What its lines that begin with drsplat give to it."""
-    lines = "".join(blocks(document, "bash")).replace("\\\n", " ").splitlines()
-    commands = [shlex.split(line, comments=True) for line in lines]
-    return [command[1:] for command in commands if command[:1] == ["drsplat"]]
+def write_own(folder: Path) -> None:
+    """A reader's own scene, photos with features, texts and field, and a folder of two scenes."""
+    write_toy_capture(folder)
+    words = ds.WordEncoder.identity
+    features = ds.read_features(folder / "capture/language_features", encoder=words)
+    gaussians, views = ds.read_gaussians(folder / "scene.ply"), ds.read_views(folder / "capture")
+    ds.register(gaussians, views, features).to_field().save(folder / "scene.field")
 
 
 def write_tour(folder: Path, clip: str) -> Path:
-    """A scene, its photos without features, models, data sets, the demo's folder. Needs transformers."""
+    """A scene, its photos without features, models, data sets. Needs transformers."""
     from tiny_encoders import write_model
 
     write_toy_capture(folder)
-    write_demo(folder)
     shutil.rmtree(folder / "capture/language_features")
     write_poses_and_points(folder)
     write_model(folder / clip, "clip", dim=DIM, tokens=40)  # for the longest noun
@@ -49,17 +43,6 @@ def write_tour(folder: Path, clip: str) -> Path:
     (folder / "scenes/mugs/scene.ply").symlink_to(folder / "scene.ply")
     (folder / "scenes/mugs/mugs.field").symlink_to(folder / "scene.field")
     return folder
-
-
-def write_demo(folder: Path) -> None:
-    """drsplat-demo/ with a field that needs no model for words, as the demo's own."""
-    demo = folder / "drsplat-demo"
-    demo.mkdir()
-    (demo / "scene.ply").symlink_to(folder / "scene.ply")
-    words = ds.WordEncoder.identity
-    features = ds.read_features(folder / "capture/language_features", encoder=words)
-    gaussians, views = ds.read_gaussians(folder / "scene.ply"), ds.read_views(folder / "capture")
-    ds.register(gaussians, views, features).to_field().save(demo / "room.field")
 
 
 def write_poses_and_points(folder: Path) -> None:
@@ -92,3 +75,13 @@ def write_lerf(folder: Path) -> None:
     info = {"name": view.name, "width": view.width, "height": view.height}
     document = {"info": info, "objects": [thing]}
     (labels / view.name).with_suffix(".json").write_text(json.dumps(document))
+
+
+def write_peers(folder: Path) -> None:
+    """Features of other systems: a row for each Gaussian of the toy, and of a packed room."""
+    count = len(ds.read_gaussians(folder / "scene.ply")) // len(THINGS)
+    np.save(folder / "features.npy", np.repeat(ds.WordEncoder().encode_texts(list(THINGS)), count, axis=0))
+    (folder / "world").symlink_to(Path(__file__).resolve().parents[2] / "world")
+    room = ds.read_gaussians(folder / "world/scenes/room_5/scene.compressed.ply")
+    rows = np.random.default_rng(0).standard_normal((len(room), ds.MiniEncoder().identity.dim))
+    np.save(folder / "per_gaussian.npy", rows.astype(np.float16))
