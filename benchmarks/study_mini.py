@@ -2,6 +2,7 @@
 
     python benchmarks/study_mini.py world/scenes/table_2 world/scenes/table_4 ... --kept FOLDER
     python benchmarks/study_mini.py --field photos.field --ask "something red" "something blue"
+    python benchmarks/study_mini.py --photos photos/ world/scenes/room_5
     python benchmarks/study_mini.py --outline PHOTO 176,105 190,85 215,80 ... --ask "orange carrot" "red bottle"
 
 Masks of the segmenter `graph` in packed rooms of world/scenes. Asked are each name and each "colour name" of
@@ -10,6 +11,7 @@ have. IoU is over Gaussians, by the weight that the photos give them; "nothing":
 found, fewer than 40 Gaussians. The numbers of the rule were chosen on table_1, table_3, room_5 and room_7.
 --kept: where fields and truth of rooms are kept (minutes a room), and found the next time.
 --field, --ask: a field of any scene, and what of several texts is found in it, without a truth.
+--photos: posed or other photos, and the same number for the nouns by their pixels, before there is a field.
 --outline, --ask: a thing cut out of a photo by hand, corner by corner, and how well texts and all names fit it.
 """
 
@@ -31,6 +33,9 @@ from study_thresholds import true_things
 from benchmarks.suite.masks import features_of
 from benchmarks.suite.scenes import read_scene
 from drsplat import LanguageField, MiniEncoder, Mixture, Scene, load_field, register
+from drsplat.fronts.scanning.choosing import PHOTOS_JUDGED
+from drsplat.fronts.scanning.inputs import scan_input
+from drsplat.photos.embedding.fitting import pixel_fit
 from drsplat.photos.models.mini.lexicon import COLORS, NAMES
 from drsplat.photos.models.word_list import list_vectors
 from drsplat.query.contrast import contrast, relevancy_threshold
@@ -147,6 +152,7 @@ def main() -> None:
     parser.add_argument("rooms", type=Path, nargs="*")
     parser.add_argument("--kept", type=Path, default=Path("kept"))
     parser.add_argument("--field", type=Path)
+    parser.add_argument("--photos", type=Path, nargs="+", default=[])
     parser.add_argument("--ask", nargs="+", default=[])
     parser.add_argument("--outline", nargs="+", metavar=("PHOTO", "X,Y"))
     arguments = parser.parse_args()
@@ -157,6 +163,8 @@ def main() -> None:
         print(f"cosine of the best noun that half of the features reach: {fit_of(MINI, field):.3f}")
         if arguments.ask:
             ask(field, arguments.ask)
+    for photos in arguments.photos:
+        print(f"{photos.name}: {pixel_fit(scan_input(photos).pictures(PHOTOS_JUDGED)):.3f} by pixels of its photos")
     if arguments.outline:
         fit(arguments.outline[0], arguments.outline[1:], arguments.ask)
 
