@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from ..base.arrays import Bool, Float32, Float64, Int32, Int64, Integer, UInt8
+from ..base.arrays import Bool, Float32, Float64, Int32, Int64, Integer, Shaped, UInt8
 from ..base.terminal import facts_html
 from ..errors import InputError, MissingExtraError
 from ..field import LanguageField
@@ -32,7 +32,7 @@ from .naming import best_names, doubt_of, object_names
 from .objects import answer_of, match_of, most_seen, objects_of
 from .places import Point, nearest_gaussian
 from .query import Cut, Query
-from .search import feature_of, row_of, seen_among
+from .search import PixelWeights, feature_of, pixel_weights, row_of, seen_among
 from .support import support_in
 from .tasks import locate, segment, sure_matches
 from .views import view_named
@@ -423,6 +423,20 @@ class Scene:
         rows, weights = self._weights_at(click)
         ids = self.field.gaussian_ids[rows[[weights.argmax()]]]
         return np.asarray(self.seen_by(self.view(click[0])).rows.shapes_of(ids).positions[0])
+
+    def weights_at(
+        self, view: View | str, pixels: Sequence[tuple[float, float]] | Shaped[np.ndarray, "p xy"], k: int = 8
+    ) -> PixelWeights:
+        """Return the k Gaussians of the largest blending weights at pixels of a photo, and these weights (3DGS Eq. 3).
+
+        pixels: from the left and from the top of the photo without distortion; the first one's centre is (0.5, 0.5).
+
+        Raises: InputError: no such view, a pixel outside of it, k < 1, or a scene without Gaussians.
+        """
+        view = self.view(view) if isinstance(view, str) else view
+        seen = self.seen_by(view).seen(view)
+        at = np.asarray(pixels, np.float64).reshape(-1, 2)
+        return pixel_weights(seen.splats, seen.rows, view, at, k, threads=self.threads)
 
     def picture(
         self,
