@@ -64,6 +64,9 @@ def load_image(view: View) -> UInt8[np.ndarray, "h w 3"]:
 
     Raises: InputError: the view has no photo. FormatError: the file is damaged, truncated, of
     another kind, or decodes to more pixels than a photo has.
+
+    >>> ds.load_image(scene.views[0]).shape
+    (72, 96, 3)
     """
     if view.image_path is None:
         raise InputError(f"view '{view.name}' has no photo: read it with images=FOLDER")

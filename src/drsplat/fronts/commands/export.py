@@ -152,7 +152,8 @@ def show(answer: Facts) -> None:
         print(f"{answer['saved']}: masks of {counted(answer['num_photos'], 'photo')}, of which {shown} something")
         return
     parts = [counted(answer["num_gaussians"], "Gaussian")]
-    parts += [] if answer["num_objects"] is None else [counted(answer["num_objects"], "object")]
+    if answer["num_objects"] is not None:
+        parts.append(f"{counted(answer['num_objects'], 'object')}, sure or not")
     if answer["query"] is not None:
         parts.append(f"{counted(answer['num_matches'], 'match', 'matches')} of '{answer['query']}'")
     if answer["num_annotations"]:
