@@ -29,7 +29,6 @@ EXTRAS = (
     "serve",
     "mcp",
     "catalogue",
-    "completion",
     "docs",
     "ray",
     "models",

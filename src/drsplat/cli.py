@@ -103,10 +103,8 @@ class _Completion(argparse.Action):
     def __call__(self, parser: argparse.ArgumentParser, _: object, shell: object, __: object = None) -> NoReturn:
         if shell not in SHELLS:
             parser.error(f"--print-completion: expected {', '.join(SHELLS)}, got {quoted(str(shell))}")
-        try:
-            import shtab
-        except ImportError:
-            raise MissingExtraError('shtab is not installed: pip install "drsplat[completion]"') from None
+        import shtab
+
         if shell not in shtab.SUPPORTED_SHELLS:
             raise MissingExtraError(f'shtab {shtab.__version__} does not know {shell}: pip install -U "shtab>=1.9.3"')
         print(shtab.complete(make_parser(), str(shell)))

@@ -20,6 +20,7 @@ from drsplat.errors import InputError
 from drsplat.formats.annotations import AnnotationFile
 from drsplat.formats.georeference import Georeference, write_georeference
 from drsplat.formats.moving_scenes import write_moving
+from drsplat.formats.named import read_labels
 from drsplat.formats.tiles import Tiles
 from drsplat.scene.annotations import Annotation
 from drsplat.scene.eight_bits import clamped_in_bytes
@@ -308,7 +309,9 @@ def test_colors_can_be_fitted_to_bytes(room: Path, capsys: Capture) -> None:
     assert clamped[1:] == [0, 0]
 
 
-@pytest.mark.parametrize(("suffix", "more"), [("glb", ()), ("usda", ()), ("sog", ()), ("spz", ("--spz-version", 4))])
+@pytest.mark.parametrize(
+    ("suffix", "more"), [("glb", ()), ("ply", ()), ("usda", ()), ("sog", ()), ("spz", ("--spz-version", 4))]
+)
 def test_names_come_back_from_every_format_that_holds_them(
     room: Path, capsys: Capture, suffix: str, more: tuple[object, ...]
 ) -> None:
@@ -327,7 +330,7 @@ def test_names_come_back_from_every_format_that_holds_them(
 def test_a_file_with_objects_is_exported_with_them_again(room: Path, capsys: Capture) -> None:
     """From format to format, without the field; after an edit the boxes are where the Gaussians are."""
     answer_of(capsys, "export", room / "scene.ply", "--field", room / "room.field", "-o", room / "0.glb")
-    chain = (("1.sog", ()), ("2.spz", ("--spz-version", 4)), ("3.usda", ()), ("4.glb", ()))
+    chain = (("1.sog", ()), ("2.spz", ("--spz-version", 4)), ("2b.ply", ()), ("3.usda", ()), ("4.glb", ()))
     for place, (name, more) in enumerate(chain):
         source = room / ("0.glb" if not place else chain[place - 1][0])
         assert answer_of(capsys, "export", source, *more, "-o", room / name)["lacks"] == []
@@ -410,3 +413,29 @@ def test_a_file_beside_its_scene_does_not_take_its_place(room: Path, capsys: Cap
     (room / "a_mesh.glb").write_bytes(b"glTF" + bytes(40))
     answer_of(capsys, "export", room, "-o", room / "a.glb")
     assert answer_of(capsys, "edit", room, "--object", 0, "--remove")["scene"] == str(room / "scene.ply")
+
+
+def test_names_beside_a_ply_follow_its_edits(room: Path, capsys: Capture) -> None:
+    """Of the PLY alone, without the field that they are from."""
+    answer_of(capsys, "export", room / "scene.ply", "--field", room / "room.field", "-o", room / "named.ply")
+    answer_of(capsys, "edit", room / "named.ply", "--everything", "--move", 1, 0, 0)
+    answer_of(capsys, "export", room / "named.ply", "-o", room / "edited.ply")
+    before, after = (read_labels(room / f"{name}.ply") for name in ("named", "edited"))
+    assert [one.name for one in before.things] == [one.name for one in after.things]
+    assert len(before.things) == 2
+    for one, moved in zip(before.things, after.things, strict=True):
+        assert_allclose(moved.center, np.add(one.center, (1, 0, 0)), atol=0.05)
+    (room / "edited.objects.json").write_text("{")
+    assert "edited.objects.json" in error_of(capsys, "inspect", room / "edited.ply")
+
+
+def test_a_plain_ply_has_the_rows_that_the_numbers_beside_it_are_of(room: Path, capsys: Capture) -> None:
+    """For importers that refuse further columns, as docs/export.md says."""
+    answer_of(capsys, "export", room / "scene.ply", "-o", room / "plain.ply")
+    answer_of(capsys, "objects", room / "room.field", "--scene", room / "scene.ply", "--save", room / "ids.npy")
+    answer_of(capsys, "export", room / "scene.ply", "--field", room / "room.field", "-o", room / "named.ply")
+    plain, named = read_gaussians(room / "plain.ply"), read_gaussians(room / "named.ply")
+    assert not plain.extra
+    assert not (room / "plain.objects.json").exists()
+    assert_array_equal(plain.means, named.means)
+    assert_array_equal(np.load(room / "ids.npy"), named.extra["object_id"])

@@ -53,7 +53,7 @@ def test_what_people_named_is_among_the_agreed(tmp_path: Path) -> None:
 
 def test_the_table_has_the_agreed_and_counts_the_others(a_field: Path, capsys: Capture) -> None:
     text = text_of(capsys, "objects", a_field)
-    assert text.startswith(f"2 objects that photos agree on, {2 * EACH - 10:,} of 1,490 Gaussians in them")
+    assert text.startswith(f"2 objects that photos agree on, {2 * EACH - 10:,} of 1,490 registered Gaussians in them")
     assert "and 1 more that photos agree less on: --all lists them" in text
     assert listed_in(text) == ["0", "2"]
     every = text_of(capsys, "objects", a_field, "--all")

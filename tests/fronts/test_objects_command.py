@@ -80,7 +80,7 @@ def test_inspect_counts_them(room: Path, capsys: Capture) -> None:
 
 def test_the_table(room: Path, capsys: Capture) -> None:
     text = text_of(capsys, *asked(room))
-    assert text.startswith("3 objects, 1,490 of 1,490 Gaussians in them")
+    assert text.startswith("3 objects, 1,490 of 1,490 registered Gaussians in them")
     assert "0.80" in text
 
 

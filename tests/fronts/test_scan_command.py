@@ -17,11 +17,13 @@ from scipy.spatial.transform import Rotation
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import load_field, open_scene, read_views
 from drsplat.cli import main
+from drsplat.evaluation import demo as household
 from drsplat.formats.scan_record import read_scan_record
 from drsplat.fronts.commands.scan import _embedding
 from drsplat.fronts.commands.stages import check_tables, verb_line
 from drsplat.fronts.scanning import choosing
 from drsplat.fronts.scanning.display import Display
+from drsplat.fronts.scanning.inputs import scan_input
 from drsplat.photos.models.loading import DEFAULT_ENCODER
 from drsplat.photos.models.sam import CPU_SEGMENTER
 from drsplat.scene.views import View
@@ -71,7 +73,10 @@ def _points(count: int = 500) -> list[tuple[int, tuple[float, ...], tuple[int, i
 def scanned(capture_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("whole") / "room"
     assert (
-        main(["scan", str(capture_folder), "-o", str(folder), *QUICK, "--ask", "something red; xyzzy", "--json"]) == 0
+        main(
+            ["scan", str(capture_folder), "-o", str(folder), *QUICK, "--ask", "something red; something blue", "--json"]
+        )
+        == 0
     )
     return folder
 
@@ -89,8 +94,8 @@ def results(folder: Path) -> dict[str, bytes]:
     return {str(file.relative_to(folder)): file.read_bytes() for file in files if file.is_file()}
 
 
-def test_a_scan_of_a_capture_says_what_it_made(scanned: Path, capture_folder: Path, capsys: Capture) -> None:
-    line = ["scan", capture_folder, "-o", scanned, *QUICK, "--ask", "something red", "--ask", "xyzzy"]
+def test_a_scan_of_a_capture_says_what_it_made(copy: Path, capture_folder: Path, capsys: Capture) -> None:
+    line = ["scan", capture_folder, "-o", copy, *QUICK, "--ask", "something red", "--ask", "xyzzy"]
     answer = answer_of(capsys, *line)
     assert (answer["num_photos"], answer["num_registered"], answer["left_out"]) == (NUM_PHOTOS, NUM_PHOTOS, [])
     assert answer["psnr_test"] > 10
@@ -100,7 +105,7 @@ def test_a_scan_of_a_capture_says_what_it_made(scanned: Path, capture_folder: Pa
     assert list(answer["stage_seconds"]) == list(answer["stage_cpu_seconds"]) == STAGES
     assert [one["query"] for one in answer["answers"]] == ["something red", "xyzzy"]
     assert "not taught 'xyzzy'" in answer["answers"][1]["fault"]
-    assert answer["view"] == f"drsplat view {scanned}"
+    assert answer["view"] == f"drsplat view {copy}"
     assert Path(answer["page"]).read_text().count("something red") > 0
     assert any("has poses" in note for note in answer["notes"])
     assert any("drsplat-mini" in note and "colours" in note for note in answer["notes"])
@@ -119,9 +124,50 @@ def test_the_page_turns_when_it_is_opened_and_needs_nothing_else(scanned: Path) 
     assert "default-src 'none'" in text
 
 
+@pytest.mark.parametrize(
+    ("ask", "said"),
+    [
+        ("something red; carrrot", "not taught 'carrrot'. Did you mean 'carrot'?"),
+        ("xyzzy on the table", "not taught 'xyzzy'"),
+        ("mug behind the sofa", "'behind' is not understood: expected 'X on Y'"),
+        ("mug, not", "expected words and their exclusions"),
+    ],
+)
+def test_words_that_no_scene_could_answer_are_refused_before_the_training(
+    ask: str, said: str, capture_folder: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    assert said in error_of(capsys, "scan", capture_folder, "-o", tmp_path / "room", *QUICK, "--ask", ask)
+    assert not (tmp_path / "room/model").exists()
+
+
+def test_nouns_that_photos_do_not_fit_are_doubted_once_and_before_the_training(
+    capture_folder: Path, tmp_path: Path, capsys: Capture
+) -> None:
+    line = ["scan", str(capture_folder), "-o", str(tmp_path / "room"), *QUICK, "--ask", "teddy; something red"]
+    assert main(line) == 0
+    shown = capsys.readouterr()
+    said = "no answer about 'teddy' will be reliable"
+    assert shown.err.index(said) < shown.err.index("1/5 train:")
+    assert shown.out.count("made-up rooms") == 1
+    assert shown.out.index(said) < shown.out.index("\nteddy: ")
+    record = read_scan_record(tmp_path / "room")
+    assert record is not None
+    assert "made-up rooms" in record["stages"]["view"]["answer"]["answers"][0]["doubt"]
+
+
+def test_photos_like_the_rooms_of_the_training_may_be_asked_for_things() -> None:
+    photos = scan_input(Path(household.__file__).parent / "scene")
+    choice = choosing.ModelChoice("graph", "drsplat-mini").judged(photos, 0)
+    assert not choice.doubts_nouns
+    assert "household words" in choice.sentence(choice.nouns_of(["red vase"]))
+    clip = choosing.ModelChoice("graph", "a/clip")
+    assert clip.judged(photos, 0) == clip
+    assert clip.nouns_of(["xyzzy"]) == ["xyzzy"]
+
+
 def test_a_finished_scan_is_not_made_again(scanned: Path, capture_folder: Path, capsys: Capture) -> None:
     before = {path: path.stat().st_mtime_ns for path in (scanned / "scene.field").iterdir()}
-    text = text_of(capsys, "scan", capture_folder, "-o", scanned, *QUICK, "--ask", "something red; xyzzy")
+    text = text_of(capsys, "scan", capture_folder, "-o", scanned, *QUICK, "--ask", "something red; something blue")
     assert f"Open {scanned / 'index.html'} in a browser" in text
     assert before == {path: path.stat().st_mtime_ns for path in (scanned / "scene.field").iterdir()}
 
@@ -208,7 +254,7 @@ def test_a_scan_that_is_killed_in_each_stage_ends_with_the_same_bytes(
     scanned: Path, capture_folder: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "room"
-    line = ["scan", str(capture_folder), "-o", str(folder), *QUICK, "--ask", "something red; xyzzy"]
+    line = ["scan", str(capture_folder), "-o", str(folder), *QUICK, "--ask", "something red; something blue"]
     for verb in STAGES:
         process = started(line)
         while process.poll() is None and f'"{verb}"' not in _record_text(folder):
@@ -317,12 +363,12 @@ def test_models_are_the_built_in_ones_where_no_others_can_be_had(monkeypatch: py
     monkeypatch.setattr(choosing, "_why_not", lambda name: "" if "CLIP" in name else "its weights are elsewhere")
     choice = choosing.choose_models("auto", "auto")
     assert (choice.segmenter, choice.encoder) == ("graph", "drsplat-mini")
-    assert "its weights are elsewhere" in choice.sentence
-    assert "colours" in choice.sentence
+    assert "its weights are elsewhere" in choice.sentence()
+    assert choice.is_built_in
     monkeypatch.setattr(choosing, "_why_not", lambda name: "")
     choice = choosing.choose_models("auto", "auto")
     assert (choice.segmenter, choice.encoder) == (CPU_SEGMENTER, DEFAULT_ENCODER)
-    assert "any words can be asked" in choice.sentence
+    assert "any words can be asked" in choice.sentence()
     assert choosing.choose_models("graph", "auto").segmenter == "graph"
 
 

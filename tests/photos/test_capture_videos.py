@@ -15,7 +15,7 @@ from drsplat.cli import main
 from drsplat.errors import InputError
 from drsplat.formats.captures import read_views
 from drsplat.photos.capture.capturing import capture
-from drsplat.photos.capture.videos import Film, choose, is_video, movement, shift_of
+from drsplat.photos.capture.videos import Film, choose, is_video, movement, shift_of, some_frames
 from photographed_room import photographed, room_views
 
 has_av = pytest.mark.skipif(find_spec("av") is None, reason='needs pip install "drsplat[capture]"')
@@ -147,3 +147,13 @@ def test_a_film_of_sound_alone_is_an_error(tmp_path: Path) -> None:
             container.mux(packet)
     with pytest.raises(InputError, match="there are no pictures in it, sound alone"):
         capture(tmp_path / "sound.mp4", tmp_path / "c")
+
+
+@has_av
+def test_some_frames_are_evenly_spaced(tmp_path: Path) -> None:
+    greys = [np.full((48, 64, 3), 10 * number, np.uint8) for number in range(24)]
+    write_film(tmp_path / "film.mp4", greys)
+    shown = [float(frame.mean()) / 10 for frame in some_frames(tmp_path / "film.mp4", 4)]
+    assert len(shown) == 4
+    assert shown == sorted(shown)
+    assert shown[-1] > shown[0] + 5

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import shtab
 
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import cli
@@ -194,7 +195,6 @@ def test_without_a_terminal_nothing_is_coloured(room: Path) -> None:
 
 
 def test_completion_knows_verbs_and_options(capsys: Capture) -> None:
-    pytest.importorskip("shtab", reason="the extra drsplat[completion] is not installed")
     script = text_of(capsys, "--print-completion", "bash")
     assert all(verb in script for verb in VERBS)
     assert "--vocabulary" in script
@@ -203,7 +203,6 @@ def test_completion_knows_verbs_and_options(capsys: Capture) -> None:
 
 @pytest.mark.skipif(shutil.which("fish") is None, reason="fish is not installed")
 def test_fish_completes_verbs_options_and_choices(tmp_path: Path, capsys: Capture) -> None:
-    pytest.importorskip("shtab", reason="the extra drsplat[completion] is not installed")
     (tmp_path / "drsplat.fish").write_text(text_of(capsys, "--print-completion", "fish"))
 
     def completed(line: str) -> set[str]:
@@ -218,7 +217,6 @@ def test_fish_completes_verbs_options_and_choices(tmp_path: Path, capsys: Captur
 
 
 def test_a_shell_that_shtab_does_not_know_is_named(monkeypatch: pytest.MonkeyPatch, capsys: Capture) -> None:
-    shtab = pytest.importorskip("shtab", reason="the extra drsplat[completion] is not installed")
     assert "expected bash, zsh, tcsh, fish, got 'ksh'" in error_of(capsys, "--print-completion", "ksh", code=2)
     monkeypatch.setattr(shtab, "SUPPORTED_SHELLS", ["bash"])
     assert 'pip install -U "shtab>=1.9.3"' in error_of(capsys, "--print-completion", "fish")

@@ -12,15 +12,7 @@ from drsplat import Gaussians, LanguageField, View, WordEncoder
 from drsplat.errors import InputError, MismatchError
 from drsplat.kernels import splat_arrays, topk_contributions
 from drsplat.query import Answer, Query, Scene
-from drsplat.query.search import (
-    NEGATIVES,
-    UNSELECTED_COSINE,
-    embed_query,
-    feature_at,
-    split_negation,
-    text_negatives,
-    without,
-)
+from drsplat.query.search import NEGATIVES, UNSELECTED_COSINE, embed_query, split_negation, text_negatives, without
 from drsplat.scene.encoders import EncoderIdentity
 from fields import ToyEncoder, toy_field
 from furnished.story import Story
@@ -132,6 +124,10 @@ def test_queries_leave_out_what_is_not_meant() -> None:
     assert_array_equal(answer.values[~gone], plain.values[~gone])
 
 
+def feature_at(field: LanguageField, gaussians: Gaussians, view: View, xy: tuple[float, float]) -> np.ndarray:
+    return Scene(field, gaussians, [view]).feature_of((view.name, *xy))
+
+
 @pytest.fixture(scope="module")
 def clicked(story: Story) -> tuple[LanguageField, Gaussians, View]:
     return story.field, story.gaussians, story.views[4]
@@ -181,3 +177,26 @@ def test_clicks_at_nothing_and_outside_are_refused(clicked: tuple[LanguageField,
         feature_at(field, gaussians, replace(view, cam_from_world=away), (5.0, 5.0))
     with pytest.raises(MismatchError, match="belongs to a scene"):
         feature_at(field, gaussians.subset(np.arange(10)), view, (5.0, 5.0))
+
+
+def test_weights_at_pixels_are_those_of_the_kernel(clicked: tuple[LanguageField, Gaussians, View]) -> None:
+    field, gaussians, view = clicked
+    scene = Scene(field, gaussians, [view])
+    whole = topk_contributions(splat_arrays(gaussians), view, 5)
+    pixels = np.random.default_rng(0).integers(0, (view.width, view.height), (200, 2))
+    pixels = np.concatenate([pixels, pixels[:3]])  # the same again
+    x, y = pixels.T
+    found = scene.weights_at(view.name, pixels + 0.5, 5)
+    assert_array_equal(found.weights, whole.weights[y, x])
+    apart = np.diff(whole.weights[y, x], axis=1, prepend=2, append=-1) != 0
+    alone = apart[:, :-1] & apart[:, 1:]  # equal weights have no order
+    assert alone.mean() > 0.5
+    assert_array_equal(found.gaussian_ids[alone], whole.ids[y, x][alone])
+    assert (found.gaussian_ids < 0).any()
+    assert (scene.weights_at(view, pixels, 1).weights[:, 0] == found.weights[:, 0]).all()
+    assert scene.weights_at(view, [], 3).weights.shape == (0, 3)
+    for wrong, said in (([(-1.0, 2.0)], "outside of view"), ([(1.0, np.nan)], "two finite numbers")):
+        with pytest.raises(InputError, match=said):
+            scene.weights_at(view, wrong)
+    with pytest.raises(InputError, match="positive"):
+        scene.weights_at(view, [(1.0, 1.0)], 0)

@@ -46,6 +46,9 @@ def render(
 
     Raises: InputError: values without one row per Gaussian; more than 134 million pixels.
     Source: 3DGS Eq. 3.
+
+    >>> ds.render(scene.gaussians, scene.views[0]).rgb.shape
+    (72, 96, 3)
     """
     if view.width * view.height > MAX_PIXELS:
         raise InputError(

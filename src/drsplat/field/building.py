@@ -1,5 +1,6 @@
 """Evidence to field, a block of rows at a time: there is never a dense matrix of all features."""
 
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -59,6 +60,7 @@ class RowCoder(Protocol):
         """Code rows by a codebook; see `encode_features` for the arguments."""
 
 
+@dataclass(frozen=True)
 class AtOnce:
     """A `RowCoder`: this process."""
 

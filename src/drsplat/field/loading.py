@@ -102,6 +102,9 @@ def load_field(path: str | os.PathLike[str], *, search_device: str = "cpu") -> L
     Raises: InputError: there is no such field, no such device, or no GPU searches such codes. FormatError: damaged, or
     written by a newer version. MismatchError: files of different fields are mixed. MissingExtraError: "cuda" without
     CuPy or a GPU.
+
+    >>> ds.load_field("room.field").encoder.name
+    'drsplat-words'
     """
     path = Path(path)
     manifest = _checked_manifest(path)

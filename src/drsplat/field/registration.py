@@ -227,6 +227,11 @@ def register(
     Raises: InputError: no view has features, two embedding sizes; of a moving scene a view without a time, or with one
     outside of its span.
     Source: Dr. Splat Sec. A "Training stage".
+
+    >>> features = ds.read_features("capture/language_features", encoder=ds.WordEncoder().identity)
+    >>> field = ds.register(scene.gaussians, scene.views, features).to_field()
+    >>> len(field) <= len(scene.gaussians)
+    True
     """
     chosen = with_features(views, features)
     gaussians, seen = scene.canonical if isinstance(scene, Moving) else scene, [view for view, _ in chosen]

@@ -85,6 +85,9 @@ def read_views(
     than the photos'.
     Raises: InputError: nothing to read, no such folder, or no masks to invert. FormatError: a damaged file, a name that
     leaves the image folder or occurs twice, an unsupported lens. MismatchError: photos of another shape.
+
+    >>> [view.name for view in ds.read_views("capture")][:2]
+    ['photo_0.png', 'photo_1.png']
     """
     if max_side is not None and max_side < 1:
         raise InputError(f"max_side: expected at least 1 pixel, got {max_side}")
@@ -110,6 +113,10 @@ def read_sparse_points(
     Warns: DrSplatWarning: the file that transforms.json names is missing.
     Raises: InputError: there is no such capture, or no such file of points. FormatError: a damaged
     file, points that are not finite.
+
+    >>> points = ds.read_sparse_points("colmap")
+    >>> points.positions.shape
+    (300, 3)
     """
     with warnings.catch_warnings():  # read_views has them
         warnings.simplefilter("ignore", DrSplatWarning)

@@ -276,6 +276,9 @@ def write_gaussians(
     Raises: InputError: `path` exists and not `overwrite`, a suffix other than .ply, a column of
     another length, type or name than a PLY can hold, or of a property that the format itself uses; a
     `sh_degree` below that of the Gaussians or above 3.
+
+    >>> relevancy = scene.ask("red mug").dense
+    >>> ds.write_gaussians("answer.ply", scene.gaussians, {"relevancy": relevancy})
     """
     refuse_packed_name(path)
     if Path(path).suffix.lower() != ".ply":

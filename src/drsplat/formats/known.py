@@ -21,8 +21,9 @@ from .glb_layout import MAGIC as GLB_MAGIC
 from .glb_writing import write_glb
 from .ksplat import MAGIC as KSPLAT_MAGIC
 from .ksplat import parse_ksplat
+from .labels import NAMES_SUFFIX, labels_bytes
 from .ply import MARK, read_header
-from .replacing import replacing
+from .replacing import replacing, together
 from .rerun_writing import write_rrd
 from .sog import parse_sog, read_unpacked_sog
 from .sog_files import META, ZIP_MAGIC
@@ -94,7 +95,11 @@ def _parse_ply(content: memoryview) -> Gaussians:
 
 
 def _write_ply(path: Path, scene: LabelledScene, overwrite: bool) -> None:
-    write_gaussians(path, scene.gaussians, scene.columns, overwrite, is_edited=scene.num_edits > 0)
+    with together():
+        write_gaussians(path, scene.gaussians, scene.columns, overwrite, is_edited=scene.num_edits > 0)
+        if scene.things:
+            with replacing(path.with_suffix(NAMES_SUFFIX), overwrite) as file:
+                file.write(labels_bytes(scene))
 
 
 def _encoded_by(encode: Callable[[LabelledScene], bytes]) -> Writer:
@@ -113,7 +118,7 @@ _ALMOST_ALL = frozenset(ASPECTS) - {"columns", "photos"}
 FORMATS = (
     SceneFormat(
         "PLY", suffixes=(".ply",), marks=(b"ply\n", b"ply\r"), parse=_parse_ply, write={".ply": _write_ply},
-        holds=frozenset({"numbers", "relevancy", "columns", "surfels"}),
+        holds=_NAMED | {"columns", "surfels"},
         row="| 3DGS PLY `.ply` | yes | yes | little- and big-endian binary, ASCII; properties by name, in any order, "
         "of a float type or [as other programs mean them](#files-of-other-programs); SH degree 0 to 3; further "
         "scalar properties are kept in `Gaussians.extra`; other elements are stepped over; infinite opacity "

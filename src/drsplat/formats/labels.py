@@ -1,6 +1,7 @@
 """Names and boxes of objects as JSON, for files of other formats in which each Gaussian has the number of its object.
 
-A SOG keeps them in a file beside its pictures, an SPZ of version 4 in an extension; other readers step over both.
+A SOG keeps them in a file beside its pictures, an SPZ of version 4 in an extension, which other readers step over, and
+a PLY in a file beside it.
 Embeddings and annotations do not go along.
 """
 
@@ -14,6 +15,8 @@ from .json_files import as_count, as_matrix, as_number, as_vector, excerpt, is_t
 
 FORMAT, VERSION = "drsplat objects", 1
 NO_GROUP = -1
+NAMES_SUFFIX = ".objects.json"
+"""Ending of the names beside NAME.ply, whose columns say which object is whose."""
 
 
 @dataclass(frozen=True, eq=False)

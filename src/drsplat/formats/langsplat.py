@@ -177,6 +177,9 @@ def read_features(
     Raises: InputError: no such folder or level, no features in it. FormatError: maps without
     embeddings. MismatchError: the encoder has another D, or the folder is noted to be of another.
     Source: LangSplat preprocess.py.
+
+    >>> len(ds.read_features("capture/language_features"))
+    4
     """
     directory = Path(directory)
     if not directory.is_dir():

@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ..errors import FormatError
 from .glb import labels_in_glb
-from .labels import Labels
+from .labels import NAMES_SUFFIX, Labels, parse_labels
 from .sog import read_sog_labels
 from .sog_files import META
 from .spz import read_spz_labels
@@ -18,7 +18,7 @@ _BY_SUFFIX = {".sog": read_sog_labels, ".spz": read_spz_labels, ".glb": labels_i
 
 
 def read_labels(path: Path) -> Labels:
-    """Return the names and boxes of the objects and groups in a file of drsplat; none in other files.
+    """Return the names and boxes of the objects and groups in a file of drsplat, or beside a PLY; none in other files.
 
     path: a scene, or the folder of a streamed SOG.
 
@@ -28,6 +28,9 @@ def read_labels(path: Path) -> Labels:
     if path.suffix.lower() in USD_SUFFIXES:
         scene = read_usd(path)
         return _checked(Labels(scene.things, scene.groups, scene.query), path)
+    beside = path.with_suffix(NAMES_SUFFIX)
+    if path.suffix.lower() == ".ply" and beside.is_file():
+        return _checked(parse_labels(beside.read_bytes(), str(beside)), beside)
     reader = _BY_NAME.get(path.name) or _BY_SUFFIX.get(path.suffix.lower())
     return Labels() if reader is None else _checked(reader(path), path)
 

@@ -73,7 +73,8 @@ EXPECTED = {
     Kind.CAPTURE: "posed photos (a folder with a COLMAP model: cameras and images in sparse/0, .bin or .txt; or with "
     f"a {TRANSFORMS}, {TRAIN_TRANSFORMS} or {CAMERAS})",
     Kind.SCENE: f"a scene ({', '.join(SCENE_SUFFIXES)}, a trained model's folder, tiles or NAME.motion)",
-    Kind.FIELD: f"a field (a folder NAME{FIELD_SUFFIX}, as `drsplat register` writes it)",
+    Kind.FIELD: "a searchable scene (a folder that `drsplat demo` or `drsplat scan` wrote, or a field, NAME"
+    f"{FIELD_SUFFIX}, as `drsplat register` writes it)",
     Kind.FEATURES: f"features of photos (*{COMPACT}, as `drsplat embed` writes them, or *{EMBEDDINGS})",
 }
 _WAYS = {

@@ -28,6 +28,9 @@ def read_gaussians(path: str | PathLike[str]) -> Gaussians:
     Warns: DrSplatWarning: such a scene in a file of float32 positions, which have lost precision already.
     Raises: InputError: nothing at `path`. FormatError: a format that is not known, a damaged or truncated file, or rows
     that are no Gaussians; the message says how many, which is the first, and the cure.
+
+    >>> len(ds.read_gaussians("scene.ply"))
+    300
     """
     path = scene_file(Path(path))
     try:

@@ -66,6 +66,9 @@ def read_vocabulary(path: str | Path, name: str | None = None) -> VocabularyEnco
 
     Raises: InputError: there is no such file. FormatError: it is damaged, vectors differ in length,
     a vector has no direction.
+
+    >>> ds.read_vocabulary("clip_texts.json").texts[0]
+    'red mug'
     """
     path = Path(path)
     if not path.is_file():

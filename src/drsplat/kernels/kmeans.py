@@ -22,9 +22,18 @@ class Track(Protocol):
     def __call__(self, items: Sequence[T], description: str, /) -> Iterable[T]: ...
 
 
-def untracked(items: Sequence[T], description: str, /) -> Iterable[T]:
-    """Return the items and show no progress."""
-    return items
+class _Untracked:
+    """Track that shows nothing; as a default, `help` shows it by its name."""
+
+    def __call__(self, items: Sequence[T], description: str, /) -> Iterable[T]:
+        """Return the items."""
+        return items
+
+    def __repr__(self) -> str:
+        return "untracked"
+
+
+untracked = _Untracked()
 
 
 def train_centroids(

@@ -44,14 +44,22 @@ class Answer:
 
     @classmethod
     def of(cls, field: LanguageField, values: Float32[np.ndarray, " r"], threshold: float) -> "Answer":
-        """Return an answer of values computed elsewhere. Raises: InputError: not one per row of the field."""
+        """Return an answer of values computed elsewhere. Raises: InputError: not one per row of the field.
+
+        >>> ds.Answer.of(scene.field, np.ones(len(scene.field), np.float32), 0.5).certainty
+        'sure'
+        """
         if values.shape != (len(field),):
             raise InputError(f"expected {len(field)} values, one per row of the field; got shape {values.shape}")
         return cls(field, None, values, COSINE, threshold, GIVEN, values)
 
     @classmethod
     def of_rows(cls, field: LanguageField, rows: Integer[np.ndarray, " s"], rule: str) -> "Answer":
-        """Return exactly some rows of the field: 1 there, 0 elsewhere."""
+        """Return exactly some rows of the field: 1 there, 0 elsewhere.
+
+        >>> ds.Answer.of_rows(scene.field, np.arange(3), "object").gaussian_ids.shape
+        (3,)
+        """
         values = np.zeros(len(field), np.float32)
         values[rows] = 1
         return cls(field, None, values, COSINE, 0.5, rule, values)
@@ -72,6 +80,9 @@ class Answer:
         """Draw what is selected, the rest in grey; a notebook shows the picture, `.show()` opens it elsewhere.
 
         view: as of `Scene.picture`. Raises: InputError: the answer is of no scene with Gaussians and views.
+
+        >>> scene.ask("red mug").show("photo_0.png").size
+        (96, 72)
         """
         if self.drawn is None:
             raise InputError("this answer is of a field alone: ask a scene that has Gaussians and views")
@@ -119,11 +130,19 @@ class Answer:
         return SURE if self.sure and not self.doubt else MAYBE
 
     def cut_at(self, threshold: float) -> "Answer":
-        """Return the same values with another threshold."""
+        """Return the same values with another threshold.
+
+        >>> len(scene.ask("red mug").cut_at(2.0).gaussian_ids)
+        0
+        """
         return replace(self, threshold=threshold, rule=GIVEN)
 
     def without_maybe(self) -> "Answer":
-        """Return the answer, or one that selects nothing where other words fit as well."""
+        """Return the answer, or one that selects nothing where other words fit as well.
+
+        >>> scene.ask("red mug").without_maybe().certainty
+        'sure'
+        """
         if self.sure or not len(self.values):
             return self
         return replace(self, threshold=float(self.values.max()))

@@ -128,7 +128,7 @@ def open_scene(
     dataparser_transforms: str | PathLike[str] | None = None,
     max_side: int | None = None,
     times: str | PathLike[str] | None = None,
-    load: Load = load_encoder,
+    load: Load | None = None,
 ) -> Scene:
     """Open a folder with a field, its scene and photos, or a field (NAME.field) alone.
 
@@ -140,6 +140,10 @@ def open_scene(
 
     Raises: InputError: files are missing. FormatError: damaged files. MismatchError: the field is of
     none of the scenes. MissingExtraError: search device "cuda" without CuPy or a GPU.
+
+    >>> scene = ds.open_scene("room.field", scene="scene.ply", views="capture")
+    >>> len(scene.views), len(scene.objects)
+    (4, 2)
     """
     files = path if isinstance(path, SceneFiles) else scene_files(path, scene, views)
     if encoder is None and vocabulary is None:
@@ -166,7 +170,7 @@ def open_scene(
         field,
         gaussians,
         photos,
-        lambda: encoder_for(field, vocabulary, encoder, device, load),
+        lambda: encoder_for(field, vocabulary, encoder, device, load or load_encoder),
         name=files.name,
         threads=threads,
         labels=LabelFile.beside(files.field),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from ..base.arrays import Bool, Float32, Float64, Int32, Int64, Integer, UInt8
+from ..base.arrays import Bool, Float32, Float64, Int32, Int64, Integer, Shaped, UInt8
 from ..base.terminal import facts_html
 from ..errors import InputError, MissingExtraError
 from ..field import LanguageField
@@ -32,7 +32,7 @@ from .naming import best_names, doubt_of, object_names
 from .objects import answer_of, match_of, most_seen, objects_of
 from .places import Point, nearest_gaussian
 from .query import Cut, Query
-from .search import feature_of, row_of, seen_among
+from .search import PixelWeights, feature_of, pixel_weights, row_of, seen_among
 from .support import support_in
 from .tasks import locate, segment, sure_matches
 from .views import view_named
@@ -68,7 +68,7 @@ class Scene:
         threads: int = 0,
         labels: LabelFile | None = None,
         path: Path | None = None,
-        georeference: Callable[[], Georeference | None] = lambda: None,
+        georeference: Callable[[], Georeference | None] | None = None,
     ) -> None:
         self.tiles = gaussians if isinstance(gaussians, Tiles) else None
         self._rows = _rows_of(gaussians)
@@ -117,7 +117,7 @@ class Scene:
     @cached_property
     def georeference(self) -> Georeference | None:
         """The scene's place on the Earth, None where nobody has told it. Raises: FormatError: its file is damaged."""
-        return self._georeference()
+        return None if self._georeference is None else self._georeference()
 
     @property
     def encoder(self) -> Encoder:
@@ -144,6 +144,9 @@ class Scene:
         """Return what a view may see: some tiles of a scene on disk, all of one in memory.
 
         Raises: InputError: the scene was opened without its Gaussians. FormatError: a tile is damaged or missing.
+
+        >>> len(scene.seen(scene.views[0]).gaussians)
+        300
         """
         from .seen import Seen, seen_of_tiles
 
@@ -175,6 +178,9 @@ class Scene:
         """Return the word that the encoder is sure of for each object, or each of some nodes, else None.
 
         words: to choose from; where there are none, those of an encoder that knows a list.
+
+        >>> scene.object_names(words=["red mug", "blue plate"])
+        ['red mug', 'blue plate']
         """
         chosen = objects_of(self.field).things.tolist() if nodes is None else nodes
         try:
@@ -191,7 +197,11 @@ class Scene:
             return ""
 
     def object_ids(self) -> Int32[np.ndarray, " n"]:
-        """Return per Gaussian of the scene its object's number, -1: none. Raises: InputError: the field has none."""
+        """Return per Gaussian of the scene its object's number, -1: none. Raises: InputError: the field has none.
+
+        >>> np.unique(scene.object_ids()).tolist()
+        [0, 1]
+        """
         ids = np.full(self.field.num_gaussians, -1, np.int32)
         ids[self.field.gaussian_ids] = objects_of(self.field).thing_of()
         return ids
@@ -208,6 +218,10 @@ class Scene:
         """Name a node as people call it, in place of the name that it had; kept beside the field.
 
         Raises: InputError: no such node, no objects, an empty name, or nowhere to keep it.
+
+        >>> scene.label(0, "my mug")
+        >>> scene.locate("my mug")[0].label
+        'my mug'
         """
         if self.label_file is None:
             raise InputError("this scene was not opened from a field on disk: there is nowhere to keep a name")
@@ -220,6 +234,9 @@ class Scene:
         """Return the nodes at a Gaussian, a point or a click, smallest first: parts, thing, groups.
 
         Raises: InputError: nothing with a feature there, or nothing that belongs to an object.
+
+        >>> scene.object_at(0)
+        [0]
         """
         objects = objects_of(self.field)
         path = objects.path(self._row_at(place, objects))
@@ -228,7 +245,11 @@ class Scene:
         return path
 
     def view(self, name: str) -> View:
-        """Return the view of a photo's name. Raises: InputError: there is none of that name."""
+        """Return the view of a photo's name. Raises: InputError: there is none of that name.
+
+        >>> scene.view("photo_0.png").width
+        96
+        """
         return view_named(self.views, name)
 
     def _repr_html_(self) -> str:
@@ -253,6 +274,10 @@ class Scene:
 
         Raises: InputError: words that the encoder does not know, no encoder, no such view, nothing at the
         point. MismatchError: a vector of another dimension.
+
+        >>> answer = scene.ask("red mug")
+        >>> answer.certainty
+        'sure'
         """
         query = Query(query) if isinstance(query, str) else query
         if not isinstance(query, Query):
@@ -283,7 +308,11 @@ class Scene:
         return None if sentence.text == query.text else self._answer(replace(query, text=sentence.text))
 
     def sibling(self, field: LanguageField, gaussians: Gaussians | Moving | Tiles | None) -> "Scene":
-        """Return a scene of another field or of other Gaussians, with the photos, words and names of this one."""
+        """Return a scene of another field or of other Gaussians, with the photos, words and names of this one.
+
+        >>> scene.sibling(scene.field, None).has_gaussians
+        False
+        """
         return Scene(
             field, gaussians, lambda: self.views, lambda: self.encoder, name=self.name, threads=self.threads,
             labels=self.label_file, georeference=lambda: self.georeference,
@@ -293,6 +322,9 @@ class Scene:
         """Return the scene with only the photos of a span of time registered; the last two results are kept.
 
         Raises: InputError: a field without evidence or of a scene that stands still, or no photo in the span.
+
+        >>> film.during((0, 1)).field.encoder.name
+        'drsplat-words'
         """
         from .tracks import of_span
 
@@ -306,17 +338,30 @@ class Scene:
         return self.motion
 
     def at(self, time: float | int) -> "Scene":
-        """Return the still scene at a time. Raises: InputError: a time outside of the scene's span."""
+        """Return the still scene at a time. Raises: InputError: a time outside of the scene's span.
+
+        >>> film.at(1.0).motion is None
+        True
+        """
         from .tracks import at_time
 
         return at_time(self, self.moving.inside(time))
 
     def seen_by(self, view: View) -> "Scene":
-        """Return the scene at the time of a photo; the scene itself if it is still or the photo has no time."""
+        """Return the scene at the time of a photo; the scene itself if it is still or the photo has no time.
+
+        >>> scene.seen_by(scene.views[0]) is scene
+        True
+        """
         return self if self.motion is None or view.time is None else self.at(view.time)
 
     def tracks(self, matches: Sequence[Match], box: BoxKind = "upright") -> list[MatchTrack]:
-        """Return where matches are over time, and when photos see them. Raises: InputError: a still scene."""
+        """Return where matches are over time, and when photos see them. Raises: InputError: a still scene.
+
+        >>> track = film.tracks(film.locate("red mug"))[0]
+        >>> track.centers.shape
+        (4, 3)
+        """
         from .tracks import tracks
 
         return tracks(self.moving, self.field, matches, self.up if box == "upright" else None)
@@ -330,6 +375,9 @@ class Scene:
         right_of are meant from.
 
         Raises: InputError: no match for a query, no such view, a scene that stands still; an unknown relation.
+
+        >>> film.when("red mug", "on", "blue plate")
+        ()
         """
         from .tracks import when_of
 
@@ -351,6 +399,10 @@ class Scene:
         the photos tell which way is up; "free" lies as the thing does.
 
         Raises: as `ask`; InputError: a scene without Gaussians.
+
+        >>> mug = scene.locate("red mug")[0]
+        >>> mug.sure, len(mug.center)
+        (True, 3)
         """
         answer = query if isinstance(query, Answer) else self.ask(query)
         up = self.up if box == "upright" else None
@@ -370,6 +422,9 @@ class Scene:
         cut: how all of them are measured and cut.
 
         Raises: as `ask`; InputError: no classes, or one twice.
+
+        >>> scene.segment(["red mug", "blue plate"]).counts
+        [150, 150]
         """
         if cut is not None and cut.during is not None:
             return self.during(cut.during).segment(classes, replace(cut, during=None))
@@ -392,12 +447,19 @@ class Scene:
         names: the words to choose from, None for those of an encoder that knows a list.
 
         Raises: InputError: nothing with a feature there, or no list of words.
+
+        >>> scene.what_is(0, ["red mug", "blue plate"])[0].text
+        'red mug'
         """
         feature = self.feature_of(place)
         return [Word(*one) for one in best_names(self.encoder, self.field, feature, names, top)]
 
     def feature_of(self, place: Place) -> Float32[np.ndarray, " D"]:
-        """Return the unit feature at a Gaussian, a point or a click. Raises: InputError: no feature there."""
+        """Return the unit feature at a Gaussian, a point or a click. Raises: InputError: no feature there.
+
+        >>> scene.feature_of(0).shape
+        (512,)
+        """
         if isinstance(place, int | np.integer):
             return feature_of(self.field, int(place))
         if isinstance(place[0], str):
@@ -412,6 +474,9 @@ class Scene:
 
         Raises: InputError: a point that is not finite, or further than 3 standard deviations and a hundredth
         of the scene's size from all of them.
+
+        >>> scene.nearest((-0.7, -0.3, 0.0)) < 150
+        True
         """
         return nearest_gaussian(self.rows, self.field.gaussian_ids, point)
 
@@ -419,10 +484,31 @@ class Scene:
         """Return the centre of the heaviest Gaussian with a feature at a pixel of a view, in world coordinates.
 
         Raises: InputError: no such view or pixel, or nothing with a feature there.
+
+        >>> scene.point_at(("photo_0.png", 30.5, 36.5)).shape
+        (3,)
         """
         rows, weights = self._weights_at(click)
         ids = self.field.gaussian_ids[rows[[weights.argmax()]]]
         return np.asarray(self.seen_by(self.view(click[0])).rows.shapes_of(ids).positions[0])
+
+    def weights_at(
+        self, view: View | str, pixels: Sequence[tuple[float, float]] | Shaped[np.ndarray, "p xy"], k: int = 8
+    ) -> PixelWeights:
+        """Return the k Gaussians of the largest blending weights at pixels of a photo, and these weights (3DGS Eq. 3).
+
+        pixels: from the left and from the top of the photo without distortion; the first one's centre is (0.5, 0.5).
+
+        Raises: InputError: no such view, a pixel outside of it, k < 1, or a scene without Gaussians.
+
+        >>> rows, weights = scene.weights_at("photo_0.png", [(30.5, 36.5), (60.5, 36.5)])
+        >>> rows.shape
+        (2, 8)
+        """
+        view = self.view(view) if isinstance(view, str) else view
+        seen = self.seen_by(view).seen(view)
+        at = np.asarray(pixels, np.float64).reshape(-1, 2)
+        return pixel_weights(seen.splats, seen.rows, view, at, k, threads=self.threads)
 
     def picture(
         self,
@@ -438,6 +524,9 @@ class Scene:
         the view, if there is one, instead of a rendering. max_side: pixels of the longer side, at most.
 
         Raises: InputError: no such view, or none to choose from.
+
+        >>> scene.picture("photo_0.png", scene.ask("red mug")).shape
+        (72, 96, 3)
         """
         from ..drawing.pictures import as_pixels, highlighted, photo_or_rendering, visible_share
         from ..drawing.rendering import render
@@ -464,6 +553,8 @@ class Scene:
         """Return the view that shows most of some Gaussians; the first one for None.
 
         Raises: InputError: the scene has no views.
+
+        >>> view = scene.best_view(scene.ask("red mug").gaussian_ids)
         """
         if not self.views:
             raise InputError(
@@ -481,6 +572,9 @@ class Scene:
         among: views to choose from. None takes all, or, of a scene in tiles, those whose masks have most of it.
 
         Raises: InputError: no views, or no Gaussians.
+
+        >>> len(scene.best_views([match.gaussian_ids for match in scene.objects]))
+        2
         """
         from ..drawing.pictures import best_views
         from .seen import views_showing

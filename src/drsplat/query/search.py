@@ -2,19 +2,27 @@
 
 import re
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float32, Int64
+from ..base.arrays import Float32, Float64, Int32, Int64
 from ..errors import InputError
 from ..field import LanguageField, Negatives
-from ..kernels import SplatArrays, splat_arrays, view_weights
+from ..kernels import SplatArrays, view_weights
 from ..scene.encoders import Encoder
-from ..scene.gaussians import Gaussians
 from ..scene.views import View
 from .encoding import Embedded
 
 NEGATIVES = ("object", "things", "stuff", "texture")
+
+
+class PixelWeights(NamedTuple):
+    """The largest blending weights of some pixels, and the Gaussians' rows, descending; padded with -1 and 0."""
+
+    gaussian_ids: Int64[np.ndarray, "p k"]
+    weights: Float32[np.ndarray, "p k"]
+
 
 UNSELECTED_COSINE = -1.0  # which no threshold selects
 QUERIES_AT_ONCE = 8  # whose scores are held
@@ -84,45 +92,6 @@ def feature_of(field: LanguageField, gaussian_id: int) -> Float32[np.ndarray, " 
     return feature
 
 
-def feature_at(
-    field: LanguageField, gaussians: Gaussians, view: View, xy: tuple[float, float], *, threads: int = 0
-) -> Float32[np.ndarray, " D"]:
-    """Return the feature of what a pixel of a view shows, a query that needs no encoder.
-
-    xy: pixels from the left and from the top; the centre of the first pixel is at (0.5, 0.5). The
-    feature is that of the Gaussian with the largest blending weight there among those that have one.
-
-    Raises: MismatchError: the field is of another scene. InputError: a pixel outside of the view, or
-    one where no Gaussian has a feature.
-    Source: Dr. Splat Sec. F "Broader application".
-    """
-    found = gaussian_at(field, gaussians, view, xy, threads=threads)
-    feature: np.ndarray = field.feature(field.rows_of(np.array([found])))[0]
-    return feature
-
-
-def gaussian_at(
-    field: LanguageField, gaussians: Gaussians, view: View, xy: tuple[float, float], *, threads: int = 0
-) -> int:
-    """Return the row of the Gaussian with the largest blending weight at a pixel among those that have a feature.
-
-    Arguments and Raises: as `feature_at`.
-    """
-    rows, weights = seen_at(field, gaussians, view, xy, threads=threads)
-    return int(field.gaussian_ids[rows[weights.argmax()]])
-
-
-def seen_at(
-    field: LanguageField, gaussians: Gaussians, view: View, xy: tuple[float, float], *, threads: int = 0
-) -> tuple[Int64[np.ndarray, " m"], Float32[np.ndarray, " m"]]:
-    """Return the rows of the field that a pixel of a view shows, one or more, and their blending weights there.
-
-    Arguments and Raises: as `feature_at`.
-    """
-    field.check_scene(gaussians)
-    return seen_among(field, splat_arrays(gaussians), None, view, xy, threads=threads)
-
-
 def seen_among(
     field: LanguageField,
     splats: SplatArrays,
@@ -132,19 +101,14 @@ def seen_among(
     *,
     threads: int = 0,
 ) -> tuple[Int64[np.ndarray, " m"], Float32[np.ndarray, " m"]]:
-    """Return the same of Gaussians that a view may see. ids: their rows in the scene; None: they are all of it.
+    """Return the rows of the field that a pixel of a view shows, one or more, and their blending weights there.
 
-    Raises: InputError: as `feature_at`.
+    splats, ids: of the Gaussians that the view may see, and their rows in the scene; None: they are all of it. xy:
+    pixels from the left and from the top; the centre of the first pixel is at (0.5, 0.5).
+
+    Raises: InputError: a pixel outside of the view, or one where no Gaussian has a feature.
     """
-    if not np.isfinite(xy).all():
-        raise InputError(f"expected a pixel of two finite numbers, got {xy}")
-    column, row = (int(np.floor(at)) for at in xy)
-    if not (0 <= column < view.width and 0 <= row < view.height):
-        raise InputError(
-            f"pixel {xy[0]:g},{xy[1]:g} is outside of view '{view.name}': it has {view.width}x{view.height}"
-        )
-    pixel = np.full((view.height, view.width), -1, np.int32)
-    pixel[row, column] = 0
+    pixel, _ = _pixel_map(view, np.array([xy], np.float64))
     seen = view_weights(splats, view, pixel, topk=None, threads=threads)
     rows = field.rows_of(seen.gaussian_ids if ids is None else ids[seen.gaussian_ids])
     if not (rows >= 0).any():
@@ -152,3 +116,48 @@ def seen_among(
             f"no Gaussian at pixel {xy[0]:g},{xy[1]:g} of view '{view.name}' has a feature: click elsewhere"
         )
     return rows[rows >= 0], seen.weights[rows >= 0]
+
+
+def pixel_weights(
+    splats: SplatArrays,
+    ids: Int64[np.ndarray, " n"] | None,
+    view: View,
+    pixels: Float64[np.ndarray, "p xy"],
+    k: int,
+    *,
+    threads: int = 0,
+) -> PixelWeights:
+    """Return the k largest blending weights of some pixels of a view. ids: as of `seen_among`.
+
+    Raises: InputError: k < 1, or a pixel that is outside of the view.
+    """
+    numbers, order = _pixel_map(view, pixels)
+    seen = view_weights(splats, view, numbers, topk=k, threads=threads)
+    by_pixel = np.lexsort((-seen.weights, seen.mask_ids))
+    masks = seen.mask_ids[by_pixel]
+    rank = np.arange(len(masks)) - np.searchsorted(masks, masks)
+    found = PixelWeights(np.full((len(pixels), k), -1), np.zeros((len(pixels), k), np.float32))
+    rows = seen.gaussian_ids.astype(np.int64)
+    found.gaussian_ids[masks, rank] = (rows if ids is None else ids[rows])[by_pixel]
+    found.weights[masks, rank] = seen.weights[by_pixel]
+    return PixelWeights(found.gaussian_ids[order], found.weights[order])
+
+
+def _pixel_map(
+    view: View, pixels: Float64[np.ndarray, "p xy"]
+) -> tuple[Int32[np.ndarray, "h w"], Int64[np.ndarray, " p"]]:
+    """Return a map with a number for each of some pixels, -1 elsewhere, and the number of each.
+
+    Raises: InputError: a pixel that is not finite, or outside of the view.
+    """
+    if not np.isfinite(pixels).all():
+        raise InputError(f"expected pixels of two finite numbers, got {pixels.tolist()}")
+    outside = ((pixels < 0) | (pixels >= (view.width, view.height))).any(axis=1)
+    if outside.any():
+        x, y = pixels[outside][0]
+        raise InputError(f"pixel {x:g},{y:g} is outside of view '{view.name}': it has {view.width}x{view.height}")
+    columns, rows = np.floor(pixels).astype(np.int64).T
+    chosen, order = np.unique(rows * view.width + columns, return_inverse=True)
+    numbers = np.full(view.height * view.width, -1, np.int32)
+    numbers[chosen] = np.arange(len(chosen))
+    return numbers.reshape(view.height, view.width), order

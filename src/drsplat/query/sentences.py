@@ -12,9 +12,11 @@ import numpy as np
 
 from ..errors import InputError
 from ..photos.models.mini.lexicon import COLORS, TONES
+from ..scene.encoders import Encoder
 from .answer import Answer, Match
 from .defaults import OBJECT
 from .query import Query
+from .search import split_negation
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -96,6 +98,21 @@ def parsed(text: str) -> Sentence:
         raise InputError(f"'{text}': expected two things, as in 'the book between the lamp and the vase'")
     what = _thing(before)
     return Sentence("" if what.lower() in _ANYTHING else what, relation, others)
+
+
+def known_parts(text: str, encoder: Encoder | None) -> list[str]:
+    """Return the texts that a query embeds, one for each thing that its sentence names.
+
+    encoder: who will embed them; None for one that takes any words.
+
+    Raises: InputError: words that it does not know, or a sentence that is not understood; as `Scene.ask`.
+    """
+    sentence = parsed(text)
+    parts = [split_negation(part) for part in (sentence.text, *sentence.others) if part]
+    wanted = [part for part, _ in parts]
+    if encoder is not None:
+        encoder.encode_texts([*wanted, *(f"{word} {part}" for part, unwanted in parts for word in unwanted)])
+    return wanted
 
 
 def _thing(words: str) -> str:

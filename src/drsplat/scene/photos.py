@@ -1,6 +1,6 @@
 """Pixels of a posed photo, on the raster of its pinhole."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from functools import lru_cache
 from io import BytesIO
@@ -12,7 +12,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from ..base.arrays import Bool, Float64, Int32, UInt8
 from ..base.contents import open_file
 from ..errors import FormatError, InputError, placed
-from .lens import distort_points
+from .lens import Points, distort_points, undistort_points
 from .picture_costs import check_cost
 from .views import View
 
@@ -21,6 +21,7 @@ PHOTO_FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "BMP", "PPM")
 
 ORIENTATION_TAG = 0x0112
 _MIN_BRIGHTEST = 16  # of 256, of pictures of 16 bits: those of 12 bits and less have none brighter
+Way = Callable[[View, Points], Points]
 _BLOCK_ROWS = 128  # remapped at once: the map of a whole 24 MP photo would take 400 MB
 
 
@@ -63,6 +64,9 @@ def load_image(view: View) -> UInt8[np.ndarray, "h w 3"]:
 
     Raises: InputError: the view has no photo. FormatError: the file is damaged, truncated, of
     another kind, or decodes to more pixels than a photo has.
+
+    >>> ds.load_image(scene.views[0]).shape
+    (72, 96, 3)
     """
     if view.image_path is None:
         raise InputError(f"view '{view.name}' has no photo: read it with images=FOLDER")
@@ -90,22 +94,31 @@ def undistort_ids(view: View, mask_ids: Int32[np.ndarray, "h w"]) -> Int32[np.nd
     The map keeps its own raster, which need not be the view's; it is -1 outside the photo. Masks computed on a
     distorted photo need it, those computed on what `load_image` returned do not.
     """
+    return _moved_ids(view, mask_ids, distort_points)
+
+
+def distort_ids(view: View, ids: Int32[np.ndarray, "h w"]) -> Int32[np.ndarray, "h w"]:
+    """Bring a label map of the pinhole to the photo as it is stored, as `undistort_ids` does the other way."""
+    return _moved_ids(view, ids, undistort_points)
+
+
+def _moved_ids(view: View, ids: Int32[np.ndarray, "h w"], way: Way) -> Int32[np.ndarray, "h w"]:
     if view.distortion is None:
-        return mask_ids
-    height, width = mask_ids.shape
+        return ids
+    height, width = ids.shape
     raster = view.resized(width, height)
-    source = _nearest_pixels(width, height, raster.K.tobytes(), view.distortion)
-    return np.where(source < 0, np.int32(-1), mask_ids.reshape(-1)[source])
+    source = _nearest_pixels(width, height, raster.K.tobytes(), view.distortion, way)
+    return np.where(source < 0, np.int32(-1), ids.reshape(-1)[source])
 
 
 @lru_cache(maxsize=2)  # photos of a capture mostly share a camera; 4 bytes a pixel
 def _nearest_pixels(
-    width: int, height: int, intrinsics: bytes, distortion: tuple[float, float, float, float]
+    width: int, height: int, intrinsics: bytes, distortion: tuple[float, float, float, float], way: Way
 ) -> Int32[np.ndarray, "h w"]:
-    """Return the flat index of the photo's pixel that each pixel of the pinhole shows; -1 outside the photo."""
-    pinhole = View("", np.frombuffer(intrinsics).reshape(3, 3), np.eye(4), width, height, distortion=distortion)
+    """Return the flat index of the pixel that each pixel shows, `way` from it; -1 outside."""
+    view = View("", np.frombuffer(intrinsics).reshape(3, 3), np.eye(4), width, height, distortion=distortion)
     nearest = np.full((height, width), -1, np.int32)
-    for rows, source in _source_blocks(pinhole):
+    for rows, source in _source_blocks(view, way):
         inside = _inside(source, width, height)
         x, y = source[inside].astype(np.int32).T
         nearest[rows][inside] = y * width + x
@@ -136,13 +149,13 @@ def _bilinear(photo: UInt8[np.ndarray, "h w 3"], at: Float64[np.ndarray, "n 2"])
     return blended.astype(np.uint8)
 
 
-def _source_blocks(view: View) -> Iterator[tuple[slice, Float64[np.ndarray, "r w 2"]]]:
-    """Yield blocks of rows of the pinhole, with the place of each of their pixel centres on the photo."""
+def _source_blocks(view: View, way: Way = distort_points) -> Iterator[tuple[slice, Float64[np.ndarray, "r w 2"]]]:
+    """Yield blocks of rows of the pinhole, or of the photo, with the place of their pixel centres on the other."""
     columns = np.arange(view.width) + 0.5
     for start in range(0, view.height, _BLOCK_ROWS):
         stop = min(start + _BLOCK_ROWS, view.height)
         x, y = np.meshgrid(columns, np.arange(start, stop) + 0.5)
-        yield slice(start, stop), distort_points(view, np.stack([x, y], -1))
+        yield slice(start, stop), way(view, np.stack([x, y], -1))
 
 
 def _inside(points: Float64[np.ndarray, "r w 2"], width: int, height: int) -> Bool[np.ndarray, "r w"]:

@@ -97,6 +97,10 @@ def train(
     the folder holds a run of other settings or inputs. FormatError: a damaged photo. MissingExtraError: device "cuda"
     without CuPy or a GPU. DrSplatError: the optimisation diverged.
     Source: 3DGS; "3D Gaussian Splatting as Markov Chain Monte Carlo".
+
+    >>> points = ds.read_sparse_points("colmap")
+    >>> ds.train(ds.read_views("capture"), ds.TrainingSettings(iterations=20), points=points).settings.iterations
+    20
     """
     job = Job(
         views, settings or everyday(views), output_dir, points, overwrite, save_at, checkpoint_every, threads, report

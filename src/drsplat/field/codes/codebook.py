@@ -208,6 +208,10 @@ def train_codebook(
 
     Raises: InputError: no points, points not finite, or D is no multiple of num_subvectors.
     Source: Dr. Splat Sec. B.
+
+    >>> vectors = np.random.default_rng(0).normal(size=(1000, 8)).astype(np.float32)
+    >>> ds.train_codebook(vectors, 2, encoder=ds.EncoderIdentity("my encoder", 8)).dim
+    8
     """
     n, dim = embeddings.shape
     if n == 0 or num_subvectors < 1 or dim % num_subvectors:
@@ -237,7 +241,11 @@ def save_codebook(codebook: Codebook, path: str | os.PathLike[str], overwrite: b
 
 
 def load_codebook(path: str | os.PathLike[str]) -> Codebook:
-    """Read what `save_codebook` wrote. Raises: FormatError: another kind of file or version, or damaged."""
+    """Read what `save_codebook` wrote. Raises: FormatError: another kind of file or version, or damaged.
+
+    >>> ds.load_codebook("codebook.safetensors").dim
+    8
+    """
     if is_faiss(path):
         raise FormatError(
             f"{path}: a FAISS index, which does not say which encoder made its embeddings: "

@@ -84,8 +84,8 @@ def show(answer: Facts) -> None:
     from .tables import show_table, size_text, text_of
 
     photos, masks = answer["num_photos"], answer["num_masks"]
-    title = f"{text_of(answer['num_gaussians'])} Gaussians, {photos} photos, {text_of(masks)} masks"
-    columns = ("query", "", "", "IoU", "Gaussians", "centre (m)", "ms")
+    title = f"{text_of(answer['num_gaussians'])} Gaussians, {photos} photos, {text_of(masks)} masks; lengths in metres"
+    columns = ("query", "", "", "IoU", "Gaussians", "centre", "ms")
     show_table(title, columns, [_row(query) for query in answer["queries"]])
     seconds, memory = answer["seconds"], size_text(answer["peak_memory_bytes"])
     print(

@@ -33,6 +33,7 @@ EXAMPLES = """\
   drsplat export drsplat-demo --query "red vase" --only --output vase.glb
   drsplat export drsplat-demo --object 4 --output thing.ply
   drsplat export film.field --scene film.motion --at 1.5 --output moment.glb
+  drsplat export drsplat-demo --query "red vase" --masks --output masks
   drsplat export tiles --output city/lod-meta.json
 
 A .glb has a table of the objects (number, name, score, box, group) and the object of each Gaussian; with --query,
@@ -69,9 +70,13 @@ class Options(Verb):
 
     source: str = argument("scene, a field, or a folder with a field, its scene and photos", value="SCENE")
     output: str = option(
-        f"file to write: {SUFFIXES}; a folder of 3D Tiles", "FILE|DIR", flags="-o", required=True
+        f"file to write: {SUFFIXES}; a folder of 3D Tiles or masks", "FILE|DIR", flags="-o", required=True
     )  # fmt: skip
     tiles3d: bool = flag("write 3D Tiles, levels of detail for maps, to the folder --output")
+    masks: bool = flag(
+        "write a mask of each photo to the folder --output: the matches of --query in white, or all objects in a "
+        "palette, with the same number in each photo"
+    )
     field: str | None = option("field of the scene, for named objects and queries")
     scene: str | None = option("scene that was registered, if SCENE is a field")
     time: float | None = option("time of a scene that moves", "TIME", finite, flags="--at")
@@ -106,6 +111,8 @@ def run(options: Options) -> Facts:
     from ...formats.streamed_sog import LOD_META
 
     output, content = _output(options), options.content
+    if options.masks:
+        return _masks(options, output)
     if (options.tiles3d or output.name == LOD_META) and (tiles := _whole_tiles(options)) is not None:
         return _levels_of_tiles(options, output, tiles)
     scene = _labelled(options, output)
@@ -140,8 +147,13 @@ def _report(options: Options, query: str | None, owners: np.ndarray | None, done
 def show(answer: Facts) -> None:
     from ...base.terminal import counted
 
+    if answer["format"] == "masks":
+        shown = counted(answer["num_shown"], "shows", "show")
+        print(f"{answer['saved']}: masks of {counted(answer['num_photos'], 'photo')}, of which {shown} something")
+        return
     parts = [counted(answer["num_gaussians"], "Gaussian")]
-    parts += [] if answer["num_objects"] is None else [counted(answer["num_objects"], "object")]
+    if answer["num_objects"] is not None:
+        parts.append(f"{counted(answer['num_objects'], 'object')}, sure or not")
     if answer["query"] is not None:
         parts.append(f"{counted(answer['num_matches'], 'match', 'matches')} of '{answer['query']}'")
     if answer["num_annotations"]:
@@ -163,7 +175,7 @@ def _output(options: Options) -> Path:
     output = Path(options.output)
     place = output.resolve().parent if output.name == LOD_META else output
     new_output(str(place), options.overwrite)
-    if not options.tiles3d:
+    if not (options.tiles3d or options.masks):
         try:
             writer_of(output)
         except InputError as error:
@@ -174,6 +186,18 @@ def _output(options: Options) -> Path:
     if chosen == "only" and options.subject is None:
         raise InputError("only: what matches is that of a query: give --query WORDS")
     return output
+
+
+def _masks(options: Options, folder: Path) -> Facts:
+    """Write masks of the photos. Raises: InputError: as `write_masks`; a scene without a field."""
+    from ...authoring.exporting.masking import write_masks
+
+    scene = _opened(options)
+    if scene is None:
+        raise InputError("masks are drawn of what a field knows: pass field=FIELD as well")
+    query = None if options.subject is None else query_of(options.asked)
+    done = write_masks(folder, scene, query, overwrite=options.overwrite)
+    return {"scene": options.source, "saved": options.output, "format": "masks", **done._asdict()}
 
 
 def _tiles3d(options: Options, output: Path, source: LabelledScene | TiledScene) -> Exported:

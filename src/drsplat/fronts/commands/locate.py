@@ -82,7 +82,7 @@ def run(options: Options) -> Facts:
 def show(answer: Facts) -> None:
     from .tables import show_table, text_of
 
-    of = counted(answer["num_registered"], "Gaussian")
+    of = counted(answer["num_registered"], "registered Gaussian")
     measured = f"{text_of(answer['num_selected'])} of {of} selected; {measured_text(answer)}"
     print_doubt(answer)
     if not (answer["num_selected"] if answer["matches"] is None else answer["matches"]):

@@ -121,7 +121,7 @@ def show(answer: Facts) -> None:
 
     listed = _listed(answer["objects"], answer["all"])
     inside = text_of(sum(document["num_gaussians"] for document in listed))
-    registered = counted(answer["num_registered"], "Gaussian")
+    registered = counted(answer["num_registered"], "registered Gaussian")
     unsure = answer["num_objects"] - len(listed)
     pictures = answer["pictures"]
     photos_agree = f" that {pictures} agree on" if unsure else ""

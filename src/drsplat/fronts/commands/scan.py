@@ -134,7 +134,7 @@ def _scan(options: Options, source: ScanInput, output: Path) -> Facts:
         "view": shlex.join(["drsplat", "view", str(output), *plan.encoder_option]),
         "models": plan.models,
         **summary(states, source),
-        "notes": [*plan.sentences, *notes(states)],
+        "notes": [*plan.sentences, *notes(states, plan.is_doubted)],
         "peak_memory_bytes": peak_memory_bytes(),
     }
 
@@ -199,6 +199,7 @@ class Plan:
         encoder_option: what queries on the command line need.
         expected: seconds of each stage, a guess.
         sentences: what people should know at the beginning.
+        is_doubted: whether one of them says that nouns are not to be believed.
     """
 
     stages: Sequence[Stage]
@@ -207,12 +208,13 @@ class Plan:
     encoder_option: Sequence[str]
     expected: Mapping[str, float]
     sentences: Sequence[str]
+    is_doubted: bool
 
 
 def planned(options: Options, source: ScanInput, output: Path, before: Mapping[str, Any] | None) -> Plan:
-    """Return the stages of a scan; options that no verb takes are found here, before any work.
+    """Return the stages of a scan; options that no verb takes and words that nobody knows are found here.
 
-    Raises: UsageError, InputError: as the verbs. MissingExtraError: what has to be installed first.
+    Raises: UsageError, InputError: as the verbs, and as a query. MissingExtraError: what has to be installed first.
     """
     from ...formats.scan_record import CAPTURE, MODEL
     from ..viewing.results import split_queries
@@ -230,6 +232,9 @@ def planned(options: Options, source: ScanInput, output: Path, before: Mapping[s
     )
     line, given = verb_line("view", [str(output), "--export", str(output / PAGE), *encoder], [*common, "--play"])
     queries = split_queries(";".join(options.ask))
+    trained = before is not None and is_done(before["stages"].get("train", {}))
+    nouns = [] if trained else choice.nouns_of(queries)  # a slip is worth more before an hour of training than after
+    choice = choice.judged(source, options.threads)
     view = VerbLine(replace(line, overwrite=True, ask="; ".join(queries)), given | {"ask": queries})
     stages = [
         *([] if has_poses else [_capturing(source, output / CAPTURE, common)]),
@@ -240,9 +245,12 @@ def planned(options: Options, source: ScanInput, output: Path, before: Mapping[s
         Stage("view", view, (output / PAGE,), run=lambda line: answered(line, queries, encoder, common)),
     ]
     models = {"asked": named, **asdict(choice)}
-    sentences = [*([f"{source.path} has poses, which are taken as they are."] if has_poses else []), choice.sentence]
+    sentences = [
+        *([f"{source.path} has poses, which are taken as they are."] if has_poses else []),
+        choice.sentence(nouns),
+    ]
     expected = _expected(stages, source.num_photos or DEFAULT_VIDEO_PHOTOS, choice)
-    return Plan(stages, capture, models, encoder, expected, sentences)
+    return Plan(stages, capture, models, encoder, expected, sentences, choice.doubts_nouns)
 
 
 def _registered(line: Any) -> Facts:
@@ -306,7 +314,7 @@ def _embedding(
     known = before["models"] if before is not None and not options.overwrite else {}
     parts = ("segmenter", "encoder", "reason", "cure")
     if known.get("asked") == named and all(isinstance(known.get(part), str) for part in parts):
-        choice = ModelChoice(*(known[part] for part in parts))
+        choice = ModelChoice(*(known[part] for part in parts), str(known.get("meaning", "")))
     else:
         choice = choose_models(named[0], named[1], first.options.device)
     defaults = {"segmenter": choice.segmenter, "encoder": choice.encoder}

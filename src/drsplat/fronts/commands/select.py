@@ -61,7 +61,7 @@ def run(options: Options) -> Facts:
 def show(answer: Facts) -> None:
     from .tables import text_of
 
-    selected, registered = (text_of(answer["num_selected"]), counted(answer["num_registered"], "Gaussian"))
+    selected, registered = (text_of(answer["num_selected"]), counted(answer["num_registered"], "registered Gaussian"))
     print_doubt(answer)
     print(f"{selected} of {registered} selected for '{answer['query']}', {answer['share']:.2%}")
     print(measured_text(answer))

@@ -191,14 +191,17 @@ def run_stages(
 def answered(page: Any, texts: Sequence[str], encoder: Sequence[str], common: Sequence[str]) -> Facts:
     """Ask the queries of a scan as `drsplat locate` does, and write those that have an answer into the page.
 
-    Without queries, words that find something are asked. A query that the encoder does not know is an answer with its
-    fault, and does not stop the others. page: options of `drsplat view`.
+    Without queries, words that find something are asked; where nouns are doubted, they open the page. A query that the
+    encoder does not know is an answer with its fault, and does not stop the others. page: options of `drsplat view`.
     """
+    from ...query.naming import ONLY_COLORS_DOUBT
     from . import view
 
     answers = [_answer(page.field, text, [*encoder, *common]) for text in texts or _suggested(page)]
-    known = [answer["query"] for answer in answers if "fault" not in answer] or _suggested(page)
-    made = view.run(replace(page, ask="; ".join(known)))
+    known = [answer for answer in answers if "fault" not in answer]
+    is_sound = any(ONLY_COLORS_DOUBT not in answer["doubt"] for answer in known)
+    shown = [*([] if is_sound else _suggested(page)), *(answer["query"] for answer in known)]
+    made = view.run(replace(page, ask="; ".join(dict.fromkeys(shown))))
     return {"answers": answers, "num_shown": made["num_shown"], "bytes": made["bytes"]}
 
 
@@ -271,8 +274,8 @@ def _pictures(answer: Facts) -> str:
     return str(answer.get("pictures", "photos"))
 
 
-def notes(states: Facts) -> list[str]:
-    """Return sentences about what was left out, and about what to doubt."""
+def notes(states: Facts, is_doubted: bool) -> list[str]:
+    """Return sentences about what was left out, and about what to doubt unless that has been said."""
     stages = {verb: state["answer"] for verb, state in states.items()}
     said = []
     without = stages.get("capture", {}).get("left_out", [])
@@ -283,7 +286,7 @@ def notes(states: Facts) -> list[str]:
             "Photos that were held out look far worse than those trained on: the photos overlap too little, or poses "
             "are wrong."
         )
-    if stages["objects"]["doubt"]:
+    if stages["objects"]["doubt"] and not is_doubted:
         doubt: str = stages["objects"]["doubt"]
         said.append(doubt[0].upper() + doubt[1:] + ".")
     return said
@@ -291,6 +294,7 @@ def notes(states: Facts) -> list[str]:
 
 def show_answer(answer: Facts) -> None:
     """Print what a scan has made, for people."""
+    from ...query.naming import ONLY_COLORS_DOUBT
     from .tables import show_facts, show_table, size_text, text_of
 
     psnr = answer["psnr_test"]
@@ -311,10 +315,13 @@ def show_answer(answer: Facts) -> None:
         show_table(
             "Photos without a pose", ("photo", "why"), [(one["name"], one["reason"]) for one in answer["left_out"]]
         )
-    for one in answer["answers"]:
-        print(f"{one['query']}: {_answer_text(one)}")
+    said = {ONLY_COLORS_DOUBT}  # by one of the notes
     for note in answer["notes"]:
         print(note)
+    for one in answer["answers"]:
+        doubts = [text for text in one.get("doubt", "").split(". ") if text and text not in said]
+        said.update(doubts)
+        print("".join(f"{text[0].upper()}{text[1:]}.\n" for text in doubts) + f"{one['query']}: {_answer_text(one)}")
     print(f"Open {Path(answer['page'])} in a browser. To search it live: {answer['view']}")
 
 

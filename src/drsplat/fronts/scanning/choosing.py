@@ -4,35 +4,47 @@ import os
 import threading
 import urllib.error
 import urllib.request
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 
 from ...errors import MissingExtraError
+from ...photos.embedding.fitting import pixel_fit
 from ...photos.models.devices import chosen_device
 from ...photos.models.graph import GraphSegmenter
 from ...photos.models.libraries import INSTALL, models_library
 from ...photos.models.loading import DEFAULT_ENCODER
 from ...photos.models.mini import MiniEncoder
+from ...photos.models.mini.lexicon import nouns_in
 from ...photos.models.pretrained import cached_in_full
 from ...photos.models.sam import CPU_SEGMENTER, DEFAULT_SEGMENTER
+from ...query.sentences import known_parts
+from .inputs import ScanInput
 
 AUTO = "auto"
 HUB_PATIENCE_S = 5.0
 DOWNLOAD_CURE = "have a network, or name folders that hold them as segmenter and encoder"
-MINI_MEANING = (
-    "they know colours, and household words in made-up rooms only, so of real photos ask for colours ('something red')"
+LIKE_ROOMS = "they know colours and household words, and these photos look like those that they learnt from"
+UNLIKE_ROOMS = (
+    "they know colours, but these photos look unlike the made-up rooms that they learnt nouns from, so ask for colours "
+    "('something red'): no answer about {} will be reliable"
 )
+PHOTOS_JUDGED = 8
 
 
 @dataclass(frozen=True)
 class ModelChoice:
-    """Models of a scan. reason: why "auto" means a built-in one, "" where it does not; cure: what helps."""
+    """Models of a scan. reason: why "auto" means a built-in one, "" where it does not; cure: what helps.
+
+    meaning: what the built-in encoder can be asked on these photos, "" until they are judged.
+    """
 
     segmenter: str
     encoder: str
     reason: str = ""
     cure: str = ""
+    meaning: str = ""
 
     @property
     def is_built_in(self) -> bool:
@@ -45,14 +57,34 @@ class ModelChoice:
         return self.encoder in (MiniEncoder.name, DEFAULT_ENCODER)
 
     @property
-    def sentence(self) -> str:
-        """Sentence that says which models work, what that means and what would be better."""
+    def doubts_nouns(self) -> bool:
+        """True where the photos look unlike what the built-in encoder learnt nouns from."""
+        return self.meaning == UNLIKE_ROOMS
+
+    def nouns_of(self, queries: Sequence[str]) -> list[str]:
+        """Return the queries that name things. Raises: InputError: one that no scene could answer, as `Scene.ask`."""
+        encoder = MiniEncoder() if self.is_built_in else None
+        return [text for text in queries if any(map(nouns_in, known_parts(text, encoder)))]
+
+    def judged(self, source: ScanInput, threads: int) -> "ModelChoice":
+        """Return the choice with what its words mean on these photos, some of which are cut and embedded for it.
+
+        Raises: MissingExtraError: a video, and nothing that decodes it. InputError: a video that cannot be read.
+        """
+        if not self.is_built_in or self.meaning:
+            return self
+        fit = pixel_fit(source.pictures(PHOTOS_JUDGED), threads=threads)
+        return replace(self, meaning=LIKE_ROOMS if fit >= MiniEncoder.least_fit else UNLIKE_ROOMS)
+
+    def sentence(self, nouns: Sequence[str] = ()) -> str:
+        """Say which models work, what that means and what would be better. nouns: queries that name things."""
+        meaning = self.meaning.format(", ".join(map(repr, nouns)) or "things by their names")
         if not self.reason:
-            words = MINI_MEANING if self.is_built_in else "any words can be asked"
+            words = meaning if self.is_built_in else "any words can be asked"
             return f"{self.segmenter} cuts the photos into masks and {self.encoder} embeds them: {words}."
         noun = "models" if self.is_built_in and self.segmenter == GraphSegmenter.name else "model"
         names = [name for name in (self.segmenter, self.encoder) if name in (GraphSegmenter.name, MiniEncoder.name)]
-        meaning = MINI_MEANING if self.is_built_in else "its masks are coarser than those of SAM"
+        meaning = meaning if self.is_built_in else "its masks are coarser than those of SAM"
         return (
             f"The built-in {noun} ({' and '.join(names)}) work, because {self.reason}; {meaning}. For SAM and CLIP: "
             f"{self.cure}, and run drsplat scan with --overwrite."

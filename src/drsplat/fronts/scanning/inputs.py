@@ -2,16 +2,22 @@
 
 import hashlib
 import json
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from ...errors import InputError
+import numpy as np
+
+from ...base.arrays import UInt8
+from ...errors import DrSplatError, InputError
 from ...formats.captures import read_views
 from ...formats.recognising import Kind, recognised
 from ...photos.capture.finding import VIDEO_ENDS, find_photos
 from ...photos.capture.rescaling import sources_key
-from ...photos.capture.videos import video_source
+from ...photos.capture.videos import some_frames, video_source
+from ...scene.photos import decoded_picture
 
 PHOTOS, VIDEO, CAPTURE = "photos", "video", "capture"
 
@@ -24,13 +30,29 @@ class ScanInput:
         path: as it was given.
         kind: "photos", "video" or "capture".
         fingerprint: changes with the photos, by their names, sizes and times.
-        num_photos: None for a video.
+        photos: files of the photos; none for a video.
     """
 
     path: Path
     kind: str
     fingerprint: str
-    num_photos: int | None
+    photos: tuple[Path, ...] = ()
+
+    @property
+    def num_photos(self) -> int | None:
+        """Number of photos, None for a video."""
+        return None if self.kind == VIDEO else len(self.photos)
+
+    def pictures(self, count: int) -> Iterator[UInt8[np.ndarray, "_ _ 3"]]:
+        """Yield some of its photos or frames, evenly chosen, at most so many; damaged ones are left out.
+
+        Raises: as `some_frames`.
+        """
+        if self.kind == VIDEO:
+            yield from some_frames(self.path, count)
+        for path in self.photos[:: -(-len(self.photos) // count)] if self.photos else ():
+            with suppress(DrSplatError):
+                yield decoded_picture(path)
 
     def document(self) -> dict[str, Any]:
         """Return the input's entry in the record."""
@@ -43,14 +65,14 @@ def scan_input(path: Path) -> ScanInput:
     Raises: InputError: neither photos, nor a video, nor a capture with photos. FormatError: a damaged capture.
     """
     if path.suffix.lower() in VIDEO_ENDS and path.is_file():
-        return ScanInput(path, VIDEO, sources_key([video_source(path)]), None)
+        return ScanInput(path, VIDEO, sources_key([video_source(path)]))
     if path.is_dir() and recognised(path) is Kind.CAPTURE:
         photos = [view.image_path for view in read_views(path) if view.image_path is not None]
         if not photos:
             raise InputError(f"{path}: has poses, but none of its photos is there: put them into {path / 'images'}")
-        return ScanInput(path, CAPTURE, _fingerprint(path, photos), len(photos))
+        return ScanInput(path, CAPTURE, _fingerprint(path, photos), tuple(photos))
     sources = find_photos(path)
-    return ScanInput(path, PHOTOS, sources_key(sources), len(sources))
+    return ScanInput(path, PHOTOS, sources_key(sources), tuple(source.path for source in sources))
 
 
 def _fingerprint(capture: Path, photos: list[Path]) -> str:

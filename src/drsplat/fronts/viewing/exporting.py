@@ -61,6 +61,8 @@ def export_page(
 
     Raises: InputError: no queries, or a scene that cannot be asked any; the file exists and not `overwrite`; words
     that the encoder does not know; more that moves than a page has room for. MismatchError: another encoder.
+
+    >>> page = ds.export_page("page.html", scene, ["red mug"])
     """
     session = Session(
         scene,

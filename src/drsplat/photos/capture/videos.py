@@ -137,6 +137,19 @@ def _write(video: Path, choice: Choice, folder: Path, progress: Progress) -> Non
                 return
 
 
+def some_frames(video: Path, count: int) -> Iterator[UInt8[np.ndarray, "_ _ 3"]]:
+    """Yield frames of a video, evenly spaced in time, as they are stored; fewer where it cannot be searched.
+
+    Raises: InputError: no video, or no pictures in it. MissingExtraError: PyAV is missing.
+    """
+    with _opened(video) as (container, stream):
+        for number in range(count):
+            container.seek(int((container.duration or 0) * (number + 0.5) / count))
+            frame = next(_decoded(container, stream, video), None)
+            if frame is not None:
+                yield frame.to_ndarray(format="rgb24")
+
+
 @contextmanager
 def _opened(video: Path) -> Iterator[tuple[Any, Any]]:
     """Open a video's first stream of pictures. Raises: InputError: there is none; MissingExtraError; as `open_file`."""

@@ -103,6 +103,11 @@ def embed(
     Raises: InputError: no photo, photos that would share a file, features of another program in the folder, another
     process that embeds into it. FormatError: a damaged photo or embedding.json.
     Source: LangSplat preprocess.py; Dr. Splat Sec. A.
+
+    >>> views = ds.read_views("capture")
+    >>> report = ds.embed(views, "capture/mini", ds.load_segmenter("graph"), ds.MiniEncoder())
+    >>> report.photos
+    4
     """
     if max_height is not None and max_height < 1:
         raise InputError(f"max_height: expected at least 1 pixel, got {max_height}")

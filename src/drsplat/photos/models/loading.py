@@ -36,6 +36,9 @@ def load_encoder(
     Raises: InputError: no such model, a gated one, another architecture, pickles, no such device.
     FormatError: damaged or missing weights. MissingExtraError: torch, transformers, open_clip or the device is
     absent or unusable. DrSplatError: no network.
+
+    >>> ds.load_encoder("drsplat-mini").encode_texts(["red mug"]).shape
+    (1, 512)
     """
     if name == WordEncoder.identity.name:
         return WordEncoder()

@@ -200,6 +200,9 @@ def load_segmenter(
     Raises: InputError: no such model, a gated one, another architecture, no weights; settings for
     `graph`. FormatError: damaged or incomplete ones. MissingExtraError: torch, transformers, the
     device, or timm for EdgeTAM is absent. DrSplatError: no network.
+
+    >>> photo = ds.load_image(scene.views[0])
+    >>> masks = ds.load_segmenter("graph").segment(photo)["large"]
     """
     if name == GraphSegmenter.name:
         if settings is not None:
