@@ -2,10 +2,13 @@
 
     python benchmarks/bench_search.py [--points 1000000] [--threads 1] [--rounds 9] [--json out.json]
         [--skip single|many|mapped] [--mapped-points 5000000 10000000]
+        [--before LIBRARY]
 
 Everything runs in one process and in turns; times are minima of wall time, and hold all that a caller waits for
 (building tables too). Codes are drawn: time does not depend on them. Tables are as unequal as CLIP's: one part of a
 query is far larger than the others.
+
+--before: the file of an earlier native library, which takes turns with this one.
 
 single: one query, all scores of all points, for 128, 64 and 32 bytes. many: 20 and 200 queries, the best of them for
 each point. mapped: fields saved and loaded again: the first query after loading beside the next ones.
@@ -19,6 +22,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+from earlier import BEFORE, earlier, with_earlier
 from machine import describe, interleaved
 from search_rivals import Run, faiss_rivals, forced, raw_rivals, readers
 
@@ -111,9 +115,11 @@ def single(args: argparse.Namespace) -> dict[str, object]:
         rivals: dict[str, Run] = {ours: scan}
         if "v3" in available_isas() and default_isa() != "v3":
             rivals[AVX2] = forced("v3", scan)
+        top = f"{ours}, top 100"
+        rivals[top] = lambda code=code: code.top(query, 100, threads=threads)
+        rivals |= before(args, rivals)
         cut = float(np.quantile(scan(), 0.99))
         rivals["drsplat, list of the best 1 %"] = lambda code=code, cut=cut: code.select(query, cut, threads=threads)
-        rivals["drsplat, top 100"] = lambda code=code: code.top(query, 100, threads=threads)
         rivals |= readers(code.grouped, threads) | faiss_rivals(code, query, threads)
         features = np.empty((0, 0))
         if parts == PARTS[0]:
@@ -140,6 +146,14 @@ def single(args: argparse.Namespace) -> dict[str, object]:
         found[str(parts)] = {"rows": rows, "read_limit_ms": limit, "largest_error": errors}
         del rivals, features
     return found
+
+
+def before(args: argparse.Namespace, rivals: dict[str, Run]) -> dict[str, Run]:
+    """The same by the earlier library, where one is given."""
+    if args.before is None:
+        return {}
+    functions = earlier(args.before)
+    return {f"{BEFORE}: {name}": with_earlier(functions, run) for name, run in rivals.items()}
 
 
 def exact_best(code: PQCode, queries: np.ndarray) -> np.ndarray:
@@ -172,6 +186,7 @@ def many(args: argparse.Namespace) -> dict[str, object]:
         slow: dict[str, Run] = {}
         if "v3" in available_isas() and default_isa() != "v3":
             slow[AVX2] = forced("v3", best)
+        rivals |= before(args, rivals)
         if count == 20:
             slow["decode a block (NumPy), GEMM, argmax"] = lambda q=queries: decoded_best(code, q)
         rows = timed(rivals, max(3, args.rounds // (1 if count == 20 else 2)), args) | timed(slow, 1, args)
@@ -227,6 +242,7 @@ def main() -> None:
     parser.add_argument("--skip", action="append", default=[], choices=("single", "many", "mapped"))
     parser.add_argument("--mapped-points", type=int, nargs="*", default=[5_000_000, 10_000_000])
     parser.add_argument("--folder", help="where --mapped-points are saved; else where the system has it")
+    parser.add_argument("--before", metavar="LIBRARY")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
 

@@ -22,7 +22,7 @@ struct Walk {
   Floats block_x, block_y, lane_x, lane_y;
 
   Walk(const Tile &t, TileScratch &scratch) : tile(t), left((float)t.x * 16.f + 0.5f), top((float)t.y * 16.f + 0.5f) {
-    reserve(scratch.block_masks, t.count * sizeof(uint16_t));
+    reserve(scratch.block_masks, (t.count + 16) * sizeof(uint16_t));
     masks = (uint16_t *)scratch.block_masks.data;
     float bx[16], by[16], lx[16], ly[16];
     for (int i = 0; i < 16; i++) {
@@ -81,31 +81,53 @@ static inline void look_ahead(Walk &w, uint32_t end) {
   }
 }
 
+// Which of a chunk's entries a block may be touched by; writes up to sixteen numbers beyond them.
 static inline uint32_t candidates(const Walk &w, int block, uint32_t begin, uint32_t end, uint32_t *out) {
-  uint32_t n = 0;
-  for (uint32_t i = begin; i < end; i++) {
+  uint32_t n = 0, i = begin;
+#if DRSPLAT_AVX512
+  __m512i numbers = _mm512_add_epi32(_mm512_set1_epi32((int)begin),
+                                     _mm512_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15));
+  const __m256i bit = _mm256_set1_epi16((short)(1u << block));
+  for (; i < end; i += 16) {
+    uint32_t touched = _mm256_test_epi16_mask(_mm256_loadu_si256((const __m256i *)(w.masks + i)), bit);
+    if (end - i < 16) touched &= (1u << (end - i)) - 1;
+    _mm512_storeu_si512(out + n, _mm512_maskz_compress_epi32((__mmask16)touched, numbers));
+    n += (uint32_t)__builtin_popcount(touched);
+    numbers = _mm512_add_epi32(numbers, _mm512_set1_epi32(16));
+  }
+#endif
+  for (; i < end; i++) {
     out[n] = i;
     n += w.masks[i] >> block & 1;
   }
   return n;
 }
 
-// Calls begin_chunk(n) before up to n visits, visit(list index, weights) for every splat front to back.
+constexpr uint32_t kBetweenChecks = 16;  // visits
+
+struct Never {
+  __attribute__((always_inline)) bool operator()(Floats) const { return false; }
+};
+
+// Calls begin_chunk(n) before up to n visits, visit(list index, weights) for every splat front to back, and now and
+// then ends(transmittance), which ends the walk where it is true.
 // The transmittance is not zeroed at the stop: it only falls, so "would bring it under 1e-4" stays true
 // by itself, and the loop-carried chain is one multiplication. Returns the final transmittance.
-template <class Begin, class Visit>
-INLINE Floats walk_block(Walk &w, int block, Mask wanted, int32_t first_hits, Begin begin_chunk, Visit visit) {
+template <class Begin, class Visit, class Ends = Never>
+INLINE Floats walk_block(Walk &w, int block, Mask wanted, int32_t first_hits, Begin begin_chunk, Visit visit,
+                         Ends ends = {}) {
   const Tile &tile = w.tile;
   const Points pixels = centres_of(w, block);
   Floats transmittance = keep(wanted, splat(1.f)), last = splat(1.f);
   Ints hits = splat_int(0);
-  uint32_t chunk[kChunk];
+  uint32_t chunk[kChunk + 16];
   for (uint32_t at = 0; at < tile.count; at += kChunk) {
     const uint32_t end = at + kChunk < tile.count ? at + kChunk : tile.count;
     look_ahead(w, end);
     const uint32_t n = candidates(w, block, at, end, chunk);
     begin_chunk(n);
     for (uint32_t j = 0; j < n; j++) {
+      if (j % kBetweenChecks == 0 && ends(transmittance)) return last;
       const Splat &g = tile.splats[tile.list[chunk[j]]];
       const Floats alpha = alpha_at(g, offsets(pixels, g));
       const Floats weight = transmittance * alpha, after = transmittance - weight;
@@ -134,7 +156,28 @@ struct Record {
   Ints lane_sizes;  // hits of each lane
 };
 
-static Record record_block(Walk &w, int block, Mask wanted, const Selection &selection, TileScratch &scratch) {
+INLINE Ints count_from(const Record &r, Floats threshold) {
+  Ints a = splat_int(0), b = splat_int(0);
+  size_t i = 0;
+  for (; i + 1 < r.size; i += 2) {
+    a = increment(a, load(r.weights + 16 * i) >= threshold);
+    b = increment(b, load(r.weights + 16 * i + 16) >= threshold);
+  }
+  if (i < r.size) a = increment(a, load(r.weights + 16 * i) >= threshold);
+  return a + b;
+}
+
+// Whether no later weight can be among a lane's k largest: as many reach what is left of the light already. Of equal
+// weights the earlier counts. `guess`: what the k-th weight may be; above it, counting is not worth while.
+INLINE bool is_complete(const Record &r, int32_t k, Ints guess, Floats transmittance) {
+  const Floats most = transmittance * splat(kMaxAlpha);
+  const Mask alive = transmittance >= splat(kMinTransmittance);
+  if (any(alive & (float_of_bits(guess) < most))) return false;
+  return !any(alive & (count_from(r, most) < splat_int(k)));
+}
+
+static Record record_block(Walk &w, int block, Mask wanted, const Selection &selection, Ints guess,
+                           TileScratch &scratch) {
   Record r = {(float *)scratch.hits.data, (uint32_t *)scratch.hit_list.data, 0, splat_int(0)};
   walk_block(
       w, block, wanted, selection.first_hits,
@@ -149,19 +192,12 @@ static Record record_block(Walk &w, int block, Mask wanted, const Selection &sel
         r.index[r.size] = i;
         r.size += any(positive);
         r.lane_sizes = increment(r.lane_sizes, positive);
+      },
+      [&](Floats transmittance) __attribute__((always_inline)) {
+        return selection.topk && r.size >= (size_t)selection.topk &&
+               is_complete(r, selection.topk, guess, transmittance);
       });
   return r;
-}
-
-INLINE Ints count_from(const Record &r, Floats threshold) {
-  Ints a = splat_int(0), b = splat_int(0);
-  size_t i = 0;
-  for (; i + 1 < r.size; i += 2) {
-    a = increment(a, load(r.weights + 16 * i) >= threshold);
-    b = increment(b, load(r.weights + 16 * i + 16) >= threshold);
-  }
-  if (i < r.size) a = increment(a, load(r.weights + 16 * i) >= threshold);
-  return a + b;
 }
 
 // Lanes whose k-th and (k+1)-th weight are equal: the earlier ones stay, the later become zero.
@@ -175,22 +211,41 @@ static void drop_late_ties(const Record &r, Floats threshold, Mask tied, int32_t
   }
 }
 
+constexpr int32_t kFew = 3;
 constexpr int32_t kTinyWeightBits = 0x34000000;  // 1.2e-7, below any weight: at least 1/255 * 1e-4
 constexpr int32_t kOneBits = 0x3f800000;
 constexpr int32_t kFirstGuessBits = 0x3b800000;  // 2^-8
 
+// Per lane, the k-th largest weight where `low` is reached by k and one to three more: one of the four smallest that
+// reach it. Elsewhere `threshold`.
+static Ints settle_few(const Record &r, int32_t k, Ints low, Ints excess, Mask few, Ints threshold) {
+  const Floats least = float_of_bits(low), none = splat(1.f);
+  Floats a = none, b = none, c = none, d = none;  // ascending
+  for (size_t i = 0; i < r.size; i++) {
+    const Floats w = load(r.weights + 16 * i), in = select(w >= least, w, none);
+    const Floats past_a = maximum(a, in), past_b = maximum(b, past_a), past_c = maximum(c, past_b);
+    a = minimum(a, in), b = minimum(b, past_a), c = minimum(c, past_b), d = minimum(d, past_c);
+  }
+  const Mask one = excess == splat_int(1), two = excess == splat_int(2);
+  const Ints kth = bits_of(select(one, b, select(two, c, d))), next = bits_of(select(one, a, select(two, b, c)));
+  threshold = select(few, kth, threshold);
+  const Mask tied = few & (kth == next);
+  if (any(tied)) drop_late_ties(r, float_of_bits(threshold), tied, k);
+  return threshold;
+}
+
 // Per lane, a threshold that exactly its k largest weights reach (all of them, where it has fewer).
 // Positive floats order as their bits do, so the search runs on bits: between `low` (reached by more
-// than k) and `high` (by fewer), starting at `guess`, going on by linear interpolation of the counts,
-// and halving every third round so that it always ends.
+// than k) and `high` (by fewer), starting at `guess`, going on by linear interpolation of the counts to one that a
+// little more than k reach, and halving every third round so that it always ends.
 static Ints topk_threshold(const Record &r, int32_t k, Ints guess) {
   const Ints wanted = splat_int(k), one = splat_int(1);
   Ints low = splat_int(kTinyWeightBits), high = splat_int(kOneBits), threshold = low;
   Ints count_low = r.lane_sizes, count_high = splat_int(0);
   Mask busy = wanted < count_low;
-  for (int round = 0; any(busy); round++) {
+  for (int round = 0; any(busy & (splat_int(kFew) < count_low - wanted)); round++) {
     const Ints width = high - low;
-    const Floats share = to_float(count_low - wanted) / to_float(count_low - count_high);
+    const Floats share = (to_float(count_low - wanted) - splat(1.f)) / to_float(count_low - count_high);
     Ints step = round == 0 ? guess - low : round % 3 == 2 ? shift_right(width, 1) : truncate(to_float(width) * share);
     step = select(step < one, one, select(step < width, step, width - one));
     const Ints middle = low + step, count = count_from(r, float_of_bits(middle));
@@ -206,7 +261,7 @@ static Ints topk_threshold(const Record &r, int32_t k, Ints guess) {
       busy = busy & !tied;
     }
   }
-  return threshold;
+  return any(busy) ? settle_few(r, k, low, count_low - wanted, busy, threshold) : threshold;
 }
 
 // Thresholds change little from block to block: `guess` carries the last one over.
@@ -282,7 +337,7 @@ static void tile_weights(const Tile &tile, const Selection &selection, const int
   for (int b = 0; b < kBlocks; b++) {
     const Mask wanted = splat_int(-1) < segments.slot_of_lane[b];
     if (!any(wanted)) continue;
-    const Record r = record_block(walk, b, wanted, selection, scratch);
+    const Record r = record_block(walk, b, wanted, selection, guess, scratch);
     const Floats threshold = selection_threshold(r, selection, guess);
     if (tabled && cleared < walk.known) {
       memset(table + cleared * slots, 0, (walk.known - cleared) * slots * sizeof(Floats));
@@ -317,7 +372,7 @@ static void tile_contributions(const Tile &tile, const Selection &selection, Til
   for (int b = 0; b < kBlocks; b++) {
     const auto [left, top, inside] = pixels_of(walk, b);
     if (!any(inside)) continue;
-    const Record r = record_block(walk, b, inside, selection, scratch);
+    const Record r = record_block(walk, b, inside, selection, guess, scratch);
     const Floats threshold = selection_threshold(r, selection, guess);
     size_t filled[16] = {};
     for (size_t i = 0; i < r.size; i++) {

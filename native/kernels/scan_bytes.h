@@ -74,36 +74,40 @@ static uint32_t digits_of(const float *table, float low, float per_step, int shi
   return _mm512_reduce_max_epu32(largest);
 }
 
-// How many bytes in a row may be added before they are widened. A power of two for a whole run, so that the
-// processor foresees the flushes; 1 where not even pairs fit.
-static uint32_t packing_of(const uint32_t *largest, uint32_t count) {
-  for (uint32_t pack = kTile; pack > 1; pack /= 2) {
-    bool fits = true;
-    for (uint32_t begin = 0; begin < count; begin += pack) {
-      uint32_t held = 0;
-      for (uint32_t i = begin; i < begin + pack && i < count; i++) held += largest[i];
-      fits = fits && held <= 255;
-    }
-    if (fits) return pack;
+// In which order the tables of a run are added, and after which the bytes are widened: small ones first, as many as fit
+// a byte together. Returns how often bytes are widened.
+static uint32_t pack(const uint32_t *largest, uint32_t count, uint32_t *order, bool *flush) {
+  for (uint32_t i = 0; i < count; i++) {
+    uint32_t at = i;
+    for (; at > 0 && largest[order[at - 1]] > largest[i]; at--) order[at] = order[at - 1];
+    order[at] = i;
   }
-  return 1;
+  uint32_t flushes = count > 0, held = 0;
+  for (uint32_t i = 0; i < count; i++) {
+    held += largest[order[i]];
+    flush[i] = i + 1 == count || held + largest[order[i + 1]] > 255;
+    if (flush[i] && i + 1 < count) held = 0, flushes++;
+  }
+  return flushes;
 }
 
 static void plan_run(BytePlan &plan, const float *tables, uint32_t first, uint32_t last, int shift, uint32_t mask,
                      Run &run) {
   const float per_step = 1.f / plan.scale.step;
-  uint32_t largest[kTile], count = 0;
+  uint8_t digits[kTile][256];
+  uint32_t largest[kTile], order[kTile], of_table[kTile], count = 0;
+  bool flush[kTile];
   for (uint32_t m = first; m < last; m++) {
-    const uint32_t at = run.begin + count;
-    largest[count] =
-        digits_of(tables + 256 * (size_t)m, plan.ranges[m].low, per_step, shift, mask, plan.tables + 256 * (size_t)at);
-    if (largest[count] == 0) continue;
-    plan.steps[at] = {(uint16_t)(m - first), 0};
-    count++;
+    largest[count] = digits_of(tables + 256 * (size_t)m, plan.ranges[m].low, per_step, shift, mask, digits[count]);
+    of_table[count] = m - first;
+    count += largest[count] > 0;
   }
-  const uint32_t pack = packing_of(largest, count);
-  run.end = run.begin + count, run.packed = pack > 1;
-  for (uint32_t i = 0; i < count; i++) plan.steps[run.begin + i].flush = (i + 1) % pack == 0 || i + 1 == count;
+  run.packed = 3 * pack(largest, count, order, flush) < 2 * count;  // else two additions and a shift each are less
+  run.end = run.begin + count;
+  for (uint32_t i = 0; i < count; i++) {
+    plan.steps[run.begin + i] = {(uint16_t)of_table[order[i]], flush[i]};
+    memcpy(plan.tables + 256 * (size_t)(run.begin + i), digits[order[i]], 256);
+  }
 }
 
 static void prepare_one(const float *tables, uint32_t subvectors, Precision precision, BytePlan &plan) {
@@ -231,15 +235,12 @@ static void sums(const GroupedRows &rows, uint32_t, const void *prepared, uint32
   const size_t group_bytes = (size_t)subvectors * kGroupRows;
   const uint64_t groups = (rows.rows + kGroupRows - 1) / kGroupRows, group = first_row / kGroupRows;
   const uint8_t *first = rows.codes + group * group_bytes, *second = group + 1 < groups ? first + group_bytes : first;
-  const uint8_t *later_first = group + 2 < groups ? first + 2 * group_bytes : first,
-                *later_second = group + 3 < groups ? later_first + group_bytes : later_first;
+  const size_t ahead = group + 3 < groups ? 2 * group_bytes : 0;  // the next pair: nearer comes too late
   Accumulators(*totals)[kPlanes] = (Accumulators(*)[kPlanes])scratch;
   for (uint32_t tile = 0; tile < tiles; tile++) {
-    const size_t at = (size_t)tile * kTile * 256, next = at + kTile * 256;
-    const bool ends = tile + 1 == tiles, fresh = tile % (kChunk / kTile) == 0,
-               last = ends || (tile + 1) % (kChunk / kTile) == 0;
-    const CodeTile codes = {first + at, second + at, ends ? later_first : first + next,
-                            ends ? later_second : second + next};
+    const size_t at = (size_t)tile * kTile * 256;
+    const bool fresh = tile % (kChunk / kTile) == 0, last = tile + 1 == tiles || (tile + 1) % (kChunk / kTile) == 0;
+    const CodeTile codes = {first + at, second + at, first + at + ahead, second + at + ahead};
     for (uint32_t q = begin; q < end; q++) {
       const BytePlan &plan = plan_at(prepared, subvectors, q);
       Accumulators *total = totals[q - begin];

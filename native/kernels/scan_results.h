@@ -5,10 +5,36 @@
 
 namespace drsplat::DRSPLAT_ISA {
 
+constexpr uint64_t kManyRows = 1 << 18;
+
+// Writes past the caches where scores are many: what they held of the codes would be lost, and lines that are written
+// whole need not be read first. The next rows' norms are fetched meanwhile.
+#if defined(__AVX512F__)
+static void stream_scaled(const float *sums, const float *scale, uint32_t count, float *out) {
+  for (uint32_t i = 0; i < count; i += 16) {
+    __builtin_prefetch(scale + i + kPairRows);
+    _mm512_stream_ps(out + i, _mm512_mul_ps(_mm512_loadu_ps(sums + i), _mm512_loadu_ps(scale + i)));
+  }
+}
+#elif defined(__AVX2__)
+static void stream_scaled(const float *sums, const float *scale, uint32_t count, float *out) {
+  for (uint32_t i = 0; i < count; i += 8) {
+    __builtin_prefetch(scale + i + kPairRows);
+    _mm256_stream_ps(out + i, _mm256_mul_ps(_mm256_loadu_ps(sums + i), _mm256_loadu_ps(scale + i)));
+  }
+}
+#endif
+
 static void finish(const GroupedRows &rows, const float *coarse, uint32_t coarse_count, uint64_t first_row,
                    uint32_t count, const float *sums, float *out) {
   const float *scale = rows.inverse_norms + first_row;
   if (!rows.coarse_ids) {
+#if defined(__AVX2__)
+    if (rows.rows >= kManyRows && out != sums && count == kPairRows && (uintptr_t)out % 64 == 0) {
+      stream_scaled(sums, scale, count, out);
+      return;
+    }
+#endif
     for (uint32_t i = 0; i < count; i++) out[i] = sums[i] * scale[i];
     return;
   }

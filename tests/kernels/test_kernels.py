@@ -257,6 +257,25 @@ def test_more_than_all_contributors_is_all():
         assert_array_equal(generous, unlimited)
 
 
+@every_isa
+@pytest.mark.parametrize("scene", ["outside", "inside", "planes of one weight"])
+def test_the_most_of_a_pixel_are_the_head_of_all(scene, isa):
+    """Rays end early where no later weight can be among the k largest: that must change no bit."""
+    if scene in SCENES:
+        arrays, view = arrays_of(scene), view_of(scene)
+    else:  # the i-th of 30 planes takes 1 / (31 - i) of what is left: nearly all weights are equal, many to the bit
+        means = np.stack([np.zeros(30), np.zeros(30), np.arange(2, 32)]).astype(np.float32)
+        covariances = np.tile(np.array([[1e5], [0], [0], [1e5], [0], [1]], np.float32), 30)
+        arrays = SplatArrays(means, covariances, (1 / (31 - np.arange(30))).astype(np.float32))
+        view = View("v", np.array([[20.0, 0, 16], [0, 20.0, 8], [0, 0, 1]]), np.eye(4), 32, 16)
+    every = topk_contributions(arrays, view, 300, isa=isa)
+    assert (every.ids[..., -1] < 0).all()
+    for k in (1, 3, 8, 20, 29):
+        most = topk_contributions(arrays, view, k, isa=isa)
+        assert_array_equal(most.ids, every.ids[..., :k])
+        assert_array_equal(most.weights, every.weights[..., :k])
+
+
 @lru_cache
 def sure_contributions(scene: str, k: int) -> tuple[np.ndarray, reference.Contributions]:
     twin = twin_of(scene)
