@@ -230,8 +230,10 @@ class Ground:
         """Objects, -1 for none, that have much of the plane, or of what of it is around the hole."""
         around = ndimage.binary_dilation(self.hole, iterations=RING_CELLS) & ~self.hole
         beside = self.rows[self.grid.among(around, self.places[self.rows])]
-        found = [np.zeros(0, np.int64)]
-        for rows in (self.rows, beside) if self.owners is not None else ():
+        if self.owners is None:
+            return np.zeros(0, np.int64)
+        found = []
+        for rows in (self.rows, beside):
             owners, counts = np.unique(self.owners[rows], return_counts=True)
             found.append(owners[counts >= MIN_OWNER_SHARE * len(rows)])
         return np.unique(np.concatenate(found))
