@@ -95,7 +95,8 @@ class Place:
 
     def _drsplat(self, words: list[str]) -> tuple[str, str]:
         if words[0] == "demo":
-            return "" if (self.folder / "drsplat-demo/index.html").exists() else "no demo", ""
+            # made once for all pages
+            return "" if (self.folder / "drsplat-demo/room.field").exists() else "no demo", ""
         if words[0] == "mcp":
             return self._greeted(words), ""
         if words[0] in LASTING and "--export" not in words:
