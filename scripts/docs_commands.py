@@ -41,10 +41,16 @@ UNTRAINED = {"docs/tour.md", "docs/embedding.md", "docs/neighbours.md"}
 """Pages whose capture has no features yet: they are embedded there."""
 BARE = {"docs/capture.md", "docs/photograph.md", "docs/training.md"}
 """Pages that make a capture or a model of their own, which must not be there yet."""
+MADE_THERE = {
+    "docs/tutorials/scene_and_features.md": ("scene.field",),
+    "docs/tutorials/without_a_model.md": ("scene.field", "capture/language_features"),
+}
+"""What a reader has already on other pages, and a page makes."""
 SHORT = {"train": ["--iterations", "30"], "scan": ["--iterations", "60", "--segmenter", "graph"]}
 """What is added to a verb that takes minutes."""
 UNTAUGHT = {"when": ["--threshold", "-1"], "edit": ["--threshold", "-1"]}
 """What is added where an encoder with random weights would find nothing."""
+NUM_PHOTOS = 30  # of the demo's 48, whose pairs are matched in 2.5 times less time
 LASTING = {"view": 8080, "serve": 8765}
 """Services, and the ports that pages name."""
 OTHERS = ("colmap", "ns-export", "blender", "curl", "openssl")
@@ -89,7 +95,8 @@ class Place:
 
     def _drsplat(self, words: list[str]) -> tuple[str, str]:
         if words[0] == "demo":
-            return "" if (self.folder / "drsplat-demo/index.html").exists() else "no demo", ""
+            # made once for all pages
+            return "" if (self.folder / "drsplat-demo/room.field").exists() else "no demo", ""
         if words[0] == "mcp":
             return self._greeted(words), ""
         if words[0] in LASTING and "--export" not in words:
@@ -205,7 +212,9 @@ def furnish(folder: Path, page: str, demo: Path) -> None:
     from toured import write_lerf, write_own, write_peers, write_tour
 
     shutil.copytree(demo, folder / "drsplat-demo")
-    (folder / "photos").symlink_to(folder / "drsplat-demo/images")
+    (folder / "photos").mkdir()
+    for photo in sorted((folder / "drsplat-demo/images").iterdir())[:NUM_PHOTOS]:
+        shutil.copy(photo, folder / "photos")
     if page in BARE:
         return
     if page in UNTRAINED:
@@ -213,6 +222,8 @@ def furnish(folder: Path, page: str, demo: Path) -> None:
         (folder / "room").symlink_to(folder / "capture")
     else:
         write_own(folder)
+        for made in MADE_THERE.get(page, ()):
+            shutil.rmtree(folder / made)
         write_lerf(folder)
         write_peers(folder)
 
