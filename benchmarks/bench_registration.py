@@ -1,11 +1,13 @@
 """Milliseconds per view of the weight pass: by stage, by instruction set, by threads.
 
-    python benchmarks/bench_registration.py [--gaussians 500000] [--rounds 7] [--before LIBRARY]
+    python benchmarks/bench_registration.py [--gaussians 500000] [--rounds 7] [--isas v4 v3] [--cpu]
+        [--before LIBRARY]
 
-All figures are minima and medians over the rounds, which all take in turns. --before: the file of an earlier
-native library, which must give the same bits.
+All figures are minima and medians over the rounds, which all take in turns. --cpu: of the processor's time, on a busy
+machine; stages are of the clock. --before: the file of an earlier native library, which must give the same bits.
 """
 
+import time
 from collections.abc import Callable
 
 import numpy as np
@@ -62,8 +64,10 @@ class Contest:
 
 
 def main() -> None:
-    args = arguments(__doc__, gaussians=500_000, topk=40, rounds=7, masks=150, before=str)
-    contest, isas = Contest(args.gaussians, args.masks, args.topk), available_isas()
+    args = arguments(
+        __doc__, gaussians=500_000, topk=40, rounds=7, masks=150, isas=list(available_isas()), cpu=False, before=str
+    )
+    contest, isas = Contest(args.gaussians, args.masks, args.topk), args.isas
     print(
         f"room of {args.gaussians:,} Gaussians, {contest.view.width}x{contest.view.height}, "
         f"{args.masks} masks, k = {args.topk}, {contest.contributors():.0f} contributors per pixel"
@@ -75,7 +79,7 @@ def main() -> None:
             for t in (1, 2):
                 runs[f"{BEFORE} {isa} {t}T"] = with_earlier(functions, contest.ours(isa, t, BEFORE))
         contest.check_bits(runs)
-    seconds = interleaved(runs, args.rounds)
+    seconds = interleaved(runs, args.rounds, time.process_time if args.cpu else time.perf_counter)
     contest.print_table(seconds)
     one, two = seconds[f"drsplat {isas[0]} 1T"], seconds[f"drsplat {isas[0]} 2T"]
     print(f"\ntwo threads: {one.min() / two.min():.2f}x (minima), {np.median(one) / np.median(two):.2f}x (medians)")
