@@ -7,6 +7,7 @@ Source: the NPY format 1.0 and 2.0 of NumPy (numpy.lib.format).
 import math
 import os
 import re
+from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, Literal
 
@@ -36,6 +37,16 @@ def map_npy(path: Path) -> np.ndarray:
         raise InputError(f"{path}: there is no such file") from None
 
 
+def read_npy(content: bytes, where: str) -> np.ndarray:
+    """Read the array of integers or floats that a file holds. Raises: FormatError: as `map_npy`."""
+    file = BytesIO(content)
+    dtype, shape, order = _header(file, where)
+    data, expected = file.read(), math.prod(shape) * dtype.itemsize
+    if len(data) < expected:
+        raise FormatError(f"{where}: truncated: {dtype} {shape} needs {expected} bytes, there are {len(data)}")
+    return np.frombuffer(data, dtype, math.prod(shape)).reshape(shape, order=order)
+
+
 def write_npy(path: Path, array: np.ndarray, overwrite: bool = False) -> None:
     """Write `array`, whole or not at all."""
     with replacing(path, overwrite) as file:
@@ -52,7 +63,7 @@ def _mapped(file: BinaryIO, path: Path) -> np.ndarray:
     return np.memmap(file, dtype, "r", file.tell(), shape, order)
 
 
-def _header(file: BinaryIO, path: Path) -> tuple[np.dtype[Any], tuple[int, ...], Literal["C", "F"]]:
+def _header(file: BinaryIO | BytesIO, path: Path | str) -> tuple[np.dtype[Any], tuple[int, ...], Literal["C", "F"]]:
     if file.read(6) != _MAGIC:
         raise FormatError(f"{path}: expected a .npy file (it does not start with its magic bytes)")
     version = file.read(2)
