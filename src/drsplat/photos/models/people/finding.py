@@ -1,4 +1,4 @@
-"""Where people are in a photo, as DeepLabv3 on MobileNetV2 sees it."""
+"""Finding people in a photo, as DeepLabv3 on MobileNetV2 sees it."""
 
 import hashlib
 from functools import cache

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ....base.arrays import Int32, UInt8
+from ....base.arrays import Float64, Int32, UInt8
 from ....formats.captures import SparsePoints
 from ....formats.mask_files import SUFFIX
 from ....formats.replacing import replacing
@@ -21,7 +21,7 @@ from ....scene.views import View
 from .finding import SIDE_PIXELS, people
 
 LEAST_POINTS = 30  # that tell whether somebody stands still
-STILL = 1.5  # times as far from the points' colours as the rest of the photo, or less
+STILL = 0.25  # least correlation of their brightness with that of the points; of who moves it is about 0
 _WHITE = 255
 
 
@@ -30,16 +30,14 @@ def without_people(
 ) -> list[View]:
     """Return the views, those that show people with a mask that leaves them out.
 
-    Where a photo has the colours of the scene's points within a person as much as elsewhere, what looks like one stands
-    still, and is kept: a statue, a doll, somebody who is scanned. Views with a mask, and those without a photo, stay
-    as they are.
+    Where a photo is bright within a person as the scene's points there are, what looks like a person stands still, and
+    is kept: a statue, a doll, somebody who is scanned. Views with a mask, and those without a photo, stay as they are.
 
     points: of the scene; None: whoever stands still is left out as well. folder: of the masks. threads: photos at once,
     0 for as many as cores.
 
     Raises: FormatError: a photo that cannot be read.
     """
-
     with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
         made = pool.map(lambda view: _without_people(view, points, folder), views)
         return [view for view, _ in zip(made, track(views, "looking for people"), strict=True)]
@@ -66,20 +64,20 @@ def _without_people(view: View, points: SparsePoints | None, folder: Path) -> Vi
 def _still(
     view: View, image: UInt8[np.ndarray, "h w 3"], labels: Int32[np.ndarray, "h w"], points: SparsePoints
 ) -> list[int]:
-    """Return the numbers of those who stand still, by the colours of the points that the photo should show there."""
+    """Return the numbers of those who stand still, by the points that the photo should show there."""
     at = (points.positions - view.center) @ view.cam_from_world[:3, :3].T
     ahead = at[:, 2] > 0
     pixels = distort_points(view, (at[ahead] / at[ahead, 2:] @ view.K.T)[:, :2])
     on_photo = ((pixels >= 0) & (pixels < (view.width, view.height))).all(axis=1)
     columns, rows = pixels[on_photo].astype(np.intp).T
-    seen, known = image[rows, columns].astype(np.float64), points.colors[ahead][on_photo].astype(np.float64)
-    if len(known) < LEAST_POINTS:
-        return []
-    exposure = np.median(seen, axis=0) / np.maximum(np.median(known, axis=0), 1)
-    away, owner = np.abs(seen - known * exposure).max(axis=1), labels[rows, columns]
-    usual = np.median(away[owner == 0]) if (owner == 0).any() else 0.0
-    return [
-        number
-        for number in range(1, int(labels.max()) + 1)
-        if (owner == number).sum() >= LEAST_POINTS and np.median(away[owner == number]) < STILL * usual
-    ]
+    seen, known = image[rows, columns].mean(axis=1), points.colors[ahead][on_photo].mean(axis=1)
+    owner = labels[rows, columns]
+    persons = [owner == number for number in range(labels.max() + 1)]
+    return [number for number, person in enumerate(persons) if number and _agree(seen[person], known[person])]
+
+
+def _agree(seen: Float64[np.ndarray, " n"], known: Float64[np.ndarray, " n"]) -> bool:
+    if len(seen) < LEAST_POINTS:
+        return False
+    together = ((seen - seen.mean()) * (known - known.mean())).mean()
+    return bool(together > STILL * seen.std() * known.std())
