@@ -1,5 +1,6 @@
 #include "bindings/arrays.h"
 #include "bindings/module.h"
+#include "host/people_network.h"
 #include "host/photo_merging.h"
 #include "host/photo_network.h"
 #include "host/photo_regions.h"
@@ -36,22 +37,31 @@ nb::object small_regions_of(Steps lab, double scale, int least) {
       without_gil([&] { return small_regions(lab.data(), (int32_t)height, (int32_t)width, scale, least); }));
 }
 
-// layers: weights and bias of each in turn.
+// Layers of weights and bias in turn, held as long as they are read.
+struct HeldLayers {
+  std::vector<Rows> weights;
+  std::vector<Vector> biases;
+  std::vector<PhotoLayer> layers;
+
+  explicit HeldLayers(const nb::tuple &parts) {
+    require(parts.size() % 2 == 0 && parts.size() < 1024, "weights and bias of each layer");
+    for (size_t i = 0; i < parts.size(); i += 2) {
+      weights.push_back(member<Rows>(parts, i, "weights (K, O)"));
+      biases.push_back(member<Vector>(parts, i + 1, "a bias (O)"));
+      const Rows &w = weights.back();
+      require(w.shape(1) == biases.back().shape(0), "a bias for each output");
+      layers.push_back({w.data(), biases.back().data(), w.shape(0), w.shape(1)});
+    }
+  }
+};
+
 nb::tuple look_of(Photo image, nb::tuple layers, int threads, const std::string &isa) {
   const Kernels &kernels = kernels_named(isa);
   const size_t height = image.shape(0), width = image.shape(1);
   require_photo(height, width), require(image.shape(2) == 3, "an image (H, W, 3)");
-  require(layers.size() % 8 == 0 && layers.size() < 1024, "weights and bias of 4 layers for each level");
-  std::vector<Rows> weights;
-  std::vector<Vector> biases;
-  PhotoNetwork network{{}, (int)(layers.size() / 8)};
-  for (size_t i = 0; i < layers.size(); i += 2) {
-    weights.push_back(member<Rows>(layers, i, "weights (K, O)"));
-    biases.push_back(member<Vector>(layers, i + 1, "a bias (O)"));
-    const Rows &w = weights.back();
-    require(w.shape(1) == biases.back().shape(0), "a bias for each output");
-    network.layers.push_back({w.data(), biases.back().data(), w.shape(0), w.shape(1)});
-  }
+  require(layers.size() % 8 == 0, "weights and bias of 4 layers for each level");
+  const HeldLayers held(layers);
+  const PhotoNetwork network{held.layers, (int)(layers.size() / 8)};
   require(fits(network), "layers that fit together");
   Fresh<int32_t> borders(height * width), traits(kTraits * height * width);
   without_gil([&] {
@@ -59,6 +69,19 @@ nb::tuple look_of(Photo image, nb::tuple layers, int threads, const std::string 
          traits.get());
   });
   return nb::make_tuple(borders.numpy({height, width}), traits.numpy({height, width, kTraits}));
+}
+
+nb::object people_of(Photo image, nb::tuple layers, int threads, const std::string &isa) {
+  const Kernels &kernels = kernels_named(isa);
+  const size_t height = image.shape(0), width = image.shape(1);
+  require_photo(height, width), require(image.shape(2) == 3, "an image (H, W, 3)");
+  require(height % 16 == 1 && width % 16 == 1, "sides that are multiples of 16, and 1 more");
+  const HeldLayers held(layers);
+  require(fits_people(held.layers), "layers that fit together");
+  Fresh<float> likelihoods(height * width);
+  without_gil(
+      [&] { people(kernels, held.layers, image.data(), height, width, thread_count(threads), likelihoods.get()); });
+  return likelihoods.numpy({height, width});
 }
 
 nb::object flooded_of(Array<int32_t, 2> heights, Array<int32_t, 2> markers) {
@@ -172,6 +195,7 @@ void bind_photos(nb::module_ &m) {
   m.def("lab_colors", &lab_colors_of, "image"_a, "threads"_a, "isa"_a);
   m.def("small_regions", &small_regions_of, "lab"_a, "scale"_a, "least"_a);
   m.def("look", &look_of, "image"_a, "layers"_a, "threads"_a, "isa"_a);
+  m.def("people", &people_of, "image"_a, "layers"_a, "threads"_a, "isa"_a);
   m.def("photo_graph", &photo_graph_of, "labels"_a, "lab"_a, "borders"_a, "traits"_a);
   m.def("merged_regions", &merged_regions_of, "graph"_a, "pixels"_a, "rule"_a, "threshold"_a, "least_area"_a,
         "least_width"_a, "isa"_a);

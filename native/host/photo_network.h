@@ -1,16 +1,11 @@
 // What a small network sees in a photo: a U-Net of convolutions at a half, a quarter ... of the size, and back.
 #pragma once
+#include "host/planes.h"
 #include "kernels/kernels.h"
 
 #include <vector>
 
 namespace drsplat {
-
-// weights: (inputs of the window by row, column and channel) x outputs.
-struct PhotoLayer {
-  const float *weights, *bias;
-  size_t depth, outputs;
-};
 
 // In order: stem; two of each level down; two of each level up, from the second smallest; head, whose outputs are four
 // for each channel: the pixels of a 2x2 block by rows.

@@ -22,7 +22,7 @@
 
 namespace drsplat::DRSPLAT_ISA {
 
-static const PhotoKernels photo_kernels = {lab_colors, convolve_row, pair_likelihoods};
+static const PhotoKernels photo_kernels = {lab_colors, convolve_row, depthwise_row, pair_likelihoods};
 
 extern const ScanKernels scan_table;  // scan_kernels.cpp
 extern const MixtureKernels mixture_table;

@@ -18,7 +18,19 @@ struct ConvolvedRow {
   int taps;  // rows and columns of the window
   const float *weights, *bias;
   uint32_t blocks, vectors;  // of outputs, of 16 pixels
-  bool positive;             // what is below 0 becomes 0
+  bool positive;             // what is below 0 becomes 0, and what is above `most` becomes that
+  float most;
+  float *out;
+};
+
+// A row of each channel's own 3x3 convolution, bounded by 0 and 6. in: channel after channel, where the middle of the
+// window of pixel 0 lies; weights: by row and column of the window, then channel. across, down: floats from a tap to
+// the next.
+struct DepthwiseRow {
+  const float *in, *weights, *bias;
+  size_t across, down;
+  size_t stride;  // floats from a channel to the next
+  uint32_t channels, vectors;
   float *out;
 };
 
@@ -33,6 +45,7 @@ struct PhotoKernels {
   // linear: the 256 intensities of sRGB. lab: in kLabSteps.
   void (*lab_colors)(const uint8_t *rgb, size_t begin, size_t end, const double *linear, int32_t *lab);
   void (*convolve_row)(const ConvolvedRow &);
+  void (*depthwise_row)(const DepthwiseRow &);
   void (*pair_likelihoods)(const PairRule &, const double *features, size_t pairs, double *likelihoods);
 };
 

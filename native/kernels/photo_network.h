@@ -28,7 +28,8 @@ static inline void convolve_tile(const ConvolvedRow &row, const float *weights, 
   for (int o = 0; o < kTileOutputs; o++)
     for (int v = 0; v < Vectors; v++) {
       const Floats sum = total[o][v] + splat(bias[o]);
-      store(out + (size_t)o * row.stride + x + 16 * v, row.positive ? maximum(sum, splat(0.f)) : sum);
+      store(out + (size_t)o * row.stride + x + 16 * v,
+            row.positive ? minimum(maximum(sum, splat(0.f)), splat(row.most)) : sum);
     }
 }
 
@@ -44,6 +45,19 @@ static void convolve_row(const ConvolvedRow &row) {
       else if (count == 3) convolve_tile<3>(row, weights, row.bias + o, 16 * begin, out);
       else if (count == 2) convolve_tile<2>(row, weights, row.bias + o, 16 * begin, out);
       else convolve_tile<1>(row, weights, row.bias + o, 16 * begin, out);
+    }
+  }
+}
+
+static void depthwise_row(const DepthwiseRow &row) {
+  for (uint32_t c = 0; c < row.channels; c++) {
+    const float *in = row.in + c * row.stride - row.down - row.across;
+    for (size_t x = 0; x < 16 * (size_t)row.vectors; x += 16) {
+      Floats sum = splat(row.bias[c]);
+      for (int tap = 0; tap < 9; tap++)
+        sum = sum + splat(row.weights[(size_t)tap * row.channels + c]) *
+                        load(in + (size_t)(tap / 3) * row.down + (size_t)(tap % 3) * row.across + x);
+      store(row.out + c * row.stride + x, minimum(maximum(sum, splat(0.f)), splat(6.f)));
     }
   }
 }

@@ -64,7 +64,7 @@ WINGS: dict[str, tuple[str, ...]] = {
     "kernels": (),
     "formats": (),
     "field": ("codes", "evidence", "", "objects", "registration", "method", "tiles", "growing"),
-    "photos": ("capture", "models", "embedding", "arriving"),
+    "photos": ("models", "capture", "embedding", "arriving"),
     "drawing": (),
     "query": ("", "catalogue"),
     "authoring": ("editing", "exporting", "filming", "exchange", "photographing"),

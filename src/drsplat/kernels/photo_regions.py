@@ -4,7 +4,9 @@ All sums are of whole numbers, so that they do not depend on order: colours are 
 traits in steps of 1 / TRAIT_STEPS, borders in steps of 1 / BORDER_STEPS.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -64,10 +66,7 @@ def lab_colors(image: UInt8[np.ndarray, "h w 3"], *, threads: int = 0, isa: str 
 
     Raises: InputError: an image without pixels, or of 2^16 or more to a side.
     """
-    try:
-        return np.asarray(_native.lab_colors(np.ascontiguousarray(image), threads, checked_isa(isa)))
-    except ValueError as error:
-        raise InputError(f"colours: expected {error}") from None
+    return _called("colours", _native.lab_colors, image, threads, checked_isa(isa))
 
 
 def small_regions(lab: Int32[np.ndarray, "h w 3"], scale: float, least: int) -> Int32[np.ndarray, "h w"]:
@@ -80,10 +79,7 @@ def small_regions(lab: Int32[np.ndarray, "h w 3"], scale: float, least: int) -> 
     Raises: InputError: as lab_colors.
     Source: Felzenszwalb and Huttenlocher 2004, Efficient graph-based image segmentation; with sigma 0.5.
     """
-    try:
-        return np.asarray(_native.small_regions(np.ascontiguousarray(lab), scale, least)).reshape(lab.shape[:2])
-    except ValueError as error:
-        raise InputError(f"regions: expected {error}") from None
+    return _called("regions", _native.small_regions, lab, scale, least).reshape(lab.shape[:2])
 
 
 def look(image: UInt8[np.ndarray, "h w 3"], layers: Layers, *, threads: int = 0, isa: str = "") -> Sight:
@@ -95,12 +91,24 @@ def look(image: UInt8[np.ndarray, "h w 3"], layers: Layers, *, threads: int = 0,
 
     Raises: InputError: as lab_colors, or layers that do not fit together.
     """
-    contiguous = tuple(np.ascontiguousarray(layer) for layer in layers)
-    try:
-        borders, traits = _native.look(np.ascontiguousarray(image), contiguous, threads, checked_isa(isa))
-    except ValueError as error:
-        raise InputError(f"network: expected {error}") from None
-    return Sight(np.asarray(borders), np.asarray(traits))
+    return Sight(*_all_called("network", _native.look, image, layers, threads, checked_isa(isa)))
+
+
+def people(
+    image: UInt8[np.ndarray, "h w 3"], layers: Layers, *, threads: int = 0, isa: str = ""
+) -> Float32[np.ndarray, "h w"]:
+    """Return how likely each pixel shows a person, 0 to 1; the same bits at any `threads`.
+
+    image: of sides that are a multiple of 16, and 1 more. layers: weights and bias of each in turn, of MobileNetV2 and
+    the head of DeepLabv3 for the 21 classes of VOC: a 3x3 convolution; depthwise (9, channels) and narrow layer of the
+    first block; wide, depthwise and narrow layer of each of 16 more; then of each place, of the mean of all, of both
+    together, and of the classes. Activations end at 6, those of the head do not.
+
+    Raises: InputError: as lab_colors, other sides, or layers that do not fit together.
+    Source: Sandler et al. 2018, MobileNetV2; Chen et al. 2017, Rethinking Atrous Convolution.
+    Twin: tests/twins/people_network.py::people.
+    """
+    return _called("network", _native.people, image, layers, threads, checked_isa(isa))
 
 
 def region_graph(labels: Int32[np.ndarray, "h w"], lab: Int32[np.ndarray, "h w 3"], sight: Sight) -> RegionGraph:
@@ -110,11 +118,8 @@ def region_graph(labels: Int32[np.ndarray, "h w"], lab: Int32[np.ndarray, "h w 3
 
     Raises: InputError: as lab_colors, labels below 0, or arrays of different sizes.
     """
-    arrays = (np.ascontiguousarray(array) for array in (labels, lab, sight.borders, sight.traits))
-    try:
-        sums, boxes, pairs, borders = map(np.asarray, _native.photo_graph(*arrays))
-    except ValueError as error:
-        raise InputError(f"regions: expected {error}") from None
+    given = labels, lab, sight.borders, sight.traits
+    sums, boxes, pairs, borders = _all_called("regions", _native.photo_graph, *given)
     return RegionGraph(
         labels.size, sums.reshape(-1, COLUMNS), boxes.reshape(-1, 4), pairs.reshape(-1, 2), borders.reshape(-1, 5)
     )
@@ -125,10 +130,7 @@ def pair_likelihoods(graph: RegionGraph, rule: PairRule, *, isa: str = "") -> Fl
 
     Raises: InputError: a graph or rule of other shapes, pairs that are not in order.
     """
-    try:
-        return np.asarray(_native.pair_likelihoods(_arrays(graph), graph.pixels, rule, checked_isa(isa)))
-    except ValueError as error:
-        raise InputError(f"regions: expected {error}") from None
+    return _called("regions", _native.pair_likelihoods, _arrays(graph), graph.pixels, rule, checked_isa(isa))
 
 
 def merged_regions(
@@ -143,11 +145,8 @@ def merged_regions(
     Raises: InputError: as pair_likelihoods.
     Twin: tests/twins/photo_merging.py::Merging.
     """
-    limits = threshold, least_area, least_width
-    try:
-        return np.asarray(_native.merged_regions(_arrays(graph), graph.pixels, rule, *limits, checked_isa(isa)))
-    except ValueError as error:
-        raise InputError(f"regions: expected {error}") from None
+    given = _arrays(graph), graph.pixels, rule, threshold, least_area, least_width
+    return _called("regions", _native.merged_regions, *given, checked_isa(isa))
 
 
 def merge_order(graph: RegionGraph, rule: PairRule, *, isa: str = "") -> Int32[np.ndarray, "k 2"]:
@@ -159,11 +158,7 @@ def merge_order(graph: RegionGraph, rule: PairRule, *, isa: str = "") -> Int32[n
     Raises: InputError: as pair_likelihoods.
     Twin: tests/twins/photo_merging.py::Merging.
     """
-    try:
-        order = _native.merge_order(_arrays(graph), graph.pixels, rule, checked_isa(isa))
-    except ValueError as error:
-        raise InputError(f"regions: expected {error}") from None
-    return np.asarray(order).reshape(-1, 2)
+    return _called("regions", _native.merge_order, _arrays(graph), graph.pixels, rule, checked_isa(isa)).reshape(-1, 2)
 
 
 def flooded(heights: Int32[np.ndarray, "h w"], markers: Int32[np.ndarray, "h w"]) -> Int32[np.ndarray, "h w"]:
@@ -176,12 +171,26 @@ def flooded(heights: Int32[np.ndarray, "h w"], markers: Int32[np.ndarray, "h w"]
     Source: Beucher and Meyer 1993, by a queue.
     Twin: tests/twins/photo_regions.py::flooded.
     """
-    try:
-        owner = _native.flooded(np.ascontiguousarray(heights), np.ascontiguousarray(markers))
-    except ValueError as error:
-        raise InputError(f"watershed: expected {error}") from None
-    return np.asarray(owner).reshape(heights.shape)
+    return _called("watershed", _native.flooded, heights, markers).reshape(heights.shape)
 
 
 def _arrays(graph: RegionGraph) -> tuple[np.ndarray, ...]:
-    return tuple(np.ascontiguousarray(array) for array in (graph.sums, graph.boxes, graph.pairs, graph.borders))
+    return graph.sums, graph.boxes, graph.pairs, graph.borders
+
+
+def _called(what: str, function: Callable[..., object], *given: object) -> np.ndarray:
+    return _all_called(what, lambda *parts: (function(*parts),), *given)[0]
+
+
+def _all_called(what: str, function: Callable[..., Any], *given: object) -> list[np.ndarray]:
+    """Return what native code makes of arrays and tuples of them. Raises: InputError: instead of ValueError."""
+    try:
+        return [np.asarray(made) for made in function(*map(_contiguous, given))]
+    except ValueError as error:
+        raise InputError(f"{what}: expected {error}") from None
+
+
+def _contiguous(given: Any) -> Any:
+    if isinstance(given, tuple):
+        return tuple(map(_contiguous, given))
+    return np.ascontiguousarray(given) if isinstance(given, np.ndarray) else given

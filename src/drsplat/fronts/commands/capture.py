@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from .declaring import Facts, argument, declaration, option
 from .kinds import finite, length
+from .leaving_out import keep_people, people_text
 from .options import Verb, invert_masks, overwrite
 from .tables import show_facts, show_table, size_text, text_of
 
@@ -41,6 +42,7 @@ class Options(Verb):
     )
     overwrite: bool = overwrite()
     invert_masks: bool = invert_masks()
+    keep_people: bool = keep_people()
     known_distance: list[str] | None = option(
         "distance between two places in metres: PHOTO X Y PHOTO X Y METRES, in pixels (x right, y down) of the upright "
         "photo at full size, or with --places NAME NAME METRES", "PLACE", nargs="+", title=SIZE,
@@ -63,8 +65,9 @@ class Options(Verb):
         from ...photos.capture.settings import CaptureSettings
 
         return CaptureSettings(
-            self.lens, self.scale, _known_distance(self.known_distance, self.places), self.invert_masks
-        )
+            self.lens, self.scale, _known_distance(self.known_distance, self.places), self.invert_masks,
+            self.keep_people,
+        )  # fmt: skip
 
 
 def run(options: Options) -> Facts:
@@ -147,6 +150,8 @@ def show(answer: Facts) -> None:
             "peak memory": size_text(answer["peak_memory_bytes"]),
         },
     )
+    if answer["num_with_people"]:
+        print(people_text(answer["num_with_people"], registered))
     if answer["left_out"]:
         rows = [(photo["name"], photo["reason"]) for photo in answer["left_out"]]
         show_table("Photos without a pose", ("photo", "why"), rows)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from ...errors import InputError
 from .declaring import Facts, declaration, flag, option, part
 from .kinds import count, up_to, words
-from .leaving_out import left_out, without
+from .leaving_out import keep_people, left_out, without, without_people
 from .options import DEVICES, Photos, Verb, capture, invert_masks, overwrite
 from .parts import parts_of
 
@@ -146,6 +146,7 @@ class Options(Verb):
     with_scene: WithScene = part(WithScene)
     photos: Photos = part(Photos)
     invert_masks: bool = invert_masks()
+    keep_people: bool = keep_people()
     without: str | None = without()
 
     @property
@@ -190,7 +191,8 @@ def run(options: Options) -> Facts:
     encoder = image_encoder(options.encoder, options.device, options.threads)
     watch.lap("load")
     chosen, seen = _chosen_views(options, views, scene)
-    report = _embedded(options, chosen, segmenter, encoder, scene)
+    with without_people(options, chosen, options.photos.dataparser_transforms) as used:
+        report = _embedded(options, used, segmenter, encoder, scene)
     watch.lap("embed")
     made = report.photos - report.reused
     return {

@@ -1,15 +1,21 @@
-"""--without: photos that are kept for measuring, and so may not be learnt from."""
+"""--without: photos that are kept for measuring, and so may not be learnt from; and people, who walk through."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
 
 from ...errors import FormatError, InputError
-from .declaring import option
+from .declaring import flag, option
 from .kinds import whole, words
+
+if TYPE_CHECKING:
+    from ...scene.views import View
 
 EVERY_PREFIX = "every:"
 
@@ -19,6 +25,39 @@ def without() -> Any:
         "photos to leave out: a file with a name per line, or every Nth by name, starting with the first, as `drsplat "
         "train` holds them out (default: none)", "FILE|every:N", words,
     )  # fmt: skip
+
+
+def keep_people(title: str = "") -> Any:
+    return flag("keep people in photos that come without masks (default: they are left out)", title=title)
+
+
+def people_text(count: int, of: int) -> str:
+    return f"people in {count:,} of {of:,} photos are left out"
+
+
+@contextmanager
+def without_people(options: Any, views: list[View], transforms: str | None) -> Iterator[list[View]]:
+    """Yield the views, with masks that leave people out while the block runs.
+
+    Nobody is looked for where the user keeps people, the photos have masks, or `drsplat capture` has looked already.
+    transforms: the file that says in which frame the views are.
+    """
+    from ... import read_sparse_points
+    from ...photos.capture.work import RECORD
+    from ...photos.models.people import without_people as masked
+
+    record = Path(options.capture, RECORD)
+    has_looked = record.is_file() and b"num_with_people" in record.read_bytes()
+    if options.keep_people or has_looked or any(view.mask_path for view in views):
+        yield views
+        return
+    points = read_sparse_points(options.capture, dataparser_transforms=transforms)
+    with TemporaryDirectory(prefix="drsplat-") as folder:
+        found = masked(views, points, Path(folder), track=options.track, threads=options.threads)
+        count = sum(view.mask_path is not None for view in found)
+        if count and not options.json:
+            print(f"drsplat: {people_text(count, len(views))}", file=sys.stderr)
+        yield found
 
 
 def left_out(names: Sequence[str], without: str | None) -> set[str]:

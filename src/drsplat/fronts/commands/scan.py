@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from ...errors import InputError
 from .declaring import Facts, argument, declaration, flag, option
 from .kinds import count, words
+from .leaving_out import keep_people
 from .options import Verb
 from .parts import parts_of
 from .stages import (
@@ -54,7 +55,7 @@ DEFAULT_VIDEO_PHOTOS = 100  # until the frames of a video are chosen
 SECONDS_PER_PHOTO = {"capture": 1.1, "train": 0.05, "embed": 0.7, "register": 0.3}
 """Seconds a photo, in training an iteration, on two cores: the first guess of the time that is left."""
 SAM_SECONDS_PER_PHOTO = {"cpu": 8.0, "cuda": 1.5, "mps": 5.0}
-DAILY = "output ask iterations segmenter encoder overwrite config"
+DAILY = "output ask iterations segmenter encoder keep_people overwrite config"
 
 
 @declaration
@@ -80,12 +81,18 @@ class Options(Verb):
         "model that embeds the masks, as in drsplat embed (default: auto, CLIP if it is installed and its weights are "
         "available, else drsplat-mini)", "NAME", words,
     )  # fmt: skip
+    keep_people: bool = keep_people()
     overwrite: bool = flag("redo the stages that changed photos or options affect, and keep the rest (default: refuse)")
 
     @property
     def folder(self) -> Path:
         """Folder for all results; all messages name it."""
         return Path(f"{Path(self.input).resolve().stem}-scan" if self.output is None else self.output)
+
+    @property
+    def people(self) -> list[str]:
+        """Option of the stages that look for people."""
+        return ["--keep-people"] * self.keep_people
 
     @property
     def common(self) -> list[str]:
@@ -237,7 +244,7 @@ def planned(options: Options, source: ScanInput, output: Path, before: Mapping[s
     choice = choice.judged(source, options.threads)
     view = VerbLine(replace(line, overwrite=True, ask="; ".join(queries)), given | {"ask": queries})
     stages = [
-        *([] if has_poses else [_capturing(source, output / CAPTURE, common)]),
+        *([] if has_poses else [_capturing(source, output / CAPTURE, [*common, *options.people])]),
         Stage("train", train, (output / MODEL,)),
         Stage("embed", embed, (output / FEATURES, parts_of(output / FEATURES))),
         Stage("register", register, (output / FIELD, output / f"{FIELD}.parts"), run=_registered),
@@ -292,7 +299,7 @@ def _capturing(source: ScanInput, folder: Path, common: Sequence[str]) -> Stage:
 def _training(options: Options, capture: str, model: str) -> VerbLine:
     from ...kernels.cuda.devices import chosen_device
 
-    given = [capture, "--output-dir", model]
+    given = [capture, "--output-dir", model, *options.people]
     given += [] if options.iterations is None else ["--iterations", str(options.iterations)]
     on_cpu = chosen_device(verb_line("train", given, options.common).options.device) == "cpu"
     return verb_line("train", given, options.common, {"resolution": str(CPU_SIDE_PIXELS)} if on_cpu else None)
@@ -305,7 +312,7 @@ def _embedding(
     from ...formats.scan_record import MODEL
     from ..scanning.choosing import AUTO, ModelChoice, choose_models
 
-    given = [capture, "--output", str(output / FEATURES)]
+    given = [capture, "--output", str(output / FEATURES), *options.people]
     for name, model in {"segmenter": options.segmenter, "encoder": options.encoder}.items():
         if model is not None and model != AUTO:
             given += [f"--{name}", model]

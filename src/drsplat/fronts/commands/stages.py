@@ -15,6 +15,7 @@ from ...query.defaults import MAYBE
 from .configuring import OPTIONS_NOT_KEPT, Given, place, table_keys
 from .declaring import Facts, made
 from .help_texts import did_you_mean
+from .leaving_out import people_text
 from .options import verb_parser
 
 if TYPE_CHECKING:
@@ -278,9 +279,12 @@ def notes(states: Facts, is_doubted: bool) -> list[str]:
     """Return sentences about what was left out, and about what to doubt unless that has been said."""
     stages = {verb: state["answer"] for verb, state in states.items()}
     said = []
-    without = stages.get("capture", {}).get("left_out", [])
+    posed = stages.get("capture", {})
+    without = posed.get("left_out", [])
     if without:
-        said.append(f"{len(without):,} of {stages['capture']['num_photos']:,} photos have no pose (left_out says why).")
+        said.append(f"{len(without):,} of {posed['num_photos']:,} photos have no pose (left_out says why).")
+    if posed.get("num_with_people"):
+        said.append(people_text(posed["num_with_people"], posed["num_registered"]).capitalize() + ".")
     if stages["train"]["held_out_far_below"]:
         said.append(
             "Photos that were held out look far worse than those trained on: the photos overlap too little, or poses "

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from ...base.terminal import counted
 from .declaring import Facts, declaration, flag, option, part
 from .kinds import count, whole
+from .leaving_out import keep_people, without_people
 from .options import Photos, Verb, capture, invert_masks, kernel_device, overwrite
 
 if TYPE_CHECKING:
@@ -117,6 +118,7 @@ class Options(Verb):
         title="capture",
     )  # fmt: skip
     invert_masks: bool = invert_masks("capture")
+    keep_people: bool = keep_people("capture")
 
     @property
     def planned_iterations(self) -> int:
@@ -146,9 +148,12 @@ def run(options: Options) -> Facts:
     if points is None and not options.json:  # before the meter begins to move
         text = "the capture has no points: triangulating some from its photos, a fifth of a second each"
         print(f"drsplat: {text}", file=sys.stderr)
-    with Meter("training", settings.iterations, quiet=options.json) as meter:
+    with (
+        without_people(options, views, options.dataparser_transforms) as used,
+        Meter("training", settings.iterations, quiet=options.json) as meter,
+    ):
         training = train(
-            views, settings, options.output_dir, points=points, device=device,
+            used, settings, options.output_dir, points=points, device=device,
             overwrite=options.overwrite, save_at=tuple(options.course.save_at),
             checkpoint_every=options.course.checkpoint_every, threads=options.threads,
             report=lambda status: meter.update(

@@ -1,13 +1,14 @@
 """Captures of a folder of photos or a video: posed photos in COLMAP's layout, in an upright world."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from ...errors import InputError
+from ...formats.captures import read_sparse_points, read_views
 from ...formats.claiming import claimed_folder
 from ...formats.colmap import read_colmap
 from ...formats.georeference import write_georeference
@@ -15,6 +16,7 @@ from ...formats.mask_files import FOLDER as MASKS
 from ...formats.mask_files import SUFFIX as MASK_SUFFIX
 from ...formats.photo_files import listed
 from ...formats.replacing import replacing
+from ..models.people import without_people
 from .finding import Source, find_photos
 from .measuring import units_between
 from .photos import Photo, bring
@@ -105,9 +107,26 @@ def _make(sources: Sequence[Source], output: Path, settings: CaptureSettings, th
         _moved(masks_folder / (file + MASK_SUFFIX), work.new / MASKS / (name + MASK_SUFFIX))
     if world.georeference is not None:
         write_georeference(work.new, world.georeference)
-    record = _record(photos, posed, world, settings) | {"sources": key, "video": film}
+    with_people = None
+    if not settings.keep_people and all(source.mask is None for source in sources):
+        with_people = _leave_people_out(work, threads, progress)
+    record = _record(photos, posed, world, settings)
+    record |= {"sources": key, "video": film, "num_with_people": with_people}
     with replacing(work.new / RECORD, overwrite=True) as written:
         written.write(json.dumps(record, indent=1).encode())
+
+
+def _leave_people_out(work: Work, threads: int, progress: Progress) -> int:
+    """Write the masks of photos with people; return how many they are."""
+
+    def tracked(items: Sequence[Any], _: str) -> Iterator[Any]:
+        for done, item in enumerate(items, 1):
+            yield item
+            progress("people", done, len(items))
+
+    views, points = read_views(work.new), read_sparse_points(work.new)
+    found = without_people(views, points, work.new / MASKS, track=tracked, threads=threads)
+    return sum(view.mask_path is not None for view in found)
 
 
 def _bring_all(sources: Sequence[Source], work: Work, progress: Progress, invert_masks: bool = False) -> list[Photo]:

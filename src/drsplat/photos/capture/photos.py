@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
+from scipy import ndimage
 
 from ...base.arrays import UInt8
 from ...base.contents import open_file
@@ -143,9 +144,7 @@ def _digest(source: Source, invert: bool) -> str:
 
 def sharpness(grey: UInt8[np.ndarray, "h w"]) -> float:
     """Return the standard deviation of the Laplacian of a picture of some 512 pixels, in grey levels."""
-    values = grey.astype(np.float32)
-    middle = values[1:-1, 1:-1]
-    laplacian = values[:-2, 1:-1] + values[2:, 1:-1] + values[1:-1, :-2] + values[1:-1, 2:] - 4 * middle
+    laplacian = ndimage.laplace(grey.astype(np.float32))[1:-1, 1:-1]
     return float(laplacian.std()) if laplacian.size else 0.0
 
 

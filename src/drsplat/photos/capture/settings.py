@@ -21,7 +21,8 @@ class CaptureSettings:
     """Settings of a capture.
 
     lens: of `LENSES`. scale: metres per unit of the capture without it. known_distance: between two places in
-    photos or two markers, instead of `scale`. invert_masks: black is kept, white left out.
+    photos or two markers, instead of `scale`. invert_masks: black is kept, white left out. keep_people: none are left
+    out of photos that come without masks.
 
     Raises: InputError: an unknown lens, a scale that is not above 0, or both.
     """
@@ -30,6 +31,7 @@ class CaptureSettings:
     scale: float | None = None
     known_distance: KnownDistance | None = None
     invert_masks: bool = False
+    keep_people: bool = False
 
     def __post_init__(self) -> None:
         if self.lens not in LENSES:

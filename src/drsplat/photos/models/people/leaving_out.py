@@ -1,0 +1,83 @@
+"""Masks that leave people out of photos with poses, but for those who stand as still as all else."""
+
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from ....base.arrays import Float64, Int32, UInt8
+from ....formats.captures import SparsePoints
+from ....formats.mask_files import SUFFIX
+from ....formats.replacing import replacing
+from ....kernels.kmeans import Track, untracked
+from ....scene.lens import distort_points
+from ....scene.photo_masks import MIN_WHITE
+from ....scene.photos import load_image, photo_size
+from ....scene.views import View
+from .finding import SIDE_PIXELS, people
+
+LEAST_POINTS = 30  # that tell whether somebody stands still
+STILL = 0.25  # least correlation of their brightness with that of the points; of who moves it is about 0
+_WHITE = 255
+
+
+def without_people(
+    views: Sequence[View], points: SparsePoints | None, folder: Path, *, track: Track = untracked, threads: int = 0
+) -> list[View]:
+    """Return the views, those that show people with a mask that leaves them out.
+
+    Where a photo is bright within a person as the scene's points there are, what looks like a person stands still, and
+    is kept: a statue, a doll, somebody who is scanned. Views with a mask, and those without a photo, stay as they are.
+
+    points: of the scene; None: whoever stands still is left out as well. folder: of the masks. threads: photos at once,
+    0 for as many as cores.
+
+    Raises: FormatError: a photo that cannot be read.
+    """
+    with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
+        made = pool.map(lambda view: _without_people(view, points, folder), views)
+        return [view for view, _ in zip(made, track(views, "looking for people"), strict=True)]
+
+
+def _without_people(view: View, points: SparsePoints | None, folder: Path) -> View:
+    if view.image_path is None or view.mask_path:
+        return view
+    size, seen = photo_size(view.image_path), view.limited(SIDE_PIXELS)
+    image = load_image(replace(seen, distortion=None))
+    labels = people(image, threads=1)
+    still = [] if points is None or not labels.any() else _still(seen, image, labels, points)
+    shown = (labels > 0) & ~np.isin(labels, still)
+    if not shown.any():
+        return view
+    path = folder / f"{view.name}{SUFFIX}"
+    kept = Image.fromarray(np.where(shown, 0, _WHITE).astype(np.uint8)).resize(size, Image.Resampling.BILINEAR)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path, overwrite=True) as file:
+        kept.point(lambda grey: _WHITE * (grey >= MIN_WHITE)).save(file, format="PNG")
+    return replace(view, mask_path=path)
+
+
+def _still(
+    view: View, image: UInt8[np.ndarray, "h w 3"], labels: Int32[np.ndarray, "h w"], points: SparsePoints
+) -> list[int]:
+    """Return the numbers of those who stand still, by the points that the photo should show there."""
+    at = (points.positions - view.center) @ view.cam_from_world[:3, :3].T
+    ahead = at[:, 2] > 0
+    pixels = distort_points(view, (at[ahead] / at[ahead, 2:] @ view.K.T)[:, :2])
+    on_photo = ((pixels >= 0) & (pixels < (view.width, view.height))).all(axis=1)
+    columns, rows = pixels[on_photo].astype(np.intp).T
+    seen, known = image[rows, columns].mean(axis=1), points.colors[ahead][on_photo].mean(axis=1)
+    owner = labels[rows, columns]
+    persons = [owner == number for number in range(labels.max() + 1)]
+    return [number for number, person in enumerate(persons) if number and _agree(seen[person], known[person])]
+
+
+def _agree(seen: Float64[np.ndarray, " n"], known: Float64[np.ndarray, " n"]) -> bool:
+    if len(seen) < LEAST_POINTS:
+        return False
+    together = ((seen - seen.mean()) * (known - known.mean())).mean()
+    return bool(together > STILL * seen.std() * known.std())
