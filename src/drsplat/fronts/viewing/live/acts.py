@@ -147,6 +147,7 @@ class Ask(Act):
         during = asked.pop("during", None)
         if "during" in self.model_fields_set:
             _set_during(shared.session, during)
+        shared.session.clear()  # also where the words are refused: it would be read as their answer
         return shared.session.ask(**asked)
 
 
@@ -342,23 +343,25 @@ def read_act(body: bytes) -> AnyAct:
 
 def done(shared: Shared, act: Act) -> dict[str, object]:
     """Do an act and return the state after it. Raises: as the session's calls."""
+    return _noted(shared, lambda: act.do(shared))
+
+
+def _noted(shared: Shared, do: Finish) -> dict[str, object]:
+    """Do something and return the state after it, with what it says; what it has changed counts even if it fails."""
     try:
-        shared.say(act.do(shared))
+        said = do()
     finally:
         shared.note()
-    return shared.state()
+    return shared.state(said)
 
 
 def begun(shared: Shared, act: SlowAct) -> Callable[[], Callable[[], dict[str, object]]]:
-    """Begin a slow act; as `SlowAct.begin`, but the last step returns the state after it."""
-    work = act.begin(shared)
+    """Begin a slow act; as `SlowAct.begin`, but the last step returns the state after it to whose turn this is."""
+    work, visit = act.begin(shared), shared.visit
 
     def shown(finish: Finish) -> dict[str, object]:
-        try:
-            shared.say(finish())
-        finally:
-            shared.note()
-        return shared.state()
+        shared.enter(visit)
+        return _noted(shared, finish)
 
     def done_beside() -> Callable[[], dict[str, object]]:
         finish = work()
