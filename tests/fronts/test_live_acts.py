@@ -243,7 +243,14 @@ def test_a_threshold_moves_the_selection_and_its_own_stays(viewer: Viewer) -> No
 
 def test_nothing_found_and_words_that_are_not_known_are_said(viewer: Viewer) -> None:
     state = viewer.do("ask", text="elephant")
-    assert state["message"] == "No match for 'elephant'."
+    assert state["message"].startswith("No match for 'elephant'. The best place has")
+    (result,) = state["results"]
+    assert result["doubt"].startswith("The best place has a cosine of ")
+    assert "below the threshold of 0.60" in result["doubt"]
+    assert result["instead"] == ["mug", "lamp"]
+    assert viewer.do("ask", text=result["instead"][0])["results"][0]["instead"] == []
+    assert "ask: there is no such field: txt. Did you mean 'text'?" in viewer.refused("ask", txt="mug")
+    assert "no such field: zoom. There are during, present, act, text" in viewer.refused("ask", text="mug", zoom=2)
     assert state["selection"] == 0
     assert "one to 8" in viewer.refused("ask", text=";".join("abcdefghi"))
     assert viewer.state()["results"] == []  # it would be read as the answer

@@ -377,11 +377,6 @@ class Session:
         return self.edits.colors
 
     @property
-    def opacities(self) -> Float32[np.ndarray, " n"]:
-        """Opacities of every Gaussian of the scene; 0 where it is hidden."""
-        return self.edits.opacities[: len(self.scene.gaussians)]
-
-    @property
     def drawn(self) -> Shown:
         """Rows that a browser draws: those of the scene as edited, those that edits added behind its own."""
         return self.edits.shown(self.shown, self.budget)

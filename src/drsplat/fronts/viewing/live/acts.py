@@ -26,7 +26,6 @@ from .stage import Stage
 
 T = TypeVar("T")
 LASSO_SIDE_PIXELS = 640
-Corner = tuple[Finite, Finite]
 Finish = Callable[[], str | None]
 """The last step of a slow act: shows what was computed and returns what is to be said, as `Act.do`."""
 
@@ -106,9 +105,6 @@ class SlowAct(Act):
     def begin(self, shared: Shared) -> Callable[[], Finish]:
         """Return the work, which touches nothing that is shown; what it returns in turn shows the result."""
         raise NotImplementedError
-
-    def do(self, shared: Shared) -> str | None:
-        return self.begin(shared)()()
 
 
 class EditAct(SlowAct):
@@ -249,7 +245,7 @@ class Name(Act):
 
 class Lasso(Act):
     act: Literal["lasso"]
-    polygon: Annotated[list[Corner], Field(min_length=3, max_length=1000)]
+    polygon: Annotated[list[Span], Field(min_length=3, max_length=1000)]
     camera: Camera
 
     def do(self, shared: Shared) -> str | None:

@@ -35,7 +35,6 @@ from .visits import Visit
 MAX_STREAMS = 16
 BEAT_S = 15.0
 MAX_PICTURE_PIXELS = 40_000_000
-FAULT_TEXTS = {"extra_forbidden": "there is no such field"}
 T = TypeVar("T")
 B = TypeVar("B", bound=BaseModel)
 Handler = Callable[[Request], Coroutine[Any, Any, Response]]
@@ -107,6 +106,11 @@ class Viewer:
         self.progress = files.Progress()
         self.events = Events(lambda: vars(shared.counters))
         shared.tell = self.events.tell
+
+    def prepare(self) -> None:
+        """Find names, words and pictures of the objects of the scene that is open. Raises: BusyError."""
+        self.lanes.change(self.shared.prepare)
+        self.lanes.files.submit(lambda: self.pictures.draw(self.shared.stage))
 
     def routes(self) -> list[Route]:
         looks: dict[str, Handler] = {
@@ -200,8 +204,10 @@ class Viewer:
         return Response(await self._turn(request, lambda: files.photo(self.shared.stage, name, side)), media_type=JPEG)
 
     async def object_picture(self, request: Request) -> Response:
-        number = _number(request, "number")
-        drawn = await self._turn(request, lambda: self.pictures.picture(self.shared.stage, number))
+        number, stage = _number(request, "number"), self.shared.stage
+        drawn = self.pictures.known(stage, number)
+        if drawn is None:
+            drawn = await self.lanes.files.take(lambda: self.pictures.picture(stage, number))
         return Response(drawn, media_type=JPEG)
 
     async def clicked_photo(self, request: Request) -> Response:
@@ -223,7 +229,7 @@ class Viewer:
             ways = (self._entered(request, way) for way in (lambda: done(shared, act), shared.state))
             state = await self.turns.take_latest((self._visit(request), act.key), *ways)
         if shared.counters.scene != opened:
-            self.lanes.change(shared.prepare)
+            self.prepare()
         return state
 
     async def ask_picture(self, request: Request) -> Response:
@@ -342,7 +348,7 @@ def _refusals(shared: Shared) -> dict[Any, Any]:
         return _sent(refusal(error, shared.without_folders(str(error))))
 
     async def invalid(_: Request, error: ValidationError) -> Response:
-        return _sent(problem(422, faults_of(error.errors(), FAULT_TEXTS), "invalid"))
+        return _sent(problem(422, faults_of(error.errors()), "invalid"))
 
     async def http(request: Request, error: HTTPException) -> Response:
         said = f"there is nothing at {request.url.path!a:.80}" if error.status_code == 404 else str(error.detail)

@@ -230,7 +230,7 @@ class Service:
         with suppress(BusyError):
             if text:
                 self.lanes.quick.submit(lambda: self._begin(text))
-            self.lanes.change(self.shared.prepare)
+            self._server.app.state.viewer.prepare()
 
     def _begin(self, text: str) -> None:
         try:

@@ -28,8 +28,8 @@ MAX_ENTRIES, MAX_PAINTED = 12, 4  # of an answer of the catalogue; arrays of vis
 NOTHING_OPEN = "no scene is open: search the catalogue and open one, or open a file"
 FOLDERS = re.compile(r"(?<![\w.])/(?:[^/\s'\",:;]+/)+")
 CLOSED_STATE = {
-    "mode": "as it is", "selection": 0, "results": [], "clicked": None, "chosen": None, "classes": None,
-    "annotations": [], "time": None, "edits": [], "can_undo": False, "can_redo": False, "kept": False,
+    "mode": "as it is", "asked": [], "present": False, "selection": 0, "results": [], "clicked": None, "chosen": None,
+    "classes": None, "annotations": [], "time": None, "edits": [], "can_undo": False, "can_redo": False, "kept": False,
 }  # fmt: skip
 """The state where no scene is open."""
 
