@@ -19,7 +19,7 @@ GONE = "this viewer has let go of what this browser asked: load its page again"
 
 @dataclass(eq=False)
 class Visit:
-    """What one browser asked and found, and counters of what changed in it.
+    """Question and answers of one browser, with counters of what changed in them.
 
     session: of the scene of the count `scene`, with the edits that all share; None where none is open. entries: what it
     found in the catalogue. seen: what these counters were made of. num_bytes: of its answers.
