@@ -306,7 +306,7 @@ def test_a_text_without_a_match_is_told_how_near_it_came(service: Service) -> No
     advice = service("POST", "/scenes/room/locate", json={"text": "laptop"}).json()["advice"]
     assert advice.startswith("no match: The best place has a ")
     assert "Words that match here: " in advice
-    assert service("POST", "/scenes/room/locate", json={"text": "red mug"}).json().get("advice", "") == ""
+    assert service("POST", "/scenes/room/locate", json={"text": "mug"}).json().get("advice", "") == ""
 
 
 def test_unknown_routes_and_methods(service: Service) -> None:

@@ -52,7 +52,7 @@ def words_instead(scene: Scene, answer: Answer, words: Sequence[str] | None = No
 def missed_text(answer: Answer, words: Sequence[str] = ()) -> str:
     """Say how near a query without a match came to one; "" where nothing was measured. words: that match here."""
     best = float(answer.values.max(initial=answer.lowest))
-    below = f", below the threshold of {answer.threshold:.2f}" if best < answer.threshold else ""
+    below = f", below the threshold of {answer.threshold:.2f}" if round(best, 2) < round(answer.threshold, 2) else ""
     near = f"The best place has a {answer.measure} of {best:.2f}{below}." if best > answer.lowest else ""
     return f"{near} Words that match here: {', '.join(words)}.".strip() if words else near
 
