@@ -367,7 +367,12 @@ def test_query_that_finds_nothing_says_so(room: Path, capsys: Capture) -> None:
     argv = ["locate", room / "room.field", "elephant", "--scene", room / "scene.ply"]
     answer = answer_of(capsys, *argv)
     assert (answer["num_matches"], answer["matches"], answer["num_selected"]) == (0, [], 0)
-    assert text_of(capsys, *argv).startswith("No match for 'elephant'.")
+    assert answer["instead"]
+    text = text_of(capsys, *argv)
+    assert text.startswith("No match for 'elephant'. The best place has a cosine of ")
+    assert f"below the threshold of 0.60. Words that match here: {', '.join(answer['instead'])}." in text
+    for word in answer["instead"]:
+        assert answer_of(capsys, *argv[:2], word, *argv[3:])["instead"] == []
 
 
 def test_specks_can_be_left_out_or_kept(room: Path, capsys: Capture) -> None:

@@ -164,7 +164,7 @@ def test_a_page_asks_nobody_names_itself_and_tells_what_is_there(exported: Path,
         assert page.locator("#query").input_value() == "red mug"
         page.locator("#query").fill("elephant")
         page.locator("#ask").click()
-        eventually(lambda: "No match for “elephant”." in page.locator("#content").inner_text())
+        eventually(lambda: "No match for “elephant”. The best place" in page.locator("#content").inner_text())
         settled(page)
         nothing = pixels_of(page, SIZE[0])[:600, PANEL:]
         page.locator("#colours").select_option("as it is")

@@ -11,7 +11,7 @@ from browsing import PANEL, a_page, colorfulness, eventually, near, needs_chromi
 from drsplat.authoring.editing import Duplicate
 from drsplat.fronts.viewing.exporting import export_page
 from drsplat.fronts.viewing.live.stage import Stage
-from drsplat.fronts.viewing.session import Session
+from drsplat.fronts.viewing.session import Mode, Session
 from drsplat.query import Scene, open_scene
 from drsplat.scene.annotations import Annotation
 from live_clients import served
@@ -78,6 +78,7 @@ def test_every_object_has_the_colour_that_saved_pictures_have(session: Session, 
     rgba, numbers = np.array(shown[0]).reshape(-1, 4), np.array(shown[1])
     rows = session.drawn.ids[Stage.of(session, UP).order]
     assert set(numbers) == {1, 2}
+    session.mode = Mode.OBJECTS
     own = session.drawn_colors[rows] * 255
     np.testing.assert_allclose(rgba[numbers > 0, :3], own[numbers > 0], atol=2)  # bytes are cut off on both ways
 
@@ -115,7 +116,8 @@ def test_a_lasso_selects_what_is_inside_and_takes_a_note(session: Session, chrom
         page.mouse.move(PANEL + x + 200, y + 200, steps=3)
         page.mouse.up()
         wait_for(page, "drsplat.state.selection > 10")
-        selected = session.selection
+        rows = session.drawn.ids[Stage.of(session, UP).order]
+        selected = rows[np.array(page.evaluate("() => [...drsplat.paint.owner]")) > 0]
         inside = np.isin(selected, session.scene.objects[0].gaussian_ids)
         assert inside.mean() > 0.8
         page.get_by_text("Annotations").click()
@@ -125,13 +127,98 @@ def test_a_lasso_selects_what_is_inside_and_takes_a_note(session: Session, chrom
         assert [one.text for one in session.edits.annotations] == ["look here"]
 
 
-def test_two_windows_see_each_others_changes(session: Session, chromium: Any) -> None:
+def ask(page: Any, text: str) -> None:
+    page.locator("#query").fill(text)
+    page.locator("#ask").click()
+    settled(page)
+
+
+def test_two_browsers_have_their_own_questions_and_share_edits(session: Session, chromium: Any) -> None:
+    with served(session) as address, a_page(chromium) as one, a_page(chromium) as other:
+        for page in (one, other):
+            opened(page, address)
+        ask(one, "blue plate")
+        ask(other, "red mug")
+        assert [page.evaluate("() => drsplat.state.asked.join()") for page in (one, other)] == ["blue plate", "red mug"]
+        other.locator("#tab-edit").click()
+        assert "everyone who has this viewer open sees them" in other.locator("#shared").inner_text()
+        other.get_by_role("button", name="Remove", exact=True).click()
+        wait_for(one, "drsplat.state.edits.length === 1")
+        assert one.locator("#query").input_value() == "blue plate"
+        assert one.evaluate("() => drsplat.splats.opacity.filter((one) => one === 0).length") > 10
+
+
+def test_a_new_question_takes_the_card_of_a_click_and_an_error_with_it(session: Session, chromium: Any) -> None:
+    with served(session) as address, a_page(chromium, *SIZES["desk"]) as page:
+        opened(page, address)
+        page.evaluate("() => { const o = drsplat.header.objects[0]; drsplat.camera.stand(o.eye, o.center); }")
+        settled(page)
+        x, y, _ = page.evaluate("() => drsplat.camera.project(drsplat.header.objects[0].center)")
+        page.mouse.click(PANEL + x, y)
+        wait_for(page, "drsplat.state.clicked !== null")
+        assert page.locator("#what").count() == 1
+        ask(page, "blue plate")
+        assert page.locator("#what").count() == 0
+        ask(page, ";")
+        assert page.locator("#message.fault").is_visible()
+        wait_for(page, "drsplat.state.results.length === 0")  # the plate is no answer to that
+        assert page.locator("#query").input_value() == ";"
+        page.locator("#tab-film").click()
+        assert page.locator("#message").is_hidden()
+
+
+def test_no_match_offers_words_that_do_and_a_switch(session: Session, chromium: Any) -> None:
+    with served(session) as address, a_page(chromium, *SIZES["hand"]) as page:
+        opened(page, address)
+        ask(page, "elephant")
+        assert "The best place has a" in page.locator("#content").inner_text()
+        word = page.locator(".instead button").first.inner_text()
+        page.get_by_label("I know it is there").check()
+        wait_for(page, "drsplat.state.present")
+        page.locator(".instead button").first.click()
+        wait_for(page, f"drsplat.state.asked.join() === '{word}' && drsplat.state.selection > 0")
+        assert not page.get_by_label("I know it is there").is_checked()
+
+
+def test_a_shared_link_keeps_question_threshold_and_camera(session: Session, chromium: Any) -> None:
     with served(session) as address, a_page(chromium) as one, a_page(chromium) as other:
         opened(one, address)
+        ask(one, "red mug; blue plate")
+        one.evaluate("() => drsplat.act({ act: 'threshold', query: 1, value: 0.875 })")
+        one.evaluate("() => drsplat.camera.turn(0.5, 0.1)")
+        settled(one)
+        one.locator("#share").click()
+        one.wait_for_function("() => location.hash.includes('cut=')")
+        opened(other, one.evaluate("() => location.href"))
+        shown = "() => [drsplat.state.asked, drsplat.state.results.map((one) => one.threshold)]"
+        assert other.evaluate(shown) == one.evaluate(shown)
+        eyes = [page.evaluate("() => drsplat.camera.eye") for page in (one, other)]
+        np.testing.assert_allclose(eyes[0], eyes[1], atol=2e-3)
+
+
+def test_a_page_that_was_let_go_asks_again(session: Session, chromium: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    with served(session) as address, a_page(chromium) as page, a_page(chromium) as other:
+        opened(page, address)
+        ask(page, "red mug")
+        monkeypatch.setattr("drsplat.fronts.viewing.live.visits.MAX_VISITS", 1)
         opened(other, address)
-        one.evaluate("() => drsplat.act({ act: 'ask', text: 'blue plate' })")
-        wait_for(other, "drsplat.state.results.length === 1")
-        assert other.locator("#query").input_value() == one.locator("#query").input_value()
+        page.evaluate("() => { void drsplat.act({ act: 'mode', mode: 'heat map' }); }")
+        page.wait_for_function(
+            "() => window.drsplat && drsplat.state.asked.join() === 'red mug' && drsplat.state.mode === 'answer'"
+        )
+        assert page.evaluate("() => performance.getEntriesByType('navigation')[0].type") == "reload"
+
+
+def test_pictures_of_objects_stay_while_objects_are_chosen(session: Session, chromium: Any) -> None:
+    with served(session) as address, a_page(chromium, *SIZES["desk"]) as page:
+        opened(page, address)
+        page.locator("#tab-objects").click()
+        whole = "[...document.querySelectorAll('.thing img')].every((one) => one.complete && one.naturalWidth)"
+        page.wait_for_function(f"() => {whole}")
+        page.locator(".thing").first.click()
+        wait_for(page, "drsplat.state.chosen !== null")
+        assert page.locator(".thing img").count() == 2
+        assert page.evaluate(f"() => {{ drsplat.render(); return {whole}; }}")  # at once, not fetched again
 
 
 def test_a_file_that_is_dropped_is_opened(session: Session, room: Path, chromium: Any) -> None:

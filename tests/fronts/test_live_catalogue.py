@@ -13,7 +13,7 @@ from test_catalogue import WORDS
 from catalogued import boxes_of, write_scene
 from command_line import Capture, error_of
 from drsplat import read_gaussians
-from live_clients import Viewer, a_viewer
+from live_clients import Browser, Viewer, a_viewer
 from live_clients import error_of as refusal_of
 
 pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
@@ -54,8 +54,17 @@ def test_answers_have_thumbnails(viewer: Viewer) -> None:
             assert (opened.format, opened.size) == ("JPEG", (240, 180))
     assert "no entry 2" in refusal_of(viewer.get("/view/catalogue-picture", number=2), 422)
     assert scenes_of(viewer, "elephant") == []
-    assert "0 matches" in viewer.state()["message"]
+    assert "0 matches" in viewer.post("/view/catalogue", {"text": "elephant"}).json()["summary"]
     refusal_of(viewer.post("/view/catalogue", {"text": "point, not"}), 422)
+
+
+def test_each_browser_opens_what_it_has_found_itself(viewer: Viewer) -> None:
+    one, other = Browser(viewer), Browser(viewer)
+    assert scenes_of(one, "mug") == ["kitchen", "o'hara"]
+    assert "no entry 0" in other.refused("open_entry", number=0)
+    scenes_of(other, "elephant")
+    one.do("open_entry", number=1)
+    assert (one.state()["selection"] > 0, other.state()["selection"]) == (True, 0)  # the scene is open for all
 
 
 def test_an_entry_opens_its_scene_at_the_object(viewer: Viewer) -> None:
@@ -100,6 +109,7 @@ def test_a_scene_that_changed_or_went_is_told_without_its_folder(viewer: Viewer,
 def test_the_command_line(folder: Path, capsys: Capture) -> None:
     assert "expected a scene, or --catalogue" in error_of(capsys, "view")
     assert "expected a scene, or --catalogue" in error_of(capsys, "view", folder, "--catalogue", folder)
-    said = error_of(capsys, "view", "--catalogue", folder / "flats.catalogue", "--up", "+z")
-    assert "--up is of one scene" in said
+    for option, value in (("--up", "+z"), ("--ask", "mug")):
+        said = error_of(capsys, "view", "--catalogue", folder / "flats.catalogue", option, value)
+        assert f"{option} is of one scene" in said
     assert "no catalogue is here" in error_of(capsys, "view", "--catalogue", folder / "none")

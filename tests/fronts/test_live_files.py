@@ -359,3 +359,11 @@ def test_a_scene_is_saved_with_its_objects_matches_and_edits(furnished: Viewer, 
     (tmp_path / "a.spz").write_bytes(furnished.post("/view/save", {"what": "scene", "format": ".spz"}).content)
     assert len(read_gaussians(tmp_path / "a.spz")) == len(glb.attribute("POSITION"))
     error_of(furnished.post("/view/save", {"what": "scene", "format": ".obj"}), 422)
+
+
+def test_pictures_of_objects_are_drawn_before_anybody_asks(furnished: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
+    furnished.app.state.viewer.prepare()
+    furnished.lanes.files.complete(lambda: None).result(60)
+    monkeypatch.setattr(files, "pictures_of", None)
+    furnished.lanes.files.submit = None  # type: ignore[method-assign, assignment]  # nor are they waited for
+    assert pixels_of(furnished.get("/view/object-picture", number=1), "JPEG").size

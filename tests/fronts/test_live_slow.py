@@ -154,11 +154,11 @@ def test_a_page_is_of_the_edits_on_show_also_where_they_are_kept_nowhere(
 def test_a_copy_of_a_session_stays_as_it_was() -> None:
     session = Session(boxes_scene(), words=THINGS)
     session.ask("red mug")
-    copied, before = session.copied(), session.opacities
+    copied, before = session.copied(), session.edits.opacities
     session.edit(Remove())
     session.ask("blue mug")
     assert [result.label for result in copied.results] == ["red mug"]
-    np.testing.assert_array_equal(copied.opacities, before)
+    np.testing.assert_array_equal(copied.edits.opacities, before)
     assert (session.edits.listed.done, copied.edits.listed.done) == (1, 0)
 
 

@@ -189,6 +189,8 @@ def test_errors_say_what_to_do_next(room: Path) -> None:
         absent = await told(client, "where_is", text="laptop")
         assert absent["best"] is None
         assert "synonym" in absent["advice"]
+        assert "The best place has a " in absent["advice"]
+        assert "Words that match here: " in absent["advice"]
         assert (await told(client, "count", text="laptop"))["count"] == 0
         assert "words: apple" in await refused(client, "locate", text="zeppelin")
         for name in ("../..", "/etc", "room/../room", "room\0"):

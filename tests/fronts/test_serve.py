@@ -238,7 +238,7 @@ WRONG: list[tuple[str, Any, str]] = [
     ("select", {"image": base64.b64encode(b"GIF89a" + b"\0" * 50).decode()}, "cannot be read"),
     ("select", {"text": "mug", "objects": "always"}, "objects: Input should be 'auto' or 'never'"),
     ("segment", {"classes": None}, "body.classes: Input should be a valid list"),
-    ("segment", {"classes": ["mug"], "names": None}, "body.names: there is no such field"),
+    ("segment", {"classes": ["mug"], "names": None}, "body: there is no such field: names. There are threshold, "),
     ("locate", {"text": "mug", "top": 0}, "top"),
     ("locate", {"text": "mug", "top": 10**9}, "top"),
     ("locate", {"text": "mug", "min_gaussians": -1}, "min_gaussians"),
@@ -302,12 +302,19 @@ def test_a_damaged_scene_says_so_and_others_still_answer(service: Service, folde
     assert service("POST", "/scenes/room/select", json={"text": "vase"}).status_code == 200
 
 
+def test_a_text_without_a_match_is_told_how_near_it_came(service: Service) -> None:
+    advice = service("POST", "/scenes/room/locate", json={"text": "laptop"}).json()["advice"]
+    assert advice.startswith("no match: The best place has a ")
+    assert "Words that match here: " in advice
+    assert service("POST", "/scenes/room/locate", json={"text": "mug"}).json().get("advice", "") == ""
+
+
 def test_unknown_routes_and_methods(service: Service) -> None:
     assert "nothing at '/nothing': GET /openapi.json" in reason(service("GET", "/nothing"), 404)
     reason(service("DELETE", "/scenes"), 405)
     assert reason(service("GET", "/scenes/room/select"), 405) == "expected POST here, got GET"
     unknown = reason(service("POST", "/scenes/room/select", json={"text": "mug", "txt": "mug"}), 422)
-    assert unknown == "body.txt: there is no such field; /openapi.json lists those there are"
+    assert unknown == "body: there is no such field: txt. Did you mean 'text'?"
 
 
 def test_bodies_and_pictures_are_bounded(folder: Path) -> None:

@@ -18,9 +18,10 @@ from drsplat.errors import InputError
 from drsplat.fronts.serving.pictures import png
 from drsplat.fronts.viewing import painting, picking, results, saving, shown, texts
 from drsplat.fronts.viewing.bare import is_bare, open_bare
-from drsplat.fronts.viewing.naming import photo_of, suggestions
+from drsplat.fronts.viewing.naming import photo_of
 from drsplat.fronts.viewing.session import MAX_QUERIES, Mode, Session
 from drsplat.query import Scene
+from drsplat.query.suggesting import suggestions
 from scenes import look_at_view, random_gaussians
 from viewing_scenes import CENTERS, EACH, THINGS, boxes_scene
 
@@ -283,7 +284,8 @@ def test_several_queries_and_a_negative_one(session: Session) -> None:
 
 
 def test_nothing_found_is_said(session: Session) -> None:
-    assert session.ask("elephant") == "No match for 'elephant'."
+    said = "The best place has a cosine of 0.02, below the threshold of 0.60."
+    assert session.ask("elephant") == f"No match for 'elephant'. {said}"
     assert not len(session.selection)
 
 
@@ -358,18 +360,18 @@ def test_classes_colour_everything_that_has_a_feature(session: Session) -> None:
 def test_hidden_is_not_met_not_shown_and_not_saved(session: Session, tmp_path: Path) -> None:
     session.ask("red mug")
     session.edit(Remove())
-    assert (session.opacities[rows(0)] == 0).all()
+    assert (session.edits.opacities[rows(0)] == 0).all()
     assert not len(session.selection)
     count = saving.save_scene(tmp_path / "rest.ply", session)
     assert count == len(session.scene.gaussians) - EACH == len(read_gaussians(tmp_path / "rest.ply"))
     session.restore()
-    assert (session.opacities == session.scene.gaussians.opacities).all()
+    assert (session.edits.opacities == session.scene.gaussians.opacities).all()
 
 
 def test_kept_alone_everything_else_is_hidden(session: Session) -> None:
     session.ask("red mug")
     session.edit(Isolate())
-    np.testing.assert_array_equal(np.flatnonzero(session.opacities), rows(0))
+    np.testing.assert_array_equal(np.flatnonzero(session.edits.opacities), rows(0))
 
 
 def test_without_a_selection_nothing_is_changed(session: Session) -> None:

@@ -18,6 +18,7 @@ from drsplat.cli import main
 from drsplat.errors import InputError
 from drsplat.formats.spz import parse_spz
 from drsplat.fronts.viewing.client import PAGE_POLICY, filled
+from drsplat.fronts.viewing.exporting import export_page
 from drsplat.fronts.viewing.page import packed
 from drsplat.fronts.viewing.session import Session
 from drsplat.scene.significance import significance
@@ -43,6 +44,14 @@ def header_and_blob(path: Path) -> tuple[dict, bytes]:
     assert header is not None
     assert blob is not None
     return json.loads(header[1]), zlib.decompress(base64.b64decode(blob[1]))
+
+
+def test_a_page_says_from_where_left_and_right_are_meant_and_what_matches_instead(tmp_path: Path) -> None:
+    scene = boxes_scene()
+    export_page(tmp_path / "page.html", scene, ["red mug left of the blue mug", "elephant"])
+    sides, nothing = header_and_blob(tmp_path / "page.html")[0]["answers"]
+    assert sides["doubt"] == f"left and right are those of the photo {scene.ask(sides['text']).seen_from}"
+    assert "below the threshold of 0.60. Words that match here: mug, lamp." in nothing["doubt"]
 
 
 def test_a_page_holds_the_scene_and_its_answers(folder: Path) -> None:

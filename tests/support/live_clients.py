@@ -103,6 +103,23 @@ class Viewer:
         return dict(self.get("/view/state").json())
 
 
+class Browser(Viewer):
+    """A browser before a viewer: it keeps the cookie that the page gives it."""
+
+    def __init__(self, viewer: Viewer, cookie: str = "") -> None:
+        self.__dict__, self.cookie = dict(vars(viewer)), cookie
+        self.load()
+
+    def load(self) -> str:
+        """Load the page; returns what was set."""
+        given: str = self.send("GET", "/").headers["set-cookie"]
+        self.cookie = given.partition(";")[0]
+        return given
+
+    def send(self, method: str, path: str, headers: dict[str, str] | None = None, **given: Any) -> httpx.Response:
+        return super().send(method, path, (OWN if headers is None else headers) | {"cookie": self.cookie}, **given)
+
+
 def error_of(answer: httpx.Response, status: int) -> str:
     assert answer.status_code == status, answer.text
     body = answer.json()
@@ -132,10 +149,11 @@ class Stream:
 
     def __init__(self, viewer: Viewer) -> None:
         self.viewer, self.gone = viewer, asyncio.Event()
+        self.cookie = getattr(viewer, "cookie", "")
         self.messages: asyncio.Queue[dict[str, Any]] = asyncio.Queue()
 
     async def __aenter__(self) -> "Stream":
-        headers = [(key.encode(), value.encode()) for key, value in OWN.items()]
+        headers = [(key.encode(), value.encode()) for key, value in (OWN | {"cookie": self.cookie}).items()]
         scope = {
             "type": "http", "method": "GET", "path": "/view/events", "raw_path": b"/view/events", "query_string": b"",
             "headers": headers, "client": ("127.0.0.1", 1), "server": ("127.0.0.1", 8080), "scheme": "http",

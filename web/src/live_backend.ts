@@ -156,9 +156,12 @@ function firstOf({ count, centers, covariances, rgb, opacity }: Splats): Splats 
   return { count, centers: centers.subarray(0, 3 * count), covariances: covariances.subarray(0, 6 * count), rgb: rgb.subarray(0, 3 * count), opacity: opacity.subarray(0, count) };
 }
 
+/** What the service throws where it no longer knows what this browser asked: the page has to be loaded again. */
+export class GoneError extends Error {}
+
 /** Return the reply. Throws an Error with the service's own sentence where it refuses. */
 async function checked(reply: Response): Promise<Response> {
   if (reply.ok) return reply;
   const refusal = await reply.json().then((body: { error?: string }) => body.error, () => undefined);
-  throw new Error(refusal ?? `the viewer answered with ${reply.status}`);
+  throw new (reply.status === 410 ? GoneError : Error)(refusal ?? `the viewer answered with ${reply.status}`);
 }

@@ -7,7 +7,8 @@ import { App } from "./ui/app";
 import { byId } from "./ui/dom";
 import { hands } from "./ui/hands";
 import { Lasso } from "./ui/lasso";
-import { follow, tools } from "./ui/tools";
+import { follow } from "./ui/link";
+import { tools } from "./ui/tools";
 
 declare global { interface Window { drsplat?: App } }
 

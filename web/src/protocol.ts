@@ -15,6 +15,7 @@ export interface Match extends Place { score: number; size: string; place: strin
 export interface Result {
   text: string; summary: string; doubt: string; accent: Color; matches: Match[]; num_matches: number;
   threshold: number; automatic: number; limits: [number, number]; measure: string; threshold_rule: string; exact: boolean;
+  instead?: string[]; // words that have a match where this has none
 }
 
 export interface SceneObject extends Place { number: number; name: string; unsure: boolean; size: string; num_gaussians: number; picture?: string }
@@ -62,6 +63,7 @@ export interface State {
   classes: { name: string; count: number; color: Color }[] | null;
   edits: { number: number; what: string; target: string; done: boolean }[]; can_undo: boolean; can_redo: boolean;
   annotations: Annotation[]; time: { at: number; during: [number, number] | null } | null; kept: boolean;
+  asked?: string[]; present?: boolean; // the queries in words that are answered, and whether they are known to be there
 }
 
 /** Per row of the splats: how well it answers, whose answer it is (0: nobody's), its object. */

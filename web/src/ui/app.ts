@@ -2,6 +2,7 @@
 
 import { Camera } from "../camera";
 import { Stage } from "../drawing/stage";
+import { GoneError } from "../live_backend";
 import { Moves } from "../moves";
 import { Overlay } from "../overlay";
 import { PageBackend } from "../page_backend";
@@ -12,6 +13,7 @@ import { AskTab } from "./ask";
 import { CatalogueTab } from "./catalogue";
 import { byId, counted } from "./dom";
 import { EditTab } from "./edit";
+import { loadAgain } from "./link";
 import { FilmTab } from "./film";
 import type { Lasso } from "./lasso";
 import { ObjectsTab } from "./objects";
@@ -96,13 +98,15 @@ export class App {
 
   private doneAfter(before: Promise<unknown>, ask: () => Promise<State>): Promise<boolean> {
     return before.then(async () => {
+      this.forgive();
       this.busy(1);
       try {
         const state = await ask();
         if (state.revision >= this.state.revision) await this.take(state); // else what came later is shown already
-        this.say("");
+        this.say(state.results.length ? "" : state.message);
         return true;
       } catch (error) {
+        if (error instanceof GoneError) loadAgain(this);
         this.say(error instanceof Error ? error.message : String(error), true);
         return false;
       } finally {
@@ -214,10 +218,14 @@ export class App {
 
   open(tab: Tab): void {
     this.tab = tab;
+    this.forgive();
     document.body.classList.remove("low");
     this.render();
     byId(`tab-${tab.name}`).focus({ preventScroll: true });
   }
+
+  /** Take back what was refused: something else is asked or looked at. */
+  private forgive(): void { if (byId("message").classList.contains("fault")) this.say(""); }
 
   /** Say something until the next act. */
   say(text: string, isFault = false): void {

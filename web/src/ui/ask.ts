@@ -4,6 +4,7 @@ import type { Match, Result } from "../protocol";
 import type { App, Tab } from "./app";
 import { button, counted, drawer, h } from "./dom";
 import { about } from "./chosen";
+import { askedOf } from "./link";
 import { photosOf } from "./photos";
 
 const LISTED = 8, MOST_OTHERS = 6, STEP = 0.001;
@@ -17,7 +18,7 @@ export class AskTab implements Tab {
   show(): Node[] {
     const { results, clicked } = this.app.state;
     return [
-      ...(results.length ? results.map((result, k) => this.result(result, k)) : [this.start()]),
+      ...(results.length ? results.map((result, k) => this.result(result, k)) : [this.start()]), ...this.present(),
       ...(clicked ? [this.thing()] : []), ...(results.length ? this.others() : []), ...this.classes(), ...photosOf(this.app),
     ];
   }
@@ -26,6 +27,14 @@ export class AskTab implements Tab {
     const words = this.app.header.words.slice(0, 4), ask = (word: string) => () => this.app.prompt.ask(word);
     return h("div", { class: "start" }, h("p", { class: "faint" }, "Type what you look for, or click something in the scene."),
       h("div", { class: "chips", id: "try" }, ...words.map((word) => button(word, ask(word), { class: "chip" }))));
+  }
+
+  /** A switch for who knows that it is there: the best place is shown, even where other words fit better. */
+  private present(): Node[] {
+    const { app } = this, asked = askedOf(app);
+    if (!app.backend.live || !asked.length) return [];
+    const box = h("input", { type: "checkbox", id: "present", checked: Boolean(app.state.present), onchange: () => app.prompt.ask(asked.join("; "), box.checked) });
+    return [h("label", { class: "check", for: "present", title: "Show the best place, even where other words fit better" }, box, "I know it is there")];
   }
 
   /** Further words that have answers here. */
@@ -37,12 +46,18 @@ export class AskTab implements Tab {
   private result(result: Result, number: number): Node {
     const { matches, accent, text, num_matches, doubt } = result, chosen = this.app.state.chosen;
     const title = h("h2", {}, h("span", { class: "dot", style: `background:rgb(${accent.join(",")})` }), chosen ? chosen.name : text);
-    const summary = matches.length ? counted(num_matches, "match", "matches") : `No match for “${text}”.`;
+    const summary = [matches.length ? counted(num_matches, "match", "matches") : `No match for “${text}”`, doubt].filter(Boolean).join(". ");
     const shown = matches.slice(0, LISTED).map((match, k) => this.match(match, k, matches.length));
     const more = matches.slice(LISTED).map((match, k) => this.match(match, k + LISTED, matches.length));
-    return h("section", { class: "result" }, title, chosen ? about(this.app) : h("p", { class: "faint" }, doubt ? `${summary} ${doubt}` : summary),
+    return h("section", { class: "result" }, title, chosen ? about(this.app) : h("p", { class: "faint" }, summary), this.instead(result),
       h("div", { class: "matches" }, ...shown), more.length ? drawer(`${counted(more.length, "more match", "more matches")} of ${text}`, h("div", { class: "matches" }, ...more)) : null,
       this.app.backend.live && !result.exact ? this.threshold(result, number) : null);
+  }
+
+  /** Words that do match, where this one does not. */
+  private instead({ instead, matches }: Result): Node | null {
+    if (matches.length || !instead?.length) return null;
+    return h("div", { class: "chips instead" }, h("span", { class: "faint" }, "Matches here:"), ...instead.map((word) => button(word, () => this.app.prompt.ask(word), { class: "chip" })));
   }
 
   private match(match: Match, k: number, of: number): Node {

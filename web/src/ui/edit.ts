@@ -16,7 +16,7 @@ export class EditTab implements Tab {
   constructor(private readonly app: App) {}
 
   show(): Node[] {
-    return [this.selected(), this.changes(), drawer("More changes", ...this.more()), drawer("Annotations", ...this.notes()), drawer("Before and after", ...this.compare()), this.list(), drawer("Save as", ...this.saving())];
+    return [this.selected(), h("p", { class: "faint", id: "shared" }, "Edits, notes and names are shared: everyone who has this viewer open sees them."), this.changes(), drawer("More changes", ...this.more()), drawer("Annotations", ...this.notes()), drawer("Before and after", ...this.compare()), this.list(), drawer("Save as", ...this.saving())];
   }
 
   private change(change: string, more: object = {}): () => void {

@@ -9,7 +9,16 @@ export class ObjectsTab implements Tab {
   readonly name = "objects";
   readonly label = "Objects";
 
+  private readonly pictures = new Map<string, HTMLImageElement>(); // by their addresses, so that a new list has them at once
+
   constructor(private readonly app: App) {}
+
+  private picture(address: string): Node {
+    if (!address) return h("span", { class: "blank" });
+    const known = this.pictures.get(address), made = known ?? h("img", { loading: "lazy", src: address, alt: "" });
+    this.pictures.set(address, made);
+    return made;
+  }
 
   show(): Node[] {
     const { objects } = this.app.header, sure = objects.filter((one) => !one.unsure), unsure = objects.filter((one) => one.unsure);
@@ -27,6 +36,6 @@ export class ObjectsTab implements Tab {
     const press = () => void app.act(isChosen ? { act: "clear" } : { act: "choose", number: object.number }).then((done) => { if (done && !isChosen) app.flyTo(object); });
     const name = isChosen ? app.state.chosen?.name ?? object.name : object.name;
     return h("button", { type: "button", class: "thing", "aria-pressed": String(isChosen), onclick: press, title: object.size },
-      picture ? h("img", { loading: "lazy", src: picture, alt: "" }) : h("span", { class: "blank" }), h("span", {}, name));
+      this.picture(picture), h("span", {}, name));
   }
 }

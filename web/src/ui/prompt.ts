@@ -101,11 +101,15 @@ export class Prompt {
     } else this.ask(text);
   }
 
-  ask(text: string): void {
+  ask(text: string, present = false): void {
     this.input.value = text;
     this.shown = text;
-    void this.app.act({ act: "ask", text }).then((done) => {
-      if (!done) return;
+    void this.app.act({ act: "ask", text, ...(present ? { present } : {}) }).then((done) => {
+      if (!done) { // nothing is answered, and what was typed can be mended
+        this.input.value = text;
+        this.shown = "";
+        return;
+      }
       this.remember(text);
       const first = this.app.state.results.flatMap((result) => result.matches)[0];
       if (first) this.app.flyTo(first);

@@ -4,6 +4,7 @@ import { PageBackend } from "../page_backend";
 import type { Mode } from "../protocol";
 import type { App } from "./app";
 import { button, byId, counted, download, h } from "./dom";
+import { share } from "./link";
 
 const DARK = [0.08, 0.09, 0.11], LIGHT = [0.93, 0.94, 0.95], LOOKS = ["system", "dark", "light"] as const;
 const MODE_NAMES: Record<Mode, string> = { answer: "Answer", "heat map": "Heat map", "as it is": "As it is", features: "Features", classes: "Classes", objects: "Every object" };
@@ -66,39 +67,6 @@ function about(app: App): void {
     button(name, async () => download(await file(), `scene.${id}`), { class: "quiet", id: `take-${id}` });
   const objects = app.header.objects.length ? "with its objects, " : "";
   byId("about").append(" ", take("Download the scene (SPZ)", "spz", () => PageBackend.spz()), " ", take(`Download it ${objects}for 3D programs (GLB)`, "glb", () => backend.glb()));
-}
-
-// --- a link that holds the camera and the query ---
-
-const PLACES = 3;
-
-export function linkOf(app: App): string {
-  const numbers = [...app.camera.eye, ...app.camera.target].map((x) => x.toFixed(PLACES)).join(","), parts = new URLSearchParams({ at: numbers });
-  const { chosen, results } = app.state;
-  if (chosen?.number != null) parts.set("object", String(chosen.number));
-  else if (results.length) parts.set("q", results.map((result) => result.text).join("; "));
-  const url = new URL(location.href);
-  url.hash = parts.toString();
-  return url.href;
-}
-
-/** Do what the address of the page says: ask, and stand there. */
-export async function follow(app: App): Promise<boolean> {
-  const parts = new URLSearchParams(location.hash.slice(1)), text = parts.get("q"), object = parts.get("object"), at = parts.get("at")?.split(",").map(Number) ?? [];
-  if (object) await app.act({ act: "choose", number: Number(object) });
-  else if (text && app.header.can.ask) await app.act({ act: "ask", text });
-  if (at.length !== 6 || !at.every(Number.isFinite)) return Boolean(text ?? object);
-  app.camera.stand([at[0], at[1], at[2]], [at[3], at[4], at[5]]);
-  return true;
-}
-
-async function share(app: App): Promise<void> {
-  const url = linkOf(app);
-  history.replaceState(null, "", url);
-  try {
-    if (navigator.share && matchMedia("(pointer: coarse)").matches) await navigator.share({ title: app.header.title, url });
-    else { await navigator.clipboard.writeText(url); app.say("The link is copied: it opens this view with this query."); }
-  } catch { app.say("The address of this page now holds this view and query: copy it."); }
 }
 
 // --- files that are dropped ---

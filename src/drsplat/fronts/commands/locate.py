@@ -57,6 +57,7 @@ class Options(Verb):
 def run(options: Options) -> Facts:
     from ...formats.replacing import together
     from ...query.documents import match_document, track_document
+    from ...query.suggesting import missed_text, words_instead
 
     outputs = options.outputs
     scene, answer = ask(options.question, outputs, options.threads)
@@ -66,6 +67,8 @@ def run(options: Options) -> Facts:
     matches = scene.locate(answer, min_gaussians=options.min_gaussians, box=options.box)
     report["count"] = sum(match.sure for match in matches)
     report["num_matches"] = len(matches)
+    report["instead"] = [] if matches else words_instead(scene, answer)
+    report["missed"] = "" if matches else missed_text(answer, report["instead"])
     listed = matches[: options.top]
     report["matches"] = [match_document(match, georeference=scene.georeference) for match in listed]
     if options.tracks:
@@ -86,7 +89,7 @@ def show(answer: Facts) -> None:
     measured = f"{text_of(answer['num_selected'])} of {of} selected; {measured_text(answer)}"
     print_doubt(answer)
     if not (answer["num_selected"] if answer["matches"] is None else answer["matches"]):
-        print(f"No match for '{answer['query']}'.\n{measured}")
+        print(f"No match for '{answer['query']}'. {answer['missed']}".rstrip(), measured, sep="\n")
         if answer["num_selected"]:
             above = counted(answer["num_selected"], "Gaussian is", "Gaussians are")
             print(f"{above} above the threshold, too few or too scattered for a match.")

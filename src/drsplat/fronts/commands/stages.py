@@ -223,7 +223,7 @@ def _answer(folder: str, text: str, options: Sequence[str]) -> Facts:
 def _suggested(page: Any) -> list[str]:
     """Return words that find something in the scene, else one that the encoder knows."""
     from ... import open_scene
-    from ..viewing.naming import suggestions, words_of
+    from ...query.suggesting import suggestions, words_of
 
     scene = open_scene(page.field, threads=page.threads, **vars(page.encoders))
     return suggestions(scene) or list(words_of(scene))[:1]

@@ -148,14 +148,13 @@ def _serve_catalogue(options: Options, path: str) -> NoReturn:
     from ...query.catalogue import Catalogue
 
     _require_packages()
-    for name in ("scene", "views", "words", "export", "up", "edits"):
-        if getattr(options, name) is not None:
+    for name in ("scene", "views", "ask", "words", "export", "up", "edits"):
+        if getattr(options, name):
             raise InputError(f"--{name} is of one scene, and --catalogue of many: drop one")
     catalogue = Catalogue.open(path, **vars(options.encoders), threads=options.threads)
     _ = catalogue.encoder  # or the error that says that nothing is in it
     number = len(catalogue)
     with _service(options, catalogue) as service:
-        service.search(options.ask)
         said = f"{counted(number, 'object')} to search."
         _print_address(options.json, service.address, {"num_objects": number}, said)
         service.run()

@@ -15,6 +15,7 @@ from ...query.objects import object_of, objects_of
 from ...query.regions import region
 from ...query.relations import OfTwo, Relation, gap, related, standing_on
 from ...query.schema import CUT, Place, QueryField, fields
+from ...query.suggesting import missed_text, words_instead
 from ...scene.boxes import BoxKind
 from .limits import Limits
 from .models import (
@@ -127,7 +128,7 @@ class Conversation:
             count=sum(match.sure for match in matches),
             num_matches=len(matches),
             matches=tracked(self.scene, listed, box, MAX_TRACK_TIMES) if tracks else matches_of(self.scene, listed),
-            advice=_advice(text, every, matches, on),
+            advice=self._advice(text, every, matches, on),
             measured=measured(answer),
             field=self._field,
         )
@@ -148,7 +149,7 @@ class Conversation:
             field=self._field,
             advice=f"maybe {len(matches)}: {answer.doubt}"
             if matches and not every
-            else _advice(text, every, counted, on),
+            else self._advice(text, every, counted, on),
         )
 
     @_tool("Where is it", Place.MCP)
@@ -157,7 +158,9 @@ class Conversation:
         answer = self.scene.ask(_query_of(text, cut))
         found = self.scene.locate(answer)
         if not found:
-            return BestMatch(query=text, best=None, others=0, best_view=None, field=self._field, advice=_absent(text))
+            return BestMatch(
+                query=text, best=None, others=0, best_view=None, field=self._field, advice=self._absent(text)
+            )
         return BestMatch(
             query=text,
             best=matches_of(self.scene, found[:1])[0],
@@ -271,7 +274,7 @@ class Conversation:
             found = self.scene.locate(_query_of(text, cut))
             count = len(found)
             ids = np.concatenate([m.gaussian_ids for m in found] or [np.empty(0, np.int64)])
-            advice = "" if found else _absent(text)
+            advice = "" if found else self._absent(text)
         chosen = self.scene.view(view) if view else self.scene.best_view(ids if count else None)
         pixels = self.scene.picture(chosen, ids, max_side=PICTURE_SIDE_PIXELS)
         height, width = pixels.shape[:2]
@@ -282,6 +285,20 @@ class Conversation:
     @property
     def _field(self) -> str:
         return self.scene.field.fingerprint
+
+    def _advice(self, text: str, every: list[engine.Match], found: list[engine.Match], on: str | None) -> str:
+        if found:
+            return ""
+        if every:
+            return f"{len(every)} in the scene, but none on the {on}: where_is says where"
+        return self._absent(text)
+
+    def _absent(self, text: str) -> str:
+        answer = self.scene.ask(text)
+        return (
+            f"no match for '{text[:60]}': try a more general word or a synonym, add the colour, or see what is there "
+            f"with describe_region. {missed_text(answer, words_instead(self.scene, answer))}".rstrip()
+        )
 
     def _standing_on(self, on: str | None, matches: list[engine.Match], cut: dict[str, Any]) -> list[engine.Match]:
         """Return the matches that stand on another text's, wherever that is at any time; all for None."""
@@ -309,7 +326,7 @@ class Conversation:
             return labelled[0]
         found = [one for one in self.scene.locate(_text(text)) if one.sure]
         if not found:
-            raise InputError(_absent(text))
+            raise InputError(self._absent(text))
         match = max(found, key=len)
         number = object_of(self.scene.field, match)
         return match if number is None else every[number]
@@ -317,7 +334,7 @@ class Conversation:
     def _best(self, query: engine.Query) -> engine.Match:
         found = self.scene.locate(query, top=1)
         if not found or not found[0].sure:
-            raise InputError(_absent(query.text or ""))
+            raise InputError(self._absent(query.text or ""))
         return found[0]
 
 
@@ -332,14 +349,6 @@ def tool_answer(scene: engine.Scene, asked: Tool, _: Limits) -> Body:
 
 def _query(text: str, on: str | None) -> str:
     return text if on is None else f"{text} on {on}"
-
-
-def _advice(text: str, every: list[engine.Match], found: list[engine.Match], on: str | None) -> str:
-    if found:
-        return ""
-    if every:
-        return f"{len(every)} in the scene, but none on the {on}: where_is says where"
-    return _absent(text)
 
 
 def _text(text: str) -> str:
@@ -358,13 +367,6 @@ def _names(names: list[str] | None) -> list[str] | None:
     if names is not None and (not 1 <= len(names) <= MAX_NAMES or any(len(one) > MAX_TEXT_CHARACTERS for one in names)):
         raise InputError(f"names: expected 1 to {MAX_NAMES} texts of at most {MAX_TEXT_CHARACTERS} characters")
     return names
-
-
-def _absent(text: str) -> str:
-    return (
-        f"no match for '{text[:60]}': try a more general word or a synonym, add the colour, or see what is there "
-        "with describe_region"
-    )
 
 
 def _point(scene: engine.Scene, place: tuple[float, float, float] | tuple[str, float, float]) -> np.ndarray:

@@ -6,8 +6,10 @@ from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, create_model, model_validator
+from pydantic_core import PydanticCustomError
 
 from ... import query as engine
+from ...errors import did_you_mean
 from ...query.schema import CUT, FIELDS, SUBJECTS, Kind, Place, QueryField, fields
 from .limits import Limits
 from .pictures import from_base64
@@ -19,10 +21,26 @@ Point = Annotated[list[Finite], Field(min_length=3, max_length=3)]
 M = TypeVar("M", bound=BaseModel)
 
 
-class Request(BaseModel):
+class Strict(BaseModel):
     """Unknown keys are refused: a misspelt option would otherwise be ignored in silence."""
 
-    model_config = ConfigDict(extra="forbid", strict=True, use_attribute_docstrings=True)
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_unknown(cls, given: Any) -> Any:
+        """Refuse a field that is not there, with the name of the nearest one. Raises: PydanticCustomError."""
+        known = cls.model_fields
+        for key in given.keys() - known.keys() if isinstance(given, dict) else ():
+            meant = did_you_mean(key[:99], known, 1) or f" There are {', '.join(known)}."
+            raise PydanticCustomError("unknown", "{said}", {"said": f"there is no such field: {key[:99]}.{meant}"})
+        return given
+
+
+class Request(Strict):
+    """A body of the service."""
+
+    model_config = ConfigDict(use_attribute_docstrings=True)
 
     @model_validator(mode="before")
     @classmethod

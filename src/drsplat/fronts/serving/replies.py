@@ -15,7 +15,6 @@ NO_JSON = "expected JSON and the header Content-Type: application/json (curl: -H
 JSON, PNG, JPEG, PLY = "application/json", "image/png", "image/jpeg", "application/octet-stream"
 GLB = "model/gltf-binary"
 MAX_FAULTS, MAX_CHARACTERS = 5, 1000
-_FAULT_TEXTS = {"extra_forbidden": "there is no such field; /openapi.json lists those there are"}
 
 
 class BusyError(DrSplatError):
@@ -68,10 +67,7 @@ def unpacked(message: bytes) -> Reply:
     return Reply(body, **json.loads(about))
 
 
-def faults_of(errors: Sequence[Mapping[str, Any]], worded: Mapping[str, str] = _FAULT_TEXTS) -> str:
-    """Return where each fault that pydantic found is, and what was expected there; no values, which may be large.
-
-    worded: what is said instead of pydantic's words, by its names of faults.
-    """
-    faults = [f"{'.'.join(map(str, fault['loc']))}: {worded.get(fault['type'], fault['msg'])}" for fault in errors]
+def faults_of(errors: Sequence[Mapping[str, Any]]) -> str:
+    """Return where each fault that pydantic found is, and what was expected there; no values, which may be large."""
+    faults = [f"{'.'.join(map(str, fault['loc']))}: {fault['msg']}" for fault in errors]
     return "; ".join(faults[:MAX_FAULTS])[:MAX_CHARACTERS]

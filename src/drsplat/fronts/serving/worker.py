@@ -31,6 +31,7 @@ from ...query import Match, Query, Scene
 from ...query.documents import answer_document, rounded, segmentation_document
 from ...query.objects import match_of, objects_of
 from ...query.sheets import object_picture
+from ...query.suggesting import missed_text, words_instead
 from ...scene.gaussians import Gaussians
 from . import models, requests
 from .catalogued import catalogue_reply
@@ -193,7 +194,7 @@ def located(scene: Scene, asked: requests.Locate, limits: Limits) -> models.Loca
         count=sum(match.sure for match in found),
         num_matches=len(found),
         matches=tracked(scene, listed, asked.box) if asked.tracks else matches_of(scene, listed),
-        advice="" if found else "no match: try other words, or a lower threshold",
+        advice="" if found else f"no match: {missed_text(answer, words_instead(scene, answer)) or 'try other words'}",
         measured=measured(answer),
         field=scene.field.fingerprint,
     )

@@ -18,9 +18,9 @@ from ...drawing.heat import heat_of
 from ...errors import DrSplatError, InputError
 from ...query import Match, Scene
 from ...query.documents import Document
+from ...query.suggesting import words_of
 from ...scene.annotations import Annotation
 from .bare import NO_FIELD
-from .naming import words_of
 from .object_list import in_order, names_of, pictures_of, placed_now
 from .page import MAX_GAUSSIANS, MAX_WORDS, Page, PageAnswer, write_page
 from .page_times import PageTimes, boxes_of, times_of_page
@@ -151,7 +151,7 @@ def _answer(session: Session, text: str, up: Vector, times: PageTimes | None) ->
         matches,
         [before(match, scene.gaussians, scene.views, up) for match in matches],
         boxes_of(session, times, matches),
-        result.answer.doubt,
+        result.notes(result.instead),
     )
 
 

@@ -1,4 +1,4 @@
-"""Naming of a place: its words, the masks of supporting photos, and what is like it; and words that a scene answers."""
+"""Naming of a place: its words, the masks of supporting photos, and what is like it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,16 +8,12 @@ import numpy as np
 from ...base.arrays import Float64, UInt8
 from ...errors import DrSplatError
 from ...field.evidence.evidence import Explanation
-from ...photos.models.mini.lexicon import NAMES, STRUCTURES
 from ...query import Match, Query, Scene, Word
-from ...query.naming import own_vocabulary
+from ...query.suggesting import words_of
 from .picking import Hit
 from .results import Result, result_of
 
 MAX_EVIDENCE_MASKS, PICTURE_SIDE_PIXELS = 3, 480
-SAMPLED_GAUSSIANS = 4096
-LARGE_SHARE = 0.05  # of the sample: walls and tables, which nobody asks for first
-MAX_WORDS_TRIED = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +67,6 @@ def known_words(scene: Scene, words: Sequence[str] | None) -> tuple[str, ...]:
         return ()
 
 
-def words_of(scene: Scene) -> tuple[str, ...]:
-    """Return the encoder's own words, or those of a household for one that takes any."""
-    return own_vocabulary(scene.encoder, scene.field) or (*NAMES, *STRUCTURES)
-
-
 def photo_of(scene: Scene, this: This) -> UInt8[np.ndarray, "_ _ 3"] | None:
     """Return the photo of most support, with the place in colour; None where there is none."""
     best = best_photo(scene, this)
@@ -89,31 +80,3 @@ def best_photo(scene: Scene, this: This) -> str | None:
     names = {view.name for view in scene.views}
     best = next((one.view_name for one in this.evidence if one.view_name in names), None)
     return None if this.match is None else best
-
-
-def suggestions(scene: Scene, words: Sequence[str] | None = None, most: int = 4) -> list[str]:
-    """Return up to `most` words that find something: the most frequent of a sample first, large ones last.
-
-    words: to choose from; None takes the encoder's own. Nothing where no encoder is known.
-    """
-    try:
-        found = (
-            word
-            for word in _likely(scene, words or words_of(scene))
-            if any(match.sure for match in scene.locate(word, top=1))
-        )
-        return [word for word, _ in zip(found, range(most), strict=False)]
-    except DrSplatError:
-        return []
-
-
-def _likely(scene: Scene, words: Sequence[str]) -> list[str]:
-    rows = len(scene.field)
-    if not rows:
-        return []
-    chosen = np.sort(np.random.default_rng(0).permutation(rows)[:SAMPLED_GAUSSIANS])
-    vectors = np.asarray(scene.encoder.encode_texts(words), np.float32)
-    best = (scene.field.feature(chosen) @ vectors.T).argmax(axis=1)
-    share = np.bincount(best, minlength=len(words)) / len(chosen)
-    order = np.lexsort((-share, share > LARGE_SHARE))
-    return [words[at] for at in order if share[at]][:MAX_WORDS_TRIED]

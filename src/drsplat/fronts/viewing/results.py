@@ -11,6 +11,7 @@ from ...drawing.heat import heat_of
 from ...kernels.boxes import box_of
 from ...query import Answer, Match, Scene
 from ...query.defaults import MAYBE, OBJECT
+from ...query.suggesting import missed_text, words_instead
 from ...scene.boxes import solid
 from .shown import Ids
 
@@ -21,13 +22,15 @@ QUERY_SEPARATOR = ";"
 class Result:
     """One query, where its values are cut now, and the matches above that.
 
-    answer.threshold is the one that was chosen for it, and stays marked; threshold is the slider's.
+    answer.threshold is the one that was chosen for it, and stays marked; threshold is the slider's. instead: words that
+    have a match where this has none.
     """
 
     label: str
     answer: Answer
     threshold: float
     matches: list[Match]
+    instead: Sequence[str] = ()
 
     @property
     def gaussian_ids(self) -> Ids:
@@ -44,21 +47,29 @@ class Result:
         low, high = min(low, self.answer.threshold), max(high, self.answer.threshold)
         return low, high if high > low else low + 1e-3
 
+    def notes(self, instead: Sequence[str] = ()) -> str:
+        """Return reasons not to rely on the matches; without one how near it came, and what matches `instead`."""
+        answer = replace(self.answer, threshold=self.threshold)
+        sides = f"left and right are those of the photo {answer.seen_from}" if answer.seen_from else ""
+        missed = "" if self.matches else missed_text(answer, instead)
+        return ". ".join(filter(None, (answer.doubt, sides, missed)))
+
     @property
     def summary(self) -> str:
-        """Sentence with the number of matches, and the reason not to rely on them, if there is one."""
-        seen_from = self.answer.seen_from
-        doubts = [self.answer.doubt, f"left and right are those of the photo {seen_from}" if seen_from else ""]
-        doubt = "".join(f" ({one})" for one in doubts if one)
+        """Sentence with the number of matches, and what to know of them, if there is anything."""
+        notes = self.notes()
         if not self.matches:
-            return f"No match for '{self.label}'.{doubt}"
+            return f"No match for '{self.label}'. {notes}".rstrip()
         matches = counted(len(self.matches), "match", "matches")
         maybe = "maybe " if self.answer.certainty == MAYBE else ""
-        return f"{self.label}: {maybe}{matches}, {counted(len(self.gaussian_ids), 'Gaussian')}{doubt}"
+        more = f" ({notes})" if notes else ""
+        return f"{self.label}: {maybe}{matches}, {counted(len(self.gaussian_ids), 'Gaussian')}{more}"
 
 
 def result_of(scene: Scene, label: str, answer: Answer) -> Result:
-    return Result(label, answer, answer.threshold, scene.locate(answer))
+    matches = scene.locate(answer)
+    instead = words_instead(scene, answer) if label and not matches else ()
+    return Result(label, answer, answer.threshold, matches, instead)
 
 
 def result_of_ids(scene: Scene, label: str, ids: Ids) -> Result:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ...authoring.editing import Edit, Rows
+from ...authoring.editing.draft import OBJECT_ID
 from ...authoring.editing.edits import Change
 from ...authoring.editing.resolving import complete_rows
 from ...authoring.editing.targets import MAX_NAME_CHARACTERS
@@ -33,6 +34,7 @@ from .results import Result
 from .shown import Ids, Shown, shown_of
 
 MAX_QUERIES = 8  # at once: as many as there are colours
+BYTES_PER_VALUE = 16  # two numbers, and the row where it is selected
 
 
 class Mode(StrEnum):
@@ -54,6 +56,7 @@ class Session:
     thing or group that was clicked, None for none. time: at which a scene that moves is shown; None: it stands still.
     during: the span of time that queries ask of. edits_kept: whether edits are those kept beside the scene, or in
     memory from none on. asked: the queries in words that are answered now, none where something else is shown.
+    present: whether they were asked for what is known to be there.
     """
 
     scene: Scene
@@ -68,7 +71,9 @@ class Session:
     during: Span | None = None
     edits_kept: bool = True
     asked: tuple[str, ...] = ()
+    present: bool = False
     _edits: Edits = field(init=False)
+    _features: list[painting.Colors] = field(default_factory=list, init=False)  # made once for all who look
 
     def __repr__(self) -> str:
         return f"Session({self.scene.name!r}, {self.mode}, {counted(len(self.results), 'result')})"
@@ -87,6 +92,17 @@ class Session:
         edits, other = copy.copy(self.edits), copy.copy(self)
         other._edits = edits
         return other
+
+    def visited(self) -> "Session":
+        """Return a session of somebody else, who at first sees what this one shows; edits are those of both."""
+        _ = self.shown  # which all share
+        return copy.copy(self)
+
+    @property
+    def num_bytes(self) -> int:
+        """Bytes that what was found has at most: values, cosines and ids of each answer; the codes of a time span."""
+        field, count = self.scene.field, len(self.results) + bool(self.clicked) + bool(self.segmentation)
+        return count * (BYTES_PER_VALUE * len(field) + (0 if self.during is None else field.code.nbytes))
 
     def unasked(self, budget: int) -> "Session":
         """Return a session of the same scene with a copy of its edits, in which nothing was asked."""
@@ -153,12 +169,13 @@ class Session:
         summary = self._answered(
             [results.result_of(self.scene, one.text or "", self.scene.ask(one)) for one in queries]
         )
-        self.asked = tuple(texts)
+        self.asked, self.present, self.clicked = tuple(texts), bool(cut.get("present")), None
         return summary
 
     def ask_picture(self, picture: UInt8[np.ndarray, "_ _ 3"], name: str) -> str:
         """Ask by what a picture shows. Raises: InputError: an encoder that sees no images."""
         answer = self.scene.ask(Query(image=picture, during=self.during))
+        self.clicked = None
         return self._answered([results.result_of(self.scene, name, answer)])
 
     def more_like_this(self) -> str:
@@ -183,9 +200,9 @@ class Session:
 
         Raises: InputError: no classes, one twice, or words that the encoder does not know.
         """
-        self.segmentation = self.scene.segment([text.strip() for text in texts if text.strip()])
-        self.mode = Mode.CLASSES
-        return self.segmentation
+        found = self.scene.segment([text.strip() for text in texts if text.strip()])
+        self.segmentation, self.mode = replace(found, answers=[]), Mode.CLASSES
+        return found
 
     @property
     def summary(self) -> str:
@@ -360,11 +377,6 @@ class Session:
         return self.edits.colors
 
     @property
-    def opacities(self) -> Float32[np.ndarray, " n"]:
-        """Opacities of every Gaussian of the scene; 0 where it is hidden."""
-        return self.edits.opacities[: len(self.scene.gaussians)]
-
-    @property
     def drawn(self) -> Shown:
         """Rows that a browser draws: those of the scene as edited, those that edits added behind its own."""
         return self.edits.shown(self.shown, self.budget)
@@ -374,15 +386,18 @@ class Session:
         """`colors`, with what edits added in its own."""
         return np.concatenate([self.colors, self.edits.added_colors])
 
-    @cached_property
+    @property
     def _feature_colors(self) -> Float32[np.ndarray, "n 3"]:
-        registered = np.zeros(len(self.scene.gaussians), bool)
-        registered[self.scene.field.gaussian_ids] = True
-        return painting.feature_colors(self.scene.field, self.edits.colors, registered)
+        if not self._features:
+            registered = np.zeros(len(self.scene.gaussians), bool)
+            registered[self.scene.field.gaussian_ids] = True
+            self._features.append(painting.feature_colors(self.scene.field, self.edits.colors, registered))
+        return self._features[0]
 
-    @cached_property
+    @property
     def object_ids(self) -> Int32[np.ndarray, " n"]:
-        return self.scene.object_ids()
+        """Per Gaussian of the scene its object's number, -1 for none; only of a field that has objects."""
+        return np.asarray(self._edits.gaussians.extra[OBJECT_ID])
 
     def edited(self, *, selected_only: bool = False) -> tuple[Gaussians, Ids]:
         """Return the Gaussians after all edits, and their rows: the scene's own, then added ones.

@@ -26,7 +26,6 @@ from .stage import Stage
 
 T = TypeVar("T")
 LASSO_SIDE_PIXELS = 640
-Corner = tuple[Finite, Finite]
 Finish = Callable[[], str | None]
 """The last step of a slow act: shows what was computed and returns what is to be said, as `Act.do`."""
 
@@ -107,9 +106,6 @@ class SlowAct(Act):
         """Return the work, which touches nothing that is shown; what it returns in turn shows the result."""
         raise NotImplementedError
 
-    def do(self, shared: Shared) -> str | None:
-        return self.begin(shared)()()
-
 
 class EditAct(SlowAct):
     """A change of the list of edits."""
@@ -147,6 +143,7 @@ class Ask(Act):
         during = asked.pop("during", None)
         if "during" in self.model_fields_set:
             _set_during(shared.session, during)
+        shared.session.clear()  # also where the words are refused: it would be read as their answer
         return shared.session.ask(**asked)
 
 
@@ -248,7 +245,7 @@ class Name(Act):
 
 class Lasso(Act):
     act: Literal["lasso"]
-    polygon: Annotated[list[Corner], Field(min_length=3, max_length=1000)]
+    polygon: Annotated[list[Span], Field(min_length=3, max_length=1000)]
     camera: Camera
 
     def do(self, shared: Shared) -> str | None:
@@ -342,23 +339,25 @@ def read_act(body: bytes) -> AnyAct:
 
 def done(shared: Shared, act: Act) -> dict[str, object]:
     """Do an act and return the state after it. Raises: as the session's calls."""
+    return _noted(shared, lambda: act.do(shared))
+
+
+def _noted(shared: Shared, do: Finish) -> dict[str, object]:
+    """Do something and return the state after it, with what it says; what it has changed counts even if it fails."""
     try:
-        shared.say(act.do(shared))
+        said = do()
     finally:
         shared.note()
-    return shared.state()
+    return shared.state(said)
 
 
 def begun(shared: Shared, act: SlowAct) -> Callable[[], Callable[[], dict[str, object]]]:
-    """Begin a slow act; as `SlowAct.begin`, but the last step returns the state after it."""
-    work = act.begin(shared)
+    """Begin a slow act; as `SlowAct.begin`, but the last step returns the state after it to whose turn this is."""
+    work, visit = act.begin(shared), shared.visit
 
     def shown(finish: Finish) -> dict[str, object]:
-        try:
-            shared.say(finish())
-        finally:
-            shared.note()
-        return shared.state()
+        shared.enter(visit)
+        return _noted(shared, finish)
 
     def done_beside() -> Callable[[], dict[str, object]]:
         finish = work()

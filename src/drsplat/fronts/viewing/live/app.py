@@ -30,29 +30,31 @@ from .cameras import MAX_SIDE_PIXELS, Body, Camera, Path, Text, flight_document
 from .shared import Shared
 from .stage import Stage
 from .turns import Lanes
+from .visits import Visit
 
 MAX_STREAMS = 16
 BEAT_S = 15.0
 MAX_PICTURE_PIXELS = 40_000_000
-FAULT_TEXTS = {"extra_forbidden": "there is no such field"}
 T = TypeVar("T")
 B = TypeVar("B", bound=BaseModel)
 Handler = Callable[[Request], Coroutine[Any, Any, Response]]
 
 
 class Events:
-    """Streams of a service. summary: what a line says. Only the latest is sent to a page that reads slowly."""
+    """Streams of a service, each of a visit. summary: what a line says. A page that reads slowly gets the latest."""
 
     def __init__(self, summary: Callable[[], Document], most: int = MAX_STREAMS, beat_s: float = BEAT_S) -> None:
         self.summary, self.most, self.beat_s, self.is_closed = summary, most, beat_s, False
-        self._streams: dict[asyncio.Event, asyncio.AbstractEventLoop] = {}
+        self._streams: dict[asyncio.Event, tuple[asyncio.AbstractEventLoop, Visit | None]] = {}
 
     def __len__(self) -> int:
         return len(self._streams)
 
-    def tell(self) -> None:
-        """Wake all streams; from any thread."""
-        for changed, loop in list(self._streams.items()):
+    def tell(self, concerned: Visit | None = None) -> None:
+        """Wake the streams of a visit, of all for None; from any thread."""
+        for changed, (loop, visit) in list(self._streams.items()):
+            if concerned is not None and concerned is not visit:
+                continue
             try:
                 loop.call_soon_threadsafe(changed.set)
             except RuntimeError:  # its loop has ended
@@ -63,12 +65,12 @@ class Events:
         self.is_closed = True
         self.tell()
 
-    def open(self) -> AsyncIterator[bytes]:
+    def open(self, visit: Visit | None = None) -> AsyncIterator[bytes]:
         """Return the lines for one page. Raises: HTTPException: there are enough."""
         if len(self._streams) >= self.most:
             raise HTTPException(503, f"{self.most} pages of this viewer are open: close one")
         changed = asyncio.Event()
-        self._streams[changed] = asyncio.get_running_loop()
+        self._streams[changed] = asyncio.get_running_loop(), visit
         return self._lines(changed)
 
     async def _lines(self, changed: asyncio.Event) -> AsyncIterator[bytes]:
@@ -96,7 +98,7 @@ class CatalogueText(Body):
 class Viewer:
     """The handlers of one service.
 
-    Whatever touches the session has a turn of its thread; what is slow works on a copy beside it.
+    Whatever touches a session has a turn of their thread; what is slow works on a copy beside it.
     """
 
     def __init__(self, shared: Shared, lanes: Lanes) -> None:
@@ -104,6 +106,11 @@ class Viewer:
         self.progress = files.Progress()
         self.events = Events(lambda: vars(shared.counters))
         shared.tell = self.events.tell
+
+    def prepare(self) -> None:
+        """Find names, words and pictures of the objects of the scene that is open. Raises: BusyError."""
+        self.lanes.change(self.shared.prepare)
+        self.lanes.files.submit(lambda: self.pictures.draw(self.shared.stage))
 
     def routes(self) -> list[Route]:
         looks: dict[str, Handler] = {
@@ -126,10 +133,31 @@ class Viewer:
             *(Route(path, handler, methods=["POST"]) for path, handler in acts.items()),
         ]
 
+    # --- who asks ---
+
+    def _visit(self, request: Request) -> Visit:
+        return self.shared.visits.of(request.cookies.get(_cookie(request), ""))
+
+    def _entered(self, request: Request, act: Callable[[], T]) -> Callable[[], T]:
+        """Return what does something for the browser that asks, in its turn. Raises: HTTPException: as `Visits.of`."""
+        visit = self._visit(request)
+
+        def entered() -> T:
+            self.shared.enter(visit)
+            return act()
+
+        return entered
+
+    async def _turn(self, request: Request, act: Callable[[], T]) -> T:
+        return await self.turns.take(self._entered(request, act))
+
     # --- looking ---
 
-    async def page(self, _: Request) -> Response:
-        return HTMLResponse(live_html())
+    async def page(self, request: Request) -> Response:
+        name, page = _cookie(request), HTMLResponse(live_html())
+        key = self.shared.visits.arrive(request.cookies.get(name, ""))
+        page.set_cookie(name, key, httponly=True, samesite="strict")
+        return page
 
     async def script(self, _: Request) -> Response:
         return Response(client_file("client.js"), media_type="text/javascript")
@@ -140,76 +168,79 @@ class Viewer:
     async def icon(self, _: Request) -> Response:
         return Response(status_code=204)  # which browsers ask for unasked
 
-    async def header(self, _: Request) -> Response:
-        return JSONResponse(await self.turns.take(self.shared.header))
+    async def header(self, request: Request) -> Response:
+        return JSONResponse(await self._turn(request, self.shared.header))
 
-    async def state(self, _: Request) -> Response:
-        return JSONResponse(await self.turns.take(self.shared.state))
+    async def state(self, request: Request) -> Response:
+        return JSONResponse(await self._turn(request, self.shared.state))
 
     async def splats(self, request: Request) -> Response:
         begin = _number(request, "from", "0")
-        return _binary(await self.turns.take(lambda: self.shared.splats(begin)))
+        return _binary(await self._turn(request, lambda: self.shared.splats(begin)))
 
     async def tiles(self, request: Request) -> Response:
         parts = _numbers(request, "parts")
-        return _binary(await self.turns.take(lambda: tile_splats(self.shared.stage, parts)))
+        return _binary(await self._turn(request, lambda: tile_splats(self.shared.stage, parts)))
 
     async def tiles_paint(self, request: Request) -> Response:
         parts = _numbers(request, "parts")
-        return _binary(await self.turns.take(lambda: tile_paint(self.shared.stage, parts)))
+        return _binary(await self._turn(request, lambda: tile_paint(self.shared.stage, parts)))
 
     async def paint(self, request: Request) -> Response:
         begin = _number(request, "from", "0")
-        return _binary(await self.turns.take(lambda: self.shared.paint(begin)))
+        return _binary(await self._turn(request, lambda: self.shared.paint(begin)))
 
     async def colors(self, request: Request) -> Response:
         mode, begin = request.query_params.get("mode", ""), _number(request, "from", "0")
-        return _binary(await self.turns.take(lambda: self.shared.colors(mode, begin)))
+        return _binary(await self._turn(request, lambda: self.shared.colors(mode, begin)))
 
-    async def listen(self, _: Request) -> Response:
-        return StreamingResponse(self.events.open(), media_type="text/event-stream")
+    async def listen(self, request: Request) -> Response:
+        return StreamingResponse(self.events.open(self._visit(request)), media_type="text/event-stream")
 
     async def photo(self, request: Request) -> Response:
         name, side = request.query_params.get("name", ""), _number(request, "side", "960")
         if not 16 <= side <= MAX_SIDE_PIXELS:
             raise InputError(f"side: expected 16 to {MAX_SIDE_PIXELS} pixels, got {side}")
-        return Response(await self.turns.take(lambda: files.photo(self.shared.stage, name, side)), media_type=JPEG)
+        return Response(await self._turn(request, lambda: files.photo(self.shared.stage, name, side)), media_type=JPEG)
 
     async def object_picture(self, request: Request) -> Response:
-        number = _number(request, "number")
-        drawn = await self.turns.take(lambda: self.pictures.picture(self.shared.stage, number))
+        number, stage = _number(request, "number"), self.shared.stage
+        drawn = self.pictures.known(stage, number)
+        if drawn is None:
+            drawn = await self.lanes.files.take(lambda: self.pictures.picture(stage, number))
         return Response(drawn, media_type=JPEG)
 
-    async def clicked_photo(self, _: Request) -> Response:
-        return Response(await self.turns.take(lambda: files.clicked_photo(self.shared.stage)), media_type=JPEG)
+    async def clicked_photo(self, request: Request) -> Response:
+        return Response(await self._turn(request, lambda: files.clicked_photo(self.shared.stage)), media_type=JPEG)
 
     # --- acting ---
 
     async def do(self, request: Request) -> Response:
-        return JSONResponse(await self._done(read_act(await request.body())))
+        return JSONResponse(await self._done(request, read_act(await request.body())))
 
-    async def _done(self, act: AnyAct) -> Document:
+    async def _done(self, request: Request, act: AnyAct) -> Document:
         shared = self.shared
         opened = shared.counters.scene
         if isinstance(act, SlowAct):
-            state = await self.lanes.take_change(lambda: begun(shared, act))
+            state = await self.lanes.take_change(self._entered(request, lambda: begun(shared, act)))
         elif act.key is None:
-            state = await self.turns.take(lambda: done(shared, act))
+            state = await self._turn(request, lambda: done(shared, act))
         else:
-            state = await self.turns.take_latest(act.key, lambda: done(shared, act), shared.state)
+            ways = (self._entered(request, way) for way in (lambda: done(shared, act), shared.state))
+            state = await self.turns.take_latest((self._visit(request), act.key), *ways)
         if shared.counters.scene != opened:
-            self.lanes.change(shared.prepare)
+            self.prepare()
         return state
 
     async def ask_picture(self, request: Request) -> Response:
         name, body = request.query_params.get("name", "picture"), await request.body()
 
         def ask() -> Document:
-            self.shared.say(self.shared.session.ask_picture(decoded(body, MAX_PICTURE_PIXELS), printable(name, 60)))
+            self.shared.session.ask_picture(decoded(body, MAX_PICTURE_PIXELS), printable(name, 60))
             self.shared.note()
             return self.shared.state()
 
-        return JSONResponse(await self.turns.take(ask))
+        return JSONResponse(await self._turn(request, ask))
 
     async def upload(self, request: Request) -> Response:
         batch, name = request.query_params.get("batch", ""), request.query_params.get("name", "")
@@ -221,7 +252,7 @@ class Viewer:
         batch, uploads = secrets.token_hex(8), self.shared.uploads
         try:
             await uploads.take(batch, request.query_params.get("name", ""), request.stream())
-            return JSONResponse(await self._done(Open(act="open", batch=batch)))
+            return JSONResponse(await self._done(request, Open(act="open", batch=batch)))
         finally:
             uploads.drop(batch)
 
@@ -229,23 +260,25 @@ class Viewer:
 
     async def picture(self, request: Request) -> Response:
         asked = await _body(request, CameraOnly)
-        drawn = await self.turns.take(lambda: files.shown_picture(self.shared.stage, asked.camera))
+        drawn = await self._turn(request, lambda: files.shown_picture(self.shared.stage, asked.camera))
         return Response(drawn, media_type=PNG)
 
     async def before_after(self, request: Request) -> Response:
         asked = await _body(request, CameraOnly)
-        drawn = await self.turns.take(lambda: files.before_after(self.shared.stage, asked.camera))
+        drawn = await self._turn(request, lambda: files.before_after(self.shared.stage, asked.camera))
         return Response(drawn, media_type=PNG)
 
     async def save(self, request: Request) -> Response:
         asked = await _body(request, files.Save)
-        return await self._file(lambda saves, stage: files.saved(saves, stage, asked))
+        return await self._file(request, lambda saves, stage: files.saved(saves, stage, asked))
 
     async def film(self, request: Request) -> Response:
         asked, is_gone = await _body(request, files.Film), Event()
         watching = asyncio.ensure_future(_watch(request, is_gone))
         try:
-            return await self._file(lambda saves, stage: files.film(saves, stage, asked, is_gone, self.progress))
+            return await self._file(
+                request, lambda saves, stage: files.film(saves, stage, asked, is_gone, self.progress)
+            )
         finally:
             is_gone.set()
             watching.cancel()
@@ -255,20 +288,20 @@ class Viewer:
 
     async def path(self, request: Request) -> Response:
         asked = await _body(request, Path)
-        return await self._file(lambda saves, stage: files.path_file(saves, stage, asked))
+        return await self._file(request, lambda saves, stage: files.path_file(saves, stage, asked))
 
     async def flight(self, request: Request) -> Response:
         asked = await _body(request, Path)
-        return JSONResponse(await self.turns.take(lambda: flight_document(self.shared.stage, asked)))
+        return JSONResponse(await self._turn(request, lambda: flight_document(self.shared.stage, asked)))
 
     async def load_path(self, request: Request) -> Response:
         body = await request.body()
-        return JSONResponse(await self.turns.take(lambda: files.loaded_path(self.shared.stage, body)))
+        return JSONResponse(await self._turn(request, lambda: files.loaded_path(self.shared.stage, body)))
 
-    async def export(self, _: Request) -> Response:
-        return await self._file(files.page_file)
+    async def export(self, request: Request) -> Response:
+        return await self._file(request, files.page_file)
 
-    async def _file(self, write: Callable[[Saves, Stage], files.Saved]) -> Response:
+    async def _file(self, request: Request, write: Callable[[Saves, Stage], files.Saved]) -> Response:
         """Answer with a file of the session as it is now, whatever is done to it while the file is written."""
         shared = self.shared
 
@@ -276,7 +309,7 @@ class Viewer:
             stage = shared.stage.copied()
             return lambda: write(shared.saves, stage)
 
-        saved = await self.lanes.take_file(begin)
+        saved = await self.lanes.take_file(self._entered(request, begin))
         headers = {"content-disposition": f'attachment; filename="{saved.path.name}"'}
         if self.shared.saves.folder is not None:
             headers["x-drsplat-saved"] = quote(str(saved.path), errors="replace")
@@ -286,11 +319,11 @@ class Viewer:
 
     async def catalogue(self, request: Request) -> Response:
         asked = await _body(request, CatalogueText)
-        return JSONResponse(await self.turns.take(lambda: self.shared.search(asked.text)))
+        return JSONResponse(await self._turn(request, lambda: self.shared.search(asked.text)))
 
     async def catalogue_picture(self, request: Request) -> Response:
         number = _number(request, "number")
-        drawn = await self.turns.take(lambda: self.shared.needed_shelf.picture(number))
+        drawn = await self._turn(request, lambda: self.shared.entry_picture(number))
         return Response(drawn, media_type=JPEG)
 
 
@@ -315,7 +348,7 @@ def _refusals(shared: Shared) -> dict[Any, Any]:
         return _sent(refusal(error, shared.without_folders(str(error))))
 
     async def invalid(_: Request, error: ValidationError) -> Response:
-        return _sent(problem(422, faults_of(error.errors(), FAULT_TEXTS), "invalid"))
+        return _sent(problem(422, faults_of(error.errors()), "invalid"))
 
     async def http(request: Request, error: HTTPException) -> Response:
         said = f"there is nothing at {request.url.path!a:.80}" if error.status_code == 404 else str(error.detail)
@@ -334,6 +367,11 @@ def _refusals(shared: Shared) -> dict[Any, Any]:
         DrSplatError: refused, ValidationError: invalid, HTTPException: http, OSError: failed_system,
         MemoryError: failed_memory, Exception: failed,
     }  # fmt: skip
+
+
+def _cookie(request: Request) -> str:
+    """Return the name of the cookie of a visit, with the viewer's port: cookies do not tell ports apart."""
+    return f"drsplat-visit-{request.headers['host'].rpartition(':')[2].strip(']')}"
 
 
 def _sent(reply: Reply) -> Response:

@@ -3,13 +3,14 @@
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import Field, StringConstraints
 
 from ....authoring.filming.looking import looking_at
 from ....authoring.filming.paths import CameraPath, KeyFrame
 from ....errors import InputError
 from ....query.documents import Document
 from ....scene.views import View
+from ...serving.query_fields import Strict
 from ..page import film_document
 from .stage import Stage
 
@@ -20,18 +21,16 @@ MAX_FILM_S, FILM_S = 60.0, 8.0
 FPS, FILM_SIZE_PIXELS = 24.0, (960, 720)
 
 Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e9, le=1e9)]
-Point = tuple[Finite, Finite, Finite]
-Span = tuple[Finite, Finite]
+Point = Annotated[tuple[Finite, Finite, Finite], Field(strict=False)]  # a list, as JSON has it
+Span = Annotated[tuple[Finite, Finite], Field(strict=False)]
 Text = Annotated[str, StringConstraints(min_length=1, max_length=MAX_TEXT_CHARACTERS)]
 Degrees = Annotated[float, Field(ge=1, le=170, allow_inf_nan=False)]
 Side = Annotated[int, Field(ge=16, le=8192)]
 Number = Annotated[int, Field(ge=0, le=2**31 - 1)]
 
 
-class Body(BaseModel):
-    """A JSON object of a request. Unknown keys are refused: a misspelt one would be ignored in silence."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
+class Body(Strict):
+    """A JSON object of a request."""
 
 
 class Key(Body):

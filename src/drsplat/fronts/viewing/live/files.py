@@ -102,6 +102,15 @@ class ObjectPictures:
     _stage: Stage | None = None
     _kept: OrderedDict[int, bytes] = field(default_factory=OrderedDict)
 
+    def known(self, stage: Stage, number: int) -> bytes | None:
+        """Return an object's picture where it is drawn already."""
+        return self._kept.get(number) if stage is self._stage else None
+
+    def draw(self, stage: Stage) -> None:
+        """Draw all that are kept, those listed first. Raises: as `picture`."""
+        for number in stage.listed[:MAX_PICTURES_KEPT]:
+            self.picture(stage, number)
+
     def picture(self, stage: Stage, number: int) -> bytes:
         """Return an object's picture. Raises: InputError: no such object, or no photos of it."""
         if stage is not self._stage:

@@ -75,8 +75,7 @@ def open_entry(shared: Shared, number: int) -> Callable[[], Callable[[], str]]:
 
     Raises: InputError: no such entry, or its scene is no longer there.
     """
-    shelf = shared.needed_shelf
-    entry = shelf.entry(number)
+    shelf, entry = shared.needed_shelf, shared.entry(number)
 
     def work() -> Callable[[], str]:
         is_open = shelf.opened == (entry.scene, entry.field)

@@ -3,6 +3,7 @@
 import secrets
 import signal
 import socket
+import sys
 import threading
 import time
 from collections import OrderedDict
@@ -13,7 +14,7 @@ from urllib.parse import parse_qs
 
 import uvicorn
 
-from ....errors import InputError
+from ....errors import DrSplatError, InputError
 from ...serving.access import ALL_INTERFACES, is_addressed, is_loopback, is_own_page, is_secret, names_of
 from ...serving.connections import TIMEOUTS_S, Stage, bounded, run_server
 from ...serving.guards import Answer, App, Body, DoorKeeper, Message, Receive, Send, refused_length
@@ -226,26 +227,16 @@ class Service:
         """Show a session, and ask it something; before anybody has come."""
         self.shared.show(session, up)
         self.shared.note()
-        if text:
-            self.submit(lambda: self._ask(session, text))
         with suppress(BusyError):
-            self.lanes.change(self.shared.prepare)
+            if text:
+                self.lanes.quick.submit(lambda: self._begin(text))
+            self._server.app.state.viewer.prepare()
 
-    def search(self, text: str) -> None:
-        """Search the catalogue, if there is a text; before anybody has come."""
-        if text:
-            self.submit(lambda: self.shared.search(text))
-
-    def _ask(self, session: Session, text: str) -> None:
+    def _begin(self, text: str) -> None:
         try:
-            self.shared.say(session.ask(text))
-        except Exception as error:  # is said in the page
-            self.shared.say(self.shared.without_folders(str(error)))
-        self.shared.note()
-
-    def submit(self, act: Any) -> None:
-        with suppress(BusyError):
-            self.lanes.quick.submit(act)
+            self.shared.begin(text)
+        except DrSplatError as error:  # of who started the viewer, who reads the terminal
+            print(f"warning: {error}", file=sys.stderr)
 
     def run(self) -> None:
         """Answer until SIGINT or SIGTERM."""

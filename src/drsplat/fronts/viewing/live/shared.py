@@ -1,8 +1,10 @@
-"""State shared by all windows of the viewer: the open scene, what was found in it, and counters of changes."""
+"""State shared by all browsers of a viewer: the open scene and its edits, and counters of their changes."""
 
 import re
+from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,6 @@ from ....query import Scene
 from ....query.catalogue import Catalogue, Entry
 from ....query.documents import Document
 from ...serving.scene_folder import without_paths
-from ..bare import NO_FIELD
 from ..saving import Saves
 from ..session import Session
 from ..texts import printable
@@ -21,48 +22,24 @@ from .arrays import Packed, Rows
 from .stage import Stage, Vector
 from .state import MAX_SENTENCE_CHARACTERS, film_formats, header_of, state_of
 from .uploads import Uploads
+from .visits import Visit, Visits
 
-MAX_ENTRIES = 12
+MAX_ENTRIES, MAX_PAINTED = 12, 4  # of an answer of the catalogue; arrays of visits that are kept
 NOTHING_OPEN = "no scene is open: search the catalogue and open one, or open a file"
 FOLDERS = re.compile(r"(?<![\w.])/(?:[^/\s'\",:;]+/)+")
 CLOSED_STATE = {
-    "mode": "as it is", "selection": 0, "results": [], "clicked": None, "chosen": None, "classes": None,
-    "annotations": [], "time": None, "edits": [], "can_undo": False, "can_redo": False, "kept": False,
+    "mode": "as it is", "asked": [], "present": False, "selection": 0, "results": [], "clicked": None, "chosen": None,
+    "classes": None, "annotations": [], "time": None, "edits": [], "can_undo": False, "can_redo": False, "kept": False,
 }  # fmt: skip
 """The state where no scene is open."""
 
 
 @dataclass(eq=False)
 class Shelf:
-    """entries: of the last answer, best first. opened: name and field's fingerprint of the scene that is open."""
+    """opened: name and field's fingerprint of the scene that is open."""
 
     catalogue: Catalogue
-    entries: Sequence[Entry] = ()
     opened: tuple[str, str] = ("", "")
-
-    def ask(self, text: str) -> Document:
-        """Search all scenes. Raises: InputError: no words, or such as the encoder does not know."""
-        answer = self.catalogue.answer(text, top=MAX_ENTRIES)
-        self.entries = answer.entries
-        matches = counted(len(self.entries), "match", "matches")
-        return {
-            "summary": f"{matches} by {answer.measure}, threshold {answer.threshold:.3g}",
-            "entries": [_entry(number, entry) for number, entry in enumerate(self.entries)],
-        }
-
-    def entry(self, number: int) -> Entry:
-        """Return an entry by its number. Raises: InputError: there is none of that number."""
-        if not 0 <= number < len(self.entries):
-            raise InputError(f"there is no entry {number} of {len(self.entries)}: search the catalogue first")
-        return self.entries[number]
-
-    def picture(self, number: int) -> bytes:
-        """Return the thumbnail of an entry as JPEG. Raises: InputError: it has none."""
-        entry = self.entry(number)
-        if entry.thumbnail is None:
-            raise InputError(f"entry {number} has no picture")
-        entry.picture()  # or the error that says that it is damaged
-        return entry.thumbnail
 
 
 def _entry(number: int, entry: Entry) -> Document:
@@ -77,13 +54,11 @@ def _entry(number: int, entry: Entry) -> Document:
 
 @dataclass
 class Counters:
-    """Numbers that grow when something changes: anything, the scene, its header, its splats, what these answer."""
+    """Numbers that grow when something changes for all: anything, the scene, its header."""
 
     revision: int = 0
     scene: int = 0
     header: int = 0
-    geometry: int = 0
-    paint: int = 0
 
 
 @dataclass(eq=False)
@@ -91,7 +66,8 @@ class Shared:
     """Not safe for several threads at once.
 
     saves: where files go. open_path: opens a scene's file or folder. budget, words: as of `Session`. shelf: the
-    catalogue, None for none. tell: is called after each change.
+    catalogue, None for none. tell: is called after each change, with the visit that alone it concerns, None for all.
+    home: the session that a browser finds when it comes. visit: whose turn it is.
     """
 
     saves: Saves
@@ -100,13 +76,17 @@ class Shared:
     words: Sequence[str] | None = None
     shelf: Shelf | None = None
     uploads: Uploads = field(default_factory=Uploads)
-    message: str = ""
-    tell: Callable[[], None] = lambda: None
-    _stage: Stage | None = None
+    tell: Callable[[Visit | None], None] = lambda _: None
     counters: Counters = field(default_factory=Counters)
-    _seen: tuple[Any, ...] = (None, None, None)
-    _sent_state: tuple[int, Document] | None = None
-    _rows: dict[str, tuple[object, Rows]] = field(default_factory=dict)
+    visits: Visits = field(default_factory=Visits)
+    home: Session | None = None
+    visit: Visit = field(init=False)
+    _stage: Stage | None = None
+    _told: Sequence[Any] = ()
+    _rows: OrderedDict[tuple[Visit, str], tuple[object, Rows]] = field(default_factory=OrderedDict)
+
+    def __post_init__(self) -> None:
+        self.visit = self.visits.common
 
     @property
     def stage(self) -> Stage:
@@ -127,12 +107,6 @@ class Shared:
             raise InputError("there is no catalogue here")
         return self.shelf
 
-    def say(self, text: str | None) -> None:
-        """Say something to all, safe to show; None: what the session says of its answers."""
-        own = "" if self._stage is None else self._stage.session.summary
-        lines = (own if text is None else text).splitlines()
-        self.message = "\n".join(printable(line.strip(), MAX_SENTENCE_CHARACTERS) for line in lines)
-
     def without_folders(self, message: str) -> str:
         """Return a message for others than the one who started the viewer: it names no folder of this machine."""
         scene = None if self._stage is None else self._stage.session.scene
@@ -140,21 +114,57 @@ class Shared:
         saves = [] if self.saves.folder is None else [self.saves.folder]
         return FOLDERS.sub("", without_paths(message, [*self.uploads.roots, *own, *saves]))
 
+    # --- whose turn it is ---
+
+    def enter(self, visit: Visit) -> None:
+        """Let a browser have its turn: what is asked and found from now on is its own.
+
+        Where it has not seen the open scene yet, it finds it as whoever started the viewer has asked it.
+        """
+        if visit.scene != self.counters.scene:
+            visit.scene, visit.session = self.counters.scene, None if self.home is None else self.home.visited()
+        self.visit = visit
+        if self._stage is not None and visit.session is not None:
+            self._stage.session = visit.session
+        self._look()
+
+    def entry(self, number: int) -> Entry:
+        """Return an entry of the catalogue that was found last. Raises: InputError: no such entry, or no catalogue."""
+        _, entries = self.needed_shelf, self.visit.entries
+        if not 0 <= number < len(entries):
+            raise InputError(f"there is no entry {number} of {len(entries)}: search the catalogue first")
+        return entries[number]
+
+    def entry_picture(self, number: int) -> bytes:
+        """Return the thumbnail of an entry as JPEG. Raises: InputError: it has none; as `entry`."""
+        entry = self.entry(number)
+        if entry.thumbnail is None:
+            raise InputError(f"entry {number} has no picture")
+        entry.picture()  # or the error that says that it is damaged
+        return entry.thumbnail
+
     # --- changing ---
 
     def show(self, session: Session, up: Vector | None = None) -> None:
-        """Show another session in place of the one that is open."""
-        self._stage = Stage.of(session, up)
+        """Show another session in place of the one that is open, to all."""
+        self._stage, self.home = Stage.of(session, up), session
         self.counters.scene += 1
         self.counters.header += 1
-        self.say("" if session.is_askable else NO_FIELD)
+        self.enter(self.visit)
+
+    def begin(self, text: str) -> None:
+        """Ask what all find who come, before anybody has. Raises: as `Session.ask`."""
+        if self.home is not None:
+            self.home.ask(text)
+        self.visit.scene = -1  # so that it finds this, too
 
     def search(self, text: str) -> Document:
-        """Search the catalogue. Raises: InputError: there is none; as `Shelf.ask`."""
-        answer = self.needed_shelf.ask(text)
-        self.say(answer["summary"])
-        self.note()
-        return answer
+        """Search the catalogue. Raises: InputError: none is open, no words, or such as its encoder does not know."""
+        answer = self.needed_shelf.catalogue.answer(text, top=MAX_ENTRIES)
+        self.visit.entries = answer.entries
+        matches = counted(len(answer.entries), "match", "matches")
+        summary = f"{matches} by {answer.measure}, threshold {answer.threshold:.3g}"
+        return {"summary": summary, "entries": [_entry(*one) for one in enumerate(answer.entries)]}
 
     def prepare(self) -> Callable[[], None]:
         """Find names of objects and words to suggest, which may load a model, beside the session.
@@ -177,21 +187,30 @@ class Shared:
         self.counters.header += 1
 
     def note(self) -> None:
-        """Count what has changed since the last time, and tell whoever listens."""
-        counters = self.counters
-        seen = self._seen_now()
-        changed = [one is not other for one, other in zip(seen, self._seen, strict=True)]
-        counters.geometry += changed[0]
-        counters.paint += any(changed)
-        self._seen = seen
-        counters.revision += 1
-        self.tell()
+        """Count what has changed since the last time, and tell those whom it concerns."""
+        self.counters.revision += 1
+        self._look()
+        common: list[Any] = [self.counters.scene, self.counters.header]
+        if self._stage is not None:
+            session = self._stage.session
+            self.visit.num_bytes = session.num_bytes
+            common += [session.edits.listed, session.edits.annotations]
+        self.tell(self.visit if list(map(id, common)) == list(map(id, self._told)) else None)
+        self._told = common
+
+    def _look(self) -> None:
+        """Count what has changed for whose turn it is, others' edits among it."""
+        visit, seen = self.visit, self._seen_now()
+        changed = [one is not other for one, other in zip_longest(seen, visit.seen)]
+        visit.geometry += any(changed[:2])
+        visit.paint += any(changed)
+        visit.seen = seen
 
     def _seen_now(self) -> tuple[Any, ...]:
         if self._stage is None:
-            return None, None, None
+            return ()
         session = self._stage.session
-        return session.drawn, session.results, session.segmentation
+        return session.edits.listed, session.time, session.results, session.segmentation
 
     # --- what a browser is told ---
 
@@ -199,13 +218,14 @@ class Shared:
         counters = {"scene": self.counters.scene, "header": self.counters.header}
         return counters | {"can": self._can()} | ({} if self._stage is None else header_of(self._stage))
 
-    def state(self) -> Document:
-        """Return the state, made once after each change: all pages ask for it then."""
-        revision = self.counters.revision
-        if self._sent_state is None or self._sent_state[0] != revision:
-            state = CLOSED_STATE if self._stage is None else state_of(self._stage)
-            self._sent_state = revision, vars(self.counters) | {"message": self.message, "fault": None} | state
-        return self._sent_state[1]
+    def state(self, said: str | None = None) -> Document:
+        """Return the state of whose turn it is. said: of an act; None: what the session says of its answers."""
+        visit, stage = self.visit, self._stage
+        if said is None:
+            said = "" if stage is None else stage.session.summary
+        lines = [printable(line.strip(), MAX_SENTENCE_CHARACTERS) for line in said.splitlines()]
+        own = {"geometry": visit.geometry, "paint": visit.paint, "message": "\n".join(lines)}
+        return vars(self.counters) | own | (CLOSED_STATE if stage is None else state_of(stage))
 
     def _can(self) -> Document:
         session = None if self._stage is None else self._stage.session
@@ -232,18 +252,21 @@ class Shared:
 
     def paint(self, begin: int = 0) -> Packed:
         """Return what the same rows answer. Raises: as `splats`."""
-        return self._piece("paint", (self.counters.geometry, self.counters.paint), arrays.paint, begin)
+        return self._piece("paint", (self.visit.geometry, self.visit.paint), arrays.paint, begin)
 
     def colors(self, mode: str, begin: int = 0) -> Packed:
         """Return the colours of the same rows. Raises: as `splats`; InputError: another mode."""
-        key = self.counters.geometry, self.counters.paint, mode
+        key = self.visit.geometry, self.visit.paint, mode
         return self._piece("colors", key, lambda stage: arrays.colors(stage, mode), begin)
 
     def _piece(self, name: str, version: object, make: Callable[[Stage], Rows], begin: int) -> Packed:
-        """Return a piece of arrays as they were made for somebody else, where nothing has changed since."""
+        """Return a piece of arrays as they were made for the piece before it, where nothing has changed since."""
         if self._stage is None or self._stage.session.scene.tiles is not None:
             return arrays.nothing()
-        known = self._rows.get(name)
+        known = self._rows.pop((self.visit, name), None)
         if known is None or known[0] != version:
-            known = self._rows[name] = version, make(self._stage)
+            known = version, make(self._stage)
+        self._rows[self.visit, name] = known
+        if len(self._rows) > MAX_PAINTED:
+            self._rows.popitem(last=False)
         return arrays.piece(known[1], begin)

@@ -10,8 +10,8 @@ import numpy as np
 from ....authoring.filming.looking import Standpoints, beside, size_in, up_direction
 from ....base.arrays import Float64, Int64
 from ....query import Match
+from ....query.suggesting import suggestions
 from ....scene.significance import significance
-from ..naming import suggestions
 from ..object_list import in_order, names_of, placed_now
 from ..session import Session
 from ..shown import first_look

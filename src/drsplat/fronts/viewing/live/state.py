@@ -26,6 +26,7 @@ from ..results import Result
 from ..session import Session
 from ..texts import printable
 from .arrays import tiles_document
+from .cameras import MAX_TEXT_CHARACTERS
 from .stage import Stage, Vector
 
 MAX_PHOTOS, MAX_OBJECTS, MAX_MATCHES, MAX_LISTED = 200, 500, 100, 100
@@ -125,6 +126,8 @@ def state_of(stage: Stage) -> Document:
     session = stage.session
     return {
         "mode": session.mode.value,
+        "asked": [printable(text, MAX_TEXT_CHARACTERS) for text in session.asked],
+        "present": session.present,
         "selection": len(session.selection),
         "results": [_result(stage, number, result) for number, result in enumerate(session.results)],
         "clicked": None if session.clicked is None else _clicked(session, session.clicked),
@@ -141,7 +144,8 @@ def _result(stage: Stage, number: int, result: Result) -> Document:
     return {
         "text": printable(result.label),
         "summary": printable(result.summary, MAX_SENTENCE_CHARACTERS),
-        "doubt": printable(answer.doubt, MAX_SENTENCE_CHARACTERS),
+        "doubt": printable(result.notes(), MAX_SENTENCE_CHARACTERS),
+        "instead": list(result.instead),
         "threshold": result.threshold,
         "automatic": answer.threshold,
         "limits": list(result.limits),

@@ -47,7 +47,11 @@ class Turns:
     async def take_latest(self, key: Hashable, act: Callable[[], T], overtaken: Callable[[], T]) -> T:
         """Wait for a turn as `take` does, but do `overtaken` where another act of the same key came before it."""
         mark = self._latest[key] = object()
-        return await self.take(lambda: act() if self._latest[key] is mark else overtaken())
+        try:
+            return await self.take(lambda: act() if self._latest.get(key) is mark else overtaken())
+        finally:
+            if self._latest.get(key) is mark:
+                del self._latest[key]
 
     def stop(self) -> None:
         """End after what is being done, which has some seconds; what waits is dropped."""
