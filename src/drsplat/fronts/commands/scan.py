@@ -321,8 +321,7 @@ def _embedding(
     known = before["models"] if before is not None and not options.overwrite else {}
     parts = ("segmenter", "encoder", "reason", "cure")
     if known.get("asked") == named and all(isinstance(known.get(part), str) for part in parts):
-        segmenter, encoder, reason, cure = (known[part] for part in parts)
-        choice = ModelChoice(segmenter, encoder, reason, cure, str(known.get("meaning", "")))
+        choice = replace(ModelChoice(*(known[part] for part in parts)), meaning=str(known.get("meaning", "")))
     else:
         choice = choose_models(named[0], named[1], first.options.device)
     defaults = {"segmenter": choice.segmenter, "encoder": choice.encoder}
