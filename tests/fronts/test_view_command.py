@@ -99,11 +99,7 @@ def test_a_page_opens_before_its_first_match(folder: Path) -> None:
 
 @pytest.mark.parametrize(
     ("more", "said"),
-    [
-        ([], '--ask "red mug; lamp"'),
-        (["--ask", " ; "], "a page holds answers"),
-        (["--ask", "mug", "--up", "up"], "expected one of"),
-    ],
+    [(["--ask", "mug", "--up", "up"], "expected one of"), (["--ask", "mug", "--known", "..."], "has no word")],
 )
 def test_what_is_missing_is_said(folder: Path, capsys: pytest.CaptureFixture[str], more: list[str], said: str) -> None:
     assert export(folder, *more) == 1

@@ -6,7 +6,7 @@ import { button, counted, drawer, h } from "./dom";
 import { about } from "./chosen";
 import { photosOf } from "./photos";
 
-const LISTED = 8, MOST_OTHERS = 6, STEP = 0.001;
+const LISTED = 8, MOST_OTHERS = 6, STEP = 0.001, KNOWN = "Words that this page knows";
 
 export class AskTab implements Tab {
   readonly name = "ask";
@@ -18,7 +18,7 @@ export class AskTab implements Tab {
     const { results, clicked } = this.app.state;
     return [
       ...(results.length ? results.map((result, k) => this.result(result, k)) : [this.start()]),
-      ...(clicked ? [this.thing()] : []), ...(results.length ? this.others() : []), ...this.classes(), ...photosOf(this.app),
+      ...(clicked ? [this.thing()] : []), ...(results.length ? this.others() : []), ...this.classes(), ...photosOf(this.app), ...this.known(),
     ];
   }
 
@@ -26,6 +26,14 @@ export class AskTab implements Tab {
     const words = this.app.header.words.slice(0, 4), ask = (word: string) => () => this.app.prompt.ask(word);
     return h("div", { class: "start" }, h("p", { class: "faint" }, "Type what you look for, or click something in the scene."),
       h("div", { class: "chips", id: "try" }, ...words.map((word) => button(word, ask(word), { class: "chip" }))));
+  }
+
+  /** What a page can be asked, before anyone types. */
+  private known(): Node[] {
+    const { header, backend } = this.app;
+    if (!header.knows) return [];
+    const words = (backend.known?.() ?? []).flatMap(([head, all]) => [h("h3", {}, head), h("p", { class: "faint" }, all.join(", "))]);
+    return [h("p", { class: "faint", id: "knows" }, header.knows), drawer(KNOWN, ...words)];
   }
 
   /** Further words that have answers here. */
@@ -37,7 +45,8 @@ export class AskTab implements Tab {
   private result(result: Result, number: number): Node {
     const { matches, accent, text, num_matches, doubt } = result, chosen = this.app.state.chosen;
     const title = h("h2", {}, h("span", { class: "dot", style: `background:rgb(${accent.join(",")})` }), chosen ? chosen.name : text);
-    const summary = matches.length ? counted(num_matches, "match", "matches") : `No match for “${text}”.`;
+    const sure = matches.filter((match) => match.sure !== false).length, some = sure < matches.length && !this.app.backend.live && !chosen ? `, ${sure} sure` : "";
+    const summary = matches.length ? `${counted(num_matches, "match", "matches")}${some}` : `No match for “${text}”.`;
     const shown = matches.slice(0, LISTED).map((match, k) => this.match(match, k, matches.length));
     const more = matches.slice(LISTED).map((match, k) => this.match(match, k + LISTED, matches.length));
     return h("section", { class: "result" }, title, chosen ? about(this.app) : h("p", { class: "faint" }, doubt ? `${summary} ${doubt}` : summary),

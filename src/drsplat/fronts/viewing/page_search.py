@@ -1,0 +1,233 @@
+"""What lets a page answer words that nobody asked when it was written: codes of what is shown, vectors of words.
+
+The rules of an answer are those of `query`; web/src/search follows them and has their numbers from here.
+"""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from ...authoring.filming import looking
+from ...base.arrays import Float32
+from ...errors import DrSplatError
+from ...field import LanguageField
+from ...kernels import boxes, pq_encode
+from ...kernels.kmeans import train_centroids
+from ...photos.models.mini import MiniEncoder, lexicon
+from ...photos.models.word_list import known_words, listed_words, names_under
+from ...query import Scene, contrast, defaults, linking, measuring, search, sentences, tasks, thresholds, wholes
+from ...query.documents import Document
+from ...query.naming import ONLY_COLORS_DOUBT, knows_nouns
+from . import naming
+from .painting import ACCENTS
+from .session import Session
+
+STAGES, ALL_STAGES, LEAST_STAGES = 12, 64, 4
+"""Bytes per Gaussian: by default, where every match is wanted, and in small scenes."""
+ROWS_PER_STAGE = 2048  # of fewer, a stage's table takes more room than their codes
+MAX_DIMS = 160  # along which features differ most; the words of the built-in encoder span 142
+CODED_SHARE = 0.9993  # of the features' squares, along the first of these
+MAX_TRAINING_ROWS, BLOCK_ROWS, SEED = 4096, 8192, 0
+MAX_TEXTS = 5000
+_RULES: Mapping[ModuleType, str] = {
+    contrast: (
+        "WORDS_PER_RIVAL SPARE_WORDS LIST_RELEVANCY CLEAR_MARGIN CLEAR_MARGIN_PER_EFOLD LONG_LIST_CLEAR_MARGIN "
+        "KIND_CLEAR_MARGIN KIND_MARGIN_PER_EFOLD CLEAR_MARGIN_ROWS MAYBE_SPREADS OWN_THRESHOLD_SHARE WAY_TO_PEAK_SHARE "
+        "PEAK_SHARE MIN_PEAK_ROWS LARGE_SCENE_PEAK_SHARE SAME_MEANING_COSINE"
+    ),
+    thresholds: "PEAK_ROWS CUT_SHARE",
+    defaults: "RELEVANCY_THRESHOLD MIN_GAUSSIANS",
+    measuring: "HALF_FIT_SHARE",
+    wholes: "SPEAKING_SHARE OBJECT_TRUST",
+    tasks: "MASS_POWER SURE_RANK_SHARE HAZE_OPACITY",
+    linking: "NUM_NEIGHBOURS MIN_NEAR_SHARE LINK_FACTOR",
+    boxes: "OUTLIER_SHARE MAX_STRAY_SHARE MIN_TAIL_SPARSENESS",
+    looking: "DISTANCE_SIZES RISE MARGIN_SHARE MIN_SIZE_SHARE",
+}
+_SENTENCES: Mapping[ModuleType, str] = {
+    sentences: "RELATED STRANGE ASKING THERE ARTICLE NUMBER NOT POSED HERE",
+    search: "BUT_NOT",
+    lexicon: "COLORS TONES",
+}
+_LEXICON = {lexicon: "WORDS NAMES COLORS PAINTS ORANGE TONES SYNONYMS ANYTHING IGNORED MATERIALS"}
+
+
+@dataclass(frozen=True, eq=False)
+class PageSearch:
+    """What a page searches in. rows: arrays with a number per shown Gaussian. tables: further arrays.
+
+    document: the numbers of the rules, and the words that are known. about: says which these are, for people.
+    """
+
+    rows: Mapping[str, np.ndarray]
+    tables: Mapping[str, np.ndarray]
+    document: Document
+    about: str
+
+
+Known = tuple[Float32[np.ndarray, "t D"], dict[str, np.ndarray], Document, str]
+"""Vectors of texts, further arrays, and the rest as of `PageSearch`. "usual": the mean picture of the scene's list."""
+
+
+def search_of(session: Session, words: Sequence[str] = (), *, all_codes: bool = False) -> PageSearch | None:
+    """Return what a page of a session needs to answer words, None where no word is known or nothing has a feature.
+
+    Args:
+        session: the scene, and what of it is shown.
+        words: to be answered besides those that the field or the encoder knows.
+        all_codes: keep features so exactly that every match is the one that the scene has.
+
+    Raises:
+        InputError: words that the encoder does not know.
+    """
+    scene, frame = session.scene, session.shown.frame
+    if words:
+        scene.encoder.encode_texts(words)  # or the error that says which it does not know
+    rows = scene.field.rows_of(session.drawn.ids)
+    own = np.maximum(rows, 0)  # of those without a feature, any: they are marked
+    known = _known(scene, (*words, *(session.words or ()))) if (rows >= 0).any() else None
+    if known is None:
+        return None
+    vectors, tables, document, about = known
+    basis, coded = _basis(scene.field, own, vectors, 1.0 if all_codes else CODED_SHARE)
+    blocks = [own[begin : begin + BLOCK_ROWS] for begin in range(0, len(own), BLOCK_ROWS)]
+    points = np.concatenate([scene.field.feature(block) @ basis[:coded].T for block in blocks])
+    most = ALL_STAGES if all_codes else min(STAGES, max(LEAST_STAGES, len(points) // ROWS_PER_STAGE))
+    codes, centroids, steps = zip(*_coded(points, most, scene.threads), strict=True)
+    stands = looking.Standpoints.of(scene.views)
+    tables |= {
+        "centroids": np.stack(centroids), "steps": np.array(steps, np.float32), "usual": basis @ tables["usual"],
+        "texts": (vectors @ basis.T).astype(np.float16), "camera_places": stands.centers.astype(np.float32),
+        "camera_poses": stands.poses.astype(np.float32), "camera_lenses": stands.K.astype(np.float32),
+        "camera_sizes": stands.sizes.astype(np.float32),
+    }  # fmt: skip
+    document |= {
+        "rules": _named(_RULES), "sentences": _named(_SENTENCES), "accents": ACCENTS, "center": frame.center.tolist(),
+        "share": np.count_nonzero(rows >= 0) / len(scene.field), "up": None if scene.up is None else scene.up.tolist(),
+        "radius": looking.radius_of(scene.gaussians) * frame.scale,
+        "vocabulary": naming.known_words(scene, session.words),
+    }  # fmt: skip
+    arrays = _places(scene.field, rows) | {f"code{number}": stage for number, stage in enumerate(codes)}
+    return PageSearch(arrays, tables, document, about)
+
+
+def _named(constants: Mapping[ModuleType, str]) -> Document:
+    """Return constants by their names in small letters, as JSON has them."""
+
+    def plain(value: Any) -> Any:
+        return (
+            value.pattern
+            if isinstance(value, re.Pattern)
+            else sorted(value)
+            if isinstance(value, set | frozenset)
+            else value
+        )
+
+    return {name.lower(): plain(getattr(module, name)) for module, names in constants.items() for name in names.split()}
+
+
+def _known(scene: Scene, words: Sequence[str]) -> Known | None:
+    """Return the texts that a page knows: those that the field keeps, and, where somebody embeds words, others."""
+    field, background = scene.field, scene.background
+    try:
+        field.check_encoder(scene.encoder.identity)
+        encoder = scene.encoder
+    except DrSplatError:
+        encoder = None
+    kept = field.contrast
+    if isinstance(encoder, MiniEncoder) and kept is None:
+        return _sums_of_words(encoder, background)
+    pairs = {} if kept is None else dict(zip(kept.texts, kept.embeddings, strict=True))
+    if encoder is not None:
+        pairs |= {} if kept else zip(*listed_words(encoder), strict=True)
+        more = [text for text in dict.fromkeys((*words, *naming.words_of(scene))) if text not in pairs]
+        pairs |= zip(*known_words(encoder, more[:MAX_TEXTS]), strict=True)
+    if not pairs:
+        return None
+    texts, vectors = list(pairs), np.array(list(pairs.values()), np.float32)
+    least = None if kept or encoder is None else background.own_threshold
+    tables, document = {"usual": np.zeros(field.encoder.dim, np.float32)}, {"texts": texts, "lists": {}, "doubt": ""}
+    listed = background.contrast_for(None) if least is None else None
+    if listed is not None:
+        rivals = texts[: len(listed.vectors)]
+        near = contrast.near_each(listed.vectors, vectors).T
+        starts = np.append(0, near.sum(axis=1).cumsum())
+        tables = {
+            "usual": listed.usual, "near": near.nonzero()[1].astype(np.uint16), "near_starts": starts.astype(np.uint32)
+        }  # fmt: skip
+        kinds = {text: [at for at, one in enumerate(rivals) if one in names_under(text)] for text in texts}
+        lists = {"all": {"texts": rivals, "spread": listed.spread, "least": None}}
+        document |= {"lists": lists, "kinds": {text: same for text, same in kinds.items() if same}}
+    about = f"This page knows {len(texts):,} words and phrases, each as it is listed, and no others."
+    return vectors, tables, document | {"threshold": least}, about
+
+
+def _sums_of_words(encoder: MiniEncoder, background: measuring.Background) -> Known:
+    """Return the words of the encoder whose texts are sums of them, those of colours on photos last."""
+    known = {"all": (encoder.nouns, background.contrast)}
+    known["colors"] = lexicon.COLORS, background.contrast_of_kind(encoder.photo_colors)
+    lists = {
+        name: {"texts": texts, "spread": one.spread, "least": background.least_peak_of(one)}
+        for name, (texts, one) in known.items()
+        if one is not None
+    }
+    doubt = "" if knows_nouns(encoder, background.field) else ONLY_COLORS_DOUBT
+    about = (
+        f"This page knows {len(lexicon.WORDS) + len(lexicon.SYNONYMS):,} English words, alone and together as in "
+        "“red mug”: things of a household, colours and materials, and no others."
+    )
+    document = {"lists": lists, "threshold": None, "lexicon": _named(_LEXICON), "doubt": doubt}
+    vectors = np.concatenate([encoder.weights["words"], encoder.photo_colors])
+    return vectors, {"usual": known["colors"][1].usual}, document, about
+
+
+def _basis(
+    field: LanguageField, rows: np.ndarray, vectors: np.ndarray, share: float
+) -> tuple[Float32[np.ndarray, "d D"], int]:
+    """Return unit directions along which features differ, most first, and how many of them have a share of the squares.
+
+    They are of the space that the words span, where these are few.
+    """
+    is_few = len(vectors) < vectors.shape[1]
+    span = np.linalg.qr(vectors.T.astype(np.float64))[0].T if is_few else np.eye(vectors.shape[1])
+    sample = field.feature(_spread(rows)) @ span.T
+    squares, axes = np.linalg.eigh(sample.T @ sample)
+    shares = squares[::-1].cumsum() / squares.sum()
+    basis = axes[:, : -MAX_DIMS - 1 : -1].T @ span
+    return np.ascontiguousarray(basis, np.float32), min(len(basis), int(shares.searchsorted(share)) + 1)
+
+
+def _spread(rows: np.ndarray) -> np.ndarray:
+    """Return some of many rows, evenly spread over them."""
+    return rows[np.linspace(0, len(rows) - 1, min(len(rows), MAX_TRAINING_ROWS)).astype(np.intp)]
+
+
+def _coded(
+    points: Float32[np.ndarray, "r d"], stages: int, threads: int
+) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
+    """Yield stages of residual quantisation: a code per row, 256 centroids in steps from 128 on, and the step.
+
+    Source: Chen, Guan & Wang 2010 (residual vector quantisation).
+    """
+    left = points.copy()
+    for _ in range(stages):
+        centroids = train_centroids(np.ascontiguousarray(_spread(left)), 1, SEED, threads)
+        step = max(float(np.abs(centroids).max()) / 127, 1e-12)
+        steps = np.round(centroids / step)
+        coded = np.ascontiguousarray(steps * step, np.float32)
+        codes = pq_encode(left, coded, threads=threads)[:, 0]
+        left -= coded[0][codes]
+        yield codes, (steps[0] + 128).astype(np.uint8), step
+
+
+def _places(field: LanguageField, rows: np.ndarray) -> dict[str, np.ndarray]:
+    """Return per shown Gaussian 0 without a feature, 1 if it is loose, n + 2 of thing n; and 0 or its piece."""
+    things, pieces = np.ones(len(rows), np.uint32), np.zeros(len(rows), np.uint32)
+    if field.objects is not None:
+        things[:], pieces[:] = field.objects.thing_of(rows) + 2, field.objects.piece_of()[rows] + 1
+    things[rows < 0] = 0
+    return {"things": things, "pieces": pieces}
