@@ -8,16 +8,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from test_contrast import CLIP, World, evidence_of
 
 from browsing import SLOW, a_page, needs_chromium, settled
 from drsplat import Scene, export_page
 from drsplat.evaluation.demo.story import Story
+from drsplat.field import build_field
+from drsplat.field.codes import Mixture
+from drsplat.formats.vocabulary import VocabularyEncoder
 from drsplat.fronts.viewing import page as pages
 from drsplat.photos.models.mini.lexicon import NAMES, SYNONYMS, WORDS, nouns_in, only_colors, words_of
 from drsplat.query import contrast, measuring
 from drsplat.query.search import split_negation
 from drsplat.query.sentences import parsed
+from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.significance import significance
+from scenes import look_at_view
 from twins.page_codes import decoded, read_page
 
 BAKED = ["red vase", "couch", "something to eat", "laptop"]
@@ -31,7 +37,8 @@ FIND = """async (texts) => {
 }"""
 VALUES = """async (texts) => {
     const search = await drsplat.backend.search, rows = [...search.codes.rows];
-    return [rows, texts.map((text) => { const one = search.answer(text); return { ...one, values: [...one.values] }; })];
+    const answers = texts.map((text) => search.answer(text));
+    return [rows, answers.map((one) => ({ ...one, values: [...one.values] }))];
 }"""
 READ = """async (texts) => {
     const search = await drsplat.backend.search;
@@ -110,15 +117,16 @@ def test_the_rules_are_those_of_the_engine(
     of_page = twin.field.rows_of(order[np.array(rows)])
     for text, own in zip(texts, answers, strict=True):
         answer = twin.ask(text)
-        np.testing.assert_allclose(np.array(own["values"]), answer.values[of_page], atol=2e-3, err_msg=text)
-        assert own["threshold"] == pytest.approx(answer.threshold, abs=2e-3), text
+        np.testing.assert_allclose(np.array(own["values"]), answer.values[of_page], atol=5e-4, err_msg=text)
+        assert own["threshold"] == pytest.approx(answer.threshold, abs=5e-4), text
         assert (own["certainty"], own["doubt"], own["measure"]) == (answer.certainty, answer.doubt, answer.measure)
 
 
 def test_words_and_sentences_are_read_as_the_engine_reads_them(exported: Pages, chromium: Any) -> None:
     texts = [
-        "Orange", "an orange mug", "the orange one", "something orange", "knives", "teddy bears", "loaves", "dark green",
-        "a red thing", "violet", "wooden chairs", "boxes", *WORDS, *SYNONYMS, "The Red  mugs", "gray sofa", "rose",
+        "Orange", "an orange mug", "the orange one", "something orange", "knives", "teddy bears", "loaves",
+        "dark green", "a red thing", "violet", "wooden chairs", "boxes", *WORDS, *SYNONYMS, "rose",
+        "The Red  mugs", "gray sofa",
     ]  # fmt: skip
     sentences = [
         "how many mugs", "How many red mugs are there?", "show me the lamp", "where is the couch", "two chairs",
@@ -181,3 +189,50 @@ def test_all_codes_find_every_match(household_story: Story, chromium: Any, tmp_p
         ], text
         sizes = [one["num_gaussians"] for one in answer["matches"]]
         np.testing.assert_allclose(sizes, [len(one) for one in expected], rtol=0.02, atol=3, err_msg=text)
+
+
+def listed_scene(words: int = 350, rows: int = 6000) -> Scene:
+    """Three things that look as some of many listed words do, in the space of CLIP-like vectors."""
+    world = World(words)
+    truth = np.repeat([0, 1, 2], [rows // 2, rows // 3, rows // 6])
+    rng = np.random.default_rng(1)
+    points = np.array([(-2.0, 0, 0), (0, 0, 0), (2, 0, 0.5)])[truth] + 0.5 * rng.random((rows, 3))
+    gaussians = Gaussians(
+        points.astype(np.float32), np.tile(np.array([1, 0, 0, 0], np.float32), (rows, 1)),
+        np.full((rows, 3), 0.03, np.float32), np.full(rows, 0.8, np.float32), np.zeros((rows, 1, 3), np.float32),
+    )  # fmt: skip
+    field = build_field(evidence_of(world.pictures(truth)), gaussians.fingerprint, CLIP, Mixture(1))
+    names = ("stone", "canoe", "ferry", *(f"word {n}" for n in range(3, words - 1)), "boat")
+    field = field.with_contrast(world.texts, names)
+    views = (look_at_view((0.0, -6.0, 1.0)), look_at_view((0.5, -6.0, 1.2)))
+    return Scene(field, gaussians, views, VocabularyEncoder(CLIP, names, world.texts), threads=1)
+
+
+def test_a_listed_word_is_answered_as_the_engine_does(chromium: Any, tmp_path: Path) -> None:
+    """Of a field that keeps its words, as CLIP's do: also a kind, which its names answer."""
+    scene = listed_scene()
+    export_page(tmp_path / "page.html", scene, ["stone"])
+    texts = ["canoe", "ferry", "boat", *(f"word {n}" for n in range(3, 50))]
+    with shown(chromium, tmp_path / "page.html") as page:
+        answers = page.evaluate(FIND, texts)
+        assert "350 words and phrases" in page.inner_text("#knows")
+        assert page.evaluate("async () => (await drsplat.backend.search).suggest('word 1', 3)") == [
+            "word 10", "word 11", "word 12",
+        ]  # fmt: skip
+    certain = set()
+    for text, answer in zip(texts, answers, strict=True):
+        asked = scene.ask(text)
+        expected = scene.locate(asked)
+        certain.add(asked.certainty)
+        assert (answer["certainty"], answer["num_matches"]) == (asked.certainty, len(expected)), text
+        assert answer["doubt"] == asked.doubt, text
+        assert sum(one["sure"] for one in answer["matches"]) == sum(one.sure for one in expected), text
+    assert {"sure", "nothing"} <= certain
+
+
+def test_near_words_are_the_same_one_by_one_and_all_at_once() -> None:
+    world = World(60)
+    queries = np.concatenate([world.texts[:20], World(9, seed=2).texts])
+    each = contrast.near_each(world.texts, queries)
+    for number, query in enumerate(queries):
+        np.testing.assert_array_equal(each[:, number], contrast._near(world.texts, query))

@@ -53,15 +53,18 @@ class Dense:
     def top(self, *_: Any, **__: Any) -> Hits:
         raise NotImplementedError
 
-    def best(self, *_: Any, **__: Any) -> Best:
-        raise NotImplementedError
+    def best(self, queries: np.ndarray, *, threads: int = 0) -> Best:
+        scores = self.scores(queries)
+        second = np.sort(np.concatenate([np.full_like(scores[:1], -np.inf), scores]), axis=0)[-2]
+        return Best(scores.argmax(axis=0).astype(np.int32), scores.max(axis=0), second)
 
 
 def read_page(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """Return the header of a page, and its arrays."""
     text = path.read_text(encoding="utf-8")
     header, blob = (re.search(f'id="{name}">(.*?)</script>', text, re.DOTALL) for name in ("header", "blob"))
-    assert header is not None and blob is not None
+    assert header is not None
+    assert blob is not None
     document, data = json.loads(header[1]), zlib.decompress(base64.b64decode(blob[1]))
     arrays = {name: np.frombuffer(data, KINDS[kind], size, at) for name, kind, at, size in document["arrays"]}
     return document, arrays

@@ -99,10 +99,10 @@ export class Search {
 
   /** Mark the words of a list that mean the same as a text: those of a list of texts were compared when it was written. */
   private near(list: Contrast, text: string, query: Float32Array): Uint8Array {
-    const near = new Uint8Array(list.vectors.length), starts = this.arrays.near_starts as Uint32Array | undefined;
-    if (starts && this.words instanceof ListedWords) {
+    const near = new Uint8Array(list.vectors.length), ends = this.arrays.near_ends as Uint32Array | undefined;
+    if (ends && this.words instanceof ListedWords) {
       const row = this.words.row(text);
-      for (const word of (this.arrays.near as Uint16Array).subarray(starts[row], starts[row + 1])) near[word] = 1;
+      for (const word of (this.arrays.near as Uint16Array).subarray(row ? ends[row - 1] : 0, ends[row])) near[word] = 1;
       return near;
     }
     const count = list.vectors.length + 1, middle = query.map((x, d) => list.vectors.reduce((sum, vector) => sum + vector[d], x) / count);
@@ -156,8 +156,8 @@ export class Search {
 
   private eye({ center, extent }: Box, rules: Rules, radius: number): Vec {
     const part = (name: string) => this.arrays[`camera_${name}`] as Float32Array, { scale } = this, middle = this.file.center;
-    const places = part("places").map((x, i) => scale * (x - middle[i % 3]));
-    return eyeFor(center, extent, radius, this.lookUp, { places, poses: part("poses"), lenses: part("lenses"), sizes: part("sizes") }, rules);
+    const places = part("centers").map((x, i) => scale * (x - middle[i % 3]));
+    return eyeFor(center, extent, radius, this.lookUp, { places, poses: part("poses"), lenses: part("K"), sizes: part("sizes") }, rules);
   }
 
   private match(place: Place, certainty: Certainty): Match {

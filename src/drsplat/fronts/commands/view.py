@@ -77,8 +77,8 @@ class Options(Verb):
         "A,B,C", text, title="page",
     )  # fmt: skip
     all_codes: bool = flag(
-        "keep the features of all Gaussians in the page of --export, so that it finds every match as drsplat locate does "
-        "(some three times the size, which is printed)", title="page",
+        "keep the features of all Gaussians in the page of --export, so that it finds every match as drsplat locate "
+        "does (some three times the size, which is printed)", title="page",
     )  # fmt: skip
     path: str | None = option(
         "path of the film in the page of --export, as for drsplat render (default: orbit)", "orbit|swing|photos|FILE",

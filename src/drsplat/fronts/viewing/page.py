@@ -91,7 +91,7 @@ def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False
         raise InputError(f"a page holds up to {MAX_GAUSSIANS:,} Gaussians, got {len(page.shown):,}: show fewer of them")
     order = _order(page)
     layout, blob = packed(_arrays(page, order))
-    header = json.dumps(_header(page) | {"arrays": layout})
+    header = json.dumps(_header(page) | {"arrays": layout}, default=sorted)  # of sets
     scene = base64.b64encode(spz_bytes(page.gaussians.subset(order), degree=0)).decode()
     text = page_html(page.title, header, scene, base64.b64encode(zlib.compress(blob, 6)).decode())
     with replacing(path, overwrite) as file:

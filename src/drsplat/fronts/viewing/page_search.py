@@ -3,11 +3,9 @@
 The rules of an answer are those of `query`; web/src/search follows them and has their numbers from here.
 """
 
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import ModuleType
-from typing import Any
 
 import numpy as np
 
@@ -69,10 +67,6 @@ class PageSearch:
     about: str
 
 
-Known = tuple[Float32[np.ndarray, "t D"], dict[str, np.ndarray], Document, str]
-"""Vectors of texts, further arrays, and the rest as of `PageSearch`. "usual": the mean picture of the scene's list."""
-
-
 def search_of(session: Session, words: Sequence[str] = (), *, all_codes: bool = False) -> PageSearch | None:
     """Return what a page of a session needs to answer words, None where no word is known or nothing has a feature.
 
@@ -84,54 +78,55 @@ def search_of(session: Session, words: Sequence[str] = (), *, all_codes: bool = 
     Raises:
         InputError: words that the encoder does not know.
     """
-    scene, frame = session.scene, session.shown.frame
+    scene = session.scene
     if words:
         scene.encoder.encode_texts(words)  # or the error that says which it does not know
     rows = scene.field.rows_of(session.drawn.ids)
-    own = np.maximum(rows, 0)  # of those without a feature, any: they are marked
     known = _known(scene, (*words, *(session.words or ()))) if (rows >= 0).any() else None
     if known is None:
         return None
-    vectors, tables, document, about = known
+    own, vectors = np.maximum(rows, 0), known.tables["texts"]  # without a feature, any: these rows are marked
     basis, coded = _basis(scene.field, own, vectors, 1.0 if all_codes else CODED_SHARE)
     blocks = [own[begin : begin + BLOCK_ROWS] for begin in range(0, len(own), BLOCK_ROWS)]
     points = np.concatenate([scene.field.feature(block) @ basis[:coded].T for block in blocks])
     most = ALL_STAGES if all_codes else min(STAGES, max(LEAST_STAGES, len(points) // ROWS_PER_STAGE))
     codes, centroids, steps = zip(*_coded(points, most, scene.threads), strict=True)
-    stands = looking.Standpoints.of(scene.views)
-    tables |= {
-        "centroids": np.stack(centroids), "steps": np.array(steps, np.float32), "usual": basis @ tables["usual"],
-        "texts": (vectors @ basis.T).astype(np.float16), "camera_places": stands.centers.astype(np.float32),
-        "camera_poses": stands.poses.astype(np.float32), "camera_lenses": stands.K.astype(np.float32),
-        "camera_sizes": stands.sizes.astype(np.float32),
+    tables = {
+        "centroids": np.stack(centroids), "steps": np.array(steps, np.float32), "usual": basis @ known.tables["usual"],
+        "texts": (vectors @ basis.T).astype(np.float16),
     }  # fmt: skip
-    document |= {
+    document = {**known.document, **_numbers(session), "share": np.count_nonzero(rows >= 0) / len(scene.field)}
+    arrays = _places(scene.field, rows) | {f"code{number}": stage for number, stage in enumerate(codes)}
+    return PageSearch(arrays, {**known.tables, **tables, **_cameras(scene)}, document, known.about)
+
+
+def _numbers(session: Session) -> Document:
+    """Return the numbers of the rules and of the scene; lengths are the browser's."""
+    scene, frame = session.scene, session.shown.frame
+    return {
         "rules": _named(_RULES), "sentences": _named(_SENTENCES), "accents": ACCENTS, "center": frame.center.tolist(),
-        "share": np.count_nonzero(rows >= 0) / len(scene.field), "up": None if scene.up is None else scene.up.tolist(),
+        "up": None if scene.up is None else scene.up.tolist(),
         "radius": looking.radius_of(scene.gaussians) * frame.scale,
         "vocabulary": naming.known_words(scene, session.words),
     }  # fmt: skip
-    arrays = _places(scene.field, rows) | {f"code{number}": stage for number, stage in enumerate(codes)}
-    return PageSearch(arrays, tables, document, about)
+
+
+def _cameras(scene: Scene) -> dict[str, np.ndarray]:
+    stands = looking.Standpoints.of(scene.views)._asdict()
+    return {f"camera_{name}": numbers.astype(np.float32) for name, numbers in stands.items()}
 
 
 def _named(constants: Mapping[ModuleType, str]) -> Document:
-    """Return constants by their names in small letters, as JSON has them."""
-
-    def plain(value: Any) -> Any:
-        return (
-            value.pattern
-            if isinstance(value, re.Pattern)
-            else sorted(value)
-            if isinstance(value, set | frozenset)
-            else value
-        )
-
-    return {name.lower(): plain(getattr(module, name)) for module, names in constants.items() for name in names.split()}
+    """Return constants by their names in small letters; of patterns their texts."""
+    pairs = [(name, getattr(module, name)) for module, names in constants.items() for name in names.split()]
+    return {name.lower(): getattr(value, "pattern", value) for name, value in pairs}
 
 
-def _known(scene: Scene, words: Sequence[str]) -> Known | None:
-    """Return the texts that a page knows: those that the field keeps, and, where somebody embeds words, others."""
+def _known(scene: Scene, words: Sequence[str]) -> PageSearch | None:
+    """Return the texts that a page knows, of which its tables have the vectors, and the mean picture of the scene.
+
+    They are those that the field keeps, and, where somebody embeds words, others.
+    """
     field, background = scene.field, scene.background
     try:
         field.check_encoder(scene.encoder.identity)
@@ -146,43 +141,43 @@ def _known(scene: Scene, words: Sequence[str]) -> Known | None:
         pairs |= {} if kept else zip(*listed_words(encoder), strict=True)
         more = [text for text in dict.fromkeys((*words, *naming.words_of(scene))) if text not in pairs]
         pairs |= zip(*known_words(encoder, more[:MAX_TEXTS]), strict=True)
-    if not pairs:
-        return None
+    return _texts(background, pairs, None if kept or encoder is None else background.own_threshold) if pairs else None
+
+
+def _texts(
+    background: measuring.Background, pairs: Mapping[str, Float32[np.ndarray, " D"]], least: float | None
+) -> PageSearch:
+    """Return texts that are each asked as they are; those of the scene's list come first."""
     texts, vectors = list(pairs), np.array(list(pairs.values()), np.float32)
-    least = None if kept or encoder is None else background.own_threshold
-    tables, document = {"usual": np.zeros(field.encoder.dim, np.float32)}, {"texts": texts, "lists": {}, "doubt": ""}
+    document: Document = {"texts": texts, "lists": {}, "doubt": "", "threshold": least}
+    tables = {"texts": vectors, "usual": np.zeros(vectors.shape[1], np.float32)}
     listed = background.contrast_for(None) if least is None else None
     if listed is not None:
         rivals = texts[: len(listed.vectors)]
         near = contrast.near_each(listed.vectors, vectors).T
-        starts = np.append(0, near.sum(axis=1).cumsum())
-        tables = {
-            "usual": listed.usual, "near": near.nonzero()[1].astype(np.uint16), "near_starts": starts.astype(np.uint32)
-        }  # fmt: skip
-        kinds = {text: [at for at, one in enumerate(rivals) if one in names_under(text)] for text in texts}
-        lists = {"all": {"texts": rivals, "spread": listed.spread, "least": None}}
-        document |= {"lists": lists, "kinds": {text: same for text, same in kinds.items() if same}}
+        tables |= {"usual": listed.usual, "near": near.nonzero()[1].astype(np.uint16)}
+        tables["near_ends"] = near.sum(axis=1).cumsum().astype(np.uint32)
+        kinds = {text: names for text in texts if (names := names_under(text))}
+        document["kinds"] = {text: [at for at, one in enumerate(rivals) if one in kinds[text]] for text in kinds}
+        document["lists"] = {"all": {"texts": rivals, "spread": listed.spread, "least": None}}
     about = f"This page knows {len(texts):,} words and phrases, each as it is listed, and no others."
-    return vectors, tables, document | {"threshold": least}, about
+    return PageSearch({}, tables, document, about)
 
 
-def _sums_of_words(encoder: MiniEncoder, background: measuring.Background) -> Known:
+def _sums_of_words(encoder: MiniEncoder, background: measuring.Background) -> PageSearch:
     """Return the words of the encoder whose texts are sums of them, those of colours on photos last."""
-    known = {"all": (encoder.nouns, background.contrast)}
-    known["colors"] = lexicon.COLORS, background.contrast_of_kind(encoder.photo_colors)
-    lists = {
-        name: {"texts": texts, "spread": one.spread, "least": background.least_peak_of(one)}
-        for name, (texts, one) in known.items()
-        if one is not None
-    }
+    lists, nouns, colors = {}, background.contrast, background.contrast_of_kind(encoder.photo_colors)
+    assert nouns is not None
+    for name, texts, listed in (("all", encoder.nouns, nouns), ("colors", lexicon.COLORS, colors)):
+        lists[name] = {"texts": texts, "spread": listed.spread, "least": background.least_peak_of(listed)}
     doubt = "" if knows_nouns(encoder, background.field) else ONLY_COLORS_DOUBT
     about = (
         f"This page knows {len(lexicon.WORDS) + len(lexicon.SYNONYMS):,} English words, alone and together as in "
         "“red mug”: things of a household, colours and materials, and no others."
     )
     document = {"lists": lists, "threshold": None, "lexicon": _named(_LEXICON), "doubt": doubt}
-    vectors = np.concatenate([encoder.weights["words"], encoder.photo_colors])
-    return vectors, {"usual": known["colors"][1].usual}, document, about
+    tables = {"texts": np.concatenate([encoder.weights["words"], encoder.photo_colors]), "usual": nouns.usual}
+    return PageSearch({}, tables, document, about)
 
 
 def _basis(
