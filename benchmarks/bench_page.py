@@ -67,11 +67,9 @@ def main() -> None:
     print("| page | MB | words that agree | also all others | ms, median |\n|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as place, sync_playwright() as driver:
         opened = driver.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
-        for name, one, more in (
-            ("of the demo", scene, False), ("without objects", plain, False), ("with all codes", scene, True)
-        ):  # fmt: skip
+        for name, one in (("of the demo", scene), ("without objects", plain)):
             path = Path(place) / "page.html"
-            export_page(path, one, ASKED, all_codes=more, overwrite=True)
+            export_page(path, one, ASKED, overwrite=True)
             page = opened.new_page()
             page.set_default_timeout(600_000)
             page.goto(path.as_uri())

@@ -176,21 +176,6 @@ def test_a_page_is_at_most_twice_as_large_as_without_its_search(exported: Pages,
     assert path.stat().st_size < 2 * (tmp_path / "without.html").stat().st_size
 
 
-def test_all_codes_find_every_match(household_story: Story, chromium: Any, tmp_path: Path) -> None:
-    scene = Scene(household_story.field, household_story.gaussians, household_story.views, threads=1)
-    export_page(tmp_path / "page.html", scene, BAKED, all_codes=True)
-    texts = ["mug", "seat", "green car", "vegetable", "bookcase", "brown floor", "wooden table", "wall"]
-    with shown(chromium, tmp_path / "page.html") as page:
-        answers = page.evaluate(FIND, texts)
-    for text, answer in zip(texts, answers, strict=True):
-        expected = scene.locate(text)
-        assert [max(one["object"], -1) for one in answer["matches"]] == [
-            -1 if one.object_id is None else one.object_id for one in expected
-        ], text
-        sizes = [one["num_gaussians"] for one in answer["matches"]]
-        np.testing.assert_allclose(sizes, [len(one) for one in expected], rtol=0.02, atol=3, err_msg=text)
-
-
 def listed_scene(words: int = 350, rows: int = 6000) -> Scene:
     """Three things that look as some of many listed words do, in the space of CLIP-like vectors."""
     world = World(words)

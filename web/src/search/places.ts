@@ -7,12 +7,12 @@ import { connected, median, Tree } from "./numbers";
 export interface Place { rows: number[]; thing: number; score: number; rank: number; sure: boolean } // rows: of the field
 
 /** Return the places that the selected rows make, best first. shown: the Gaussian of each row. */
-export function placesOf(selected: number[], values: Float32Array, things: Int32Array, splats: Splats, shown: Uint32Array, rules: Rules, share: number): Place[] {
+export function placesOf(selected: number[], values: Float32Array, things: Int32Array, splats: Splats, solid: ArrayLike<number>, shown: Uint32Array, rules: Rules, share: number): Place[] {
   const fewest = ofShare(rules.min_gaussians, share);
   if (selected.length < Math.max(fewest, 2)) return [];
   const opacity = (row: number) => splats.opacity[shown[row]] / 255, groups = new Map<number, number[]>();
   numbered(selected, things, splats, shown, rules).forEach((place, i) => { const held = groups.get(place); if (held) held.push(selected[i]); else groups.set(place, [selected[i]]); });
-  const places = [...groups].filter(([, rows]) => rows.filter((row) => opacity(row) >= rules.haze_opacity).length >= fewest).map(([place, rows]): Place => {
+  const places = [...groups].filter(([, rows]) => rows.filter((row) => solid[shown[row]]).length >= fewest).map(([place, rows]): Place => {
     const mass = rows.reduce((sum, row) => sum + opacity(row), 0), score = rows.reduce((sum, row) => sum + (mass > 0 ? opacity(row) / mass : 1 / rows.length) * values[row], 0);
     return { rows, thing: place, score, rank: score > 0 ? score * mass ** rules.mass_power : score, sure: true };
   });

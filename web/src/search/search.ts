@@ -143,7 +143,7 @@ export class Search {
   /** Answer a text with its matches and its paint. */
   find(text: string, number = 0): Found {
     const { values, threshold, measure, certainty, doubt } = this.answer(text), { rows } = this.codes, { accents } = this.file, selected = above(values, threshold);
-    const places = placesOf(selected, values, this.things, this.splats, rows, this.file.rules, this.file.share).slice(0, MOST_MATCHES);
+    const places = placesOf(selected, values, this.things, this.splats, this.arrays.solid, rows, this.file.rules, this.file.share).slice(0, MOST_MATCHES);
     const heat = new Uint8Array(this.splats.count), owner = new Uint8Array(this.splats.count), warm = heatOf(values, threshold);
     warm.forEach((value, i) => { heat[rows[i]] = Math.round(WARMEST * value); });
     places.forEach((place, k) => { for (const row of place.rows) owner[rows[row]] = k + 1; });
@@ -161,7 +161,7 @@ export class Search {
   }
 
   private match(place: Place, certainty: Certainty): Match {
-    const { rules, up, radius, center } = this.file, shown = place.rows.map((row) => this.codes.rows[row]), solid = shown.filter((i) => this.splats.opacity[i] / WARMEST >= rules.haze_opacity);
+    const { rules, up, radius, center } = this.file, shown = place.rows.map((row) => this.codes.rows[row]), solid = shown.filter((i) => this.arrays.solid[i]);
     const box = boxOf(this.splats, solid.length ? solid : shown, up, rules), world = box.center.map((x, k) => x / this.scale + center[k]);
     return {
       ...box, eye: this.eye(box, rules, radius), score: place.score, num_gaussians: place.rows.length, name: "",

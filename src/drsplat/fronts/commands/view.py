@@ -76,10 +76,6 @@ class Options(Verb):
         "words and phrases that the page of --export answers besides those that the field keeps or the encoder knows",
         "A,B,C", text, title="page",
     )  # fmt: skip
-    all_codes: bool = flag(
-        "keep the features of all Gaussians in the page of --export, so that it finds every match as drsplat locate "
-        "does (some three times the size, which is printed)", title="page",
-    )  # fmt: skip
     path: str | None = option(
         "path of the film in the page of --export, as for drsplat render (default: orbit)", "orbit|swing|photos|FILE",
         title="page",
@@ -96,7 +92,7 @@ def run(options: Options) -> Facts:
         raise InputError("view: expected a scene, or --catalogue CATALOGUE")
     if options.catalogue is not None:
         _serve_catalogue(options, options.catalogue)
-    for name in ("path", "play", "known", "all_codes"):
+    for name in ("path", "play", "known"):
         if getattr(options, name) and options.export is None:
             raise InputError(f"{name} is of a page: give --export PAGE.html")
     return _export(options, options.export) if options.export else _serve(options)
@@ -123,7 +119,7 @@ def _export(options: Options, path: str) -> Facts:
     page = export_page(
         path, scene, split_queries(options.ask), words=_words(options.words), up=_up(options.up, scene),
         max_gaussians=options.max_gaussians, overwrite=options.overwrite, path_name=options.path or "orbit",
-        plays=options.play, edits=options.edits or "kept", all_codes=options.all_codes,
+        plays=options.play, edits=options.edits or "kept",
         known=_words(options.known) or (),
     )  # fmt: skip
     note_applied(page.num_edits)

@@ -51,14 +51,12 @@ def export_page(
     title: str = "",
     edits: KeptEdits = "kept",
     known: Sequence[str] = (),
-    all_codes: bool = False,
     overwrite: bool = False,
 ) -> Page:
     """Write a scene to one HTML file that answers words, and needs nothing but a browser; returns what is in it.
 
     queries: whose answers it has from the start; none: words that find something. known: words and phrases that it
-    answers besides those that the field keeps and the encoder's own. all_codes: keep the features of all Gaussians so
-    exactly that every match is the one that the scene has, in some three times the bytes.
+    answers besides those that the field keeps and the encoder's own.
 
     words: what a click on the page can say; None: the encoder's own. up: a unit direction, None: as the photos were
     held. max_gaussians: the most significant ones are shown, 200,000 at most. path_name: of the film that it plays, as
@@ -77,7 +75,7 @@ def export_page(
     )
     up = up_direction(scene) if up is None else up
     page = _filmed_page(session, queries, up, title, path_name)
-    page = replace(page, plays=plays, search=search_of(session, known, all_codes=all_codes))
+    page = replace(page, plays=plays, search=search_of(session, known))
     write_page(path, page, overwrite=overwrite)
     return page
 

@@ -24,8 +24,8 @@ from . import naming
 from .painting import ACCENTS
 from .session import Session
 
-STAGES, ALL_STAGES, LEAST_STAGES = 12, 64, 4
-"""Bytes per Gaussian: by default, where every match is wanted, and in small scenes."""
+STAGES, LEAST_STAGES = 12, 4
+"""Bytes per Gaussian, and in small scenes."""
 ROWS_PER_STAGE = 2048  # of fewer, a stage's table takes more room than their codes
 MAX_DIMS = 160  # along which features differ most; the words of the built-in encoder span 142
 CODED_SHARE = 0.9993  # of the features' squares, along the first of these
@@ -41,7 +41,7 @@ _RULES: Mapping[ModuleType, str] = {
     defaults: "RELEVANCY_THRESHOLD MIN_GAUSSIANS",
     measuring: "HALF_FIT_SHARE",
     wholes: "SPEAKING_SHARE OBJECT_TRUST",
-    tasks: "MASS_POWER SURE_RANK_SHARE HAZE_OPACITY",
+    tasks: "MASS_POWER SURE_RANK_SHARE",
     linking: "NUM_NEIGHBOURS MIN_NEAR_SHARE LINK_FACTOR",
     boxes: "OUTLIER_SHARE MAX_STRAY_SHARE MIN_TAIL_SPARSENESS",
     looking: "DISTANCE_SIZES RISE MARGIN_SHARE MIN_SIZE_SHARE",
@@ -67,13 +67,12 @@ class PageSearch:
     about: str
 
 
-def search_of(session: Session, words: Sequence[str] = (), *, all_codes: bool = False) -> PageSearch | None:
+def search_of(session: Session, words: Sequence[str] = ()) -> PageSearch | None:
     """Return what a page of a session needs to answer words, None where no word is known or nothing has a feature.
 
     Args:
         session: the scene, and what of it is shown.
         words: to be answered besides those that the field or the encoder knows.
-        all_codes: keep features so exactly that every match is the one that the scene has.
 
     Raises:
         InputError: words that the encoder does not know.
@@ -86,17 +85,18 @@ def search_of(session: Session, words: Sequence[str] = (), *, all_codes: bool = 
     if known is None:
         return None
     own, vectors = np.maximum(rows, 0), known.tables["texts"]  # without a feature, any: these rows are marked
-    basis, coded = _basis(scene.field, own, vectors, 1.0 if all_codes else CODED_SHARE)
+    basis, coded = _basis(scene.field, own, vectors)
     blocks = [own[begin : begin + BLOCK_ROWS] for begin in range(0, len(own), BLOCK_ROWS)]
     points = np.concatenate([scene.field.feature(block) @ basis[:coded].T for block in blocks])
-    most = ALL_STAGES if all_codes else min(STAGES, max(LEAST_STAGES, len(points) // ROWS_PER_STAGE))
+    most = min(STAGES, max(LEAST_STAGES, len(points) // ROWS_PER_STAGE))
     codes, centroids, steps = zip(*_coded(points, most, scene.threads), strict=True)
     tables = {
         "centroids": np.stack(centroids), "steps": np.array(steps, np.float32), "usual": basis @ known.tables["usual"],
         "texts": (vectors @ basis.T).astype(np.float16),
     }  # fmt: skip
     document = {**known.document, **_numbers(session), "share": np.count_nonzero(rows >= 0) / len(scene.field)}
-    arrays = _places(scene.field, rows) | {f"code{number}": stage for number, stage in enumerate(codes)}
+    arrays = {"solid": (session.drawn.opacities >= tasks.HAZE_OPACITY).astype(np.uint8)}  # a page rounds opacities
+    arrays |= _places(scene.field, rows) | {f"code{number}": stage for number, stage in enumerate(codes)}
     return PageSearch(arrays, {**known.tables, **tables, **_cameras(scene)}, document, known.about)
 
 
@@ -180,10 +180,8 @@ def _sums_of_words(encoder: MiniEncoder, background: measuring.Background) -> Pa
     return PageSearch({}, tables, document, about)
 
 
-def _basis(
-    field: LanguageField, rows: np.ndarray, vectors: np.ndarray, share: float
-) -> tuple[Float32[np.ndarray, "d D"], int]:
-    """Return unit directions along which features differ, most first, and how many of them have a share of the squares.
+def _basis(field: LanguageField, rows: np.ndarray, vectors: np.ndarray) -> tuple[Float32[np.ndarray, "d D"], int]:
+    """Return unit directions along which features differ, most first, and how many of them are worth a code.
 
     They are of the space that the words span, where these are few.
     """
@@ -193,7 +191,7 @@ def _basis(
     squares, axes = np.linalg.eigh(sample.T @ sample)
     shares = squares[::-1].cumsum() / squares.sum()
     basis = axes[:, : -MAX_DIMS - 1 : -1].T @ span
-    return np.ascontiguousarray(basis, np.float32), min(len(basis), int(shares.searchsorted(share)) + 1)
+    return np.ascontiguousarray(basis, np.float32), min(len(basis), int(shares.searchsorted(CODED_SHARE)) + 1)
 
 
 def _spread(rows: np.ndarray) -> np.ndarray:
