@@ -132,7 +132,7 @@ def _arrays(page: Page, order: Ids) -> dict[str, np.ndarray]:
         arrays[f"heat{number}"], arrays[f"owner{number}"] = as_bytes(answer.heat), answer.owners
     further: dict[str, np.ndarray] = {} if page.times is None else arrays_of(page.times)
     if page.search is not None:
-        arrays, further = arrays | page.search.rows, further | page.search.tables
+        arrays, further = {**arrays, **page.search.rows}, {**further, **page.search.tables}
     return {name: array[order] for name, array in arrays.items()} | further
 
 
