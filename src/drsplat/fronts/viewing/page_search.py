@@ -1,4 +1,4 @@
-"""What lets a page answer words that nobody asked when it was written: codes of what is shown, vectors of words.
+"""Codes of what is shown and vectors of words, with which a page answers words that nobody asked before.
 
 The rules of an answer are those of `query`; web/src/search follows them and has their numbers from here.
 """
@@ -56,7 +56,7 @@ _LEXICON = {lexicon: "WORDS NAMES COLORS PAINTS ORANGE TONES SYNONYMS ANYTHING I
 
 @dataclass(frozen=True, eq=False)
 class PageSearch:
-    """What a page searches in. rows: arrays with a number per shown Gaussian. tables: further arrays.
+    """Content of a page that it searches in. rows: arrays with a number per shown Gaussian. tables: further arrays.
 
     document: the numbers of the rules, and the words that are known. about: says which these are, for people.
     """
@@ -112,6 +112,7 @@ def _numbers(session: Session) -> Document:
 
 
 def _cameras(scene: Scene) -> dict[str, np.ndarray]:
+    """Return the photos' cameras, from which matches are looked at."""
     stands = looking.Standpoints.of(scene.views)._asdict()
     return {f"camera_{name}": numbers.astype(np.float32) for name, numbers in stands.items()}
 
