@@ -164,8 +164,10 @@ def live(opened: Any, folder: Path, output: Path) -> None:
 def exported(opened: Any, folder: Path, output: Path) -> None:
     with tempfile.TemporaryDirectory() as place:
         export_page(Path(place) / "page.html", open_scene(folder), PAGE)
-        for name, size in (("viewer_page", (1000, 640)), ("viewer_phone", PHONE)):
+        for name, size, word in (("viewer_page", (1000, 640), "green mug"), ("viewer_phone", PHONE, "bookcase")):
             with shown(opened, (Path(place) / "page.html").as_uri(), size) as page:
+                page.evaluate("(word) => drsplat.prompt.ask(word)", word)
+                page.wait_for_function("(word) => drsplat.state.results[0]?.text === word", arg=word)
                 shot(page, output / f"{name}.jpg")
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -23,8 +24,10 @@ from drsplat.evaluation.demo.story import PROBES
 from drsplat.field.codes import save_codebook
 from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.npy import write_npy
+from drsplat.fronts.commands.demo import EXAMPLES
 from furnished.story import Story
 from growing_fields import files_of
+from twins.page_codes import read_page
 
 
 @pytest.fixture(scope="module")
@@ -524,6 +527,29 @@ def test_demo_verb_tells_its_story(
     printed = text_of(capsys, "demo", "--output-dir", tmp_path, "--overwrite")
     assert "made-up room" in " ".join(printed.split())
     assert printed.count("MISS") == count - answer["num_right"]
+
+
+def test_the_demo_makes_a_page_that_answers_and_names_commands_that_run_without_extras(
+    household_story: household.Story, household_folder: Path, tmp_path: Path, capsys: Capture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    monkeypatch.setattr("drsplat.evaluation.demo.story.tell", lambda *_args, **_options: household_story)
+    monkeypatch.setattr("drsplat.evaluation.demo.album.write_album", lambda *_args, **_options: [tmp_path] * 17)
+    for extra in ("fastapi", "uvicorn", "prometheus_client", "torch", "usd", "mcp", "msgspec"):
+        monkeypatch.setitem(sys.modules, extra, None)
+    printed = text_of(capsys, "demo", "--output-dir", tmp_path)
+    header, _ = read_page(tmp_path / "index.html")
+    assert [answer["text"] for answer in header["answers"]] == [probe.text for probe in PROBES]
+    assert header["search"]["lists"]["all"]["texts"]
+    lines = [line for line in (*printed.splitlines(), *EXAMPLES.splitlines()) if line.startswith("  drsplat ")]
+    told = [line.split(" (afterwards")[0] for line in lines if not line.startswith("  drsplat demo")]
+    monkeypatch.chdir(tmp_path)
+    assert len(told) == 5
+    for number, line in enumerate(dict.fromkeys(told)):
+        command = [household_folder if part in (str(tmp_path), "drsplat-demo") else part for part in shlex.split(line)]
+        for place in tmp_path.iterdir():
+            place.unlink()
+        assert text_of(capsys, *command[1:]), (number, line)
 
 
 def test_progress_is_silent_where_nobody_looks(capsys: Capture) -> None:

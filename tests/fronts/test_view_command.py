@@ -62,10 +62,11 @@ def test_a_page_holds_the_scene_and_its_answers(folder: Path) -> None:
     owners = np.frombuffer(blob, np.uint8, size, offset)
     np.testing.assert_array_equal(np.flatnonzero(owners), np.arange(2 * EACH, 3 * EACH))
     assert [len(answer["matches"]) for answer in header["answers"]] == [1, 0]
-    _, offset, size = arrays["words"]
-    words = np.frombuffer(blob, np.uint16, size, offset)
-    assert header["vocabulary"][words[0] - 1] == "red mug"
-    assert set(words[3 * EACH :]) == {0}  # without a feature
+    assert header["search"]["vocabulary"] == list(THINGS)
+    _, offset, size = arrays["things"]
+    things = np.frombuffer(blob, np.uint32, size, offset)
+    assert set(things[: 3 * EACH]) == {1}  # of no object
+    assert set(things[3 * EACH :]) == {0}  # without a feature
 
 
 def test_a_query_cannot_end_the_script_that_it_is_in(folder: Path) -> None:
@@ -108,11 +109,7 @@ def test_a_page_opens_before_its_first_match(folder: Path) -> None:
 
 @pytest.mark.parametrize(
     ("more", "said"),
-    [
-        ([], '--ask "red mug; lamp"'),
-        (["--ask", " ; "], "a page holds answers"),
-        (["--ask", "mug", "--up", "up"], "expected one of"),
-    ],
+    [(["--ask", "mug", "--up", "up"], "expected one of"), (["--ask", "mug", "--known", "..."], "has no word")],
 )
 def test_what_is_missing_is_said(folder: Path, capsys: pytest.CaptureFixture[str], more: list[str], said: str) -> None:
     assert export(folder, *more) == 1

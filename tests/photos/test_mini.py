@@ -196,7 +196,7 @@ def test_an_orange_is_a_fruit_or_a_colour(text: str, words: list[str]) -> None:
 
 
 def test_every_word_has_its_row(mini: MiniEncoder) -> None:
-    assert mini._weights["words"].shape == (len(WORDS), DIM)
+    assert mini.weights["words"].shape == (len(WORDS), DIM)
 
 
 def test_a_field_of_it_is_asked_without_further_options(mini: MiniEncoder) -> None:

@@ -6,13 +6,15 @@ import type { Act, Backend, Growing, Header, Mode, Paint, Result, SceneObject, S
 import { splatsOf } from "./spz";
 import type { Vec } from "./vectors";
 
-type Layout = [string, "f4" | "f2" | "u1" | "u2", number, number][];
-const KINDS = { f4: Float32Array, f2: Uint16Array, u1: Uint8Array, u2: Uint16Array };
+import { Search, type Arrays, type Found, type SearchFile } from "./search/search";
+
+type Layout = [string, "f4" | "f2" | "u1" | "u2" | "u4", number, number][];
+const KINDS = { f4: Float32Array, f2: Uint16Array, u1: Uint8Array, u2: Uint16Array, u4: Uint32Array }, MOST_SUGGESTED = 6;
 
 /** What a page's file says beside a header: its answers, in the order of its arrays heat0, owner0, heat1, ... */
 export interface PageFile extends Header {
-  answers: Result[]; vocabulary: string[]; arrays: Layout; frame: { center: Vec; scale: number };
-  annotations: State["annotations"]; clock: Clock | null;
+  answers: Result[]; arrays: Layout; frame: { center: Vec; scale: number };
+  annotations: State["annotations"]; clock: Clock | null; search: SearchFile | null;
 }
 
 /** Times of a scene that moves; see `Moves`. */
@@ -24,9 +26,15 @@ export class PageBackend implements Backend {
   private object = -1; // index of the object that was chosen
   private now: State;
   private readonly scene: Promise<Splats>;
+  readonly search: Promise<Search> | null;
+  private searching: Search | null = null; // once it is ready
+  private readonly found = new Map<Result, Found>();
 
-  private constructor(readonly file: PageFile, readonly arrays: Record<string, Uint8Array | Uint16Array | Float32Array>, scene: Promise<Splats>) {
+  private constructor(readonly file: PageFile, readonly arrays: Arrays, scene: Promise<Splats>) {
     this.scene = scene;
+    const { search, frame, up } = file;
+    this.search = search ? scene.then((splats) => (this.searching = new Search(search, arrays, splats, up, frame.scale))) : null;
+    void this.search?.then((ready) => this.prepare(ready));
     this.results = file.answers;
     const mode: Mode = file.answers.length && !file.plays ? "answer" : "as it is";
     this.now = {
@@ -45,6 +53,11 @@ export class PageBackend implements Backend {
     return new PageBackend(file, arrays, scene);
   }
 
+  /** Do what a first question needs, a step at a time between pictures. */
+  private async prepare(search: Search): Promise<void> {
+    for (const _ of search.preparing()) await new Promise((done) => setTimeout(done, 0));
+  }
+
   header(): Promise<Header> { return Promise.resolve(this.file); }
   state(): Promise<State> { return Promise.resolve(this.now); }
   async *splats(): AsyncGenerator<Growing> { const splats = await this.scene; yield { splats, room: splats.count, all: splats.count }; }
@@ -58,7 +71,7 @@ export class PageBackend implements Backend {
     if (this.object >= 0 && object) for (let i = 0; i < count; i++) { if (object[i] === this.object + 1) { owner[i] = 1; heat[i] = 255; } }
     else {
       this.now.results.forEach((result, k) => {
-        const number = this.results.indexOf(result), warm = this.arrays[`heat${number}`], own = this.arrays[`owner${number}`];
+        const found = this.found.get(result), number = this.results.indexOf(result), warm = found?.heat ?? this.arrays[`heat${number}`], own = found?.owner ?? this.arrays[`owner${number}`];
         if (!warm || !own) return;
         for (let i = 0; i < count; i++) { heat[i] = Math.max(heat[i], warm[i]); if (own[i] && !owner[i]) owner[i] = k + 1; }
       });
@@ -85,20 +98,32 @@ export class PageBackend implements Backend {
     }
   }
 
-  /** Answer with what the page has: queries, several with ";" between them, or the name of an object. */
-  private ask(text: string): Partial<State> {
-    const asked = text.split(";").map((part) => part.trim()).filter(Boolean), results: Result[] = [];
+  suggest(typed: string): string[] { return typed ? this.searching?.suggest(typed, MOST_SUGGESTED) ?? [] : []; }
+  known(): [string, string[]][] { return this.searching?.words.listed ?? []; }
+
+  /** Answer with what the page has, several queries with ";" between them: answers, names of objects, words that it knows. */
+  private async ask(text: string): Promise<Partial<State>> {
+    const asked = text.split(";").map((part) => part.trim()).filter(Boolean), results: Result[] = [], search = await this.search;
+    this.found.clear();
     for (const one of asked) {
       const same = (other: string) => other.toLowerCase() === one.toLowerCase(), result = this.results.find((answer) => same(answer.text));
       if (result) results.push(result);
       else {
         const object = this.file.objects.findIndex((thing) => same(thing.name));
         if (object >= 0 && asked.length === 1) return this.choose(object);
+        if (search) { results.push(this.answered(search, one, results.length)); continue; }
         throw new Error(`This page has no answer to “${one}”. It knows: ${[...this.results.map((answer) => answer.text), ...this.file.objects.map((thing) => thing.name)].slice(0, 8).join(", ")}.`);
       }
     }
     this.object = -1;
     return { results, mode: "answer", clicked: null, chosen: null, message: results.map((result) => result.summary).join(" ") };
+  }
+
+  /** Answer words that nobody asked when the page was written. */
+  private answered(search: Search, text: string, number: number): Result {
+    const found = search.find(text, number);
+    this.found.set(found.result, found);
+    return found.result;
   }
 
   private choose(index: number): Partial<State> {
@@ -114,10 +139,10 @@ export class PageBackend implements Backend {
   }
 
   private async click(eye: Vec, direction: Vec): Promise<Partial<State>> {
-    const row = pick(await this.scene, eye, direction), words = this.arrays.words, objects = this.arrays.objects;
+    const row = pick(await this.scene, eye, direction), search = await this.search, objects = this.arrays.objects;
     if (row < 0) return { clicked: null };
-    const word = words && words[row] ? this.file.vocabulary[words[row] - 1] : "", object = objects ? objects[row] - 1 : -1;
-    const clicked = { name: word, words: word ? [{ text: word, score: 0 }] : [], place: "", support: [], photo: false };
+    const words = search?.wordsOf(row) ?? [], object = objects ? objects[row] - 1 : -1;
+    const clicked = { name: words[0]?.text ?? "", words, place: "", support: [], photo: false };
     const of = this.results.filter((_, k) => (this.arrays[`owner${k}`] as Uint8Array)[row]).map((result) => result.text);
     return { ...(object >= 0 ? this.choose(object) : {}), clicked: { ...clicked, place: of.length ? `match of: ${of.join(", ")}` : "" } };
   }

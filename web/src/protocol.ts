@@ -10,11 +10,11 @@ export interface Box { center: Vec; axes: [Vec, Vec, Vec]; extent: Vec }
 /** A place that can be flown to. `boxes`: where it is at each time of a page's scene that moves, null where it is gone. */
 export interface Place extends Box { eye: Vec; boxes?: (number[] | null)[]; gone?: boolean }
 
-export interface Match extends Place { score: number; size: string; place: string; num_gaussians: number; name: string }
+export interface Match extends Place { score: number; size: string; place: string; num_gaussians: number; name: string; sure?: boolean; object?: number }
 
 export interface Result {
   text: string; summary: string; doubt: string; accent: Color; matches: Match[]; num_matches: number;
-  threshold: number; automatic: number; limits: [number, number]; measure: string; threshold_rule: string; exact: boolean;
+  threshold: number; automatic: number; limits: [number, number]; measure: string; threshold_rule: string; exact: boolean; certainty?: "sure" | "maybe" | "nothing";
   instead?: string[]; // words that have a match where this has none
 }
 
@@ -36,7 +36,7 @@ export interface Header {
   title: string; about: string; eye: Vec; target: Vec; up: Vec; fov: number; heat: Color[]; look: Look; antialiased: boolean;
   words: string[]; modes: Mode[]; can: Can; objects: SceneObject[]; photos: Photo[];
   times: { first: number; last: number; count: number; seconds: number } | null;
-  film: Film | null; plays: boolean; tiles?: TiledScene | null;
+  film: Film | null; plays: boolean; tiles?: TiledScene | null; knows?: string;
 }
 
 /** A scene in tiles, of which a browser should hold `budget` rows. coarse: rows of a tile's coarse part, of all its rows. */
@@ -92,6 +92,9 @@ export interface Backend {
   /** Hear of changes that others made. */
   listen(changed: (state: State) => void): void;
   objectPicture(object: SceneObject): string;
+  /** Return texts to go on with what is typed, and all words that are known, under heads; a page alone knows them. */
+  suggest?(typed: string): string[];
+  known?(): [string, string[]][];
   live: Live | null;
 }
 

@@ -189,6 +189,20 @@ def _near(vectors: Float32[np.ndarray, "n D"], query: Float32[np.ndarray, " D"])
     return last[2]
 
 
+def near_each(vectors: Float32[np.ndarray, "n D"], queries: Float32[np.ndarray, "q D"]) -> Bool[np.ndarray, "n q"]:
+    """Mark the words that mean the same as each of many unit queries: what `_near` does for one.
+
+    Both are seen from the mean of the list and the query: with c = n + 1 texts and all from the list's mean, that of a
+    query q is q / c.
+    """
+    middle, count = vectors.mean(0, dtype=np.float64), len(vectors) + 1
+    words, texts = vectors - middle, queries - middle
+    products, squares = words @ texts.T, (texts * texts).sum(1) / count
+    lengths = (words * words).sum(1)[:, None] - 2 / count * products + squares / count
+    cosines = (products - squares) / np.sqrt(np.maximum(lengths * squares * count, 1e-24))
+    return np.asarray((vectors @ queries.T > 1 - 1e-5) | (cosines > SAME_MEANING_COSINE))
+
+
 def contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], *, threads: int = 0) -> Contrast:
     """Score a list of words once; 6 (n / WORDS_PER_RIVAL + SPARE_WORDS) bytes per row. The last one of a field is kept.
 

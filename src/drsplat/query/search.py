@@ -26,7 +26,7 @@ class PixelWeights(NamedTuple):
 
 UNSELECTED_COSINE = -1.0  # which no threshold selects
 QUERIES_AT_ONCE = 8  # whose scores are held
-_BUT_NOT = re.compile(r"\s*,\s*(?:(?:and|but)\s+)?not(?:\s+|$)|\s+but\s+not(?:\s+|$)", re.IGNORECASE)
+BUT_NOT = re.compile(r"\s*,\s*(?:(?:and|but)\s+)?not(?:\s+|$)|\s+but\s+not(?:\s+|$)", re.IGNORECASE)
 
 
 def embed_query(encoder: Encoder, field: Embedded, text: str) -> Float32[np.ndarray, " D"]:
@@ -56,7 +56,7 @@ def split_negation(text: str) -> tuple[str, tuple[str, ...]]:
 
     Raises: InputError: nothing before or after a "not".
     """
-    wanted, *unwanted = (part.strip() for part in _BUT_NOT.split(text))
+    wanted, *unwanted = (part.strip() for part in BUT_NOT.split(text))
     if unwanted and not all([wanted, *unwanted]):
         raise InputError(f"{text.strip()!r}: expected words and their exclusions, as in 'mug, not red'")
     return wanted, tuple(unwanted)

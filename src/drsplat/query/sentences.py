@@ -33,16 +33,16 @@ _UNKNOWN = (
     "leftmost", "rightmost",
 )  # fmt: skip
 _ANYTHING = {"", "all", "anything", "everything", "something", "object", "objects", "thing", "things", "what"}
-_HERE = {"scene", "room", "picture", "photo", "photos", "here", "use", "total", "there", "it"}
-_ASKING = re.compile(
+HERE = {"scene", "room", "picture", "photo", "photos", "here", "use", "total", "there", "it"}
+ASKING = re.compile(
     r"^(?:how many|(?:the )?number of|count(?: all)?|find(?: me)?|show(?: me)?|where(?:'s| is| are)|"
     r"what(?:'s| is| are)?)\s+"
 )
-_THERE = re.compile(r"\s+(?:are|is) there\b")
-_ARTICLE = re.compile(r"^(?:(?:the|this|an?|any|some|all|my)\s+)+", re.IGNORECASE)
-_NUMBER = re.compile(r"^(?:two|three|four|five|six|seven|eight|nine|ten|[2-9]|1\d)\s+(?=\S)")
-_NOT = re.compile(r"\s+(?:that|which)\s+(?:is|are)\s+not\s+")
-_POSED = re.compile(
+THERE = re.compile(r"\s+(?:are|is) there\b")
+ARTICLE = re.compile(r"^(?:(?:the|this|an?|any|some|all|my)\s+)+", re.IGNORECASE)
+NUMBER = re.compile(r"^(?:two|three|four|five|six|seven|eight|nine|ten|[2-9]|1\d)\s+(?=\S)")
+NOT = re.compile(r"\s+(?:that|which)\s+(?:is|are)\s+not\s+")
+POSED = re.compile(
     r"(?:^|\s+)(?:(?:that|which)\s+)?(?:(?:is|are|lies?|stands?|sits?)\s*)?"
     r"(?:(?:standing|sitting|lying|hanging|placed|put)\s*)?$"
 )
@@ -61,7 +61,7 @@ def _any_of(words: Sequence[str]) -> str:
     return rf"(?<![\w(-])({'|'.join(sorted(map(re.escape, words), key=len, reverse=True))})(?![\w-])"
 
 
-_RELATED, _STRANGE = re.compile(_any_of(list(_SPELLED))), re.compile(_any_of(_UNKNOWN))
+RELATED, STRANGE = re.compile(_any_of(list(_SPELLED))), re.compile(_any_of(_UNKNOWN))
 
 
 def parsed(text: str) -> Sentence:
@@ -71,26 +71,26 @@ def parsed(text: str) -> Sentence:
     """
     said = " ".join(text.split()).rstrip("?.! ")
     lower = said.lower()
-    asking = _ASKING.match(lower)
+    asking = ASKING.match(lower)
     if asking:
-        said = _THERE.sub("", said[asking.end() :], count=1)
-    said = _NOT.sub(", not ", said)
-    strange = _STRANGE.search(said.lower())
+        said = THERE.sub("", said[asking.end() :], count=1)
+    said = NOT.sub(", not ", said)
+    strange = STRANGE.search(said.lower())
     if strange and said[strange.end() :].strip():
         raise InputError(
             f"'{strange[0]}' is not understood: expected 'X on Y', or X in, next to, under, above, left of or right of "
             "Y, or between Y and Z"
         )
-    found = _RELATED.search(said.lower())
+    found = RELATED.search(said.lower())
     if found is None:
-        return Sentence(_thing(said) if asking or _NUMBER.match(lower) else said)
+        return Sentence(_thing(said) if asking or NUMBER.match(lower) else said)
     place = said[found.end() :].strip(" ,")
-    if not (said[: found.start()].strip() or asking or _ARTICLE.match(place)):
+    if not (said[: found.start()].strip() or asking or ARTICLE.match(place)):
         return Sentence(said)  # "over ear headphones", where "on the table" asks for what is there
-    after, *unwanted = re.split(r"(?=, not )", _ARTICLE.sub("", place))
-    before = _POSED.sub("", said[: found.start()]) + "".join(unwanted)
-    if not after or after.lower() in {*COLORS, *TONES} or after.lower().split()[0] in _HERE:
-        is_place = bool(after) and after.lower() in _HERE
+    after, *unwanted = re.split(r"(?=, not )", ARTICLE.sub("", place))
+    before = POSED.sub("", said[: found.start()]) + "".join(unwanted)
+    if not after or after.lower() in {*COLORS, *TONES} or after.lower().split()[0] in HERE:
+        is_place = bool(after) and after.lower() in HERE
         return Sentence(_thing(before) if is_place or asking else said)
     relation = _SPELLED[found[0]]
     others = tuple(_thing(one) for one in re.split(r"\s+and\s+", after)) if relation == "between" else (_thing(after),)
@@ -116,7 +116,7 @@ def known_parts(text: str, encoder: Encoder | None) -> list[str]:
 
 
 def _thing(words: str) -> str:
-    return _NUMBER.sub("", _ARTICLE.sub("", words.strip(" ,")))
+    return NUMBER.sub("", ARTICLE.sub("", words.strip(" ,")))
 
 
 def related_answer(scene: "Scene", query: Query, sentence: Sentence) -> Answer:

@@ -7,7 +7,7 @@ import { about } from "./chosen";
 import { askedOf } from "./link";
 import { photosOf } from "./photos";
 
-const LISTED = 8, MOST_OTHERS = 6, STEP = 0.001;
+const LISTED = 8, MOST_OTHERS = 6, STEP = 0.001, KNOWN = "Words that this page knows";
 
 export class AskTab implements Tab {
   readonly name = "ask";
@@ -19,7 +19,7 @@ export class AskTab implements Tab {
     const { results, clicked } = this.app.state;
     return [
       ...(results.length ? results.map((result, k) => this.result(result, k)) : [this.start()]), ...this.present(),
-      ...(clicked ? [this.thing()] : []), ...(results.length ? this.others() : []), ...this.classes(), ...photosOf(this.app),
+      ...(clicked ? [this.thing()] : []), ...(results.length ? this.others() : []), ...this.classes(), ...photosOf(this.app), ...this.known(),
     ];
   }
 
@@ -37,6 +37,14 @@ export class AskTab implements Tab {
     return [h("label", { class: "check", for: "present", title: "Show the best place, even where other words fit better" }, box, "I know it is there")];
   }
 
+  /** What a page can be asked, before anyone types. */
+  private known(): Node[] {
+    const { header, backend } = this.app;
+    if (!header.knows) return [];
+    const words = (backend.known?.() ?? []).flatMap(([head, all]) => [h("h3", {}, head), h("p", { class: "faint" }, all.join(", "))]);
+    return [h("p", { class: "faint", id: "knows" }, header.knows), drawer(KNOWN, ...words)];
+  }
+
   /** Further words that have answers here. */
   private others(): Node[] {
     const asked = new Set(this.app.state.results.map((result) => result.text)), words = this.app.header.words.filter((word) => !asked.has(word)).slice(0, MOST_OTHERS);
@@ -46,7 +54,9 @@ export class AskTab implements Tab {
   private result(result: Result, number: number): Node {
     const { matches, accent, text, num_matches, doubt } = result, chosen = this.app.state.chosen;
     const title = h("h2", {}, h("span", { class: "dot", style: `background:rgb(${accent.join(",")})` }), chosen ? chosen.name : text);
-    const summary = [matches.length ? counted(num_matches, "match", "matches") : `No match for “${text}”`, doubt].filter(Boolean).join(". ");
+    const sure = matches.filter((match) => match.sure !== false).length, some = sure < matches.length && !this.app.backend.live && !chosen ? `, ${sure} sure` : "";
+    const found = matches.length ? `${counted(num_matches, "match", "matches")}${some}` : `No match for “${text}”`;
+    const summary = [found, doubt].filter(Boolean).join(". ");
     const shown = matches.slice(0, LISTED).map((match, k) => this.match(match, k, matches.length));
     const more = matches.slice(LISTED).map((match, k) => this.match(match, k + LISTED, matches.length));
     return h("section", { class: "result" }, title, chosen ? about(this.app) : h("p", { class: "faint" }, summary), this.instead(result),

@@ -5,7 +5,7 @@ import type { App } from "./app";
 
 const MOST = 7, MOST_RECENT = 8;
 
-interface Offer { text: string; kind: "has matches" | "object" | "recent"; number?: number }
+interface Offer { text: string; kind: "has matches" | "object" | "recent" | "word"; number?: number }
 
 export class Prompt {
   private readonly input = byId<HTMLInputElement>("query");
@@ -52,6 +52,7 @@ export class Prompt {
     const every: Offer[] = [
       ...this.recent().map((text): Offer => ({ text, kind: "recent" })), ...this.app.header.words.map((text): Offer => ({ text, kind: "has matches" })),
       ...this.app.header.objects.map(({ name, number }): Offer => ({ text: name, kind: "object", number })),
+      ...(this.app.backend.suggest?.(typed) ?? []).map((text): Offer => ({ text, kind: "word" })),
     ];
     const known = new Set<string>();
     this.offers = every.filter(({ text }) => fits(text) && !known.has(text.toLowerCase()) && known.add(text.toLowerCase())).slice(0, MOST);

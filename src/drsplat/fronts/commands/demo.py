@@ -10,9 +10,11 @@ EXAMPLES = """\
   drsplat demo
   drsplat demo --output-dir room --overwrite --json
   drsplat locate drsplat-demo "red vase"        (afterwards)
-  drsplat view drsplat-demo                     (afterwards, in a browser)
+  drsplat objects drsplat-demo --picture objects.jpg
+  drsplat view drsplat-demo --export page.html --ask "red vase; couch"
 
 To resume a stopped run, give the same command again without --overwrite."""
+PAGE, TITLE = "index.html", "A room, searched in words"
 CAPTION = (
     "The photos are renderings of a made-up room that neither the segmenter nor the encoder learned from; both are "
     "built in, small, and know this kind of room only. Real photos need SAM and CLIP: see drsplat embed --help."
@@ -48,15 +50,18 @@ def _run_story(options: Options, folder: Path) -> Facts:
     from ...base.progress import Stopwatch
     from ...base.system import peak_memory_bytes
     from ...evaluation.demo.album import write_album
-    from ...evaluation.demo.page import write_page
     from ...evaluation.demo.story import FIELD, SCENE, tell
+    from ...query import Scene
+    from ..viewing.exporting import export_page
 
     watch, threads, followed = Stopwatch(), options.threads, options.track
     story = tell(folder, overwrite=True, anew=options.overwrite, threads=threads, track=followed)
     watch.lap("story")
     pictures = write_album(folder, story, overwrite=True)
-    page = write_page(folder, story, pictures[1:], overwrite=True)
     watch.lap("pictures")
+    page, scene = folder / PAGE, Scene(story.field, story.gaussians, story.views, threads=threads)
+    export_page(page, scene, [one.probe.text for one in story.verdicts], title=TITLE, edits="none", overwrite=True)
+    watch.lap("page")
     return {
         "output_dir": str(folder),
         "scene": str(folder / SCENE),
@@ -72,7 +77,7 @@ def _run_story(options: Options, folder: Path) -> Facts:
         "queries": [_query(verdict, path) for verdict, path in zip(story.verdicts, pictures[1:], strict=True)],
         "num_right": sum(verdict.is_right for verdict in story.verdicts),
         "seconds": sum(watch.seconds.values()),
-        "stage_seconds": {**story.seconds, "pictures": watch.seconds["pictures"]},
+        "stage_seconds": {**story.seconds, "pictures": watch.seconds["pictures"], "page": watch.seconds["page"]},
         "peak_memory_bytes": peak_memory_bytes(),
         "caption": CAPTION,
     }
@@ -92,9 +97,11 @@ def show(answer: Facts) -> None:
         f"{answer['num_right']} of {len(answer['queries'])} answers are right, measured in {answer['num_held_out']} "
         f"photos held out; {seconds:.1f} s, {memory} at most."
     )
-    print(f"Look at {answer['page']} or {answer['overview']}, then try your own query:")
-    print(f'  drsplat locate {answer["output_dir"]} "red vase"')
-    print(f"  drsplat view {answer['output_dir']}        (in a browser)")
+    folder = answer["output_dir"]
+    print(f"Open {answer['page']} in a browser: it shows the room and answers words, without a server or a network.")
+    print(f"{answer['overview']} has all answers on one picture. Then try your own query:")
+    print(f'  drsplat locate {folder} "red vase"')
+    print(f"  drsplat objects {folder} --picture objects.jpg")
     Console(highlight=False, markup=False).print(f"\n{answer['caption']}", style="dim")
 
 

@@ -71,7 +71,11 @@ class Options(Verb):
     save_dir: str | None = option(
         "folder for saved files, under new names (default: none, the browser downloads them)", "DIR", title="viewer"
     )
-    export: str | None = option("write a page with the answers to --ask, and exit", "PAGE.html", title="page")
+    export: str | None = option("write a page that answers --ask and other words, and exit", "PAGE.html", title="page")
+    known: str | None = option(
+        "words and phrases that the page of --export answers besides those that the field keeps or the encoder knows",
+        "A,B,C", text, title="page",
+    )  # fmt: skip
     path: str | None = option(
         "path of the film in the page of --export, as for drsplat render (default: orbit)", "orbit|swing|photos|FILE",
         title="page",
@@ -88,9 +92,9 @@ def run(options: Options) -> Facts:
         raise InputError("view: expected a scene, or --catalogue CATALOGUE")
     if options.catalogue is not None:
         _serve_catalogue(options, options.catalogue)
-    for name in ("path", "play"):
+    for name in ("path", "play", "known"):
         if getattr(options, name) and options.export is None:
-            raise InputError(f"{name}: a film is part of a page: give --export PAGE.html")
+            raise InputError(f"{name} is of a page: give --export PAGE.html")
     return _export(options, options.export) if options.export else _serve(options)
 
 
@@ -102,6 +106,8 @@ def show(answer: Facts) -> None:
             print(f"  {answer['moving']}")
         for one in answer["queries"]:
             print(f"  {one['text']}: {counted(one['num_matches'], 'match', 'matches')}")
+        if answer["knows"]:
+            print(f"  {answer['knows']}")
 
 
 def _export(options: Options, path: str) -> Facts:
@@ -114,6 +120,7 @@ def _export(options: Options, path: str) -> Facts:
         path, scene, split_queries(options.ask), words=_words(options.words), up=_up(options.up, scene),
         max_gaussians=options.max_gaussians, overwrite=options.overwrite, path_name=options.path or "orbit",
         plays=options.play, edits=options.edits or "kept",
+        known=_words(options.known) or (),
     )  # fmt: skip
     note_applied(page.num_edits)
     return {
@@ -123,6 +130,7 @@ def _export(options: Options, path: str) -> Facts:
         "num_left_out": page.shown.num_left_out,
         "num_edits": page.num_edits,
         "moving": None if page.times is None else page.times.summary,
+        "knows": "" if page.search is None else page.search.about,
         "queries": [{"text": answer.text, "num_matches": len(answer.matches)} for answer in page.answers],
     }
 

@@ -15,14 +15,15 @@ from ...authoring.filming.paths import CameraPath
 from ...authoring.filming.planning import ORBIT, path_named
 from ...base.arrays import Shaped, UInt16
 from ...drawing.heat import heat_of
-from ...errors import DrSplatError, InputError
+from ...errors import InputError
 from ...query import Match, Scene
 from ...query.documents import Document
-from ...query.suggesting import words_of
+from ...query.suggesting import suggestions
 from ...scene.annotations import Annotation
 from .bare import NO_FIELD
 from .object_list import in_order, names_of, pictures_of, placed_now
-from .page import MAX_GAUSSIANS, MAX_WORDS, Page, PageAnswer, write_page
+from .page import MAX_GAUSSIANS, Page, PageAnswer, write_page
+from .page_search import search_of
 from .page_times import PageTimes, boxes_of, times_of_page
 from .places import box_document, size_text
 from .results import result_of
@@ -30,7 +31,7 @@ from .session import Mode, Session
 from .shown import first_look
 from .texts import printable
 
-SAMPLED_ROWS, ROWS_AT_ONCE, WORDS_PER_ROW = 20_000, 4096, 3
+MAX_LABELS = 40  # whose objects a page has from the start
 MAX_MATCHES = 254  # of one query: a byte per Gaussian says which
 POINT_SIZE = 1.0  # of the browser's units
 MAX_OBJECTS_LISTED = 60  # the largest that photos agree on; and as many of the others, behind "more"
@@ -49,9 +50,13 @@ def export_page(
     plays: bool = False,
     title: str = "",
     edits: KeptEdits = "kept",
+    known: Sequence[str] = (),
     overwrite: bool = False,
 ) -> Page:
-    """Write a scene and its answers to one HTML file, which needs nothing but a browser; returns what is in it.
+    """Write a scene to one HTML file that answers words, and needs nothing but a browser; returns what is in it.
+
+    queries: whose answers it has from the start; none: words that find something. known: words and phrases that it
+    answers besides those that the field keeps and the encoder's own.
 
     words: what a click on the page can say; None: the encoder's own. up: a unit direction, None: as the photos were
     held. max_gaussians: the most significant ones are shown, 200,000 at most. path_name: of the film that it plays, as
@@ -59,7 +64,7 @@ def export_page(
     empty. edits: "kept" shows the scene with the edits kept beside it, `num_edits` of the page; "none" as its file has
     it.
 
-    Raises: InputError: no queries, or a scene that cannot be asked any; the file exists and not `overwrite`; words
+    Raises: InputError: queries of a scene that cannot be asked any; the file exists and not `overwrite`; words
     that the encoder does not know; more that moves than a page has room for. MismatchError: another encoder.
 
     >>> page = ds.export_page("page.html", scene, ["red mug"])
@@ -72,7 +77,7 @@ def export_page(
     )
     up = up_direction(scene) if up is None else up
     page = _filmed_page(session, queries, up, title, path_name)
-    page = replace(page, plays=plays)
+    page = replace(page, plays=plays, search=search_of(session, known))
     write_page(path, page, overwrite=overwrite)
     return page
 
@@ -82,19 +87,20 @@ def export_session(path: str | PathLike[str], session: Session, queries: Sequenc
 
     Raises: as `export_page`.
     """
-    page = _filmed_page(session.unasked(MAX_GAUSSIANS), queries, up, "", ORBIT)
+    session = session.unasked(MAX_GAUSSIANS)
+    page = replace(_filmed_page(session, queries, up, "", ORBIT), search=search_of(session))
     write_page(path, page)
     return page
 
 
 def _filmed_page(session: Session, queries: Sequence[str], up: Vector, title: str, path_name: str) -> Page:
     """Return a page of a session that was not asked anything, with a film."""
-    if bool(queries) != session.is_askable:
-        raise InputError(
-            NO_FIELD if queries else 'a page holds answers: give it queries, as in drsplat view --ask "red mug; lamp"'
-        )
+    if queries and not session.is_askable:
+        raise InputError(NO_FIELD)
     film = path_named(path_name, session.scene.gaussians, session.scene.views, up=up)
-    return page_of(session, queries, None, up, title, film)
+    asked = queries or (suggestions(session.scene, session.words) if session.is_askable else ())
+    labels = [label.name for label in session.scene.labels.by_node.values()][:MAX_LABELS]
+    return page_of(session, tuple(dict.fromkeys((*asked, *labels))), None, up, title, film)
 
 
 def page_of(
@@ -117,13 +123,11 @@ def page_of(
     answers = [_answer(session, text, up, times) for text in texts]
     session.mode = Mode.FEATURES
     features = session.drawn_colors[shown.ids]
-    words, best = _words(scene, session.words)
     numbers = object_numbers(session)
     best_look = next(((answer.eyes[0], answer.matches[0].center) for answer in answers if answer.matches), None)
     look = look or best_look or first_look(scene.views, session.shown.frame, up)
     return Page(
-        title or scene.name, shown, session.edits.part(shown.ids)[0], answers, *look, up, features, words,
-        None if best is None else _shown(session, best),
+        title or scene.name, shown, session.edits.part(shown.ids)[0], answers, *look, up, features,
         objects=objects_of_page(session, up, times), annotations=annotations_of_page(session, up),
         object_numbers=None if numbers is None else _shown(session, numbers), path=path, times=times,
         num_edits=session.edits.listed.done,
@@ -153,29 +157,6 @@ def _answer(session: Session, text: str, up: Vector, times: PageTimes | None) ->
         boxes_of(session, times, matches),
         result.notes(result.instead),
     )
-
-
-def _words(scene: Scene, given: Sequence[str] | None) -> tuple[Sequence[str], UInt16[np.ndarray, " n"] | None]:
-    """Return the words of a click, and each Gaussian's best; none for an encoder that does not know them."""
-    try:
-        words = _fitting(scene, tuple(dict.fromkeys(given or words_of(scene)))[:MAX_WORDS])
-        return words, (scene.segment(words).labels + 1).astype(np.uint16)
-    except DrSplatError:
-        return (), None
-
-
-def _fitting(scene: Scene, words: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the words that are among the best of any row of a sample; the others would name nothing here."""
-    rows = len(scene.field)
-    if not rows or len(words) <= WORDS_PER_ROW:
-        return words
-    chosen = np.sort(np.random.default_rng(0).permutation(rows)[:SAMPLED_ROWS])
-    vectors = np.asarray(scene.encoder.encode_texts(words), np.float32)
-    best = np.zeros(len(words), bool)
-    for begin in range(0, len(chosen), ROWS_AT_ONCE):
-        scores = scene.field.feature(chosen[begin : begin + ROWS_AT_ONCE]) @ vectors.T
-        best[np.argpartition(-scores, WORDS_PER_ROW - 1, axis=1)[:, :WORDS_PER_ROW]] = True
-    return tuple(word for word, fits in zip(words, best, strict=True) if fits)
 
 
 def objects_of_page(session: Session, up: Vector, times: PageTimes | None = None) -> list[Document]:

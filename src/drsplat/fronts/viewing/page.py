@@ -8,7 +8,7 @@ import base64
 import json
 import zlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from os import PathLike
 from typing import Any
 
@@ -27,6 +27,7 @@ from ...scene.gaussians import Gaussians
 from ...scene.significance import significance
 from . import painting
 from .client import page_html
+from .page_search import PageSearch
 from .page_times import PageTimes, arrays_of, header_of
 from .places import match_document, rounded
 from .shown import Frame, Ids, Shown
@@ -34,7 +35,6 @@ from .texts import printable
 
 MAX_GAUSSIANS = 200_000
 """Gaussians in a page: some 5 MB of text, and what an old laptop can draw."""
-MAX_WORDS = 65_535
 FILM_STEPS_PER_SECOND, FILM_S, MAX_FILM_S = 12, 8.0, 60.0
 TYPE_CODES = {"float32": "f4", "float16": "f2", "uint8": "u1", "uint16": "u2", "uint32": "u4"}
 
@@ -61,11 +61,10 @@ class Page:
     """Content of a page.
 
     gaussians: the shown rows, as the scene's own file would have them. eye, target, up: of the first look, in the
-    world. features: their colours, in [0, 1].
-
-    best_words: per shown Gaussian 0, or 1 for the first of `words`. objects, annotations: as of `exporting`.
-    object_numbers: per shown Gaussian 0, or 1 for the first object. path: that the page flies along. times: of a scene
-    that moves. num_edits: kept edits that are in it. plays: whether it flies along the path when it is opened.
+    world. features: their colours, in [0, 1]. objects, annotations: as of `exporting`. object_numbers: per shown
+    Gaussian 0, or 1 for the first object. path: that the page flies along. times: of a scene that moves. num_edits:
+    kept edits in it. plays: whether it flies along the path when it is opened. search: what answers words that are
+    not among `answers`, None where nobody embeds words.
     """
 
     title: str
@@ -76,8 +75,6 @@ class Page:
     target: Vector
     up: Vector
     features: Float32[np.ndarray, "m 3"] | None = None
-    words: Sequence[str] = ()
-    best_words: UInt16[np.ndarray, " m"] | None = field(default=None)
     objects: Sequence[Mapping[str, Any]] = ()
     annotations: Sequence[Mapping[str, Any]] = ()
     object_numbers: UInt16[np.ndarray, " m"] | None = None
@@ -85,6 +82,7 @@ class Page:
     times: PageTimes | None = None
     num_edits: int = 0
     plays: bool = False
+    search: PageSearch | None = None
 
 
 def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False) -> None:
@@ -93,7 +91,7 @@ def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False
         raise InputError(f"a page holds up to {MAX_GAUSSIANS:,} Gaussians, got {len(page.shown):,}: show fewer of them")
     order = _order(page)
     layout, blob = packed(_arrays(page, order))
-    header = json.dumps(_header(page) | {"arrays": layout})
+    header = json.dumps(_header(page) | {"arrays": layout}, default=sorted)  # of sets
     scene = base64.b64encode(spz_bytes(page.gaussians.subset(order), degree=0)).decode()
     text = page_html(page.title, header, scene, base64.b64encode(zlib.compress(blob, 6)).decode())
     with replacing(path, overwrite) as file:
@@ -128,14 +126,14 @@ def _arrays(page: Page, order: Ids) -> dict[str, np.ndarray]:
     arrays: dict[str, np.ndarray] = {}
     if page.features is not None:
         arrays["features"] = as_bytes(page.features)
-    if page.best_words is not None:
-        arrays["words"] = page.best_words
     if page.object_numbers is not None:
         arrays["objects"] = page.object_numbers
     for number, answer in enumerate(page.answers):
         arrays[f"heat{number}"], arrays[f"owner{number}"] = as_bytes(answer.heat), answer.owners
-    moves = {} if page.times is None else arrays_of(page.times)
-    return {name: array[order] for name, array in arrays.items()} | moves
+    further: dict[str, np.ndarray] = {} if page.times is None else arrays_of(page.times)
+    if page.search is not None:
+        arrays, further = {**arrays, **page.search.rows}, {**further, **page.search.tables}
+    return {name: array[order] for name, array in arrays.items()} | further
 
 
 def _header(page: Page) -> Document:
@@ -160,22 +158,27 @@ def _header(page: Page) -> Document:
         "clock": None if page.times is None else header_of(page.times),
         "film": None if page.path is None else film_document(frame, page.path, page.target),
         "plays": page.plays,
-        "vocabulary": list(page.words)[:MAX_WORDS],
         "annotations": list(page.annotations),
         "answers": [_answer(frame, number, answer) for number, answer in enumerate(page.answers)],
+        "search": None if page.search is None else page.search.document,
+        "knows": "" if page.search is None else page.search.about,
     }
 
 
 def _modes(page: Page) -> list[str]:
-    answers = ["answer", "heat map"] if page.answers else []
-    features = [] if page.features is None or not page.answers else ["features"]
+    answers = ["answer", "heat map"] if _answers(page) else []
+    features = [] if page.features is None or not _answers(page) else ["features"]
     return [*answers, "as it is", *features, *(["objects"] if page.objects else [])]
+
+
+def _answers(page: Page) -> bool:
+    return bool(page.answers) or page.search is not None
 
 
 def _can(page: Page) -> Document:
     """Return what the client offers: a page only answers what it was made with."""
     never = ("ask_picture", "name", "edit", "time", "photos", "save_dir", "catalogue", "open")
-    offered = {"ask": bool(page.answers), "objects": bool(page.objects), "film_formats": []}
+    offered = {"ask": _answers(page), "objects": bool(page.objects), "film_formats": []}
     return dict.fromkeys(never, False) | offered
 
 

@@ -103,7 +103,7 @@ def feature_colors(field: LanguageField, rgb: Colors, registered: Bool[np.ndarra
     colors, block = np.empty((rows, 3), np.float32), 1 << 16
     for begin in range(0, rows, block):
         part = np.arange(begin, min(begin + block, rows))
-        at = (field.feature(part) - middle) @ axes.T
+        at = field.feature(part) @ axes.T.astype(np.float32) - middle @ axes.T
         colors[part] = np.clip((at - low) / np.maximum(high - low, 1e-9), 0, 1)
     painted[registered] = 0.08 + 0.9 * colors
     return painted

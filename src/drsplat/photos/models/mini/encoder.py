@@ -42,7 +42,8 @@ class MiniEncoder:
     query has to reach, too: "blue mug" fits a red one better than any other name does, but not well. least_fit: cosine
     of the best noun that half of a scene's features reach where it looks like the rooms of the training. threshold:
     fixed cosine that finds most in rooms of the training split; queries follow the scene instead. threads: of the
-    network, 0 for all cores; no bit depends on them.
+    network, 0 for all cores; no bit depends on them. weights: by name; "words" has a row for each of `WORDS`, of which
+    a text is the sum. photo_colors: a row for each of `COLORS`, in their place where a text asks for a colour alone.
     """
 
     name = "drsplat-mini"
@@ -54,10 +55,10 @@ class MiniEncoder:
     def __init__(self, *, threads: int = 0) -> None:
         file = Path(__file__).with_name("mini.safetensors")
         self.threads = threads
-        self._weights = {name: array.astype(np.float32) for name, array in map_tensors(file)[0].items()}
+        self.weights = {name: array.astype(np.float32) for name, array in map_tensors(file)[0].items()}
         # A file of its own, not part of the identity: it changes queries and not the embeddings of masks, so older
         # fields stay valid.
-        self._photo_colors: np.ndarray = map_tensors(file.with_name("photo_colors.safetensors"))[0]["photo_colors"]
+        self.photo_colors: np.ndarray = map_tensors(file.with_name("photo_colors.safetensors"))[0]["photo_colors"]
         weights = hashlib.blake2b(file.read_bytes(), digest_size=8).hexdigest()
         self.identity = EncoderIdentity(self.name, DIM, weights, f"square {INPUT_SIDE_PIXELS} px")
 
@@ -76,7 +77,7 @@ class MiniEncoder:
     def encode_images(self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "n d"]:
         """Return unit vectors of square crops on black; other images get black borders."""
         rows = [
-            embed_images(_pixels(images[at : at + BATCH_CROPS]), self._weights, threads=self.threads)
+            embed_images(_pixels(images[at : at + BATCH_CROPS]), self.weights, threads=self.threads)
             for at in range(0, len(images), BATCH_CROPS)
         ]
         return np.concatenate(rows) if rows else np.empty((0, DIM), np.float32)
@@ -86,12 +87,12 @@ class MiniEncoder:
 
         A colour is judged against other colours, on photos too, where no noun fits and any of them may fit better.
         """
-        return self._photo_colors if only_colors(text) else None
+        return self.photo_colors if only_colors(text) else None
 
     @property
     def taught_colors(self) -> Float32[np.ndarray, "11 d"]:
         """Vectors of `COLORS` that were trained with the nouns, from made-up rooms only."""
-        rows = self._weights["words"][[_ROWS[paint] for paint in PAINTS]]
+        rows = self.weights["words"][[_ROWS[paint] for paint in PAINTS]]
         return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True), np.float32)
 
     def _text(self, text: str) -> Float32[np.ndarray, " d"]:
@@ -100,9 +101,9 @@ class MiniEncoder:
         if strange or not words:
             raise InputError(_unknown(text, strange))
         if only_colors(text):  # "a red thing" is something red
-            total = self._photo_colors[[COLORS.index(color) for color in colors_in(text)]].sum(0)
+            total = self.photo_colors[[COLORS.index(color) for color in colors_in(text)]].sum(0)
         else:
-            total = self._weights["words"][[_ROWS[word] for word in words]].sum(0)
+            total = self.weights["words"][[_ROWS[word] for word in words]].sum(0)
         return np.asarray(total / np.linalg.norm(total), np.float32)
 
 
