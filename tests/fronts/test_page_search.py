@@ -46,7 +46,8 @@ READ = """async (texts) => {
 }"""
 WORDS_OF = """async (texts) => {
     const { words } = await drsplat.backend.search;
-    return texts.map((text) => [words.wordsOf(text), words.isOnlyColors(text), words.hasNouns(text), words.swapped(text)]);
+    const read = (text) => [words.wordsOf(text), words.isOnlyColors(text), words.hasNouns(text), words.swapped(text)];
+    return texts.map(read);
 }"""
 Pages = dict[str, tuple[Scene, Path]]
 
