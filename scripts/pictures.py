@@ -42,7 +42,18 @@ def _city() -> Made:
     return Made("python benchmarks/study_city.py STREET FOLDER", (*inputs, ROOT / "benchmarks" / "study_city.py"))
 
 
+def _photos() -> Made:
+    script = ROOT / "scripts" / "make_page_pictures.py"
+    return Made("python scripts/make_page_pictures.py DEMO FILM FOLDER", (script, ROOT / "world" / "moving.py"))
+
+
 MADE: dict[str, Made] = {
+    "walk.jpg": _photos(),
+    "trained.jpg": _photos(),
+    "moving.jpg": _photos(),
+    "fill.jpg": Made(
+        "study_fill.py room_6 --objects 3 at 50554f8f", (PACKAGE / "authoring" / "editing" / "planes.py",)
+    ),
     "viewer_city.jpg": _city(),
     "viewer.jpg": _viewer(),
     "viewer_objects.jpg": _viewer(),

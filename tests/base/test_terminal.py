@@ -118,7 +118,7 @@ def test_photos_of_a_thing_have_their_line(tmp_path: Path, capsys: Capture) -> N
     both = answer_of(capsys, "segment", room, "--classes", "red mug,blue plate")
     assert [one["num_gaussians"] for one in both["classes"]] == [150, 150]
     (room / "room.field").rename(room / "room")
-    assert "expected a field" in error_of(capsys, "locate", room, "red mug")
+    assert "expected a searchable scene" in error_of(capsys, "locate", room, "red mug")
 
 
 FLAGS = {"overwrite": "--overwrite", "images": "--images", "encoder": "--encoder", "field": ""}

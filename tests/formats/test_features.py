@@ -255,7 +255,7 @@ def test_unknown_words_have_advice(vocabulary):
     with pytest.raises(InputError, match=r"'soffa'.*3 texts.*'words'. Did you mean 'sofa'"):
         vocabulary.encode_texts(["sofa", "soffa"])
     with pytest.raises(InputError, match="Did you mean 'Table'"):
-        vocabulary.encode_texts(["table"])
+        vocabulary.encode_texts(["tabel"])
     with pytest.raises(InputError, match="starts with '"):
         vocabulary.encode_texts(["zzzzzz"])
     with pytest.raises(InputError, match="a list of texts"):

@@ -271,7 +271,7 @@ def test_a_file_that_exists_stays(tmp_path: Path) -> None:
 def test_what_a_format_cannot_hold_is_said() -> None:
     scene = replace(with_objects(made()), relevancy=np.zeros(40, np.float32), matches=(thing("m"),))
     assert lacks(".glb", scene) == ()
-    assert lacks(".ply", scene) == (".ply keeps no names and boxes of objects", ".ply keeps no boxes of matches")
+    assert lacks(".ply", scene) == (".ply keeps no boxes of matches",)  # names lie in a file beside it
     assert len(lacks(".spz", scene)) == 4
 
 

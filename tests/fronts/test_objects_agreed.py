@@ -57,7 +57,7 @@ def test_the_table_has_the_agreed_and_counts_the_others(a_field: Path, capsys: C
     assert "and 1 more that photos agree less on: --all lists them" in text
     assert listed_in(text) == ["0", "2"]
     every = text_of(capsys, "objects", a_field, "--all")
-    assert every.startswith("3 objects, 1,490 of 1,490 Gaussians")
+    assert every.startswith("3 objects, 1,490 of 1,490 registered Gaussians")
     assert "--all" not in every
     assert listed_in(every) == ["0", "1", "2"]
 

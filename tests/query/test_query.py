@@ -222,7 +222,7 @@ def test_the_scene_that_was_registered_is_found_among_others(
 ) -> None:
     folder = tmp_path / "room"
     folder.mkdir()
-    with pytest.raises(InputError, match="expected a field"):
+    with pytest.raises(InputError, match="expected a searchable scene"):
         find_scene(folder)
     shutil.copytree(demo_folder / "room.field", folder / "room.field")
     with pytest.raises(InputError, match="expected a scene"):
