@@ -118,7 +118,7 @@ def match_ids(results: Sequence[Result], count: int) -> Int32[np.ndarray, " n"]:
     return _numbered([match.gaussian_ids for result in results for match in result.matches], count)
 
 
-def _numbered(parts: Sequence[Ids], count: int) -> Int32[np.ndarray, " n"]:
+def _numbered(parts: Sequence[Int64[np.ndarray, " _"]], count: int) -> Int32[np.ndarray, " n"]:
     numbers = np.full(count, -1, np.int32)
     for number in range(len(parts) - 1, -1, -1):
         numbers[parts[number]] = number
