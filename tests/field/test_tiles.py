@@ -373,7 +373,7 @@ def test_atoms_that_cannot_be_addressed_are_left_out_of_tiles_too(toy, tmp_path,
     }
     made = register_tiles(tiles, views, features, parts=tmp_path / "parts", threads=1)
     most = len(made.to_field(ds.Mixture()).code.atoms) - 2
-    for module in ("field.codes.mixture.encoding", "field.tiles.coding"):
+    for module in ("field.codes.mixture.encoding", "field.tiles.registering"):
         monkeypatch.setattr(f"drsplat.{module}.MAX_ATOMS", most)
     at_once = ds.register(tiles.gaussians(), views, features).to_field(ds.Mixture())
     assert 1 < len(at_once.code.atoms) <= most

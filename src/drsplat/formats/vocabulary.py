@@ -49,10 +49,10 @@ class VocabularyEncoder:
 
 
 def spellings(text: str) -> tuple[str, ...]:
-    """Return a text in small letters and without its article, and what it may be the plural of."""
-    word = text.lower().strip()
-    word = next((word.removeprefix(article) for article in ("a ", "an ", "the ") if word.startswith(article)), word)
-    return (word, word[:-1], word[:-2], f"{word[:-3]}y") if word.endswith("s") else (word,)
+    """Return a text in small letters, without its article, and what it may be the plural of."""
+    whole = text.lower().strip()
+    word = next((whole.removeprefix(one) for one in ("a ", "an ", "the ") if whole.startswith(one)), whole)
+    return (whole, word, *((word[:-1], word[:-2], f"{word[:-3]}y") if word.endswith("s") else ()))
 
 
 def read_vocabulary(path: str | Path, name: str | None = None) -> VocabularyEncoder:

@@ -11,6 +11,7 @@ from ..errors import InputError
 from ..field import LanguageField, Negatives, relevancy_from_scores
 from ..kernels.algebra import dense_rows
 from ..photos.models.mini import MiniEncoder
+from ..photos.models.mini.lexicon import swapped
 from ..photos.models.word_list import list_vectors, listed_words, names_under, rival_vectors
 from ..scene.encoders import Encoder, ImageEncoder
 from ..scene.masks.crops import crop
@@ -232,27 +233,30 @@ class Measuring:
         if known is None or values is None:
             return self._measured(query, scores, (None, AUTO))
         certainty = self._certainty(known, scores, values, same) if len(scores) else NOTHING
-        swap = self._better_swap(scores, text) if certainty == SURE and text is not None else ""
         answer = self._cut(query, scores, values, RELEVANCY, (self._list_threshold(known, values, certainty), LIST))
-        is_sure = certainty == SURE and not swap
-        if answer.rule != LIST or is_sure or self.cut.present or answer.certainty == NOTHING:
+        if answer.rule != LIST or self.cut.present or answer.certainty == NOTHING:
             return answer
-        if certainty == MAYBE and np.isfinite(self.background.least_peak_of(known)):
+        if certainty == SURE:
+            better = self._better_swap(scores, text)
+            if not better:
+                return answer
+        elif np.isfinite(self.background.least_peak_of(known)):
             return replace(answer, sure=False, doubt=WEAK_DOUBT)
-        rival, texts = None if swap else known.rival(query, values, same), self.background.texts_of(known)
-        named = swap or (texts[rival] if texts and rival is not None else "")
-        fits = f"'{named}' fits" if named else "other words fit"
+        else:
+            rival, texts = known.rival(query, values, same), self.background.texts_of(known)
+            better = texts[rival] if texts and rival is not None else ""
+        fits = f"'{better}' fits" if better else "other words fit"
         return replace(answer, sure=False, doubt=f"only maybe: {fits} as well or better")
 
-    def _better_swap(self, scores: Float32[np.ndarray, " r"], text: str) -> str:
+    def _better_swap(self, scores: Float32[np.ndarray, " r"], text: str | None) -> str:
         """Return the text that fits what a text fits best better, though it has another colour or names another thing.
 
         "" if there is none, and of encoders that have no such texts: of those whose texts are sums of words, "yellow
         mug" fits a yellow chair better than all plain nouns do.
         """
         encoder = self.background.encoder
-        others = encoder.swapped(text) if isinstance(encoder, MiniEncoder) else []
-        if not others or not len(scores):
+        others = swapped(text) if text is not None and isinstance(encoder, MiniEncoder) else []
+        if text is None or not others:
             return ""
         best = np.argpartition(-scores, min(PEAK_ROWS, len(scores)) - 1)[:PEAK_ROWS]
         shown = self._field.feature(np.sort(best))

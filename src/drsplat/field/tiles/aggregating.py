@@ -259,8 +259,11 @@ class OfColumns:
 
 
 @dataclass(frozen=True, eq=False)
-class TileAggregator:
-    """Makes features of the rows of runs by tasks. gallery: where the tiles are, of which rows vote."""
+class OnRuns:
+    """The runs of a registration that tasks work on. evidence: that of their files.
+
+    key: of the weights. threads: of each worker. gallery: where the tiles are.
+    """
 
     evidence: Evidence
     store: Store
@@ -269,6 +272,10 @@ class TileAggregator:
     key: str
     threads: int
     gallery: Gallery
+
+
+class TileAggregator(OnRuns):
+    """Makes features of the rows of runs by tasks."""
 
     def __call__(self, how: Aggregator, track: Track) -> OfTiles:
         """Return the features of all rows, which lie in files."""

@@ -46,7 +46,7 @@ from ..registration import (
     warn_of_missing,
     with_features,
 )
-from .aggregating import EMBEDDINGS_FILE, OfTiles, TileAggregator, is_by_tasks
+from .aggregating import EMBEDDINGS_FILE, OfTiles, OnRuns, TileAggregator, is_by_tasks
 from .launching import ONE_PROCESS, Launcher, followed
 from .seeing import Gallery, with_tiles
 from .store import Shared, Store, make_once, store_of
@@ -270,20 +270,8 @@ class CodeTask:
         return Rows(matrix, np.asarray(embeddings))
 
 
-@dataclass(frozen=True, eq=False)
-class TileCoder:
-    """A `RowCoder` that lets a launcher work. evidence: that of the runs' files; other evidence is coded at once.
-
-    key: of the weights. threads: of each worker. gallery: where the tiles are.
-    """
-
-    evidence: Evidence
-    store: Store
-    runs: Sequence[Run]
-    launcher: Launcher
-    key: str
-    threads: int
-    gallery: Gallery
+class TileCoder(OnRuns):
+    """A `RowCoder` that lets a launcher work; other evidence than that of the runs is coded at once."""
 
     def aggregated(
         self, how: Aggregator, evidence: Evidence, gaussians: Gaussians | None, threads: int, track: Track

@@ -157,7 +157,6 @@ def interrupted(options: Options) -> str:
 
 
 def _registered(options: Options, output: Path) -> Facts:
-    from ... import load_field
     from ...base.progress import Stopwatch
     from ...base.system import folder_bytes, peak_memory_bytes
     from ...field.building import AtOnce
@@ -181,9 +180,7 @@ def _registered(options: Options, output: Path) -> Facts:
     field = registration.to_field(inputs.code, aggregator=how, gaussians=gaussians, **shared)
     field = with_words(field, options.features)
     watch.lap("code")
-    complete = was_complete(output, options.overwrite, lambda: load_field(output).equals(field))
-    if not complete:
-        field.save(output, overwrite=options.overwrite)
+    complete = _was_saved(field, output, options.overwrite)
     watch.lap("save")
     computed = len(_written(parts).items() - before.items())
     if options.parts is None:
@@ -200,6 +197,16 @@ def _registered(options: Options, output: Path) -> Facts:
         "field_bytes": folder_bytes(output),
         "peak_memory_bytes": peak_memory_bytes(),
     }
+
+
+def _was_saved(field: "LanguageField", output: Path, overwrite: bool) -> bool:
+    """Save a field, unless it lies there already; return whether it did."""
+    from ... import load_field
+
+    complete = was_complete(output, overwrite, lambda: load_field(output).equals(field))
+    if not complete:
+        field.save(output, overwrite=overwrite)
+    return complete
 
 
 def _registration(

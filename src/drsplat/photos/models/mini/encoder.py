@@ -11,18 +11,7 @@ from ....errors import InputError, did_you_mean
 from ....formats.tensors import map_tensors
 from ....kernels.algebra import convolve, dense_rows
 from ....scene.encoders import EncoderIdentity
-from .lexicon import (
-    COLORS,
-    NAMES,
-    PAINTS,
-    STRUCTURES,
-    WORDS,
-    colors_in,
-    from_other_language,
-    only_colors,
-    swapped,
-    words_of,
-)
+from .lexicon import COLORS, NAMES, PAINTS, STRUCTURES, WORDS, colors_in, from_other_language, only_colors, words_of
 
 DIM = 512
 BATCH_CROPS = 64  # whose layers take some 20 MiB
@@ -61,10 +50,6 @@ class MiniEncoder:
         self.photo_colors: np.ndarray = map_tensors(file.with_name("photo_colors.safetensors"))[0]["photo_colors"]
         weights = hashlib.blake2b(file.read_bytes(), digest_size=8).hexdigest()
         self.identity = EncoderIdentity(self.name, DIM, weights, f"square {INPUT_SIDE_PIXELS} px")
-
-    def swapped(self, text: str) -> list[str]:
-        """Return texts that fit half of what a text says of a thing, its colour or its name (`lexicon.swapped`)."""
-        return swapped(text)
 
     def on_one_thread(self) -> "MiniEncoder":
         """Return the same encoder on one thread, for several threads to call at once."""
