@@ -73,6 +73,10 @@ MADE: dict[str, Made] = {
         "python -m world.segmenter.measuring TEST_SCENE... --plain --picture docs/images/graph_masks.jpg",
         (MODELS / "graph" / "network.safetensors", MODELS / "graph" / "rule.safetensors"),
     ),
+    "eyes.jpg": Made(
+        "python scripts/make_eyes_picture.py plush/20240212_003932.jpg docs/images/eyes.jpg",
+        (MODELS / "graph" / "network.safetensors", MODELS / "outlines" / "network.safetensors"),
+    ),
     "mini_confusion.png": Made(
         "python -m world.mini.measuring --test test.npz --picture docs/images/mini_confusion.png",
         (MODELS / "mini" / "mini.safetensors",),

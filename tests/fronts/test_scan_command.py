@@ -375,10 +375,11 @@ def test_models_are_the_built_in_ones_where_no_others_can_be_had(monkeypatch: py
 def test_on_a_cpu_sam_is_asked_few_points_of_all_photos(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(choosing, "choose_models", lambda *_: choosing.ModelChoice(CPU_SEGMENTER, DEFAULT_ENCODER))
     scan = verb_line("scan", ["photos", "--output", str(tmp_path)], []).options
-    embed = _embedding(scan, "capture", tmp_path, None)[0].options
+    line, choice, _ = _embedding(scan, "capture", tmp_path, None)
+    embed = line.options
     asked = embed.with_scene
     assert (embed.cutting.points, asked.views, asked.crops) == ("auto", "all", "masks")
-    assert embed.point_settings.levels == ("large",)  # the one that register uses
+    assert embed.point_settings(choice).levels == ("large",)  # the one that register uses
 
 
 def test_a_hub_that_cannot_be_reached_is_given_up_soon(monkeypatch: pytest.MonkeyPatch) -> None:

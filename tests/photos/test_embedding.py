@@ -21,7 +21,7 @@ import drsplat as ds
 from captures_to_train import ring
 from drsplat import cli
 from drsplat.drawing.pictures import as_pixels, write_picture
-from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
+from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError, MissingExtraError
 from drsplat.formats.checksums import sealed
 from drsplat.formats.embedding_record import EmbeddingRecord, finished_photos
 from drsplat.formats.feature_files import COMPACT
@@ -580,7 +580,7 @@ def fake_models(monkeypatch) -> None:
         assert device == "cpu"
         assert threads == 0
         levels = {("large",): LargeSegmenter, LEVELS: ColorSegmenter}
-        return levels[settings.levels](model=name)
+        return levels[settings.levels if settings else ("large",)](model=name)
 
     monkeypatch.setattr(sam, "load_segmenter", load_segmenter)
     monkeypatch.setattr(loading, "load_encoder", lambda name, device, threads: ThumbnailEncoder(name))
@@ -630,3 +630,56 @@ def test_an_encoder_of_words_alone_is_refused(three_balls, fake_models, monkeypa
     monkeypatch.setattr(loading, "load_encoder", lambda name, device, threads: ds.WordEncoder())
     assert cli.main(["embed", str(three_balls), "--encoder", "drsplat-words", "--device", "cpu"]) == 1
     assert "embeds words, no images" in capsys.readouterr().err
+
+
+@pytest.fixture
+def built_in_only(monkeypatch) -> None:
+    from drsplat.fronts.scanning import choosing
+
+    def missing() -> None:
+        raise MissingExtraError("transformers is not installed: install it")
+
+    monkeypatch.setattr(choosing, "models_library", missing)
+
+
+def test_what_can_be_had_is_chosen_and_said(three_balls, fake_models, built_in_only, capsys):
+    command = ["embed", str(three_balls), "--device", "cpu"]
+    assert cli.main(command) == 0
+    told = capsys.readouterr().err
+    assert "The built-in models (graph and drsplat-mini) work, because transformers is not installed" in told
+    assert "run drsplat embed with --overwrite" in told
+    assert cli.main([*command, "--json"]) == 0
+    said, told = capsys.readouterr()
+    answer = json.loads(said)
+    assert (answer["segmenter"], answer["encoder"], answer["num_photos_reused"]) == ("graph", "drsplat-mini", 12)
+    assert "built-in" not in told
+
+
+def test_features_of_better_models_are_not_replaced_by_chance(three_balls, fake_models, built_in_only, capsys):
+    command = ["embed", str(three_balls), "--device", "cpu"]
+    assert cli.main([*command, "--segmenter", "graph", "--encoder", "clip"]) == 0
+    capsys.readouterr()
+    assert cli.main(command) == 1
+    told = capsys.readouterr().err
+    assert "holds features of clip, and what can be had now is drsplat-mini, because transformers" in told
+    assert cli.main([*command, "--overwrite"]) == 0
+
+
+def test_options_of_sam_need_sam(three_balls, fake_models, built_in_only, capsys):
+    assert cli.main(["embed", str(three_balls), "--device", "cpu", "--points", "16"]) == 1
+    told = capsys.readouterr().err
+    assert "leave out --points" in told
+    assert "SAM cannot be had: transformers is not installed" in told
+
+
+def test_sam_on_a_cpu_brings_few_points_along(monkeypatch):
+    from drsplat.fronts.commands.embed import COARSE_TO_FINE, Cutting, Options
+    from drsplat.fronts.scanning.choosing import ModelChoice
+    from drsplat.photos.models.sam import CPU_SEGMENTER
+
+    models = ModelChoice(CPU_SEGMENTER, "clip")
+    light = Options(capture="capture").point_settings(models)
+    assert (light.levels, light.crop_layers, light.most_points) == (("large",), 0, COARSE_TO_FINE["most_points"])
+    given = Options(capture="capture", cutting=Cutting(points=16, levels="four")).point_settings(models)
+    assert (given.levels, given.crop_layers, given.points_per_side) == (LEVELS, 0, 16)
+    assert Options(capture="capture", segmenter=CPU_SEGMENTER).point_settings(models).crop_layers == 1

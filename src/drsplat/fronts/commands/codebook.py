@@ -53,7 +53,9 @@ class Options(Verb):
         f"(default: {DEFAULT_PATCHES}; patches under 100 pixels are left out)", "N", count_or_all, DEFAULT_PATCHES,
         title="source",
     )  # fmt: skip
-    encoder: str = option(ENCODER_HELP, "NAME", words, DEFAULT_ENCODER, title="source")
+    encoder: str = option(
+        f"{ENCODER_HELP}{DEFAULT_ENCODER}, the paper's)", "NAME", words, DEFAULT_ENCODER, title="source"
+    )  # fmt: skip
     device: str = models_device("source")
     subvectors: int = option(
         "bytes per code; must divide the embedding size (default: 128; 64 and 32 are smaller and coarser)", "L", count,

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,23 +23,23 @@ if TYPE_CHECKING:
     from ...scene.gaussians import Gaussians
     from ...scene.masks.masks import Segmenter
     from ...scene.views import View
+    from ..scanning.choosing import ModelChoice
 
 EXAMPLES = """\
   drsplat embed capture
   drsplat embed capture --segmenter facebook/sam2.1-hiera-tiny --points auto --crop-layers 0 \\
       --scene model --views auto --crops objects
-  drsplat embed capture --segmenter graph --encoder drsplat-mini
+  drsplat embed capture --segmenter graph --encoder drsplat-mini   (built in: no download)
   drsplat embed capture --encoder google/siglip2-base-patch16-224 --output capture/siglip2 --json
   drsplat embed capture --masks capture/language_features --encoder facebook/dinov2-base --output capture/dinov2
 
 To resume a stopped run, give the same command again without --overwrite."""
 DAILY = "output segmenter encoder scene device overwrite"
-DEFAULT_SEGMENTER = "facebook/sam-vit-huge"
 DEFAULT_ENCODER = "laion/CLIP-ViT-B-16-laion2B-s34B-b88K"
 ENCODER_HELP = (
     "embedding model, by Hugging Face id or folder: CLIP, MetaCLIP 2, SigLIP, SigLIP 2 or TIPSv2, or DINOv2 or "
     "DINOv3, which know no words; hf-hub:ID for an open_clip model, such as hf-hub:timm/PE-Core-B-16; or "
-    f"drsplat-mini, built in, which knows 37 household objects (default: {DEFAULT_ENCODER}, the paper's)"
+    "drsplat-mini, built in, which knows 37 household objects (default: "
 )
 _LEVELS = {"four": ("default", "small", "medium", "large"), "large": ("large",)}
 MAX_POINTS_PER_SIDE = 1024
@@ -131,16 +133,19 @@ class Options(Verb):
     )
     overwrite: bool = overwrite()
     segmenter: str | None = option(
-        f"SAM, SAM 2, SAM 2.1, SAM 3 or EdgeTAM, by Hugging Face id or folder; or graph, built in: no download, an "
-        f"eighth of a second per photo, coarser masks (default: {DEFAULT_SEGMENTER}, the paper's; on a CPU use graph, "
-        "or facebook/sam2.1-hiera-tiny with --points auto --crop-layers 0, seconds per photo)", "NAME", words,
-        title="models",
+        "SAM, SAM 2, SAM 2.1, SAM 3 or EdgeTAM, by Hugging Face id or folder; or graph, built in: no download, an "
+        "eighth of a second per photo, coarser masks (default: auto, as `drsplat scan` chooses: with a GPU "
+        "facebook/sam-vit-huge, the paper's, else facebook/sam2.1-hiera-tiny with --points auto --crop-layers 0 "
+        "--levels large, seconds per photo; graph where SAM or CLIP cannot be had)", "NAME", words, title="models",
     )  # fmt: skip
     masks: str | None = option(
         "features of the same photos whose masks are reused: only the encoder changes, for `drsplat register "
         "--weights-of` (default: cut the photos again)", "DIR", title="models",
     )  # fmt: skip
-    encoder: str = option(ENCODER_HELP, "NAME", words, DEFAULT_ENCODER, title="models")
+    encoder: str = option(
+        f"{ENCODER_HELP}auto, {DEFAULT_ENCODER}, the paper's, where SAM and CLIP can be had, else drsplat-mini)",
+        "NAME", words, AUTO, title="models",
+    )  # fmt: skip
     device: str = models_device("models")
     cutting: Cutting = part(Cutting)
     with_scene: WithScene = part(WithScene)
@@ -156,23 +161,44 @@ class Options(Verb):
 
         return Path(self.output) if self.output else capture_folder(Path(self.capture)) / "language_features"
 
-    @property
-    def point_settings(self) -> PointMaskSettings | None:
-        """Settings of SAM; None for `graph`. Raises: InputError: options of SAM for `graph`."""
+    def models(self) -> ModelChoice:
+        """Return the models, of which "auto" leaves the choice to what can be had here.
+
+        Raises: InputError: the features that are there are of better ones.
+        """
+        from ...formats.embedding_record import last_settings
+        from ..scanning.choosing import choose_models
+
+        models = choose_models(self.segmenter or (AUTO if self.masks is None else ""), self.encoder, self.device)
+        made_by = (last_settings(self.folder) or {}).get("encoder")
+        known = made_by.get("name") if isinstance(made_by, dict) else models.encoder
+        if models.reason and self.encoder == AUTO and known != models.encoder and not self.overwrite:
+            raise InputError(
+                f"{self.folder} holds features of {known}, and what can be had now is {models.encoder}, because "
+                f"{models.reason}: name the encoder or another output, or pass overwrite=True"
+            )
+        return models
+
+    def point_settings(self, models: ModelChoice) -> PointMaskSettings | None:
+        """Return the settings of SAM; None for `graph`. Raises: InputError: options of SAM for `graph`."""
         from ...photos.models.graph import GraphSegmenter
         from ...photos.models.point_masks import PointMaskSettings
 
-        asked = {"points_per_side": self.cutting.points, "crop_layers": self.cutting.crop_layers}
+        light = models.cutting(self.segmenter or AUTO)
+        unset: dict[str, Any] = {name: value for name, value in light.items() if getattr(self.cutting, name) is None}
+        cutting = replace(self.cutting, **unset)
+        asked = {"points_per_side": cutting.points, "crop_layers": cutting.crop_layers}
         given: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
-        levels = self.cutting.levels or ("large" if self.with_scene.crops == "objects" else "four")
+        levels = cutting.levels or ("large" if self.with_scene.crops == "objects" else "four")
         if given.get("points_per_side") == AUTO:
             given |= COARSE_TO_FINE | (NESTED_MASKS if levels == "large" else {})
-        if self.segmenter != GraphSegmenter.name:
+        if models.segmenter != GraphSegmenter.name:
             return PointMaskSettings(**given, levels=_LEVELS[levels])
-        if given or self.cutting.levels == "four":
+        if given or cutting.levels == "four":
+            why = f" (SAM cannot be had: {models.reason})" if models.reason else ""
             raise InputError(
-                "--segmenter graph has masks of one level and no point grid: leave out --points, "
-                "--crop-layers and --levels four"
+                f"--segmenter graph has masks of one level and no point grid: leave out --points, --crop-layers and "
+                f"--levels four{why}"
             )
         return None
 
@@ -187,8 +213,11 @@ def run(options: Options) -> Facts:
     out = left_out([view.name for view in views], options.without)
     views = [view for view in views if view.name not in out]
     scene = options.with_scene.read()
-    segmenter = _segmenter(options)
-    encoder = image_encoder(options.encoder, options.device, options.threads)
+    models = options.models()
+    segmenter = _segmenter(options, models)
+    encoder = image_encoder(models.encoder, options.device, options.threads)
+    if AUTO in (options.segmenter or AUTO, options.encoder) and not options.json:
+        print(f"drsplat: {models.sentence(verb='embed')}", file=sys.stderr)
     watch.lap("load")
     chosen, seen = _chosen_views(options, views, scene)
     with without_people(options, chosen, options.photos.dataparser_transforms) as used:
@@ -209,6 +238,7 @@ def run(options: Options) -> Facts:
         "num_crops": report.crops,
         "masks_per_level": dict(report.masks),
         "num_empty_masks": report.empty_masks,
+        "segmenter": models.segmenter,
         "encoder": encoder.identity.name,
         "dim": encoder.identity.dim,
         "seconds": sum(watch.seconds.values()),
@@ -286,14 +316,14 @@ def show(answer: Facts) -> None:
     )
 
 
-def _segmenter(options: Options) -> Segmenter | FeatureFolder:
+def _segmenter(options: Options, models: ModelChoice) -> Segmenter | FeatureFolder:
     """Return the segmenter of --segmenter, or the masks of --masks. Raises: InputError: both were given."""
     from ... import read_features
     from ...photos.models.sam import load_segmenter
 
     if options.masks is None:
-        name = options.segmenter or DEFAULT_SEGMENTER
-        return load_segmenter(name, options.device, options.point_settings, threads=options.threads)
+        settings = options.point_settings(models)
+        return load_segmenter(models.segmenter, options.device, settings, threads=options.threads)
     cutting = options.cutting
     if any(value is not None for value in (options.segmenter, cutting.points, cutting.crop_layers, cutting.levels)):
         raise InputError("--masks keeps what was cut: drop --segmenter, --points, --crop-layers and --levels")

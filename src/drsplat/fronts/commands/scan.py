@@ -49,8 +49,6 @@ give the same command again. Each stage is a verb (capture, train, embed, regist
 options from its table in --config. Poses need COLMAP's package: pip install "drsplat[capture]"."""
 FIELD, FEATURES, PAGE = "scene.field", "features", "index.html"
 CPU_SIDE_PIXELS = 800  # longer side of photos that a CPU trains on
-SAM_ON_A_CPU = {"points": "auto", "crop-layers": "0", "levels": "large"}
-"""Options of embed: few points. Fewer photos and crops may cost answers on real photos (docs/embedding.md)."""
 DEFAULT_VIDEO_PHOTOS = 100  # until the frames of a video are chosen
 SECONDS_PER_PHOTO = {"capture": 1.1, "train": 0.05, "embed": 0.7, "register": 0.3}
 """Seconds a photo, in training an iteration, on two cores: the first guess of the time that is left."""
@@ -325,10 +323,11 @@ def _embedding(
     else:
         choice = choose_models(named[0], named[1], first.options.device)
     defaults = {"segmenter": choice.segmenter, "encoder": choice.encoder}
-    if named[0] == AUTO and choice.segmenter.startswith("facebook/sam2"):
-        defaults |= SAM_ON_A_CPU | {"scene": str(output / MODEL)}
+    if cutting := choice.cutting(named[0]):
+        light = {name.replace("_", "-"): str(value) for name, value in cutting.items()}
+        defaults |= light | {"scene": str(output / MODEL)}
     line = verb_line("embed", given, options.common, defaults)
-    _ = line.options.point_settings  # or the error that says which options do not go together
+    line.options.point_settings(choice)  # or the error that says which options do not go together
     return line, choice, named
 
 

@@ -4,7 +4,7 @@ import os
 import threading
 import urllib.error
 import urllib.request
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -31,6 +31,8 @@ UNLIKE_ROOMS = (
     "('something red'): no answer about {} will be reliable"
 )
 PHOTOS_JUDGED = 8
+LIGHT = {"points": AUTO, "crop_layers": 0, "levels": "large"}
+"""Options of `drsplat embed` for SAM on a CPU. Fewer photos and crops may cost answers (docs/embedding.md)."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,10 @@ class ModelChoice:
         """True where queries of the scan's folder need not name the encoder."""
         return self.encoder in (MiniEncoder.name, DEFAULT_ENCODER)
 
+    def cutting(self, asked: str) -> Mapping[str, str | int]:
+        """Return the options of `drsplat embed` that the segmenter brings along. asked: its name, or "auto"."""
+        return LIGHT if asked == AUTO and self.segmenter == CPU_SEGMENTER else {}
+
     @property
     def doubts_nouns(self) -> bool:
         """True where the photos look unlike what the built-in encoder learnt nouns from."""
@@ -76,9 +82,10 @@ class ModelChoice:
         fit = pixel_fit(source.pictures(PHOTOS_JUDGED), threads=threads)
         return replace(self, meaning=LIKE_ROOMS if fit >= MiniEncoder.least_fit else UNLIKE_ROOMS)
 
-    def sentence(self, nouns: Sequence[str] = ()) -> str:
+    def sentence(self, nouns: Sequence[str] = (), verb: str = "scan") -> str:
         """Say which models work, what that means and what would be better. nouns: queries that name things."""
-        meaning = self.meaning.format(", ".join(map(repr, nouns)) or "things by their names")
+        meaning = self.meaning or "they know colours and household words"
+        meaning = meaning.format(", ".join(map(repr, nouns)) or "things by their names")
         if not self.reason:
             words = meaning if self.is_built_in else "any words can be asked"
             return f"{self.segmenter} cuts the photos into masks and {self.encoder} embeds them: {words}."
@@ -87,7 +94,7 @@ class ModelChoice:
         meaning = meaning if self.is_built_in else "its masks are coarser than those of SAM"
         return (
             f"The built-in {noun} ({' and '.join(names)}) work, because {self.reason}; {meaning}. For SAM and CLIP: "
-            f"{self.cure}, and run drsplat scan with --overwrite."
+            f"{self.cure}, and run drsplat {verb} with --overwrite."
         )
 
 
