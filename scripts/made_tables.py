@@ -4,7 +4,7 @@
 usage: python -m scripts.made_tables
 """
 
-from collections import defaultdict
+from collections import Counter
 from importlib import import_module
 from pathlib import Path
 
@@ -15,7 +15,7 @@ from drsplat.fronts.commands.declaring import Item, items_of
 from drsplat.fronts.commands.options import Verb
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-MIN_VERBS = 3  # that share an option
+MIN_VERBS = 6  # that share an option
 
 
 def formats() -> list[str]:
@@ -28,15 +28,14 @@ def formats() -> list[str]:
 
 def options() -> list[str]:
     """Return the lines of the table of options that all verbs, or some, have with the same meaning."""
-    verbs: dict[tuple[str, str, str], list[str]] = defaultdict(list)
+    verbs: Counter[tuple[str, str, str]] = Counter()
     for verb in VERBS:
-        for item in items_of(import_module(f"drsplat.fronts.commands.{verb}").Options):
-            if item.flags:
-                verbs[_cells(item)].append(f"`{verb}`")
-    rows = [(*_cells(item), "all") for item in items_of(Verb)]
-    rows += [(*cells, ", ".join(names)) for cells, names in verbs.items() if len(names) >= MIN_VERBS]
+        items = items_of(import_module(f"drsplat.fronts.commands.{verb}").Options)
+        verbs.update(_cells(item) for item in items if item.flags)
+    rows = [_cells(item) for item in items_of(Verb)]
+    rows += [cells for cells, number in verbs.items() if number >= MIN_VERBS]
     lines = ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
-    return ["| option | value | meaning | verbs |", "|---|---|---|---|", *lines]
+    return ["| option | value | meaning |", "|---|---|---|", *lines]
 
 
 def _cells(item: Item) -> tuple[str, str, str]:
