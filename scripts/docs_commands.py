@@ -108,7 +108,7 @@ class Place:
             code = main([*words, *SHORT.get(words[0], []), *(self.added.get(words[0], []))])
         self.said += printed.getvalue()
         message = told.getvalue().strip().splitlines()[-1:]
-        if code and "drsplat[" in told.getvalue():
+        if code and "pip install" in told.getvalue():
             return "", f"needs an extra: {message[0]}"
         return ("", "") if not code else (f"exit {code}: {' '.join(message)}", "")
 

@@ -38,6 +38,30 @@ def placed(where: object, error: Exception) -> str:
     return text if text.startswith(str(where)) else f"{where}: {text}"
 
 
+def pip_install(extra: str) -> str:
+    """Return the line that installs an extra from where drsplat came from: a folder or file, an address, an index."""
+    import json  # only once something is missing
+    from importlib.metadata import PackageNotFoundError, distribution
+    from pathlib import Path
+    from urllib.parse import urlsplit
+    from urllib.request import url2pathname
+
+    try:
+        record = json.loads(distribution(__package__).read_text("direct_url.json") or "{}")
+    except (PackageNotFoundError, ValueError):
+        record = {}
+    url, wanted = record.get("url", ""), f"drsplat[{extra}]"
+    if "vcs_info" in record:
+        wanted += f" @ {record['vcs_info'].get('vcs', 'git')}+{url}"
+    elif url.startswith("file:"):
+        place = Path(url2pathname(urlsplit(url).path))
+        wanted = f"{'.' if place == Path.cwd() else place}[{extra}]"
+    elif url:
+        wanted += f" @ {url}"
+    editable = "-e " if record.get("dir_info", {}).get("editable") else ""
+    return f'pip install {editable}"{wanted}"'
+
+
 def did_you_mean(given: str, choices: Iterable[str], most: int = 3) -> str:
     """Return " Did you mean 'vase'?" with the nearest choices, or "" where nothing is near: the end of a message.
 

@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from drsplat.cli import main
+from drsplat.errors import pip_install
 from drsplat.fronts.commands import doctor
 from drsplat.kernels import available_isas, default_isa
 
@@ -47,7 +48,7 @@ def test_this_machine_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     assert answer["can"]["register, locate, render, train on the CPU"]["ready"]
     models = answer["can"][MODELS]
     assert models["ready"] == (has_torch and find_spec("transformers") is not None)
-    assert models["ready"] or "drsplat[models]" in models["cure"]
+    assert models["ready"] or pip_install("models") in models["cure"]
 
 
 @pytest.mark.parametrize("name", doctor.SERVERS)
@@ -59,7 +60,7 @@ def test_extras_that_are_missing_have_their_cure(installed: set[str], name: str)
     missing = doctor.abilities(FINE)[name]
     assert not missing["ready"]
     assert missing["reason"] == f"not installed: {', '.join(modules)}"
-    assert missing["cure"] == f'pip install "drsplat[{extra}]"'
+    assert missing["cure"] == pip_install(extra)
     installed.update(modules)
     assert doctor.abilities(FINE)[name]["ready"]
 
@@ -81,8 +82,7 @@ def test_for_people(installed: set[str], capsys: pytest.CaptureFixture[str]) -> 
     installed.remove("transformers")
     assert main(["doctor"]) == 0
     assert (
-        f'  NO  {MODELS}\n      not installed: transformers\n      pip install "drsplat[models]"\n'
-        in capsys.readouterr().out
+        f"  NO  {MODELS}\n      not installed: transformers\n      {pip_install('models')}\n" in capsys.readouterr().out
     )
 
 

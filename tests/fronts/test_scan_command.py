@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import load_field, open_scene, read_views
 from drsplat.cli import main
+from drsplat.errors import pip_install
 from drsplat.evaluation import demo as household
 from drsplat.formats.scan_record import read_scan_record
 from drsplat.fronts.commands.scan import _embedding
@@ -325,7 +326,7 @@ def test_photos_without_colmap_say_what_to_install(
 
     write_room(tmp_path / "photos", room_views(3))
     monkeypatch.setattr(program, "find_spec", lambda name: None)
-    assert 'pip install "drsplat[capture]"' in error_of(capsys, "scan", tmp_path / "photos", "-o", tmp_path / "room")
+    assert pip_install("capture") in error_of(capsys, "scan", tmp_path / "photos", "-o", tmp_path / "room")
 
 
 def test_a_folder_with_other_things_in_it_is_left_alone(capture_folder: Path, tmp_path: Path, capsys: Capture) -> None:

@@ -14,7 +14,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from PIL import Image
 
-from drsplat.errors import DrSplatError, FormatError, InputError, MissingExtraError
+from drsplat.errors import DrSplatError, FormatError, InputError, MissingExtraError, pip_install
 from drsplat.field.codes.codebook import encoder_from_json
 from drsplat.photos.models import devices, libraries, pretrained, sam, torch_encoder
 from drsplat.photos.models.loading import DEFAULT_ENCODER, load_encoder
@@ -511,7 +511,7 @@ def test_gated_models_say_how_to_get_them(load: Any, name: str, monkeypatch: pyt
 
 def test_absent_libraries(monkeypatch: pytest.MonkeyPatch, folders: dict[str, Path]) -> None:
     monkeypatch.setattr(libraries, "find_spec", lambda name: None)
-    with pytest.raises(MissingExtraError, match=re.escape('pip install "drsplat[models]"')):
+    with pytest.raises(MissingExtraError, match=re.escape(pip_install("models"))):
         tiny(folders["clip"])
     assert isinstance(load_encoder("drsplat-words"), WordEncoder)
 

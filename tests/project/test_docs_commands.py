@@ -20,7 +20,6 @@ from toy_capture import THINGS
 LANGUAGES = {"bash", "python", "text", "json", "toml", "js", "bibtex"}
 ALL = [piece for page in PAGES for piece in pieces(page)]
 MAX_WORDS = 900
-LONG = {"viewer.md"}  # how-to pages that are still to be split
 
 every_page = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 
@@ -123,7 +122,7 @@ def test_how_to_pages_are_short_with_a_picture_and_a_command(page: Path) -> None
     """What was measured, and how, is a page of its own."""
     text = page.read_text(encoding="utf-8")
     prose = re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
-    assert len(prose.split()) <= MAX_WORDS or page.name in LONG
+    assert len(prose.split()) <= MAX_WORDS
     assert "![" in text
     assert any(not reason(piece) for piece in pieces(page))
 

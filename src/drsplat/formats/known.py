@@ -182,7 +182,7 @@ FORMATS = (
         write={".usda": write_usda, ".usdc": write_usdc, ".usdz": write_usdz}, holds=_ALMOST_ALL,
         row="| OpenUSD `.usda`, `.usdc`, `.usdz`, `.usd` | 26.03 | `.usda`, `.usdc`, `.usdz` | "
         "ParticleField3DGaussianSplat, single and half precision; primvars with a number per Gaussian; `.usda` "
-        'needs no library, binary files need `pip install "drsplat[usd]"` ([layout](#openusd)); SH degree above 3'
+        'needs no library, binary files need `pip install ".[usd]"` ([layout](#openusd)); SH degree above 3'
         " is cut with a warning | colours of linear light or of other primaries than sRGB's, by ColorSpaceAPI as "
         "USD resolves it or by `colorSpace` of the harmonics: export it in `srgb_rec709_scene`; stages whose "
         "splats lie in other files or variants: flatten them; splats that move; several splats of which some are "
@@ -208,7 +208,7 @@ FORMATS = (
         "rerun", write={".rrd": write_rrd}, holds=frozenset({"names", "matches", "annotations", "photos"}),
         row="| rerun `.rrd` | no | 0.41 | splats (unstable in its SDK), objects, groups and matches as boxes with "
         "names, annotations, photos with cameras, motion on a timeline (`formats/rerun_writing.py`); needs `pip "
-        'install "drsplat[rerun]"` | |',
+        'install ".[rerun]"` | |',
     ),
     SceneFormat(
         "LCC",

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..base.arrays import Float64
-from ..errors import MissingExtraError
+from ..errors import MissingExtraError, pip_install
 from ..scene.gaussians import SH_C0, Gaussians
 from ..scene.labelled import LabelledScene, Thing
 from ..scene.moving import Moving
@@ -23,7 +23,6 @@ from ..scene.views import View
 from .replacing import replacing
 from .writable import refuse_unwritable
 
-INSTALL = 'pip install "drsplat[rerun]"'
 TIMELINE = "time"
 MAX_HARMONICS = 15  # of a Gaussian, without the constant term
 
@@ -52,7 +51,7 @@ def _sdk() -> Any:
     try:
         import rerun
     except ModuleNotFoundError:
-        raise MissingExtraError(f"a recording of rerun needs its SDK: {INSTALL}") from None
+        raise MissingExtraError(f"a recording of rerun needs its SDK: {pip_install('rerun')}") from None
     return rerun
 
 

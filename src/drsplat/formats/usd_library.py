@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..base.arrays import UInt8
-from ..errors import FormatError, MissingExtraError
+from ..errors import FormatError, MissingExtraError, pip_install
 from ..scene.labelled import LabelledScene
 from .replacing import replacing
 from .usd_text import API_SCHEMAS, MAX_NESTING, TIME_SAMPLES, UsdPrim, Value, is_wanted
@@ -30,7 +30,6 @@ TWO_COUNTS = (b"TOKENS", b"PATHS")
 
 
 MARK = b"PXR-USDC"
-INSTALL = 'pip install "drsplat[usd]"'
 _ARRAYS = {
     "point3f[]": "Vec3fArray", "float3[]": "Vec3fArray", "quatf[]": "QuatfArray", "float[]": "FloatArray",
     "int[]": "IntArray",
@@ -43,7 +42,7 @@ def openusd() -> Any:
     try:
         from pxr import Gf, Sdf, Tf, UsdUtils, Vt  # noqa: F401
     except ModuleNotFoundError:
-        raise MissingExtraError(f"binary USD needs OpenUSD's own library: {INSTALL}, or use .usda") from None
+        raise MissingExtraError(f"binary USD needs OpenUSD's own library: {pip_install('usd')}, or use .usda") from None
     import pxr
 
     return pxr

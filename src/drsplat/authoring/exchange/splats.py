@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import FormatError, MissingExtraError
+from ...errors import FormatError, MissingExtraError, pip_install
 from ...formats.activation import exp, logit, sigmoid, unit_quats
 from ...scene.gaussians import Gaussians
 
@@ -23,7 +23,7 @@ def to_splats(gaussians: Gaussians, device: str = "cpu") -> dict[str, Any]:
     try:
         import torch
     except ImportError:
-        raise MissingExtraError('torch is not installed: pip install "drsplat[models]"') from None
+        raise MissingExtraError(f"torch is not installed: {pip_install('models')}") from None
     arrays = {
         "means": gaussians.positions.astype(np.float32), "quats": gaussians.quats, "scales": np.log(gaussians.scales),
         "opacities": logit(gaussians.opacities), "sh0": gaussians.sh[:, :1], "shN": gaussians.sh[:, 1:],

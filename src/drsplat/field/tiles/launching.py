@@ -14,7 +14,7 @@ from multiprocessing import get_context
 from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from ...base.system import end_with
-from ...errors import DrSplatError, InputError, MissingExtraError
+from ...errors import DrSplatError, InputError, MissingExtraError, pip_install
 from ..codes import Track
 
 T = TypeVar("T")
@@ -116,7 +116,7 @@ class Ray:
         try:
             import ray
         except ImportError:
-            raise MissingExtraError('--ray needs Ray: pip install "drsplat[ray]"') from None
+            raise MissingExtraError(f"Ray is not installed: {pip_install('ray')}") from None
         self._ray = ray
         self._options = {"num_cpus": threads, "max_retries": MAX_TRIES} | ({"memory": memory} if memory else {})
         if not ray.is_initialized():

@@ -12,7 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from ...base.system import is_ours, owner
-from ...errors import InputError, MissingExtraError
+from ...errors import InputError, MissingExtraError, pip_install
 from ...formats.replacing import replacing
 from ...formats.tensors import write_tensors
 from ..evidence.columns import is_finished
@@ -106,7 +106,7 @@ class Remote:
         try:
             import fsspec
         except ImportError:
-            raise MissingExtraError(f'{self.url} needs fsspec: pip install "drsplat[ray]"') from None
+            raise MissingExtraError(f"{self.url} needs fsspec: {pip_install('ray')}") from None
         try:
             files, root = fsspec.core.url_to_fs(self.url, use_listings_cache=False)
         except (ValueError, ImportError) as error:

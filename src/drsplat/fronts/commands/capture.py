@@ -26,8 +26,8 @@ EXAMPLES = """\
   drsplat train capture --output-dir model
 
 The photos are never changed. To resume a stopped run, give the same command again, also with more photos. If the
-capture exists and only --scale or --known-distance is new, --overwrite keeps its poses. Needs COLMAP's package: pip
-install "drsplat[capture]"."""
+capture exists and only --scale or --known-distance is new, --overwrite keeps its poses. Needs COLMAP's package:
+`drsplat doctor` says how to install it."""
 SIZE = "metric scale (default: from the photos' GPS, else lengths have no unit)"
 LENSES = ("pinhole", "radial", "opencv", "fisheye")
 

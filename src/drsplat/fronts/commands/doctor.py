@@ -11,6 +11,7 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 
+from ...errors import pip_install
 from .declaring import Facts, declaration
 from .options import Verb
 
@@ -122,7 +123,7 @@ def _no_extra(extra: str, modules: tuple[str, ...]) -> tuple[str | None, str | N
     absent = [name for name in modules if not _is_installed(name)]
     if not absent:
         return None, None
-    return f"not installed: {', '.join(absent)}", f'pip install "drsplat[{extra}]"'
+    return f"not installed: {', '.join(absent)}", pip_install(extra)
 
 
 def _ability(reason: str | None, cure: str | None) -> Facts:
@@ -146,13 +147,13 @@ def _gpus(facts: Facts) -> list[str]:
 
 def _no_models(facts: Facts) -> tuple[str | None, str | None]:
     """Return why SAM and CLIP cannot run, and the cure."""
-    from ...photos.models.libraries import INSTALL, NO_TORCHVISION
+    from ...photos.models.libraries import NO_TORCHVISION
 
     absent = [name for name in ("torch", "transformers") if not _is_installed(name)]
     if absent:
-        return f"not installed: {', '.join(absent)}", INSTALL
+        return f"not installed: {', '.join(absent)}", pip_install("models")
     if facts.get("torch_fault"):
-        return f"torch cannot be imported: {facts['torch_fault']}", f"{INSTALL} --force-reinstall"
+        return f"torch cannot be imported: {facts['torch_fault']}", f"{pip_install('models')} --force-reinstall"
     if facts.get("torchvision_fault"):
         return (
             "the installed torchvision does not fit torch, so transformers cannot import its models "

@@ -46,7 +46,7 @@ EXAMPLES = """\
 
 A capture is a folder of posed photos, as `drsplat capture` and other programs write it. To resume a stopped run,
 give the same command again. Each stage is a verb (capture, train, embed, register, objects, view) and takes its
-options from its table in --config. Poses need COLMAP's package: pip install "drsplat[capture]"."""
+options from its table in --config. Poses need COLMAP's package: `drsplat doctor` says how to install it."""
 FIELD, FEATURES, PAGE = "scene.field", "features", "index.html"
 CPU_SIDE_PIXELS = 800  # longer side of photos that a CPU trains on
 DEFAULT_VIDEO_PHOTOS = 100  # until the frames of a video are chosen

@@ -31,9 +31,9 @@ EXAMPLES = """\
   drsplat view scene.ply
   drsplat view --catalogue flats.catalogue
 
-Needs pip install "drsplat[viewer]"; --export needs nothing. The address is only for this machine; with --host
-0.0.0.0 it has a token, and anyone who knows it can view, search and save from elsewhere. A scene without a field can
-only be viewed."""
+A viewer needs packages of its own (`drsplat doctor` says how to install them), --export does not. The address is only
+for this machine; with --host 0.0.0.0 it has a token, and anyone who knows it can view, search and save from elsewhere.
+A scene without a field can only be viewed."""
 DAILY = "scene views ask encoder port export overwrite"
 MAX_GAUSSIANS, MAX_PAGE_GAUSSIANS = 1_000_000, 200_000
 

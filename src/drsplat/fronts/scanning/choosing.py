@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 
-from ...errors import MissingExtraError
+from ...errors import MissingExtraError, pip_install
 from ...photos.embedding.fitting import pixel_fit
 from ...photos.models.devices import chosen_device
 from ...photos.models.graph import GraphSegmenter
-from ...photos.models.libraries import INSTALL, models_library
+from ...photos.models.libraries import models_library
 from ...photos.models.loading import DEFAULT_ENCODER
 from ...photos.models.mini import MiniEncoder
 from ...photos.models.mini.lexicon import nouns_in
@@ -108,7 +108,7 @@ def choose_models(segmenter: str, encoder: str, device: str = AUTO) -> ModelChoi
     try:
         models_library()
     except MissingExtraError as error:
-        return _built_in(segmenter, encoder, str(error).partition(": ")[0], INSTALL)
+        return _built_in(segmenter, encoder, str(error).partition(": ")[0], pip_install("models"))
     sam = DEFAULT_SEGMENTER if chosen_device(device) != "cpu" else CPU_SEGMENTER
     named = [(segmenter, sam), (encoder, DEFAULT_ENCODER)]
     reasons = [_why_not(name) for choice, name in named if choice == AUTO]

@@ -5,7 +5,7 @@ import socket
 from importlib.util import find_spec
 
 from ...base import system
-from ...errors import InputError, MissingExtraError
+from ...errors import InputError, MissingExtraError, pip_install
 
 
 def require(extra: str, *modules: str) -> None:
@@ -21,7 +21,7 @@ def require_packages(extra: str, *modules: str) -> None:
     """Check an extra's modules. Raises: MissingExtraError: one is not installed."""
     absent = [name for name in modules if find_spec(name) is None]
     if absent:
-        raise MissingExtraError(f'{" and ".join(absent)} not installed: pip install "drsplat[{extra}]"')
+        raise MissingExtraError(f"{' and '.join(absent)} not installed: {pip_install(extra)}")
 
 
 class TakenError(InputError):

@@ -11,9 +11,8 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
-from ...errors import DrSplatError, MissingExtraError
+from ...errors import DrSplatError, MissingExtraError, pip_install
 
-INSTALL = 'pip install "drsplat[cuda]"'
 COMMON = ("basics", "projection", "walk")
 MODULES = {  # files that are compiled together
     "tiling": ("basics", "sort", "projection", "tiles"),
@@ -115,7 +114,7 @@ def _passed(argument: object) -> object:
 def unavailable() -> str | None:
     """Return why this machine runs no CUDA kernels, and what to do; None where it does."""
     if find_spec("cupy") is None:
-        return f"device 'cuda' needs CuPy, which is not installed: {INSTALL}, or take device 'cpu'"
+        return f"device 'cuda' needs CuPy, which is not installed: {pip_install('cuda')}, or take device 'cpu'"
     try:
         cupy = import_module("cupy")
         count = int(cupy.cuda.runtime.getDeviceCount())

@@ -18,7 +18,7 @@ from scipy import ndimage
 
 from ...base.arrays import UInt8
 from ...base.contents import open_file
-from ...errors import FormatError, MismatchError, MissingExtraError
+from ...errors import FormatError, MismatchError, MissingExtraError, pip_install
 from ...formats.checksums import hash_file
 from ...formats.mask_files import FOLDER as MASKS
 from ...formats.mask_files import SUFFIX as MASK_SUFFIX
@@ -34,7 +34,6 @@ from .finding import Source
 
 Vector = tuple[float, float, float]
 
-INSTALL = 'pip install "drsplat[capture]"'
 MAX_PIXELS = 200_000_000
 MIN_SIDE_PIXELS = 64
 JPEG_QUALITY = 95
@@ -222,7 +221,7 @@ def add_heif() -> None:
     try:
         from pi_heif import register_heif_opener
     except ImportError:
-        raise MissingExtraError(f"HEIC photos need pi-heif: {INSTALL}") from None
+        raise MissingExtraError(f"HEIC photos need pi-heif: {pip_install('capture')}") from None
     register_heif_opener()
 
 

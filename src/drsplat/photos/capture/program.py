@@ -10,9 +10,8 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from ...errors import DrSplatError, FormatError, InputError, MissingExtraError
+from ...errors import DrSplatError, FormatError, InputError, MissingExtraError, pip_install
 
-INSTALL = 'pip install "drsplat[capture]"'
 MAX_LOG_BYTES = 1 << 20
 MIN_FREE_BYTES = 1 << 20  # a disk with less is full
 _FULL = ("disk is full", "No space left", "disk I/O error")
@@ -28,7 +27,7 @@ class ColmapFailure(DrSplatError):
 def require_colmap() -> None:
     """Check for COLMAP's package. Raises: MissingExtraError: it is not installed."""
     if find_spec("pycolmap") is None:
-        raise MissingExtraError(f"finding poses needs COLMAP's package pycolmap: {INSTALL}")
+        raise MissingExtraError(f"finding poses needs COLMAP's package pycolmap: {pip_install('capture')}")
 
 
 def ask_colmap(task: str, log: Path, report: Report | None = None, **request: Any) -> Any:

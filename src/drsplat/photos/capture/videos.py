@@ -15,10 +15,10 @@ from PIL import Image
 
 from ...base.arrays import Bool, Float64, Int64, UInt8
 from ...base.contents import open_file
-from ...errors import InputError, MissingExtraError
+from ...errors import InputError, MissingExtraError, pip_install
 from ...formats.replacing import replacing
 from .finding import VIDEO_ENDS, Source
-from .photos import INSTALL, JPEG_QUALITY, MAX_PIXELS, sharpness
+from .photos import JPEG_QUALITY, MAX_PIXELS, sharpness
 from .posing import Progress
 from .work import Work
 
@@ -156,7 +156,7 @@ def _opened(video: Path) -> Iterator[tuple[Any, Any]]:
     try:
         import av
     except ImportError:
-        raise MissingExtraError(f"videos need PyAV: {INSTALL}") from None
+        raise MissingExtraError(f"videos need PyAV: {pip_install('capture')}") from None
     av.logging.set_level(av.logging.PANIC)
     try:
         with open_file(video), av.open(str(video)) as container:

@@ -5,9 +5,8 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
-from ...errors import MissingExtraError
+from ...errors import MissingExtraError, pip_install
 
-INSTALL = 'pip install "drsplat[models]"'
 NO_TORCHVISION = "pip uninstall torchvision"
 
 
@@ -19,8 +18,8 @@ def models_library() -> Any:
     absent = [name for name in ("torch", "transformers") if find_spec(name) is None]
     if absent:
         raise MissingExtraError(
-            f"models such as CLIP need {' and '.join(absent)}, not installed: {INSTALL}; what is built in, coarser, "
-            "needs nothing (drsplat embed --segmenter graph --encoder drsplat-mini)"
+            f"models such as CLIP need {' and '.join(absent)}, not installed: {pip_install('models')}; what is built "
+            "in, coarser, needs nothing (drsplat embed --segmenter graph --encoder drsplat-mini)"
         )
     try:
         import_module("torch")
@@ -70,5 +69,6 @@ def _unusable(error: BaseException) -> MissingExtraError:
             f"needs no torchvision, so {NO_TORCHVISION}, or install the one of this torch"
         )
     return MissingExtraError(
-        f"torch and transformers are installed but cannot be imported: {error}. Install them anew: {INSTALL}"
+        f"torch and transformers are installed but cannot be imported: {error}. Install them anew: "
+        f"{pip_install('models')}"
     )

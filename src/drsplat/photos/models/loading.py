@@ -27,7 +27,7 @@ def load_encoder(
 
     name: "drsplat-words", "drsplat-mini", a folder as `save_pretrained` or OpenCLIP writes it, or an id of the Hugging
     Face hub, which is downloaded unless it is cached. Only safetensors are loaded, never pickles.
-    After "hf-hub:" or "open_clip:" it is loaded by open_clip's own library (`drsplat[open-clip]`), which has models
+    After "hf-hub:" or "open_clip:" it is loaded by open_clip's own library (the extra open-clip), which has models
     that transformers has not, such as "hf-hub:timm/PE-Core-B-16".
     device: auto, cpu, cuda or mps. dtype of images: auto, float32, bfloat16 or float16; auto is
     float16 on CUDA and bfloat16 on processors that multiply it. threads: of drsplat-mini, 0 for all cores; the

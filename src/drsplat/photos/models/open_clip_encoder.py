@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import InputError, MissingExtraError
+from ...errors import InputError, MissingExtraError, pip_install
 from ...scene.encoders import EncoderIdentity
 from .devices import chosen_device, chosen_dtype
 from .open_clip_settings import embedding_size, open_clip_preprocessing
@@ -21,7 +21,6 @@ from .pretrained import checked_files, model_errors, weights_hash
 from .torch_encoder import TorchEncoder, as_rows
 from .weight_names import OPEN_CLIP, OPEN_CLIP_CONFIG, no_weights
 
-INSTALL = 'pip install "drsplat[open-clip]"'
 _OPENAI = (0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711)
 
 
@@ -29,15 +28,15 @@ def open_clip_library() -> Any:
     """Return the module open_clip. Raises: MissingExtraError: not installed, or it cannot be imported; says why."""
     if find_spec("open_clip") is None:
         raise MissingExtraError(
-            f"models such as PE-Core and MobileCLIP2 need open_clip_torch, not installed: {INSTALL}, which brings the "
-            "torchvision that must belong to the installed torch; other encoders need neither"
+            f"models such as PE-Core and MobileCLIP2 need open_clip_torch, not installed: {pip_install('open-clip')}, "
+            "which brings the torchvision that must belong to the installed torch; other encoders need neither"
         )
     try:
         return import_module("open_clip")
     except (ImportError, OSError, RuntimeError, AttributeError) as error:
         raise MissingExtraError(
             f"open_clip_torch is installed but cannot be imported: {error}. It needs timm and the torchvision of the "
-            f"installed torch: {INSTALL}"
+            f"installed torch: {pip_install('open-clip')}"
         ) from error
 
 

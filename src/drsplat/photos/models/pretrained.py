@@ -8,9 +8,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from ...errors import DrSplatError, FormatError, InputError, MissingExtraError
+from ...errors import DrSplatError, FormatError, InputError, MissingExtraError, pip_install
 from ...formats.json_files import excerpt, read_json
-from .libraries import INSTALL, model_class, models_library
+from .libraries import model_class, models_library
 from .weight_names import INDEX, OPEN_CLIP, OPEN_CLIP_CONFIG, WEIGHTS, no_weights
 
 _SETTINGS = ["*.json", "merges.txt", "vocab.txt", "*.model"]
@@ -172,7 +172,7 @@ def _downloaded(name: str, weights: str) -> Path:
         hub = import_module("huggingface_hub")
         errors = import_module("huggingface_hub.errors")
     except ImportError:
-        raise MissingExtraError(f"'{name}' is an id of the Hugging Face hub: {INSTALL}") from None
+        raise MissingExtraError(f"'{name}' is an id of the Hugging Face hub: {pip_install('models')}") from None
     try:
         if weights == OPEN_CLIP:
             return Path(hub.snapshot_download(name, allow_patterns=[*_SETTINGS, OPEN_CLIP]))

@@ -6,7 +6,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from ...errors import DrSplatError, FormatError, InputError, MissingExtraError
+from ...errors import DrSplatError, FormatError, InputError, MissingExtraError, pip_install
 
 PANICS = ("PanicException", "RustPanic")  # of Rust, on unexpected contents
 INDEX_CACHE_BYTES, METADATA_CACHE_BYTES = 512 << 20, 256 << 20
@@ -19,7 +19,7 @@ def libraries() -> tuple[Any, Any]:
         import lancedb
         import pyarrow
     except ImportError as error:
-        raise MissingExtraError(f'a catalogue needs LanceDB ({error}): pip install "drsplat[catalogue]"') from error
+        raise MissingExtraError(f"a catalogue needs LanceDB ({error}): {pip_install('catalogue')}") from error
     return lancedb, pyarrow
 
 
