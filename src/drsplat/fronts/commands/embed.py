@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from ...formats.langsplat import FeatureFolder
     from ...photos.embedding.embed import EmbeddingReport
     from ...photos.models.point_masks import PointMaskSettings
+    from ...query import Scene
     from ...scene.encoders import ImageEncoder
     from ...scene.gaussians import Gaussians
     from ...scene.masks.masks import Segmenter
@@ -32,6 +33,7 @@ EXAMPLES = """\
   drsplat embed capture --segmenter graph --encoder drsplat-mini   (built in: no download)
   drsplat embed capture --encoder google/siglip2-base-patch16-224 --output capture/siglip2 --json
   drsplat embed capture --masks capture/language_features --encoder facebook/dinov2-base --output capture/dinov2
+  drsplat embed capture --masks room.field --scene model --encoder drsplat-mini --output capture/things
 
 To resume a stopped run, give the same command again without --overwrite."""
 DAILY = "output segmenter encoder scene device overwrite"
@@ -140,7 +142,8 @@ class Options(Verb):
     )  # fmt: skip
     masks: str | None = option(
         "features of the same photos whose masks are reused: only the encoder changes, for `drsplat register "
-        "--weights-of` (default: cut the photos again)", "DIR", title="models",
+        "--weights-of`; or a field whose objects are drawn into the photos, the same mask in each, with --scene "
+        "(default: cut the photos again)", "DIR", title="models",
     )  # fmt: skip
     encoder: str = option(
         f"{ENCODER_HELP}auto, {DEFAULT_ENCODER}, the paper's, where SAM and CLIP can be had, else drsplat-mini)",
@@ -264,23 +267,29 @@ def _chosen_views(options: Options, views: list[View], scene: Gaussians | None) 
 def _embedded(
     options: Options,
     views: list[View],
-    segmenter: Segmenter | FeatureFolder,
+    segmenter: Segmenter | FeatureFolder | Scene,
     encoder: ImageEncoder,
     scene: Gaussians | None,
 ) -> EmbeddingReport:
     """Embed the crops of --crops. Raises: InputError: --masks keeps masks that are embedded one by one."""
+    from ...authoring.exporting.masking import draw_features
     from ...photos.embedding.embed import embed
-    from ...photos.embedding.objects_first import embed_objects
+    from ...photos.embedding.objects_first import MASKS, embed_objects
+    from ...query import Scene
     from ...scene.masks.masks import Segmenter
 
-    shared: dict[str, Any] = {"max_height": options.cutting.max_height, "overwrite": options.overwrite}
-    shared |= {"form": "langsplat" if options.langsplat else "compact", "track": options.track}
-    output = options.folder
+    shared: dict[str, Any] = {"overwrite": options.overwrite, "track": options.track}
+    output, parts = options.folder, parts_of(options.folder)
+    drawn = isinstance(segmenter, Scene)
+    if isinstance(segmenter, Scene):
+        segmenter = draw_features(parts / MASKS, segmenter, views, **shared)
+    shared |= {"max_height": options.cutting.max_height, "form": "langsplat" if options.langsplat else "compact"}
     if options.with_scene.crops == "masks" or scene is None:
         return embed(views, output, segmenter, encoder, **shared)
-    if not isinstance(segmenter, Segmenter):
-        raise InputError("--masks embeds every mask again: drop --crops objects")
-    parts = parts_of(output)
+    if not drawn and not isinstance(segmenter, Segmenter):
+        raise InputError(
+            "--masks embeds every mask again: drop --crops objects, or name a field whose objects are drawn"
+        )
     return embed_objects(views, output, segmenter, encoder, scene, parts=parts, threads=options.threads, **shared)
 
 
@@ -316,9 +325,10 @@ def show(answer: Facts) -> None:
     )
 
 
-def _segmenter(options: Options, models: ModelChoice) -> Segmenter | FeatureFolder:
-    """Return the segmenter of --segmenter, or the masks of --masks. Raises: InputError: both were given."""
-    from ... import read_features
+def _segmenter(options: Options, models: ModelChoice) -> Segmenter | FeatureFolder | Scene:
+    """Return the segmenter of --segmenter, or what --masks names. Raises: InputError: both were given."""
+    from ... import open_scene, read_features
+    from ...formats.field_folder import MANIFEST
     from ...photos.models.sam import load_segmenter
 
     if options.masks is None:
@@ -329,6 +339,8 @@ def _segmenter(options: Options, models: ModelChoice) -> Segmenter | FeatureFold
         raise InputError("--masks keeps what was cut: drop --segmenter, --points, --crop-layers and --levels")
     if options.output is None:
         raise InputError("--masks: name another folder for the new features with --output")
+    if (Path(options.masks) / MANIFEST).is_file():
+        return open_scene(options.masks, scene=options.with_scene.scene, threads=options.threads)
     return read_features(options.masks)
 
 
