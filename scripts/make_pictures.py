@@ -3,7 +3,7 @@
 usage: python make_pictures.py DEMO [FOLDER]    DEMO: what `drsplat demo` wrote. FOLDER: docs/images by default
 
 Writes use_find.jpg, use_list.jpg and use_change.jpg for the front page, card.png of the size that sites show links
-with, and demo.jpg, objects.jpg, film.jpg and attributes.jpg. The tests draw them again and compare.
+with, and demo.jpg, objects.jpg, parts.jpg, film.jpg and attributes.jpg. The tests draw them again and compare.
 """
 
 import sys
@@ -33,8 +33,10 @@ SIZE, FINER, QUALITY = (720, 450), 2, 84  # pixels; drawn so many times as large
 ASKED = ("couch", "red vase", "toy duck", "green cup", "blue candle")
 NAMED = ("brown table", "orange sofa", "green mug", "red vase", "green toy duck", "green plant")
 ATTRIBUTES = ("red", "blue", "red vase", "candle")
+PARTS, PART_COLUMNS, PART_SIZE, PART_AWAY = 8, 4, 240, 2.4  # splats in a row and pixels; distance in sizes of a thing
 FILM_FPS, FILM_FRAMES, FILM_SIZE, FILM_GAP = 4.0, (0, 6, 15, 26), (400, 300), 6  # the answer fades in at the second
 WIDTHS = {"demo": 1100, "objects": 1200, "attributes": 1600, "film": 1618}  # pixels, of large pictures
+MAX_PART_SIZE = 0.6  # metres
 TINT, WIPE = 0.6, 0.522  # of the colours of objects; of the width, where before ends and after begins
 CARD, MARGIN = (1200, 630), 56  # pixels
 SAID = "Search a 3D Gaussian Splatting scene in words."
@@ -119,6 +121,28 @@ def objects(scene: ds.Scene) -> np.ndarray:
     return object_sheet(scene, [scene.objects[number] for number in agreed], [names[number] for number in agreed])
 
 
+def parts(scene: ds.Scene) -> np.ndarray:
+    """Splats that `drsplat objects --save FOLDER` writes, each alone on paper: the largest that are no furniture."""
+    names = scene.object_names()
+    chosen = [
+        number for number, match in enumerate(scene.objects)
+        if scene.agreed[number] and names[number] and match.extent.max() < MAX_PART_SIZE
+    ][:PARTS]  # fmt: skip
+    cells = [part(scene, scene.objects[number], str(names[number])) for number in chosen]
+    rows = [cells[begin : begin + PART_COLUMNS] for begin in range(0, len(cells), PART_COLUMNS)]
+    return np.concatenate([np.concatenate(row, axis=1) for row in rows])
+
+
+def part(scene: ds.Scene, match: ds.Match, name: str) -> np.ndarray:
+    """One object from above its front, with its name."""
+    eye = match.center + PART_AWAY * float(match.extent.max()) * np.array([-0.6, -0.6, 0.5])
+    view = looking_at(eye, match.center, UP, (PART_SIZE, PART_SIZE), 42.0)
+    drawn = render(scene.gaussians.subset(match.gaussian_ids), view)
+    made = Image.fromarray(as_pixels(drawn.rgb + (1 - drawn.alpha[..., None])))
+    ImageDraw.Draw(made).text((8, PART_SIZE - 26), name, INK, ImageFont.load_default(16))
+    return np.asarray(made)
+
+
 def attributes(scene: ds.Scene) -> np.ndarray:
     """One vase, and how well some words fit, as `drsplat render --attributes` draws it."""
     return attribute_row(scene, scene.locate("vase")[0], ATTRIBUTES)
@@ -136,7 +160,7 @@ def film(scene: ds.Scene) -> np.ndarray:
 
 
 DRAWN: dict[str, Callable[[ds.Scene], np.ndarray]] = {
-    "demo": overview, "objects": objects, "attributes": attributes, "film": film,
+    "demo": overview, "objects": objects, "parts": parts, "attributes": attributes, "film": film,
 }  # fmt: skip
 
 

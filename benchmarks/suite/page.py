@@ -1,12 +1,13 @@
 """python -m benchmarks.suite.page docs/evaluation.json --output docs/evaluation.md
 
-Takes docs/answers.json beside the results as well, and draws docs/evaluation.svg beside the page.
+Takes docs/answers.json and docs/targets.json beside the results as well, and draws docs/evaluation.svg beside the
+page.
 """
 
 import argparse
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -32,12 +33,19 @@ from .tables import (
     study_table,
     thresholds_table,
 )
+from .targets import targets_table
 
-ANSWERS_FILE = "answers.json"
+ANSWERS_FILE, TARGETS_FILE = "answers.json", "targets.json"
 _HEAD = """\
 How well a word finds the thing that is meant, in photos of real places and in made-up rooms whose truth is known to
 the pixel. No number here is typed: `python -m benchmarks.suite` makes [evaluation.json](evaluation.json) and
 [answers.json](answers.json), and this page from them."""
+_TARGETS = """\
+A word can mean no thing of a place, one or several, and the answer says which: *no such object* (`certainty` is
+"nothing"), *maybe* with the reason, or sure matches, which are counted. Asked were all nouns that the built-in encoder
+was taught, in {rooms} made-up rooms (`python benchmarks/study_targets.py ROOM=FIELD...`, which counts
+[targets.json](targets.json); few of these words mean several things of a room). `drsplat evaluate` asks LERF-OVS and
+ScanNet, whose questions all have a target, with `--present`, so that nothing is refused."""
 _HEADLINE = """\
 Percent of IoU: what was selected *and* meant, of what was selected *or* meant. *Plain* asks every Gaussian for itself,
 *whole objects* is what `drsplat` does, and the *best threshold* is that of the plain field, chosen for each word with
@@ -98,9 +106,9 @@ _UNSTAMPED = "They are of a run before stamps of the code were kept, so they may
 _STALE = "Made by older code than the rest, and not run again: {names}."
 
 
-def page(results: Results, answers: Answers | None = None) -> str:
+def page(results: Results, answers: Answers | None = None, targets: Mapping[str, Any] | None = None) -> str:
     """The whole page, in lines of at most 120 characters where they are prose."""
-    return "\n\n".join(map(_wrapped, _sections(results, answers))) + "\n"
+    return "\n\n".join(map(_wrapped, _sections(results, answers, targets))) + "\n"
 
 
 def _wrapped(section: str) -> str:
@@ -115,9 +123,14 @@ def _filled(text: str, indent: str) -> str:
     return fill(text, 120, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
 
 
-def _sections(results: Results, answers: Answers | None) -> Iterator[str]:
+def _sections(results: Results, answers: Answers | None, targets: Mapping[str, Any] | None) -> Iterator[str]:
     yield "# Evaluation"
     yield _HEAD
+    if targets:
+        yield "## No, one or several targets"
+        yield _TARGETS.format(rooms=len(targets["rooms"]))
+        yield targets_table(targets)
+        yield "## How well answers overlap what is meant"
     if answers:
         yield "![Bars of how well answers overlap what is meant, by place](evaluation.svg)"
     yield "\n".join(f"- {sentence}" for sentence in reading(results, answers))
@@ -250,13 +263,19 @@ def _ages(results: Results) -> str:
 
 def write_page(results_file: Path, output: Path) -> None:
     """Write the page, and the picture beside it where answers were made."""
-    results, beside = json.loads(results_file.read_text(encoding="utf-8")), results_file.with_name(ANSWERS_FILE)
-    answers = json.loads(beside.read_text(encoding="utf-8")) if beside.is_file() else None
+    results = json.loads(results_file.read_text(encoding="utf-8"))
+    answers, targets = (beside(results_file, name) for name in (ANSWERS_FILE, TARGETS_FILE))
     with replacing(output, overwrite=True) as file:
-        file.write(page(results, answers).encode())
+        file.write(page(results, answers, targets).encode())
     if answers:
         with replacing(output.with_suffix(".svg"), overwrite=True) as file:
             file.write(picture(answers).encode())
+
+
+def beside(results_file: Path, name: str) -> Any:
+    """Return what a JSON file beside the results holds, None where there is none."""
+    path = results_file.with_name(name)
+    return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
 
 
 def main() -> None:

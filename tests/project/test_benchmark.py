@@ -13,6 +13,7 @@ import pytest
 from benchmarks.suite import answers, chart, headline, masks, numbers, page, reading, rendered, running, scenes, stamps
 from benchmarks.suite import results as documents
 from benchmarks.suite.rivals import FITTED
+from benchmarks.suite.targets import SAID
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.sparse import csr_array
@@ -25,6 +26,7 @@ from drsplat.formats.scannet import LabelledCloud, read_scannet_labels
 ROOT = Path(__file__).resolve().parents[2]
 RESULTS, PAGE = ROOT / "docs" / "evaluation.json", ROOT / "docs" / "evaluation.md"
 ANSWERS, PICTURE = ROOT / "docs" / "answers.json", ROOT / "docs" / "evaluation.svg"
+TARGETS = ROOT / "docs" / "targets.json"
 SHIPPED = sorted(path.parent for path in (ROOT / "world/scenes").glob("*/truth.json"))
 shipped = pytest.mark.skipif(not SHIPPED, reason="world/scenes has no packed scene")
 
@@ -33,8 +35,21 @@ def test_the_page_is_what_the_results_make() -> None:
     if not RESULTS.is_file():
         pytest.skip("docs/evaluation.json is not there: nothing was run yet")
     said = json.loads(ANSWERS.read_text("utf-8"))
-    assert PAGE.read_text(encoding="utf-8") == page.page(json.loads(RESULTS.read_text("utf-8")), said)
+    results, targets = (json.loads(path.read_text("utf-8")) for path in (RESULTS, TARGETS))
+    assert PAGE.read_text(encoding="utf-8") == page.page(results, said, targets)
     assert PICTURE.read_text(encoding="utf-8") == headline.picture(said)
+
+
+def test_questions_without_a_target_come_first() -> None:
+    counted = {"rooms": ["a"], "answers": {kind: dict.fromkeys(SAID, 0) for kind in ("0", "1", "N")}}
+    counted["answers"]["0"] |= {"nothing": 3, "wrong": 1}
+    counted["answers"]["N"]["fewer"] = 2
+    text = page.page(results(), words(), counted)
+    assert "| 0 | 4 | 75 % | 0 % | 0 % | 0 % | 0 % | 25 % |" in text
+    assert "| 1 | 0 |  |" in text
+    assert "| 2 or more | 2 | 0 % | 0 % | 0 % | 100 % | 0 % | 0 % |" in text
+    assert text.index("no such object") < text.index("IoU")
+    assert "no such object" not in page.page(results())
 
 
 def record(scene: str, method: str, level: float, sweep: list[float]) -> dict[str, Any]:

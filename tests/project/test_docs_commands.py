@@ -168,6 +168,14 @@ def after_tasks(place: Place) -> None:
     assert "of 'blue candle'" in place.said
 
 
+def after_splat_per_object(place: Place) -> None:
+    """Each object is a splat of its own, by its number."""
+    room = ds.open_scene("drsplat-demo")
+    for number, match in enumerate(room.objects):
+        part = ds.read_gaussians(f"parts/object_{number:04d}.ply")
+        np.testing.assert_allclose(part.positions, room.gaussians.positions[match.gaussian_ids], atol=1e-5)
+
+
 def after_capture(place: Place) -> None:
     """Named places gave metres, and the red vase is as far from the cup as in the room."""
     record = (place.folder / "capture/capture.json").read_text(encoding="utf-8")
@@ -179,6 +187,7 @@ RESULTS: dict[str, tuple[tuple[str, ...], Callable[[Place], None] | None]] = {
     "docs/tour.md": (("mug_ids.npy", "found.ply", "classes.ply", "out/results.json", "mug.webp"), after_tour),
     "docs/tasks.md": (("vase.ply", "vase_ids.npy", "duck.ply", "duck.png", "classes.ply", "classes.png"), after_tasks),
     "docs/films.md": (("vase.webp", "walk.webp", "swing.gif", "row.png"), None),
+    "docs/splat_per_object.md": (("objects.jpg", "parts/objects.json", "thing.spz"), after_splat_per_object),
     "docs/catalogue.md": (("vases.jpg",), after_catalogue),
     "docs/api.md": (("found.ply", "answer.glb", "mug.webp"), after_api),
     "docs/capture.md": (("capture/sparse/0/images.bin",), after_capture),

@@ -607,7 +607,7 @@ def test_a_folder_of_something_else(tmp_path: Path) -> None:
 
 def test_without_its_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "lancedb", None)
-    with pytest.raises(MissingExtraError, match=r'pip install "drsplat\[catalogue\]"'):
+    with pytest.raises(MissingExtraError, match=r"pip install .*\[catalogue\]"):
         Catalogue.open(tmp_path)
     code = "import sys, drsplat.query.catalogue; print('lancedb' in sys.modules or 'pyarrow' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

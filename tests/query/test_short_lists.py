@@ -1,4 +1,4 @@
-"""Vocabularies: the recipe of docs/search.md makes a long list."""
+"""Vocabularies: the recipe of docs/search.md makes a long list, and a short one is doubted."""
 
 import re
 from pathlib import Path
@@ -6,9 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drsplat import LanguageField
+from drsplat import LanguageField, open_scene
+from drsplat.cli import main
+from drsplat.errors import DrSplatWarning
+from drsplat.formats.vocabulary import VocabularyEncoder, write_vocabulary
+from drsplat.photos.models.word_list import NOUNS
 from drsplat.photos.models.words import WordEncoder
-from drsplat.query.encoding import encoder_for
+from drsplat.query.encoding import ENOUGH_TEXTS, encoder_for
 from known_objects import known_field, known_scene
 
 WORDS = WordEncoder()
@@ -29,3 +33,41 @@ def test_the_recipe_of_the_docs_makes_a_list_that_is_long_enough(
     words = encoder_for(field_of_words(), vocabulary="clip_texts.json")
     assert len(words.texts) > 300
     assert words.encode_texts(["red mug"]) @ WORDS.encode_texts(["red mug"])[0] > 0.999
+
+
+def texts_file(folder: Path, count: int) -> Path:
+    """A vocabulary of so many texts: a red mug, and other things."""
+    texts = ("red mug", *(name for name in NOUNS if name != "mug"))[:count]
+    path = folder / "texts.safetensors"
+    write_vocabulary(path, VocabularyEncoder(WORDS.identity, texts, WORDS.encode_texts(texts)))
+    return path
+
+
+def saved(folder: Path, kept: bool = False) -> Path:
+    field = field_of_words()
+    texts = NOUNS[:3]
+    field = field.with_contrast(WORDS.encode_texts(texts), texts) if kept else field
+    field.save(folder / "room.field")
+    return folder / "room.field"
+
+
+@pytest.mark.parametrize(("count", "kept", "doubted"), [
+    (ENOUGH_TEXTS - 1, False, True), (ENOUGH_TEXTS, False, False), (2, True, False),
+])  # fmt: skip
+def test_a_short_list_is_doubted_once_by_every_verb(
+    count: int, kept: bool, doubted: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A field that keeps a list of its own needs no long one."""
+    told = f"warning: {texts_file(tmp_path, count)}: only {count} texts tell what a word does not mean"
+    field = str(saved(tmp_path, kept))
+    for verb in (["select", field, "red mug"], ["segment", field, "--classes", "red mug,bottle"]):
+        main([*verb, "--vocabulary", str(tmp_path / "texts.safetensors")])
+        assert capsys.readouterr().err.count(told) == doubted, verb
+
+
+def test_in_python_it_is_a_warning_and_the_answer_stays(tmp_path: Path) -> None:
+    scene = open_scene(saved(tmp_path), vocabulary=str(texts_file(tmp_path, 8)))
+    with pytest.warns(DrSplatWarning, match="add names of any things, 100 texts or more"):
+        answer = scene.ask("red mug")
+    assert answer.doubt == ""
+    scene.ask("apple")  # no second warning, which would be an error here

@@ -1,17 +1,20 @@
 """The encoder that turns words into queries of a field."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from copy import copy
 from pathlib import Path
 from typing import Protocol, runtime_checkable
+from warnings import warn
 
-from ..errors import InputError, MismatchError
+from ..errors import DrSplatWarning, InputError, MismatchError
+from ..field import LanguageField
 from ..formats.vocabulary import read_vocabulary
 from ..photos.models.loading import load_encoder
 from ..photos.models.mini import MiniEncoder
 from ..photos.models.words import WordEncoder
 from ..scene.encoders import Encoder, EncoderIdentity
 
+ENOUGH_TEXTS = 100  # of a vocabulary (benchmarks/study_short_lists.py)
 Load = Callable[[str, str], Encoder]
 
 
@@ -36,6 +39,7 @@ def encoder_for(
 
     load: makes an encoder of a name and a device; several fields can share its models.
 
+    Warns: DrSplatWarning: a vocabulary of few texts, of a field that keeps no list of its own.
     Raises: InputError: a field of another encoder than the built-in one, and neither its name nor a
     vocabulary; or both. MismatchError: another encoder, or one of another dimension where the field
     does not say who made it.
@@ -53,6 +57,8 @@ def encoder_for(
                 f"{vocabulary}: its vectors have {words.identity.dim} numbers, those of this field "
                 f"{field.encoder.dim}: embed the texts with the encoder of the masks, '{field.encoder.name}'"
             )
+        if isinstance(field, LanguageField) and (doubt := list_doubt(words.texts, field)):
+            warn(f"{vocabulary}: {doubt}", DrSplatWarning, stacklevel=2)
         return words
     if field.encoder.matches(WordEncoder.identity):
         return WordEncoder()
@@ -72,6 +78,16 @@ def _loaded_encoder(field: Embedded, name: str, device: str, load: Load) -> Enco
         encoder.identity = EncoderIdentity("unknown", field.encoder.dim)
     field.check_encoder(encoder.identity)
     return encoder
+
+
+def list_doubt(texts: Sequence[str], field: LanguageField) -> str:
+    """Return why answers are not to be relied on that only so many texts tell apart; "" of long or kept lists."""
+    if len(texts) >= ENOUGH_TEXTS or field.contrast is not None:
+        return ""
+    return (
+        f"only {len(texts)} texts tell what a word does not mean, so answers may take in other things: add names of "
+        f"any things, {ENOUGH_TEXTS} texts or more (docs/search.md)"
+    )
 
 
 def source_of(field: Embedded, encoder: Encoder | Callable[[], Encoder] | None) -> Callable[[], Encoder]:

@@ -19,6 +19,7 @@ from ...photos.models.mini import MiniEncoder, lexicon
 from ...photos.models.word_list import known_words, listed_words, names_under
 from ...query import Scene, contrast, defaults, linking, measuring, search, sentences, tasks, thresholds, wholes
 from ...query.documents import Document
+from ...query.encoding import list_doubt
 from ...query.naming import ONLY_COLORS_DOUBT, knows_nouns
 from ...query.suggesting import words_of
 from ...scene.boxes import HAZE_OPACITY
@@ -164,6 +165,8 @@ def _texts(
         document["kinds"] = {text: [at for at, one in enumerate(rivals) if one in kinds[text]] for text in kinds}
         document["lists"] = {"all": {"texts": rivals, "spread": listed.spread, "least": None}}
     about = f"This page knows {len(texts):,} words and phrases, each as it is listed, and no others."
+    if listed is not None and (doubt := list_doubt(document["lists"]["all"]["texts"], background.field)):
+        about += f" {doubt[0].upper()}{doubt[1:]}."
     return PageSearch({}, tables, document, about)
 
 
