@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ..base.arrays import Float32, UInt8
+from ..base.arrays import Float32, Pixels
 from ..drawing.pictures import as_pixels, best_views, highlighted, photo_or_rendering, visible_share
 from ..kernels import SplatArrays, render_channels, splat_arrays
 from ..scene.gaussians import Gaussians
@@ -79,9 +79,7 @@ def small(view: View) -> View:
     return view.resized(max(1, round(view.width * scale)), max(1, round(view.height * scale)))
 
 
-def activation(
-    splats: SplatArrays, view: View, scores: Float32[np.ndarray, " N"], threads: int = 0
-) -> UInt8[np.ndarray, "h w 3"]:
+def activation(splats: SplatArrays, view: View, scores: Float32[np.ndarray, " N"], threads: int = 0) -> Pixels:
     """Draw scores from the 50th to the 99.9th percentile in colours from dark to light."""
     finite = scores[np.isfinite(scores)]
     low, high = np.percentile(finite, (50, 99.9)) if len(finite) else (0.0, 1.0)
@@ -93,13 +91,11 @@ def activation(
 
 def selection(
     splats: SplatArrays, view: View, scores: Float32[np.ndarray, " N"], threshold: float, threads: int = 0
-) -> UInt8[np.ndarray, "h w 3"]:
+) -> Pixels:
     """Draw Gaussians above the threshold in yellow, the others in blue.  Source: Fig. S7."""
     chosen = (scores > np.float32(threshold))[:, None]
     return _drawn(splats, view, np.where(chosen, SELECTED, OTHERS).astype(np.float32), threads)
 
 
-def _drawn(
-    splats: SplatArrays, view: View, colors: Float32[np.ndarray, "N 3"], threads: int
-) -> UInt8[np.ndarray, "h w 3"]:
+def _drawn(splats: SplatArrays, view: View, colors: Float32[np.ndarray, "N 3"], threads: int) -> Pixels:
     return as_pixels(render_channels(splats, view, colors, threads=threads).channels)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Int32, Integer
+from ..base.arrays import Int32, Integer, Numbers
 from ..base.contents import file_text
 from ..errors import FormatError, InputError
 
@@ -49,7 +49,7 @@ class LabelSet:
         table[list(self.ids)] = np.arange(1, len(self) + 1)
         return table
 
-    def classes(self, ids: Integer[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
+    def classes(self, ids: Integer[np.ndarray, " n"]) -> Numbers:
         """Return 1 to C for the ids of the set, 0 for all others."""
         in_table = (ids >= 0) & (ids < len(self._class_of))
         return np.where(in_table, self._class_of[np.where(in_table, ids, 0)], 0).astype(np.int32)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..base.arrays import Float32, Float64, Int32, Int64
+from ..base.arrays import Float32, Float64, Int32, Int64, Rows3, Vector
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 
@@ -36,7 +36,7 @@ class LabelledPoints(NamedTuple):
     positions: Float32[np.ndarray, "m 3"]
     labels: Int32[np.ndarray, " m"]
 
-    def relative_to(self, origin: Float64[np.ndarray, " 3"]) -> "LabelledPoints":
+    def relative_to(self, origin: Vector) -> "LabelledPoints":
         """Return the points counted from `origin`."""
         if not origin.any():
             return self
@@ -50,9 +50,9 @@ class _Sources(NamedTuple):
     """
 
     ids: Int64[np.ndarray, " n"]
-    means: Float32[np.ndarray, "n 3"]
+    means: Rows3
     whiten: Float32[np.ndarray, "n 9"]
-    reach: Float32[np.ndarray, "n 3"]
+    reach: Rows3
     size: Float64[np.ndarray, " n"]
 
     def rows(self, index: np.ndarray | slice) -> "_Sources":

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ..base.arrays import UInt8
+from ..base.arrays import Pixels
 from ..formats.replacing import replacing
 from .svg import Number, bars, curves, scatter
 from .tables import Table, pictures_note, tables_of
@@ -57,7 +57,7 @@ class Figure:
     """Picture with a caption."""
 
     caption: str
-    pixels: UInt8[np.ndarray, "h w 3"]
+    pixels: Pixels
 
 
 def write_report(

@@ -4,14 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.arrays import Float64, Int64
+from ...base.arrays import Float64, Ids, Matrix3
 from ...errors import InputError
 from ...scene.boxes import solid
 from ...scene.gaussians import Gaussians
 from ...scene.similarity import Similarity
 from .draft import Draft
 
-Ids = Int64[np.ndarray, " m"]
 Number = int | float
 Vector = tuple[Number, Number, Number]
 MAX_FACTOR_OR_DEGREES = 1e6
@@ -118,7 +117,7 @@ class Duplicate:
 
 
 def around(
-    part: Gaussians, scale: Number, rotation: Float64[np.ndarray, "3 3"], about: Vector | None
+    part: Gaussians, scale: Number, rotation: Matrix3, about: Vector | None
 ) -> Similarity:  # fmt: skip
     """Return the similarity that turns and scales with one point staying where it is."""
     fixed = middle_of(part) if about is None else np.array(about, np.float64)

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.arrays import Float32, Float64, Int64
+from ...base.arrays import Float32, Float64, Ids, Matrix3, Vector
 from ...drawing.heat import LUMA
 from ...errors import InputError
 from ...scene.gaussians import SH_C0
 from .draft import Draft
 
-Ids = Int64[np.ndarray, " m"]
 Number = int | float
 Color = tuple[Number, Number, Number]
 Colors = Float64[np.ndarray, "m 3"]
@@ -83,8 +82,8 @@ class MatchPhoto:
     Source: Pitie and Kokaram 2007, "The linear Monge-Kantorovitch linear colour mapping".
     """
 
-    mean: Float64[np.ndarray, " 3"]
-    covariance: Float64[np.ndarray, "3 3"]
+    mean: Vector
+    covariance: Matrix3
 
     def __post_init__(self) -> None:
         check_color(tuple(self.mean.tolist()))
@@ -130,7 +129,7 @@ def check_color(color: Color) -> None:
         raise InputError(f"a colour: expected red, green and blue from 0 to 1, got {color}")
 
 
-def grouped(colors: Colors, weights: Float64[np.ndarray, " m"], count: int) -> Int64[np.ndarray, " m"]:
+def grouped(colors: Colors, weights: Float64[np.ndarray, " m"], count: int) -> Ids:
     """Return up to `count` groups of like colours, hue before light, by k-means from quantiles of light."""
     total = colors.sum(axis=1, keepdims=True)
     light = np.einsum("nc,c->n", colors, LUMA)
@@ -151,23 +150,21 @@ def _colors(sh: Float32[np.ndarray, "m k 3"]) -> Colors:
     return np.asarray(np.clip(0.5 + SH_C0 * sh[:, 0].astype(np.float64), 0, 1))
 
 
-def _map(draft: Draft, ids: Ids, matrix: Float64[np.ndarray, "3 3"], offset: Float64[np.ndarray, " 3"]) -> None:
+def _map(draft: Draft, ids: Ids, matrix: Matrix3, offset: Vector) -> None:
     """Apply c -> matrix c + offset, for the colour in every direction."""
     sh = np.einsum("rc,nkc->nkr", matrix, draft.sh[ids].astype(np.float64))
     sh[:, 0] += (matrix.sum(axis=1) * 0.5 + offset - 0.5) / SH_C0
     draft.sh[ids] = sh.astype(np.float32)
 
 
-def _statistics(
-    colors: Colors, weights: Float64[np.ndarray, " m"]
-) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, "3 3"]]:
+def _statistics(colors: Colors, weights: Float64[np.ndarray, " m"]) -> tuple[Vector, Matrix3]:
     shares = weights / weights.sum()
     mean = np.einsum("n,nc->c", shares, colors)
     away = colors - mean
     return mean, np.einsum("n,nc,nd->cd", shares, away, away)
 
 
-def _power(matrix: Float64[np.ndarray, "3 3"], exponent: float) -> Float64[np.ndarray, "3 3"]:
+def _power(matrix: Matrix3, exponent: float) -> Matrix3:
     """Return a power of a symmetric matrix without negative eigenvalues."""
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
     return np.asarray(vectors * np.maximum(values, 1e-12) ** exponent @ vectors.T)

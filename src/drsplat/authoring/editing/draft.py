@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...base.arrays import Bool, Float32, Float64, Int64
+from ...base.arrays import Flags, Float32, Float64, Ids, Rows3, Vector
 from ...errors import InputError
 from ...formats.scenes import read_gaussians
 from ...scene.gaussians import Gaussians, filled
@@ -14,7 +14,6 @@ OBJECT_ID = "object_id"  # the column that says whose a row is, -1 for none
 MAX_COORDINATE = 1e30  # of positions and sizes: their differences still fit float32
 MIN_ROW_LIMIT = 1_000_000  # rows that edits of any scene may make
 MAX_ROW_GROWTH = 4  # times a larger scene's rows, likewise
-Ids = Int64[np.ndarray, " m"]
 
 
 @dataclass(eq=False)
@@ -26,15 +25,15 @@ class Draft:
     there may be, removed ones included. antialiased: as of `Gaussians`.
     """
 
-    means: Float32[np.ndarray, "n 3"]
+    means: Rows3
     quats: Float32[np.ndarray, "n 4"]
-    scales: Float32[np.ndarray, "n 3"]
+    scales: Rows3
     opacities: Float32[np.ndarray, " n"]
     sh: Float32[np.ndarray, "n k 3"]
     extra: dict[str, np.ndarray]
-    origin: Float64[np.ndarray, " 3"]
-    present: Bool[np.ndarray, " n"]
-    homes: Float32[np.ndarray, "n 3"]
+    origin: Vector
+    present: Flags
+    homes: Rows3
     most: int = MIN_ROW_LIMIT
     added: list[tuple[int, int]] = field(default_factory=list)
     read: Callable[[str], Gaussians] = read_gaussians

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...base.arrays import Float64
+from ...base.arrays import Vector
 from ...formats.runs import spans_of
 from ...formats.scenes import read_gaussians
 from ...kernels.boxes import box_of
@@ -16,8 +16,6 @@ from ...scene.gaussians import Gaussians
 from ...scene.moving import still
 from .changes import Scale
 from .replacement import Replace, placed_in
-
-Vector = Float64[np.ndarray, " 3"]
 
 
 def scaled_on_its_foot(part: Gaussians, factor: float, up: Vector | None) -> Scale:

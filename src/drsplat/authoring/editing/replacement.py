@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.arrays import Float64, Int64
+from ...base.arrays import Float64, Ids, Int64, Vector
 from ...errors import DrSplatWarning, InputError, MismatchError
 from ...formats.json_files import is_text
 from ...formats.runs import are_rows, ids_of
@@ -15,9 +15,7 @@ from ...scene.gaussians import Gaussians
 from ...scene.similarity import similarity_of
 from .draft import OBJECT_ID, Draft, most_rows
 
-Vector = Float64[np.ndarray, " 3"]
 Spans = Int64[np.ndarray, "s 2"]
-Ids = Int64[np.ndarray, " m"]
 MIN_BOX_LENGTH = 1e-9  # of a box that something can be fitted to
 
 

@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from ...base.arrays import Bool, Float64, Int64, Integer
+from ...base.arrays import Bool, Flags, Float64, Ids, Int64, Integer
 from ...errors import InputError
 from ...field import LanguageField
 from ...query import Query, Scene
@@ -21,7 +21,6 @@ from .planes import MAX_THING_SHARE_BEHIND, MIN_PLANE_GAUSSIANS, Plane, largest_
 from .surrounding import surrounded
 from .targets import Rows
 
-Ids = Int64[np.ndarray, " m"]
 DIRECTIONS = 64  # around a place in which the thing is looked for
 MIN_INSIDE_SHARE = 0.95  # of an object's Gaussians, for an object inside: the rest may be noise
 MIN_SURROUNDED_SHARE = 0.85  # of the directions, for a place inside
@@ -37,7 +36,7 @@ GRAPH_NEIGHBOURS = 8
 SPACING_NEIGHBOUR = 6  # neighbour whose distance counts as the spacing of a thing's Gaussians
 MAX_STEP_SPACINGS = 1.5  # of a path between Gaussians, in median spacings of the thing's
 MAX_SIZE_QUANTILE = 0.95  # of a thing's Gaussians: larger ones reach beyond it
-Mask = Bool[np.ndarray, " n"]
+Mask = Flags
 Owners = Int64[np.ndarray, " n"]
 Thing = Float64[np.ndarray, "t 3"]
 Points = Float64[np.ndarray, "p 3"]
@@ -119,15 +118,15 @@ def completed(
 
 
 def rests(
-    inside: Bool[np.ndarray, " n"], owners: Int64[np.ndarray, " n"], agreed: Bool[np.ndarray, " o"]
-) -> Bool[np.ndarray, " n"]:  # fmt: skip
+    inside: Flags, owners: Int64[np.ndarray, " n"], agreed: Bool[np.ndarray, " o"]
+) -> Flags:  # fmt: skip
     """Return the Gaussians of objects that photos do not agree on and of which a thing has more than half."""
     owned = owners >= 0
     sizes, own = (np.bincount(owners[some], minlength=len(agreed)) for some in (owned, owned & inside))
     return np.asarray(owned & ((2 * own > sizes) & ~agreed)[owners])
 
 
-def enclosed(gaussians: Gaussians, inside: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def enclosed(gaussians: Gaussians, inside: Flags) -> Flags:
     """Return other Gaussians that have those of a thing around them in nearly all directions."""
     thing = gaussians.means[inside & (gaussians.opacities >= HAZE_OPACITY)].astype(np.float64)
     found = np.zeros(len(gaussians), bool)
@@ -141,9 +140,7 @@ def enclosed(gaussians: Gaussians, inside: Bool[np.ndarray, " n"]) -> Bool[np.nd
     return found
 
 
-def hanging(
-    gaussians: Gaussians, inside: Bool[np.ndarray, " n"], loose: Bool[np.ndarray, " n"], threads: int = 0
-) -> Bool[np.ndarray, " n"]:
+def hanging(gaussians: Gaussians, inside: Flags, loose: Flags, threads: int = 0) -> Flags:
     """Return a thing with the loose Gaussians most of whose neighbours belong to it, `VOTING_PASSES` times."""
     inside, tree = inside.copy(), None
     neighbours: Int64[np.ndarray, "m k"] = np.empty((0, min(VOTING_NEIGHBOURS + 1, len(gaussians))), np.int64)
@@ -162,9 +159,7 @@ def hanging(
     return inside
 
 
-def _in_box_of(
-    gaussians: Gaussians, inside: Bool[np.ndarray, " n"], rows: Int64[np.ndarray, " r"]
-) -> Int64[np.ndarray, " s"]:
+def _in_box_of(gaussians: Gaussians, inside: Flags, rows: Int64[np.ndarray, " r"]) -> Int64[np.ndarray, " s"]:
     """Return those of some rows whose centres are in the box of a thing's."""
     if not inside.any():
         return rows[:0]

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from ...base.arrays import Bool
+from ...base.arrays import Bool, Flags
 from ...errors import InputError
 from ...formats.annotations import AnnotationFile
 from ...formats.json_files import written_name
@@ -237,7 +237,7 @@ def _kept_rows(after: After) -> Bool[np.ndarray, " d"]:
     return np.asarray(kept)
 
 
-def _rows(gaussians: Gaussians, kept: Bool[np.ndarray, " n"]) -> Gaussians:
+def _rows(gaussians: Gaussians, kept: Flags) -> Gaussians:
     """Return some rows; the same arrays where those are all."""
     return gaussians if kept.all() else gaussians.subset(kept)
 

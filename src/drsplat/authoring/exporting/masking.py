@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Int32
+from ...base.arrays import Int32, Numbers
 from ...drawing.heat import class_colors
 from ...errors import InputError
 from ...formats.field_folder import replacing_folder
@@ -64,7 +64,7 @@ def write_masks(
     return Masked(len(scene.views), num_shown)
 
 
-def _matches(scene: Scene, query: Query | str) -> tuple[dict[int, str], Int32[np.ndarray, " n"]]:
+def _matches(scene: Scene, query: Query | str) -> tuple[dict[int, str], Numbers]:
     """Return what white is, and white less 1 for each Gaussian of a match, -1 for others."""
     matches = scene.locate(scene.ask(query).without_maybe())
     if not matches:
@@ -74,7 +74,7 @@ def _matches(scene: Scene, query: Query | str) -> tuple[dict[int, str], Int32[np
     return {WHITE: (query if isinstance(query, str) else query.text) or "query"}, labels
 
 
-def _objects(scene: Scene) -> tuple[dict[int, str], Int32[np.ndarray, " n"]]:
+def _objects(scene: Scene) -> tuple[dict[int, str], Numbers]:
     """Return names by number, and the object of each Gaussian, -1 for none and for what photos do not agree on."""
     listed = [one for one in object_documents(scene, scene.objects) if one["agreed"] and one["id"] < WHITE]
     ids = scene.object_ids()
@@ -82,7 +82,7 @@ def _objects(scene: Scene) -> tuple[dict[int, str], Int32[np.ndarray, " n"]]:
     return {one["id"] + 1: one["label"] or one["name"] or f"object {one['id']}" for one in listed}, labels
 
 
-def _drawn(scene: Scene, view: View, labels: Int32[np.ndarray, " n"]) -> Int32[np.ndarray, "h w"]:
+def _drawn(scene: Scene, view: View, labels: Numbers) -> Int32[np.ndarray, "h w"]:
     """Return the label that has most weight in each pixel, on the photo as it is stored.
 
     -1 stands for Gaussians without a label, and for pixels of which they cover less than half.

@@ -10,8 +10,8 @@ from typing import IO, BinaryIO
 
 import numpy as np
 
+from ...base.arrays import OtherPixels
 from ...base.terminal import plain
-from ...drawing.pictures import OtherPixels
 from ...errors import InputError
 
 SUFFIXES = (".mp4", ".webm")

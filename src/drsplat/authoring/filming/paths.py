@@ -8,11 +8,10 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from ...base.arrays import Float64
+from ...base.arrays import Float64, Matrix3, Vector
 from ...errors import InputError
 from ...scene.views import View
 
-Vector = Float64[np.ndarray, " 3"]
 MAX_KEYS = 20_000
 MAX_FRAMES = 36_000  # ten minutes at 60 a second
 MAX_PIXELS, MAX_SIDE_PIXELS = 7680 * 4320, 8192
@@ -34,7 +33,7 @@ class KeyFrame:
     """
 
     eye: Vector
-    rotation: Float64[np.ndarray, "3 3"]
+    rotation: Matrix3
     fov_degrees: float
     seconds: float | None = None
 

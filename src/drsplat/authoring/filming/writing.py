@@ -15,7 +15,7 @@ from typing import BinaryIO
 
 from PIL import GifImagePlugin, Image
 
-from ...drawing.pictures import OtherPixels
+from ...base.arrays import OtherPixels
 from ...errors import InputError, MissingExtraError
 from ...formats.replacing import refuse_missing_parent, replacing
 from .encoding import SUFFIXES as ENCODED

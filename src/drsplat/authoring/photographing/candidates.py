@@ -5,12 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Float64
+from ...base.arrays import Float64, Vector
 from ...errors import InputError
 from ...scene.views import View
 from ..filming.looking import looking_at
 from .settings import PhotographSettings
-from .space import Space, Vector, spread_out
+from .space import Space, spread_out
 
 MAX_PLACES = 48  # in free space to consider
 MIN_ENCLOSED_SHARE = 0.65  # of directions that show something, at a place within a room

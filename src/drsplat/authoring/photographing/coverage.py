@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from scipy.sparse import csc_array
 
-from ...base.arrays import Bool, Float64, Int64
+from ...base.arrays import Flags, Float64, Int64
 from ...field.codes import Track, untracked
 from ...kernels import view_weights
 from ...photos.embedding.view_choice import SIGHTS_PER_GAUSSIAN, greedy
@@ -68,7 +68,7 @@ class Sights:
         return Sights([self.views[at] for at in sharp], csc_array(self.pixels[:, sharp]), self.smears[sharp])
 
     @property
-    def significant(self) -> Bool[np.ndarray, " n"]:
+    def significant(self) -> Flags:
         """Gaussians that have SIGNIFICANT_WEIGHT of all weight together, each counted by its best picture."""
         best = np.zeros(self.pixels.shape[0])
         np.maximum.at(best, self.pixels.indices, self.pixels.data)

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
+from ...base.arrays import OtherPixels
 from ...base.terminal import counted
 from ...drawing.pictures import (
-    OtherPixels,
     as_pixels,
     best_views,
     contact_sheet,

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Bool, Float32, Float64, Int64
+from ...base.arrays import Bool, Float32, Ids, Vector
 from ...base.progress import Stopwatch
 from ...errors import InputError
 from ...field import LanguageField, load_field
@@ -95,10 +95,10 @@ class Verdict:
     """
 
     probe: Probe
-    gaussian_ids: Int64[np.ndarray, " m"]
+    gaussian_ids: Ids
     num_matches: int
     iou: float | None
-    center: Float64[np.ndarray, " 3"] | None
+    center: Vector | None
     scores: tuple[float, float]
     seconds: float
 

@@ -19,7 +19,7 @@ from .options import Encoders, Verb, new_output, overwrite
 
 if TYPE_CHECKING:
     from ...authoring.editing.kept import KeptEdits
-    from ...authoring.filming.looking import Vector
+    from ...base.arrays import Vector
     from ...query import Scene
     from ...query.catalogue import Catalogue
     from ..viewing.live.service import Service

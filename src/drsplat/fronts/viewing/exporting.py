@@ -10,10 +10,10 @@ import numpy as np
 from PIL import Image
 
 from ...authoring.editing.kept import KeptEdits, without_kept
-from ...authoring.filming.looking import Vector, before, up_direction
+from ...authoring.filming.looking import before, up_direction
 from ...authoring.filming.paths import CameraPath
 from ...authoring.filming.planning import ORBIT, path_named
-from ...base.arrays import Shaped, UInt16
+from ...base.arrays import Shaped, UInt16, Vector
 from ...drawing.heat import heat_of
 from ...errors import InputError
 from ...query import Match, Scene

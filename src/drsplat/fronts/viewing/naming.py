@@ -3,9 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
-from ...base.arrays import Float64, UInt8
+from ...base.arrays import OtherPixels, Vector
 from ...errors import DrSplatError
 from ...field.evidence.evidence import Explanation
 from ...query import Match, Query, Scene, Word
@@ -24,7 +22,7 @@ class This:
     """
 
     gaussian_id: int
-    point: Float64[np.ndarray, " 3"]
+    point: Vector
     words: list[Word]
     evidence: list[Explanation]
     match: Match | None
@@ -67,7 +65,7 @@ def known_words(scene: Scene, words: Sequence[str] | None) -> tuple[str, ...]:
         return ()
 
 
-def photo_of(scene: Scene, this: This) -> UInt8[np.ndarray, "_ _ 3"] | None:
+def photo_of(scene: Scene, this: This) -> OtherPixels | None:
     """Return the photo of most support, with the place in colour; None where there is none."""
     best = best_photo(scene, this)
     if best is None or this.match is None:

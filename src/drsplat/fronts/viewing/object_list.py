@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...drawing.pictures import OtherPixels
+from ...base.arrays import OtherPixels
 from ...kernels.boxes import box_of
 from ...query import Match
 from ...query.sheets import object_picture, object_views

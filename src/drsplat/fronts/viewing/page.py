@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from ...authoring.filming.looking import FOV_DEGREES, Vector
+from ...authoring.filming.looking import FOV_DEGREES
 from ...authoring.filming.paths import CameraPath
-from ...base.arrays import Float32, Shaped, UInt8, UInt16
+from ...base.arrays import Float32, Ids, Shaped, UInt8, UInt16, Vector
 from ...drawing.heat import HEAT
 from ...errors import InputError
 from ...formats.replacing import replacing
@@ -30,7 +30,7 @@ from .client import page_html
 from .page_search import PageSearch
 from .page_times import PageTimes, arrays_of, header_of
 from .places import match_document, rounded
-from .shown import Frame, Ids, Shown
+from .shown import Frame, Shown
 from .texts import printable
 
 MAX_GAUSSIANS = 200_000

@@ -6,15 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from ...authoring.filming.looking import Vector
-from ...base.arrays import Bool, Float16, Float64, UInt8, UInt16
+from ...base.arrays import Bool, Float16, Float64, Ids, UInt8, UInt16, Vector
 from ...errors import InputError
 from ...query import Match
 from ...query.tracks import tracks
 from ...scene.gaussians import Gaussians
 from ...scene.moving import Moving
 from .session import Session
-from .shown import Ids, Shown
+from .shown import Shown
 
 MAX_TIMES, MIN_TIMES = 120, 8
 MAX_MOVED_PLACES = 1_000_000

@@ -5,8 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw
 
-from ...authoring.filming.looking import Vector
-from ...base.arrays import Bool, Float64, Int32, Int64
+from ...base.arrays import Flags, Float64, Ids, Int32, Int64, Vector
 from ...kernels import SplatArrays, view_weights
 from ...scene.gaussians import Gaussians
 from ...scene.views import View
@@ -40,7 +39,7 @@ def ray_along(origin: Vector, direction: Vector) -> Ray:
     return Ray(origin, np.asarray(scaled / np.linalg.norm(scaled)))
 
 
-def hit_by_ray(gaussians: Gaussians, ray: Ray, visible: Bool[np.ndarray, " n"] | None = None) -> Hit | None:
+def hit_by_ray(gaussians: Gaussians, ray: Ray, visible: Flags | None = None) -> Hit | None:
     """Return the Gaussians along a ray in the world by blending weight, None where it meets nothing.
 
     Each is taken where it is densest along the ray, front to back, as one pixel would blend them.
@@ -58,7 +57,7 @@ class Met(NamedTuple):
     alphas: Float64[np.ndarray, " h"]
 
 
-def met_by_ray(gaussians: Gaussians, ray: Ray, visible: Bool[np.ndarray, " n"] | None = None) -> Met:
+def met_by_ray(gaussians: Gaussians, ray: Ray, visible: Flags | None = None) -> Met:
     """Return the Gaussians that a ray in the world meets, the nearest first."""
     local = ray._replace(origin=ray.origin - gaussians.origin)
     near = _near(gaussians, local)
@@ -79,7 +78,7 @@ def blended(met: Met, ray: Ray) -> Hit | None:
     return Hit(met.gaussian_ids[ranked], weights[ranked], point)
 
 
-def _near(gaussians: Gaussians, ray: Ray) -> Int64[np.ndarray, " m"]:
+def _near(gaussians: Gaussians, ray: Ray) -> Ids:
     """Return the Gaussians whose bounding sphere the ray passes: all that can be met, and few of the scene."""
     offsets = gaussians.means - ray.origin.astype(np.float32)
     along = offsets @ ray.direction.astype(np.float32)
@@ -99,9 +98,7 @@ def _met(part: Gaussians, ray: Ray) -> tuple[Float64[np.ndarray, " m"], Float64[
     return depth, alpha
 
 
-def inside_outline(
-    splats: SplatArrays, view: View, outline: Float64[np.ndarray, "p 2"], *, threads: int = 0
-) -> Int64[np.ndarray, " m"]:
+def inside_outline(splats: SplatArrays, view: View, outline: Float64[np.ndarray, "p 2"], *, threads: int = 0) -> Ids:
     """Return the Gaussians, ascending, of which most that a view shows lies inside an outline.
 
     outline: corners of a polygon, in pixels of the view.

@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ...authoring.filming.looking import Vector
-from ...base.arrays import Float64, Shaped
+from ...base.arrays import Matrix3, Shaped, Vector
 from ...query import Match, documents
 from .shown import Frame
 from .texts import printable
@@ -16,7 +15,7 @@ DECIMALS = 5  # a browser's unit is a twentieth of the scene
 
 
 def box_document(
-    frame: Frame, center: Vector, axes: Float64[np.ndarray, "3 3"],
+    frame: Frame, center: Vector, axes: Matrix3,
     extent: Vector,
 ) -> dict[str, Any]:  # fmt: skip
     """Return an oriented box of the world in the browser's frame."""

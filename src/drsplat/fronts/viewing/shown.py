@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...authoring.filming.looking import Vector
-from ...base.arrays import Float32, Float64, Int64
+from ...base.arrays import Float32, Float64, Ids, Rows3, Vector
 from ...errors import InputError
 from ...scene.gaussians import SH_C0, Gaussians
 from ...scene.significance import most_significant
@@ -18,8 +17,6 @@ RADIUS = (
 WITHIN_RADIUS_SHARE = 0.9  # of the solid Gaussians
 MIDDLE_QUANTILES = (0.02, 0.98)  # along each axis, whose mean is the middle: few floaters move it little
 MAX_VARIANCE = 6e4  # float16 ends at 65504
-Ids = Int64[np.ndarray, " m"]
-"""Rows of a scene."""
 OUTSIDE_RADII = 2.7  # a ball of one radius fits into 55 degrees from 2.2 on
 
 
@@ -84,7 +81,7 @@ def shown_of(gaussians: Gaussians, budget: int, frame: Frame | None = None) -> S
     )  # fmt: skip
 
 
-def _shown_centers(gaussians: Gaussians, frame: Frame) -> Float32[np.ndarray, "n 3"]:
+def _shown_centers(gaussians: Gaussians, frame: Frame) -> Rows3:
     """Return the centres in a frame; what lies beyond float32 is put at its ends, where nobody looks."""
     farthest = float(np.finfo(np.float32).max)
     return np.asarray(np.clip(frame.shown(gaussians.positions), -farthest, farthest), np.float32)
@@ -113,7 +110,7 @@ def _shown_covariances(part: Gaussians, frame: Frame) -> Float32[np.ndarray, "m 
     return covariances
 
 
-def base_colors(gaussians: Gaussians) -> Float32[np.ndarray, "n 3"]:
+def base_colors(gaussians: Gaussians) -> Rows3:
     """Return colours without what depends on the direction of view, in [0, 1]."""
     return np.clip(0.5 + SH_C0 * gaussians.sh[:, 0], 0, 1).astype(np.float32)
 

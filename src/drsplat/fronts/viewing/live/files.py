@@ -16,8 +16,8 @@ from ....authoring.filming.looking import up_direction
 from ....authoring.filming.path_files import path_of, write_path
 from ....authoring.filming.paths import frame_count
 from ....authoring.filming.writing import write_film
-from ....base.arrays import Bool, UInt8
-from ....drawing.pictures import OtherPixels, as_pixels
+from ....base.arrays import Bool, OtherPixels, Pixels
+from ....drawing.pictures import as_pixels
 from ....drawing.rendering import render
 from ....errors import InputError
 from ....formats.json_files import document_in
@@ -161,7 +161,7 @@ def film(saves: Saves, stage: Stage, asked: Film, is_gone: Event, progress: "Pro
     path, count = path_through(stage, asked), frame_count(asked.seconds, FPS)
     views = path.views(count, FILM_SIZE_PIXELS)
 
-    def pictures() -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+    def pictures() -> Iterator[Pixels]:
         for number, view in enumerate(views):
             if is_gone.is_set():
                 raise InputError("the film was not waited for")

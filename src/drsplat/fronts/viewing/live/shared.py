@@ -8,6 +8,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
+from ....base.arrays import Vector
 from ....base.terminal import counted
 from ....errors import InputError
 from ....query import Scene
@@ -19,7 +20,7 @@ from ..session import Session
 from ..texts import printable
 from . import arrays
 from .arrays import Packed, Rows
-from .stage import Stage, Vector
+from .stage import Stage
 from .state import MAX_SENTENCE_CHARACTERS, film_formats, header_of, state_of
 from .uploads import Uploads
 from .visits import Visit, Visits

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from ....authoring.filming.looking import Standpoints, beside, size_in, up_direction
-from ....base.arrays import Float64, Int64
+from ....base.arrays import Ids, Vector
 from ....query import Match
 from ....query.suggesting import suggestions
 from ....scene.significance import significance
@@ -17,7 +17,6 @@ from ..session import Session
 from ..shown import first_look
 
 MAX_WORDS_SUGGESTED = 4
-Vector = Float64[np.ndarray, " 3"]
 
 
 @dataclass(eq=False)
@@ -32,7 +31,7 @@ class Stage:
     up: Vector
     names: list[str] = field(default_factory=list)
     words: list[str] = field(default_factory=list)
-    _order: tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"]] | None = None
+    _order: tuple[Ids, Ids] | None = None
 
     @classmethod
     def of(cls, session: Session, up: Vector | None = None) -> "Stage":
@@ -97,7 +96,7 @@ class Stage:
         return placed_now(self.session, match)
 
     @property
-    def order(self) -> Int64[np.ndarray, " m"]:
+    def order(self) -> Ids:
         """Places of the drawn rows by falling significance; the same at all times of the same edits."""
         session = self.session
         ids = session.drawn.ids

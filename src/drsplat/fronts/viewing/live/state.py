@@ -8,7 +8,7 @@ import numpy as np
 from ....authoring.editing.stored import NAMES
 from ....authoring.filming.encoding import ffmpeg
 from ....authoring.filming.looking import FOV_DEGREES
-from ....base.arrays import Float64
+from ....base.arrays import Matrix3, Vector
 from ....drawing.heat import HEAT, class_colors
 from ....query import Match
 from ....query.documents import Document, support_document
@@ -27,7 +27,7 @@ from ..session import Session
 from ..texts import printable
 from .arrays import tiles_document
 from .cameras import MAX_TEXT_CHARACTERS
-from .stage import Stage, Vector
+from .stage import Stage
 
 MAX_PHOTOS, MAX_OBJECTS, MAX_MATCHES, MAX_LISTED = 200, 500, 100, 100
 MAX_SENTENCE_CHARACTERS = 600
@@ -231,6 +231,6 @@ def _annotation(stage: Stage, annotation: Annotation) -> Document:
 # --- numbers and words ---
 
 
-def _box(stage: Stage, center: Vector, axes: Float64[np.ndarray, "3 3"], extent: Vector) -> Document:
+def _box(stage: Stage, center: Vector, axes: Matrix3, extent: Vector) -> Document:
     frame = stage.session.shown.frame
     return box_document(frame, center, axes, extent) | {"eye": rounded(frame.shown(stage.eye_before(center, extent)))}
