@@ -31,7 +31,7 @@ from ..formats.replacing import replacing
 from ..kernels import SplatArrays, render_channels, splat_arrays
 from ..scene.gaussians import Gaussians
 from ..scene.views import View, same_aspect
-from . import metrics
+from . import scorers
 from .predictions import (
     ANSWERED,
     AUTOMATIC,
@@ -168,7 +168,7 @@ def score(scenes: Sequence[LerfScene], folder: Path) -> dict[str, Any]:
     ious = {column: [scene_ious[column] for scene_ious in by_scene] for column in columns}
     seen = {column: [_seen_ious(scene, folder, column) for scene in scenes] for column in columns}
     peaks = [_peak_hits(scene, folder) for scene in scenes]
-    means = {column: metrics.scene_macro(values) for column, values in ious.items()}
+    means = {column: scorers.scene_macro(values) for column, values in ious.items()}
     tuned = best_sweep(means)
     shown_columns = {c: c for c in columns if not is_sweep(c)}
     if tuned is not None:
@@ -182,7 +182,7 @@ def score(scenes: Sequence[LerfScene], folder: Path) -> dict[str, Any]:
             name: _summary(scenes, ious[source], seen[source], peaks) for name, source in shown_columns.items()
         },
         "sweep": {column: means[column] for column in columns if is_sweep(column)},
-        "sweep_seen": {c: metrics.scene_macro(seen[c]) for c in columns if is_sweep(c)},
+        "sweep_seen": {c: scorers.scene_macro(seen[c]) for c in columns if is_sweep(c)},
         "queries": _queries(
             scenes,
             {name: ious[c] for name, c in shown_columns.items()},
@@ -297,7 +297,7 @@ def _ious(scene: LerfScene, folder: Path, columns: Sequence[str]) -> dict[str, l
         for column in columns:
             path = mask_path(folder, scene.name, column, frame.name, category)
             mask = read_mask(path, frame.width, frame.height)
-            ious[column].append(0.0 if mask is None else metrics.mask_iou(mask, truth))
+            ious[column].append(0.0 if mask is None else scorers.mask_iou(mask, truth))
     return ious
 
 
@@ -322,7 +322,7 @@ def _peak_hits(scene: LerfScene, folder: Path) -> list[float]:
             hits.append(0.0)
             continue
         x, y = as_vector(peak, 2, f"{path}: {frame.name}: {category[:60]!a}").tolist()
-        hits.append(float(metrics.in_any_box(x, y, frame.boxes[category])))
+        hits.append(float(scorers.in_any_box(x, y, frame.boxes[category])))
     return hits
 
 
@@ -332,16 +332,16 @@ def _summary(
     by_scene = [_numbers(*of_scene) for of_scene in zip(ious, seen, hits, strict=True)]
     pooled = [[value for values in kind for value in values] for kind in (ious, seen, hits)]
     return {
-        "scene_macro": {key: metrics.mean([numbers[key] for numbers in by_scene]) for key in by_scene[0]},
+        "scene_macro": {key: scorers.mean([numbers[key] for numbers in by_scene]) for key in by_scene[0]},
         "query_micro": _numbers(*pooled),
         "by_scene": {s.name: numbers for s, numbers in zip(scenes, by_scene, strict=True)},
     }
 
 
 def _numbers(ious: list[float], seen: list[float], hits: list[float]) -> dict[str, float]:
-    accuracies = {f"acc@{t:g}": metrics.share_above(ious, t) for t in ACCURACY_IOUS}
-    means = {"miou": metrics.mean(ious), "seen": metrics.mean(seen)}
-    return {**means, **accuracies, "localization": metrics.mean(hits)}
+    accuracies = {f"acc@{t:g}": scorers.share_above(ious, t) for t in ACCURACY_IOUS}
+    means = {"miou": scorers.mean(ious), "seen": scorers.mean(seen)}
+    return {**means, **accuracies, "localization": scorers.mean(hits)}
 
 
 def _scene_record(scene: LerfScene, manifest: Manifest) -> dict[str, Any]:

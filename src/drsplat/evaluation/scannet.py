@@ -22,7 +22,7 @@ from ..formats.scannet import (
     scene_file,
 )
 from ..scene.gaussians import Gaussians
-from . import metrics
+from . import scorers
 from .label_sets import LabelSet
 from .predictions import ANSWERED, AUTOMATIC, FIXED, Chooser, Manifest, columns_of, read_array, sweep_column
 from .pseudo_labels import LabelledPoints, pseudo_labels
@@ -174,16 +174,16 @@ def predicted_scores(scene: ScannetScene, folder: Path, kind: str, number: int) 
 
 
 def segmentation_record(
-    predicted: metrics.Labels, truth: metrics.Labels, labels: LabelSet, weights: Float64[np.ndarray, " n"] | None = None
+    predicted: scorers.Labels, truth: scorers.Labels, labels: LabelSet, weights: Float64[np.ndarray, " n"] | None = None
 ) -> dict[str, Any]:
     """Return the means over the classes of the scene, and the numbers of each."""
-    ious = metrics.class_ious(predicted, truth, len(labels), weights)
-    accuracies = metrics.class_accuracies(predicted, truth, len(labels), weights)
+    ious = scorers.class_ious(predicted, truth, len(labels), weights)
+    accuracies = scorers.class_accuracies(predicted, truth, len(labels), weights)
     present = ~np.isnan(ious)
     names = [name for name, there in zip(labels.names, present, strict=True) if there]
     return {
-        "miou": metrics.mean_present(ious),
-        "macc": metrics.mean_present(accuracies),
+        "miou": scorers.mean_present(ious),
+        "macc": scorers.mean_present(accuracies),
         "classes": {
             name: {"iou": float(iou), "acc": float(acc)}
             for name, iou, acc in zip(names, ious[present], accuracies[present], strict=True)
@@ -193,4 +193,4 @@ def segmentation_record(
 
 def over_scenes(records: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> dict[str, float]:
     """Return the means over scenes; each scene counts alike."""
-    return {key: metrics.mean([record[key] for record in records]) for key in keys}
+    return {key: scorers.mean([record[key] for record in records]) for key in keys}

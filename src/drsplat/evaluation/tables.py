@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..scene.views import PHOTOS
-from .metrics import mean_interval
+from .scorers import mean_interval
 
 Cell = str | float | None
 SEEN = "seen is the mIoU of where it is more than half of the whole picture"

@@ -20,7 +20,7 @@ import numpy as np
 from ..base.arrays import Float64, Int32, Int64, Numbers, Vector
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
-from . import metrics, scannet_volume
+from . import scannet_volume, scorers
 from .predictions import read_manifests
 from .scannet import ScannetScene, over_scenes, predict_classes, predicted_classes, segmentation_record
 
@@ -139,8 +139,8 @@ def study(compared: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     reference = [float(row["voxel"]) for row in compared]
     correlations = {
         kind: {
-            "pearson": metrics.pearson(reference, [float(row[kind]) for row in compared]),
-            "spearman": metrics.spearman(reference, [float(row[kind]) for row in compared]),
+            "pearson": scorers.pearson(reference, [float(row[kind]) for row in compared]),
+            "spearman": scorers.spearman(reference, [float(row[kind]) for row in compared]),
         }
         for kind in ("weighted", "unweighted")
         if len(compared) > 2

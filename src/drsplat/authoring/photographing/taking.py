@@ -26,9 +26,7 @@ from ...scene.placing import SOLID_OPACITY
 from ...scene.views import View
 from ..filming.looking import UP_WITHOUT_VIEWS
 from ..filming.paths import CameraPath
-from .candidates import candidates
-from .coverage import Coverage, chosen_views, sights
-from .settings import PhotographSettings
+from .candidates import Coverage, PhotographSettings, candidates, chosen_views, sights
 from .space import BOX_QUANTILES, Space, solid_centers
 
 MODEL, IMAGES = Path("sparse/0"), "images"

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ...errors import InputError
-from ..serving.access import is_loopback, names_of
+from ..serving.listening import is_loopback, names_of
 from .declaring import declaration, flag, option, part
 from .kinds import PORT, length, up_to
 

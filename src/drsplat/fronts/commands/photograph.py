@@ -77,7 +77,7 @@ class Options(Verb):
 
 
 def run(options: Options) -> Facts:
-    from ...authoring.photographing.settings import DEFAULT_FOV_DEGREES, DEFAULT_SIZE_PIXELS, PhotographSettings
+    from ...authoring.photographing.candidates import DEFAULT_FOV_DEGREES, DEFAULT_SIZE_PIXELS, PhotographSettings
     from ...authoring.photographing.taking import photograph
     from ...base.progress import Stopwatch
     from ...base.system import peak_memory_bytes

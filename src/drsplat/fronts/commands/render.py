@@ -16,7 +16,7 @@ from .options import Encoders, Photos, Verb, near, new_output, overwrite
 from .query_options import asked, values_of
 
 if TYPE_CHECKING:
-    from ...authoring.editing.kept import KeptEdits
+    from ...authoring.editing.edits import KeptEdits
     from ...authoring.filming.frames import Highlight
     from ...drawing.labels import Mark
     from ...kernels import SplatArrays

@@ -9,7 +9,7 @@ from os import PathLike
 import numpy as np
 from PIL import Image
 
-from ...authoring.editing.kept import KeptEdits, without_kept
+from ...authoring.editing.edits import KeptEdits, without_kept
 from ...authoring.filming.looking import before, up_direction
 from ...authoring.filming.paths import CameraPath
 from ...authoring.filming.planning import ORBIT, path_named
@@ -21,15 +21,13 @@ from ...query.documents import Document
 from ...query.suggesting import suggestions
 from ...scene.annotations import Annotation
 from .bare import NO_FIELD
+from .client import printable
 from .object_list import in_order, names_of, pictures_of, placed_now
-from .page import MAX_GAUSSIANS, Page, PageAnswer, write_page
+from .page import MAX_GAUSSIANS, Page, PageAnswer, PageTimes, boxes_of, times_of_page, write_page
 from .page_search import search_of
-from .page_times import PageTimes, boxes_of, times_of_page
-from .places import box_document, size_text
 from .results import result_of
 from .session import Mode, Session
-from .shown import first_look
-from .texts import printable
+from .shown import box_document, first_look, size_text
 
 MAX_LABELS = 40  # whose objects a page has from the start
 MAX_MATCHES = 254  # of one query: a byte per Gaussian says which

@@ -28,8 +28,7 @@ from ...scene.moving import Span
 from ...scene.views import View
 from . import painting, results
 from .edits import Edits
-from .naming import This, known_words, this_is
-from .picking import Hit, Ray, hit_by_ray, inside_outline, ray_along
+from .naming import Hit, Ray, This, hit_by_ray, inside_outline, known_words, ray_along, this_is
 from .results import Result
 from .shown import Shown, shown_of
 

@@ -21,7 +21,7 @@ from ...scene.significance import most_significant
 from ...scene.views import View
 from . import painting
 from .edits import Notes
-from .picking import REACH_DEVIATIONS, Hit, Met, Ray, blended, inside_outline, met_by_ray
+from .naming import REACH_DEVIATIONS, Hit, Met, Ray, blended, inside_outline, met_by_ray
 from .session import Mode, Session
 from .shown import RADIUS, Frame, Shown, base_colors
 

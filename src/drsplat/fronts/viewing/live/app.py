@@ -20,17 +20,14 @@ from ....errors import DrSplatError, InputError
 from ....query.documents import Document
 from ...serving.pictures import decoded
 from ...serving.replies import BUG, JPEG, PNG, Reply, faults_of, problem, refusal
-from ..client import client_file, live_html
+from ..client import client_file, live_html, printable
 from ..saving import Saves
-from ..texts import printable
 from . import files
 from .acts import AnyAct, Open, SlowAct, begun, done, read_act
 from .arrays import ARRAYS_HEADER, ROWS_HEADER, Packed, tile_paint, tile_splats
-from .cameras import MAX_SIDE_PIXELS, Body, Camera, Path, Text, flight_document
 from .shared import Shared
-from .stage import Stage
-from .turns import Lanes
-from .visits import Visit
+from .stage import MAX_SIDE_PIXELS, Body, Camera, Path, Stage, Text, flight_document
+from .turns import Lanes, Visit
 
 MAX_STREAMS = 16
 BEAT_S = 15.0

@@ -13,8 +13,7 @@ from pydantic import StringConstraints
 from ....authoring.editing.draft import OBJECT_ID
 from ....authoring.exporting.placing import After, Placing, groups_of, match_thing, only_used, rows_of, things_of
 from ....authoring.filming.looking import up_direction
-from ....authoring.filming.path_files import path_of, write_path
-from ....authoring.filming.paths import frame_count
+from ....authoring.filming.paths import frame_count, path_of, write_path
 from ....authoring.filming.writing import write_film
 from ....base.arrays import Bool, OtherPixels, Pixels
 from ....drawing.pictures import as_pixels
@@ -32,8 +31,7 @@ from ..object_list import pictures_of
 from ..saving import Saves, flight_gif, picture_of, save_scene, write_bytes
 from ..session import Session
 from ..tiled import UNEDITED
-from .cameras import FILM_SIZE_PIXELS, FPS, Body, Camera, Path, path_document, path_through, view_of
-from .stage import Stage
+from .stage import FILM_SIZE_PIXELS, FPS, Body, Camera, Path, Stage, path_document, path_through, view_of
 from .state import film_formats
 
 SPLIT_SIDE_PIXELS = 960  # longer side of before, and of after
