@@ -49,7 +49,7 @@ from .predictions import (
     sweep_column,
     write_mask,
 )
-from .scorers import Scorer
+from .scorers import Scorer, Scores
 
 PROTOCOL = "lerf-ovs@1"
 SILHOUETTE_ALPHA = 0.7  # of the selected Gaussians, rendered alone
@@ -206,13 +206,11 @@ def _on_labels(view: View, frame: LabelledFrame) -> View:
 class _Cut(NamedTuple):
     """Scores of a query, and the thresholds to compare them with, by column."""
 
-    scores: Float32[np.ndarray, " N"]
+    scores: Scores
     at: dict[str, float]
 
 
-def _cuts(
-    scorer: Scorer, category: str, scores: Float32[np.ndarray, " N"], chosen: Mapping[str, tuple[Chooser, str]]
-) -> list[_Cut]:
+def _cuts(scorer: Scorer, category: str, scores: Scores, chosen: Mapping[str, tuple[Chooser, str]]) -> list[_Cut]:
     """Return the cuts of the scores and, if the scorer has an `answer`, of that."""
     at = {FIXED: scorer.threshold, **{sweep_column(t): t for t in scorer.sweep}}
     answer = scorer.answer(category) if scorer.answer and AUTOMATIC in chosen else None

@@ -28,7 +28,7 @@ from .lerf_ovs import LerfScene
 from .predictions import AUTOMATIC, Chooser
 from .report import RESULTS, Figure, write_report
 from .scannet import ScannetScene, read_nyu40_scene, read_raw_category_scene
-from .scorers import Scorer, cosine_scorer, feature_scorer, relevant
+from .scorers import Scorer, Scores, cosine_scorer, feature_scorer, relevant
 from .tables import pictures_judged
 
 LONG_SIDE_PIXELS = 480
@@ -79,7 +79,7 @@ def scannet_figures(
 
 
 def _answers(
-    splats: SplatArrays, view: View, scores: Float32[np.ndarray, " N"], threshold: float, where: str, threads: int
+    splats: SplatArrays, view: View, scores: Scores, threshold: float, where: str, threads: int
 ) -> list[Figure]:
     picture = selection(splats, view, scores, threshold, threads)
     return [
@@ -94,7 +94,7 @@ def small(view: View) -> View:
     return view.resized(max(1, round(view.width * scale)), max(1, round(view.height * scale)))
 
 
-def activation(splats: SplatArrays, view: View, scores: Float32[np.ndarray, " N"], threads: int = 0) -> Pixels:
+def activation(splats: SplatArrays, view: View, scores: Scores, threads: int = 0) -> Pixels:
     """Draw scores from the 50th to the 99.9th percentile in colours from dark to light."""
     finite = scores[np.isfinite(scores)]
     low, high = np.percentile(finite, (50, 99.9)) if len(finite) else (0.0, 1.0)
@@ -104,9 +104,7 @@ def activation(splats: SplatArrays, view: View, scores: Float32[np.ndarray, " N"
     return _drawn(splats, view, colors.astype(np.float32), threads)
 
 
-def selection(
-    splats: SplatArrays, view: View, scores: Float32[np.ndarray, " N"], threshold: float, threads: int = 0
-) -> Pixels:
+def selection(splats: SplatArrays, view: View, scores: Scores, threshold: float, threads: int = 0) -> Pixels:
     """Draw Gaussians above the threshold in yellow, the others in blue.  Source: Fig. S7."""
     chosen = (scores > np.float32(threshold))[:, None]
     return _drawn(splats, view, np.where(chosen, SELECTED, OTHERS).astype(np.float32), threads)
@@ -279,7 +277,7 @@ def automatic_choosers(scorer: Scorer) -> dict[str, tuple[Chooser, str]]:
     least = scorer.least
     how = "from" if least is None else f"the encoder's {least:g} or {CUT_SHARE:g} of the peak of"
 
-    def chosen(scores: Float32[np.ndarray, " N"]) -> float:
+    def chosen(scores: Scores) -> float:
         finite = scores[np.isfinite(scores)]
         return default_threshold(finite, least) if len(finite) else float("inf")
 

@@ -21,6 +21,7 @@ from ..scene.encoders import Encoder
 from ..scene.views import pictures_kind, scenes_rendered
 
 Labels = Integer[np.ndarray, " n"]
+PerClass = Float64[np.ndarray, " c"]
 Numbers = Sequence[float | int] | Real[np.ndarray, " n"]
 NUM_RESAMPLINGS = 2000
 
@@ -68,7 +69,7 @@ def scene_macro(by_scene: Sequence[Numbers]) -> float:
 
 def class_overlaps(
     predicted: Labels, truth: Labels, num_classes: int, weights: Real[np.ndarray, " n"] | None = None
-) -> tuple[Float64[np.ndarray, " c"], Float64[np.ndarray, " c"], Float64[np.ndarray, " c"]]:
+) -> tuple[PerClass, PerClass, PerClass]:
     """Return, per class, the weight of the intersection, of the prediction and of the truth.
 
     Rows without truth (0) are left out of all three.
@@ -89,7 +90,7 @@ def class_overlaps(
 
 def class_ious(
     predicted: Labels, truth: Labels, num_classes: int, weights: Real[np.ndarray, " n"] | None = None
-) -> Float64[np.ndarray, " c"]:
+) -> PerClass:
     """Return the IoU of each class (Eq. 3 with weights); NaN for classes that the truth lacks.
 
     >>> class_ious(np.array([1, 2, 2, 1]), np.array([1, 1, 2, 0]), 3)
@@ -105,7 +106,7 @@ def class_ious(
 
 def class_accuracies(
     predicted: Labels, truth: Labels, num_classes: int, weights: Real[np.ndarray, " n"] | None = None
-) -> Float64[np.ndarray, " c"]:
+) -> PerClass:
     """Return the share of each class that is predicted as it; NaN for classes that the truth lacks.
 
     >>> class_accuracies(np.array([1, 2, 2, 1]), np.array([1, 1, 2, 0]), 3)
@@ -115,7 +116,7 @@ def class_accuracies(
     return _ratio(both, of_truth, of_truth > 0)
 
 
-def mean_present(values: Float64[np.ndarray, " c"]) -> float:
+def mean_present(values: PerClass) -> float:
     """Return the mean over the classes that are present (not NaN).
 
     >>> mean_present(np.array([0.5, np.nan, 1.0]))
@@ -171,9 +172,7 @@ def mean_interval(values: Numbers, level: float = 0.95) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _ratio(
-    part: Float64[np.ndarray, " c"], whole: Float64[np.ndarray, " c"], present: Bool[np.ndarray, " c"]
-) -> Float64[np.ndarray, " c"]:
+def _ratio(part: PerClass, whole: PerClass, present: Bool[np.ndarray, " c"]) -> PerClass:
     ratio: np.ndarray = np.divide(part, whole, out=np.full(len(part), np.nan), where=present)
     return ratio
 
