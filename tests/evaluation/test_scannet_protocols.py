@@ -14,9 +14,8 @@ from test_metrics import weighted_iou
 
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.evaluation import scannet_points, scannet_volume, scorers, voxel
-from drsplat.evaluation.label_sets import LabelSet
 from drsplat.evaluation.predictions import AUTOMATIC, FIXED, Manifest, best_sweep, sweep_weighted_ious
-from drsplat.evaluation.scannet import ScannetScene, read_nyu40_scene, read_raw_category_scene, scores_path
+from drsplat.evaluation.scannet import LabelSet, ScannetScene, read_nyu40_scene, read_raw_category_scene, scores_path
 from drsplat.evaluation.scorers import Scorer
 from drsplat.formats.npy import write_npy
 from drsplat.formats.ply import write_vertices

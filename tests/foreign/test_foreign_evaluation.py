@@ -21,11 +21,10 @@ from numpy.testing import assert_allclose
 from PIL import Image
 
 from drsplat.evaluation import scannet_points, scorers
-from drsplat.evaluation.label_sets import LabelSet
 from drsplat.evaluation.lerf_ovs import PEAKS, PROTOCOL, LerfScene, peak, score
 from drsplat.evaluation.predictions import Manifest, mask_path, write_mask
 from drsplat.evaluation.pseudo_labels import LabelledPoints
-from drsplat.evaluation.scannet import ScannetScene
+from drsplat.evaluation.scannet import LabelSet, ScannetScene
 from drsplat.evaluation.scorers import Scorer
 from drsplat.formats.lerf_ovs import LabelledFrame, fill_polygon, read_lerf_labels
 from drsplat.scene.gaussians import Gaussians

@@ -70,7 +70,7 @@ def assert_offers(model: Any, offered: Iterable[str], own: Iterable[str] = ()) -
 
 def test_http() -> None:
     pytest.importorskip("pydantic")
-    from drsplat.fronts.serving import catalogued, query_fields
+    from drsplat.fronts.serving import query_fields
 
     assert_offers(query_fields.Select, named(Place.HTTP), {"ids"})
     assert_offers(query_fields.Locate, named(Place.HTTP), OF_MATCHES)
@@ -80,7 +80,7 @@ def test_http() -> None:
     assert_offers(query_fields.Segment, named(Place.HTTP, of=CUT), {"classes", "labels"})
     assert_offers(query_fields.When, named(Place.HTTP, Place.WORDS), {"one", "relation", "other", "view"})
     own = {"top", "scenes", "box", "area", "since"}
-    assert_offers(catalogued.AskCatalogue, named(Place.HTTP, Place.CATALOGUE), own)
+    assert_offers(query_fields.AskCatalogue, named(Place.HTTP, Place.CATALOGUE), own)
 
 
 def test_the_viewer() -> None:

@@ -23,11 +23,10 @@ from ..scene.encoders import Encoder
 from ..scene.gaussians import Gaussians
 from ..scene.views import View
 from . import lerf_ovs, scannet_points, scannet_volume, voxel
-from .label_sets import LabelSet, label_set
 from .lerf_ovs import LerfScene
 from .predictions import AUTOMATIC, Chooser
 from .report import RESULTS, Figure, write_report
-from .scannet import ScannetScene, read_nyu40_scene, read_raw_category_scene
+from .scannet import LabelSet, ScannetScene, label_set, read_nyu40_scene, read_raw_category_scene
 from .scorers import Scorer, Scores, cosine_scorer, feature_scorer, relevant
 from .tables import pictures_judged
 

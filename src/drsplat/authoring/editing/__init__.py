@@ -4,8 +4,7 @@
 with `apply`.
 """
 
-from .colouring import MatchPhoto, Palette, Recolour
-from .draft import Duplicate, Isolate, Move, Opacity, Remove, Scale, Turn
+from .draft import Duplicate, Isolate, MatchPhoto, Move, Opacity, Palette, Recolour, Remove, Scale, Turn
 from .edits import Edit, EditFile, EditList, edited
 from .filling import Fill
 from .replacement import Replace

@@ -21,8 +21,7 @@ from ...formats.runs import runs_of, spans_of_runs
 from ...formats.scenes import companion, read_gaussians
 from ...scene.gaussians import Gaussians
 from ...scene.parted import AnyGaussians
-from .colouring import MatchPhoto, Palette, Recolour
-from .draft import Draft, Duplicate, Isolate, Move, Opacity, Remove, Scale, Turn
+from .draft import Draft, Duplicate, Isolate, MatchPhoto, Move, Opacity, Palette, Recolour, Remove, Scale, Turn
 from .fill_record import Clones, FillRecord
 from .filling import Fill
 from .replacement import Replace

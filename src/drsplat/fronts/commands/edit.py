@@ -304,7 +304,7 @@ class _Work:
 
     def _made(self, name: str, value: Any, part: Gaussians) -> Change:
         from ...authoring import editing
-        from ...authoring.editing.colouring import color_of
+        from ...authoring.editing.draft import color_of
         from ...authoring.editing.replacement import replaced_by, scaled_on_its_foot
         from .query_options import read_picture
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from ...errors import InputError
 from .declaring import Facts, argument, declaration, option
 from .edit_options import note_own_scene
-from .film import BACKGROUNDS, background, size
 from .kinds import finite, up_to
 from .options import Verb, overwrite
+from .render import BACKGROUNDS, background, size
 
 if TYPE_CHECKING:
     from ...authoring.filming.paths import CameraPath

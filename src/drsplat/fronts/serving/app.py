@@ -23,8 +23,6 @@ from ... import __version__
 from ...errors import DrSplatError, InputError
 from ...formats.json_files import parsed
 from . import models
-from .adding import Adding
-from .catalogued import AskCatalogue, CatalogueAnswer, CatalogueScenes
 from .connections import run
 from .guards import Guard
 from .limits import Limits
@@ -32,10 +30,21 @@ from .listening import is_own_page
 from .live import LIST, TAKE, NewView, ViewList, ViewState
 from .metrics import Metrics
 from .models import Health, Located, ObjectList, Problem, SceneDetails, SceneList, Segmented, Selected, Words
-from .query_fields import Export, Locate, Picture, Segment, Select, WhatIs, When
+from .query_fields import (
+    AskCatalogue,
+    CatalogueAnswer,
+    CatalogueScenes,
+    Export,
+    Locate,
+    Picture,
+    Segment,
+    Select,
+    WhatIs,
+    When,
+)
 from .replies import BUG, GLB, JPEG, NO_JSON, PLY, PNG, Reply, faults_of, is_json, problem, refusal
 from .scene_folder import SceneFolder, Sources, without_paths
-from .workbench import Job, Workbench
+from .workbench import Adding, Job, Workbench
 from .worker import Workplace
 
 _PAGE = """<!doctype html>

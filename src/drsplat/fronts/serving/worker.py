@@ -33,7 +33,6 @@ from ...query.sheets import object_picture
 from ...query.suggesting import missed_text, words_instead
 from ...scene.gaussians import Gaussians
 from . import models, query_fields
-from .catalogued import catalogue_reply
 from .conversation import tool_answer
 from .limits import Limits
 from .live import ACTS, Adder, live_reply
@@ -50,7 +49,7 @@ from .models import (
     tracked,
 )
 from .pictures import jpeg, png
-from .query_fields import Export, Request, asks_something, cut_of, query_of, values_of
+from .query_fields import Export, Request, asks_something, catalogue_reply, cut_of, query_of, values_of
 from .replies import BUG, GLB, JPEG, PLY, PNG, Reply, packed, problem, refusal
 from .scene_folder import SceneFaultError, SceneFolder, Sources, without_paths
 

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field, TypeAdapter
 
 from ....authoring.editing import Duplicate, Fill, Isolate, Move, Opacity, Palette, Recolour, Remove, Turn
-from ....authoring.editing.colouring import MAX_COLORS, color_of
+from ....authoring.editing.draft import MAX_COLORS, color_of
 from ....authoring.editing.edits import Change
 from ....authoring.editing.replacement import scaled_on_its_foot
 from ....errors import InputError

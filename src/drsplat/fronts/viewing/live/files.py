@@ -25,9 +25,8 @@ from ....query.sheets import OBJECTS_AT_ONCE
 from ....scene.labelled import LabelledScene
 from ...serving.pictures import jpeg, png
 from .. import results
-from ..exporting import export_session
+from ..exporting import export_session, pictures_of
 from ..naming import photo_of
-from ..object_list import pictures_of
 from ..saving import Saves, flight_gif, picture_of, save_scene, write_bytes
 from ..session import Session
 from ..tiled import UNEDITED

@@ -19,7 +19,7 @@ from ....query.suggesting import suggestions
 from ....scene.significance import significance
 from ....scene.views import View
 from ...serving.query_fields import Strict
-from ..object_list import in_order, names_of, placed_now
+from ..exporting import in_order, names_of, placed_now
 from ..page import film_document
 from ..session import Session
 from ..shown import first_look
