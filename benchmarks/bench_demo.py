@@ -20,7 +20,7 @@ from machine import describe
 
 from drsplat import Scene, export_page
 from drsplat.evaluation.demo import story
-from drsplat.evaluation.demo.album import write_album
+from drsplat.evaluation.demo.story import write_album
 
 ONE_THREAD = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 

@@ -30,9 +30,10 @@ from drsplat.authoring.editing import (
 )
 from drsplat.authoring.editing.draft import OBJECT_ID
 from drsplat.authoring.editing.edits import Change
-from drsplat.authoring.editing.making import replaced_by, scaled_on_its_foot
+from drsplat.authoring.editing.replacement import replaced_by, scaled_on_its_foot
 from drsplat.authoring.editing.resolving import query_rows
-from drsplat.drawing.pictures import OtherPixels, as_pixels, contact_sheet, titled, write_picture
+from drsplat.base.arrays import OtherPixels
+from drsplat.drawing.pictures import as_pixels, contact_sheet, titled, write_picture
 from drsplat.scene.views import View
 
 VASE, TABLE, COUCH, CAR = "red vase", "wooden table", "couch", "green car"

@@ -34,7 +34,7 @@ from benchmarks.suite.places import with_wrong_masks
 from benchmarks.suite.rivals.things import Agreement, Alike, light_splat, mask_clustering, sureness
 from benchmarks.suite.scenes import owners, read_scene
 from drsplat import Gaussians, LanguageField, MiniEncoder, Scene, View, read_gaussians, read_views, register
-from drsplat.evaluation import metrics
+from drsplat.evaluation import scorers
 from drsplat.field.codes.code import Code
 from drsplat.field.evidence.evidence import Evidence, evidence_from_tensors
 from drsplat.field.forest import THING
@@ -205,8 +205,8 @@ def columns(rooms: list[Compared]) -> np.ndarray:
 
 
 def said(values: np.ndarray) -> str:
-    low, high = metrics.mean_interval(values)
-    return f"{metrics.mean(values):.0f} ({low:.0f} to {high:.0f})"
+    low, high = scorers.mean_interval(values)
+    return f"{scorers.mean(values):.0f} ({low:.0f} to {high:.0f})"
 
 
 def row(case: Case, rooms: list[Compared]) -> str:
@@ -214,7 +214,7 @@ def row(case: Case, rooms: list[Compared]) -> str:
     best, sizes = (np.concatenate(part) for part in zip(*((c.best, c.sizes) for c in rooms), strict=True))
     for low, high in pairwise(BANDS):
         some = best[(sizes >= low) & (sizes < high)]
-        cells.append(f"{(some >= 0.5).sum()} of {len(some)}, {100 * metrics.mean(some):.0f}")
+        cells.append(f"{(some >= 0.5).sum()} of {len(some)}, {100 * scorers.mean(some):.0f}")
     return f"| {case.masks}, {case.percent} % | {case.rule} | " + " | ".join(cells) + " |"
 
 
@@ -229,7 +229,7 @@ def choose_rivals(folders: list[Path], masks: list[str], kept: Path) -> None:
     found = {}
     for name, rule in tried.items():
         of_rooms = [numbers(room.compared(rule(room))) for room in rooms]
-        found[name] = tuple(metrics.mean([100 * known[key] for known in of_rooms]) for key in ("AP", "AP50", "found"))
+        found[name] = tuple(scorers.mean([100 * known[key] for known in of_rooms]) for key in ("AP", "AP50", "found"))
     for name, values in sorted(found.items(), key=lambda item: -item[1][0]):
         print(name, " ".join(f"{value:.1f}" for value in values))
 

@@ -25,7 +25,7 @@ from drsplat.drawing.labels import Mark, marked
 from drsplat.drawing.legend import tinted
 from drsplat.drawing.pictures import as_pixels, highlighted
 from drsplat.drawing.rendering import render
-from drsplat.evaluation.demo.album import OVERVIEW
+from drsplat.evaluation.demo.story import OVERVIEW
 from drsplat.query.sheets import attribute_row, object_sheet
 
 ROOT = Path(__file__).resolve().parent.parent

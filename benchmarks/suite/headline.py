@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from drsplat.evaluation import metrics
+from drsplat.evaluation import scorers
 
 from .answers import ASKED, CAPTURE, COLUMNS, ROOM
 from .chart import Bar, Group, grouped_bars
@@ -58,7 +58,7 @@ class Asked(NamedTuple):
 
     def share(self, what: str, column: str) -> float:
         """Percent of the words that were missed, or found though absent: the mean over places."""
-        return 100 * metrics.mean([record[what][column] for record in self.records])
+        return 100 * scorers.mean([record[what][column] for record in self.records])
 
 
 def asked(answers: Answers) -> list[Asked]:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, Integer
 
-from drsplat.evaluation import metrics
+from drsplat.evaluation import scorers
 
 LEAST = 60  # Gaussians: a smaller thing is void, and a smaller prediction is not looked at
 VOID = 0.5  # of a prediction: with more than that on void it is neither right nor wrong
@@ -83,12 +83,12 @@ def panoptic_quality(compared: Compared) -> float:
 def numbers(compared: Compared) -> dict[str, float]:
     """All of one scene."""
     return {
-        "AP": metrics.mean([average_precision(compared, level) for level in LEVELS]),
+        "AP": scorers.mean([average_precision(compared, level) for level in LEVELS]),
         "AP50": average_precision(compared, 0.5),
         "AP25": average_precision(compared, 0.25),
         "PQ": panoptic_quality(compared),
-        "found": metrics.mean((compared.best >= 0.5).astype(float)),
-        "mean IoU": metrics.mean(compared.best),
+        "found": scorers.mean((compared.best >= 0.5).astype(float)),
+        "mean IoU": scorers.mean(compared.best),
     }
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from drsplat.evaluation import metrics
+from drsplat.evaluation import scorers
 from drsplat.evaluation.predictions import FIXED
 
 MIN_SCENES = 3  # for a correlation to be printed
@@ -96,7 +96,7 @@ def over_places(places: Sequence[Sequence[float]], words: Sequence[Sequence[str]
     few, so they are taken as given, and the interval says how other words would do in the same places.
     Source: variance of a mean of clusters, Liang and Zeger 1986.
     """
-    mean = metrics.mean([metrics.mean(numbers) for numbers in places])
+    mean = scorers.mean([scorers.mean(numbers) for numbers in places])
     variance = sum(map(_variance, places, words)) / len(places) ** 2
     half = 1.96 * variance**0.5
     return mean, mean - half, mean + half
@@ -126,10 +126,10 @@ def said(numbers: Sequence[float], signed: bool = False) -> str:
     ('10.0 [10.0, 10.0]', '+1.2')
     """
     style = "+.1f" if signed else ".1f"
-    mean = f"{metrics.mean(numbers):{style}}"
+    mean = f"{scorers.mean(numbers):{style}}"
     if len(numbers) < 2:
         return mean
-    return within(metrics.mean(numbers), *metrics.mean_interval(numbers), signed)
+    return within(scorers.mean(numbers), *scorers.mean_interval(numbers), signed)
 
 
 def methods_of(results: Results, masks: str) -> list[str]:
@@ -153,8 +153,8 @@ def correlations(records: Sequence[Record]) -> dict[str, dict[str, float]]:
     voxels = [row["voxel"] for row in rows]
     return {
         kind: {
-            "pearson": metrics.pearson(voxels, [row[kind] for row in rows]),
-            "spearman": metrics.spearman(voxels, [row[kind] for row in rows]),
+            "pearson": scorers.pearson(voxels, [row[kind] for row in rows]),
+            "spearman": scorers.spearman(voxels, [row[kind] for row in rows]),
         }
         for kind in ("weighted", "unweighted")
     }

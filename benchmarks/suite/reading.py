@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from drsplat.evaluation import metrics
+from drsplat.evaluation import scorers
 
 from .headline import PLACES, SYSTEMS, Answers, Asked, asked
 from .numbers import Results, masks_of, methods_of, said, values, within
@@ -34,7 +34,7 @@ def verdict(numbers: Sequence[float]) -> str:
     >>> verdict([1.0, 2.0, 1.0, 2.0, 1.0]), verdict([-1.0, 1.0, -2.0, 2.0, 0.0]), verdict([1.0, 2.0])
     ('more', 'undecided', '')
     """
-    return _side(*metrics.mean_interval(numbers)) if len(numbers) >= FEW else ""
+    return _side(*scorers.mean_interval(numbers)) if len(numbers) >= FEW else ""
 
 
 def _side(low: float, high: float) -> str:
@@ -88,7 +88,7 @@ def _rivals(results: Results) -> Iterator[str]:
     masks = max(fitted, key=lambda kind: len(fitted[kind]), default="")
     if not masks or not fitted[masks] or "objects" not in methods_of(results, masks):
         return
-    best = max(fitted[masks], key=lambda name: metrics.mean(values(results, masks, name, "automatic")))
+    best = max(fitted[masks], key=lambda name: scorers.mean(values(results, masks, name, "automatic")))
     gains = gain(results, masks, "objects", best, "automatic")
     yield (
         f"The best of {len(fitted[masks])} systems that were fitted from their papers on the same {masks} masks is "

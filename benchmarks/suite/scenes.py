@@ -12,9 +12,8 @@ from scipy.spatial import cKDTree
 from world.packing import SCENE
 
 from drsplat import Gaussians, View, read_gaussians, read_views
-from drsplat.evaluation.label_sets import label_set
 from drsplat.evaluation.lerf_ovs import LerfScene, read_lerf_scene, without_labelled
-from drsplat.evaluation.scannet import ScannetScene, read_nyu40_scene
+from drsplat.evaluation.scannet import ScannetScene, label_set, read_nyu40_scene
 from drsplat.formats.checksums import hash_file
 from drsplat.kernels import splat_arrays, view_weights
 

@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 from .base.system import can_be_a_path
 from .base.terminal import plain, plain_json, quoted
 from .errors import DrSplatError, DrSplatWarning, InputError, MissingExtraError
-from .fronts.commands.help_texts import VerbListFormatter, did_you_mean
+from .fronts.commands.configuring import did_you_mean
 from .fronts.commands.log import logged, path_of
-from .fronts.commands.parsing import Parser, UsageError, VerbParser
+from .fronts.commands.parsing import Parser, UsageError, VerbListFormatter, VerbParser
 from .fronts.commands.verbs import GROUPS, SUMMARIES
 
 if TYPE_CHECKING:

@@ -13,8 +13,7 @@ from test_loose_parts import a_thing_in_a_hole
 from command_line import Capture, answer_of
 from drsplat import Gaussians, read_gaussians
 from drsplat.authoring.editing import Copies, Edit, EditFile, EditList, Fill, Move, Remove, Rows, edited
-from drsplat.authoring.editing.edits import recorded
-from drsplat.authoring.editing.stored import document_of, edits_of
+from drsplat.authoring.editing.edits import document_of, edits_of, recorded
 from drsplat.errors import FormatError, InputError, MismatchError
 from drsplat.formats.gaussian_ply import write_gaussians
 from drsplat.formats.npy import write_npy

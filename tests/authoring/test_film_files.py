@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from drsplat.authoring.filming import encoding
+from drsplat.authoring.filming import writing
 from drsplat.authoring.filming.writing import SUFFIXES, check_film, write_film
 from drsplat.errors import InputError, MissingExtraError
 
-needs_ffmpeg = pytest.mark.skipif(encoding.ffmpeg() is None, reason="the program ffmpeg is not installed")
+needs_ffmpeg = pytest.mark.skipif(writing.ffmpeg() is None, reason="the program ffmpeg is not installed")
 WIDTH, HEIGHT = 64, 48
 COLORS = ((200, 40, 30), (30, 160, 60), (40, 70, 210), (230, 200, 40), (128, 128, 128), (250, 250, 250))
 
@@ -96,7 +96,7 @@ def test_what_cannot_be_written_is_known_before_the_first_picture(
 
 
 def suffixes_here() -> list[str]:
-    return [suffix for suffix in SUFFIXES if suffix not in encoding.SUFFIXES or encoding.ffmpeg()]
+    return [suffix for suffix in SUFFIXES if suffix not in writing.ENCODED or writing.ffmpeg()]
 
 
 @pytest.mark.parametrize("suffix", suffixes_here())
@@ -162,7 +162,7 @@ def test_an_ffmpeg_without_encoders_or_that_does_not_run(tmp_path: Path, monkeyp
     with pytest.raises(InputError, match=r"no encoder for \.webm \(expected one of libvpx-vp9"):
         write_film(tmp_path / "film.webm", pictures(), 12.0)
     (tmp_path / "bin" / "ffmpeg").write_text("#!/bin/sh\nexit 1\n")
-    encoding._encoders.cache_clear()
+    writing._encoders.cache_clear()
     with pytest.raises(InputError, match="does not run"):
         write_film(tmp_path / "film.webm", pictures(), 12.0)
 

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from drsplat.authoring.filming import path_files, planning
+from drsplat.authoring.filming import paths, planning
 from drsplat.authoring.filming.looking import looking_at
 from drsplat.authoring.filming.paths import MAX_FRAMES, CameraPath, KeyFrame, frame_count
 from drsplat.errors import DrSplatError, FormatError, InputError
@@ -227,15 +227,15 @@ def test_a_plan_is_what_is_given_else_what_the_path_wishes() -> None:
 
 def test_our_key_frames_come_back_as_they_were(tmp_path: Path) -> None:
     path = CameraPath(keys(0.0, 1.0, 3.0, 3.5, 4.0), seconds=4.0, fps=24.0, size=(320, 240))
-    path_files.write_path(tmp_path / "path.json", path)
-    again = path_files.read_path(tmp_path / "path.json")
+    paths.write_path(tmp_path / "path.json", path)
+    again = paths.read_path(tmp_path / "path.json")
     assert (again.seconds, again.fps, again.size, again.closed, again.even) == (4.0, 24.0, (320, 240), False, False)
     for one, other in zip(path.keys, again.keys, strict=True):
         np.testing.assert_allclose(other.eye, one.eye, atol=1e-12)
         np.testing.assert_allclose(other.rotation, one.rotation, atol=1e-7)
         assert (other.fov_degrees, other.seconds) == (one.fov_degrees, one.seconds)
     with pytest.raises(InputError, match="exists already"):
-        path_files.write_path(tmp_path / "path.json", path)
+        paths.write_path(tmp_path / "path.json", path)
 
 
 def nerfstudio_file(count: int = 5) -> dict[str, object]:
@@ -256,7 +256,7 @@ def test_a_path_of_nerfstudio_is_filmed_picture_by_picture(tmp_path: Path) -> No
     """Cameras of the file against those that it was made of: +y down and ahead here, the lens from top to bottom."""
     file = tmp_path / "camera_path.json"
     file.write_text(json.dumps(nerfstudio_file()))
-    plan = planning.planned(path_files.read_path(file))
+    plan = planning.planned(paths.read_path(file))
     assert (len(plan.views), plan.fps, plan.size) == (5, 5.0, (160, 90))
     for number, view in enumerate(plan.views):
         wanted = looking_at(np.array([3.0 - number, -4.0, 1.0]), np.zeros(3), UP, (160, 90), 50.0 + number)
@@ -318,27 +318,27 @@ def test_a_damaged_path_says_what_is_wrong(name: str, tmp_path: Path) -> None:
     file = tmp_path / "path.json"
     file.write_text(json.dumps(document))
     with pytest.raises(FormatError, match=said) as raised:
-        path_files.read_path(file)
+        paths.read_path(file)
     assert str(file) in str(raised.value)
 
 
 def test_a_file_that_is_no_json_or_not_there(tmp_path: Path) -> None:
     (tmp_path / "path.json").write_bytes(b"\xff\xfe{")
     with pytest.raises(FormatError, match="expected JSON"):
-        path_files.read_path(tmp_path / "path.json")
+        paths.read_path(tmp_path / "path.json")
     with pytest.raises(InputError, match="no such file"):
-        path_files.read_path(tmp_path / "none.json")
+        paths.read_path(tmp_path / "none.json")
 
 
 @pytest.mark.parametrize("kind", ["ours", "nerfstudio"])
 def test_mutants_of_a_path_are_read_or_refused(kind: str, tmp_path: Path) -> None:
     path = CameraPath(keys(), seconds=4.0, fps=24.0, size=(32, 24))
-    good = path_files.path_json(path) if kind == "ours" else json.dumps(nerfstudio_file())
+    good = paths.path_json(path) if kind == "ours" else json.dumps(nerfstudio_file())
     file, read = tmp_path / "path.json", 0
     for damaged in mutants(good.encode(), np.random.default_rng(7), 300):
         file.write_bytes(damaged)
         try:
-            found = path_files.read_path(file)
+            found = paths.read_path(file)
             views = found.views(7, SIZE)
         except DrSplatError:
             continue

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 import drsplat as ds
-from drsplat.authoring.exchange.clouds import to_boxes, to_point_cloud
-from drsplat.authoring.exchange.frames import COLUMNS, to_frame
-from drsplat.authoring.exchange.splats import from_splats, to_splats
+from drsplat.authoring.exchange.clouds import COLUMNS, from_splats, to_boxes, to_frame, to_point_cloud, to_splats
 from drsplat.errors import FormatError, InputError, MissingExtraError
 from drsplat.field.objects.choosing import Tree
 from drsplat.field.objects.describing import describe

@@ -11,11 +11,9 @@ from scipy.sparse import csc_array
 from command_line import Capture, answer_of, error_of, text_of
 from drsplat import Gaussians, View, ViewFeatures, load_image, read_sparse_points, read_views, register, render
 from drsplat.authoring.filming.looking import looking_at
-from drsplat.authoring.filming.path_files import write_path
-from drsplat.authoring.filming.paths import CameraPath, KeyFrame
+from drsplat.authoring.filming.paths import CameraPath, KeyFrame, write_path
 from drsplat.authoring.photographing import candidates, taking
-from drsplat.authoring.photographing.coverage import ENOUGH_SIGHTS, Sights, chosen_views, sights
-from drsplat.authoring.photographing.settings import PhotographSettings
+from drsplat.authoring.photographing.candidates import ENOUGH_SIGHTS, PhotographSettings, Sights, chosen_views, sights
 from drsplat.authoring.photographing.space import Space
 from drsplat.authoring.photographing.taking import guessed_up, photograph
 from drsplat.drawing.pictures import as_pixels
@@ -389,7 +387,7 @@ def test_pictures_along_a_path_are_those_of_a_film(tmp_path: Path, capsys: Captu
     options = (tmp_path / "room.ply", "-o", tmp_path / "capture", "--size", "64x48")
     answer = answer_of(capsys, "photograph", *options, "--path", path, "--number", 5)
     assert (answer["kind"], answer["num_pictures"]) == ("path", 5)
-    from drsplat.authoring.filming.path_files import read_path
+    from drsplat.authoring.filming.paths import read_path
 
     for view, expected in zip(read_views(tmp_path / "capture"), read_path(path).views(5, (64, 48)), strict=True):
         np.testing.assert_allclose(view.cam_from_world, expected.cam_from_world, atol=1e-12)

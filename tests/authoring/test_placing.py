@@ -18,7 +18,7 @@ from drsplat.errors import InputError
 from drsplat.field.evidence.aggregation import Sampling
 from drsplat.formats.gaussian_ply import vertex_columns
 from drsplat.formats.ply import write_vertices
-from drsplat.fronts.viewing.picking import hit_by_ray, ray_along
+from drsplat.fronts.viewing.naming import hit_by_ray, ray_along
 from drsplat.fronts.viewing.shown import shown_of
 from drsplat.kernels import splat_arrays
 from drsplat.query.places import nearest_gaussian

@@ -14,8 +14,7 @@ from drsplat.authoring.editing import Copies, Duplicate, Edit, EditFile, Move, R
 from drsplat.errors import InputError
 from drsplat.formats.annotations import AnnotationFile
 from drsplat.fronts.viewing import saving
-from drsplat.fronts.viewing.exporting import annotations_of_page, objects_of_page
-from drsplat.fronts.viewing.object_list import placed_now
+from drsplat.fronts.viewing.exporting import annotations_of_page, objects_of_page, placed_now
 from drsplat.fronts.viewing.session import Mode, Session
 from drsplat.scene.annotations import Annotation
 from toy_capture import PER_THING, THINGS

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from browsing import SLOW, eventually, needs_chromium, opened, pixels_of, settled
-from drsplat.authoring.filming.path_files import write_path
-from drsplat.authoring.filming.paths import CameraPath, KeyFrame
+from drsplat.authoring.filming.paths import CameraPath, KeyFrame, write_path
 from drsplat.errors import InputError
 from drsplat.fronts.viewing.exporting import export_page
 from scenes import look_at_view

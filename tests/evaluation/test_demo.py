@@ -13,8 +13,16 @@ from PIL import Image
 from drsplat import read_features, read_views
 from drsplat.drawing.pictures import visible_share
 from drsplat.errors import InputError
-from drsplat.evaluation.demo.album import note, write_album
-from drsplat.evaluation.demo.story import PROBES, Story, Verdict, read_household, tell, unpack_household
+from drsplat.evaluation.demo.story import (
+    PROBES,
+    Story,
+    Verdict,
+    note,
+    read_household,
+    tell,
+    unpack_household,
+    write_album,
+)
 
 SHIPPED = Path(__file__).parents[2] / "src/drsplat/evaluation/demo/scene"
 

@@ -15,7 +15,7 @@ from test_scannet_protocols import write_scene
 import drsplat as ds
 from drsplat import WordEncoder, cli
 from drsplat.errors import FormatError, InputError, MismatchError
-from drsplat.evaluation import predictions, report, svg, tables
+from drsplat.evaluation import predictions, report, tables
 from drsplat.evaluation.report import Figure, write_report
 from drsplat.evaluation.running import automatic_choosers
 from drsplat.evaluation.scorers import cosine_scorer, feature_scorer, hashed, relevant
@@ -24,7 +24,7 @@ from drsplat.query import Query, Scene
 from fields import TOY, ToyEncoder, toy_field, unit_rows
 
 
-@pytest.mark.parametrize("module", [predictions, tables, svg, report])
+@pytest.mark.parametrize("module", [predictions, tables, report])
 def test_examples(module) -> None:
     result = doctest.testmod(module, extraglobs={"np": np})
     assert result.attempted
@@ -144,7 +144,7 @@ def test_fixed_and_tuned_are_never_one_row() -> None:
 def test_report_is_one_page_that_needs_nothing_else(tmp_path: Path) -> None:
     picture = np.zeros((20, 30, 3), np.uint8)
     results = [lerf_result({"<b>": 3}, float("nan"))]
-    written = write_report(tmp_path, results, [Figure("a < b", picture)], [svg.bars([("x", 2.0)], "s", "t")])
+    written = write_report(tmp_path, results, [Figure("a < b", picture)], [report.bars([("x", 2.0)], "s", "t")])
     page = (tmp_path / "report.html").read_text()
     assert written == [tmp_path / "results.json", tmp_path / "report.html"]
     assert not re.search(r"""(src|href)=["'](?!data:)""", page)
@@ -157,22 +157,22 @@ def test_report_is_one_page_that_needs_nothing_else(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="overwrite"):
         write_report(tmp_path, results)
     before = [path.read_bytes() for path in written]
-    write_report(tmp_path, results, [Figure("a < b", picture)], [svg.bars([("x", 2.0)], "s", "t")], True)
+    write_report(tmp_path, results, [Figure("a < b", picture)], [report.bars([("x", 2.0)], "s", "t")], True)
     assert [path.read_bytes() for path in written] == before
 
 
 def test_scatter_puts_points_where_they_are() -> None:
-    chart = svg.scatter([(0.1, 0.2, "a & b"), (0.4, 0.4, "c")], "x", "y", "title", "note")
+    chart = report.scatter([(0.1, 0.2, "a & b"), (0.4, 0.4, "c")], "x", "y", "title", "note")
     root = ElementTree.fromstring(chart)
     circles = root.findall("{http://www.w3.org/2000/svg}circle")
     (ax, ay), (cx, cy) = ((float(c.get("cx")), float(c.get("cy"))) for c in circles)  # type: ignore[arg-type]
-    assert cx - svg.MARGIN == pytest.approx(4 * (ax - svg.MARGIN), abs=0.2)
-    assert svg.HEIGHT - svg.MARGIN - cy == pytest.approx(2 * (svg.HEIGHT - svg.MARGIN - ay), abs=0.2)
+    assert cx - report.MARGIN == pytest.approx(4 * (ax - report.MARGIN), abs=0.2)
+    assert report.HEIGHT - report.MARGIN - cy == pytest.approx(2 * (report.HEIGHT - report.MARGIN - ay), abs=0.2)
     assert "a & b" in circles[0][0].text  # type: ignore[operator]
 
 
 def test_bars_are_as_long_as_their_values() -> None:
-    root = ElementTree.fromstring(svg.bars([("PQ 32", 1.0), ("cosine", 14.0)], "ms", "search"))
+    root = ElementTree.fromstring(report.bars([("PQ 32", 1.0), ("cosine", 14.0)], "ms", "search"))
     lengths = [float(r.get("width")) for r in root.findall("{http://www.w3.org/2000/svg}rect")]  # type: ignore[arg-type]
     assert lengths[1] == pytest.approx(14 * lengths[0], rel=0.01)
 
@@ -273,7 +273,7 @@ def test_charts_show_each_word_how_many_are_good_and_thresholds() -> None:
     assert "automatic" in texts[0]
     (line,) = [one for one in good.iter() if one.tag.endswith("polyline")]
     points = np.array([point.split(",") for point in line.attrib["points"].split()], float)
-    top, bottom = svg.MARGIN, svg.HEIGHT - svg.MARGIN
+    top, bottom = report.MARGIN, report.HEIGHT - report.MARGIN
     reached = (bottom - points[:, 1]) / (bottom - top)
     assert_allclose(reached[[0, 12, 13, 28, 29, 36, 37, 40]], [1, 1, 2 / 3, 2 / 3, 1 / 3, 1 / 3, 0, 0], atol=1e-3)
     (line,) = [one for one in sweep.iter() if one.tag.endswith("polyline")]
@@ -295,5 +295,5 @@ def test_several_methods_are_curves_of_one_chart() -> None:
     *_, good = report.charts_of(results)
     tree = ElementTree.fromstring(good)
     colors = [one.attrib["stroke"] for one in tree.iter() if one.tag.endswith("polyline")]
-    assert colors == list(svg.LINES[:2])
+    assert colors == list(report.LINES[:2])
     assert "theirs <b>" in "".join(tree.itertext())

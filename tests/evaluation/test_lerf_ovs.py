@@ -12,7 +12,7 @@ from PIL import Image
 
 import drsplat as ds
 from drsplat.errors import DrSplatError, FormatError, InputError, MismatchError
-from drsplat.evaluation import lerf_ovs, metrics
+from drsplat.evaluation import lerf_ovs, scorers
 from drsplat.evaluation.lerf_ovs import LerfScene, predict, read_lerf_scene, score
 from drsplat.evaluation.predictions import mask_path, write_mask
 from drsplat.evaluation.report import cell_text
@@ -142,7 +142,7 @@ def test_what_stands_behind_something_else_is_not_seen(tmp_path: Path) -> None:
     alone = ds.render(balls(), view, select=selected).alpha
     assert (mug != (alone > 0.5)).mean() < 0.001  # before it are a few Gaussians without feature
     columns = score([room], tmp_path)["columns"]["fixed"]["by_scene"]["room"]
-    assert 2 * columns["seen"] == pytest.approx(metrics.mask_iou(mug, frame.mask("red mug")))
+    assert 2 * columns["seen"] == pytest.approx(scorers.mask_iou(mug, frame.mask("red mug")))
 
 
 def test_predictions_without_what_is_seen_have_no_such_number(room: LerfScene, tmp_path: Path) -> None:

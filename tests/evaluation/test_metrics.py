@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from drsplat.evaluation import metrics
+from drsplat.evaluation import scorers
 
 few = settings(derandomize=True, deadline=None, max_examples=50)
 TRUTH = np.array([1, 1, 1, 2, 2, 3, 0, 0])
@@ -17,15 +17,15 @@ PREDICTED = np.array([1, 1, 2, 2, 2, 1, 3, 0])
 
 
 def test_examples() -> None:
-    result = doctest.testmod(metrics, extraglobs={"np": np})
+    result = doctest.testmod(scorers, extraglobs={"np": np})
     assert result.attempted > 12
     assert result.failed == 0
 
 
 def test_class_ious_by_hand() -> None:
     # class 1: 2 of {3 true, 3 predicted}; class 2: 2 of {2, 3}; class 3: found nowhere that counts
-    assert_allclose(metrics.class_ious(PREDICTED, TRUTH, 3), [2 / 4, 2 / 3, 0])
-    assert_allclose(metrics.class_accuracies(PREDICTED, TRUTH, 3), [2 / 3, 1, 0])
+    assert_allclose(scorers.class_ious(PREDICTED, TRUTH, 3), [2 / 4, 2 / 3, 0])
+    assert_allclose(scorers.class_accuracies(PREDICTED, TRUTH, 3), [2 / 3, 1, 0])
 
 
 def test_class_ious_are_jaccard_scores() -> None:
@@ -34,7 +34,7 @@ def test_class_ious_are_jaccard_scores() -> None:
     truth, predicted = rng.integers(1, 6, (2, 500))
     weights = rng.random(500)
     expected = sklearn.jaccard_score(truth, predicted, average=None, labels=[1, 2, 3, 4, 5], sample_weight=weights)
-    assert_allclose(metrics.class_ious(predicted, truth, 5, weights), expected)
+    assert_allclose(scorers.class_ious(predicted, truth, 5, weights), expected)
 
 
 # sklearn.metrics.jaccard_score(truth, predicted, average=None) of these, worked out as fractions
@@ -47,7 +47,7 @@ JACCARD = [
 
 @pytest.mark.parametrize(("truth", "predicted", "expected"), JACCARD)
 def test_class_ious_by_fractions(truth, predicted, expected) -> None:
-    got = metrics.class_ious(np.array(predicted), np.array(truth), len(expected))
+    got = scorers.class_ious(np.array(predicted), np.array(truth), len(expected))
     assert_allclose(got, [float(x) for x in expected])
 
 
@@ -58,8 +58,8 @@ labels = st.lists(st.tuples(st.integers(0, 4), st.integers(0, 4), st.integers(1,
 @given(labels)
 def test_whole_weights_count_as_copies(rows) -> None:
     predicted, truth, weights = (np.array(column) for column in zip(*rows, strict=True))
-    repeated = metrics.class_ious(np.repeat(predicted, weights), np.repeat(truth, weights), 4)
-    assert_allclose(metrics.class_ious(predicted, truth, 4, weights), repeated)
+    repeated = scorers.class_ious(np.repeat(predicted, weights), np.repeat(truth, weights), 4)
+    assert_allclose(scorers.class_ious(predicted, truth, 4, weights), repeated)
 
 
 @few
@@ -69,8 +69,8 @@ def test_order_and_scale_of_weights_do_not_matter(rows, random) -> None:
     random.shuffle(shuffled)
     one, other = np.array(rows), np.array(shuffled)
     assert_allclose(
-        metrics.class_ious(one[:, 0], one[:, 1], 4, one[:, 2]),
-        metrics.class_ious(other[:, 0], other[:, 1], 4, 37.0 * other[:, 2]),
+        scorers.class_ious(one[:, 0], one[:, 1], 4, one[:, 2]),
+        scorers.class_ious(other[:, 0], other[:, 1], 4, 37.0 * other[:, 2]),
     )
 
 
@@ -85,7 +85,7 @@ def weighted_iou(predicted: np.ndarray, truth: np.ndarray, weights: np.ndarray) 
 def test_class_iou_is_the_weighted_iou_of_its_masks(rows) -> None:
     predicted, truth, weights = (np.array(column) for column in zip(*rows, strict=True))
     counted = truth > 0
-    got = metrics.class_ious(predicted, truth, 4, weights)
+    got = scorers.class_ious(predicted, truth, 4, weights)
     for label in range(1, 5):
         alone = weighted_iou((predicted == label) & counted, truth == label, weights.astype(float))
         if (truth == label).any():
@@ -95,9 +95,9 @@ def test_class_iou_is_the_weighted_iou_of_its_masks(rows) -> None:
 
 
 def test_perfect_is_one_and_empty_is_zero() -> None:
-    present = metrics.class_ious(TRUTH, TRUTH, 3)
+    present = scorers.class_ious(TRUTH, TRUTH, 3)
     assert_allclose(present, 1)
-    assert_allclose(metrics.class_ious(np.zeros_like(TRUTH), TRUTH, 3), 0)
+    assert_allclose(scorers.class_ious(np.zeros_like(TRUTH), TRUTH, 3), 0)
 
 
 @few
@@ -106,19 +106,19 @@ def test_correlations_ignore_scale_and_offset(values, scale, offset) -> None:
     if np.ptp(values) < 0.1:
         return
     moved = [scale * value + offset for value in values]
-    assert metrics.pearson(values, moved) == pytest.approx(1)
-    assert metrics.spearman(values, [-v for v in values]) == pytest.approx(-1)
+    assert scorers.pearson(values, moved) == pytest.approx(1)
+    assert scorers.spearman(values, [-v for v in values]) == pytest.approx(-1)
 
 
 def test_spearman_is_scipys() -> None:
     from scipy.stats import spearmanr
 
     a, b = np.random.default_rng(0).integers(0, 6, (2, 20)).tolist()
-    assert metrics.spearman(a, b) == pytest.approx(spearmanr(a, b).statistic)
+    assert scorers.spearman(a, b) == pytest.approx(spearmanr(a, b).statistic)
 
 
 def test_interval_holds_the_mean_and_narrows() -> None:
     values = np.random.default_rng(1).normal(0.5, 0.1, 40).tolist()
-    low, high = metrics.mean_interval(values)
+    low, high = scorers.mean_interval(values)
     assert low < np.mean(values) < high
-    assert high - low < np.subtract(*metrics.mean_interval(values[:8])[::-1])
+    assert high - low < np.subtract(*scorers.mean_interval(values[:8])[::-1])

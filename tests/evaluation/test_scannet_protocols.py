@@ -13,10 +13,9 @@ from test_evaluation_pseudo_labels import random_points
 from test_metrics import weighted_iou
 
 from drsplat.errors import FormatError, InputError, MismatchError
-from drsplat.evaluation import metrics, scannet_points, scannet_volume, voxel
-from drsplat.evaluation.label_sets import LabelSet
+from drsplat.evaluation import scannet_points, scannet_volume, scorers, voxel
 from drsplat.evaluation.predictions import AUTOMATIC, FIXED, Manifest, best_sweep, sweep_weighted_ious
-from drsplat.evaluation.scannet import ScannetScene, read_nyu40_scene, read_raw_category_scene, scores_path
+from drsplat.evaluation.scannet import LabelSet, ScannetScene, read_nyu40_scene, read_raw_category_scene, scores_path
 from drsplat.evaluation.scorers import Scorer
 from drsplat.formats.npy import write_npy
 from drsplat.formats.ply import write_vertices
@@ -150,7 +149,7 @@ def test_splitting_gaussians_changes_nothing(copies: int) -> None:
     guess = np.where(rng.random(COUNT) < 0.4, rng.integers(1, 4, COUNT), scene.pseudo_labels)
     twice = replace(scene, gaussians=duplicated(scene.gaussians, copies))
     one, other = (
-        metrics.class_ious(labels.astype(int), s.pseudo_labels, 3, s.significance)
+        scorers.class_ious(labels.astype(int), s.pseudo_labels, 3, s.significance)
         for labels, s in ((guess, scene), (np.tile(guess, copies), twice))
     )
     assert_allclose(one, other, rtol=1e-5)
@@ -170,8 +169,8 @@ def test_scale_of_the_scene_changes_nothing() -> None:
     assert_array_equal(scene.pseudo_labels, there.pseudo_labels)
     guess = np.roll(scene.pseudo_labels, 7)
     assert_allclose(
-        metrics.class_ious(guess, scene.pseudo_labels, 3, scene.significance),
-        metrics.class_ious(guess, there.pseudo_labels, 3, there.significance),
+        scorers.class_ious(guess, scene.pseudo_labels, 3, scene.significance),
+        scorers.class_ious(guess, there.pseudo_labels, 3, there.significance),
     )
 
 

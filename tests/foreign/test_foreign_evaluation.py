@@ -20,12 +20,11 @@ from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_allclose
 from PIL import Image
 
-from drsplat.evaluation import metrics, scannet_points
-from drsplat.evaluation.label_sets import LabelSet
+from drsplat.evaluation import scannet_points, scorers
 from drsplat.evaluation.lerf_ovs import PEAKS, PROTOCOL, LerfScene, peak, score
 from drsplat.evaluation.predictions import Manifest, mask_path, write_mask
 from drsplat.evaluation.pseudo_labels import LabelledPoints
-from drsplat.evaluation.scannet import ScannetScene
+from drsplat.evaluation.scannet import LabelSet, ScannetScene
 from drsplat.evaluation.scorers import Scorer
 from drsplat.formats.lerf_ovs import LabelledFrame, fill_polygon, read_lerf_labels
 from drsplat.scene.gaussians import Gaussians
@@ -205,7 +204,7 @@ def test_a_coarser_jpeg_of_the_truth_is_all_that_could_differ(tmp_path_factory, 
             assert np.ptp(ours[y // 8 * 8 :, x // 8 * 8 :][:8, :8].astype(int)) == 1
         path = predictions[known.name, category]
         iou = opengaussian_iou(truth[known.name, category], path)
-        assert iou == (metrics.mask_iou(np.asarray(Image.open(path)) > 0, theirs) if path.exists() else 0)
+        assert iou == (scorers.mask_iou(np.asarray(Image.open(path)) > 0, theirs) if path.exists() else 0)
 
 
 def test_a_perfect_prediction_is_perfect_but_for_a_coarser_jpeg(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from drsplat.errors import DrSplatError, FormatError, InputError, MismatchError
-from drsplat.evaluation.label_sets import BUILT_IN, LabelSet, label_set
+from drsplat.evaluation.scannet import BUILT_IN, LabelSet, label_set
 from drsplat.formats.scannet import (
     check_vertices,
     raw_category_labels,

@@ -2,7 +2,7 @@
 
 import pytest
 
-from drsplat.fronts.serving.access import is_addressed, is_loopback, is_own_page, is_secret, names_of
+from drsplat.fronts.serving.listening import is_addressed, is_loopback, is_own_page, is_secret, names_of
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.8.9.1", "localhost", "LOCALHOST", "::1", "[::1]"])

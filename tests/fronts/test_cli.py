@@ -515,7 +515,7 @@ def test_demo_verb_tells_its_story(
     count = len(PROBES)
     pictures = [tmp_path / "overview.png", *(tmp_path / f"{k}.png" for k in range(count))]
     monkeypatch.setattr("drsplat.evaluation.demo.story.tell", lambda *_args, **_options: household_story)
-    monkeypatch.setattr("drsplat.evaluation.demo.album.write_album", lambda *_args, **_options: pictures)
+    monkeypatch.setattr("drsplat.evaluation.demo.story.write_album", lambda *_args, **_options: pictures)
     answer = answer_of(capsys, "demo", "--output-dir", tmp_path)
     assert [query["text"] for query in answer["queries"]] == [q.text for q in PROBES]
     wanted = {"text", "num_matches", "is_right", "iou", "num_selected", "center", "seconds"}
@@ -534,7 +534,7 @@ def test_the_demo_makes_a_page_that_answers_and_names_commands_that_run_without_
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:  # fmt: skip
     monkeypatch.setattr("drsplat.evaluation.demo.story.tell", lambda *_args, **_options: household_story)
-    monkeypatch.setattr("drsplat.evaluation.demo.album.write_album", lambda *_args, **_options: [tmp_path] * 17)
+    monkeypatch.setattr("drsplat.evaluation.demo.story.write_album", lambda *_args, **_options: [tmp_path] * 17)
     for extra in ("fastapi", "uvicorn", "prometheus_client", "torch", "usd", "mcp", "msgspec"):
         monkeypatch.setitem(sys.modules, extra, None)
     printed = text_of(capsys, "demo", "--output-dir", tmp_path)

@@ -200,7 +200,7 @@ def test_a_page_that_was_let_go_asks_again(session: Session, chromium: Any, monk
     with served(session) as address, a_page(chromium) as page, a_page(chromium) as other:
         opened(page, address)
         ask(page, "red mug")
-        monkeypatch.setattr("drsplat.fronts.viewing.live.visits.MAX_VISITS", 1)
+        monkeypatch.setattr("drsplat.fronts.viewing.live.turns.MAX_VISITS", 1)
         opened(other, address)
         page.evaluate("() => { void drsplat.act({ act: 'mode', mode: 'heat map' }); }")
         page.wait_for_function(

@@ -20,7 +20,7 @@ from test_film_paths import nerfstudio_file
 
 from drsplat import open_scene, read_gaussians, write_gaussians
 from drsplat.authoring.editing import Remove
-from drsplat.authoring.filming.path_files import read_path
+from drsplat.authoring.filming.paths import read_path
 from drsplat.errors import InputError
 from drsplat.fronts.viewing import saving
 from drsplat.fronts.viewing.live import files

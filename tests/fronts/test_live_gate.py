@@ -582,7 +582,7 @@ def test_a_photo_outside_of_what_was_sent_is_not_shown(tmp_path: Path) -> None:
     """A capture that is sent may name any photo of this machine."""
     from dataclasses import replace
 
-    from drsplat.fronts.viewing.live.opening import confined
+    from drsplat.fronts.viewing.live.shared import confined
     from scenes import look_at_view
 
     secret, own = tmp_path / "secret.png", tmp_path / "sent/own.png"

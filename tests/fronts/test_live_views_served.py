@@ -174,9 +174,8 @@ def test_the_list_tells_which_photos_are_being_added(scenes: Path, full_room: Pa
 
 @pytest.mark.slow
 def test_another_writer_is_waited_for(scenes: Path, full_room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from drsplat.fronts.serving import adding
 
-    monkeypatch.setattr(adding, "RETRY_S", 0.2)
+    monkeypatch.setattr(workbench, "RETRY_S", 0.2)
     with opened(scenes) as service:
         with claimed_output(scenes / "room/room.field"):
             send(service, posted(read_views(full_room)[2]))

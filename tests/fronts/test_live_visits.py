@@ -12,7 +12,7 @@ pytest.importorskip("fastapi", reason="the extra drsplat[viewer] is not installe
 
 from drsplat.errors import InputError
 from drsplat.fronts.viewing import painting
-from drsplat.fronts.viewing.live import visits
+from drsplat.fronts.viewing.live import turns
 from drsplat.fronts.viewing.session import Session
 from live_clients import Browser, Stream, Viewer, a_viewer, error_of
 from moving_scenes import passing_red_scene
@@ -196,7 +196,7 @@ def test_a_cookie_is_only_for_the_page_and_for_one_port(viewer: Viewer) -> None:
 
 
 def test_the_oldest_of_too_many_visits_goes(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(visits, "MAX_VISITS", 3)
+    monkeypatch.setattr(turns, "MAX_VISITS", 3)
     first, second, third = (Browser(viewer) for _ in range(3))
     first.do("ask", text="red mug")  # which makes the second one the oldest
     Browser(viewer)
@@ -212,7 +212,7 @@ def test_the_oldest_of_too_many_visits_goes(viewer: Viewer, monkeypatch: pytest.
 def test_visits_that_nobody_comes_back_to_go(viewer: Viewer, monkeypatch: pytest.MonkeyPatch) -> None:
     gone = Browser(viewer)
     start = time.monotonic()
-    monkeypatch.setattr(visits.time, "monotonic", lambda: start + visits.MAX_IDLE_S + 60)
+    monkeypatch.setattr(turns.time, "monotonic", lambda: start + turns.MAX_IDLE_S + 60)
     Browser(viewer)
     assert len(viewer.shared.visits) == 1
     assert gone.get("/view/state").status_code == 410
@@ -225,13 +225,13 @@ def test_answers_of_all_browsers_have_one_bound(viewer: Viewer, monkeypatch: pyt
     result = viewer.session.results[0]
     arrays = (result.answer.values, result.answer.scores, result.gaussian_ids)
     assert size >= sum(array.nbytes for array in arrays) > 0
-    monkeypatch.setattr(visits, "MAX_ANSWER_BYTES", 3 * size)
+    monkeypatch.setattr(turns, "MAX_ANSWER_BYTES", 3 * size)
     for browser in browsers[1:]:
         browser.do("ask", text="red mug")
     browsers[3].state()
     assert browsers[0].get("/view/state").status_code == 410
     assert [texts_of(browser) for browser in browsers[1:]] == [["red mug"]] * 3
-    monkeypatch.setattr(visits, "MAX_ANSWER_BYTES", 1)
+    monkeypatch.setattr(turns, "MAX_ANSWER_BYTES", 1)
     browsers[1].do("ask", text="red mug; tall lamp")
     assert texts_of(browsers[1]) == ["red mug", "tall lamp"]  # the one that asks keeps its own
     assert len(viewer.shared.visits) == 1

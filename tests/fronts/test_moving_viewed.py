@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from drsplat.authoring.editing import Edit, Everything, Move, Remove
-from drsplat.fronts.viewing.object_list import placed_now
+from drsplat.fronts.viewing.exporting import placed_now
 from drsplat.fronts.viewing.session import Session
 from drsplat.query import Scene
 from moving_scenes import passing_red_scene

@@ -83,7 +83,7 @@ def test_servers_and_viewer_say_so() -> None:
     from drsplat.fronts.serving.conversation import Conversation, tool_answer
     from drsplat.fronts.serving.limits import Limits
     from drsplat.fronts.serving.models import measured
-    from drsplat.fronts.serving.requests import Tool
+    from drsplat.fronts.serving.query_fields import Tool
     from drsplat.fronts.viewing.results import result_of
 
     scene = Scene(*made(FAINT), encoder=MINI)

@@ -13,10 +13,9 @@ from pydantic import BaseModel, ValidationError
 
 from drsplat.errors import DrSplatError
 from drsplat.fronts.serving.app import QUERIES
-from drsplat.fronts.serving.catalogued import AskCatalogue
 from drsplat.fronts.serving.limits import Limits
 from drsplat.fronts.serving.live import NewView
-from drsplat.fronts.serving.query_fields import Request
+from drsplat.fronts.serving.query_fields import AskCatalogue, Request
 from drsplat.fronts.serving.scene_folder import SceneFolder
 from drsplat.fronts.serving.workbench import Job, Workbench
 

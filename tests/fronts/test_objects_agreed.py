@@ -11,8 +11,7 @@ from drsplat import Scene
 from drsplat.errors import DrSplatWarning
 from drsplat.field.labels import LabelFile
 from drsplat.field.objects.agreed import agreed
-from drsplat.fronts.viewing.exporting import object_numbers, objects_of_page
-from drsplat.fronts.viewing.object_list import in_order, names_of
+from drsplat.fronts.viewing.exporting import in_order, names_of, object_numbers, objects_of_page
 from drsplat.fronts.viewing.session import Session
 from known_objects import EACH, with_objects
 

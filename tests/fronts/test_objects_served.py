@@ -24,8 +24,8 @@ pytest.importorskip("fastapi", reason="the extra drsplat[serve] is not installed
 from drsplat.fronts.serving.conversation import Conversation
 from drsplat.fronts.serving.limits import Limits
 from drsplat.fronts.serving.live import Adder
+from drsplat.fronts.serving.query_fields import Export
 from drsplat.fronts.serving.replies import Reply
-from drsplat.fronts.serving.requests import Export
 from drsplat.fronts.serving.scene_folder import SceneFolder
 from drsplat.fronts.serving.worker import COMPLETING_S, WRITING_S, Workplace, exported, reply_to
 from drsplat.query.documents import object_documents

@@ -70,17 +70,17 @@ def assert_offers(model: Any, offered: Iterable[str], own: Iterable[str] = ()) -
 
 def test_http() -> None:
     pytest.importorskip("pydantic")
-    from drsplat.fronts.serving import catalogued, requests
+    from drsplat.fronts.serving import query_fields
 
-    assert_offers(requests.Select, named(Place.HTTP), {"ids"})
-    assert_offers(requests.Locate, named(Place.HTTP), OF_MATCHES)
-    assert_offers(requests.Picture, named(Place.HTTP), {"view", "photo", "max_side"})
+    assert_offers(query_fields.Select, named(Place.HTTP), {"ids"})
+    assert_offers(query_fields.Locate, named(Place.HTTP), OF_MATCHES)
+    assert_offers(query_fields.Picture, named(Place.HTTP), {"view", "photo", "max_side"})
     own = {"format", "only", "object", "time", "edits", "embeddings"}
-    assert_offers(requests.Export, named(Place.HTTP), own)
-    assert_offers(requests.Segment, named(Place.HTTP, of=CUT), {"classes", "labels"})
-    assert_offers(requests.When, named(Place.HTTP, Place.WORDS), {"one", "relation", "other", "view"})
+    assert_offers(query_fields.Export, named(Place.HTTP), own)
+    assert_offers(query_fields.Segment, named(Place.HTTP, of=CUT), {"classes", "labels"})
+    assert_offers(query_fields.When, named(Place.HTTP, Place.WORDS), {"one", "relation", "other", "view"})
     own = {"top", "scenes", "box", "area", "since"}
-    assert_offers(catalogued.AskCatalogue, named(Place.HTTP, Place.CATALOGUE), own)
+    assert_offers(query_fields.AskCatalogue, named(Place.HTTP, Place.CATALOGUE), own)
 
 
 def test_the_viewer() -> None:
@@ -92,9 +92,9 @@ def test_the_viewer() -> None:
 
 def test_a_field_of_one_front_alone_is_noticed() -> None:
     pytest.importorskip("pydantic")
-    from drsplat.fronts.serving import requests
+    from drsplat.fronts.serving import query_fields
 
-    class Select(requests.Select):
+    class Select(query_fields.Select):
         taste: str = ""
 
     with pytest.raises(AssertionError):

@@ -16,7 +16,7 @@ from drsplat.authoring.filming import looking
 from drsplat.drawing.heat import heat_of
 from drsplat.errors import InputError
 from drsplat.fronts.serving.pictures import png
-from drsplat.fronts.viewing import painting, picking, results, saving, shown, texts
+from drsplat.fronts.viewing import client, naming, painting, results, saving, shown
 from drsplat.fronts.viewing.bare import is_bare, open_bare
 from drsplat.fronts.viewing.naming import photo_of
 from drsplat.fronts.viewing.session import MAX_QUERIES, Mode, Session
@@ -121,18 +121,18 @@ def test_nothing_goes_black_and_where_nothing_fits_all_stays_as_it_is() -> None:
 # --- picking ---
 
 
-def ray(origin: tuple[float, float, float], direction: tuple[float, float, float]) -> picking.Ray:
-    return picking.ray_along(np.array(origin, np.float64), np.array(direction, np.float64))
+def ray(origin: tuple[float, float, float], direction: tuple[float, float, float]) -> naming.Ray:
+    return naming.ray_along(np.array(origin, np.float64), np.array(direction, np.float64))
 
 
 def test_a_ray_meets_what_is_in_front() -> None:
     scene = boxes_scene().gaussians
-    hit = picking.hit_by_ray(scene, ray((-3.0, 0, 0), (1.0, 0, 0)))
+    hit = naming.hit_by_ray(scene, ray((-3.0, 0, 0), (1.0, 0, 0)))
     assert hit is not None
     assert hit.gaussian_ids[0] in rows(0)
     assert (np.diff(hit.weights) <= 0).all()
     assert 0 < hit.weights.sum() <= 1
-    back = picking.hit_by_ray(scene, ray((3.0, 0, 0.3), (-1.0, 0, 0)))
+    back = naming.hit_by_ray(scene, ray((3.0, 0, 0.3), (-1.0, 0, 0)))
     assert back is not None
     assert back.gaussian_ids[0] in rows(2)
 
@@ -141,10 +141,10 @@ def test_a_ray_passes_what_is_hidden_and_what_lies_behind_it() -> None:
     scene = boxes_scene().gaussians
     visible = np.ones(len(scene), bool)
     visible[rows(0)] = False
-    hit = picking.hit_by_ray(scene, ray((-3.0, 0, 0), (1.0, 0, 0)), visible)
+    hit = naming.hit_by_ray(scene, ray((-3.0, 0, 0), (1.0, 0, 0)), visible)
     assert hit is not None
     assert hit.gaussian_ids[0] in rows(1)
-    away = picking.hit_by_ray(scene, ray((-9.0, 0, 0), (-1.0, 0, 0)))
+    away = naming.hit_by_ray(scene, ray((-9.0, 0, 0), (-1.0, 0, 0)))
     assert away is None
 
 
@@ -159,7 +159,7 @@ def test_a_ray_weighs_as_the_renderer_does_far_away() -> None:
     for row, column in np.argwhere(best.weights[..., 0] > 0.6)[::7]:
         pixel = np.linalg.solve(view.K, [column + 0.5, row + 0.5, 1.0])
         direction = view.cam_from_world[:3, :3].T @ pixel
-        hit = picking.hit_by_ray(scene, picking.ray_along(view.center, direction))
+        hit = naming.hit_by_ray(scene, naming.ray_along(view.center, direction))
         same += hit is not None and hit.gaussian_ids[0] == best.ids[row, column, 0]
     total = len(np.argwhere(best.weights[..., 0] > 0.6)[::7])
     assert total > 20
@@ -463,9 +463,9 @@ def test_without_a_folder_nothing_stays_on_the_disk(tmp_path: Path, monkeypatch:
 
 def test_no_text_of_a_stranger_is_more_than_text() -> None:
     hostile = "<img src=x onerror=alert(1)>&\udcff\x1b[2J\u202e\n"
-    assert texts.escaped(hostile) == "&lt;img src=x onerror=alert(1)&gt;&amp;" + "\ufffd" + "\ufffd[2J" + 2 * "\ufffd"
-    assert texts.printable("é 日本 🍎") == "é 日本 🍎"
-    assert len(texts.printable("x" * 10_000)) == texts.MAX_CHARACTERS_SHOWN
+    assert client.escaped(hostile) == "&lt;img src=x onerror=alert(1)&gt;&amp;" + "\ufffd" + "\ufffd[2J" + 2 * "\ufffd"
+    assert client.printable("é 日本 🍎") == "é 日本 🍎"
+    assert len(client.printable("x" * 10_000)) == client.MAX_CHARACTERS_SHOWN
 
 
 # --- what to ask ---

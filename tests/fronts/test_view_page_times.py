@@ -15,8 +15,8 @@ from browsing import PANEL, a_page, eventually, near, needs_chromium, opened, pi
 from drsplat import Scene, export_page
 from drsplat.authoring.editing import Edit, Everything, Move
 from drsplat.errors import InputError
-from drsplat.fronts.viewing import page_times
-from drsplat.fronts.viewing.page_times import boxes_of, times_of_page
+from drsplat.fronts.viewing import page as pages
+from drsplat.fronts.viewing.page import boxes_of, times_of_page
 from drsplat.fronts.viewing.session import Session
 from drsplat.scene.moving import Moving
 from moving_scenes import passing_red_scene
@@ -90,13 +90,13 @@ def test_what_stands_still_has_no_times(scene: Scene, tmp_path: Path) -> None:
 
 
 def test_a_large_film_is_thinned_or_refused(scene: Scene, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(page_times, "MIN_TIMES", 3)
-    monkeypatch.setattr(page_times, "MAX_MOVED_PLACES", 399)
+    monkeypatch.setattr(pages, "MIN_TIMES", 3)
+    monkeypatch.setattr(pages, "MAX_MOVED_PLACES", 399)
     found = times_of_page(Session(scene))
     assert found is not None
     assert found.times.tolist() == pytest.approx([0, 0.4, 1])
     assert found.summary == "100 of them move, at 3 of 6 times."
-    monkeypatch.setattr(page_times, "MAX_MOVED_PLACES", 250)
+    monkeypatch.setattr(pages, "MAX_MOVED_PLACES", 250)
     with pytest.raises(InputError, match=r"100 of the 300 Gaussians shown move.*room for 83 at 3 times.*max_gaussians"):
         export_page(tmp_path / "page.html", scene, ["red car"], up=UP)
     assert not list(tmp_path.iterdir())

@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 from world import packing
 
 from drsplat.evaluation.lerf_ovs import read_lerf_scene
-from drsplat.evaluation.metrics import mean_interval, pearson
+from drsplat.evaluation.scorers import mean_interval, pearson
 from drsplat.formats.scannet import LabelledCloud, read_scannet_labels
 
 ROOT = Path(__file__).resolve().parents[2]

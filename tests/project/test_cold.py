@@ -51,5 +51,5 @@ def test_facts_of_a_field_need_no_matrix(story: Story, demo_folder: Path) -> Non
 
 def test_facts_of_a_folder_need_nothing_that_edits_or_cuts(story: Story, demo_folder: Path) -> None:
     inspected = loaded_by("inspect", demo_folder)
-    assert {"drsplat.authoring.editing.stored", "drsplat.formats.langsplat"} <= inspected
+    assert {"drsplat.authoring.editing.edits", "drsplat.formats.langsplat"} <= inspected
     assert not inspected & (BUILDING | TREES | {"scipy", "drsplat.authoring.editing.closing"})

@@ -13,8 +13,7 @@ from scripts import pictures
 
 import drsplat as ds
 from drsplat.authoring.filming.frames import Highlight
-from drsplat.evaluation.demo.album import write_album
-from drsplat.evaluation.demo.story import Story
+from drsplat.evaluation.demo.story import Story, write_album
 
 ROOT = Path(__file__).resolve().parents[2]
 IMAGES = ROOT / "docs" / "images"

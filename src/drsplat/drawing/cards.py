@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ..base.arrays import Float32, Int64
+from ..base.arrays import Float32, Int64, OtherPixels, Pixels
 from .heat import LUMA
-from .pictures import FAINT, INK, PAPER, OtherPixels, Pixels, border, fitting
+from .pictures import FAINT, INK, PAPER, border, fitting
 
 TILE_PIXELS = (320, 240)  # width and height
 MARGIN_SHARE = 0.15  # of the object's sides, around it

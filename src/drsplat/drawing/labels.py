@@ -7,10 +7,10 @@ from itertools import combinations
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ..base.arrays import Float64
+from ..base.arrays import Float64, Matrix3, Pixels, Vector
 from ..scene.annotations import Annotation
 from ..scene.views import View
-from .pictures import OUTLINE_COLOR, Pixels
+from .pictures import OUTLINE_COLOR
 
 MAX_DODGING_NAMES = 200  # that make room for each other; further ones are placed as if alone
 PLATE_HEIGHTS = (0, 1, 2, 3)  # between an object and its name
@@ -37,9 +37,9 @@ class Mark:
     """
 
     text: str
-    center: Float64[np.ndarray, " 3"]
-    extent: Float64[np.ndarray, " 3"] | None = None
-    axes: Float64[np.ndarray, "3 3"] | None = None
+    center: Vector
+    extent: Vector | None = None
+    axes: Matrix3 | None = None
     color: Color = OUTLINE_COLOR
 
     @property

@@ -9,7 +9,7 @@ from os import PathLike
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ..base.arrays import Bool, Float32, Integer, UInt8
+from ..base.arrays import Bool, Float32, Integer, OtherPixels, Pixels, UInt8
 from ..errors import InputError
 from ..formats.replacing import replacing
 from ..kernels import SplatArrays, render_channels, splat_arrays
@@ -20,8 +20,6 @@ from ..scene.views import View
 from .heat import LUMA, heat_colors
 from .rendering import render
 
-Pixels = UInt8[np.ndarray, "h w 3"]
-OtherPixels = UInt8[np.ndarray, "_ _ 3"]  # of another size than the arguments
 OUTLINE_COLOR = (255, 64, 160)
 PNG_LEVEL = 3  # of 9: half the time of the usual 6, and a tenth more bytes
 MIN_LIGHT = 0.45  # share of its colour that heat keeps where the photo is black

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Bool, Float32, Integer
+from ..base.arrays import Flags, Float32, Integer
 from ..errors import InputError
 from ..kernels import SplatArrays, render_channels, sh_colors, splat_arrays
 from ..kernels.cuda.devices import on_host
@@ -13,7 +13,7 @@ from ..scene.gaussians import Gaussians
 from ..scene.views import View
 
 MAX_PIXELS = 1 << 27  # of a picture, e.g. 16384x8192: drawing it takes about 3 GB
-Index = Integer[np.ndarray, " m"] | Bool[np.ndarray, " n"]
+Index = Integer[np.ndarray, " m"] | Flags
 
 
 class Picture(NamedTuple):

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from ..base.arrays import Bool, Float32, Int64
+from ..base.arrays import Bool, Float32, Ids
 from ..errors import FormatError, InputError, MismatchError
 from ..field.codes import Track, untracked
 from ..formats.captures import read_views
@@ -31,7 +31,7 @@ from ..formats.replacing import replacing
 from ..kernels import SplatArrays, render_channels, splat_arrays
 from ..scene.gaussians import Gaussians
 from ..scene.views import View, same_aspect
-from . import metrics
+from . import scorers
 from .predictions import (
     ANSWERED,
     AUTOMATIC,
@@ -49,7 +49,7 @@ from .predictions import (
     sweep_column,
     write_mask,
 )
-from .scorers import Scorer
+from .scorers import Scorer, Scores
 
 PROTOCOL = "lerf-ovs@1"
 SILHOUETTE_ALPHA = 0.7  # of the selected Gaussians, rendered alone
@@ -168,7 +168,7 @@ def score(scenes: Sequence[LerfScene], folder: Path) -> dict[str, Any]:
     ious = {column: [scene_ious[column] for scene_ious in by_scene] for column in columns}
     seen = {column: [_seen_ious(scene, folder, column) for scene in scenes] for column in columns}
     peaks = [_peak_hits(scene, folder) for scene in scenes]
-    means = {column: metrics.scene_macro(values) for column, values in ious.items()}
+    means = {column: scorers.scene_macro(values) for column, values in ious.items()}
     tuned = best_sweep(means)
     shown_columns = {c: c for c in columns if not is_sweep(c)}
     if tuned is not None:
@@ -182,7 +182,7 @@ def score(scenes: Sequence[LerfScene], folder: Path) -> dict[str, Any]:
             name: _summary(scenes, ious[source], seen[source], peaks) for name, source in shown_columns.items()
         },
         "sweep": {column: means[column] for column in columns if is_sweep(column)},
-        "sweep_seen": {c: metrics.scene_macro(seen[c]) for c in columns if is_sweep(c)},
+        "sweep_seen": {c: scorers.scene_macro(seen[c]) for c in columns if is_sweep(c)},
         "queries": _queries(
             scenes,
             {name: ious[c] for name, c in shown_columns.items()},
@@ -206,13 +206,11 @@ def _on_labels(view: View, frame: LabelledFrame) -> View:
 class _Cut(NamedTuple):
     """Scores of a query, and the thresholds to compare them with, by column."""
 
-    scores: Float32[np.ndarray, " N"]
+    scores: Scores
     at: dict[str, float]
 
 
-def _cuts(
-    scorer: Scorer, category: str, scores: Float32[np.ndarray, " N"], chosen: Mapping[str, tuple[Chooser, str]]
-) -> list[_Cut]:
+def _cuts(scorer: Scorer, category: str, scores: Scores, chosen: Mapping[str, tuple[Chooser, str]]) -> list[_Cut]:
     """Return the cuts of the scores and, if the scorer has an `answer`, of that."""
     at = {FIXED: scorer.threshold, **{sweep_column(t): t for t in scorer.sweep}}
     answer = scorer.answer(category) if scorer.answer and AUTOMATIC in chosen else None
@@ -246,9 +244,7 @@ def _masks(splats: SplatArrays, view: View, cut: _Cut, threads: int) -> Iterator
         yield column, mask
 
 
-def silhouette(
-    splats: SplatArrays, view: View, selected: Int64[np.ndarray, " m"], threads: int = 0
-) -> Bool[np.ndarray, "h w"]:
+def silhouette(splats: SplatArrays, view: View, selected: Ids, threads: int = 0) -> Bool[np.ndarray, "h w"]:
     """Return where the selected Gaussians, rendered alone, are more opaque than 0.7."""
     if not len(selected):
         return np.zeros((view.height, view.width), bool)
@@ -299,7 +295,7 @@ def _ious(scene: LerfScene, folder: Path, columns: Sequence[str]) -> dict[str, l
         for column in columns:
             path = mask_path(folder, scene.name, column, frame.name, category)
             mask = read_mask(path, frame.width, frame.height)
-            ious[column].append(0.0 if mask is None else metrics.mask_iou(mask, truth))
+            ious[column].append(0.0 if mask is None else scorers.mask_iou(mask, truth))
     return ious
 
 
@@ -324,7 +320,7 @@ def _peak_hits(scene: LerfScene, folder: Path) -> list[float]:
             hits.append(0.0)
             continue
         x, y = as_vector(peak, 2, f"{path}: {frame.name}: {category[:60]!a}").tolist()
-        hits.append(float(metrics.in_any_box(x, y, frame.boxes[category])))
+        hits.append(float(scorers.in_any_box(x, y, frame.boxes[category])))
     return hits
 
 
@@ -334,16 +330,16 @@ def _summary(
     by_scene = [_numbers(*of_scene) for of_scene in zip(ious, seen, hits, strict=True)]
     pooled = [[value for values in kind for value in values] for kind in (ious, seen, hits)]
     return {
-        "scene_macro": {key: metrics.mean([numbers[key] for numbers in by_scene]) for key in by_scene[0]},
+        "scene_macro": {key: scorers.mean([numbers[key] for numbers in by_scene]) for key in by_scene[0]},
         "query_micro": _numbers(*pooled),
         "by_scene": {s.name: numbers for s, numbers in zip(scenes, by_scene, strict=True)},
     }
 
 
 def _numbers(ious: list[float], seen: list[float], hits: list[float]) -> dict[str, float]:
-    accuracies = {f"acc@{t:g}": metrics.share_above(ious, t) for t in ACCURACY_IOUS}
-    means = {"miou": metrics.mean(ious), "seen": metrics.mean(seen)}
-    return {**means, **accuracies, "localization": metrics.mean(hits)}
+    accuracies = {f"acc@{t:g}": scorers.share_above(ious, t) for t in ACCURACY_IOUS}
+    means = {"miou": scorers.mean(ious), "seen": scorers.mean(seen)}
+    return {**means, **accuracies, "localization": scorers.mean(hits)}
 
 
 def _scene_record(scene: LerfScene, manifest: Manifest) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from urllib.parse import quote
 import numpy as np
 from PIL import Image
 
-from ..base.arrays import Bool, Float32, Float64
+from ..base.arrays import Bool, Flags, Float32, Float64
 from ..errors import FormatError, InputError, MismatchError
 from ..formats.json_files import excerpt, read_json
 from ..formats.replacing import replacing
@@ -173,10 +173,7 @@ def best_sweep(means: Mapping[str, float]) -> str | None:
 
 
 def sweep_weighted_ious(
-    scores: Float32[np.ndarray, " n"],
-    truth: Bool[np.ndarray, " n"],
-    weights: Float64[np.ndarray, " n"],
-    thresholds: Sequence[float],
+    scores: Float32[np.ndarray, " n"], truth: Flags, weights: Float64[np.ndarray, " n"], thresholds: Sequence[float]
 ) -> Float64[np.ndarray, " t"]:
     """Return Eq. 3's IoU of {score > t} for each threshold t, in one pass over the Gaussians.
 

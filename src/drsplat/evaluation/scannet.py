@@ -1,15 +1,17 @@
-"""Common parts of the ScanNet protocols: labelled scenes, and predicting a class for every Gaussian."""
+"""Common parts of the ScanNet protocols: sets of classes, labelled scenes, and a class for every Gaussian."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64, Int32
-from ..errors import FormatError, MismatchError
+from ..base.arrays import Float32, Float64, Int32, Integer, Numbers
+from ..base.contents import file_text
+from ..errors import FormatError, InputError, MismatchError
 from ..field.codes import Track, untracked
 from ..formats.npy import write_npy
 from ..formats.scannet import (
@@ -22,11 +24,101 @@ from ..formats.scannet import (
     scene_file,
 )
 from ..scene.gaussians import Gaussians
-from . import metrics
-from .label_sets import LabelSet
+from . import scorers
 from .predictions import ANSWERED, AUTOMATIC, FIXED, Chooser, Manifest, columns_of, read_array, sweep_column
 from .pseudo_labels import LabelledPoints, pseudo_labels
 from .scorers import Scorer, hashed
+
+BUILT_IN = ("scannet19", "scannet15", "scannet10", "scannet200", "household")
+MAX_ID = 1 << 20
+
+
+@dataclass(frozen=True, eq=False)
+class LabelSet:
+    """C classes, in this order. Class k of a prediction, 1 to C, is `names[k - 1]`.
+
+    ids: in the data's files. prompts: the texts that are embedded.
+
+    Raises: InputError: no class, lists of different lengths, an id or a name twice.
+    """
+
+    name: str
+    ids: tuple[int, ...]
+    names: tuple[str, ...]
+    prompts: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        if not self.ids or not len(self.ids) == len(self.names) == len(self.prompts):
+            raise InputError(f"label set '{self.name}': expected an id, a name and a prompt per class")
+        for values in (self.ids, self.names):
+            twice = [value for k, value in enumerate(values) if value in values[:k]]
+            if twice:
+                raise InputError(f"label set '{self.name}': {twice[0]!r} occurs twice")
+        if not all(0 < number <= MAX_ID for number in self.ids):
+            raise InputError(f"label set '{self.name}': ids must be 1 to {MAX_ID}")
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @cached_property
+    def _class_of(self) -> Int32[np.ndarray, " i"]:
+        table = np.zeros(max(self.ids) + 1, np.int32)
+        table[list(self.ids)] = np.arange(1, len(self) + 1)
+        return table
+
+    def classes(self, ids: Integer[np.ndarray, " n"]) -> Numbers:
+        """Return 1 to C for the ids of the set, 0 for all others."""
+        in_table = (ids >= 0) & (ids < len(self._class_of))
+        return np.where(in_table, self._class_of[np.where(in_table, ids, 0)], 0).astype(np.int32)
+
+    def prompted(self, template: str) -> "LabelSet":
+        """Return the same classes with prompts from a template: "a photo of a {}"."""
+        if "{}" not in template:
+            raise InputError(f"prompt template: expected '{{}}' in it, got {template!r}")
+        prompts = tuple(template.replace("{}", name) for name in self.names)
+        return LabelSet(self.name, self.ids, self.names, prompts)
+
+
+def label_set(name: str) -> LabelSet:
+    """Return a built-in label set, or read one from a file of lines "id<TAB>name[<TAB>prompt]".
+
+    scannet19, scannet15, scannet10: NYU40 ids and the prompts of OpenGaussian.
+    scannet200: raw category ids. household: NYU40 ids of the rendered test rooms.
+
+    Raises: InputError: neither a name nor a file. FormatError: the message names the line.
+    """
+    if name in BUILT_IN:
+        text = (files(__package__) / "label_sets.tsv").read_text(encoding="utf-8")
+        rows = [line.split("\t") for line in text.splitlines()[1:]]
+        return _label_set(name, [row[1:] for row in rows if row[0] == name])
+    path = Path(name)
+    if not path.is_file():
+        raise InputError(f"label set '{name}': expected one of {', '.join(BUILT_IN)}, or a .tsv file")
+    return _label_set(path.stem, _rows_of(path))
+
+
+def _rows_of(path: Path) -> list[list[str]]:
+    try:
+        lines = file_text(path).splitlines()
+    except UnicodeDecodeError as error:
+        raise FormatError(f"{path}: expected UTF-8: {error}") from error
+    rows = []
+    for number, line in enumerate(lines, 1):
+        cells = [cell.strip() for cell in line.split("\t")]
+        if line.startswith("#") or not line.strip() or cells[0] == "id":
+            continue
+        is_id = cells[0].isascii() and cells[0].isdecimal() and len(cells[0]) < 8
+        if not is_id or len(cells) not in (2, 3) or not all(cells):
+            raise FormatError(f"{path}: line {number}: expected id, name and optionally prompt; tabs between")
+        rows.append(cells)
+    return rows
+
+
+def _label_set(name: str, rows: Sequence[Sequence[str]]) -> LabelSet:
+    return LabelSet(
+        name, tuple(int(row[0]) for row in rows), tuple(row[1] for row in rows), tuple(row[-1] for row in rows)
+    )
+
 
 LABELS = "labels.npy"
 SCORES, ANSWER = "scores", "answer"  # answer: what a class's own threshold is compared with, if not the scores
@@ -174,16 +266,16 @@ def predicted_scores(scene: ScannetScene, folder: Path, kind: str, number: int) 
 
 
 def segmentation_record(
-    predicted: metrics.Labels, truth: metrics.Labels, labels: LabelSet, weights: Float64[np.ndarray, " n"] | None = None
+    predicted: scorers.Labels, truth: scorers.Labels, labels: LabelSet, weights: Float64[np.ndarray, " n"] | None = None
 ) -> dict[str, Any]:
     """Return the means over the classes of the scene, and the numbers of each."""
-    ious = metrics.class_ious(predicted, truth, len(labels), weights)
-    accuracies = metrics.class_accuracies(predicted, truth, len(labels), weights)
+    ious = scorers.class_ious(predicted, truth, len(labels), weights)
+    accuracies = scorers.class_accuracies(predicted, truth, len(labels), weights)
     present = ~np.isnan(ious)
     names = [name for name, there in zip(labels.names, present, strict=True) if there]
     return {
-        "miou": metrics.mean_present(ious),
-        "macc": metrics.mean_present(accuracies),
+        "miou": scorers.mean_present(ious),
+        "macc": scorers.mean_present(accuracies),
         "classes": {
             name: {"iou": float(iou), "acc": float(acc)}
             for name, iou, acc in zip(names, ious[present], accuracies[present], strict=True)
@@ -193,4 +285,4 @@ def segmentation_record(
 
 def over_scenes(records: Sequence[Mapping[str, Any]], keys: Sequence[str]) -> dict[str, float]:
     """Return the means over scenes; each scene counts alike."""
-    return {key: metrics.mean([record[key] for record in records]) for key in keys}
+    return {key: scorers.mean([record[key] for record in records]) for key in keys}

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import MismatchError
-from . import metrics
+from . import scorers
 from .predictions import AUTOMATIC, FIXED, TUNED, Manifest, best_sweep, is_sweep, read_manifests, sweep_weighted_ious
 from .scannet import (
     ACCURACY_IOUS,
@@ -47,7 +47,7 @@ def score(scenes: Sequence[ScannetScene], folder: Path) -> dict[str, Any]:
     located = [
         _class_ious_by_column(scene, manifest, folder) for scene, manifest in zip(scenes, manifests, strict=True)
     ]
-    means = {c: metrics.scene_macro([list(s[c].values()) for s in located]) for c in columns}
+    means = {c: scorers.scene_macro([list(s[c].values()) for s in located]) for c in columns}
     tuned = best_sweep(means)
     shown = {c: c for c in columns if not is_sweep(c)} | ({TUNED: tuned} if tuned else {})
     names = [scene.name for scene in scenes]
@@ -128,8 +128,8 @@ def _summary(names: Sequence[str], by_scene: Sequence[Mapping[str, float]]) -> d
 
 
 def _numbers(ious: list[float]) -> dict[str, float]:
-    shares = {f"iou>{t:.2f}": metrics.share_above(ious, t) for t in ACCURACY_IOUS}
-    return {"miou": metrics.mean(ious), **shares}
+    shares = {f"iou>{t:.2f}": scorers.share_above(ious, t) for t in ACCURACY_IOUS}
+    return {"miou": scorers.mean(ious), **shares}
 
 
 def _scene_record(scene: ScannetScene, manifest: Manifest) -> dict[str, Any]:

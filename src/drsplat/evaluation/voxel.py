@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Float64, Int32, Int64
+from ..base.arrays import Float64, Int32, Int64, Numbers, Vector
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
-from . import metrics, scannet_volume
+from . import scannet_volume, scorers
 from .predictions import read_manifests
 from .scannet import ScannetScene, over_scenes, predict_classes, predicted_classes, segmentation_record
 
@@ -40,7 +40,7 @@ predict = partial(predict_classes, protocol=PROTOCOL)
 class VoxelGrid:
     """Grid of cubes; `origin` is the low corner of the first."""
 
-    origin: Float64[np.ndarray, " 3"]
+    origin: Vector
     side: float
     shape: tuple[int, int, int]
 
@@ -66,12 +66,7 @@ def grid_over(positions: np.ndarray, side: float = VOXEL_SIDE) -> VoxelGrid:
 
 
 def voxel_labels(
-    gaussians: Gaussians,
-    labellings: Sequence[Int32[np.ndarray, " n"]],
-    num_labels: int,
-    grid: VoxelGrid,
-    *,
-    threads: int = 0,
+    gaussians: Gaussians, labellings: Sequence[Numbers], num_labels: int, grid: VoxelGrid, *, threads: int = 0
 ) -> list[Int32[np.ndarray, " v"]]:
     """Return, for each labelling, the label of every voxel, 0 to num_labels - 1; -1 where it is empty.
 
@@ -144,8 +139,8 @@ def study(compared: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     reference = [float(row["voxel"]) for row in compared]
     correlations = {
         kind: {
-            "pearson": metrics.pearson(reference, [float(row[kind]) for row in compared]),
-            "spearman": metrics.spearman(reference, [float(row[kind]) for row in compared]),
+            "pearson": scorers.pearson(reference, [float(row[kind]) for row in compared]),
+            "spearman": scorers.spearman(reference, [float(row[kind]) for row in compared]),
         }
         for kind in ("weighted", "unweighted")
         if len(compared) > 2
@@ -172,7 +167,7 @@ class _Sources:
 
 
 def _slab(
-    sources: _Sources, labellings: Sequence[Int32[np.ndarray, " n"]], num_labels: int, slab: tuple[int, int]
+    sources: _Sources, labellings: Sequence[Numbers], num_labels: int, slab: tuple[int, int]
 ) -> list[Int32[np.ndarray, " v"]]:
     """Return the labels of the voxels with x in [slab[0], slab[1])."""
     low, high = sources.low.copy(), sources.high.copy()

@@ -4,19 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..base.arrays import OtherPixels
 from ..base.terminal import counted
 from ..drawing.cards import TILE_PIXELS, Card, card_sheet, cut_out
 from ..drawing.heat import heat_of
-from ..drawing.pictures import (
-    OtherPixels,
-    as_pixels,
-    contact_sheet,
-    heated,
-    photo_or_rendering,
-    titled,
-    visible_share,
-    zoomed,
-)
+from ..drawing.pictures import as_pixels, contact_sheet, heated, photo_or_rendering, titled, visible_share, zoomed
 from ..drawing.rendering import render
 from ..errors import InputError
 from ..scene.views import View

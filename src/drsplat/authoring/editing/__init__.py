@@ -4,12 +4,10 @@
 with `apply`.
 """
 
-from .changes import Duplicate, Isolate, Move, Opacity, Remove, Scale, Turn
-from .colouring import MatchPhoto, Palette, Recolour
-from .edits import Edit, EditList, edited
+from .draft import Duplicate, Isolate, MatchPhoto, Move, Opacity, Palette, Recolour, Remove, Scale, Turn
+from .edits import Edit, EditFile, EditList, edited
 from .filling import Fill
 from .replacement import Replace
-from .stored import EditFile
 from .targets import Box, Copies, Everything, Rows
 
 __all__ = [

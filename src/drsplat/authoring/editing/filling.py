@@ -2,15 +2,12 @@
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from ...base.arrays import Int64
+from ...base.arrays import Ids
 from ...errors import InputError
 from .draft import Draft
 from .fill_record import FillRecord
 
 VERSION = 4
-Ids = Int64[np.ndarray, " m"]
 
 
 @dataclass(frozen=True)

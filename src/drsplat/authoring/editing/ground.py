@@ -8,7 +8,7 @@ from scipy import ndimage
 from scipy.signal import fftconvolve
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from ...base.arrays import Bool, Float64, Int64, Integer
+from ...base.arrays import Bool, Flags, Float64, Ids, Int64, Integer, Points, Vector
 from ...drawing.rendering import Picture, render
 from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import SH_C0, Gaussians
@@ -27,8 +27,7 @@ MIN_OWNER_SHARE = 0.2  # of the Gaussians in a plane, for an object that the pla
 MIN_IN_PLANE_SHARE = 1 / 3  # of such an object's Gaussians: it consists of this plane and of others like it
 RING_CELLS = 12  # around a hole: objects in the ring may continue into the hole
 MIN_SURROUNDED_SHARE = 0.5  # of a hole, by the rest of the plane: less, and the hole lies beside the plane
-Ids = Int64[np.ndarray, " m"]
-Places = Float64[np.ndarray, "n 3"]
+Places = Points
 GRID_CELLS = 128  # along the longer side
 VIEW_DISTANCE_SIZES = 40.0  # from which a plane is rendered, in its own sizes
 Cells = Bool[np.ndarray, "h w"]
@@ -91,7 +90,7 @@ class PlaneGrid:
     shape: tuple[int, int]
 
     @classmethod
-    def over(cls, plane: Plane, places: Float64[np.ndarray, "n 3"]) -> "PlaneGrid":
+    def over(cls, plane: Plane, places: Points) -> "PlaneGrid":
         """Return cells below all of some places."""
         points = plane.flat(places)
         low, size = points.min(axis=0), np.ptp(points, axis=0)
@@ -99,12 +98,12 @@ class PlaneGrid:
         rows, columns = (np.floor(size / step).astype(int) + 1).tolist()
         return cls(plane, low, step, (rows, columns))
 
-    def cells(self, places: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, "n 2"]:
+    def cells(self, places: Points) -> Int64[np.ndarray, "n 2"]:
         """Return row and column of the cell below each place, of the nearest cell for places beside all."""
         steps = ((self.plane.flat(places) - self.low) / self.step).astype(np.int64)
         return np.asarray(np.clip(steps, 0, np.array(self.shape) - 1))
 
-    def among(self, cells: Cells, places: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    def among(self, cells: Cells, places: Points) -> Flags:
         """Return which places are over some cells."""
         down, across = self.cells(places).T
         return np.asarray(cells[down, across])
@@ -120,11 +119,11 @@ class PlaneGrid:
         rows, columns = np.indices(self.shape)
         return np.asarray(self.low + (np.stack([rows.ravel(), columns.ravel()], axis=1) + 0.5) * self.step)
 
-    def shift(self, by: tuple[int, int]) -> Float64[np.ndarray, " 3"]:
+    def shift(self, by: tuple[int, int]) -> Vector:
         """Return by how far so many cells are, in the scene."""
         return np.asarray(self.step * (np.array(by, np.float64) @ self.plane.axes))
 
-    def shadow(self, places: Float64[np.ndarray, "n 3"]) -> Cells:
+    def shadow(self, places: Points) -> Cells:
         """Return the cells below some places, and what they close in."""
         distance = cKDTree(self.plane.flat(places)).query(self._flat_middles, distance_upper_bound=1.5 * self.step)[0]
         near = (distance < np.inf).reshape(self.shape)
@@ -305,7 +304,7 @@ class Ground:
         return np.asarray(rows[_distances(places, self.thing) < _distances(places, others)])
 
 
-def before(planes: list[Plane], places: Places) -> Bool[np.ndarray, " n"]:
+def before(planes: list[Plane], places: Places) -> Flags:
     """Return which places are on the side of all planes that the object was on: the rest is below floors, in walls."""
     result = np.ones(len(places), bool)
     for plane in planes:
@@ -313,7 +312,7 @@ def before(planes: list[Plane], places: Places) -> Bool[np.ndarray, " n"]:
     return result
 
 
-def is_flat(scene: Gaussians, plane: Plane) -> Bool[np.ndarray, " n"]:
+def is_flat(scene: Gaussians, plane: Plane) -> Flags:
     """Return which Gaussians lie in the plane: needles that stick out of it would do so in the hole."""
     xx, xy, xz, yy, yz, zz = scene.covariances().T
     full = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)

@@ -1,6 +1,7 @@
 """Before and after, side by side."""
 
-from ...drawing.pictures import OtherPixels, as_pixels, contact_sheet, titled
+from ...base.arrays import OtherPixels
+from ...drawing.pictures import as_pixels, contact_sheet, titled
 from ...drawing.rendering import render
 from ...scene.gaussians import Gaussians
 from ...scene.views import View

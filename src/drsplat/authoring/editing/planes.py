@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.arrays import Bool, Float64, Int64
+from ...base.arrays import Flags, Float64, Int64, Points, Vector
 
 RANSAC_TRIES = 300
 MAX_RANSAC_POINTS = 4000
@@ -24,7 +24,6 @@ BEHIND_TOLERANCES = 2.0  # below a plane, from which on a point is behind it
 MAX_SHARE_BEHIND = 0.5  # of all points: fewer lie beyond floors and walls, and below a table
 MAX_PLANES = 3
 MAX_SEARCHES = 12
-Points = Float64[np.ndarray, "n 3"]
 Thing = Float64[np.ndarray, "t 3"]
 
 
@@ -32,7 +31,7 @@ Thing = Float64[np.ndarray, "t 3"]
 class Plane:
     """Points x with normal . x = offset; the normal points to where the object is. axes: two in it, at right angles."""
 
-    normal: Float64[np.ndarray, " 3"]
+    normal: Vector
     offset: float
     axes: Float64[np.ndarray, "2 3"]
     tolerance: float
@@ -44,7 +43,7 @@ class Plane:
         """Return the places in the plane, in scene units."""
         return np.asarray(np.einsum("ni,ai->na", points, self.axes))
 
-    def holds(self, points: Points) -> Bool[np.ndarray, " n"]:
+    def holds(self, points: Points) -> Flags:
         return np.asarray(np.abs(self.heights(points)) <= self.tolerance)
 
 

@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from ...base.arrays import Bool, Float64, Int64, Integer
+from ...base.arrays import Bool, Flags, Float64, Ids, Int64, Integer
 from ...errors import InputError
 from ...field import LanguageField
 from ...query import Query, Scene
@@ -21,7 +21,6 @@ from .planes import MAX_THING_SHARE_BEHIND, MIN_PLANE_GAUSSIANS, Plane, largest_
 from .surrounding import surrounded
 from .targets import Rows
 
-Ids = Int64[np.ndarray, " m"]
 DIRECTIONS = 64  # around a place in which the thing is looked for
 MIN_INSIDE_SHARE = 0.95  # of an object's Gaussians, for an object inside: the rest may be noise
 MIN_SURROUNDED_SHARE = 0.85  # of the directions, for a place inside
@@ -37,8 +36,8 @@ GRAPH_NEIGHBOURS = 8
 SPACING_NEIGHBOUR = 6  # neighbour whose distance counts as the spacing of a thing's Gaussians
 MAX_STEP_SPACINGS = 1.5  # of a path between Gaussians, in median spacings of the thing's
 MAX_SIZE_QUANTILE = 0.95  # of a thing's Gaussians: larger ones reach beyond it
-Mask = Bool[np.ndarray, " n"]
 Owners = Int64[np.ndarray, " n"]
+Agreed = Bool[np.ndarray, " o"]  # of each object
 Thing = Float64[np.ndarray, "t 3"]
 Points = Float64[np.ndarray, "p 3"]
 
@@ -76,7 +75,7 @@ def complete_rows(scene: Scene, ids: Integer[np.ndarray, " k"]) -> Ids:
     return completed(scene.gaussians, ids, *_objects(scene, scene.field), threads=scene.threads)
 
 
-def _objects(scene: Scene, field: LanguageField) -> tuple[Int64[np.ndarray, " n"], Bool[np.ndarray, " o"]]:
+def _objects(scene: Scene, field: LanguageField) -> tuple[Owners, Agreed]:
     """Return the object's number of each Gaussian, and whether photos agree on each object.
 
     Numbers are -1 for none, and where `field`, of an answer, has no objects.
@@ -87,12 +86,7 @@ def _objects(scene: Scene, field: LanguageField) -> tuple[Int64[np.ndarray, " n"
 
 
 def completed(
-    gaussians: Gaussians,
-    ids: Integer[np.ndarray, " k"],
-    owners: Int64[np.ndarray, " n"],
-    agreed: Bool[np.ndarray, " o"],
-    *,
-    threads: int = 0,
+    gaussians: Gaussians, ids: Integer[np.ndarray, " k"], owners: Owners, agreed: Agreed, *, threads: int = 0
 ) -> Ids:
     """Return rows with what cannot be told apart from them.
 
@@ -119,15 +113,15 @@ def completed(
 
 
 def rests(
-    inside: Bool[np.ndarray, " n"], owners: Int64[np.ndarray, " n"], agreed: Bool[np.ndarray, " o"]
-) -> Bool[np.ndarray, " n"]:  # fmt: skip
+    inside: Flags, owners: Owners, agreed: Agreed
+) -> Flags:  # fmt: skip
     """Return the Gaussians of objects that photos do not agree on and of which a thing has more than half."""
     owned = owners >= 0
     sizes, own = (np.bincount(owners[some], minlength=len(agreed)) for some in (owned, owned & inside))
     return np.asarray(owned & ((2 * own > sizes) & ~agreed)[owners])
 
 
-def enclosed(gaussians: Gaussians, inside: Bool[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def enclosed(gaussians: Gaussians, inside: Flags) -> Flags:
     """Return other Gaussians that have those of a thing around them in nearly all directions."""
     thing = gaussians.means[inside & (gaussians.opacities >= HAZE_OPACITY)].astype(np.float64)
     found = np.zeros(len(gaussians), bool)
@@ -141,9 +135,7 @@ def enclosed(gaussians: Gaussians, inside: Bool[np.ndarray, " n"]) -> Bool[np.nd
     return found
 
 
-def hanging(
-    gaussians: Gaussians, inside: Bool[np.ndarray, " n"], loose: Bool[np.ndarray, " n"], threads: int = 0
-) -> Bool[np.ndarray, " n"]:
+def hanging(gaussians: Gaussians, inside: Flags, loose: Flags, threads: int = 0) -> Flags:
     """Return a thing with the loose Gaussians most of whose neighbours belong to it, `VOTING_PASSES` times."""
     inside, tree = inside.copy(), None
     neighbours: Int64[np.ndarray, "m k"] = np.empty((0, min(VOTING_NEIGHBOURS + 1, len(gaussians))), np.int64)
@@ -162,9 +154,7 @@ def hanging(
     return inside
 
 
-def _in_box_of(
-    gaussians: Gaussians, inside: Bool[np.ndarray, " n"], rows: Int64[np.ndarray, " r"]
-) -> Int64[np.ndarray, " s"]:
+def _in_box_of(gaussians: Gaussians, inside: Flags, rows: Int64[np.ndarray, " r"]) -> Int64[np.ndarray, " s"]:
     """Return those of some rows whose centres are in the box of a thing's."""
     if not inside.any():
         return rows[:0]
@@ -181,9 +171,7 @@ def _sphere(count: int) -> Float64[np.ndarray, "d 3"]:
     return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
 
 
-def loose_parts(
-    gaussians: Gaussians, inside: Mask, owners: Owners, agreed: Bool[np.ndarray, " o"], threads: int = 0
-) -> Mask:
+def loose_parts(gaussians: Gaussians, inside: Flags, owners: Owners, agreed: Agreed, threads: int = 0) -> Flags:
     """Return the Gaussians that belong to a thing and to no other object that photos agree on.
 
     Loose are those of no object, those of an object that photos do not agree on, and those of a floor, table or wall
@@ -225,7 +213,7 @@ class _Ground:
 
 
 def _grounds(
-    gaussians: Gaussians, owners: Owners, near: Mask, rest: Mask, thing: Thing, size: float
+    gaussians: Gaussians, owners: Owners, near: Flags, rest: Flags, thing: Thing, size: float
 ) -> Iterator[_Ground]:
     """Yield the objects that a thing stands on or before: planes as a whole, or near the thing.
 
@@ -246,7 +234,9 @@ def _grounds(
             yield _Ground(number, plane)
 
 
-def _plane_of(gaussians: Gaussians, rows: Mask, thing: Thing, is_wide: Callable[[Points, Plane], bool]) -> Plane | None:
+def _plane_of(
+    gaussians: Gaussians, rows: Flags, thing: Thing, is_wide: Callable[[Points, Plane], bool]
+) -> Plane | None:
     """Return the plane that most of some Gaussians' area is in, None where there is none or the thing is behind it.
 
     What lies behind it does not count: below a glossy table training leaves what it mirrors.
@@ -263,7 +253,7 @@ def _plane_of(gaussians: Gaussians, rows: Mask, thing: Thing, is_wide: Callable[
     return plane if is_flat and is_before and is_wide(points[plane.holds(points)], plane) else None
 
 
-def _nearest_along_paths(gaussians: Gaussians, inside: Mask, others: Mask, loose: Mask, threads: int) -> Mask:
+def _nearest_along_paths(gaussians: Gaussians, inside: Flags, others: Flags, loose: Flags, threads: int) -> Flags:
     """Return the loose Gaussians that are nearer to the thing than to any other, along paths of small steps."""
     rows = np.flatnonzero(inside | others | loose)
     places = gaussians.means[rows].astype(np.float64)

@@ -12,11 +12,11 @@ MAX_LEAF_PLACES = 4  # of a box in which each place is computed
 RELATIVE_ROUNDING = 1e-12  # more than what products of three numbers are off
 Points = Float64[np.ndarray, "t 3"]
 Directions = Float64[np.ndarray, "d 3"]
+Places = Float64[np.ndarray, "p 3"]
+Hit = Bool[np.ndarray, " d"]  # of each direction
 
 
-def surrounded(
-    places: Float64[np.ndarray, "p 3"], points: Points, directions: Directions, min_bins: int
-) -> Bool[np.ndarray, " p"]:
+def surrounded(places: Places, points: Points, directions: Directions, min_bins: int) -> Bool[np.ndarray, " p"]:
     """Return the places from which points lie in at least `min_bins` of the bins.
 
     The bin of a point, seen from a place, is the nearest of `directions`, and the first of several. The result is the
@@ -40,12 +40,8 @@ def surrounded(
 
 
 def _in_box(
-    places: Float64[np.ndarray, "p 3"],
-    points: Points,
-    directions: Directions,
-    apart: Float64[np.ndarray, "d d 3"],
-    hit: Bool[np.ndarray, " d"],
-) -> tuple[Float64[np.ndarray, "o 3"], Bool[np.ndarray, " d"], Bool[np.ndarray, " d"]]:
+    places: Places, points: Points, directions: Directions, apart: Float64[np.ndarray, "d d 3"], hit: Hit
+) -> tuple[Float64[np.ndarray, "o 3"], Hit, Hit]:
     """Return the points that may fall into further bins, the bins that all places hit, and those that any may hit.
 
     hit: bins that all places are known to hit. apart: differences of all pairs of directions, without signs.
@@ -65,9 +61,7 @@ def _in_box(
     return points[open_], hit, hit | possible[open_].any(axis=0)
 
 
-def _bins(
-    places: Float64[np.ndarray, "p 3"], points: Points, directions: Directions, hit: Bool[np.ndarray, " d"]
-) -> Int64[np.ndarray, " p"]:
+def _bins(places: Places, points: Points, directions: Directions, hit: Hit) -> Int64[np.ndarray, " p"]:
     """Return how many bins each place hits, with those that it is known to hit."""
     away = points[None] - places[:, None]
     nearest = np.einsum("pti,di->ptd", away, directions).argmax(axis=2)
@@ -76,7 +70,7 @@ def _bins(
     return np.asarray(hits.sum(axis=1))
 
 
-def _halves(rows: Int64[np.ndarray, " p"], places: Float64[np.ndarray, "p 3"]) -> list[Int64[np.ndarray, " h"]]:
+def _halves(rows: Int64[np.ndarray, " p"], places: Places) -> list[Int64[np.ndarray, " h"]]:
     """Return the rows of either half of a box, cut across its longest side."""
     order = np.argpartition(places[:, np.ptp(places, axis=0).argmax()], len(rows) // 2)
     return [rows[half] for half in np.array_split(order, [len(rows) // 2])]

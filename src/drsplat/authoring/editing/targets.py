@@ -9,7 +9,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ...base.arrays import Float64, Int64, Integer
+from ...base.arrays import Ids, Int64, Integer, Matrix3, Vector
 from ...errors import InputError
 from ...formats.json_files import is_text
 from ...formats.runs import are_rows, ids_of, spans_of
@@ -18,7 +18,6 @@ from .draft import Draft
 Named = Literal["object", "label", "query", "rows"]
 NAMED: tuple[Named, ...] = get_args(Named)
 MAX_NAME_CHARACTERS = 400
-Ids = Int64[np.ndarray, " m"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,9 +68,9 @@ class Box:
     Raises: InputError: numbers that are not finite, lengths not above 0, or axes at no right angles.
     """
 
-    center: Float64[np.ndarray, " 3"]
-    axes: Float64[np.ndarray, "3 3"]
-    extent: Float64[np.ndarray, " 3"]
+    center: Vector
+    axes: Matrix3
+    extent: Vector
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.center).all() and np.isfinite(self.extent).all() and (self.extent > 0).all()):

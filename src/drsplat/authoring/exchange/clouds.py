@@ -1,12 +1,13 @@
-"""Scenes and matches for Open3D."""
+"""Scenes and matches for Open3D, pandas, and gsplat's trainers."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
 
 from ...base.arrays import Float32, Integer
-from ...errors import InputError, MissingExtraError
+from ...errors import FormatError, InputError, MissingExtraError
+from ...formats.activation import exp, logit, sigmoid, unit_quats
 from ...query import Match
 from ...scene.gaussians import SH_C0, Gaussians
 
@@ -51,3 +52,67 @@ def _open3d() -> tuple[Any, Any]:
     except ImportError:
         raise MissingExtraError("Open3D is not installed: pip install open3d") from None
     return open3d.geometry, open3d.utility
+
+
+def to_frame(matches: Iterable[Match]) -> Any:
+    """Return a `pandas.DataFrame` with a row for each match, in order.
+
+    Columns: score, num_gaussians, x, y, z of the centre, length, width, height of the box, object_id, label.
+
+    Raises: MissingExtraError: pandas is not installed.
+    """
+    try:
+        import pandas
+    except ImportError:
+        raise MissingExtraError("pandas is not installed: pip install pandas") from None
+    return pandas.DataFrame([_row(match) for match in matches], columns=COLUMNS)
+
+
+COLUMNS = ["score", "num_gaussians", "x", "y", "z", "length", "width", "height", "object_id", "label"]
+
+
+def _row(match: Match) -> tuple[object, ...]:
+    return (match.score, len(match), *match.center.tolist(), *match.extent.tolist(), match.object_id, match.label)
+
+
+NAMES = ("means", "quats", "scales", "opacities", "sh0", "shN")
+
+
+def to_splats(gaussians: Gaussians, device: str = "cpu") -> dict[str, Any]:
+    """Return float32 tensors under the names of gsplat's examples.
+
+    means (N, 3) in the world, quats (N, 4) wxyz, scales (N, 3) as logarithms, opacities (N,) before the sigmoid,
+    sh0 (N, 1, 3), shN (N, K-1, 3).
+
+    Raises: MissingExtraError: torch is not installed.
+    """
+    try:
+        import torch
+    except ImportError:
+        raise MissingExtraError(f"torch is not installed: {pip_install('models')}") from None
+    arrays = {
+        "means": gaussians.positions.astype(np.float32), "quats": gaussians.quats, "scales": np.log(gaussians.scales),
+        "opacities": logit(gaussians.opacities), "sh0": gaussians.sh[:, :1], "shN": gaussians.sh[:, 1:],
+    }  # fmt: skip
+    return {name: torch.from_numpy(np.array(array)).to(device) for name, array in arrays.items()}
+
+
+def from_splats(splats: Mapping[str, Any]) -> Gaussians:
+    """Return the scene of such a dictionary: a checkpoint's `splats`, or parameters in training.
+
+    Raises: FormatError: a name is missing; InputError: shapes disagree.
+    """
+    missing = [name for name in NAMES if name not in splats]
+    if missing:
+        raise FormatError(f"splats: expected {', '.join(NAMES)}; there is no {', '.join(missing)}")
+    arrays = {name: _array(splats[name]) for name in NAMES}
+    return Gaussians(
+        means=arrays["means"], quats=unit_quats(arrays["quats"]), scales=exp(arrays["scales"]),
+        opacities=sigmoid(arrays["opacities"].reshape(-1)), sh=np.concatenate([arrays["sh0"], arrays["shN"]], 1),
+    )  # fmt: skip
+
+
+def _array(values: Any) -> np.ndarray:
+    """Convert a tensor on any device, or anything that NumPy accepts."""
+    host = values.detach().cpu().numpy() if hasattr(values, "detach") else values
+    return np.ascontiguousarray(host, np.float32)

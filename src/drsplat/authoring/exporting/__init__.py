@@ -4,7 +4,6 @@
 output says.
 """
 
-from .labelling import labelled, labelled_alone
-from .writing import Exported, export
+from .writing import Exported, export, labelled, labelled_alone
 
 __all__ = ["Exported", "export", "labelled", "labelled_alone"]

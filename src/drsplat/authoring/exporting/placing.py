@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...base.arrays import Bool, Float32, Float64, Int32, Int64, Integer
+from ...base.arrays import Bool, Float32, Ids, Int32, Integer, Numbers, Vector
 from ...field.forest import GROUP, Objects
 from ...formats.scenes import read_gaussians
 from ...kernels.boxes import box_of
@@ -19,8 +19,6 @@ from ...scene.labelled import LabelledScene, Thing
 from ..editing import Duplicate, Edit, EditFile, EditList
 from ..editing.draft import OBJECT_ID, Draft
 from ..editing.edits import drafted
-
-Ids = Int64[np.ndarray, " m"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +44,7 @@ class Placing:
 
     registered: Gaussians
     after: After
-    up: Float64[np.ndarray, " 3"] | None
+    up: Vector | None
 
     def objects(self, things: Sequence[Thing]) -> list[Thing]:
         """Return objects with their boxes where they are, those that edits added behind; removed ones stay listed."""
@@ -100,7 +98,7 @@ class Placing:
         return order, owners[order]
 
 
-def rows_of(things: Sequence[Thing], numbers: Integer[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
+def rows_of(things: Sequence[Thing], numbers: Integer[np.ndarray, " n"]) -> Numbers:
     """Return per Gaussian the place of its object in a list, from its number; -1 for none."""
     places = np.full(max((thing.number for thing in things), default=-1) + 2, -1, np.int32)
     for place, thing in enumerate(things):

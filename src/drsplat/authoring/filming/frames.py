@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...base.arrays import Float32, Float64
+from ...base.arrays import Float32, OtherPixels, Pixels, Vector
 from ...drawing.heat import heat_of
 from ...drawing.labels import Mark, marked
-from ...drawing.pictures import PAPER, OtherPixels, Pixels, as_pixels, heated, highlighted
+from ...drawing.pictures import PAPER, as_pixels, heated, highlighted
 from ...drawing.rendering import Picture, render
 from ...errors import InputError
 from ...kernels import SplatArrays, splat_arrays
@@ -37,7 +37,7 @@ class Highlight:
     values: Float32[np.ndarray, "n 1"]
     is_heat: bool = False
     marks: Sequence[Mark] = ()
-    up: Float64[np.ndarray, " 3"] | None = None
+    up: Vector | None = None
 
     @classmethod
     def of(cls, scene: Scene, query: Query, *, heat: bool = False, boxes: bool = False) -> "Highlight":

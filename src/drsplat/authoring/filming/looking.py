@@ -5,13 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Bool, Float64
+from ...base.arrays import Bool, Float64, Vector
 from ...errors import InputError
 from ...query import Match, Scene
 from ...scene.gaussians import Gaussians
 from ...scene.views import View
 
-Vector = Float64[np.ndarray, " 3"]
 DISTANCE_SIZES = 2.6  # distance from a match, in its own sizes
 RISE = 0.45  # height above it over that distance
 MARGIN_SHARE = 0.15  # of a photo's sides, where a thing may be cut off

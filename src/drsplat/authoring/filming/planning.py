@@ -6,15 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Float64
+from ...base.arrays import Float64, Vector
 from ...errors import InputError
 from ...query import Match
 from ...scene.boxes import up_of
 from ...scene.gaussians import Gaussians
 from ...scene.views import View
 from .looking import FOV_DEGREES, UP_WITHOUT_VIEWS, before, looking_at, swing
-from .path_files import read_path
-from .paths import CameraPath, KeyFrame, Vector, check_size, frame_count
+from .paths import CameraPath, KeyFrame, check_size, frame_count, read_path
 
 ORBIT, SWING, PHOTOS = "orbit", "swing", "photos"
 DEFAULT_FPS = 30.0

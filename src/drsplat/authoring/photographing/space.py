@@ -7,13 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from ...base.arrays import Bool, Float32, Float64
+from ...base.arrays import Flags, Float32, Float64, Points, Vector
 from ...kernels import SplatArrays, render_channels, splat_arrays
 from ...scene.gaussians import Gaussians
 from ...scene.placing import MIN_SIZED_GAUSSIANS, SOLID_OPACITY
 from ..filming.looking import looking_at
 
-Vector = Float64[np.ndarray, " 3"]
 VOXELS_PER_SIDE = 48  # along the longest side of the scene's box
 BOX_QUANTILES = (0.02, 0.98)  # of the centres of solid Gaussians, along each axis
 OCCUPIED_OPACITY = 0.5  # summed over a voxel
@@ -61,7 +60,7 @@ class Space:
         return splat_arrays(self.gaussians)
 
     @cached_property
-    def solid(self) -> Float64[np.ndarray, "n 3"]:
+    def solid(self) -> Points:
         """Centres of the solid Gaussians, in world coordinates; all centres where too few are solid."""
         return solid_centers(self.gaussians)
 
@@ -77,7 +76,7 @@ class Space:
         return np.asarray(np.float32(INSIDE_SIGMAS) * self.gaussians.scales.max(1))
 
     @cached_property
-    def positions(self) -> Float64[np.ndarray, "n 3"]:
+    def positions(self) -> Points:
         """Centres of all Gaussians in world coordinates."""
         return self.gaussians.positions
 
@@ -128,7 +127,7 @@ class Space:
     def _surface_opacities(self) -> Float32[np.ndarray, " m"]:
         return np.tile(self.gaussians.opacities, 7)
 
-    def is_near(self, eye: Vector) -> Bool[np.ndarray, " n"]:
+    def is_near(self, eye: Vector) -> Flags:
         """Return which Gaussians are nearer to a place than the clearance, or around it."""
         away = self.positions - eye
         distance = np.linalg.norm(away, axis=1)
@@ -157,7 +156,7 @@ class Space:
         return Surroundings(float(np.mean(enclosed)), float(np.mean(shares)))
 
 
-def solid_centers(gaussians: Gaussians) -> Float64[np.ndarray, "n 3"]:
+def solid_centers(gaussians: Gaussians) -> Points:
     """Return the centres of the solid Gaussians, of all where too few are solid."""
     solid = gaussians.opacities >= SOLID_OPACITY
     return gaussians.positions[solid] if solid.sum() >= MIN_SIZED_GAUSSIANS else gaussians.positions

@@ -9,7 +9,7 @@ from warnings import warn
 
 import numpy as np
 
-from ...base.arrays import Float64, UInt8
+from ...base.arrays import Float64, Points, UInt8, Vector
 from ...drawing.pictures import as_pixels, write_picture
 from ...drawing.rendering import render
 from ...errors import DrSplatWarning, InputError
@@ -26,9 +26,7 @@ from ...scene.placing import SOLID_OPACITY
 from ...scene.views import View
 from ..filming.looking import UP_WITHOUT_VIEWS
 from ..filming.paths import CameraPath
-from .candidates import candidates
-from .coverage import Coverage, chosen_views, sights
-from .settings import PhotographSettings
+from .candidates import Coverage, PhotographSettings, candidates, chosen_views, sights
 from .space import BOX_QUANTILES, Space, solid_centers
 
 MODEL, IMAGES = Path("sparse/0"), "images"
@@ -199,7 +197,7 @@ def _checksum(gaussians: Gaussians) -> str:
     return digest.hexdigest()
 
 
-def guessed_up(gaussians: Gaussians) -> Float64[np.ndarray, " 3"]:
+def guessed_up(gaussians: Gaussians) -> Vector:
     """Return the most likely upward axis of a scene.
 
     Rooms, and objects with the ground around them, are lower than they are wide, and a floor covers more of their
@@ -220,14 +218,14 @@ def guessed_up(gaussians: Gaussians) -> Float64[np.ndarray, " 3"]:
     return up
 
 
-def _footprint(shares: Float64[np.ndarray, "n 3"], axis: int) -> int:
+def _footprint(shares: Points, axis: int) -> int:
     """Count the cells across an axis that contain points. shares: of the box, 0 to 1 inside."""
     flat = np.delete(shares, axis, axis=1)
     inside = ((flat >= 0) & (flat < 1)).all(1)
     return len(np.unique((flat[inside] * FOOTPRINT_CELLS).astype(int), axis=0))
 
 
-def axis_name(up: Float64[np.ndarray, " 3"]) -> str:
+def axis_name(up: Vector) -> str:
     """Return "+z" and so on, or three numbers for a direction between the axes."""
     axis = int(np.abs(up).argmax())
     if abs(up[axis]) > 1 - 1e-9:

@@ -19,10 +19,10 @@ from typing import Any, NamedTuple
 from ...base.system import NO_WAITING, OWN_FILE_FLAGS, can_be_a_path
 from ...base.terminal import counted, plain, quoted
 from ...errors import InputError
-from .help_texts import did_you_mean
 
 OPTIONS_NOT_KEPT = ("config", "print_config", "help", "help_all", "debug", "log")
 MAX_FILE_BYTES = 1 << 15  # tomllib's time grows with the square of the length of some lines
+MIN_LIKENESS = 0.7  # of difflib, from 0 to 1; a slip of one letter in four is still recognised
 _NUMBER = re.compile(r"-?(0|[1-9]\d*)(\.\d+)?")
 
 
@@ -201,3 +201,14 @@ def _toml(value: object) -> str:
         raise InputError(f"--print-config: a file of TOML holds text in UTF-8, got {quoted(text)}") from None
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return '"' + "".join(each if each.isprintable() else f"\\U{ord(each):08x}" for each in escaped) + '"'
+
+
+def did_you_mean(text: str, names: Iterable[str]) -> str:
+    """Return "; did you mean ...?" with the name that resembles a text most, or nothing if none does."""
+    from difflib import get_close_matches
+
+    bare = {name.lstrip("-").lower(): name for name in names if len(name.lstrip("-")) > 1}
+    meant = text.lstrip("-").replace("_", "-").lower()
+    begins = [name for name in bare if len(meant) > 2 and name.startswith(meant)]
+    nearest = get_close_matches(meant[:99], bare, 1, MIN_LIKENESS) or begins[:1]
+    return f"; did you mean {bare[nearest[0]]}?" if nearest else ""

@@ -49,8 +49,7 @@ def interrupted(options: Options) -> str:
 def _run_story(options: Options, folder: Path) -> Facts:
     from ...base.progress import Stopwatch
     from ...base.system import peak_memory_bytes
-    from ...evaluation.demo.album import write_album
-    from ...evaluation.demo.story import FIELD, SCENE, tell
+    from ...evaluation.demo.story import FIELD, SCENE, tell, write_album
     from ...query import Scene
     from ..viewing.exporting import export_page
 

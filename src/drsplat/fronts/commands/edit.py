@@ -24,8 +24,7 @@ if TYPE_CHECKING:
 
     from ...authoring.editing import EditFile, EditList
     from ...authoring.editing.draft import Draft
-    from ...authoring.editing.edits import Change
-    from ...authoring.editing.kept import KeptEdits
+    from ...authoring.editing.edits import Change, KeptEdits
     from ...authoring.editing.targets import Target
     from ...formats.annotations import AnnotationFile
     from ...query import Scene
@@ -87,7 +86,7 @@ class Options(Verb):
 
 def run(options: Options) -> Facts:
     from ...authoring.editing import EditList
-    from ...authoring.editing.kept import without_kept
+    from ...authoring.editing.edits import without_kept
     from ...formats.annotations import AnnotationFile
     from ...formats.replacing import together
 
@@ -170,7 +169,7 @@ def show(answer: Facts) -> None:
 
 
 def _edits_json(listed: EditList) -> list[Facts]:
-    from ...authoring.editing.stored import NAMES
+    from ...authoring.editing.edits import NAMES
 
     return [
         {"number": number, "do": NAMES[type(edit.change)], "of": str(edit.target), "done": number <= listed.done}
@@ -305,8 +304,8 @@ class _Work:
 
     def _made(self, name: str, value: Any, part: Gaussians) -> Change:
         from ...authoring import editing
-        from ...authoring.editing.colouring import color_of
-        from ...authoring.editing.making import replaced_by, scaled_on_its_foot
+        from ...authoring.editing.draft import color_of
+        from ...authoring.editing.replacement import replaced_by, scaled_on_its_foot
         from .query_options import read_picture
 
         change = self.options.change

@@ -15,7 +15,7 @@ from .kinds import count, finite, length, whole, words
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from ...authoring.editing.kept import KeptEdits
+    from ...authoring.editing.edits import KeptEdits
     from ...scene.gaussians import Gaussians
     from ...scene.moving import Moving
     from ...scene.parted import AnyGaussians
@@ -181,8 +181,7 @@ def as_edited(path: str, scene: Gaussians | Moving, choice: KeptEdits | None) ->
     Raises: FormatError, MismatchError: the list of edits is damaged, or of another scene.
     """
     from ...authoring.editing import EditFile
-    from ...authoring.editing.edits import drafted
-    from ...authoring.editing.kept import without_kept
+    from ...authoring.editing.edits import drafted, without_kept
     from ...scene.moving import Moving
 
     if isinstance(scene, Moving):

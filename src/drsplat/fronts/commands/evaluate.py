@@ -93,8 +93,8 @@ def device(options: Options) -> str:
 
 def run(options: Options) -> Facts:
     from ... import evaluate
-    from ...evaluation.label_sets import label_set
     from ...evaluation.report import without_nan
+    from ...evaluation.scannet import label_set
 
     _check(options)
     labels = label_set(options.label_set)

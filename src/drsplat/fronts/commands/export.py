@@ -17,9 +17,8 @@ from .query_options import asked, query_of, query_text
 if TYPE_CHECKING:
     import numpy as np
 
-    from ...authoring.editing.kept import KeptEdits
-    from ...authoring.exporting.labelling import Only
-    from ...authoring.exporting.writing import Exported
+    from ...authoring.editing.edits import KeptEdits
+    from ...authoring.exporting.writing import Exported, Only
     from ...formats.tiles3d_writing import TiledScene
     from ...query import Scene
     from ...scene.labelled import LabelledScene
@@ -225,8 +224,7 @@ def _whole_tiles(options: Options) -> Path | None:
 
 def _levels_of_tiles(options: Options, output: Path, path: Path) -> Facts:
     """Write levels of detail of a folder of tiles, a few of which are in memory at a time; 3D Tiles with objects."""
-    from ...authoring.exporting.labelling import tiled
-    from ...authoring.exporting.writing import written_streamed_sog
+    from ...authoring.exporting.writing import tiled, written_streamed_sog
     from ...formats.tiles import read_tiles
 
     if options.content.fit_8bit:
@@ -244,8 +242,7 @@ def _labelled(options: Options, output: Path) -> LabelledScene:
     """Bring together what is written; --edits none reports the edits that it leaves out."""
     from ...authoring.editing import EditFile
     from ...authoring.editing.resolving import label_rows, object_rows
-    from ...authoring.exporting.labelling import labelled, labelled_alone
-    from ...authoring.exporting.writing import whole_motion
+    from ...authoring.exporting.writing import labelled, labelled_alone, whole_motion
     from ...formats.moving_scenes import read_scene
     from ...scene.moving import canonical_of
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from ...errors import InputError
-from .changes import FieldToChange, field_and_scene
+from .add import FieldToChange, field_and_scene
 from .declaring import Facts, argument, declaration, option, part
 from .options import Verb, new_output, overwrite
 

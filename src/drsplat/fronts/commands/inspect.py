@@ -6,10 +6,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .code_facts import code_facts, codebook_facts
 from .declaring import Facts, argument, declaration, flag, part
 from .options import Photos, Verb
 from .recognising import kind_of, place_of, verified
+from .tables import code_facts, codebook_facts
 
 if TYPE_CHECKING:
     import numpy as np
@@ -279,7 +279,7 @@ def _labels(options: Options) -> Facts:
 
 
 def _edits(options: Options) -> Facts:
-    from ...authoring.editing.stored import edits_of
+    from ...authoring.editing.edits import edits_of
     from ...formats.json_files import read_json
 
     listed = edits_of(read_json(Path(options.path)), options.path)
@@ -294,7 +294,7 @@ def _annotations(options: Options) -> Facts:
 
 
 def _camera_path(options: Options) -> Facts:
-    from ...authoring.filming.path_files import read_path
+    from ...authoring.filming.paths import read_path
 
     path = read_path(options.path)
     return {"num_key_frames": len(path.keys), "seconds": path.seconds, "fps": path.fps, "size": path.size}

@@ -1,15 +1,70 @@
 """argparse with help in two lengths, errors that name what was meant, and a record of what the line gives."""
 
 import argparse
+import re
+import textwrap
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Any, NoReturn
 
 from ...base.terminal import counted, quoted
 from ...errors import InputError
-from .configuring import Given, configuration, options_of, place, uses_of
-from .help_texts import HelpFormatter, did_you_mean, first_examples
+from .configuring import Given, configuration, did_you_mean, options_of, place, uses_of
 from .kinds import words
+
+MAX_SHORT_EXAMPLES = 3
+VERB_COLUMN = 14  # where the summaries of the verbs begin
+_NO_BREAK = "\xa0"
+_COMMAND = re.compile(r"^  drsplat .*(?:(?<=\\)\n.*)*", re.MULTILINE)
+
+
+class HelpFormatter(argparse.RawDescriptionHelpFormatter):
+    """Formatter that fills prose and keeps the lines of commands."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        blocks = text.split("\n\n")
+        return "\n\n".join("\n".join(_block(block.splitlines(), width, indent)) for block in blocks)
+
+    def _split_lines(self, text: str, width: int) -> list[str]:
+        return textwrap.wrap(" ".join(text.split()), width, break_on_hyphens=False)
+
+
+class VerbListFormatter(HelpFormatter):
+    """Formatter with a narrow left column, so that the summaries of the verbs have the room."""
+
+    def __init__(self, prog: str, width: int | None = None) -> None:
+        super().__init__(prog, max_help_position=VERB_COLUMN, width=width)
+
+
+def _block(lines: list[str], width: int, indent: str) -> list[str]:
+    """Return lines in a width: commands and lists, which are indented, each by itself, and prose filled."""
+    made: list[str] = []
+    prose: list[str] = []
+    for line in [*re.sub(r" \\\n +", " ", "\n".join(lines)).split("\n"), "  "]:  # with those put together that go on
+        if not line.startswith("  "):
+            prose.append(line)
+            continue
+        made += textwrap.wrap(
+            " ".join(prose), width, initial_indent=indent, subsequent_indent=indent, break_on_hyphens=False
+        )
+        prose = []
+        made += _command(indent + line, width) if line.strip() else []
+    return made
+
+
+def _command(line: str, width: int) -> list[str]:
+    """Return a command in lines that end before an option, so that the option's value stays with it."""
+    if len(line) <= width:
+        return [line]
+    whole = re.sub(r"(?<=\S) (?=[^\s-])", _NO_BREAK, line)
+    parts = textwrap.wrap(whole, width - 2, subsequent_indent="      ", break_long_words=False, break_on_hyphens=False)
+    parts = [part.replace(_NO_BREAK, " ") for part in parts]
+    return [*(f"{part} \\" for part in parts[:-1]), parts[-1]]
+
+
+def first_examples(epilog: str) -> str:
+    """Return the first few commands of an epilog of examples."""
+    return "\n".join(["examples:", *_COMMAND.findall(epilog)[:MAX_SHORT_EXAMPLES]])
 
 
 class UsageError(Exception):

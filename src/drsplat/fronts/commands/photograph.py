@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from ...errors import InputError
 from .declaring import Facts, argument, declaration, option
 from .edit_options import note_own_scene
-from .film import BACKGROUNDS, background, size
 from .kinds import finite, up_to
 from .options import Verb, overwrite
+from .render import BACKGROUNDS, background, size
 
 if TYPE_CHECKING:
     from ...authoring.filming.paths import CameraPath
@@ -77,7 +77,7 @@ class Options(Verb):
 
 
 def run(options: Options) -> Facts:
-    from ...authoring.photographing.settings import DEFAULT_FOV_DEGREES, DEFAULT_SIZE_PIXELS, PhotographSettings
+    from ...authoring.photographing.candidates import DEFAULT_FOV_DEGREES, DEFAULT_SIZE_PIXELS, PhotographSettings
     from ...authoring.photographing.taking import photograph
     from ...base.progress import Stopwatch
     from ...base.system import peak_memory_bytes

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...errors import InputError
-from .code_facts import code_facts
 from .declaring import Facts, argument, declaration, option, part
 from .kinds import count, count_or_all, whole, words
 from .leaving_out import left_out, without
 from .options import LEVEL_HELP, Photos, Verb, capture, features, invert_masks, kernel_device, near, overwrite
 from .parts import COMPLETE, new_or_complete, parts_of, was_complete
+from .tables import code_facts
 from .workers import Workers, in_memory, scene_of
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from .changes import FieldToChange, answer_of, field_and_scene, show_change
+from .add import FieldToChange, answer_of, field_and_scene, show_change
 from .declaring import Facts, declaration, option, part
 from .kinds import words
 from .options import Verb

@@ -7,7 +7,7 @@ from pathlib import Path
 from .declaring import Facts, argument, declaration, flag, option, part
 from .edit_options import note_own_scenes
 from .kinds import words
-from .listening import Listening, listening
+from .mcp import Listening, listening
 from .options import Encoders, Verb, search_device
 
 EXAMPLES = """\

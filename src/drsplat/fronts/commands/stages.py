@@ -12,9 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from ...base.terminal import counted
 from ...errors import DrSplatError, InputError
 from ...query.defaults import MAYBE
-from .configuring import OPTIONS_NOT_KEPT, Given, place, table_keys
+from .configuring import OPTIONS_NOT_KEPT, Given, did_you_mean, place, table_keys
 from .declaring import Facts, made
-from .help_texts import did_you_mean
 from .leaving_out import people_text
 from .options import verb_parser
 

@@ -1,10 +1,16 @@
-"""Tables on the terminal."""
+"""Tables on the terminal, and facts about codes that several of them show."""
+
+from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
+from .declaring import Facts
+
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from ...field.codes import Code, Codebook
 
 UNWRAPPED_COLUMNS = 100_000
 
@@ -35,7 +41,7 @@ def show_table(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]
     _console(console.width if folded else boundless.measure(table).maximum).print(table)
 
 
-def _console(width: int | None) -> "Console":
+def _console(width: int | None) -> Console:
     """Return a console that shows texts as they are ([red], :warning:). width: None for the terminal's."""
     from rich.console import Console
 
@@ -69,3 +75,31 @@ def size_text(num_bytes: int) -> str:
     while amount >= 1000 and unit != "TB":
         amount, unit = amount / 1000, next(units)
     return f"{amount:.0f} {unit}" if unit == "B" else f"{amount:.1f} {unit}"
+
+
+def code_facts(code: Code) -> Facts:
+    """Return kind and bytes of a code, and what it is made of."""
+    from ...field.codes import PQCode
+    from ...field.codes.mixture import MixtureCode
+
+    if isinstance(code, PQCode):
+        return {"code": code.kind, **codebook_facts(code.codebook)}
+    facts: Facts = {"code": code.kind}
+    if isinstance(code, MixtureCode):
+        facts |= {
+            "atoms_per_row": code.atoms_per_row,
+            "num_atoms": len(code.atoms),
+            "bytes_per_gaussian": code.row_bytes,
+        }
+    return facts
+
+
+def codebook_facts(codebook: Codebook) -> Facts:
+    """Return a codebook's hash, and the sizes of its codes."""
+    coarse = codebook.coarse
+    return {
+        "codebook": codebook.hash,
+        "num_subvectors": codebook.num_subvectors,
+        "num_coarse": 0 if coarse is None else len(coarse),
+        "bytes_per_gaussian": codebook.code_bytes,
+    }

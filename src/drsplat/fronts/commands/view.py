@@ -18,8 +18,8 @@ from .kinds import words as text  # an option is called words
 from .options import Encoders, Verb, new_output, overwrite
 
 if TYPE_CHECKING:
-    from ...authoring.editing.kept import KeptEdits
-    from ...authoring.filming.looking import Vector
+    from ...authoring.editing.edits import KeptEdits
+    from ...base.arrays import Vector
     from ...query import Scene
     from ...query.catalogue import Catalogue
     from ..viewing.live.service import Service

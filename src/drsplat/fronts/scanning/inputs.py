@@ -8,9 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from ...base.arrays import UInt8
+from ...base.arrays import OtherPixels
 from ...errors import DrSplatError, InputError
 from ...formats.captures import read_views
 from ...formats.recognising import Kind, recognised
@@ -43,7 +41,7 @@ class ScanInput:
         """Number of photos, None for a video."""
         return None if self.kind == VIDEO else len(self.photos)
 
-    def pictures(self, count: int) -> Iterator[UInt8[np.ndarray, "_ _ 3"]]:
+    def pictures(self, count: int) -> Iterator[OtherPixels]:
         """Yield some of its photos or frames, evenly chosen, at most so many; damaged ones are left out.
 
         Raises: as `some_frames`.

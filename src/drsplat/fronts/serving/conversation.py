@@ -44,8 +44,7 @@ from .models import (
     when_told,
 )
 from .pictures import png
-from .query_fields import values_of
-from .requests import Tool
+from .query_fields import Tool, values_of
 
 MAX_MATCHES, MAX_OBJECTS, MAX_NAMES, MAX_TEXT_CHARACTERS, MAX_PHOTOS = 20, 100, 100, 200, 8
 MAX_TRACK_TIMES = 12  # a model reads every number

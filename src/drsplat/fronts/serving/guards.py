@@ -8,8 +8,8 @@ from typing import Any, Protocol, runtime_checkable
 
 from starlette.exceptions import HTTPException
 
-from .access import is_addressed, is_secret
 from .limits import GONE, Limits
+from .listening import is_addressed, is_secret
 from .metrics import Metrics
 
 Message = MutableMapping[str, Any]

@@ -4,27 +4,26 @@ import base64
 import binascii
 import io
 
-import numpy as np
 from PIL import Image
 
-from ...base.arrays import UInt8
+from ...base.arrays import Pixels
 from ...errors import FormatError, InputError
 from ...scene.photos import decoded_picture
 
 
-def png(pixels: UInt8[np.ndarray, "h w 3"]) -> bytes:
+def png(pixels: Pixels) -> bytes:
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, "PNG", compress_level=3)
     return buffer.getvalue()
 
 
-def jpeg(pixels: UInt8[np.ndarray, "h w 3"]) -> bytes:
+def jpeg(pixels: Pixels) -> bytes:
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, "JPEG", quality=90)
     return buffer.getvalue()
 
 
-def decoded(data: bytes, most_pixels: int) -> UInt8[np.ndarray, "h w 3"]:
+def decoded(data: bytes, most_pixels: int) -> Pixels:
     """Return RGB of a picture's bytes, upright, on black where it is transparent.
 
     Raises: InputError: no picture, damaged, or of more pixels, judged by its header before it is decoded.
@@ -35,7 +34,7 @@ def decoded(data: bytes, most_pixels: int) -> UInt8[np.ndarray, "h w 3"]:
         raise InputError(f"the image {error}") from error
 
 
-def from_base64(text: str, most_pixels: int) -> UInt8[np.ndarray, "h w 3"]:
+def from_base64(text: str, most_pixels: int) -> Pixels:
     """Decode a picture in base64, see `decoded`. Raises: InputError: it is no base64; as `decoded`."""
     try:
         data = base64.b64decode(text, validate=True)

@@ -30,13 +30,12 @@ from pydantic import Field, ValidationError
 
 from ... import __version__
 from ...errors import DrSplatError
-from .catalogued import CatalogueAnswer
 from .connections import run
 from .conversation import MAX_MATCHES, TOOLS, Text, ToolEntry
 from .guards import DoorKeeper
 from .limits import Limits
 from .models import Body, RenderedPicture, RenderedView, SceneList
-from .query_fields import annotation, default_of, without_nulls
+from .query_fields import CatalogueAnswer, annotation, default_of, without_nulls
 from .replies import faults_of
 from .scene_folder import SceneFolder
 from .workbench import Job, Workbench

@@ -22,8 +22,7 @@ from pydantic import BaseModel
 
 from ...authoring.editing.resolving import object_rows
 from ...authoring.exporting import labelled
-from ...authoring.exporting.labelling import Only, kept_edits
-from ...authoring.exporting.writing import written
+from ...authoring.exporting.writing import Only, kept_edits, written
 from ...base.system import end_with
 from ...errors import DrSplatError, FormatError, InputError
 from ...formats.gaussian_ply import write_gaussians
@@ -33,8 +32,7 @@ from ...query.objects import match_of, objects_of
 from ...query.sheets import object_picture
 from ...query.suggesting import missed_text, words_instead
 from ...scene.gaussians import Gaussians
-from . import models, requests
-from .catalogued import catalogue_reply
+from . import models, query_fields
 from .conversation import tool_answer
 from .limits import Limits
 from .live import ACTS, Adder, live_reply
@@ -51,9 +49,8 @@ from .models import (
     tracked,
 )
 from .pictures import jpeg, png
-from .query_fields import Request, asks_something, cut_of, query_of, values_of
+from .query_fields import Export, Request, asks_something, catalogue_reply, cut_of, query_of, values_of
 from .replies import BUG, GLB, JPEG, PLY, PNG, Reply, packed, problem, refusal
-from .requests import Export
 from .scene_folder import SceneFaultError, SceneFolder, Sources, without_paths
 
 BYTES_BESIDE_HARMONICS = 48  # of a Gaussian: place, rotation, scales, opacity, point's colour
@@ -123,7 +120,7 @@ class Answering(NamedTuple):
     media_type: str = PNG
 
 
-def details(scene: Scene, asked: requests.Details, _: Limits) -> models.SceneDetails:
+def details(scene: Scene, asked: query_fields.Details, _: Limits) -> models.SceneDetails:
     low, high = scene.box
     digits = decimals_of(scene)
     return models.SceneDetails(
@@ -142,7 +139,7 @@ def details(scene: Scene, asked: requests.Details, _: Limits) -> models.SceneDet
     )
 
 
-def photo(scene: Scene, asked: requests.Photo, _: Limits) -> bytes:
+def photo(scene: Scene, asked: query_fields.Photo, _: Limits) -> bytes:
     """Return a photo as PNG. Raises: InputError: no such view, or it has no photo."""
     chosen = scene.view(asked.view)
     if chosen.image_path is None:
@@ -150,7 +147,7 @@ def photo(scene: Scene, asked: requests.Photo, _: Limits) -> bytes:
     return png(scene.picture(chosen, photo=True, max_side=asked.max_side))
 
 
-def objects(scene: Scene, asked: requests.Objects, _: Limits) -> models.ObjectList:
+def objects(scene: Scene, asked: query_fields.Objects, _: Limits) -> models.ObjectList:
     shown, unsure = listed_objects(scene, asked.all)
     if not scene.objects:
         return object_list(scene, [], "photos agree on nothing: more of them, or larger masks, may help")
@@ -158,11 +155,11 @@ def objects(scene: Scene, asked: requests.Objects, _: Limits) -> models.ObjectLi
     return object_list(scene, shown, ". ".join(filter(None, (more, scene.doubt))))
 
 
-def object_photo(scene: Scene, asked: requests.OneObject, _: Limits) -> bytes:
+def object_photo(scene: Scene, asked: query_fields.OneObject, _: Limits) -> bytes:
     return jpeg(object_picture(scene, _numbered(scene, asked), size=OBJECT_SIZE_PIXELS))
 
 
-def object_ply(scene: Scene, asked: requests.OneObject, _: Limits) -> bytes:
+def object_ply(scene: Scene, asked: query_fields.OneObject, _: Limits) -> bytes:
     part = scene.rows.subset(_numbered(scene, asked).gaussian_ids)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "object.ply"
@@ -170,11 +167,11 @@ def object_ply(scene: Scene, asked: requests.OneObject, _: Limits) -> bytes:
         return path.read_bytes()
 
 
-def _numbered(scene: Scene, asked: requests.OneObject) -> Match:
+def _numbered(scene: Scene, asked: query_fields.OneObject) -> Match:
     return match_of(scene.field, objects_of(scene.field).thing(asked.number))
 
 
-def selected(scene: Scene, asked: requests.Select, limits: Limits) -> models.Selected:
+def selected(scene: Scene, asked: query_fields.Select, limits: Limits) -> models.Selected:
     answer = scene.ask(query_of(asked, limits))
     return models.Selected(
         measured=measured(answer),
@@ -184,7 +181,7 @@ def selected(scene: Scene, asked: requests.Select, limits: Limits) -> models.Sel
     )
 
 
-def located(scene: Scene, asked: requests.Locate, limits: Limits) -> models.Located:
+def located(scene: Scene, asked: query_fields.Locate, limits: Limits) -> models.Located:
     query = query_of(asked, limits)
     answer = scene.ask(query)
     found = scene.locate(answer, min_gaussians=asked.min_gaussians, box=asked.box)
@@ -200,12 +197,12 @@ def located(scene: Scene, asked: requests.Locate, limits: Limits) -> models.Loca
     )
 
 
-def when(scene: Scene, asked: requests.When, _: Limits) -> models.When:
+def when(scene: Scene, asked: query_fields.When, _: Limits) -> models.When:
     one, other = (Query(text, **values_of(vars(asked))) for text in (asked.one, asked.other))
     return models.when_told(scene, one, asked.relation, other, asked.view)
 
 
-def segmented(scene: Scene, asked: requests.Segment, _: Limits) -> models.Segmented:
+def segmented(scene: Scene, asked: query_fields.Segment, _: Limits) -> models.Segmented:
     found = scene.segment(asked.classes, cut_of(asked))
     document = segmentation_document(found)
     for one in document["classes"]:
@@ -214,13 +211,13 @@ def segmented(scene: Scene, asked: requests.Segment, _: Limits) -> models.Segmen
     return models.Segmented(**document, labels=labels, field=scene.field.fingerprint)
 
 
-def named(scene: Scene, asked: requests.WhatIs, _: Limits) -> models.Words:
-    words = scene.what_is(requests.place(asked), asked.names)
+def named(scene: Scene, asked: query_fields.WhatIs, _: Limits) -> models.Words:
+    words = scene.what_is(query_fields.place(asked), asked.names)
     best = [models.Word(name=word.text, score=round(word.score, 4)) for word in words]
     return models.Words(words=best, field=scene.field.fingerprint)
 
 
-def picture(scene: Scene, asked: requests.Picture, limits: Limits) -> bytes:
+def picture(scene: Scene, asked: query_fields.Picture, limits: Limits) -> bytes:
     shown = None
     if asks_something(asked):
         found = scene.locate(query_of(asked, limits))
@@ -231,19 +228,19 @@ def picture(scene: Scene, asked: requests.Picture, limits: Limits) -> bytes:
 
 
 ANSWERS: Mapping[str, Answering] = {
-    "details": Answering(requests.Details, details, words=False),
-    "photo": Answering(requests.Photo, photo, words=False),
-    "objects": Answering(requests.Objects, objects),
-    "object-picture": Answering(requests.OneObject, object_photo, words=False, media_type=JPEG),
-    "object-ply": Answering(requests.OneObject, object_ply, words=False, media_type=PLY),
-    "select": Answering(requests.Select, selected),
-    "locate": Answering(requests.Locate, located),
-    "when": Answering(requests.When, when),
-    "segment": Answering(requests.Segment, segmented),
-    "what-is": Answering(requests.WhatIs, named),
-    "picture": Answering(requests.Picture, picture),
-    "export": Answering(requests.Export, exported),
-    "tool": Answering(requests.Tool, tool_answer),
+    "details": Answering(query_fields.Details, details, words=False),
+    "photo": Answering(query_fields.Photo, photo, words=False),
+    "objects": Answering(query_fields.Objects, objects),
+    "object-picture": Answering(query_fields.OneObject, object_photo, words=False, media_type=JPEG),
+    "object-ply": Answering(query_fields.OneObject, object_ply, words=False, media_type=PLY),
+    "select": Answering(query_fields.Select, selected),
+    "locate": Answering(query_fields.Locate, located),
+    "when": Answering(query_fields.When, when),
+    "segment": Answering(query_fields.Segment, segmented),
+    "what-is": Answering(query_fields.WhatIs, named),
+    "picture": Answering(query_fields.Picture, picture),
+    "export": Answering(query_fields.Export, exported),
+    "tool": Answering(query_fields.Tool, tool_answer),
 }
 
 

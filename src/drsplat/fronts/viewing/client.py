@@ -1,11 +1,27 @@
-"""The client's files, built from web/: one HTML document, for a page with everything inside or for a running viewer."""
+"""The client's files, built from web/, as one HTML document: for a page, or for a running viewer.
 
+Text of files and strangers is made safe here on its way to a browser.
+"""
+
+import html
 import re
 from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
 
-from .texts import escaped
+MAX_CHARACTERS_SHOWN = 200
+
+
+def printable(text: str, most: int = MAX_CHARACTERS_SHOWN) -> str:
+    """Drop what no page can hold or show (halves of surrogate pairs, controls, marks that turn text around)."""
+    cut = text if len(text) <= most else f"{text[: most - 1]}…"
+    return "".join(letter if letter.isprintable() else "\ufffd" for letter in cut)
+
+
+def escaped(text: str, most: int = MAX_CHARACTERS_SHOWN) -> str:
+    """Return a text as HTML that shows just that text."""
+    return html.escape(printable(text, most))
+
 
 PAGE_POLICY = (
     "default-src 'none'; script-src 'unsafe-inline' blob:; worker-src blob:; style-src 'unsafe-inline'; "

@@ -9,27 +9,68 @@ from os import PathLike
 import numpy as np
 from PIL import Image
 
-from ...authoring.editing.kept import KeptEdits, without_kept
-from ...authoring.filming.looking import Vector, before, up_direction
+from ...authoring.editing.edits import KeptEdits, without_kept
+from ...authoring.filming.looking import before, up_direction
 from ...authoring.filming.paths import CameraPath
 from ...authoring.filming.planning import ORBIT, path_named
-from ...base.arrays import Shaped, UInt16
+from ...base.arrays import OtherPixels, Shaped, UInt16, Vector
 from ...drawing.heat import heat_of
 from ...errors import InputError
+from ...kernels.boxes import box_of
 from ...query import Match, Scene
 from ...query.documents import Document
+from ...query.sheets import object_picture, object_views
 from ...query.suggesting import suggestions
 from ...scene.annotations import Annotation
+from ...scene.boxes import solid
 from .bare import NO_FIELD
-from .object_list import in_order, names_of, pictures_of, placed_now
-from .page import MAX_GAUSSIANS, Page, PageAnswer, write_page
+from .client import printable
+from .page import MAX_GAUSSIANS, Page, PageAnswer, PageTimes, boxes_of, times_of_page, write_page
 from .page_search import search_of
-from .page_times import PageTimes, boxes_of, times_of_page
-from .places import box_document, size_text
 from .results import result_of
 from .session import Mode, Session
-from .shown import first_look
-from .texts import printable
+from .shown import box_document, first_look, size_text
+
+PICTURE_SIZE_PIXELS = (200, 150)
+
+
+def pictures_of(session: Session, matches: list[Match]) -> list[OtherPixels | None]:
+    """Return each cut out of the photo, or the rendering, that shows it best; none of a scene without views."""
+    if not session.scene.views:
+        return [None] * len(matches)
+    views = object_views(session.scene, matches)
+    return [
+        object_picture(session.scene, match, view, PICTURE_SIZE_PIXELS)
+        for match, view in zip(matches, views, strict=True)
+    ]
+
+
+def names_of(session: Session) -> list[str]:
+    """Label, else the word for it, and the number of each object; "object 7" where no word is sure."""
+    words = session.scene.object_names(words=session.words or ())
+    return [
+        f"{match.label or word} · {match.object_id}" if match.label or word else f"object {match.object_id}"
+        for match, word in zip(session.scene.objects, words, strict=True)
+    ]
+
+
+def in_order(session: Session) -> tuple[list[int], list[int]]:
+    """Return the numbers of the objects that photos agree on or that have a label, and those of the others."""
+    agreed = session.scene.agreed
+    return np.flatnonzero(agreed).tolist(), np.flatnonzero(~agreed).tolist()
+
+
+def placed_now(session: Session, match: Match) -> Match:
+    """Return a match with its box where its Gaussians are now, at the session's time and after its edits."""
+    if session.scene.tiles is not None:
+        return match
+    ids = match.gaussian_ids
+    now = session.standing(ids)
+    if session.time is None and np.array_equal(now.means, session.scene.rows.shapes_of(ids).means):
+        return match
+    box = box_of(now, solid(now, np.arange(len(ids))), session.scene.up)
+    return replace(match, center=box.center, axes=box.axes, extent=box.extent)
+
 
 MAX_LABELS = 40  # whose objects a page has from the start
 MAX_MATCHES = 254  # of one query: a byte per Gaussian says which

@@ -1,17 +1,130 @@
-"""Naming of a place: its words, the masks of supporting photos, and what is like it."""
+"""A place that is pointed at: what a ray meets or an outline holds, its words, its masks, and what is like it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from PIL import Image, ImageDraw
 
-from ...base.arrays import Float64, UInt8
+from ...base.arrays import Flags, Float64, Ids, Int32, Int64, OtherPixels, Vector
 from ...errors import DrSplatError
 from ...field.evidence.evidence import Explanation
+from ...kernels import SplatArrays, view_weights
 from ...query import Match, Query, Scene, Word
 from ...query.suggesting import words_of
-from .picking import Hit
+from ...scene.gaussians import Gaussians
+from ...scene.views import View
 from .results import Result, result_of
+
+REACH_DEVIATIONS = 3.0  # standard ones, at which a Gaussian ends
+MIN_ALPHA = 1 / 255
+MAX_ALPHA = 0.99
+GAUSSIANS_PER_PIXEL = 8  # the heaviest: those behind what is seen have next to no weight
+MIN_INSIDE_SHARE = 0.5  # of a Gaussian's weight in the picture
+MIN_WEIGHT_PIXELS = 0.02  # of a Gaussian in the whole picture
+
+
+class Ray(NamedTuple):
+    """A half-line. direction: of length 1, as `ray_along` makes it."""
+
+    origin: Vector
+    direction: Vector
+
+
+class Hit(NamedTuple):
+    """gaussian_ids: met by a ray, by falling weight; point: where the first of them is met, in the world."""
+
+    gaussian_ids: Int64[np.ndarray, " h"]
+    weights: Float64[np.ndarray, " h"]
+    point: Vector
+
+
+def ray_along(origin: Vector, direction: Vector) -> Ray:
+    """Return the ray in a direction, also in one so short or long that its square is 0 or infinite."""
+    scaled = direction / np.abs(direction).max()
+    return Ray(origin, np.asarray(scaled / np.linalg.norm(scaled)))
+
+
+def hit_by_ray(gaussians: Gaussians, ray: Ray, visible: Flags | None = None) -> Hit | None:
+    """Return the Gaussians along a ray in the world by blending weight, None where it meets nothing.
+
+    Each is taken where it is densest along the ray, front to back, as one pixel would blend them.
+
+    Source: 3DGS Eq. 3, in 3D instead of in the picture.
+    """
+    return blended(met_by_ray(gaussians, ray, visible), ray)
+
+
+class Met(NamedTuple):
+    """Gaussians that a ray meets: their rows, depths along it, and opacities where they are densest on it."""
+
+    gaussian_ids: Int64[np.ndarray, " h"]
+    depths: Float64[np.ndarray, " h"]
+    alphas: Float64[np.ndarray, " h"]
+
+
+def met_by_ray(gaussians: Gaussians, ray: Ray, visible: Flags | None = None) -> Met:
+    """Return the Gaussians that a ray in the world meets, the nearest first."""
+    local = ray._replace(origin=ray.origin - gaussians.origin)
+    near = _near(gaussians, local)
+    near = near if visible is None else near[visible[near]]
+    depth, alpha = _met(gaussians.subset(near), local)
+    kept = (alpha >= MIN_ALPHA) & (depth > 0)
+    order = np.flatnonzero(kept)[np.argsort(depth[kept], kind="stable")]
+    return Met(near[order], depth[order], np.minimum(alpha[order], MAX_ALPHA))
+
+
+def blended(met: Met, ray: Ray) -> Hit | None:
+    """Return what a ray meets by falling blending weight, None for nothing. met: the nearest first."""
+    if not len(met.depths):
+        return None
+    weights = met.alphas * np.concatenate([[1.0], np.cumprod(1 - met.alphas)[:-1]])
+    ranked = np.argsort(-weights, kind="stable")
+    point = ray.origin + met.depths[ranked[0]] * ray.direction
+    return Hit(met.gaussian_ids[ranked], weights[ranked], point)
+
+
+def _near(gaussians: Gaussians, ray: Ray) -> Ids:
+    """Return the Gaussians whose bounding sphere the ray passes: all that can be met, and few of the scene."""
+    offsets = gaussians.means - ray.origin.astype(np.float32)
+    along = offsets @ ray.direction.astype(np.float32)
+    apart = np.einsum("ni,ni->n", offsets, offsets) - along**2
+    reach = REACH_DEVIATIONS * gaussians.scales.max(axis=1)
+    return np.flatnonzero((apart <= 1.01 * reach**2) & (along > -reach))
+
+
+def _met(part: Gaussians, ray: Ray) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
+    """Return depth along the ray of the densest place, and the opacity there."""
+    axes = part.whitening()
+    start = np.einsum("nij,nj->ni", axes, ray.origin - part.means.astype(np.float64))
+    step = axes @ ray.direction
+    depth = -np.einsum("ni,ni->n", start, step) / np.einsum("ni,ni->n", step, step)
+    at = start + depth[:, None] * step
+    alpha = part.opacities * np.exp(-0.5 * np.einsum("ni,ni->n", at, at))
+    return depth, alpha
+
+
+def inside_outline(splats: SplatArrays, view: View, outline: Float64[np.ndarray, "p 2"], *, threads: int = 0) -> Ids:
+    """Return the Gaussians, ascending, of which most that a view shows lies inside an outline.
+
+    outline: corners of a polygon, in pixels of the view.
+    """
+    seen = view_weights(splats, view, _filled(view, outline), GAUSSIANS_PER_PIXEL, threads=threads)
+    weights = seen.weights.astype(np.float64)
+    count = len(splats.opacities)
+    every = np.bincount(seen.gaussian_ids, weights, minlength=count)
+    inside = np.bincount(seen.gaussian_ids, weights * (seen.mask_ids == 1), minlength=count)
+    return np.flatnonzero((inside > MIN_INSIDE_SHARE * every) & (every >= MIN_WEIGHT_PIXELS))
+
+
+def _filled(view: View, outline: Float64[np.ndarray, "p 2"]) -> Int32[np.ndarray, "h w"]:
+    """Return 1 for each pixel inside a polygon and 0 for the others."""
+    picture = Image.new("L", (view.width, view.height))
+    corners = np.clip(outline, -8 * max(view.width, view.height), 9 * max(view.width, view.height))
+    ImageDraw.Draw(picture).polygon([tuple(corner) for corner in corners.tolist()], fill=1)
+    return np.asarray(picture, np.int32)
+
 
 MAX_EVIDENCE_MASKS, PICTURE_SIDE_PIXELS = 3, 480
 
@@ -24,7 +137,7 @@ class This:
     """
 
     gaussian_id: int
-    point: Float64[np.ndarray, " 3"]
+    point: Vector
     words: list[Word]
     evidence: list[Explanation]
     match: Match | None
@@ -67,7 +180,7 @@ def known_words(scene: Scene, words: Sequence[str] | None) -> tuple[str, ...]:
         return ()
 
 
-def photo_of(scene: Scene, this: This) -> UInt8[np.ndarray, "_ _ 3"] | None:
+def photo_of(scene: Scene, this: This) -> OtherPixels | None:
     """Return the photo of most support, with the place in colour; None where there is none."""
     best = best_photo(scene, this)
     if best is None or this.match is None:

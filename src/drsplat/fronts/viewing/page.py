@@ -7,31 +7,196 @@ answers to some queries, as the documents that a running viewer would send (web/
 import base64
 import json
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from typing import Any
 
 import numpy as np
 
-from ...authoring.filming.looking import FOV_DEGREES, Vector
+from ...authoring.filming.looking import FOV_DEGREES
 from ...authoring.filming.paths import CameraPath
-from ...base.arrays import Float32, Shaped, UInt8, UInt16
+from ...base.arrays import Bool, Float16, Float32, Float64, Ids, Shaped, UInt8, UInt16, Vector
 from ...drawing.heat import HEAT
 from ...errors import InputError
 from ...formats.replacing import replacing
 from ...formats.spz_writing import spz_bytes
 from ...query import Match
 from ...query.documents import Document
+from ...query.tracks import tracks
 from ...scene.gaussians import Gaussians
+from ...scene.moving import Moving
 from ...scene.significance import significance
 from . import painting
-from .client import page_html
+from .client import page_html, printable
 from .page_search import PageSearch
-from .page_times import PageTimes, arrays_of, header_of
-from .places import match_document, rounded
-from .shown import Frame, Ids, Shown
-from .texts import printable
+from .session import Session
+from .shown import Frame, Shown, match_document, rounded
+
+MAX_TIMES, MIN_TIMES = 120, 8
+MAX_MOVED_PLACES = 1_000_000
+"""Gaussians that move, times times: 19 bytes each before they are packed."""
+MAX_STILL_DISTANCE = 2e-3  # of the browser's units: what moves less stands still
+MAX_STILL_SPREAD_SHARE = 0.02  # what turns or grows by less of its spread does not
+MIN_SEEN_OPACITY = 1 / 255
+STEPS_PER_AXIS = 65_535  # that 16 bits count
+TIMES_PER_SECOND, MIN_PLAYING_S, MAX_PLAYING_S = 15, 2.0, 10.0
+Times = Float64[np.ndarray, " t"]
+
+
+@dataclass(frozen=True, eq=False)
+class PageTimes:
+    """Places of k of m shown Gaussians at t times; the others stand still.
+
+    order: of the shown rows, with those that move first. places: low + step * number, in the browser's frame.
+    seconds: that it plays. num_known: times of the scene.
+    """
+
+    times: Times
+    order: Ids
+    places: UInt16[np.ndarray, "t k 3"]
+    low: Vector
+    step: Vector
+    covariances: Float16[np.ndarray, "t k 6"]
+    opacities: UInt8[np.ndarray, "t k"]
+    seconds: float
+    num_known: int
+
+    @property
+    def summary(self) -> str:
+        """For people."""
+        of = f" of {self.num_known:,}" if len(self.times) < self.num_known else ""
+        return f"{self.places.shape[1]:,} of them move, at {len(self.times):,}{of} times."
+
+
+def times_of_page(session: Session) -> PageTimes | None:
+    """Return None where nothing moves. The session is left at its first time.
+
+    Raises: InputError: so much moves that a page has no room for it at `MIN_TIMES` times.
+    """
+    if session.scene.motion is None:
+        return None
+    known = session.scene.motion.times
+    times = _evenly(known, MAX_TIMES)
+    session.time = float(times[0])
+    moves = _moving(session, times)
+    count = int(moves.sum())
+    if not count:
+        return None
+    if MAX_MOVED_PLACES // count < min(MIN_TIMES, len(times)):
+        most = MAX_MOVED_PLACES // min(MIN_TIMES, len(times))
+        raise InputError(
+            f"{count:,} of the {len(moves):,} Gaussians shown move, and a page has room for {most:,} at {MIN_TIMES} "
+            f"times: show fewer, e.g. max_gaussians={most // 1000 * 1000 or most}"
+        )
+    times = _evenly(times, MAX_MOVED_PLACES // count)
+    order = np.argsort(~moves, kind="stable")
+    return _collected(session, times, order, count, len(known))
+
+
+def _collected(session: Session, times: Times, order: Ids, count: int, num_known: int) -> PageTimes:
+    centers = np.empty((len(times), count, 3), np.float32)
+    covariances = np.empty((len(times), count, 6), np.float16)
+    opacities = np.empty((len(times), count), np.uint8)
+    for number, drawn in enumerate(_drawn(session, times)):
+        rows = order[:count]
+        centers[number], covariances[number] = drawn.centers[rows], drawn.covariances[rows]
+        opacities[number] = np.round(drawn.opacities[rows] * 255)
+    seen = centers[opacities > 0]
+    low, high = seen.min(0).astype(np.float64), seen.max(0).astype(np.float64)
+    step = np.maximum((high - low) / STEPS_PER_AXIS, 1e-12)
+    places = np.clip(np.round((centers - low) / step), 0, STEPS_PER_AXIS).astype(np.uint16)
+    return PageTimes(times, order, places, low, step, covariances, opacities, playing_seconds(num_known), num_known)
+
+
+def playing_seconds(num_times: int) -> float:
+    """Return how long a scene that moves is played."""
+    return float(np.clip(num_times / TIMES_PER_SECOND, MIN_PLAYING_S, MAX_PLAYING_S))
+
+
+def _moving(session: Session, times: Times) -> Bool[np.ndarray, " m"]:
+    """Return which of the shown rows are not at all times where they are at the first."""
+    first = session.drawn
+    spread = first.covariances[:, [0, 3, 5]].sum(1)
+    moves = np.zeros(len(first), bool)
+    for drawn in _drawn(session, times):
+        away = np.abs(drawn.centers - first.centers).max(1) > MAX_STILL_DISTANCE
+        away |= np.abs(drawn.covariances - first.covariances).max(1) > MAX_STILL_SPREAD_SHARE * spread
+        moves |= away & (drawn.opacities >= MIN_SEEN_OPACITY) | (
+            np.abs(drawn.opacities - first.opacities) >= MIN_SEEN_OPACITY
+        )
+    return moves
+
+
+def _drawn(session: Session, times: Times) -> Iterator[Shown]:
+    """Yield what is shown at each time, one after the other, and at last set the first time again."""
+    for time in times.tolist():
+        session.time = time
+        yield session.drawn
+    session.time = float(times[0])
+
+
+def _evenly(times: Times, most: int) -> Float64[np.ndarray, " s"]:
+    return np.asarray(times[np.linspace(0, len(times) - 1, min(len(times), most)).round().astype(int)])
+
+
+def boxes_of(session: Session, times: PageTimes | None, matches: Sequence[Match]) -> list[list[list[float] | None]]:
+    """Return the box of each match at each time: middle, axes and lengths, 15 numbers in the browser's frame.
+
+    A box is None where the match is not there. Matches and scenes that stand still have no boxes, [].
+    """
+    if times is None or not matches:
+        return [[] for _ in matches]
+    scene, frame, now = session.scene, session.shown.frame, session.time
+    moving = Moving(scene.moving.canonical, times.times, _Standing(session))
+    found = tracks(moving, scene.field, matches, scene.up)
+    session.time = now
+    boxes = []
+    for track in found:
+        at = {
+            time: np.round(np.concatenate([frame.shown(center), axes.ravel(), extent * frame.scale]), 4).tolist()
+            for time, center, axes, extent in zip(
+                track.times.tolist(), track.centers, track.axes, track.extents, strict=True
+            )
+        }
+        every = [at.get(time) for time in times.times.tolist()]
+        boxes.append([] if all(box == every[0] for box in every) else every)
+    return boxes
+
+
+@dataclass(frozen=True, eq=False)
+class _Standing:
+    """The scene's own rows as edits leave them, at any time."""
+
+    session: Session
+
+    def at(self, time: float) -> Gaussians:
+        self.session.time = time
+        return self.session.edits.standing
+
+
+def arrays_of(times: PageTimes) -> dict[str, np.ndarray]:
+    """Return the arrays that a page unpacks: each time but the first as its difference, as much stays the same."""
+    turns = times.covariances.view(np.uint16)
+    return {"places": _steps(times.places), "turns": _steps(turns), "fades": _steps(times.opacities)}
+
+
+def _steps(numbers: np.ndarray) -> np.ndarray:
+    """Return differences along time, which begin again where they end."""
+    steps = numbers.copy()
+    steps[1:] -= numbers[:-1]
+    return steps.ravel()
+
+
+def header_of(times: PageTimes) -> dict[str, Any]:
+    return {
+        "at": times.times.tolist(),
+        "count": times.places.shape[1],
+        "low": times.low.tolist(),
+        "step": times.step.tolist(),
+        "seconds": times.seconds,
+    }
+
 
 MAX_GAUSSIANS = 200_000
 """Gaussians in a page: some 5 MB of text, and what an old laptop can draw."""

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...base.arrays import Float32, Int32, Int64
+from ...base.arrays import Float32, Ids, Int64, Numbers
 from ...base.terminal import counted
 from ...drawing.heat import heat_of
 from ...kernels.boxes import box_of
@@ -13,7 +13,6 @@ from ...query import Answer, Match, Scene
 from ...query.defaults import MAYBE, OBJECT
 from ...query.suggesting import missed_text, words_instead
 from ...scene.boxes import solid
-from .shown import Ids
 
 QUERY_SEPARATOR = ";"
 
@@ -108,17 +107,17 @@ def heat(results: Sequence[Result], count: int) -> Float32[np.ndarray, " n"]:
     return warmest
 
 
-def owners(results: Sequence[Result], count: int) -> Int32[np.ndarray, " n"]:
+def owners(results: Sequence[Result], count: int) -> Numbers:
     """Return per Gaussian the number of the query that it matches, of several the first; -1 for none."""
     return _numbered([result.gaussian_ids for result in results], count)
 
 
-def match_ids(results: Sequence[Result], count: int) -> Int32[np.ndarray, " n"]:
+def match_ids(results: Sequence[Result], count: int) -> Numbers:
     """Return per Gaussian the number of its match, counted through all queries; -1 for none."""
     return _numbered([match.gaussian_ids for result in results for match in result.matches], count)
 
 
-def _numbered(parts: Sequence[Int64[np.ndarray, " _"]], count: int) -> Int32[np.ndarray, " n"]:
+def _numbered(parts: Sequence[Int64[np.ndarray, " _"]], count: int) -> Numbers:
     numbers = np.full(count, -1, np.int32)
     for number in range(len(parts) - 1, -1, -1):
         numbers[parts[number]] = number

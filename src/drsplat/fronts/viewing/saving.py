@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ...authoring.filming.looking import Vector, looking_at, swing
-from ...base.arrays import UInt8
+from ...authoring.filming.looking import looking_at, swing
+from ...base.arrays import Pixels, Vector
 from ...drawing.pictures import as_pixels
 from ...errors import InputError
 from ...formats.gaussian_ply import write_gaussians
@@ -44,7 +44,7 @@ def save_scene(path: str | PathLike[str], session: Session, *, selected_only: bo
     return len(gaussians)
 
 
-def picture_of(session: Session, view: View) -> UInt8[np.ndarray, "h w 3"]:
+def picture_of(session: Session, view: View) -> Pixels:
     """Render what the viewer shows from a camera in the world."""
     if isinstance(session, TiledSession):
         seen, colors = session.seen_with_colors(view)
@@ -62,7 +62,7 @@ def flight_gif(session: Session, eye: Vector, target: Vector, up: Vector, frames
     return gif_of(pictures)
 
 
-def gif_of(pictures: Sequence[UInt8[np.ndarray, "h w 3"]]) -> bytes:
+def gif_of(pictures: Sequence[Pixels]) -> bytes:
     """Write frames with one palette, so that colours do not flicker."""
     palette = Image.fromarray(pictures[0]).quantize(GIF_COLORS)
     frames = [Image.fromarray(one).quantize(palette=palette) for one in pictures]

@@ -14,8 +14,8 @@ from ...authoring.editing.draft import OBJECT_ID
 from ...authoring.editing.edits import Change
 from ...authoring.editing.resolving import complete_rows
 from ...authoring.editing.targets import MAX_NAME_CHARACTERS
-from ...authoring.filming.looking import Vector, radius_of
-from ...base.arrays import Bool, Float32, Float64, Int32, UInt8
+from ...authoring.filming.looking import radius_of
+from ...base.arrays import Flags, Float32, Float64, Ids, Numbers, OtherPixels, Rows3, Vector
 from ...base.terminal import counted
 from ...drawing.heat import class_colors, heat_colors
 from ...errors import InputError
@@ -28,10 +28,9 @@ from ...scene.moving import Span
 from ...scene.views import View
 from . import painting, results
 from .edits import Edits
-from .naming import This, known_words, this_is
-from .picking import Hit, Ray, hit_by_ray, inside_outline, ray_along
+from .naming import Hit, Ray, This, hit_by_ray, inside_outline, known_words, ray_along, this_is
 from .results import Result
-from .shown import Ids, Shown, shown_of
+from .shown import Shown, shown_of
 
 MAX_QUERIES = 8  # at once: as many as there are colours
 BYTES_PER_VALUE = 16  # two numbers, and the row where it is selected
@@ -73,7 +72,7 @@ class Session:
     asked: tuple[str, ...] = ()
     present: bool = False
     _edits: Edits = field(init=False)
-    _features: list[painting.Colors] = field(default_factory=list, init=False)  # made once for all who look
+    _features: list[Rows3] = field(default_factory=list, init=False)  # made once for all who look
 
     def __repr__(self) -> str:
         return f"Session({self.scene.name!r}, {self.mode}, {counted(len(self.results), 'result')})"
@@ -172,7 +171,7 @@ class Session:
         self.asked, self.present, self.clicked = tuple(texts), bool(cut.get("present")), None
         return summary
 
-    def ask_picture(self, picture: UInt8[np.ndarray, "_ _ 3"], name: str) -> str:
+    def ask_picture(self, picture: OtherPixels, name: str) -> str:
         """Ask by what a picture shows. Raises: InputError: an encoder that sees no images."""
         answer = self.scene.ask(Query(image=picture, during=self.during))
         self.clicked = None
@@ -316,7 +315,7 @@ class Session:
     # --- changing what is there ---
 
     @property
-    def hidden(self) -> Bool[np.ndarray, " n"]:
+    def hidden(self) -> Flags:
         """True for each Gaussian that edits have removed."""
         return ~self.edits.present
 
@@ -395,7 +394,7 @@ class Session:
         return self._features[0]
 
     @property
-    def object_ids(self) -> Int32[np.ndarray, " n"]:
+    def object_ids(self) -> Numbers:
         """Per Gaussian of the scene its object's number, -1 for none; only of a field that has objects."""
         return np.asarray(self._edits.gaussians.extra[OBJECT_ID])
 

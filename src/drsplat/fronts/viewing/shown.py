@@ -1,16 +1,18 @@
-"""Which Gaussians a browser is given, in which frame, and from where they are first seen."""
+"""Which Gaussians a browser is given, in which frame, from where they are first seen, and boxes in that frame."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from ...authoring.filming.looking import Vector
-from ...base.arrays import Float32, Float64, Int64
+from ...base.arrays import Float32, Float64, Ids, Matrix3, Rows3, Shaped, Vector
 from ...errors import InputError
+from ...query import Match, documents
 from ...scene.gaussians import SH_C0, Gaussians
 from ...scene.significance import most_significant
 from ...scene.views import View
+from .client import printable
 
 RADIUS = (
     10.0  # of what is shown, in the browser's units: a Gaussian of a thousandth is 1e-4 squared, which float16 holds
@@ -18,8 +20,6 @@ RADIUS = (
 WITHIN_RADIUS_SHARE = 0.9  # of the solid Gaussians
 MIDDLE_QUANTILES = (0.02, 0.98)  # along each axis, whose mean is the middle: few floaters move it little
 MAX_VARIANCE = 6e4  # float16 ends at 65504
-Ids = Int64[np.ndarray, " m"]
-"""Rows of a scene."""
 OUTSIDE_RADII = 2.7  # a ball of one radius fits into 55 degrees from 2.2 on
 
 
@@ -84,7 +84,7 @@ def shown_of(gaussians: Gaussians, budget: int, frame: Frame | None = None) -> S
     )  # fmt: skip
 
 
-def _shown_centers(gaussians: Gaussians, frame: Frame) -> Float32[np.ndarray, "n 3"]:
+def _shown_centers(gaussians: Gaussians, frame: Frame) -> Rows3:
     """Return the centres in a frame; what lies beyond float32 is put at its ends, where nobody looks."""
     farthest = float(np.finfo(np.float32).max)
     return np.asarray(np.clip(frame.shown(gaussians.positions), -farthest, farthest), np.float32)
@@ -113,7 +113,7 @@ def _shown_covariances(part: Gaussians, frame: Frame) -> Float32[np.ndarray, "m 
     return covariances
 
 
-def base_colors(gaussians: Gaussians) -> Float32[np.ndarray, "n 3"]:
+def base_colors(gaussians: Gaussians) -> Rows3:
     """Return colours without what depends on the direction of view, in [0, 1]."""
     return np.clip(0.5 + SH_C0 * gaussians.sh[:, 0], 0, 1).astype(np.float32)
 
@@ -137,3 +137,42 @@ def first_look(views: Sequence[View], frame: Frame, up: Vector) -> tuple[Vector,
     ahead = view.cam_from_world[2, :3]
     reach = max(float(ahead @ (frame.center - view.center)), 1 / frame.scale)
     return view.center, view.center + reach * ahead
+
+
+MAX_NAME_CHARACTERS = 60
+DECIMALS = 5  # a browser's unit is a twentieth of the scene
+
+
+def box_document(
+    frame: Frame, center: Vector, axes: Matrix3,
+    extent: Vector,
+) -> dict[str, Any]:  # fmt: skip
+    """Return an oriented box of the world in the browser's frame."""
+    return documents.box_document(frame.shown(center), axes, extent * frame.scale, DECIMALS)
+
+
+def match_document(frame: Frame, match: Match, eye: Vector, name: str = "") -> dict[str, Any]:
+    """Return a match with its box, a place to see it from, and its numbers in scene units. eye: in the world."""
+    shown = replace(match, center=frame.shown(match.center), extent=match.extent * frame.scale)
+    document = documents.match_document(shown, DECIMALS)
+    del document["support"]  # many masks, which the client does not list
+    return document | {
+        "eye": rounded(frame.shown(eye)),
+        "size": size_text(match.extent),
+        "place": place_text(match.center),
+        "name": printable(name, MAX_NAME_CHARACTERS),
+    }
+
+
+def rounded(values: Shaped[np.ndarray, "*any"]) -> list[Any]:
+    return documents.rounded(values, DECIMALS)
+
+
+def size_text(extent: Vector) -> str:
+    """Return the lengths of a box in scene units, such as "0.12 x 0.08 x 0.09"."""
+    return " x ".join(f"{x:.3g}" for x in extent)
+
+
+def place_text(point: Vector) -> str:
+    """Return a place in the world, such as "0.30, 0.14, 0.82"."""
+    return ", ".join(f"{round(float(x), 2) + 0.0:.2f}" for x in point)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...authoring.editing import EditList
 from ...authoring.editing.edits import Change
-from ...base.arrays import Bool, Float32, Float64, Int32, Int64
+from ...base.arrays import Flags, Float32, Float64, Ids, Int32, Int64
 from ...drawing.heat import class_colors, heat_colors, heat_of
 from ...errors import InputError
 from ...formats.tiles import Tile, Tiles
@@ -21,9 +21,9 @@ from ...scene.significance import most_significant
 from ...scene.views import View
 from . import painting
 from .edits import Notes
-from .picking import REACH_DEVIATIONS, Hit, Met, Ray, blended, inside_outline, met_by_ray
+from .naming import REACH_DEVIATIONS, Hit, Met, Ray, blended, inside_outline, met_by_ray
 from .session import Mode, Session
-from .shown import RADIUS, Frame, Ids, Shown, base_colors
+from .shown import RADIUS, Frame, Shown, base_colors
 
 COARSE_SHARE = 0.25  # of the Gaussians that a browser gets: of all tiles, the most significant of each
 RADIUS_HALF_DIAGONALS = 1.5  # of a middling tile in a browser's RADIUS: a city has the scale of a room there
@@ -193,7 +193,7 @@ class TiledSession(Session):
     # --- pointing ---
 
     @property
-    def hidden(self) -> Bool[np.ndarray, " n"]:
+    def hidden(self) -> Flags:
         """False for each Gaussian: nothing is removed."""
         return np.broadcast_to(np.False_, len(self.scene.rows))
 

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 from PIL import Image
 
+from ...base.arrays import OtherPixels
 from ...drawing.cards import Card, card_sheet
-from ...drawing.pictures import OtherPixels
 from ...errors import InputError
 from .entries import Entry
 from .rows import SIZE

@@ -10,19 +10,17 @@ import numpy as np
 from pydantic import Field, TypeAdapter
 
 from ....authoring.editing import Duplicate, Fill, Isolate, Move, Opacity, Palette, Recolour, Remove, Turn
-from ....authoring.editing.colouring import MAX_COLORS, color_of
+from ....authoring.editing.draft import MAX_COLORS, color_of
 from ....authoring.editing.edits import Change
-from ....authoring.editing.making import scaled_on_its_foot
+from ....authoring.editing.replacement import scaled_on_its_foot
 from ....errors import InputError
 from ....kernels.boxes import box_of
 from ....query.schema import Place
 from ....scene.annotations import Annotation
 from ...serving.query_fields import asking, values_of
 from ..session import Mode, Session
-from .cameras import Body, Camera, Finite, Number, Point, Span, Text, view_of
-from .opening import open_batch, open_entry
-from .shared import Shared
-from .stage import Stage
+from .shared import Shared, open_batch, open_entry
+from .stage import Body, Camera, Finite, Number, Point, Span, Stage, Text, view_of
 
 T = TypeVar("T")
 LASSO_SIDE_PIXELS = 640

@@ -5,12 +5,14 @@ import json
 import secrets
 from collections.abc import AsyncIterator, Callable, Coroutine
 from contextlib import asynccontextmanager
+from functools import partial
 from threading import Event
 from typing import Any, TypeVar
 from urllib.parse import quote
 
 from pydantic import BaseModel, ValidationError
 from starlette.applications import Starlette
+from starlette.datastructures import QueryParams
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, Response, StreamingResponse
@@ -20,17 +22,14 @@ from ....errors import DrSplatError, InputError
 from ....query.documents import Document
 from ...serving.pictures import decoded
 from ...serving.replies import BUG, JPEG, PNG, Reply, faults_of, problem, refusal
-from ..client import client_file, live_html
+from ..client import client_file, live_html, printable
 from ..saving import Saves
-from ..texts import printable
 from . import files
 from .acts import AnyAct, Open, SlowAct, begun, done, read_act
 from .arrays import ARRAYS_HEADER, ROWS_HEADER, Packed, tile_paint, tile_splats
-from .cameras import MAX_SIDE_PIXELS, Body, Camera, Path, Text, flight_document
 from .shared import Shared
-from .stage import Stage
-from .turns import Lanes
-from .visits import Visit
+from .stage import MAX_SIDE_PIXELS, Body, Camera, Path, Stage, Text, flight_document
+from .turns import Lanes, Visit
 
 MAX_STREAMS = 16
 BEAT_S = 15.0
@@ -95,6 +94,44 @@ class CatalogueText(Body):
     text: Text
 
 
+_json, _png, _jpeg = JSONResponse, partial(Response, media_type=PNG), partial(Response, media_type=JPEG)
+
+
+def _binary(packed: Packed) -> Response:
+    headers = {ARRAYS_HEADER: packed.layout, ROWS_HEADER: str(packed.rows)}
+    return Response(packed.data, headers=headers, media_type="application/octet-stream")
+
+
+def _photo(shared: Shared, asked: QueryParams) -> bytes:
+    side = _number(asked, "side", "960")
+    if not 16 <= side <= MAX_SIDE_PIXELS:
+        raise InputError(f"side: expected 16 to {MAX_SIDE_PIXELS} pixels, got {side}")
+    return files.photo(shared.stage, asked.get("name", ""), side)
+
+
+LOOKS: dict[str, tuple[Callable[[Shared, QueryParams], Any], Callable[[Any], Response]]] = {
+    "header": (lambda shared, _: shared.header(), _json),
+    "state": (lambda shared, _: shared.state(), _json),
+    "splats": (lambda shared, asked: shared.splats(_number(asked, "from", "0")), _binary),
+    "paint": (lambda shared, asked: shared.paint(_number(asked, "from", "0")), _binary),
+    "colors": (lambda shared, asked: shared.colors(asked.get("mode", ""), _number(asked, "from", "0")), _binary),
+    "tiles": (lambda shared, asked: tile_splats(shared.stage, _numbers(asked, "parts")), _binary),
+    "tiles-paint": (lambda shared, asked: tile_paint(shared.stage, _numbers(asked, "parts")), _binary),
+    "photo": (_photo, _jpeg),
+    "clicked-photo": (lambda shared, _: files.clicked_photo(shared.stage), _jpeg),
+    "catalogue-picture": (lambda shared, asked: shared.entry_picture(_number(asked, "number")), _jpeg),
+}
+"""What is looked at in the turn of a browser, and how it is sent."""
+
+QUESTIONS: dict[str, tuple[type[BaseModel], Callable[[Shared, Any], Any], Callable[[Any], Response]]] = {
+    "picture": (CameraOnly, lambda shared, asked: files.shown_picture(shared.stage, asked.camera), _png),
+    "before-after": (CameraOnly, lambda shared, asked: files.before_after(shared.stage, asked.camera), _png),
+    "flight": (Path, lambda shared, asked: flight_document(shared.stage, asked), _json),
+    "catalogue": (CatalogueText, lambda shared, asked: shared.search(asked.text), _json),
+}
+"""The same of what is asked in a JSON body."""
+
+
 class Viewer:
     """The handlers of one service.
 
@@ -113,24 +150,20 @@ class Viewer:
         self.lanes.files.submit(lambda: self.pictures.draw(self.shared.stage))
 
     def routes(self) -> list[Route]:
-        looks: dict[str, Handler] = {
-            "/": self.page, "/client.js": self.script, "/client.css": self.style, "/favicon.ico": self.icon,
-            "/view/header": self.header, "/view/state": self.state,
-            "/view/splats": self.splats, "/view/paint": self.paint, "/view/colors": self.colors,
-            "/view/tiles": self.tiles, "/view/tiles-paint": self.tiles_paint,
-            "/view/events": self.listen, "/view/photo": self.photo, "/view/object-picture": self.object_picture,
-            "/view/clicked-photo": self.clicked_photo, "/view/catalogue-picture": self.catalogue_picture,
+        own: dict[str, Handler] = {
+            "/": self.page, "/client.js": _client_file, "/client.css": _client_file, "/favicon.ico": _no_icon,
+            "/view/events": self.listen, "/view/object-picture": self.object_picture,
             "/view/film-progress": self.film_progress,
         }  # fmt: skip
         acts: dict[str, Handler] = {
-            "/view/do": self.do, "/view/ask-picture": self.ask_picture, "/view/open": self.open,
-            "/view/upload": self.upload, "/view/picture": self.picture, "/view/before-after": self.before_after,
-            "/view/save": self.save, "/view/film": self.film, "/view/path": self.path, "/view/flight": self.flight,
-            "/view/load-path": self.load_path, "/view/page": self.export, "/view/catalogue": self.catalogue,
+            "do": self.do, "ask-picture": self.ask_picture, "open": self.open, "upload": self.upload,
+            "save": self.save, "film": self.film, "path": self.path, "load-path": self.load_path, "page": self.export,
         }  # fmt: skip
+        looks = {f"/view/{name}": self._looking(*way) for name, way in LOOKS.items()} | own
+        acts |= {name: self._asking(*way) for name, way in QUESTIONS.items()}
         return [
             *(Route(path, handler, methods=["GET"]) for path, handler in looks.items()),
-            *(Route(path, handler, methods=["POST"]) for path, handler in acts.items()),
+            *(Route(f"/view/{name}", handler, methods=["POST"]) for name, handler in acts.items()),
         ]
 
     # --- who asks ---
@@ -153,65 +186,34 @@ class Viewer:
 
     # --- looking ---
 
+    def _looking(self, look: Callable[[Shared, QueryParams], T], sent: Callable[[T], Response]) -> Handler:
+        async def handler(request: Request) -> Response:
+            return sent(await self._turn(request, lambda: look(self.shared, request.query_params)))
+
+        return handler
+
+    def _asking(self, kind: type[B], answer: Callable[[Shared, B], T], sent: Callable[[T], Response]) -> Handler:
+        async def handler(request: Request) -> Response:
+            asked = await _body(request, kind)
+            return sent(await self._turn(request, lambda: answer(self.shared, asked)))
+
+        return handler
+
     async def page(self, request: Request) -> Response:
         name, page = _cookie(request), HTMLResponse(live_html())
         key = self.shared.visits.arrive(request.cookies.get(name, ""))
         page.set_cookie(name, key, httponly=True, samesite="strict")
         return page
 
-    async def script(self, _: Request) -> Response:
-        return Response(client_file("client.js"), media_type="text/javascript")
-
-    async def style(self, _: Request) -> Response:
-        return Response(client_file("client.css"), media_type="text/css")
-
-    async def icon(self, _: Request) -> Response:
-        return Response(status_code=204)  # which browsers ask for unasked
-
-    async def header(self, request: Request) -> Response:
-        return JSONResponse(await self._turn(request, self.shared.header))
-
-    async def state(self, request: Request) -> Response:
-        return JSONResponse(await self._turn(request, self.shared.state))
-
-    async def splats(self, request: Request) -> Response:
-        begin = _number(request, "from", "0")
-        return _binary(await self._turn(request, lambda: self.shared.splats(begin)))
-
-    async def tiles(self, request: Request) -> Response:
-        parts = _numbers(request, "parts")
-        return _binary(await self._turn(request, lambda: tile_splats(self.shared.stage, parts)))
-
-    async def tiles_paint(self, request: Request) -> Response:
-        parts = _numbers(request, "parts")
-        return _binary(await self._turn(request, lambda: tile_paint(self.shared.stage, parts)))
-
-    async def paint(self, request: Request) -> Response:
-        begin = _number(request, "from", "0")
-        return _binary(await self._turn(request, lambda: self.shared.paint(begin)))
-
-    async def colors(self, request: Request) -> Response:
-        mode, begin = request.query_params.get("mode", ""), _number(request, "from", "0")
-        return _binary(await self._turn(request, lambda: self.shared.colors(mode, begin)))
-
     async def listen(self, request: Request) -> Response:
         return StreamingResponse(self.events.open(self._visit(request)), media_type="text/event-stream")
 
-    async def photo(self, request: Request) -> Response:
-        name, side = request.query_params.get("name", ""), _number(request, "side", "960")
-        if not 16 <= side <= MAX_SIDE_PIXELS:
-            raise InputError(f"side: expected 16 to {MAX_SIDE_PIXELS} pixels, got {side}")
-        return Response(await self._turn(request, lambda: files.photo(self.shared.stage, name, side)), media_type=JPEG)
-
     async def object_picture(self, request: Request) -> Response:
-        number, stage = _number(request, "number"), self.shared.stage
+        number, stage = _number(request.query_params, "number"), self.shared.stage
         drawn = self.pictures.known(stage, number)
         if drawn is None:
             drawn = await self.lanes.files.take(lambda: self.pictures.picture(stage, number))
-        return Response(drawn, media_type=JPEG)
-
-    async def clicked_photo(self, request: Request) -> Response:
-        return Response(await self._turn(request, lambda: files.clicked_photo(self.shared.stage)), media_type=JPEG)
+        return _jpeg(drawn)
 
     # --- acting ---
 
@@ -258,16 +260,6 @@ class Viewer:
 
     # --- files ---
 
-    async def picture(self, request: Request) -> Response:
-        asked = await _body(request, CameraOnly)
-        drawn = await self._turn(request, lambda: files.shown_picture(self.shared.stage, asked.camera))
-        return Response(drawn, media_type=PNG)
-
-    async def before_after(self, request: Request) -> Response:
-        asked = await _body(request, CameraOnly)
-        drawn = await self._turn(request, lambda: files.before_after(self.shared.stage, asked.camera))
-        return Response(drawn, media_type=PNG)
-
     async def save(self, request: Request) -> Response:
         asked = await _body(request, files.Save)
         return await self._file(request, lambda saves, stage: files.saved(saves, stage, asked))
@@ -290,10 +282,6 @@ class Viewer:
         asked = await _body(request, Path)
         return await self._file(request, lambda saves, stage: files.path_file(saves, stage, asked))
 
-    async def flight(self, request: Request) -> Response:
-        asked = await _body(request, Path)
-        return JSONResponse(await self._turn(request, lambda: flight_document(self.shared.stage, asked)))
-
     async def load_path(self, request: Request) -> Response:
         body = await request.body()
         return JSONResponse(await self._turn(request, lambda: files.loaded_path(self.shared.stage, body)))
@@ -314,17 +302,6 @@ class Viewer:
         if self.shared.saves.folder is not None:
             headers["x-drsplat-saved"] = quote(str(saved.path), errors="replace")
         return Response(saved.data, headers=headers, media_type="application/octet-stream")
-
-    # --- the catalogue ---
-
-    async def catalogue(self, request: Request) -> Response:
-        asked = await _body(request, CatalogueText)
-        return JSONResponse(await self._turn(request, lambda: self.shared.search(asked.text)))
-
-    async def catalogue_picture(self, request: Request) -> Response:
-        number = _number(request, "number")
-        drawn = await self._turn(request, lambda: self.shared.entry_picture(number))
-        return Response(drawn, media_type=JPEG)
 
 
 def create_app(shared: Shared, lanes: Lanes) -> Starlette:
@@ -379,12 +356,13 @@ def _sent(reply: Reply) -> Response:
     return Response(reply.body, reply.status, headers, reply.media_type)
 
 
-def _binary(packed: Packed) -> Response:
-    return Response(
-        packed.data,
-        headers={ARRAYS_HEADER: packed.layout, ROWS_HEADER: str(packed.rows)},
-        media_type="application/octet-stream",
-    )
+async def _client_file(request: Request) -> Response:
+    name = request.url.path[1:]
+    return Response(client_file(name), media_type="text/javascript" if name.endswith("js") else "text/css")
+
+
+async def _no_icon(_: Request) -> Response:
+    return Response(status_code=204)  # which browsers ask for unasked
 
 
 async def _body(request: Request, kind: type[B]) -> B:
@@ -392,17 +370,17 @@ async def _body(request: Request, kind: type[B]) -> B:
     return kind.model_validate_json(await request.body())
 
 
-def _number(request: Request, name: str, default: str = "") -> int:
+def _number(asked: QueryParams, name: str, default: str = "") -> int:
     """Return a whole number of the query. Raises: InputError: there is none."""
-    text = request.query_params.get(name, default)
+    text = asked.get(name, default)
     if not (text.isascii() and text.isdigit() and len(text) < 10):
         raise InputError(f"{name}: expected a whole number, got {text!a:.40}")
     return int(text)
 
 
-def _numbers(request: Request, name: str) -> list[int]:
+def _numbers(asked: QueryParams, name: str) -> list[int]:
     """Return whole numbers of the query, separated by commas. Raises: InputError: there are none."""
-    texts = request.query_params.get(name, "").split(",")
+    texts = asked.get(name, "").split(",")
     if not all(text.isascii() and text.isdigit() and len(text) < 10 for text in texts):
         raise InputError(f"{name}: expected whole numbers such as 0,2,4; got {','.join(texts)!a:.40}")
     return [int(text) for text in texts]

@@ -13,9 +13,8 @@ from ....base.arrays import Shaped
 from ....errors import InputError
 from .. import results
 from ..page import as_bytes, packed
-from ..places import rounded
 from ..session import Mode
-from ..shown import shown_part
+from ..shown import rounded, shown_part
 from ..tiled import TiledSession
 from .stage import Stage
 

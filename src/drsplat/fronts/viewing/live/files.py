@@ -13,11 +13,10 @@ from pydantic import StringConstraints
 from ....authoring.editing.draft import OBJECT_ID
 from ....authoring.exporting.placing import After, Placing, groups_of, match_thing, only_used, rows_of, things_of
 from ....authoring.filming.looking import up_direction
-from ....authoring.filming.path_files import path_of, write_path
-from ....authoring.filming.paths import frame_count
+from ....authoring.filming.paths import frame_count, path_of, write_path
 from ....authoring.filming.writing import write_film
-from ....base.arrays import Bool, UInt8
-from ....drawing.pictures import OtherPixels, as_pixels
+from ....base.arrays import Bool, OtherPixels, Pixels
+from ....drawing.pictures import as_pixels
 from ....drawing.rendering import render
 from ....errors import InputError
 from ....formats.json_files import document_in
@@ -26,14 +25,12 @@ from ....query.sheets import OBJECTS_AT_ONCE
 from ....scene.labelled import LabelledScene
 from ...serving.pictures import jpeg, png
 from .. import results
-from ..exporting import export_session
+from ..exporting import export_session, pictures_of
 from ..naming import photo_of
-from ..object_list import pictures_of
 from ..saving import Saves, flight_gif, picture_of, save_scene, write_bytes
 from ..session import Session
 from ..tiled import UNEDITED
-from .cameras import FILM_SIZE_PIXELS, FPS, Body, Camera, Path, path_document, path_through, view_of
-from .stage import Stage
+from .stage import FILM_SIZE_PIXELS, FPS, Body, Camera, Path, Stage, path_document, path_through, view_of
 from .state import film_formats
 
 SPLIT_SIDE_PIXELS = 960  # longer side of before, and of after
@@ -161,7 +158,7 @@ def film(saves: Saves, stage: Stage, asked: Film, is_gone: Event, progress: "Pro
     path, count = path_through(stage, asked), frame_count(asked.seconds, FPS)
     views = path.views(count, FILM_SIZE_PIXELS)
 
-    def pictures() -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+    def pictures() -> Iterator[Pixels]:
         for number, view in enumerate(views):
             if is_gone.is_set():
                 raise InputError("the film was not waited for")

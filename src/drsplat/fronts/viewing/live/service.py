@@ -14,17 +14,26 @@ from urllib.parse import parse_qs
 
 import uvicorn
 
+from ....base.arrays import Vector
 from ....errors import DrSplatError, InputError
-from ...serving.access import ALL_INTERFACES, is_addressed, is_loopback, is_own_page, is_secret, names_of
 from ...serving.connections import TIMEOUTS_S, Stage, bounded, run_server
 from ...serving.guards import Answer, App, Body, DoorKeeper, Message, Receive, Send, refused_length
 from ...serving.limits import Limits
-from ...serving.listening import TakenError, address_of, bound_socket
+from ...serving.listening import (
+    ALL_INTERFACES,
+    TakenError,
+    address_of,
+    bound_socket,
+    is_addressed,
+    is_loopback,
+    is_own_page,
+    is_secret,
+    names_of,
+)
 from ...serving.replies import BusyError
 from ..session import Session
 from .app import create_app
 from .shared import Shared
-from .stage import Vector
 from .turns import Lanes
 
 MAX_PORTS_TRIED = 20

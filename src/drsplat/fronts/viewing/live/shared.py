@@ -1,28 +1,31 @@
-"""State shared by all browsers of a viewer: the open scene and its edits, and counters of their changes."""
+"""State shared by all browsers of a viewer: the scene, its edits, counters of changes; other scenes in its place."""
 
 import re
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
+from ....base.arrays import Vector
 from ....base.terminal import counted
-from ....errors import InputError
+from ....errors import DrSplatError, InputError
 from ....query import Scene
 from ....query.catalogue import Catalogue, Entry
 from ....query.documents import Document
+from ....scene.views import View
 from ...serving.scene_folder import without_paths
+from ..client import printable
 from ..saving import Saves
 from ..session import Session
-from ..texts import printable
+from ..tiled import session_of
 from . import arrays
 from .arrays import Packed, Rows
-from .stage import Stage, Vector
+from .stage import Stage
 from .state import MAX_SENTENCE_CHARACTERS, film_formats, header_of, state_of
-from .uploads import Uploads
-from .visits import Visit, Visits
+from .turns import Visit, Visits
+from .uploads import Batch, Uploads, root_of
 
 MAX_ENTRIES, MAX_PAINTED = 12, 4  # of an answer of the catalogue; arrays of visits that are kept
 NOTHING_OPEN = "no scene is open: search the catalogue and open one, or open a file"
@@ -270,3 +273,92 @@ class Shared:
         if len(self._rows) > MAX_PAINTED:
             self._rows.popitem(last=False)
         return arrays.piece(known[1], begin)
+
+
+def open_batch(shared: Shared, name: str) -> Callable[[], Callable[[], str]]:
+    """Return what opens the scene of a batch of files, which returns what shows it.
+
+    On failure what was open stays, and the files go. Edits are kept in memory: a stranger's list of edits could name
+    files of this machine.
+
+    Raises: InputError: no such batch. FormatError, MismatchError: as the readers of scenes.
+    """
+    batch = shared.uploads.batch(name)
+
+    def work() -> Callable[[], str]:
+        try:
+            session = _session_of_batch(shared, batch)
+        except BaseException as error:
+            shared.uploads.drop(name)
+            if isinstance(error, DrSplatError):
+                error.args = (without_paths(str(error), [batch.folder]),)
+            raise
+        return lambda: _show_batch(shared, name, session)
+
+    return work
+
+
+def _session_of_batch(shared: Shared, batch: Batch) -> Session:
+    scene = shared.open_path(root_of(batch.folder))
+    scene.views = tuple(confined(view, batch.folder) for view in scene.views)  # type: ignore[misc]
+    session = session_of(scene, shared.budget, edits_kept=False)
+    _ = session.shown
+    return session
+
+
+def _show_batch(shared: Shared, name: str, session: Session) -> str:
+    """Show a scene that was sent, and return what is said of it."""
+    scene = session.scene
+    try:
+        shared.show(session)
+    except BaseException:
+        shared.uploads.drop(name)
+        raise
+    shared.uploads.keep_opened(name)
+    if shared.shelf is not None:
+        shared.shelf.opened = ("", "")
+    return f"opened {printable(scene.name, 60)}: {counted(len(scene.rows), 'Gaussian')}"
+
+
+def confined(view: View, folder: Path) -> View:
+    """Return a view without the photo and the mask that lie outside of a folder: who sent it may have named any."""
+    inside = [
+        path is None or path.resolve().is_relative_to(folder.resolve()) for path in (view.image_path, view.mask_path)
+    ]
+    return view if all(inside) else replace(view, image_path=None, mask_path=None)
+
+
+def open_entry(shared: Shared, number: int) -> Callable[[], Callable[[], str]]:
+    """Return what opens the scene of an entry of the catalogue's last answer, which returns what shows its object.
+
+    Raises: InputError: no such entry, or its scene is no longer there.
+    """
+    shelf, entry = shared.needed_shelf, shared.entry(number)
+
+    def work() -> Callable[[], str]:
+        is_open = shelf.opened == (entry.scene, entry.field)
+        session = None if is_open else _session(shared, shelf.catalogue.scene(entry.scene))
+        return lambda: _show_entry(shared, entry, session)
+
+    return work
+
+
+def _show_entry(shared: Shared, entry: Entry, session: Session | None) -> str:
+    """Select the object of an entry and return what is said of it. session: of its scene, None where it is open."""
+    title, name = printable(entry.title, 60), printable(entry.scene, 60)
+    if session is not None:
+        shared.show(session)
+        shared.uploads.keep_opened(None)
+        shared.needed_shelf.opened = (entry.scene, entry.field)
+    field = shared.session.scene.field
+    if field.fingerprint != entry.field or field.objects is None:
+        return f"{title} of '{name}', which has changed since it was added"
+    shared.session.choose_object(entry.object_id)
+    return f"{title} of '{name}'"
+
+
+def _session(shared: Shared, scene: Scene) -> Session:
+    _ = scene.rows  # or the error that says what is missing
+    session = session_of(scene, shared.budget, shared.words)
+    _ = session.shown
+    return session

@@ -1,23 +1,30 @@
-"""The scene that is open, with what is computed once for all who look at it."""
+"""The scene that is open, with what is computed once for all who look at it, and cameras as browsers send them."""
 
 import copy
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field, StringConstraints
 
-from ....authoring.filming.looking import Standpoints, beside, size_in, up_direction
-from ....base.arrays import Float64, Int64
+from ....authoring.filming.looking import Standpoints, beside, looking_at, size_in, up_direction
+from ....authoring.filming.paths import CameraPath, KeyFrame
+from ....base.arrays import Ids, Vector
+from ....errors import InputError
 from ....query import Match
+from ....query.documents import Document
 from ....query.suggesting import suggestions
 from ....scene.significance import significance
-from ..object_list import in_order, names_of, placed_now
+from ....scene.views import View
+from ...serving.query_fields import Strict
+from ..exporting import in_order, names_of, placed_now
+from ..page import film_document
 from ..session import Session
 from ..shown import first_look
 
 MAX_WORDS_SUGGESTED = 4
-Vector = Float64[np.ndarray, " 3"]
 
 
 @dataclass(eq=False)
@@ -32,7 +39,7 @@ class Stage:
     up: Vector
     names: list[str] = field(default_factory=list)
     words: list[str] = field(default_factory=list)
-    _order: tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"]] | None = None
+    _order: tuple[Ids, Ids] | None = None
 
     @classmethod
     def of(cls, session: Session, up: Vector | None = None) -> "Stage":
@@ -97,7 +104,7 @@ class Stage:
         return placed_now(self.session, match)
 
     @property
-    def order(self) -> Int64[np.ndarray, " m"]:
+    def order(self) -> Ids:
         """Places of the drawn rows by falling significance; the same at all times of the same edits."""
         session = self.session
         ids = session.drawn.ids
@@ -105,3 +112,88 @@ class Stage:
             weight = significance(session.edits.part(ids)[0])
             self._order = ids, np.argsort(-weight, kind="stable")
         return self._order[1]
+
+
+MAX_TEXT_CHARACTERS = 500
+MAX_SIDE_PIXELS = 1600  # of a picture that is drawn
+MAX_KEYS = 200
+MAX_FILM_S, FILM_S = 60.0, 8.0
+FPS, FILM_SIZE_PIXELS = 24.0, (960, 720)
+
+Finite = Annotated[float, Field(allow_inf_nan=False, ge=-1e9, le=1e9)]
+Point = Annotated[tuple[Finite, Finite, Finite], Field(strict=False)]  # a list, as JSON has it
+Span = Annotated[tuple[Finite, Finite], Field(strict=False)]
+Text = Annotated[str, StringConstraints(min_length=1, max_length=MAX_TEXT_CHARACTERS)]
+Degrees = Annotated[float, Field(ge=1, le=170, allow_inf_nan=False)]
+Side = Annotated[int, Field(ge=16, le=8192)]
+Number = Annotated[int, Field(ge=0, le=2**31 - 1)]
+
+
+class Body(Strict):
+    """A JSON object of a request."""
+
+
+class Key(Body):
+    """A key frame of a film. fov: degrees from the top to the bottom of the picture."""
+
+    eye: Point
+    target: Point
+    fov: Degrees
+
+
+class Camera(Key):
+    """The camera of a browser. width, height: of its picture in pixels."""
+
+    width: Side
+    height: Side
+
+
+class Path(Body):
+    """A path through key frames. closed: the last leads to the first."""
+
+    keys: Annotated[list[Key], Field(min_length=2, max_length=MAX_KEYS)]
+    seconds: Annotated[float, Field(gt=0, le=MAX_FILM_S, allow_inf_nan=False)] = FILM_S
+    closed: bool = False
+
+
+def view_of(stage: Stage, camera: Camera, most_side: int = MAX_SIDE_PIXELS) -> View:
+    """Return a camera in the world, with pixels of the same shape but not too many.
+
+    Raises: InputError: it stands where it looks.
+    """
+    return _view(stage, camera, (camera.width, camera.height)).limited(most_side)
+
+
+def path_through(stage: Stage, path: Path) -> CameraPath:
+    """Return a path in the world. Raises: InputError: a key frame stands where it looks."""
+    keys = [KeyFrame.of(_view(stage, key, FILM_SIZE_PIXELS)) for key in path.keys]
+    return CameraPath(tuple(keys), path.closed, False, path.seconds, FPS, FILM_SIZE_PIXELS)
+
+
+def flight_document(stage: Stage, path: Path) -> Document:
+    """Return the places that a browser flies through: those of the film that would be saved.
+
+    Raises: InputError: a key frame stands where it looks.
+    """
+    frame = stage.session.shown.frame
+    return film_document(frame, path_through(stage, path), frame.world(np.array(path.keys[0].target, np.float64)))
+
+
+def path_document(stage: Stage, path: CameraPath) -> Document:
+    """Return a path of the world as browsers take it. Raises: InputError: more key frames than they take."""
+    if len(path.keys) > MAX_KEYS:
+        raise InputError(f"a path of the viewer has up to {MAX_KEYS} key frames, this one has {len(path.keys):,}")
+    lasts = path.seconds or (path.keys[-1].seconds or 0) - (path.keys[0].seconds or 0) or FILM_S
+    frame = stage.session.shown.frame
+    keys = [
+        {"eye": frame.shown(key.eye).tolist(), "target": (frame.shown(key.eye) + key.rotation[2]).tolist(),
+         "fov": key.fov_degrees}
+        for key in path.keys
+    ]  # fmt: skip
+    return {"keys": keys, "seconds": float(np.clip(lasts, 1.0, MAX_FILM_S)), "closed": path.closed}
+
+
+def _view(stage: Stage, key: Key, size: tuple[int, int]) -> View:
+    frame = stage.session.shown.frame
+    eye, target = (frame.world(np.array(place, np.float64)) for place in (key.eye, key.target))
+    return looking_at(eye, target, stage.up, size, key.fov)

@@ -5,10 +5,10 @@ Places are in the browser's frame, texts are safe to show, and sizes in texts ar
 
 import numpy as np
 
-from ....authoring.editing.stored import NAMES
-from ....authoring.filming.encoding import ffmpeg
+from ....authoring.editing.edits import NAMES
 from ....authoring.filming.looking import FOV_DEGREES
-from ....base.arrays import Float64
+from ....authoring.filming.writing import ffmpeg
+from ....base.arrays import Matrix3, Vector
 from ....drawing.heat import HEAT, class_colors
 from ....query import Match
 from ....query.documents import Document, support_document
@@ -18,16 +18,15 @@ from ....scene.annotations import Annotation
 from ....scene.views import View
 from .. import painting
 from ..bare import NO_FIELD
+from ..client import printable
 from ..exporting import POINT_SIZE
 from ..naming import This, best_photo
-from ..page_times import playing_seconds
-from ..places import DECIMALS, box_document, match_document, place_text, rounded, size_text
+from ..page import playing_seconds
 from ..results import Result
 from ..session import Session
-from ..texts import printable
+from ..shown import DECIMALS, box_document, match_document, place_text, rounded, size_text
 from .arrays import tiles_document
-from .cameras import MAX_TEXT_CHARACTERS
-from .stage import Stage, Vector
+from .stage import MAX_TEXT_CHARACTERS, Stage
 
 MAX_PHOTOS, MAX_OBJECTS, MAX_MATCHES, MAX_LISTED = 200, 500, 100, 100
 MAX_SENTENCE_CHARACTERS = 600
@@ -231,6 +230,6 @@ def _annotation(stage: Stage, annotation: Annotation) -> Document:
 # --- numbers and words ---
 
 
-def _box(stage: Stage, center: Vector, axes: Float64[np.ndarray, "3 3"], extent: Vector) -> Document:
+def _box(stage: Stage, center: Vector, axes: Matrix3, extent: Vector) -> Document:
     frame = stage.session.shown.frame
     return box_document(frame, center, axes, extent) | {"eye": rounded(frame.shown(stage.eye_before(center, extent)))}

@@ -1,13 +1,21 @@
-"""The threads of a viewer, in each of which one thing is done after the other."""
+"""Whose turn it is: the threads of a viewer, which do one thing after the other, and the browsers before it."""
 
 import asyncio
+import secrets
 import threading
-from collections.abc import Callable, Hashable
+import time
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Sequence
 from concurrent.futures import Future
+from dataclasses import dataclass
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
+from starlette.exceptions import HTTPException
+
+from ....query.catalogue import Entry
 from ...serving.replies import BusyError
+from ..session import Session
 
 MAX_REQUESTS_WAITING = 64
 GRACE_S = 5.0
@@ -101,3 +109,66 @@ class Lanes:
     async def take_file(self, begin: Callable[[], Callable[[], T]]) -> T:
         """Wait for a file: `begin` in the session's thread returns what writes it. Raises: as `take_change`."""
         return await asyncio.wrap_future(await self.quick.take(lambda: self.files.submit(begin())))
+
+
+MAX_VISITS, MAX_IDLE_S = 64, 24 * 3600.0
+MAX_ANSWER_BYTES = 512 << 20  # of all visits together, of which the one that asks may always keep its own
+GONE = "this viewer has let go of what this browser asked: load its page again"
+
+
+@dataclass(eq=False)
+class Visit:
+    """Question and answers of one browser, with counters of what changed in them.
+
+    session: of the scene of the count `scene`, with the edits that all share; None where none is open. entries: what it
+    found in the catalogue. seen: what these counters were made of. num_bytes: of its answers.
+    """
+
+    session: Session | None = None
+    scene: int = -1
+    entries: Sequence[Entry] = ()
+    geometry: int = 0
+    paint: int = 0
+    seen: tuple[Any, ...] = ()
+    num_bytes: int = 0
+    used_s: float = 0.0
+
+
+class Visits:
+    """Visits by the secret that their browser has as a cookie; only the page makes one. common: of who shows none."""
+
+    def __init__(self) -> None:
+        self.common = Visit()
+        self._by_key: OrderedDict[str, Visit] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._by_key)
+
+    def arrive(self, key: str) -> str:
+        """Return the key of a browser that loads the page: its own where it is known, else a new one."""
+        if key not in self._by_key:
+            key = secrets.token_urlsafe(18)
+            self._by_key[key] = Visit()
+        self.of(key)
+        return key
+
+    def of(self, key: str) -> Visit:
+        """Return the visit of a browser, and let go of those of longest ago where there are too many, or too large.
+
+        Raises: HTTPException: the key is not, or no longer, known.
+        """
+        if not key:
+            return self.common
+        if key not in self._by_key:
+            raise HTTPException(410, GONE)
+        self._by_key.move_to_end(key)
+        visit = self._by_key[key]
+        visit.used_s = time.monotonic()
+        size = sum(one.num_bytes for one in self._by_key.values())
+        for old, one in list(self._by_key.items())[:-1]:
+            idle_s = visit.used_s - one.used_s
+            if len(self) <= MAX_VISITS and idle_s <= MAX_IDLE_S and size <= MAX_ANSWER_BYTES:
+                break
+            size -= one.num_bytes
+            del self._by_key[old]
+        return visit
