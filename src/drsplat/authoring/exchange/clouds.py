@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ...base.arrays import Float32, Integer
-from ...errors import FormatError, InputError, MissingExtraError
+from ...errors import FormatError, InputError, MissingExtraError, pip_install
 from ...formats.activation import exp, logit, sigmoid, unit_quats
 from ...query import Match
 from ...scene.gaussians import SH_C0, Gaussians
