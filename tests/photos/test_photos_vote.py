@@ -1,6 +1,7 @@
 """Photos of a field are looked at again, and vote for its objects."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from drsplat.authoring.exporting.masking import draw_features
 from drsplat.errors import DrSplatWarning, InputError
 from drsplat.field.objects.finding import find_objects
 from drsplat.formats.cameras_json import write_cameras_json
+from drsplat.photos.embedding import objects_first
 from drsplat.photos.embedding.voting import vote_for_objects
 from drsplat.photos.models.outlines import region_tree
 from drsplat.photos.models.outlines.regions import basins
@@ -172,18 +174,20 @@ def test_voted_things_become_masks_and_register_and_a_click_go_on_from_them(vote
 
 
 def test_a_few_crops_of_each_thing_stand_for_all_of_its_masks(voted, photos, tmp_path, monkeypatch, capsys) -> None:
-    monkeypatch.setattr("drsplat.photos.embedding.objects_first.MAX_CROPS_PER_OBJECT", 2)
+    monkeypatch.setattr(objects_first, "share_crops", partial(objects_first.share_crops, most=2))
     assert cli.main(embed_line(voted, tmp_path / "all")) == 0
     capsys.readouterr()
     assert cli.main(embed_line(voted, tmp_path / "few", "--crops", "objects", "--json")) == 0
-    assert '"num_crops": 14' in capsys.readouterr().out  # two of each of three things and four parts
-    every, few = (ds.read_features(tmp_path / name, "medium") for name in ("all", "few"))
-    rows = [np.stack([folder[view.name].embeddings for view in photos]) for folder in (every, few)]
+    assert '"num_crops": 6' in capsys.readouterr().out  # two of each of three things
+    every, few = (ds.read_features(tmp_path / name) for name in ("all", "few"))
     for view in photos:
         np.testing.assert_array_equal(every[view.name].mask_ids, few[view.name].mask_ids)
+        np.testing.assert_array_equal(every[view.name].file_rows, few[view.name].file_rows)
+    rows = [np.stack([folder[view.name].embeddings for view in photos]) for folder in (every, few)]
     mean = rows[0].mean(0) / np.linalg.norm(rows[0].mean(0), axis=1, keepdims=True)
     assert ((rows[1] * mean).sum(2) > 0.8).all()
-    assert (np.linalg.norm(rows[1] - rows[1].mean(0), axis=2) < np.linalg.norm(rows[0] - rows[0].mean(0), axis=2)).any()
+    apart = [np.linalg.norm(some - some.mean(0), axis=2).mean(0) for some in rows]
+    assert (apart[1] < apart[0]).all()
 
 
 def test_drawn_masks_stay_until_objects_or_masks_of_photos_change(voted, photos, tmp_path) -> None:
@@ -211,7 +215,7 @@ def test_drawn_masks_stay_until_objects_or_masks_of_photos_change(voted, photos,
 def test_what_no_photo_shows_in_front_is_told(voted, tmp_path) -> None:
     scene = ds.open_scene(voted / "room.field", scene=voted / "scene.ply", views=voted / "capture")
     aside = [replace(view, K=view.K + np.array([[0, 0, 4000.0], [0, 0, 0], [0, 0, 0]])) for view in scene.views]
-    with pytest.warns(DrSplatWarning, match="3 of 3 objects are in front in no photo, so they get no mask: object 0"):
+    with pytest.warns(DrSplatWarning, match="3 of 3 objects are in front in no photo and get no mask: object 0"):
         draw_features(tmp_path / "masks", scene, aside)
 
 
@@ -221,7 +225,7 @@ def test_masks_of_features_are_not_the_same_in_every_photo(voted, tmp_path, caps
     line = [str(tmp_path / "things") if part.endswith("room.field") else part
             for part in embed_line(voted, tmp_path / "few", "--crops", "objects")]  # fmt: skip
     assert cli.main(line) == 1
-    assert "name a field whose objects are drawn" in capsys.readouterr().err
+    assert "crops of objects are of one level" in capsys.readouterr().err
 
 
 # --- trees ----------------------------------------------------------------------------------------

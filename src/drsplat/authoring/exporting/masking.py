@@ -20,7 +20,6 @@ from ...drawing.heat import class_colors
 from ...errors import DrSplatWarning, InputError
 from ...field.codes import Track, untracked
 from ...field.evidence.columns import digest_of
-from ...field.forest import Objects
 from ...formats.claiming import claimed_folder
 from ...formats.embedding_record import open_record
 from ...formats.field_folder import replacing_folder
@@ -105,8 +104,8 @@ def _objects(scene: Scene) -> tuple[dict[int, str], Numbers]:
 
 
 def draw_features(
-    folder: str | PathLike[str], scene: Scene, views: Sequence[View], *, overwrite: bool = False,
-    track: Track = untracked,
+    folder: str | PathLike[str], scene: Scene, views: Sequence[View], *, whole: bool = False,
+    overwrite: bool = False, track: Track = untracked,
 ) -> FeatureFolder:  # fmt: skip
     """Draw all objects into photos, as masks that `embed` and `register` read: the same number in every photo.
 
@@ -118,15 +117,23 @@ def draw_features(
         folder: of the masks, which have no embeddings yet.
         scene: with Gaussians and objects.
         views: with photos of the scene.
+        whole: things on all levels, and no parts.
         overwrite: draws all photos again.
         track: shows the progress.
 
     Warns: DrSplatWarning: objects that no photo shows. Raises: InputError: no objects, no photo.
     """
     objects, folder = objects_of(scene.field), Path(folder)
-    forest = digest_of(objects.node_of, objects.parents, objects.levels, salt=f"{ALGORITHM} {scene.field.scene}").hex()
-    settings = {"segmenter": {"objects": forest}, "encoder": identity_json(WithoutEmbedding.identity)}
-    levels, rows = _levels(scene, objects), np.ones((objects.num_nodes, 1), np.float32)
+    levels = np.full((len(LEVELS), scene.field.num_gaussians), -1, np.int32)
+    levels[:, scene.field.gaussian_ids] = things = np.append(objects.things, -1)[objects.thing_of()]
+    if not whole:
+        pieces = objects.piece_of()
+        levels[1:3, scene.field.gaussian_ids] = (
+            np.where(things < 0, things, objects.node_of), np.where(pieces < 0, things, pieces)
+        )  # fmt: skip
+    drawn = digest_of(levels, salt=f"{ALGORITHM} {scene.field.scene}").hex()
+    settings = {"segmenter": {"objects": drawn}, "encoder": identity_json(WithoutEmbedding.identity)}
+    rows = np.ones((objects.num_nodes, 1), np.float32)
     with claimed_folder(folder), closing(open_record(folder, settings, overwrite)) as record:
         for stem, view in track(list(photos_by_stem(views).items()), "masks of objects"):
             used = load_mask(replace(view, distortion=None).limited(DRAWN_SIDE_PIXELS))
@@ -136,23 +143,11 @@ def draw_features(
                 maps = np.where(used, _drawn(scene, view, *levels), np.int32(-1))
                 finish_photo(record, stem, key, maps, rows, "compact")
     masks = read_features(folder)
-    shown = {int(node) for stem in masks for node in masks[stem].file_rows}
+    shown = {node for stem in masks for node in masks[stem].file_rows.tolist()}
     if unseen := [f"object {number}" for number, node in enumerate(objects.things.tolist()) if node not in shown]:
-        text = (
-            f"{len(unseen)} of {len(objects)} objects are in front in no photo, so they get no mask: {listed(unseen)}"
-        )
+        text = f"{len(unseen)} of {len(objects)} objects are in front in no photo and get no mask: {listed(unseen)}"
         warn(text, DrSplatWarning, stacklevel=2)
     return masks
-
-
-def _levels(scene: Scene, objects: Objects) -> list[Int32[np.ndarray, " n"]]:
-    """Return the node of each Gaussian at each of LEVELS, -1 for none."""
-    things = np.append(objects.things, -1).astype(np.int32)[objects.thing_of()]
-    pieces = objects.piece_of()
-    pieces, smallest = np.where(pieces < 0, things, pieces), np.where(things < 0, things, objects.node_of)
-    levels = np.full((len(LEVELS), scene.field.num_gaussians), -1, np.int32)
-    levels[:, scene.field.gaussian_ids] = things, smallest, pieces, things
-    return list(levels)
 
 
 def _drawn(scene: Scene, view: View, *labelings: Int32[np.ndarray, " n"]) -> list[Int32[np.ndarray, "h w"]]:

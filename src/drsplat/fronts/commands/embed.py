@@ -271,25 +271,19 @@ def _embedded(
     encoder: ImageEncoder,
     scene: Gaussians | None,
 ) -> EmbeddingReport:
-    """Embed the crops of --crops. Raises: InputError: --masks keeps masks that are embedded one by one."""
+    """Embed the crops of --crops, of the objects of a scene once they are drawn."""
     from ...authoring.exporting.masking import draw_features
     from ...photos.embedding.embed import embed
-    from ...photos.embedding.objects_first import MASKS, embed_objects
+    from ...photos.embedding.objects_first import embed_objects
     from ...query import Scene
-    from ...scene.masks.masks import Segmenter
 
     shared: dict[str, Any] = {"overwrite": options.overwrite, "track": options.track}
-    output, parts = options.folder, parts_of(options.folder)
-    drawn = isinstance(segmenter, Scene)
+    output, parts, few = options.folder, parts_of(options.folder), options.with_scene.crops == "objects"
     if isinstance(segmenter, Scene):
-        segmenter = draw_features(parts / MASKS, segmenter, views, **shared)
+        segmenter = draw_features(parts / "drawn", segmenter, views, whole=few, **shared)
     shared |= {"max_height": options.cutting.max_height, "form": "langsplat" if options.langsplat else "compact"}
-    if options.with_scene.crops == "masks" or scene is None:
+    if not few or scene is None:
         return embed(views, output, segmenter, encoder, **shared)
-    if not drawn and not isinstance(segmenter, Segmenter):
-        raise InputError(
-            "--masks embeds every mask again: drop --crops objects, or name a field whose objects are drawn"
-        )
     return embed_objects(views, output, segmenter, encoder, scene, parts=parts, threads=options.threads, **shared)
 
 

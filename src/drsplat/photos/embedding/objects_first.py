@@ -15,15 +15,15 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Float32, Float64, Int64, Integer
+from ...base.arrays import Float32, Float64, Int64
 from ...errors import InputError
 from ...field.codes import Track, untracked
-from ...field.evidence.evidence import Evidence, MaskIds
+from ...field.evidence.evidence import Evidence
 from ...field.objects.describing import node_weights
 from ...field.objects.finding import find_tree
 from ...field.registration import register
 from ...formats.claiming import claimed_folder
-from ...formats.embedding_record import open_record
+from ...formats.embedding_record import finished_photos, open_record
 from ...formats.feature_files import Form
 from ...formats.langsplat import FeatureFolder, read_features
 from ...scene.encoders import ImageEncoder, identity_json
@@ -65,8 +65,7 @@ def embed_objects(
     Args:
         views: with photos.
         output_dir: folder for the features.
-        segmenter: one that gives masks of one level, `large`. Or masks of the photos with the same number in all, as
-            `draw_features` draws them: those of one number are an object, whose largest and furthest crops are taken.
+        segmenter: one that gives masks of one level, `large`; or features of the same photos, whose masks are kept.
         encoder: makes the vectors of crops.
         gaussians: the scene, which stands still.
         parts: folder for masks, weights and crops, which later runs go on from.
@@ -80,17 +79,14 @@ def embed_objects(
         InputError: as `embed`; masks of several levels.
     """
     parts = Path(parts)
-    if isinstance(segmenter, FeatureFolder):
-        masks, identity = segmenter, kept_identity(segmenter)
-    else:
-        embed(
-            views, parts / MASKS, segmenter, WithoutEmbedding(), max_height=max_height, overwrite=overwrite, track=track
-        )
-        masks, identity = read_features(parts / MASKS), dict(segmenter.identity)
-        _check_level(masks)
+    embed(
+        views, parts / MASKS, segmenter, WithoutEmbedding(), max_height=max_height, overwrite=overwrite, track=track
+    )  # fmt: skip
+    masks = read_features(parts / MASKS)
+    _check_level(masks)
     by_stem = {stem: view for view in views if (stem := masks.key(view.name)) is not None}
     settings = {
-        "segmenter": identity,
+        "segmenter": kept_identity(masks)["kept"],
         "encoder": identity_json(encoder.identity),
         "max_height": max_height,
         "algorithm": ALGORITHM,
@@ -103,19 +99,14 @@ def embed_objects(
         pending = [stem for stem in by_stem if not record.is_finished(stem, digest)]
         redone = sum(record.has_files(stem) for stem in pending)
         if pending:
-            used = list(by_stem.values())
-            if masks is segmenter:
-                known, shared = share_drawn(masks, used)
-            else:
-                found = register(gaussians, used, masks, parts=parts / WEIGHTS, threads=threads, track=track).evidence
-                known, shared = found.masks, share_crops(found, gaussians, used, threads=threads)
-            rows = _vectors(used, masks, encoder, known, shared, parts / CROPS, overwrite=overwrite, track=track)
+            rows = _vectors(
+                by_stem, masks, encoder, gaussians, parts, overwrite=overwrite, threads=threads, track=track
+            )
             for stem in pending:
                 finish_photo(record, stem, digest, masks.stored(stem)[0], rows[stem], form)
         finish_folder(record, encoder)
-    crops = read_features(parts / CROPS)
-    count = sum(len(np.unique(ids[ids >= 0])) for ids in (crops.stored(stem)[0] for stem in crops))
-    return replace(report_of(record, list(by_stem), len(pending), redone), crops=count)
+    crops = sum(photo.masks.get("large", 0) for photo in finished_photos(parts / CROPS).values())
+    return replace(report_of(record, list(by_stem), len(pending), redone), crops=crops)
 
 
 def _check_level(masks: FeatureFolder) -> None:
@@ -139,26 +130,43 @@ def _digest(masks: FeatureFolder, by_stem: Mapping[str, View]) -> str:
 
 
 def _vectors(
-    views: Sequence[View], masks: FeatureFolder, encoder: ImageEncoder, known: MaskIds, shared: "SharedCrops",
-    folder: Path, *, overwrite: bool, track: Track,
-) -> dict[str, Float32[np.ndarray, "n d"]]:  # fmt: skip
-    """Return a vector for each mask of each photo, by its number there. folder: of the crops."""
-    keys = [str(masks.key(name)) for name in known.view_names]
-    columns = {key: np.flatnonzero(known.views == number) for number, key in enumerate(keys)}
-    is_chosen = np.zeros(len(known), np.bool_)
+    by_stem: Mapping[str, View],
+    masks: FeatureFolder,
+    encoder: ImageEncoder,
+    gaussians: Gaussians,
+    parts: Path,
+    *,
+    overwrite: bool,
+    threads: int,
+    track: Track,
+) -> dict[str, Float32[np.ndarray, "n d"]]:
+    """Return a vector for each mask of each photo."""
+    views = list(by_stem.values())
+    evidence = register(gaussians, views, masks, parts=parts / WEIGHTS, threads=threads, track=track).evidence
+    shared = share_crops(evidence, gaussians, views, threads=threads)
+    columns = {
+        str(masks.key(name)): np.flatnonzero(evidence.masks.views == number)
+        for number, name in enumerate(evidence.masks.view_names)
+    }
+    ids = {
+        stem: masks[stem].file_rows[evidence.masks.ids[numbers]].astype(np.int32) for stem, numbers in columns.items()
+    }
+    is_chosen = np.zeros(len(evidence.masks), np.bool_)
     is_chosen[shared.chosen] = True
-    chosen = {stem: known.ids[numbers[is_chosen[numbers]]] for stem, numbers in columns.items()}
-    few = ChosenMasks(masks.directory, chosen)
-    embed(views, folder, few, encoder, max_height=None, overwrite=overwrite, track=track)
-    crops = read_features(folder)
-    rows = np.zeros((len(known), encoder.identity.dim), np.float32)
+    chosen = {stem: ids[stem][is_chosen[numbers]] for stem, numbers in columns.items()}
+    embed(
+        views, parts / CROPS, ChosenMasks(masks.directory, chosen), encoder, max_height=None, overwrite=overwrite,
+        track=track,
+    )  # fmt: skip
+    crops = read_features(parts / CROPS)
+    crop_rows = np.zeros((len(is_chosen), encoder.identity.dim), np.float32)
     for stem, numbers in columns.items():
-        own = numbers[is_chosen[numbers]]
-        rows[own] = crops.stored(stem)[1][known.ids[own]]
-    rows = shared.embeddings(rows[shared.chosen])
-    vectors = {stem: np.zeros((len(masks.stored(stem)[1]), rows.shape[1]), np.float32) for stem in columns}
+        crop_rows[numbers[is_chosen[numbers]]] = crops.stored(stem)[1][chosen[stem]]
+    rows = shared.embeddings(crop_rows[shared.chosen])
+    vectors = {}
     for stem, numbers in columns.items():
-        vectors[stem][known.ids[numbers]] = rows[numbers]
+        vectors[stem] = np.zeros((len(masks.stored(stem)[1]), rows.shape[1]), np.float32)
+        vectors[stem][ids[stem]] = rows[numbers]
     return vectors
 
 
@@ -201,28 +209,7 @@ def share_crops(
     with_weight = evidence.rows(ids)
     tree = find_tree(with_weight, gaussians, ids.astype(np.uint32), views, threads=threads)
     node_of, fit = _best_nodes(node_fits(node_weights(with_weight, tree), with_weight))
-    return _shares(node_of, fit * _column_sums(with_weight), _camera_centers(with_weight.masks, views), most)
-
-
-def share_drawn(masks: FeatureFolder, views: Sequence[View]) -> tuple[MaskIds, SharedCrops]:
-    """Choose the crops of masks that have the same number in all photos, and return all masks with them.
-
-    Of a mask counts its area on the level that has most of it.
-    """
-    areas = []
-    for view in views:
-        levels, rows = masks.stored(view.name)
-        planes = levels.reshape(-1, *levels.shape[-2:]) + 1
-        areas.append(np.max([np.bincount(plane.ravel(), minlength=len(rows) + 1)[1:] for plane in planes], axis=0))
-    photos, ids = (places.astype(np.int32) for places in np.nonzero(areas))
-    known = MaskIds(tuple(view.name for view in views), photos, ids)
-    return known, _shares(ids, np.float64(areas)[photos, ids], _camera_centers(known, views), MAX_CROPS_PER_OBJECT)
-
-
-def _shares(
-    node_of: Integer[np.ndarray, " m"], worth: Float64[np.ndarray, " m"], centers: Float64[np.ndarray, "m 3"], most: int
-) -> SharedCrops:
-    """Return the crops of most worth of each node for all of its masks; those of none (-1) stand for themselves."""
+    worth, centers = fit * _column_sums(with_weight), _camera_centers(with_weight, views)
     (alone,) = np.nonzero(node_of < 0)
     rows, columns, data = [alone], [alone], [np.ones(len(alone))]
     for masks in _groups(node_of):
@@ -257,10 +244,11 @@ def _column_sums(evidence: Evidence) -> Float64[np.ndarray, " m"]:
     return np.bincount(weights.indices, weights.data, weights.shape[1])
 
 
-def _camera_centers(masks: MaskIds, views: Sequence[View]) -> Float64[np.ndarray, "m 3"]:
+def _camera_centers(evidence: Evidence, views: Sequence[View]) -> Float64[np.ndarray, "m 3"]:
     """Return the centre of the camera of each column."""
     by_name = {view.name: view.center for view in views}
-    return np.array([by_name[name] for name in masks.view_names], np.float64).reshape(-1, 3)[masks.views]
+    centers = np.array([by_name[name] for name in evidence.masks.view_names], np.float64).reshape(-1, 3)
+    return np.asarray(centers[evidence.masks.views])
 
 
 def _best_nodes(fits: csr_array) -> tuple[Int64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
@@ -274,7 +262,7 @@ def _best_nodes(fits: csr_array) -> tuple[Int64[np.ndarray, " m"], Float64[np.nd
     return node_of, fit
 
 
-def _groups(node_of: Integer[np.ndarray, " m"]) -> list[Int64[np.ndarray, " k"]]:
+def _groups(node_of: Int64[np.ndarray, " m"]) -> list[Int64[np.ndarray, " k"]]:
     """Return the masks of each node that has any, ascending."""
     order = np.argsort(node_of, kind="stable")
     order = order[np.searchsorted(node_of[order], 0) :]
