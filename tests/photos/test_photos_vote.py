@@ -1,6 +1,7 @@
 """Photos of a field are looked at again, and vote for its objects."""
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -8,13 +9,16 @@ import pytest
 from PIL import Image
 
 import drsplat as ds
-from drsplat import cli
-from drsplat.errors import InputError
+from drsplat import Scene, cli
+from drsplat.authoring.exporting.masking import draw_features
+from drsplat.errors import DrSplatWarning, InputError
 from drsplat.field.objects.finding import find_objects
 from drsplat.formats.cameras_json import write_cameras_json
+from drsplat.photos.embedding import objects_first
 from drsplat.photos.embedding.voting import vote_for_objects
 from drsplat.photos.models.outlines import region_tree
 from drsplat.photos.models.outlines.regions import basins
+from drsplat.scene.masks.masks import LEVELS
 from scenes import look_at_view
 from toy_capture import PER_THING, balls
 
@@ -119,6 +123,109 @@ def test_the_verb_asks_the_photos(scene, photos, halves, tmp_path, capsys) -> No
     assert not (tmp_path / "room.field.parts").exists()
     assert cli.main([*line, "--again", "--vote"]) == 1
     assert "none of 0 photos is of this field" in capsys.readouterr().err
+
+
+# --- masks of what was voted for ------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def voted(scene, photos, halves, tmp_path_factory) -> Path:
+    """A folder with scene, capture and field: three things, two of them of two parts."""
+    folder = tmp_path_factory.mktemp("voted")
+    ds.write_gaussians(folder / "scene.ply", scene)
+    (folder / "capture/images").mkdir(parents=True)
+    for view in photos:
+        (folder / "capture/images" / view.name).write_bytes(Path(str(view.image_path)).read_bytes())
+    write_cameras_json(folder / "capture/cameras.json", photos)
+    objects = vote_for_objects(halves, scene, photos, parts=folder / "votes")
+    halves.with_objects(objects).save(folder / "room.field")
+    return folder
+
+
+def embed_line(folder: Path, output: Path, *more: str) -> list[str]:
+    given = ["--masks", folder / "room.field", "--scene", folder / "scene.ply", "--encoder", "drsplat-mini"]
+    return [*map(str, ["embed", folder / "capture", *given, "--output", output]), *more]
+
+
+def test_voted_things_become_masks_and_register_and_a_click_go_on_from_them(voted, photos, tmp_path, capsys) -> None:
+    assert cli.main(embed_line(voted, tmp_path / "things")) == 0
+    objects = ds.load_field(voted / "room.field").objects
+    assert objects is not None
+    levels = {level: ds.read_features(tmp_path / "things", level) for level in LEVELS}
+    for view in photos:
+        numbers = {level: set(levels[level][view.name].file_rows.tolist()) for level in LEVELS}
+        assert numbers["large"] == numbers["default"] == set(objects.things.tolist())
+        assert numbers["medium"] == numbers["small"]
+        assert len(numbers["medium"]) == 5
+        above = {objects.above(node) for node in numbers["medium"] if objects.levels[node] == 0}
+        assert above < numbers["large"]
+    paths = [tmp_path / "again.field", "--scene", voted / "scene.ply"]
+    register = ["register", voted / "scene.ply", voted / "capture", "--features", tmp_path / "things", "--output"]
+    assert cli.main([*map(str, [*register, paths[0]])]) == 0
+    assert cli.main([*map(str, ["objects", *paths])]) == 0
+    again = ds.open_scene(paths[0], scene=paths[2], views=voted / "capture")
+    assert len(again.objects) == 3
+    for ball, place in enumerate([(-0.7, 0.0, 0.0), (0.7, 0.0, 0.0)]):
+        view = photos[2]
+        x, y, z = view.K @ (view.cam_from_world[:3, :3] @ place + view.cam_from_world[:3, 3])
+        found = again.ask(ds.Query(click=(view.name, x / z, y / z))).gaussian_ids
+        own = np.arange(ball * PER_THING, (ball + 1) * PER_THING)
+        assert len(np.intersect1d(found, own)) / len(np.union1d(found, own)) > 0.9
+
+
+def test_a_few_crops_of_each_thing_stand_for_all_of_its_masks(voted, photos, tmp_path, monkeypatch, capsys) -> None:
+    monkeypatch.setattr(objects_first, "share_crops", partial(objects_first.share_crops, most=2))
+    assert cli.main(embed_line(voted, tmp_path / "all")) == 0
+    capsys.readouterr()
+    assert cli.main(embed_line(voted, tmp_path / "few", "--crops", "objects", "--json")) == 0
+    assert '"num_crops": 6' in capsys.readouterr().out  # two of each of three things
+    every, few = (ds.read_features(tmp_path / name) for name in ("all", "few"))
+    for view in photos:
+        np.testing.assert_array_equal(every[view.name].mask_ids, few[view.name].mask_ids)
+        np.testing.assert_array_equal(every[view.name].file_rows, few[view.name].file_rows)
+    rows = [np.stack([folder[view.name].embeddings for view in photos]) for folder in (every, few)]
+    mean = rows[0].mean(0) / np.linalg.norm(rows[0].mean(0), axis=1, keepdims=True)
+    assert ((rows[1] * mean).sum(2) > 0.8).all()
+    apart = [np.linalg.norm(some - some.mean(0), axis=2).mean(0) for some in rows]
+    assert (apart[1] < apart[0]).all()
+
+
+def test_drawn_masks_stay_until_objects_or_masks_of_photos_change(voted, photos, tmp_path) -> None:
+    scene = ds.open_scene(voted / "room.field", scene=voted / "scene.ply", views=voted / "capture")
+    masks = draw_features(tmp_path / "masks", scene, scene.views)
+    files = {view.name: masks.files(view.name)[0] for view in photos}
+    first = {name: path.read_bytes() for name, path in files.items()}
+    files[photos[0].name].unlink()
+    kept = {name: files[name].stat().st_mtime_ns for name in files if name != photos[0].name}
+    Image.fromarray(np.tile(np.uint8([0, 255]), (HEIGHT, WIDTH // 2))).save(tmp_path / "half.png")
+    some = [replace(view, mask_path=tmp_path / "half.png") if view.name == photos[1].name else view
+            for view in scene.views]  # fmt: skip
+    again = draw_features(tmp_path / "masks", scene, some)
+    changed = photos[1].name
+    assert {name for name in kept if files[name].stat().st_mtime_ns != kept[name]} == {changed}
+    assert all(path.read_bytes() == first[name] for name, path in files.items() if name != changed)
+    assert (again.stored(changed)[0][:, :, ::2] == -1).all()
+    assert (again.stored(changed)[0][:, :, 1::2] >= 0).any()
+    assert scene.field.objects is not None
+    fewer = Scene(scene.field.with_objects(None), scene.gaussians, scene.views)
+    with pytest.raises(InputError, match="nobody has looked for objects"):
+        draw_features(tmp_path / "none", fewer, scene.views)
+
+
+def test_what_no_photo_shows_in_front_is_told(voted, tmp_path) -> None:
+    scene = ds.open_scene(voted / "room.field", scene=voted / "scene.ply", views=voted / "capture")
+    aside = [replace(view, K=view.K + np.array([[0, 0, 4000.0], [0, 0, 0], [0, 0, 0]])) for view in scene.views]
+    with pytest.warns(DrSplatWarning, match="3 of 3 objects are in front in no photo and get no mask: object 0"):
+        draw_features(tmp_path / "masks", scene, aside)
+
+
+def test_masks_of_features_are_not_the_same_in_every_photo(voted, tmp_path, capsys) -> None:
+    assert cli.main(embed_line(voted, tmp_path / "things")) == 0
+    capsys.readouterr()
+    line = [str(tmp_path / "things") if part.endswith("room.field") else part
+            for part in embed_line(voted, tmp_path / "few", "--crops", "objects")]  # fmt: skip
+    assert cli.main(line) == 1
+    assert "crops of objects are of one level" in capsys.readouterr().err
 
 
 # --- trees ----------------------------------------------------------------------------------------

@@ -158,7 +158,7 @@ class ColumnMaker:
 
     def _key(self, view: View, mask_ids: Int32[np.ndarray, "h w"]) -> bytes:
         salt = f"{self._settings} {self.scenery.digest(view)}"
-        return _digest(view.K, view.cam_from_world, mask_ids, salt=salt)
+        return digest_of(view.K, view.cam_from_world, mask_ids, salt=salt)
 
     @cached_property
     def _settings(self) -> str:
@@ -187,7 +187,8 @@ def part_name(view_name: str) -> str:
     return f"{digest}.columns.safetensors"
 
 
-def _digest(*arrays: np.ndarray, salt: str = "") -> bytes:
+def digest_of(*arrays: np.ndarray, salt: str = "") -> bytes:
+    """Return a hash of arrays and a text."""
     digest = hashlib.blake2b(salt.encode(), digest_size=KEY_BYTES)
     for array in arrays:
         digest.update(str(array.shape).encode())

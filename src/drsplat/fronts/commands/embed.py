@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ...formats.langsplat import FeatureFolder
     from ...photos.embedding.embed import EmbeddingReport
     from ...photos.models.point_masks import PointMaskSettings
+    from ...query import Scene
     from ...scene.encoders import ImageEncoder
     from ...scene.gaussians import Gaussians
     from ...scene.masks.masks import Segmenter
@@ -29,6 +30,7 @@ EXAMPLES = """\
   drsplat embed capture --segmenter graph --encoder drsplat-mini
   drsplat embed capture --encoder google/siglip2-base-patch16-224 --output capture/siglip2 --json
   drsplat embed capture --masks capture/language_features --encoder facebook/dinov2-base --output capture/dinov2
+  drsplat embed capture --masks room.field --scene model --encoder drsplat-mini --output capture/things
 
 To resume a stopped run, give the same command again without --overwrite."""
 DAILY = "output segmenter encoder scene device overwrite"
@@ -138,7 +140,8 @@ class Options(Verb):
     )  # fmt: skip
     masks: str | None = option(
         "features of the same photos whose masks are reused: only the encoder changes, for `drsplat register "
-        "--weights-of` (default: cut the photos again)", "DIR", title="models",
+        "--weights-of`; or a field whose objects are drawn into the photos, the same mask in each, with --scene "
+        "(default: cut the photos again)", "DIR", title="models",
     )  # fmt: skip
     encoder: str = option(ENCODER_HELP, "NAME", words, DEFAULT_ENCODER, title="models")
     device: str = models_device("models")
@@ -234,23 +237,23 @@ def _chosen_views(options: Options, views: list[View], scene: Gaussians | None) 
 def _embedded(
     options: Options,
     views: list[View],
-    segmenter: Segmenter | FeatureFolder,
+    segmenter: Segmenter | FeatureFolder | Scene,
     encoder: ImageEncoder,
     scene: Gaussians | None,
 ) -> EmbeddingReport:
-    """Embed the crops of --crops. Raises: InputError: --masks keeps masks that are embedded one by one."""
+    """Embed the crops of --crops, of the objects of a scene once they are drawn."""
+    from ...authoring.exporting.masking import draw_features
     from ...photos.embedding.embed import embed
     from ...photos.embedding.objects_first import embed_objects
-    from ...scene.masks.masks import Segmenter
+    from ...query import Scene
 
-    shared: dict[str, Any] = {"max_height": options.cutting.max_height, "overwrite": options.overwrite}
-    shared |= {"form": "langsplat" if options.langsplat else "compact", "track": options.track}
-    output = options.folder
-    if options.with_scene.crops == "masks" or scene is None:
+    shared: dict[str, Any] = {"overwrite": options.overwrite, "track": options.track}
+    output, parts, few = options.folder, parts_of(options.folder), options.with_scene.crops == "objects"
+    if isinstance(segmenter, Scene):
+        segmenter = draw_features(parts / "drawn", segmenter, views, whole=few, **shared)
+    shared |= {"max_height": options.cutting.max_height, "form": "langsplat" if options.langsplat else "compact"}
+    if not few or scene is None:
         return embed(views, output, segmenter, encoder, **shared)
-    if not isinstance(segmenter, Segmenter):
-        raise InputError("--masks embeds every mask again: drop --crops objects")
-    parts = parts_of(output)
     return embed_objects(views, output, segmenter, encoder, scene, parts=parts, threads=options.threads, **shared)
 
 
@@ -286,9 +289,10 @@ def show(answer: Facts) -> None:
     )
 
 
-def _segmenter(options: Options) -> Segmenter | FeatureFolder:
-    """Return the segmenter of --segmenter, or the masks of --masks. Raises: InputError: both were given."""
-    from ... import read_features
+def _segmenter(options: Options) -> Segmenter | FeatureFolder | Scene:
+    """Return the segmenter of --segmenter, or what --masks names. Raises: InputError: both were given."""
+    from ... import open_scene, read_features
+    from ...formats.field_folder import MANIFEST
     from ...photos.models.sam import load_segmenter
 
     if options.masks is None:
@@ -299,6 +303,8 @@ def _segmenter(options: Options) -> Segmenter | FeatureFolder:
         raise InputError("--masks keeps what was cut: drop --segmenter, --points, --crop-layers and --levels")
     if options.output is None:
         raise InputError("--masks: name another folder for the new features with --output")
+    if (Path(options.masks) / MANIFEST).is_file():
+        return open_scene(options.masks, scene=options.with_scene.scene, threads=options.threads)
     return read_features(options.masks)
 
 

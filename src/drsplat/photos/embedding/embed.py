@@ -111,7 +111,7 @@ def embed(
     """
     if max_height is not None and max_height < 1:
         raise InputError(f"max_height: expected at least 1 pixel, got {max_height}")
-    rasters = {stem: _raster(view, max_height) for stem, view in _by_stem(views_with_something(views)).items()}
+    rasters = {stem: _raster(view, max_height) for stem, view in photos_by_stem(views_with_something(views)).items()}
     if isinstance(segmenter, FeatureFolder):
         rasters, max_height = _with_masks(rasters, segmenter), None
     settings = settings_of(segmenter, encoder, max_height) | pictures_setting(views)
@@ -198,7 +198,7 @@ def recorded_encoder(folder: str | Path) -> EncoderIdentity | None:
     return encoder_from_json(settings.get("encoder"), f"{folder}/{FILE_NAME}")
 
 
-def _by_stem(views: Sequence[View]) -> dict[str, View]:
+def photos_by_stem(views: Sequence[View]) -> dict[str, View]:
     """Return the views with a photo, sorted, by the stem of their feature files.
 
     Raises: InputError: no photo at all; two photos whose names differ only in the suffix.
@@ -297,12 +297,12 @@ def finish_photo(
     rows: Float32[np.ndarray, "n d"],
     form: Form,
 ) -> None:
-    """Write the features of a photo whose masks are of one level, and record them.
+    """Write the features of a photo, and record them; of equal levels the masks count once.
 
     photo: hash of everything that decides them.
     """
-    one_level = mask_ids if mask_ids.ndim == 2 else mask_ids[-1]
-    _store(record, stem, photo, _Embedded(mask_ids, rows, level_counts(one_level), 0), form)
+    counted = mask_ids[-1] if mask_ids.ndim == 3 and (mask_ids == mask_ids[-1]).all() else mask_ids
+    _store(record, stem, photo, _Embedded(mask_ids, rows, level_counts(counted), 0), form)
 
 
 def _store(record: EmbeddingRecord, stem: str, photo: str, features: _Embedded, form: Form) -> None:

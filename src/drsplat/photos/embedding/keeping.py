@@ -94,13 +94,14 @@ def level_counts(mask_ids: Int32[np.ndarray, "*levels h w"]) -> dict[str, int]:
 
 
 def _cut_out(levels: Int32[np.ndarray, "l h w"]) -> tuple[list[int], Masks]:
-    """Return the ids that have pixels, each cut out of the first level that has it."""
+    """Return the ids that have pixels, each cut out of the level that has most of it: a whole, not what parts leave."""
     cutouts: dict[int, tuple[tuple[int, ...], np.ndarray]] = {}
     for ids in levels:
         for number, place in enumerate(find_objects(ids + 1)):
-            if place is not None and number not in cutouts:
-                y, x = place
-                cutouts[number] = ((x.start, y.start, x.stop, y.stop), ids[place] == number)
+            if place is not None:
+                (y, x), part = place, ids[place] == number
+                if number not in cutouts or part.sum() > cutouts[number][1].sum():
+                    cutouts[number] = ((x.start, y.start, x.stop, y.stop), part)
     rows = sorted(cutouts)
     boxes = np.array([cutouts[row][0] for row in rows], np.int32).reshape(-1, 4)
     parts = tuple(cutouts[row][1] for row in rows)

@@ -31,7 +31,7 @@ from ...scene.gaussians import Gaussians
 from ...scene.masks.masks import Segmenter
 from ...scene.views import View
 from .embed import MAX_HEIGHT_PIXELS, EmbeddingReport, embed, finish_folder, finish_photo, pictures_setting, report_of
-from .keeping import ChosenMasks, WithoutEmbedding, masks_hash
+from .keeping import ChosenMasks, WithoutEmbedding, kept_identity, masks_hash
 
 ALGORITHM = "1"
 """Version of everything here that decides what is written."""
@@ -46,7 +46,7 @@ NEAREST_SHARE = 0.5
 def embed_objects(
     views: Sequence[View],
     output_dir: str | Path,
-    segmenter: Segmenter,
+    segmenter: Segmenter | FeatureFolder,
     encoder: ImageEncoder,
     gaussians: Gaussians,
     *,
@@ -65,7 +65,7 @@ def embed_objects(
     Args:
         views: with photos.
         output_dir: folder for the features.
-        segmenter: one that gives masks of one level, `large`.
+        segmenter: one that gives masks of one level, `large`; or features of the same photos, whose masks are kept.
         encoder: makes the vectors of crops.
         gaussians: the scene, which stands still.
         parts: folder for masks, weights and crops, which later runs go on from.
@@ -86,7 +86,7 @@ def embed_objects(
     _check_level(masks)
     by_stem = {stem: view for view in views if (stem := masks.key(view.name)) is not None}
     settings = {
-        "segmenter": dict(segmenter.identity),
+        "segmenter": kept_identity(masks)["kept"],
         "encoder": identity_json(encoder.identity),
         "max_height": max_height,
         "algorithm": ALGORITHM,
@@ -144,10 +144,16 @@ def _vectors(
     views = list(by_stem.values())
     evidence = register(gaussians, views, masks, parts=parts / WEIGHTS, threads=threads, track=track).evidence
     shared = share_crops(evidence, gaussians, views, threads=threads)
-    columns = _columns_by_stem(evidence, masks)
+    columns = {
+        str(masks.key(name)): np.flatnonzero(evidence.masks.views == number)
+        for number, name in enumerate(evidence.masks.view_names)
+    }
+    ids = {
+        stem: masks[stem].file_rows[evidence.masks.ids[numbers]].astype(np.int32) for stem, numbers in columns.items()
+    }
     is_chosen = np.zeros(len(evidence.masks), np.bool_)
     is_chosen[shared.chosen] = True
-    chosen = {stem: evidence.masks.ids[numbers[is_chosen[numbers]]] for stem, numbers in columns.items()}
+    chosen = {stem: ids[stem][is_chosen[numbers]] for stem, numbers in columns.items()}
     embed(
         views, parts / CROPS, ChosenMasks(masks.directory, chosen), encoder, max_height=None, overwrite=overwrite,
         track=track,
@@ -155,16 +161,13 @@ def _vectors(
     crops = read_features(parts / CROPS)
     crop_rows = np.zeros((len(is_chosen), encoder.identity.dim), np.float32)
     for stem, numbers in columns.items():
-        own = numbers[is_chosen[numbers]]
-        crop_rows[own] = crops.stored(stem)[1][evidence.masks.ids[own]]
+        crop_rows[numbers[is_chosen[numbers]]] = crops.stored(stem)[1][chosen[stem]]
     rows = shared.embeddings(crop_rows[shared.chosen])
-    return {stem: rows[numbers] for stem, numbers in columns.items()}
-
-
-def _columns_by_stem(evidence: Evidence, masks: FeatureFolder) -> dict[str, np.ndarray]:
-    """Return the columns of each photo, in the order of its mask ids."""
-    keys = [str(masks.key(name)) for name in evidence.masks.view_names]
-    return {key: np.flatnonzero(evidence.masks.views == number) for number, key in enumerate(keys)}
+    vectors = {}
+    for stem, numbers in columns.items():
+        vectors[stem] = np.zeros((len(masks.stored(stem)[1]), rows.shape[1]), np.float32)
+        vectors[stem][ids[stem]] = rows[numbers]
+    return vectors
 
 
 @dataclass(frozen=True, eq=False)
