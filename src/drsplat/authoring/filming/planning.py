@@ -62,7 +62,10 @@ def path_named(
         return _from_file(name)
     upward = up_of(views) if up is None else up
     upward = np.array(UP_WITHOUT_VIEWS) if upward is None else upward
-    around = around_scene(gaussians, views, upward) if match is None else around_match(match, gaussians, views, upward)
+    if match is None:
+        around = around_scene(gaussians, views, upward)
+    else:  # from the side that most photos see it from
+        around = Around(match.center, before(match, gaussians, views, upward))
     return orbit(around, upward, views) if name == ORBIT else swinging(around, upward)
 
 
@@ -169,11 +172,6 @@ def swinging(around: Around, up: Vector, turn_degrees: float = 60.0) -> CameraPa
     """Return key frames to one side, to the other and back, slow at the turns: a loop that keeps to its first side."""
     eyes = np.array(swing(around.eye, around.target, up, SWING_KEYS, turn_degrees))
     return CameraPath(_looking(eyes, around, up), closed=True, even=True, seconds=SWING_S)
-
-
-def around_match(match: Match, gaussians: Gaussians, views: Sequence[View], up: Vector) -> Around:
-    """Return a camera that circles a match, from the side that most photos see it from."""
-    return Around(match.center, before(match, gaussians, views, up))
 
 
 def around_scene(gaussians: Gaussians, views: Sequence[View], up: Vector) -> Around:

@@ -15,7 +15,7 @@ from .declaring import Facts, argument, declaration, option, part
 from .edit_options import Changes, Listed, Targets, kept_edits, note_applied, note_left_out, only_one
 from .kinds import words
 from .options import Encoders, Photos, Verb, overwrite
-from .query_options import asked, check_outputs, query_of, query_text
+from .query_options import asked, check_outputs, open_with, query_of, query_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator
@@ -184,7 +184,6 @@ def _annotation_json(one: Annotation) -> Facts:
 
 def _work(options: Options) -> _Work:
     """Open the scene that is meant; each Gaussian has the number of its object, where the field knows objects."""
-    from ... import open_scene
     from ...authoring.editing import EditFile
     from ...authoring.editing.draft import OBJECT_ID
     from ...formats.moving_scenes import read_scene
@@ -199,10 +198,7 @@ def _work(options: Options) -> _Work:
         found, scene = read_scene(path), options.scene
     gaussians, opened = still(found), None
     if field is not None:
-        opened = open_scene(
-            field, scene=scene, views=options.views, threads=options.threads, **vars(options.encoders),
-            **vars(options.photos),
-        )  # fmt: skip
+        opened = open_with(options, field, scene)
         if opened.field.objects is not None:
             gaussians = replace(gaussians, extra={**gaussians.extra, OBJECT_ID: opened.object_ids()})
     return _Work(options, path, EditFile.beside(path), gaussians, opened)

@@ -12,7 +12,7 @@ from .declaring import Facts, argument, declaration, flag, option, part
 from .edit_options import kept_edits, note_applied, note_left_out, only_one
 from .kinds import finite, whole, words
 from .options import Encoders, Photos, Verb, new_output, overwrite
-from .query_options import asked, query_of, query_text
+from .query_options import asked, open_with, query_of, query_text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -96,13 +96,6 @@ class Options(Verb):
     def subject(self) -> str | None:
         """Name of the option whose query is answered. Raises: InputError: there are several."""
         return only_one(self.asked, QUERIES)
-
-    def open_scene(self, field: str, scene: str | None) -> Scene:
-        from ... import open_scene
-
-        return open_scene(
-            field, scene=scene, views=self.views, threads=self.threads, **vars(self.encoders), **vars(self.photos)
-        )
 
 
 def run(options: Options) -> Facts:
@@ -233,7 +226,7 @@ def _levels_of_tiles(options: Options, output: Path, path: Path) -> Facts:
     if not options.tiles3d:
         return _report(options, None, None, written_streamed_sog(output, tiles, options.overwrite))
     field = options.field or (options.source if options.scene is not None else None)
-    scene = None if field is None else options.open_scene(field, None)  # its Gaussians stay on the disk
+    scene = None if field is None else open_with(options, field, None)  # its Gaussians stay on the disk
     source = tiled(tiles, scene)
     return _report(options, None, source.object_of, _tiles3d(options, output, source))
 
@@ -279,11 +272,11 @@ def _opened(options: Options) -> Scene | None:
     if recognised(source) is Kind.FIELD or (source.is_dir() and any(source.glob("*.field"))):
         if options.field is not None:
             raise InputError(f"{options.source} has a field already: drop --field, or name the scene's file")
-        return options.open_scene(options.source, options.scene)
+        return open_with(options, options.source, options.scene)
     if options.scene is not None:
         raise InputError("--scene is the scene of a field: name the field first, or pass the scene and --field FIELD")
     if options.field is not None:
-        return options.open_scene(options.field, options.source)
+        return open_with(options, options.field, options.source)
     content = options.content
     if options.subject or content.embeddings or (content.object, content.label) != (None, None):
         raise InputError("queries, objects and labels need the field of the scene: pass field=FIELD")

@@ -279,6 +279,17 @@ def ask(
     return scene, scene.ask(query_of(question.asked))
 
 
+def open_with(options: Any, field: str, scene: str | None) -> Scene:
+    """Open a scene with the views, encoders, photos and threads that a verb's options have.
+
+    Raises: as `drsplat.open_scene`.
+    """
+    from ... import open_scene
+
+    more = {**vars(options.encoders), **vars(options.photos)}
+    return open_scene(field, scene=scene, views=options.views, threads=options.threads, **more)
+
+
 def values_of(given: Asked, offered: Iterable[QueryField] = FIELDS) -> dict[str, Any]:
     """Return what the options of some fields give, as `Query` takes it."""
     by_field = {field: given.get(field.name) for field in offered}

@@ -14,7 +14,7 @@ from .declaring import Facts, argument, declaration, flag, option, part
 from .edit_options import as_edited, kept_edits, note_own_scene
 from .kinds import finite, length, whole, words
 from .options import Encoders, Photos, Verb, near, new_output, overwrite
-from .query_options import asked, values_of
+from .query_options import asked, open_with, values_of
 
 if TYPE_CHECKING:
     from ...authoring.editing.edits import KeptEdits
@@ -246,16 +246,12 @@ def _edited(options: Options, scene: Gaussians | Moving) -> Gaussians | Moving:
 
 def _answer(options: Options) -> tuple[OpenedScene | None, Highlight | None]:
     """Return the scene of --field, and what --query finds in it."""
-    from ... import open_scene
     from ...authoring.filming.frames import Highlight
     from ...query import Query
 
     if options.query is None or options.field is None:
         return None, None
-    opened = open_scene(
-        options.field, scene=options.scene, views=options.views, threads=options.threads, **vars(options.encoders),
-        **vars(options.photos),
-    )  # fmt: skip
+    opened = open_with(options, options.field, options.scene)
     query = Query(options.query, **values_of(options.cut, TEXT_CUT))
     return opened, Highlight.of(opened, query, heat=options.heat_map, boxes=options.boxes)
 

@@ -8,7 +8,7 @@ from ...query.schema import Place, fields
 from .declaring import Facts, argument, declaration, option, part
 from .kinds import words
 from .options import Encoders, Photos, Verb
-from .query_options import FIELD_HELP, asked, query_of
+from .query_options import FIELD_HELP, asked, open_with, query_of
 
 if TYPE_CHECKING:
     from .query_options import Asked
@@ -42,12 +42,7 @@ class Options(Verb):
 
 
 def run(options: Options) -> Facts:
-    from ... import open_scene
-
-    scene = open_scene(
-        options.field, scene=options.scene, views=options.views, threads=options.threads,
-        **vars(options.encoders), **vars(options.photos),
-    )  # fmt: skip
+    scene = open_with(options, options.field, options.scene)
     one, other = (query_of({**options.both, "text": text}) for text in (options.one, options.other))
     spans = scene.when(one, options.relation, other, options.view)
     return {

@@ -1,7 +1,5 @@
 """Views that are sent to a scene: requests, answers, and what a worker does for them."""
 
-import base64
-import binascii
 import json
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,7 +7,6 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from ...errors import InputError
 from ...formats.live_views import LiveView, LiveViews
 from ...photos.arriving.adding import GrowingScene, add_waiting, refuse_view
 from ...photos.arriving.models import ModelNames, ModelShelf
@@ -19,6 +16,7 @@ from ...scene.gaussians import Gaussians
 from ...scene.moving import Moving
 from .limits import Limits
 from .models import Body
+from .pictures import from_base64
 from .query_fields import LIMITS, Finite, Request, examples
 from .replies import Reply
 from .scene_folder import SceneFolder, Sources, without_paths
@@ -146,9 +144,9 @@ def model_names(sources: Sources) -> ModelNames:
 def take(scene_folder: SceneFolder, name: str, asked: Mapping[str, Any], limits: Limits) -> Reply:
     """Keep a view. Raises: as `take_view`."""
     scene, view = scene_folder.scene(name), NewView(**asked)
-    features = None if view.features is None else _decoded(view.features, "features")
+    features = None if view.features is None else from_base64(view.features, "features")
     pose, lens = view.pose.model_dump(exclude_none=True), view.lens.model_dump(exclude_none=True)
-    sent = SentView(view.name, _decoded(view.picture, "picture"), pose, lens, view.time, features)
+    sent = SentView(view.name, from_base64(view.picture, "picture"), pose, lens, view.time, features)
     photos = tuple(photo.name for photo in scene.views)
     target = Target(capture_of(scene_folder.files(name)), scene.field, photos, scene.motion is not None)
     taken, is_new = take_view(
@@ -185,10 +183,3 @@ def _state(view: LiveView, working: bool = False) -> ViewState:
     return ViewState(
         name=view.name, state=state, arrived=view.arrived, ended=view.ended or None, reason=view.reason  # type: ignore[arg-type]
     )  # fmt: skip
-
-
-def _decoded(text: str, name: str) -> bytes:
-    try:
-        return base64.b64decode(text, validate=True)
-    except (binascii.Error, ValueError) as error:
-        raise InputError(f"{name}: expected base64: {error}") from None

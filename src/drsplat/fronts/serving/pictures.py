@@ -34,10 +34,9 @@ def decoded(data: bytes, most_pixels: int) -> Pixels:
         raise InputError(f"the image {error}") from error
 
 
-def from_base64(text: str, most_pixels: int) -> Pixels:
-    """Decode a picture in base64, see `decoded`. Raises: InputError: it is no base64; as `decoded`."""
+def from_base64(text: str, name: str) -> bytes:
+    """Return the bytes of a text in base64. name: of the field that it is of. Raises: InputError: it is no base64."""
     try:
-        data = base64.b64decode(text, validate=True)
+        return base64.b64decode(text, validate=True)
     except (binascii.Error, ValueError) as error:
-        raise InputError(f"image: expected base64: {error}") from None
-    return decoded(data, most_pixels)
+        raise InputError(f"{name}: expected base64: {error}") from None

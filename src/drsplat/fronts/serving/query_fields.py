@@ -19,7 +19,7 @@ from ...query.schema import CUT, FIELDS, SUBJECTS, Kind, Place, QueryField, fiel
 from ...scene.boxes import BoxKind
 from .limits import Limits
 from .models import Body, EarthPosition, Vector, significant
-from .pictures import from_base64
+from .pictures import decoded, from_base64
 from .replies import JPEG, Reply
 
 LIMITS = Limits()
@@ -94,7 +94,7 @@ _READERS: Mapping[Kind, Callable[[Any, Limits], Any]] = {
     "texts": lambda texts, _: tuple(texts),
     "negatives": lambda texts, _: tuple(texts),
     "vector": lambda numbers, _: np.asarray(numbers, np.float32),
-    "picture": lambda text, limits: from_base64(text, limits.pixels),
+    "picture": lambda text, limits: decoded(from_base64(text, "image"), limits.pixels),
     "point": lambda numbers, _: tuple(numbers),
     "pixel": lambda click, _: (click.view, click.x, click.y),
     "span": lambda times, _: tuple(times),

@@ -13,7 +13,7 @@ from ...authoring.editing.edits import KeptEdits, without_kept
 from ...authoring.filming.looking import before, up_direction
 from ...authoring.filming.paths import CameraPath
 from ...authoring.filming.planning import ORBIT, path_named
-from ...base.arrays import OtherPixels, Shaped, UInt16, Vector
+from ...base.arrays import OtherPixels, UInt16, Vector
 from ...drawing.heat import heat_of
 from ...errors import InputError
 from ...kernels.boxes import box_of
@@ -170,15 +170,9 @@ def page_of(
     return Page(
         title or scene.name, shown, session.edits.part(shown.ids)[0], answers, *look, up, features,
         objects=objects_of_page(session, up, times), annotations=annotations_of_page(session, up),
-        object_numbers=None if numbers is None else _shown(session, numbers), path=path, times=times,
+        object_numbers=None if numbers is None else session.of_drawn(numbers), path=path, times=times,
         num_edits=session.edits.listed.done,
     )  # fmt: skip
-
-
-def _shown(session: Session, values: Shaped[np.ndarray, " n"]) -> Shaped[np.ndarray, " m"]:
-    """Return values of the scene's rows for those that are shown; 0 for what edits added."""
-    added = np.zeros(len(session.drawn_colors) - len(values), values.dtype)
-    return np.asarray(np.concatenate([values, added])[session.drawn.ids])
 
 
 def _answer(session: Session, text: str, up: Vector, times: PageTimes | None) -> PageAnswer:
@@ -191,8 +185,8 @@ def _answer(session: Session, text: str, up: Vector, times: PageTimes | None) ->
         owners[one.gaussian_ids] = number + 1
     return PageAnswer(
         text,
-        _shown(session, scene.field.dense(warm, fill=0.0)),
-        _shown(session, owners),
+        session.of_drawn(scene.field.dense(warm, fill=0.0)),
+        session.of_drawn(owners),
         matches,
         [before(match, scene.gaussians, scene.views, up) for match in matches],
         boxes_of(session, times, matches),

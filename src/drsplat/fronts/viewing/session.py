@@ -15,7 +15,7 @@ from ...authoring.editing.edits import Change
 from ...authoring.editing.resolving import complete_rows
 from ...authoring.editing.targets import MAX_NAME_CHARACTERS
 from ...authoring.filming.looking import radius_of
-from ...base.arrays import Flags, Float32, Float64, Ids, Numbers, OtherPixels, Rows3, Vector
+from ...base.arrays import Flags, Float32, Float64, Ids, Numbers, OtherPixels, Rows3, Shaped, Vector
 from ...base.terminal import counted
 from ...drawing.heat import class_colors, heat_colors
 from ...errors import InputError
@@ -397,6 +397,11 @@ class Session:
     def object_ids(self) -> Numbers:
         """Per Gaussian of the scene its object's number, -1 for none; only of a field that has objects."""
         return np.asarray(self._edits.gaussians.extra[OBJECT_ID])
+
+    def of_drawn(self, values: Shaped[np.ndarray, " n"]) -> Shaped[np.ndarray, " m"]:
+        """Return values of the scene's rows for those that are drawn; 0 for what edits added."""
+        added = np.zeros(len(self.edits.opacities) - len(values), values.dtype)
+        return np.asarray(np.concatenate([values, added])[self.drawn.ids])
 
     def edited(self, *, selected_only: bool = False) -> tuple[Gaussians, Ids]:
         """Return the Gaussians after all edits, and their rows: the scene's own, then added ones.

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ....base.arrays import Shaped
 from ....errors import InputError
 from .. import results
 from ..page import as_bytes, packed
@@ -66,7 +65,7 @@ def paint(stage: Stage) -> Rows:
     }
     if session.has_objects:
         arrays["object"] = (np.minimum(session.object_ids, MAX_OBJECTS - 1) + 1).astype(np.uint16)
-    return {name: _drawn(stage, values) for name, values in arrays.items()}
+    return {name: session.of_drawn(values)[stage.order] for name, values in arrays.items()}
 
 
 def colors(stage: Stage, mode: str) -> Rows:
@@ -90,13 +89,6 @@ def nothing() -> Packed:
         "heat": empty, "owner": empty,
     }  # fmt: skip
     return _packed(part, 0, 0)
-
-
-def _drawn(stage: Stage, values: Shaped[np.ndarray, " n"]) -> Shaped[np.ndarray, " m"]:
-    """Return values of the scene's rows for those that are drawn; 0 for what edits added."""
-    session = stage.session
-    added = np.zeros(len(session.edits.opacities) - len(values), values.dtype)
-    return np.asarray(np.concatenate([values, added])[session.drawn.ids][stage.order])
 
 
 def _packed(part: Rows, begin: int, rows: int) -> Packed:
