@@ -1,6 +1,9 @@
 """A notebook for each of examples/, in a folder: prose, code in cells, and the pictures that it makes.
 
-usage: python make_notebooks.py FOLDER [--run]    --run: execute them there, one after another, and keep their outputs
+usage: python make_notebooks.py FOLDER [--run] [--docs]
+
+--run: execute them there, one after another, and keep their outputs. --docs: those of examples/notebooks alone, which
+are copied to docs/notebooks; FOLDER holds what `drsplat demo` wrote.
 
 A comment `# %% ...` begins a cell and is the prose above it. The arguments of `main` become a cell with their defaults,
 its body the cells after it; a cell that writes a picture shows it. A notebook is JSON, so that nothing is needed to
@@ -10,13 +13,15 @@ make it; to run it needs nbclient and ipykernel.
 import ast
 import json
 import re
+import shutil
 import sys
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
+NOTEBOOKS, PAGES = ROOT / "examples" / "notebooks", ROOT / "docs" / "notebooks"
 CELL = re.compile(r"^# %% (.+\n(?:# .+\n)*)", re.MULTILINE)
 PICTURE = re.compile(r"(?:save|Path)\(\"(\w+\.png)\"\)")
 SHOW = "from IPython.display import Image as Shown\n\nShown("
@@ -70,7 +75,7 @@ def _cell(kind: str, text: str) -> dict[str, Any]:
 def notebook(path: Path) -> dict[str, Any]:
     """Of the format 4.4, without outputs."""
     kernel = {"display_name": "Python 3", "language": "python", "name": "python3"}
-    title = path.stem.partition("_")[2].replace("_", " ").capitalize()
+    title = re.sub(r"^\d+_", "", path.stem).replace("_", " ").capitalize()
     body = [_cell("markdown", f"# {title}"), *cells(path.read_text(encoding="utf-8"))]
     return {"cells": body, "metadata": {"kernelspec": kernel}, "nbformat": 4, "nbformat_minor": 4}
 
@@ -79,10 +84,14 @@ def examples() -> list[Path]:
     return sorted((ROOT / "examples").glob("[0-9]*.py"))
 
 
-def write(folder: Path) -> list[Path]:
+def of_docs() -> list[Path]:
+    return sorted(NOTEBOOKS.glob("*.py"))
+
+
+def write(folder: Path, sources: Sequence[Path]) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
-    made = [folder / f"{path.stem}.ipynb" for path in examples()]
-    for path, place in zip(examples(), made, strict=True):
+    made = [folder / f"{path.stem}.ipynb" for path in sources]
+    for path, place in zip(sources, made, strict=True):
         place.write_text(json.dumps(notebook(path), indent=1) + "\n", encoding="utf-8")
     return made
 
@@ -93,16 +102,19 @@ def run(place: Path) -> None:
     from nbclient import NotebookClient
 
     made = nbformat.read(place, 4)
-    NotebookClient(made, timeout=600, resources={"metadata": {"path": place.parent}}).execute()
+    folder = {"metadata": {"path": place.parent}}
+    NotebookClient(made, timeout=600, resources=folder, record_timing=False).execute()
     nbformat.write(made, place)
     print(f"{place.name} ran", flush=True)
 
 
 def main(arguments: list[str]) -> int:
-    made = write(Path(arguments[0]))
+    made = write(Path(arguments[0]), of_docs() if "--docs" in arguments else examples())
     print(f"{len(made)} notebooks in {arguments[0]}")
     for place in made if "--run" in arguments else []:
         run(place)
+        if "--docs" in arguments:
+            shutil.copy(place, PAGES)
     return 0
 
 
