@@ -1,6 +1,7 @@
 """What the votes of photos are worth: lists of objects before and after pieces are joined that photos outline as one.
 
     python benchmarks/study_votes.py ROOM... CAPTURE=SCENE... --kept FOLDER [--masks whole] [--pictures FOLDER]
+    python benchmarks/study_votes.py ROOM... CAPTURE=SCENE... --kept FOLDER --surfaces
 
 ROOM: one of world/scenes. CAPTURE: a real capture with outlines (`tests/support/*_outlines.json`) or labels, and the
 scene that was trained on it. --masks whole: true masks of rooms, and simulated ones of whole things for captures;
@@ -11,11 +12,16 @@ outlined, so that P of two rows may be compared, and says little by itself. R: s
 IoU: mean over things of that with the best object, listed or not. Rows leave out, one at a time, what a vote is made
 of: the strength of outlines, the frame of photos, and that pieces may be stronger than the whole. FOLDER keeps what is
 registered; pictures show the joined things, their pieces in colours.
+
+--surfaces: which listed objects are said to be surfaces, by what most of their Gaussians are. Right are SURFACES. The
+last column has the listed objects of 500 Gaussians or more that are surfaces, by what they are, and in brackets those
+that are said to be. "-" is what nobody outlined.
 """
 
 import argparse
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -41,12 +47,18 @@ from drsplat.field.objects.agreed import agreed
 from drsplat.field.objects.choosing import Tree, _owners
 from drsplat.field.objects.describing import MIN_SHOWN_SHARE, node_weights
 from drsplat.field.objects.finding import find_tree
+from drsplat.field.objects.surfaces import surfaces
 from drsplat.kernels import render_channels, splat_arrays
 from drsplat.photos.embedding.voting import _Electorate
+from drsplat.scene.parted import middle
 
 LEVEL = 0.5  # of IoU, from which on an object is a thing
 VOID = 0.5  # of an object's Gaussians: with fewer in known photos it counts neither way
 COLORS = np.random.default_rng(7).integers(40, 256, (64, 3))
+
+
+SURFACES = ("wall", "floor", "rug", "table", "quilt", "lawn", "island")
+MANY = 500  # Gaussians of an object that is more than a leg of a table
 
 
 class Found(NamedTuple):
@@ -103,6 +115,30 @@ def compared(place: Place, found: Listing) -> Found:
     counted = found.listed & ~void
     right = len(set(ious[counted].argmax(1)[ious[counted].max(1) >= LEVEL]))
     return Found(right / max(counted.sum(), 1), right / len(numbers), int(found.listed.sum()), ious.max(0).mean())
+
+
+def surface_row(place: Place) -> tuple[str, ...]:
+    ids = np.flatnonzero(np.diff(place.evidence.weights.indptr))
+    evidence = place.evidence.rows(ids)
+    found = listing(find_tree(evidence, place.gaussians, ids.astype(np.uint32), place.cameras), evidence, ids)
+    names = {number: name for name, numbers in place.things.items() for number in numbers}
+    called = [names.get(int(np.bincount(place.labels[some] + 1).argmax()) - 1, "-") for some in found.ids]
+    object_of = np.full(len(place.gaussians), -1, np.int32)
+    for number, some in enumerate(found.ids):
+        object_of[some] = number
+    low, high = middle(place.gaussians, (0.01, 0.99))
+    size = float(np.linalg.norm(high - low))
+    flat = np.array(surfaces(object_of, len(found.ids), place.gaussians, size)) & found.listed
+    said = Counter(name for name, is_flat in zip(called, flat, strict=True) if is_flat)
+    large = found.listed & np.array([len(some) >= MANY for some in found.ids])
+    there = Counter(name for name, counts in zip(called, large, strict=True) if counts and name in SURFACES)
+    both = Counter(name for name, counts in zip(called, large & flat, strict=True) if counts)
+    known = sum(said.values()) - said["-"]
+    return (
+        place.name, str(sum(said.values())), f"{sum(said[name] for name in SURFACES)} of {known}",
+        ", ".join(f"{count} {name}" for name, count in said.most_common()),
+        ", ".join(f"{count} {name} ({both[name]})" for name, count in there.most_common()),
+    )  # fmt: skip
 
 
 def flat(votes: list[voting.Vote]) -> list[voting.Vote]:
@@ -175,9 +211,11 @@ def main() -> None:
     parser.add_argument("--kept", type=Path, required=True)
     parser.add_argument("--masks", choices=("graph", "whole"), default="graph")
     parser.add_argument("--pictures", type=Path)
+    parser.add_argument("--surfaces", action="store_true")
     arguments = parser.parse_args()
     print(describe())
     results: dict[str, Mapping[str, Found]] = {}
+    found = []
     for given in arguments.places:
         folder, _, scene = given.partition("=")
         path = Path(folder).resolve()
@@ -187,8 +225,14 @@ def main() -> None:
             place = capture(path, Path(scene), outlined if outlined.exists() else None, kind, arguments.kept)
         else:
             place = room(path, "true" if arguments.masks == "whole" else "graph", arguments.kept)
+        if arguments.surfaces:
+            found.append(surface_row(place))
+            continue
         results[place.name], seconds = measured(place, path, arguments.kept, arguments.pictures)
         print(f"{place.name}: {seconds}")
+    if found:
+        print(markdown(("place", "surfaces", "right, of known", "what they are", "surfaces there (said)"), found))
+        return
     names = list(next(iter(results.values())))
     rows = []
     for name, found in {**results, "mean": {n: mean([one[n] for one in results.values()]) for n in names}}.items():

@@ -69,7 +69,24 @@ def test_the_list(room: Path, capsys: Capture) -> None:
 
 
 def test_the_list_needs_no_scene_once_it_is_kept(room: Path, capsys: Capture) -> None:
-    assert answer_of(capsys, "objects", room / "a.field") == answer_of(capsys, *asked(room))
+    alone, with_scene = answer_of(capsys, "objects", room / "a.field"), answer_of(capsys, *asked(room))
+    assert [one.pop("surface") for one in alone["objects"]] == [None] * 3  # which takes the Gaussians
+    assert [one.pop("surface") for one in with_scene["objects"]] == [False] * 3
+    assert alone == with_scene
+
+
+def test_surfaces_and_what_few_photos_see_are_told(
+    room: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert [one["few_photos"] for one in answer_of(capsys, *asked(room))["objects"]] == [True] * 3  # all see three
+    monkeypatch.setattr("drsplat.query.documents.FEW_PHOTOS", 2)
+    monkeypatch.setattr("drsplat.field.objects.surfaces.MIN_SIDE_AROUND", 0.01)
+    told = answer_of(capsys, *asked(room))["objects"]
+    assert [(one["few_photos"], one["surface"]) for one in told] == [(False, True)] * 3
+    answer_of(capsys, *asked(room, "--label", "red, mug", "--id", 1))
+    text = text_of(capsys, *asked(room))
+    assert "red, mug, surface" in text
+    assert "few photos" not in text
 
 
 def test_inspect_counts_them(room: Path, capsys: Capture) -> None:

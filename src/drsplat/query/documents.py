@@ -11,6 +11,7 @@ import numpy as np
 
 from ..base.arrays import Float64, Shaped
 from ..field.evidence.evidence import Explanation
+from ..field.objects.agreed import FEW_PHOTOS
 from ..formats.georeference import Georeference
 from .answer import Answer, Match, MatchTrack, Segmentation
 from .objects import objects_of, photos_of
@@ -103,6 +104,7 @@ def segmentation_document(segmentation: Segmentation) -> Document:
 def object_documents(scene: Scene, listed: Iterable[Match], decimals: int | None = None) -> list[Document]:
     """Return objects of a scene with their names, boxes, and photos, those that show most of one first."""
     objects, names, agreed = objects_of(scene.field), scene.object_names(), scene.agreed.tolist()
+    surfaces = scene.surfaces
     return [
         {
             "id": number,
@@ -115,6 +117,8 @@ def object_documents(scene: Scene, listed: Iterable[Match], decimals: int | None
             "num_views": int(objects.num_views[node]),
             "sure": _short(match.score, decimals),
             "agreed": agreed[number],
+            "few_photos": bool(objects.num_views[node] <= FEW_PHOTOS),
+            "surface": surfaces and surfaces[number],
             "views": photos_of(scene.field, node),
         }
         for match in listed

@@ -15,6 +15,7 @@ from ..field import LanguageField
 from ..field.forest import Objects
 from ..field.labels import Label, LabelFile, Matched, matched
 from ..field.objects.agreed import agreed
+from ..field.objects.surfaces import surfaces
 from ..formats.georeference import Georeference
 from ..formats.tiles import Tiles
 from ..kernels import SplatArrays, splat_arrays
@@ -173,6 +174,17 @@ class Scene:
         objects, named = objects_of(self.field), self.labels.by_node
         labelled = np.array([node in named for node in objects.things.tolist()], np.bool_)
         return agreed(objects.sure[objects.things], objects.num_views[objects.things]) | labelled
+
+    @cached_property
+    def surfaces(self) -> list[bool] | None:
+        """True for each object, by number, that is a surface such as a floor; None without Gaussians in memory.
+
+        Raises: InputError: the field has no objects.
+        """
+        if not isinstance(self._rows, Gaussians):
+            return None
+        low, high = self.box
+        return surfaces(self.object_ids(), len(self.objects), self._rows, float(np.linalg.norm(high - low)))
 
     def object_names(self, nodes: Sequence[int] | None = None, words: Sequence[str] = ()) -> list[str | None]:
         """Return the word that the encoder is sure of for each object, or each of some nodes, else None.

@@ -145,8 +145,8 @@ def draw_features(
     masks = read_features(folder)
     shown = {node for stem in masks for node in masks[stem].file_rows.tolist()}
     if unseen := [f"object {number}" for number, node in enumerate(objects.things.tolist()) if node not in shown]:
-        text = f"{len(unseen)} of {len(objects)} objects are in front in no photo and get no mask: {listed(unseen)}"
-        warn(text, DrSplatWarning, stacklevel=2)
+        warn(f"{len(unseen)} objects are in front in no photo and get no mask: {listed(unseen)}",
+             DrSplatWarning, stacklevel=2)  # fmt: skip
     return masks
 
 

@@ -5,6 +5,7 @@ import numpy as np
 from ...base.arrays import Bool, Float32, Float64, Integer
 
 MIN_AGREEMENT = 0.25
+FEW_PHOTOS = 3  # or fewer: from most sides, nobody has seen the object
 PRIOR_PHOTOS = 2  # of no object at all, counted with those of each object
 
 

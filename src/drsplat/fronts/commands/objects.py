@@ -176,8 +176,12 @@ def _drifting_text(drift: Facts) -> str:
 
 def _row(document: Facts) -> tuple[str, ...]:
     places = (" ".join(f"{x:.2f}" for x in document[key]) for key in ("center", "extent"))
-    name, count = document["label"] or document["name"] or "", f"{document['num_gaussians']:,}"
-    return str(document["id"]), name, count, *places, str(document["num_views"]), f"{document['sure']:.2f}"
+    kinds = [kind for kind in ("surface", "few photos") if document[kind.replace(" ", "_")]]
+    name = ", ".join(filter(None, [document["label"] or document["name"], *kinds]))
+    return (
+        str(document["id"]), name, f"{document['num_gaussians']:,}", *places, str(document["num_views"]),
+        f"{document['sure']:.2f}",
+    )  # fmt: skip
 
 
 def _opened(options: Options) -> Scene:

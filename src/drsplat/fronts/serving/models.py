@@ -222,6 +222,10 @@ class SceneObject(Body):
     """how far the photos agree on it, from 0 to 1"""
     agreed: bool
     """whether photos agree on it, or it has a label; most others are scraps"""
+    few_photos: bool
+    """whether so few photos see it that most of its sides are unknown"""
+    surface: bool | None
+    """whether it is flat and large, such as a floor or a table top, by its shape; null of a scene that stays on disk"""
     views: list[str]
     """photos, those that show most of it first"""
     position: EarthPosition | None = POSITION

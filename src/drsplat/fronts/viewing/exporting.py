@@ -46,11 +46,14 @@ def pictures_of(session: Session, matches: list[Match]) -> list[OtherPixels | No
 
 
 def names_of(session: Session) -> list[str]:
-    """Label, else the word for it, and the number of each object; "object 7" where no word is sure."""
-    words = session.scene.object_names(words=session.words or ())
+    """Label, else the word for it, and the number of each object; "object 7" or "surface 7" where no word is sure."""
+    scene = session.scene
+    words, flat = scene.object_names(words=session.words or ()), scene.surfaces
     return [
-        f"{match.label or word} · {match.object_id}" if match.label or word else f"object {match.object_id}"
-        for match, word in zip(session.scene.objects, words, strict=True)
+        f"{match.label or word} · {number}"
+        if match.label or word
+        else f"{'surface' if flat and flat[number] else 'object'} {number}"
+        for number, (match, word) in enumerate(zip(scene.objects, words, strict=True))
     ]
 
 

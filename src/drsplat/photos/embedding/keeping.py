@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from scipy.ndimage import find_objects
 
-from ...base.arrays import Float32, Int32, UInt8
+from ...base.arrays import Float32, Int32, Integer, UInt8
 from ...errors import MismatchError
 from ...formats.checksums import hash_file
 from ...formats.embedding_record import read_settings
@@ -36,7 +36,7 @@ class WithoutEmbedding:
 class ChosenMasks(FeatureFolder):
     """Masks of a folder without those whose crops are not embedded. chosen: mask ids by photo."""
 
-    def __init__(self, directory: Path, chosen: Mapping[str, Int32[np.ndarray, " c"]]) -> None:
+    def __init__(self, directory: Path, chosen: Mapping[str, Integer[np.ndarray, " c"]]) -> None:
         super().__init__(directory, LEVELS.index("large"))
         self.chosen = chosen
 
@@ -94,14 +94,13 @@ def level_counts(mask_ids: Int32[np.ndarray, "*levels h w"]) -> dict[str, int]:
 
 
 def _cut_out(levels: Int32[np.ndarray, "l h w"]) -> tuple[list[int], Masks]:
-    """Return the ids that have pixels, each cut out of the level that has most of it: a whole, not what parts leave."""
+    """Return the ids that have pixels, each cut out of the largest level that has it: what is below has parts of it."""
     cutouts: dict[int, tuple[tuple[int, ...], np.ndarray]] = {}
-    for ids in levels:
+    for ids in levels[::-1]:
         for number, place in enumerate(find_objects(ids + 1)):
-            if place is not None:
-                (y, x), part = place, ids[place] == number
-                if number not in cutouts or part.sum() > cutouts[number][1].sum():
-                    cutouts[number] = ((x.start, y.start, x.stop, y.stop), part)
+            if place is not None and number not in cutouts:
+                y, x = place
+                cutouts[number] = ((x.start, y.start, x.stop, y.stop), ids[place] == number)
     rows = sorted(cutouts)
     boxes = np.array([cutouts[row][0] for row in rows], np.int32).reshape(-1, 4)
     parts = tuple(cutouts[row][1] for row in rows)

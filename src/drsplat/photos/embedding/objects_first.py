@@ -148,9 +148,7 @@ def _vectors(
         str(masks.key(name)): np.flatnonzero(evidence.masks.views == number)
         for number, name in enumerate(evidence.masks.view_names)
     }
-    ids = {
-        stem: masks[stem].file_rows[evidence.masks.ids[numbers]].astype(np.int32) for stem, numbers in columns.items()
-    }
+    ids = {stem: masks[stem].file_rows[evidence.masks.ids[numbers]] for stem, numbers in columns.items()}
     is_chosen = np.zeros(len(evidence.masks), np.bool_)
     is_chosen[shared.chosen] = True
     chosen = {stem: ids[stem][is_chosen[numbers]] for stem, numbers in columns.items()}

@@ -1,0 +1,42 @@
+"""Which objects are surfaces, such as floors, walls and table tops, by their shape alone."""
+
+import numpy as np
+
+from ...base.arrays import Float64, Int32
+from ...scene.boxes import solid
+from ...scene.gaussians import Gaussians
+
+NEAREST_SHARE, ROUNDS = 0.8, 4  # of the Gaussians, those nearest to the plane, to which it is fitted again
+MAX_RELIEF = 0.12  # standard deviation across the plane, of that along its shorter side
+MIN_SIDE, MIN_SIDE_AROUND = 0.0346, 0.144
+"""Standard deviation along the shorter side, of the scene's size: of what is flat, and of walls around a room.
+
+If Gaussians are spread evenly, these are sides of 0.12 and 0.5 of the size."""
+
+
+def surfaces(object_of: Int32[np.ndarray, " n"], count: int, gaussians: Gaussians, size: float) -> list[bool]:
+    """Return whether each object is flat and large, or so large that it goes around the scene.
+
+    What lies on a table top or holds it does not count: a fifth of an object's Gaussians may be anywhere.
+
+    Args:
+        object_of: number of each Gaussian's object, -1 for none.
+        count: objects.
+        gaussians: the scene.
+        size: diagonal of the scene, in its units.
+    """
+    order = np.argsort(object_of, kind="stable")
+    starts = np.searchsorted(object_of[order], np.arange(count + 1))
+    each = np.split(order, starts)[1:-1]
+    return [_is_surface(gaussians.means[solid(gaussians, ids)].astype(np.float64), size) for ids in each]
+
+
+def _is_surface(points: Float64[np.ndarray, "m 3"], size: float) -> bool:
+    near = points
+    for _ in range(ROUNDS):
+        variance, axes = np.linalg.eigh(np.cov(near.T, bias=True))
+        across = np.abs((points - near.mean(0)) @ axes[:, 0])
+        near = points[across <= np.quantile(across, NEAREST_SHARE)]
+    relief, side, _ = np.sqrt(np.maximum(variance, 0))
+    least = MIN_SIDE if relief <= MAX_RELIEF * side else MIN_SIDE_AROUND
+    return bool(side >= least * size)
