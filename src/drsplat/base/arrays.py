@@ -38,25 +38,51 @@ if TYPE_CHECKING or "jaxtyping" in sys.modules:
     from PIL.Image import Image as PilImage
     from scipy.sparse import csr_array as Sparse
 
-    Vector = Float64[np.ndarray, " 3"]
+    Vector3 = Float64[np.ndarray, " 3"]
     Matrix3 = Float64[np.ndarray, "3 3"]
     Points = Float64[np.ndarray, "n 3"]
-    Rows3 = Float32[np.ndarray, "n 3"]
-    Ids = Int64[np.ndarray, " m"]  # of rows
+    Vectors = Float32[np.ndarray, "n 3"]
+    RowIds = Int64[np.ndarray, " m"]  # of rows
     Flags = Bool[np.ndarray, " n"]  # of each row
-    Numbers = Int32[np.ndarray, " n"]  # the number of what each row belongs to, -1 for nothing
+    Ids = Int32[np.ndarray, " n"]  # the number of what each row belongs to, -1 for nothing
     Pixels = UInt8[np.ndarray, "h w 3"]
     OtherPixels = UInt8[np.ndarray, "_ _ 3"]  # of another size than the arguments
 else:
     from typing import Annotated
 
-    PilImage = Sparse = Vector = Matrix3 = Points = Rows3 = Ids = Flags = Numbers = Pixels = OtherPixels = Any
+    PilImage = Sparse = Vector3 = Matrix3 = Points = Vectors = RowIds = Flags = Ids = Pixels = OtherPixels = Any
 
     Bool = Float = Float16 = Float32 = Float64 = Int = Int8 = Int32 = Int64 = Integer = Num = Real = Shaped = Annotated
     UInt8 = UInt16 = UInt32 = UInt64 = Annotated
 
 __all__ = [
-    "Anywhere", "Bool", "Flags", "Float", "Float16", "Float32", "Float64", "Ids", "Int", "Int8", "Int32", "Int64",
-    "Integer", "Matrix3", "Num", "Numbers", "OtherPixels", "PilImage", "Pixels", "Points", "Real", "Rows3",
-    "Shaped", "Sparse", "UInt8", "UInt16", "UInt32", "UInt64", "Vector",
+    "Anywhere",
+    "Bool",
+    "Flags",
+    "Float",
+    "Float16",
+    "Float32",
+    "Float64",
+    "Ids",
+    "Int",
+    "Int8",
+    "Int32",
+    "Int64",
+    "Integer",
+    "Matrix3",
+    "Num",
+    "OtherPixels",
+    "PilImage",
+    "Pixels",
+    "Points",
+    "Real",
+    "RowIds",
+    "Shaped",
+    "Sparse",
+    "UInt8",
+    "UInt16",
+    "UInt32",
+    "UInt64",
+    "Vector3",
+    "Vectors",
 ]  # fmt: skip

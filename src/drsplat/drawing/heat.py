@@ -4,7 +4,7 @@ import colorsys
 
 import numpy as np
 
-from ..base.arrays import Float32, Rows3, UInt8
+from ..base.arrays import Float32, UInt8, Vectors
 
 LUMA = np.array([0.299, 0.587, 0.114])  # of red, green and blue: how light a colour looks
 GOLDEN_TURN_SHARE = 0.6180339887498949  # between hues, which keeps any number of them apart
@@ -36,7 +36,7 @@ def heat_of(values: Values, threshold: float) -> Values:
     return np.clip(np.where(values <= threshold, below, above), 0, 1).astype(np.float32)
 
 
-def heat_colors(heat: Values) -> Rows3:
+def heat_colors(heat: Values) -> Vectors:
     """Map heat in [0, 1] to colours, linearly between those of `HEAT`."""
     at = np.clip(heat, 0, 1) * (len(HEAT) - 1)
     low = np.minimum(at.astype(np.int64), len(HEAT) - 2)

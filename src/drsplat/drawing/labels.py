@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ..base.arrays import Float64, Matrix3, Pixels, Vector
+from ..base.arrays import Float64, Matrix3, Pixels, Vector3
 from ..scene.annotations import Annotation
 from ..scene.views import View
 from .pictures import OUTLINE_COLOR
@@ -37,8 +37,8 @@ class Mark:
     """
 
     text: str
-    center: Vector
-    extent: Vector | None = None
+    center: Vector3
+    extent: Vector3 | None = None
     axes: Matrix3 | None = None
     color: Color = OUTLINE_COLOR
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ..base.arrays import Float32, Numbers, OtherPixels, Pixels
+from ..base.arrays import Float32, Ids, OtherPixels, Pixels
 from ..kernels import render_channels, splat_arrays
 from ..scene.gaussians import SH_C0, Gaussians
 from ..scene.views import View
@@ -15,7 +15,7 @@ from .pictures import INK, PAPER
 UNCLASSED_CONTRAST = 0.35  # share of its own light that a Gaussian without class keeps, around a middle grey
 
 
-def colored(gaussians: Gaussians, labels: Numbers, count: int) -> Gaussians:
+def colored(gaussians: Gaussians, labels: Ids, count: int) -> Gaussians:
     """Return the scene in the colours of its classes, for any viewer; a dim grey where there is no class."""
     light = np.clip(0.5 + SH_C0 * gaussians.sh[:, 0].mean(1), 0, 1)
     rgb = np.repeat((0.5 + UNCLASSED_CONTRAST * (light - 0.5))[:, None], 3, axis=1).astype(np.float32)
@@ -26,7 +26,7 @@ def colored(gaussians: Gaussians, labels: Numbers, count: int) -> Gaussians:
 
 
 def class_picture(
-    gaussians: Gaussians, view: View, photo: Pixels, labels: Numbers, names: list[str], threads: int = 0
+    gaussians: Gaussians, view: View, photo: Pixels, labels: Ids, names: list[str], threads: int = 0
 ) -> OtherPixels:
     """Draw the photo in grey, tinted by the visible classes, with a legend of the scene's classes below it."""
     colors = class_colors(len(names)).astype(np.float32)

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from ..base.arrays import Bool, Float32, Ids
+from ..base.arrays import Bool, Float32, RowIds
 from ..errors import FormatError, InputError, MismatchError
 from ..field.codes import Track, untracked
 from ..formats.captures import read_views
@@ -244,7 +244,7 @@ def _masks(splats: SplatArrays, view: View, cut: _Cut, threads: int) -> Iterator
         yield column, mask
 
 
-def silhouette(splats: SplatArrays, view: View, selected: Ids, threads: int = 0) -> Bool[np.ndarray, "h w"]:
+def silhouette(splats: SplatArrays, view: View, selected: RowIds, threads: int = 0) -> Bool[np.ndarray, "h w"]:
     """Return where the selected Gaussians, rendered alone, are more opaque than 0.7."""
     if not len(selected):
         return np.zeros((view.height, view.width), bool)

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..base.arrays import Float32, Float64, Int32, Int64, Numbers, Rows3, Vector
+from ..base.arrays import Float32, Float64, Ids, Int32, Int64, Vector3, Vectors
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 
@@ -36,7 +36,7 @@ class LabelledPoints(NamedTuple):
     positions: Float32[np.ndarray, "m 3"]
     labels: Int32[np.ndarray, " m"]
 
-    def relative_to(self, origin: Vector) -> "LabelledPoints":
+    def relative_to(self, origin: Vector3) -> "LabelledPoints":
         """Return the points counted from `origin`."""
         if not origin.any():
             return self
@@ -50,9 +50,9 @@ class _Sources(NamedTuple):
     """
 
     ids: Int64[np.ndarray, " n"]
-    means: Rows3
+    means: Vectors
     whiten: Float32[np.ndarray, "n 9"]
-    reach: Rows3
+    reach: Vectors
     size: Float64[np.ndarray, " n"]
 
     def rows(self, index: np.ndarray | slice) -> "_Sources":
@@ -67,7 +67,7 @@ class _Runs(NamedTuple):
     counts: Int64[np.ndarray, " k"]
 
 
-def pseudo_labels(gaussians: Gaussians, points: LabelledPoints, *, threads: int = 0) -> Numbers:
+def pseudo_labels(gaussians: Gaussians, points: LabelledPoints, *, threads: int = 0) -> Ids:
     """Return the label of each Gaussian, -1 where no point is near enough.
 
     Where the density vote has no point within its cut-off, as with Gaussians smaller than the gaps
@@ -94,7 +94,7 @@ def spacing(tree: cKDTree) -> float:
 
 def density_labels(
     gaussians: Gaussians, points: LabelledPoints, *, cut_off: float = CUT_OFF_SIGMAS, threads: int = 0
-) -> Numbers:
+) -> Ids:
     """Return the argmax over labels s of the sum of exp(-d^2 / 2) over the points of s within `cut_off`.
 
     d is the Mahalanobis distance of a point to the Gaussian. The label is -1 where no point is that near; ties go
@@ -179,7 +179,7 @@ class _Grid:
         return _Runs(owner[filled], starts[filled], counts[filled])
 
 
-def _vote_round(sources: _Sources, points: LabelledPoints, cut_off: float, winners: Numbers, threads: int) -> _Sources:
+def _vote_round(sources: _Sources, points: LabelledPoints, cut_off: float, winners: Ids, threads: int) -> _Sources:
     """Write the labels of Gaussians with few candidates; return the others."""
     corners = (points.positions.min(0), points.positions.max(0))
     bounds = np.stack(corners).astype(np.float64)
@@ -195,7 +195,7 @@ def _vote_round(sources: _Sources, points: LabelledPoints, cut_off: float, winne
 
 
 def _vote_block(
-    sources: _Sources, grid: _Grid, cut_off: float, winners: Numbers, block: Int64[np.ndarray, " b"]
+    sources: _Sources, grid: _Grid, cut_off: float, winners: Ids, block: Int64[np.ndarray, " b"]
 ) -> Int64[np.ndarray, " c"]:
     """Write the labels of a block; return its rows with too many candidates."""
     inside = sources.rows(slice(block[0], block[-1] + 1))
@@ -213,7 +213,7 @@ def _vote_block(
     return block[~few]
 
 
-def _vote_batch(sources: _Sources, grid: _Grid, cut_off: float, winners: Numbers, runs: _Runs) -> None:
+def _vote_batch(sources: _Sources, grid: _Grid, cut_off: float, winners: Ids, runs: _Runs) -> None:
     total = int(runs.counts.sum())
     shifts = runs.starts - (np.cumsum(runs.counts) - runs.counts)
     points = np.repeat(shifts, runs.counts) + np.arange(total)
@@ -237,7 +237,7 @@ def _vote_batch(sources: _Sources, grid: _Grid, cut_off: float, winners: Numbers
 
 
 def _write_winners(
-    winners: Numbers,
+    winners: Ids,
     ids: Int64[np.ndarray, " b"],
     owner: Int32[np.ndarray, " e"],
     labels: Int64[np.ndarray, " e"],

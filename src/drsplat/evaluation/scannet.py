@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64, Int32, Integer, Numbers
+from ..base.arrays import Float32, Float64, Ids, Int32, Integer
 from ..base.contents import file_text
 from ..errors import FormatError, InputError, MismatchError
 from ..field.codes import Track, untracked
@@ -66,7 +66,7 @@ class LabelSet:
         table[list(self.ids)] = np.arange(1, len(self) + 1)
         return table
 
-    def classes(self, ids: Integer[np.ndarray, " n"]) -> Numbers:
+    def classes(self, ids: Integer[np.ndarray, " n"]) -> Ids:
         """Return 1 to C for the ids of the set, 0 for all others."""
         in_table = (ids >= 0) & (ids < len(self._class_of))
         return np.where(in_table, self._class_of[np.where(in_table, ids, 0)], 0).astype(np.int32)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Numbers
+from ..base.arrays import Ids
 from ..errors import MismatchError
 from .predictions import read_manifests
 from .scannet import ScannetScene, over_scenes, predict_classes, predicted_classes, segmentation_record
@@ -44,7 +44,7 @@ def score(scenes: Sequence[ScannetScene], folder: Path) -> dict[str, Any]:
     }
 
 
-def frozen_truth(scene: ScannetScene) -> Numbers:
+def frozen_truth(scene: ScannetScene) -> Ids:
     """Return the class of each Gaussian, which is that of its point; 0 for faint ones.
 
     Raises: MismatchError: not one Gaussian per point, or not at its place.

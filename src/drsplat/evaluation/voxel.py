@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Float64, Int32, Int64, Numbers, Vector
+from ..base.arrays import Float64, Ids, Int32, Int64, Vector3
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 from . import scannet_volume, scorers
@@ -40,7 +40,7 @@ predict = partial(predict_classes, protocol=PROTOCOL)
 class VoxelGrid:
     """Grid of cubes; `origin` is the low corner of the first."""
 
-    origin: Vector
+    origin: Vector3
     side: float
     shape: tuple[int, int, int]
 
@@ -66,7 +66,7 @@ def grid_over(positions: np.ndarray, side: float = VOXEL_SIDE) -> VoxelGrid:
 
 
 def voxel_labels(
-    gaussians: Gaussians, labellings: Sequence[Numbers], num_labels: int, grid: VoxelGrid, *, threads: int = 0
+    gaussians: Gaussians, labellings: Sequence[Ids], num_labels: int, grid: VoxelGrid, *, threads: int = 0
 ) -> list[Int32[np.ndarray, " v"]]:
     """Return, for each labelling, the label of every voxel, 0 to num_labels - 1; -1 where it is empty.
 
@@ -167,7 +167,7 @@ class _Sources:
 
 
 def _slab(
-    sources: _Sources, labellings: Sequence[Numbers], num_labels: int, slab: tuple[int, int]
+    sources: _Sources, labellings: Sequence[Ids], num_labels: int, slab: tuple[int, int]
 ) -> list[Int32[np.ndarray, " v"]]:
     """Return the labels of the voxels with x in [slab[0], slab[1])."""
     low, high = sources.low.copy(), sources.high.copy()

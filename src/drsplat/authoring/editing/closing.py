@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
-from ...base.arrays import Bool, Float64, Ids, Int64
+from ...base.arrays import Bool, Float64, Int64, RowIds
 from ...errors import DrSplatWarning, InputError
 from ...formats.runs import spans_of
 from ...scene.boxes import HAZE_OPACITY
@@ -25,7 +25,7 @@ MIN_CLOSED_SHARE = 0.2  # of a hole: with less it stays open, for the fill would
 Cells = Bool[np.ndarray, "h w"]
 
 
-def closing(draft: Draft, ids: Ids) -> FillRecord:
+def closing(draft: Draft, ids: RowIds) -> FillRecord:
     """Return what a fill does where some rows stood at first.
 
     Raises: InputError: too few rows to leave a hole, or no plane was found. Warns: DrSplatWarning: a hole that could be
@@ -56,7 +56,7 @@ def closing(draft: Draft, ids: Ids) -> FillRecord:
     return FillRecord(spans_of(near[removed]), tuple(clones))
 
 
-def _near(draft: Draft, ids: Ids, thing: Float64[np.ndarray, "t 3"]) -> Int64[np.ndarray, " k"]:
+def _near(draft: Draft, ids: RowIds, thing: Float64[np.ndarray, "t 3"]) -> Int64[np.ndarray, " k"]:
     """Return the rows that are there around what stood there, without itself."""
     low, high = np.quantile(thing, (0.01, 0.99), axis=0)
     reach = SEARCH_MARGIN_SHARE * float(np.linalg.norm(high - low))
@@ -65,7 +65,7 @@ def _near(draft: Draft, ids: Ids, thing: Float64[np.ndarray, "t 3"]) -> Int64[np
     return np.flatnonzero(near)
 
 
-def _closed(near: Int64[np.ndarray, " k"], ground: Ground) -> tuple[Ids, list[Clones], float]:
+def _closed(near: Int64[np.ndarray, " k"], ground: Ground) -> tuple[RowIds, list[Clones], float]:
     """Return which of the Gaussians near a thing go for a plane, what is cloned, and how much of the hole stays open.
 
     A hole that the plane is not around, or that hardly anything could close, stays as it is.

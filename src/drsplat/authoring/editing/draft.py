@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...base.arrays import Flags, Float32, Float64, Ids, Matrix3, Rows3, Vector
+from ...base.arrays import Flags, Float32, Float64, Matrix3, RowIds, Vector3, Vectors
 from ...drawing.heat import LUMA
 from ...errors import InputError
 from ...formats.scenes import read_gaussians
@@ -33,15 +33,15 @@ class Draft:
     there may be, removed ones included. antialiased: as of `Gaussians`.
     """
 
-    means: Rows3
+    means: Vectors
     quats: Float32[np.ndarray, "n 4"]
-    scales: Rows3
+    scales: Vectors
     opacities: Float32[np.ndarray, " n"]
     sh: Float32[np.ndarray, "n k 3"]
     extra: dict[str, np.ndarray]
-    origin: Vector
+    origin: Vector3
     present: Flags
-    homes: Rows3
+    homes: Vectors
     most: int = MIN_ROW_LIMIT
     added: list[tuple[int, int]] = field(default_factory=list)
     read: Callable[[str], Gaussians] = read_gaussians
@@ -78,22 +78,22 @@ class Draft:
         columns = (self.means, self.quats, self.scales, opacities, self.sh, self.extra, self.origin)
         return Gaussians(*columns, self.antialiased)
 
-    def part(self, ids: Ids) -> Gaussians:
+    def part(self, ids: RowIds) -> Gaussians:
         """Return some rows, removed ones as well."""
         extra = {name: column[ids] for name, column in self.extra.items()}
         columns = (self.means[ids], self.quats[ids], self.scales[ids], self.opacities[ids], self.sh[ids])
         return Gaussians(*columns, extra, self.origin, self.antialiased)
 
-    def put(self, ids: Ids, part: Gaussians) -> None:
+    def put(self, ids: RowIds, part: Gaussians) -> None:
         """Put rows where and as `part` has them."""
         self.means[ids] = self._means(part)
         self.quats[ids], self.scales[ids], self.sh[ids] = part.quats, part.scales, part.sh
 
-    def shift(self, ids: Ids, by: Sequence[int | float] | Float64[np.ndarray, "*rows 3"]) -> None:
+    def shift(self, ids: RowIds, by: Sequence[int | float] | Float64[np.ndarray, "*rows 3"]) -> None:
         """Move rows by the same vector, or each by its own."""
         self.means[ids] = (self.means[ids] + np.asarray(by, np.float64)).astype(np.float32)
 
-    def add(self, part: Gaussians, object_id: int | None = None) -> Ids:
+    def add(self, part: Gaussians, object_id: int | None = None) -> RowIds:
         """Append rows behind the last, and return their numbers.
 
         object_id: whose they are, None for the column of `part`. What else only one of the two knows is 0.
@@ -150,7 +150,7 @@ MAX_FACTOR_OR_DEGREES = 1e6
 class Remove:
     """Not there any more."""
 
-    def apply(self, draft: Draft, ids: Ids) -> None:
+    def apply(self, draft: Draft, ids: RowIds) -> None:
         draft.present[ids] = False
 
 
@@ -158,7 +158,7 @@ class Remove:
 class Isolate:
     """Nothing but these."""
 
-    def apply(self, draft: Draft, ids: Ids) -> None:
+    def apply(self, draft: Draft, ids: RowIds) -> None:
         kept = draft.present[ids]
         draft.present[:] = False
         draft.present[ids] = kept
@@ -174,7 +174,7 @@ class Opacity:
         if not 0 <= self.factor <= MAX_FACTOR_OR_DEGREES:
             raise InputError(f"opacity: expected a factor of 0 or more, got {self.factor:g}")
 
-    def apply(self, draft: Draft, ids: Ids) -> None:
+    def apply(self, draft: Draft, ids: RowIds) -> None:
         draft.opacities[ids] = np.minimum(draft.opacities[ids] * np.float32(self.factor), np.float32(1))
 
 
@@ -184,7 +184,7 @@ class Move:
 
     by: Triple
 
-    def apply(self, draft: Draft, ids: Ids) -> None:
+    def apply(self, draft: Draft, ids: RowIds) -> None:
         draft.shift(ids, self.by)
 
 
@@ -207,7 +207,7 @@ class Turn:
                 f"turn: expected up to {MAX_FACTOR_OR_DEGREES:,.0f} degrees either way, got {self.degrees:g}"
             )
 
-    def apply(self, draft: Draft, ids: Ids) -> None:
+    def apply(self, draft: Draft, ids: RowIds) -> None:
         from scipy.spatial.transform import Rotation
 
         axis = np.array(self.axis) / max(map(abs, self.axis))  # so that no square overflows
@@ -228,7 +228,7 @@ class Scale:
         if not 1 / MAX_FACTOR_OR_DEGREES <= self.factor <= MAX_FACTOR_OR_DEGREES:
             raise InputError(f"scale: expected a factor above 0, got {self.factor:g}")
 
-    def apply(self, draft: Draft, ids: Ids) -> None:
+    def apply(self, draft: Draft, ids: RowIds) -> None:
         part = draft.part(ids)
         draft.put(ids, around(part, self.factor, np.eye(3), self.about).moved(part))
 
@@ -239,7 +239,7 @@ class Duplicate:
 
     by: Triple
 
-    def apply(self, draft: Draft, ids: Ids) -> None:
+    def apply(self, draft: Draft, ids: RowIds) -> None:
         present = ids[draft.present[ids]]
         copies = draft.add(draft.part(present), draft.next_object())
         draft.shift(copies, self.by)
@@ -288,7 +288,7 @@ class Recolour:
         if not 0 <= self.amount <= 1:
             raise InputError(f"amount: expected a number from 0 to 1, got {self.amount:g}")
 
-    def apply(self, draft: Draft, ids: Ids) -> None:
+    def apply(self, draft: Draft, ids: RowIds) -> None:
         light = np.einsum("nc,c->n", _colors(draft.sh[ids]), LUMA)
         reference = max(float(np.quantile(light, REFERENCE_LIGHT_QUANTILE)) if len(light) else 1.0, MIN_CLUSTER_LIGHT)
         full = np.outer(self.color, LUMA) / reference
@@ -310,7 +310,7 @@ class Palette:
         for color in self.colors:
             check_color(color)
 
-    def apply(self, draft: Draft, ids: Ids) -> None:
+    def apply(self, draft: Draft, ids: RowIds) -> None:
         colors = _colors(draft.sh[ids])
         groups = grouped(colors, draft.opacities[ids].astype(np.float64), len(self.colors))
         light = np.einsum("nc,c->n", colors, LUMA)
@@ -328,7 +328,7 @@ class MatchPhoto:
     Source: Pitie and Kokaram 2007, "The linear Monge-Kantorovitch linear colour mapping".
     """
 
-    mean: Vector
+    mean: Vector3
     covariance: Matrix3
 
     def __post_init__(self) -> None:
@@ -347,7 +347,7 @@ class MatchPhoto:
         mean, covariance = _statistics(pixels, np.ones(len(pixels)))
         return cls(mean, covariance)
 
-    def apply(self, draft: Draft, ids: Ids) -> None:
+    def apply(self, draft: Draft, ids: RowIds) -> None:
         if not len(ids):
             return
         weights = draft.opacities[ids].astype(np.float64) + 1e-6
@@ -375,7 +375,7 @@ def check_color(color: Triple) -> None:
         raise InputError(f"a colour: expected red, green and blue from 0 to 1, got {color}")
 
 
-def grouped(colors: Colors, weights: Float64[np.ndarray, " m"], count: int) -> Ids:
+def grouped(colors: Colors, weights: Float64[np.ndarray, " m"], count: int) -> RowIds:
     """Return up to `count` groups of like colours, hue before light, by k-means from quantiles of light."""
     total = colors.sum(axis=1, keepdims=True)
     light = np.einsum("nc,c->n", colors, LUMA)
@@ -396,14 +396,14 @@ def _colors(sh: Float32[np.ndarray, "m k 3"]) -> Colors:
     return np.asarray(np.clip(0.5 + SH_C0 * sh[:, 0].astype(np.float64), 0, 1))
 
 
-def _map(draft: Draft, ids: Ids, matrix: Matrix3, offset: Vector) -> None:
+def _map(draft: Draft, ids: RowIds, matrix: Matrix3, offset: Vector3) -> None:
     """Apply c -> matrix c + offset, for the colour in every direction."""
     sh = np.einsum("rc,nkc->nkr", matrix, draft.sh[ids].astype(np.float64))
     sh[:, 0] += (matrix.sum(axis=1) * 0.5 + offset - 0.5) / SH_C0
     draft.sh[ids] = sh.astype(np.float32)
 
 
-def _statistics(colors: Colors, weights: Float64[np.ndarray, " m"]) -> tuple[Vector, Matrix3]:
+def _statistics(colors: Colors, weights: Float64[np.ndarray, " m"]) -> tuple[Vector3, Matrix3]:
     shares = weights / weights.sum()
     mean = np.einsum("n,nc->c", shares, colors)
     away = colors - mean

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.arrays import Int64, Vector
+from ...base.arrays import Int64, Vector3
 from ...errors import InputError
 from ...formats.runs import are_rows, ids_of
 from .draft import Draft
@@ -20,7 +20,7 @@ class Clones:
     """
 
     spans: Spans
-    by: Vector
+    by: Vector3
 
     def __post_init__(self) -> None:
         if not are_rows(self.spans):

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-from ...base.arrays import Ids
+from ...base.arrays import RowIds
 from ...errors import InputError
 from .draft import Draft
 from .fill_record import FillRecord
@@ -30,11 +30,11 @@ class Fill:
         if self.version != VERSION:
             raise InputError(f"fill: expected version {VERSION}, got {self.version}: undo it, and fill anew")
 
-    def apply(self, draft: Draft, ids: Ids) -> None:
+    def apply(self, draft: Draft, ids: RowIds) -> None:
         """Close the hole that the target leaves. Raises: InputError: as `recorded`, or a record that does not fit."""
         (self.record or self._computed(draft, ids)).apply(draft)
 
-    def recorded(self, draft: Draft, ids: Ids) -> "Fill":
+    def recorded(self, draft: Draft, ids: RowIds) -> "Fill":
         """Return this change with the record of what it does to a draft, which stays as it is.
 
         Raises: InputError: too few rows to leave a hole, or no plane was found. Warns: DrSplatWarning: a hole that
@@ -42,7 +42,7 @@ class Fill:
         """
         return replace(self, record=self._computed(draft, ids))
 
-    def _computed(self, draft: Draft, ids: Ids) -> FillRecord:
+    def _computed(self, draft: Draft, ids: RowIds) -> FillRecord:
         from .closing import closing  # with it comes much of SciPy, which a list of edits does without
 
         return closing(draft, ids)

@@ -8,7 +8,7 @@ from scipy import ndimage
 from scipy.signal import fftconvolve
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from ...base.arrays import Bool, Flags, Float64, Ids, Int64, Integer, Points, Vector
+from ...base.arrays import Bool, Flags, Float64, Int64, Integer, Points, RowIds, Vector3
 from ...drawing.rendering import Picture, render
 from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import SH_C0, Gaussians
@@ -119,7 +119,7 @@ class PlaneGrid:
         rows, columns = np.indices(self.shape)
         return np.asarray(self.low + (np.stack([rows.ravel(), columns.ravel()], axis=1) + 0.5) * self.step)
 
-    def shift(self, by: tuple[int, int]) -> Vector:
+    def shift(self, by: tuple[int, int]) -> Vector3:
         """Return by how far so many cells are, in the scene."""
         return np.asarray(self.step * (np.array(by, np.float64) @ self.plane.axes))
 
@@ -176,7 +176,7 @@ class Ground:
         return self.plane.heights(self.places)
 
     @cached_property
-    def rows(self) -> Ids:
+    def rows(self) -> RowIds:
         lies = (np.abs(self.heights) <= self.plane.tolerance) & is_flat(self.scene, self.plane)
         return np.flatnonzero(lies & before(self.behind, self.places))
 
@@ -238,7 +238,7 @@ class Ground:
         return np.unique(np.concatenate(found))
 
     @cached_property
-    def own(self) -> Ids:
+    def own(self) -> RowIds:
         """Gaussians in the plane that are its own: of its objects, and of the colour that it has around them."""
         part, cells = self.scene.subset(self.rows), self.grid.cells(self.places[self.rows])
         drawn = Surface(self.grid.colors(part), self.grid.coverage(part) >= COVERED_OPACITY)
@@ -273,7 +273,7 @@ class Ground:
         return bool(len(cells) and within.mean() >= MIN_SURROUNDED_SHARE)
 
     @property
-    def guessed(self) -> Ids:
+    def guessed(self) -> RowIds:
         """Gaussians about the plane, in the hole of it, that training guessed there unseen."""
         low = np.flatnonzero(np.abs(self.heights) <= MIN_STANDING_TOLERANCES * self.plane.tolerance)
         goes = self.grid.among(self.hole, self.places[low])
@@ -282,7 +282,7 @@ class Ground:
         return np.asarray(low[goes])
 
     @cached_property
-    def standing(self) -> Ids:
+    def standing(self) -> RowIds:
         """Gaussians of the plane's objects that stand off it in the thing's place, nearer to it than to other things.
 
         Such an object is one surface, with nothing above it: they were inside of the thing or part of it.

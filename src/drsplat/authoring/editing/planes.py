@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.arrays import Flags, Float64, Int64, Points, Vector
+from ...base.arrays import Flags, Float64, Int64, Points, Vector3
 
 RANSAC_TRIES = 300
 MAX_RANSAC_POINTS = 4000
@@ -31,7 +31,7 @@ Thing = Float64[np.ndarray, "t 3"]
 class Plane:
     """Points x with normal . x = offset; the normal points to where the object is. axes: two in it, at right angles."""
 
-    normal: Vector
+    normal: Vector3
     offset: float
     axes: Float64[np.ndarray, "2 3"]
     tolerance: float

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...base.arrays import Float64, Ids, Int64, Vector
+from ...base.arrays import Float64, Int64, RowIds, Vector3
 from ...errors import DrSplatWarning, InputError, MismatchError
 from ...formats.json_files import is_text
 from ...formats.runs import are_rows, ids_of, spans_of
@@ -47,7 +47,7 @@ class Replace:
             raise InputError("replace: spans: expected ascending rows of the other scene, one or more")
         similarity_of(self.matrix)
 
-    def apply(self, draft: Draft, ids: Ids) -> None:
+    def apply(self, draft: Draft, ids: RowIds) -> None:
         other = draft.read(self.scene)
         _tell_of_another_drawing(draft, other)
         draft.most = max(draft.most, most_rows(len(other)))
@@ -86,7 +86,7 @@ def fitted(goes: Box, comes: Box) -> Float64[np.ndarray, "4 4"]:
 
 
 def placed_in(
-    scene: Gaussians, ids: Ids, up: Vector, other: Gaussians, others: Int64[np.ndarray, " k"], up_there: Vector
+    scene: Gaussians, ids: RowIds, up: Vector3, other: Gaussians, others: Int64[np.ndarray, " k"], up_there: Vector3
 ) -> Float64[np.ndarray, "4 4"]:  # fmt: skip
     """Return `fitted` for the boxes of rows of this scene and of another. up: unit directions in each of them."""
     goes, comes = box_of(scene, solid(scene, ids), up), box_of(other, solid(other, others), up_there)
@@ -104,18 +104,18 @@ def _tell_of_another_drawing(draft: Draft, other: Gaussians) -> None:
         )
 
 
-def _foot(box: Box) -> Vector:
+def _foot(box: Box) -> Vector3:
     return np.asarray(box.center - box.axes[2] * box.extent[2] / 2)
 
 
-def _object_of(draft: Draft, ids: Ids) -> int:
+def _object_of(draft: Draft, ids: RowIds) -> int:
     """Return the number of the object that most of some rows belong to, or a new number."""
     of = draft.extra.get(OBJECT_ID)
     known = np.empty(0, np.int64) if of is None else of[ids][of[ids] >= 0].astype(np.int64)
     return int(np.bincount(known).argmax()) if len(known) else draft.next_object()
 
 
-def scaled_on_its_foot(part: Gaussians, factor: float, up: Vector | None) -> Scale:
+def scaled_on_its_foot(part: Gaussians, factor: float, up: Vector3 | None) -> Scale:
     """Scale about the middle of where something stands; about its own middle where nothing tells what is up."""
     if up is None or not len(part):
         return Scale(factor)
@@ -125,7 +125,7 @@ def scaled_on_its_foot(part: Gaussians, factor: float, up: Vector | None) -> Sca
 
 
 def replaced_by(
-    part: Gaussians, up: Vector, other: str | os.PathLike[str], number: int | None, folder: Path
+    part: Gaussians, up: Vector3, other: str | os.PathLike[str], number: int | None, folder: Path
 ) -> Replace:  # fmt: skip
     """Replace `part` by another scene, or by an object of the field in a folder. folder: where edits are kept.
 

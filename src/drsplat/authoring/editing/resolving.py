@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from ...base.arrays import Bool, Flags, Float64, Ids, Int64, Integer
+from ...base.arrays import Bool, Flags, Float64, Int64, Integer, RowIds
 from ...errors import InputError
 from ...field import LanguageField
 from ...query import Query, Scene
@@ -70,7 +70,7 @@ def query_rows(scene: Scene, query: Query | str, words: str = "") -> Rows:
     return Rows.of(rows, "query", words)
 
 
-def complete_rows(scene: Scene, ids: Integer[np.ndarray, " k"]) -> Ids:
+def complete_rows(scene: Scene, ids: Integer[np.ndarray, " k"]) -> RowIds:
     """Return rows of a scene with what nobody can tell apart from them; see `completed`."""
     return completed(scene.gaussians, ids, *_objects(scene, scene.field), threads=scene.threads)
 
@@ -87,7 +87,7 @@ def _objects(scene: Scene, field: LanguageField) -> tuple[Owners, Agreed]:
 
 def completed(
     gaussians: Gaussians, ids: Integer[np.ndarray, " k"], owners: Owners, agreed: Agreed, *, threads: int = 0
-) -> Ids:
+) -> RowIds:
     """Return rows with what cannot be told apart from them.
 
     That is the rest of objects that they nearly are, what they enclose, loose Gaussians that hang on to them, and in a

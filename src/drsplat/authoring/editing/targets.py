@@ -9,7 +9,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ...base.arrays import Ids, Int64, Integer, Matrix3, Vector
+from ...base.arrays import Int64, Integer, Matrix3, RowIds, Vector3
 from ...errors import InputError
 from ...formats.json_files import is_text
 from ...formats.runs import are_rows, ids_of, spans_of
@@ -52,7 +52,7 @@ class Rows:
     def __len__(self) -> int:
         return int((self.spans[:, 1] - self.spans[:, 0]).sum())
 
-    def ids(self, draft: Draft) -> Ids:
+    def ids(self, draft: Draft) -> RowIds:
         """Return the rows that are there. Raises: InputError: numbers that no row has."""
         if int(self.spans[-1, 1]) > len(draft):
             raise InputError(f"{self}: has row {self.spans[-1, 1] - 1:,} of a scene of {len(draft):,}")
@@ -68,9 +68,9 @@ class Box:
     Raises: InputError: numbers that are not finite, lengths not above 0, or axes at no right angles.
     """
 
-    center: Vector
+    center: Vector3
     axes: Matrix3
-    extent: Vector
+    extent: Vector3
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.center).all() and np.isfinite(self.extent).all() and (self.extent > 0).all()):
@@ -81,7 +81,7 @@ class Box:
     def __str__(self) -> str:
         return "the box at " + " ".join(f"{x:.2f}" for x in self.center)
 
-    def ids(self, draft: Draft) -> Ids:
+    def ids(self, draft: Draft) -> RowIds:
         away = draft.means.astype(np.float64) + (draft.origin - self.center)
         inside = (np.abs(np.einsum("ni,ai->na", away, self.axes)) <= self.extent / 2).all(axis=1)
         return np.flatnonzero(inside & draft.present)
@@ -96,7 +96,7 @@ class Copies:
     def __str__(self) -> str:
         return f"what edit {self.edit} added"
 
-    def ids(self, draft: Draft) -> Ids:
+    def ids(self, draft: Draft) -> RowIds:
         """Return the rows. Raises: InputError: there is no such edit before this one, or it added nothing."""
         first, last = draft.added[self.edit - 1] if 1 <= self.edit <= len(draft.added) else (0, 0)
         if first == last:
@@ -111,7 +111,7 @@ class Everything:
     def __str__(self) -> str:
         return "everything"
 
-    def ids(self, draft: Draft) -> Ids:
+    def ids(self, draft: Draft) -> RowIds:
         return np.flatnonzero(draft.present)
 
 

@@ -15,7 +15,7 @@ from warnings import warn
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Int32, Numbers
+from ...base.arrays import Ids, Int32
 from ...drawing.heat import class_colors
 from ...errors import DrSplatWarning, InputError
 from ...field.codes import Track, untracked
@@ -85,7 +85,7 @@ def write_masks(
     return Masked(len(scene.views), num_shown)
 
 
-def _matches(scene: Scene, query: Query | str) -> tuple[dict[int, str], Numbers]:
+def _matches(scene: Scene, query: Query | str) -> tuple[dict[int, str], Ids]:
     """Return what white is, and white less 1 for each Gaussian of a match, -1 for others."""
     matches = scene.locate(scene.ask(query).without_maybe())
     if not matches:
@@ -95,7 +95,7 @@ def _matches(scene: Scene, query: Query | str) -> tuple[dict[int, str], Numbers]
     return {WHITE: (query if isinstance(query, str) else query.text) or "query"}, labels
 
 
-def _objects(scene: Scene) -> tuple[dict[int, str], Numbers]:
+def _objects(scene: Scene) -> tuple[dict[int, str], Ids]:
     """Return names by number, and the object of each Gaussian, -1 for none and for what photos do not agree on."""
     shown = [one for one in object_documents(scene, scene.objects) if one["agreed"] and one["id"] < WHITE]
     ids = scene.object_ids()

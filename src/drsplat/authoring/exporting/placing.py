@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...base.arrays import Bool, Float32, Ids, Int32, Integer, Numbers, Vector
+from ...base.arrays import Bool, Float32, Ids, Int32, Integer, RowIds, Vector3
 from ...field.forest import GROUP, Objects
 from ...formats.scenes import read_gaussians
 from ...kernels.boxes import box_of
@@ -44,7 +44,7 @@ class Placing:
 
     registered: Gaussians
     after: After
-    up: Vector | None
+    up: Vector3 | None
 
     def objects(self, things: Sequence[Thing]) -> list[Thing]:
         """Return objects with their boxes where they are, those that edits added behind; removed ones stay listed."""
@@ -64,10 +64,10 @@ class Placing:
         name = f"object {number}" if source is None else f"copy of {source.name}"
         return self._boxed(replace(like, name=name, number=number), self._owned(number))
 
-    def _placed(self, thing: Thing, ids: Ids) -> Thing:
+    def _placed(self, thing: Thing, ids: RowIds) -> Thing:
         return self._boxed(thing, ids) if len(ids) and self._moved[ids].any() else thing
 
-    def _boxed(self, thing: Thing, ids: Ids) -> Thing:
+    def _boxed(self, thing: Thing, ids: RowIds) -> Thing:
         everything = self.after.everything
         box = box_of(everything, solid(everything, ids), self.up)
         return replace(thing, center=box.center, axes=box.axes, extent=box.extent)
@@ -83,14 +83,14 @@ class Placing:
         moved[:own] = np.any([(one != other).any(axis=1) for one, other in pairs], axis=0)
         return moved
 
-    def _owned(self, number: int) -> Ids:
+    def _owned(self, number: int) -> RowIds:
         """Return the rows of an object that are there."""
         order, starts = self._by_object
         low, high = np.searchsorted(starts, (number, number + 1))
         return order[low:high]
 
     @cached_property
-    def _by_object(self) -> tuple[Ids, np.ndarray]:
+    def _by_object(self) -> tuple[RowIds, np.ndarray]:
         """Return the rows that are there in the order of their objects, and these objects."""
         owners = self.after.everything.extra[OBJECT_ID]
         rows = np.flatnonzero(self.after.present & (owners >= 0))
@@ -98,7 +98,7 @@ class Placing:
         return order, owners[order]
 
 
-def rows_of(things: Sequence[Thing], numbers: Integer[np.ndarray, " n"]) -> Numbers:
+def rows_of(things: Sequence[Thing], numbers: Integer[np.ndarray, " n"]) -> Ids:
     """Return per Gaussian the place of its object in a list, from its number; -1 for none."""
     places = np.full(max((thing.number for thing in things), default=-1) + 2, -1, np.int32)
     for place, thing in enumerate(things):

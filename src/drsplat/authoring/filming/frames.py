@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...base.arrays import Float32, OtherPixels, Pixels, Vector
+from ...base.arrays import Float32, OtherPixels, Pixels, Vector3
 from ...drawing.heat import heat_of
 from ...drawing.labels import Mark, marked
 from ...drawing.pictures import PAPER, as_pixels, heated, highlighted
@@ -37,7 +37,7 @@ class Highlight:
     values: Float32[np.ndarray, "n 1"]
     is_heat: bool = False
     marks: Sequence[Mark] = ()
-    up: Vector | None = None
+    up: Vector3 | None = None
 
     @classmethod
     def of(cls, scene: Scene, query: Query, *, heat: bool = False, boxes: bool = False) -> "Highlight":

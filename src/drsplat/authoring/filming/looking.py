@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Bool, Float64, Vector
+from ...base.arrays import Bool, Float64, Vector3
 from ...errors import InputError
 from ...query import Match, Scene
 from ...scene.gaussians import Gaussians
@@ -19,12 +19,12 @@ FOV_DEGREES = 55.0
 UP_WITHOUT_VIEWS = (0.0, -1.0, 0.0)  # COLMAP's first camera, whose frame most scenes have
 
 
-def up_direction(scene: Scene) -> Vector:
+def up_direction(scene: Scene) -> Vector3:
     """Return the scene's upward direction, as its boxes stand; where nothing tells, that of COLMAP's first camera."""
     return np.array(UP_WITHOUT_VIEWS) if scene.up is None else scene.up
 
 
-def named_up(text: str) -> Vector:
+def named_up(text: str) -> Vector3:
     """Return the direction of "+z", "-y" and so on; "z" is "+z". Raises: InputError: none of these."""
     sign, letter = (text[:1], text[1:]) if text[:1] in ("+", "-") else ("+", text)
     if letter not in ("x", "y", "z"):
@@ -33,7 +33,7 @@ def named_up(text: str) -> Vector:
 
 
 def looking_at(
-    eye: Vector, target: Vector, up: Vector, size: tuple[int, int], fov_degrees: float = FOV_DEGREES
+    eye: Vector3, target: Vector3, up: Vector3, size: tuple[int, int], fov_degrees: float = FOV_DEGREES
 ) -> View:
     """Return a camera at `eye` with `target` in the middle of its picture. size: width and height.
 
@@ -54,7 +54,7 @@ def looking_at(
     return View.standing("camera", eye, np.stack([right, np.cross(ahead, right), ahead]), focal, size)
 
 
-def before(match: Match, gaussians: Gaussians, views: Sequence[View], up: Vector) -> Vector:
+def before(match: Match, gaussians: Gaussians, views: Sequence[View], up: Vector3) -> Vector3:
     """Return a place to see a match from: on the way to a photo that shows it, so that nothing stands between.
 
     Of the photos that have its middle in the picture, the one taken from about the best distance; without any, a place
@@ -82,7 +82,7 @@ class Standpoints(NamedTuple):
         )
 
 
-def beside(center: Vector, size: float, views: Sequence[View] | Standpoints, up: Vector) -> Vector:
+def beside(center: Vector3, size: float, views: Sequence[View] | Standpoints, up: Vector3) -> Vector3:
     """Return a place to see something from, of a size in scene units; see `before`."""
     stands = views if isinstance(views, Standpoints) else Standpoints.of(views)
     distance = DISTANCE_SIZES * size * float(np.hypot(1, RISE))
@@ -99,7 +99,7 @@ def beside(center: Vector, size: float, views: Sequence[View] | Standpoints, up:
     return np.asarray(center + ways[best] * min(1.0, distance / lengths[best]))
 
 
-def _showing(stands: Standpoints, point: Vector) -> Bool[np.ndarray, " v"]:
+def _showing(stands: Standpoints, point: Vector3) -> Bool[np.ndarray, " v"]:
     """Return which views have a point in the inner part of their picture."""
     _, poses, K, sizes = stands
     x, y, z = (poses[:, :3, :3] @ point + poses[:, :3, 3]).T
@@ -114,7 +114,7 @@ def size_of(match: Match, gaussians: Gaussians) -> float:
     return size_in(match.extent, radius_of(gaussians))
 
 
-def size_in(extent: Vector, radius: float) -> float:
+def size_in(extent: Vector3, radius: float) -> float:
     """Return the size of a box in a scene of some radius; see `size_of`."""
     return max(float(extent.max()), MIN_SIZE_SHARE * radius, 1e-6)
 
@@ -125,7 +125,7 @@ def radius_of(gaussians: Gaussians) -> float:
     return float(np.median(np.linalg.norm(spread - np.median(spread, axis=0), axis=1)))
 
 
-def swing(eye: Vector, target: Vector, up: Vector, frames: int, turn_degrees: float = 60.0) -> list[Vector]:
+def swing(eye: Vector3, target: Vector3, up: Vector3, frames: int, turn_degrees: float = 60.0) -> list[Vector3]:
     """Return the places of a swing around `target` that begins and ends at `eye`: a loop, slow at its turns.
 
     Raises: InputError: fewer than two frames.
@@ -136,7 +136,7 @@ def swing(eye: Vector, target: Vector, up: Vector, frames: int, turn_degrees: fl
     return [target + _turned(eye - target, up, float(angle)) for angle in angles]
 
 
-def _turned(vector: Vector, axis: Vector, angle: float) -> Vector:
+def _turned(vector: Vector3, axis: Vector3, angle: float) -> Vector3:
     """Turn a vector around an axis of unit length, by Rodrigues' formula."""
     along = (axis @ vector) * axis
     return np.asarray(along + np.cos(angle) * (vector - along) + np.sin(angle) * np.cross(axis, vector))

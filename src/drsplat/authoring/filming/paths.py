@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from ...base.arrays import Float64, Matrix3, Vector
+from ...base.arrays import Float64, Matrix3, Vector3
 from ...errors import FormatError, InputError
 from ...formats.json_files import as_count, as_number, as_vector, excerpt, read_json
 from ...formats.poses import MAX_COORDINATE, nearest_rotation
@@ -42,7 +42,7 @@ class KeyFrame:
     Raises: InputError: a lens of less than 1 or more than 170 degrees; what is not finite.
     """
 
-    eye: Vector
+    eye: Vector3
     rotation: Matrix3
     fov_degrees: float
     seconds: float | None = None

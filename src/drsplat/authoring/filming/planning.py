@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Float64, Vector
+from ...base.arrays import Float64, Vector3
 from ...errors import InputError
 from ...query import Match
 from ...scene.boxes import up_of
@@ -47,7 +47,7 @@ class Plan(NamedTuple):
 
 
 def path_named(
-    name: str, gaussians: Gaussians, views: Sequence[View], match: Match | None = None, up: Vector | None = None,
+    name: str, gaussians: Gaussians, views: Sequence[View], match: Match | None = None, up: Vector3 | None = None,
     seconds: float | None = None,
 ) -> CameraPath:  # fmt: skip
     """Return a path by its name: orbit or swing (around a match, else the scene), photos, or a file's.
@@ -116,8 +116,8 @@ def _from_file(name: str) -> CameraPath:
 class Around(NamedTuple):
     """A circling camera: it looks at `target` and begins at `eye`."""
 
-    target: Vector
-    eye: Vector
+    target: Vector3
+    eye: Vector3
     fov_degrees: float = FOV_DEGREES
 
 
@@ -134,7 +134,7 @@ def through_photos(views: Sequence[View], seconds: float | None = None) -> Camer
     return CameraPath([KeyFrame.of(views[i]) for i in chosen], seconds=lasts)
 
 
-def orbit(around: Around, up: Vector, views: Sequence[View] = ()) -> CameraPath:
+def orbit(around: Around, up: Vector3, views: Sequence[View] = ()) -> CameraPath:
     """Round the target, level, at one height: once, or to and fro where the photos leave out a third of the circle.
 
     There nobody has seen what the scene looks like; as often as not it is the inside of a wall.
@@ -154,7 +154,7 @@ def orbit(around: Around, up: Vector, views: Sequence[View] = ()) -> CameraPath:
     return CameraPath(_looking(eyes, around, up), closed=True, even=True, seconds=ORBIT_S)
 
 
-def _arc(arms: Sequence[Vector], level: Vector, aside: Vector) -> tuple[float, float] | None:
+def _arc(arms: Sequence[Vector3], level: Vector3, aside: Vector3) -> tuple[float, float] | None:
     """Return the range of angles that the photos are in, None where they are all around, or nowhere."""
     if not arms:
         return None
@@ -168,13 +168,13 @@ def _arc(arms: Sequence[Vector], level: Vector, aside: Vector) -> tuple[float, f
     return float(low), float(high)
 
 
-def swinging(around: Around, up: Vector, turn_degrees: float = 60.0) -> CameraPath:
+def swinging(around: Around, up: Vector3, turn_degrees: float = 60.0) -> CameraPath:
     """Return key frames to one side, to the other and back, slow at the turns: a loop that keeps to its first side."""
     eyes = np.array(swing(around.eye, around.target, up, SWING_KEYS, turn_degrees))
     return CameraPath(_looking(eyes, around, up), closed=True, even=True, seconds=SWING_S)
 
 
-def around_scene(gaussians: Gaussians, views: Sequence[View], up: Vector) -> Around:
+def around_scene(gaussians: Gaussians, views: Sequence[View], up: Vector3) -> Around:
     """Return a camera that circles what the photos look at, from their distance and height.
 
     Without photos it circles the middle of the scene, from outside.
@@ -199,7 +199,7 @@ def around_scene(gaussians: Gaussians, views: Sequence[View], up: Vector) -> Aro
     return Around(target, eye, KeyFrame.of(views[len(views) // 2]).fov_degrees)
 
 
-def focus_of(views: Sequence[View], middle: Vector) -> Vector:
+def focus_of(views: Sequence[View], middle: Vector3) -> Vector3:
     """Return the place that the photos' optical axes pass nearest to; `middle` where most do not face it."""
     eyes, ahead = np.array([view.center for view in views]), np.array([view.cam_from_world[2, :3] for view in views])
     across = np.eye(3) - ahead[:, :, None] * ahead[:, None]
@@ -211,13 +211,13 @@ def focus_of(views: Sequence[View], middle: Vector) -> Vector:
     return np.asarray(found if faced.mean() > MIN_FACING_SHARE else middle)
 
 
-def _extent_of(gaussians: Gaussians) -> tuple[Vector, float]:
+def _extent_of(gaussians: Gaussians) -> tuple[Vector3, float]:
     points = gaussians.positions
     middle = np.median(points, axis=0)
     reach = float(np.quantile(np.linalg.norm(points - middle, axis=1), RADIUS_QUANTILE))
     return middle, reach if reach > 0 else 1.0
 
 
-def _looking(eyes: Float64[np.ndarray, "k 3"], around: Around, up: Vector) -> list[KeyFrame]:
+def _looking(eyes: Float64[np.ndarray, "k 3"], around: Around, up: Vector3) -> list[KeyFrame]:
     """Return key frames at some places that look at the target."""
     return [KeyFrame.of(looking_at(eye, around.target, up, (64, 64), around.fov_degrees)) for eye in eyes]

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csc_array
 
-from ...base.arrays import Flags, Float64, Int64, Vector
+from ...base.arrays import Flags, Float64, Int64, Vector3
 from ...errors import InputError
 from ...field.codes import Track, untracked
 from ...kernels import view_weights
@@ -117,7 +117,7 @@ def candidates(space: Space, settings: PhotographSettings) -> Candidates:
     return Candidates("room" if is_room else "mixed" if inside else "object", views)
 
 
-def _in_room(space: Space, places: list[Vector], settings: PhotographSettings) -> Iterator[View]:
+def _in_room(space: Space, places: list[Vector3], settings: PhotographSettings) -> Iterator[View]:
     """Yield cameras that look all around at each place, level, down and up, and at near targets."""
     targets = _targets(space)
     level, down, up = (_ring(space.up, *ring) for ring in (
@@ -164,7 +164,7 @@ def _targets(space: Space) -> Float64[np.ndarray, "t 3"]:
     return spread_out(np.concatenate([first[None], sample]), NUM_TARGETS)
 
 
-def _ring(up: Vector, turns: int, pitch_degrees: float) -> Float64[np.ndarray, "t 3"]:
+def _ring(up: Vector3, turns: int, pitch_degrees: float) -> Float64[np.ndarray, "t 3"]:
     """Return unit directions all around, at a pitch above the horizon."""
     ahead, aside = _level(up)
     angles = np.arange(turns)[:, None] * 2 * np.pi / turns
@@ -172,7 +172,7 @@ def _ring(up: Vector, turns: int, pitch_degrees: float) -> Float64[np.ndarray, "
     return np.asarray(np.cos(pitch) * (np.cos(angles) * ahead + np.sin(angles) * aside) + np.sin(pitch) * up)
 
 
-def _sphere(up: Vector, count: int, first_turn: float = 0.0) -> Float64[np.ndarray, "c 3"]:
+def _sphere(up: Vector3, count: int, first_turn: float = 0.0) -> Float64[np.ndarray, "c 3"]:
     """Return unit directions that are spread evenly between the lowest and the highest elevation.
 
     first_turn: of the first one around `up`, in radians.
@@ -183,7 +183,7 @@ def _sphere(up: Vector, count: int, first_turn: float = 0.0) -> Float64[np.ndarr
     return np.asarray(np.sqrt(1 - heights**2) * (np.cos(angles) * ahead + np.sin(angles) * aside) + heights * up)
 
 
-def _level(up: Vector) -> tuple[Vector, Vector]:
+def _level(up: Vector3) -> tuple[Vector3, Vector3]:
     """Return two unit directions at right angles to up and to each other."""
     first = np.eye(3)[int(np.abs(up).argmin())]
     ahead = first - (first @ up) * up
@@ -191,7 +191,7 @@ def _level(up: Vector) -> tuple[Vector, Vector]:
     return ahead, np.cross(up, ahead)
 
 
-def _view(space: Space, eye: Vector, target: Vector, settings: PhotographSettings) -> View:
+def _view(space: Space, eye: Vector3, target: Vector3, settings: PhotographSettings) -> View:
     return looking_at(eye, target, space.up, settings.size, settings.fov_degrees)
 
 

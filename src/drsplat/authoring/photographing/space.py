@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from ...base.arrays import Flags, Float32, Float64, Points, Vector
+from ...base.arrays import Flags, Float32, Float64, Points, Vector3
 from ...kernels import SplatArrays, render_channels, splat_arrays
 from ...scene.gaussians import Gaussians
 from ...scene.placing import MIN_SIZED_GAUSSIANS, SOLID_OPACITY
@@ -52,7 +52,7 @@ class Space:
     """
 
     gaussians: Gaussians
-    up: Vector
+    up: Vector3
     threads: int = 0
 
     @cached_property
@@ -65,7 +65,7 @@ class Space:
         return solid_centers(self.gaussians)
 
     @cached_property
-    def box(self) -> tuple[Vector, Vector]:
+    def box(self) -> tuple[Vector3, Vector3]:
         """Lowest and highest corner of the box of most solid Gaussians."""
         low, high = np.quantile(self.solid, BOX_QUANTILES, axis=0)
         return low, high
@@ -127,7 +127,7 @@ class Space:
     def _surface_opacities(self) -> Float32[np.ndarray, " m"]:
         return np.tile(self.gaussians.opacities, 7)
 
-    def is_near(self, eye: Vector) -> Flags:
+    def is_near(self, eye: Vector3) -> Flags:
         """Return which Gaussians are nearer to a place than the clearance, or around it."""
         away = self.positions - eye
         distance = np.linalg.norm(away, axis=1)
@@ -139,11 +139,11 @@ class Space:
             near[maybe] = np.linalg.norm(whitened, axis=1) < INSIDE_SIGMAS
         return near
 
-    def is_free(self, eye: Vector) -> bool:
+    def is_free(self, eye: Vector3) -> bool:
         """Return whether a camera can stand at a place."""
         return not self.is_near(eye).any() or self.surroundings(eye).is_free
 
-    def surroundings(self, eye: Vector) -> Surroundings:
+    def surroundings(self, eye: Vector3) -> Surroundings:
         """Look all around from a place: six square pictures that fill the sphere."""
         near = self.is_near(eye)[:, None].astype(np.float32)
         close = self.splats._replace(near=PROBE_NEAR_SHARE * self.clearance)

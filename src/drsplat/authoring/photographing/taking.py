@@ -9,7 +9,7 @@ from warnings import warn
 
 import numpy as np
 
-from ...base.arrays import Float64, Points, UInt8, Vector
+from ...base.arrays import Float64, Points, UInt8, Vector3
 from ...drawing.pictures import as_pixels, write_picture
 from ...drawing.rendering import render
 from ...errors import DrSplatWarning, InputError
@@ -197,7 +197,7 @@ def _checksum(gaussians: Gaussians) -> str:
     return digest.hexdigest()
 
 
-def guessed_up(gaussians: Gaussians) -> Vector:
+def guessed_up(gaussians: Gaussians) -> Vector3:
     """Return the most likely upward axis of a scene.
 
     Rooms, and objects with the ground around them, are lower than they are wide, and a floor covers more of their
@@ -225,7 +225,7 @@ def _footprint(shares: Points, axis: int) -> int:
     return len(np.unique((flat[inside] * FOOTPRINT_CELLS).astype(int), axis=0))
 
 
-def axis_name(up: Vector) -> str:
+def axis_name(up: Vector3) -> str:
     """Return "+z" and so on, or three numbers for a direction between the axes."""
     axis = int(np.abs(up).argmax())
     if abs(up[axis]) > 1 - 1e-9:

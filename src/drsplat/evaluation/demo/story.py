@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Bool, Float32, Ids, OtherPixels, Vector
+from ...base.arrays import Bool, Float32, OtherPixels, RowIds, Vector3
 from ...base.progress import Stopwatch
 from ...base.terminal import counted
 from ...drawing.pictures import (
@@ -108,10 +108,10 @@ class Verdict:
     """
 
     probe: Probe
-    gaussian_ids: Ids
+    gaussian_ids: RowIds
     num_matches: int
     iou: float | None
-    center: Vector | None
+    center: Vector3 | None
     scores: tuple[float, float]
     seconds: float
 

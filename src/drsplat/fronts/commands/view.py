@@ -19,7 +19,7 @@ from .options import Encoders, Verb, new_output, overwrite
 
 if TYPE_CHECKING:
     from ...authoring.editing.edits import KeptEdits
-    from ...base.arrays import Vector
+    from ...base.arrays import Vector3
     from ...query import Scene
     from ...query.catalogue import Catalogue
     from ..viewing.live.service import Service
@@ -223,7 +223,7 @@ def _scene(options: Options) -> Scene:
     return scene
 
 
-def _up(axis: str | None, scene: Scene) -> Vector:
+def _up(axis: str | None, scene: Scene) -> Vector3:
     from ...authoring.filming.looking import named_up, up_direction
 
     return up_direction(scene) if axis is None else named_up(axis)

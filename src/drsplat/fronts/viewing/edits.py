@@ -9,7 +9,7 @@ import numpy as np
 from ...authoring.editing import Edit, EditFile, EditList
 from ...authoring.editing.draft import OBJECT_ID
 from ...authoring.editing.edits import drafted, recorded
-from ...base.arrays import Bool, Flags, Float32, Ids, Int64, Rows3
+from ...base.arrays import Bool, Flags, Float32, Int64, RowIds, Vectors
 from ...formats.annotations import AnnotationFile, without
 from ...formats.scenes import read_gaussians
 from ...kernels import SplatArrays, splat_arrays
@@ -171,7 +171,7 @@ class Edits(Notes):
         return self._state.everything.opacities
 
     @property
-    def colors(self) -> Rows3:
+    def colors(self) -> Vectors:
         """Colours of the scene's own rows, without what depends on the direction of view."""
         return self._state.colors[: len(self.gaussians)]
 
@@ -190,7 +190,7 @@ class Edits(Notes):
         every = self._state.everything
         return every.subset(np.arange(len(self.gaussians))) if len(every) > len(self.gaussians) else every
 
-    def part(self, ids: Ids | None) -> tuple[Gaussians, Int64[np.ndarray, " m2"]]:
+    def part(self, ids: RowIds | None) -> tuple[Gaussians, Int64[np.ndarray, " m2"]]:
         """Return some rows as they are now, or all that are there, and their numbers."""
         rows = np.flatnonzero(self._state.present) if ids is None else ids
         every = self._state.everything

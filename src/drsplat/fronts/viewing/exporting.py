@@ -13,7 +13,7 @@ from ...authoring.editing.edits import KeptEdits, without_kept
 from ...authoring.filming.looking import before, up_direction
 from ...authoring.filming.paths import CameraPath
 from ...authoring.filming.planning import ORBIT, path_named
-from ...base.arrays import OtherPixels, UInt16, Vector
+from ...base.arrays import OtherPixels, UInt16, Vector3
 from ...drawing.heat import heat_of
 from ...errors import InputError
 from ...kernels.boxes import box_of
@@ -88,7 +88,7 @@ def export_page(
     queries: Sequence[str],
     *,
     words: Sequence[str] | None = None,
-    up: Vector | None = None,
+    up: Vector3 | None = None,
     max_gaussians: int | None = None,
     path_name: str = ORBIT,
     plays: bool = False,
@@ -126,7 +126,7 @@ def export_page(
     return page
 
 
-def export_session(path: str | PathLike[str], session: Session, queries: Sequence[str], *, up: Vector) -> Page:
+def export_session(path: str | PathLike[str], session: Session, queries: Sequence[str], *, up: Vector3) -> Page:
     """Write a page of a session's scene as edited there, with the answers to queries; the session stays as it is.
 
     Raises: as `export_page`.
@@ -137,7 +137,7 @@ def export_session(path: str | PathLike[str], session: Session, queries: Sequenc
     return page
 
 
-def _filmed_page(session: Session, queries: Sequence[str], up: Vector, title: str, path_name: str) -> Page:
+def _filmed_page(session: Session, queries: Sequence[str], up: Vector3, title: str, path_name: str) -> Page:
     """Return a page of a session that was not asked anything, with a film."""
     if queries and not session.is_askable:
         raise InputError(NO_FIELD)
@@ -150,8 +150,8 @@ def _filmed_page(session: Session, queries: Sequence[str], up: Vector, title: st
 def page_of(
     session: Session,
     texts: Sequence[str],
-    look: tuple[Vector, Vector] | None,
-    up: Vector,
+    look: tuple[Vector3, Vector3] | None,
+    up: Vector3,
     title: str = "",
     path: CameraPath | None = None,
 ) -> Page:
@@ -178,7 +178,7 @@ def page_of(
     )  # fmt: skip
 
 
-def _answer(session: Session, text: str, up: Vector, times: PageTimes | None) -> PageAnswer:
+def _answer(session: Session, text: str, up: Vector3, times: PageTimes | None) -> PageAnswer:
     scene = session.scene
     result = result_of(scene, text, scene.ask(text))
     matches = [placed_now(session, match) for match in result.matches[:MAX_MATCHES]]
@@ -197,7 +197,7 @@ def _answer(session: Session, text: str, up: Vector, times: PageTimes | None) ->
     )
 
 
-def objects_of_page(session: Session, up: Vector, times: PageTimes | None = None) -> list[Document]:
+def objects_of_page(session: Session, up: Vector3, times: PageTimes | None = None) -> list[Document]:
     """Return each object's name, box, a place to see it from, whether photos agree less on it; [] without objects.
 
     The first objects also have a picture.
@@ -243,7 +243,7 @@ def object_numbers(session: Session) -> UInt16[np.ndarray, " n"] | None:
     return np.asarray(place_of[session.scene.object_ids()])
 
 
-def annotations_of_page(session: Session, up: Vector) -> list[Document]:
+def annotations_of_page(session: Session, up: Vector3) -> list[Document]:
     """Return text and place of each, and its box where it has one."""
     frame = session.shown.frame
     return [
@@ -253,7 +253,7 @@ def annotations_of_page(session: Session, up: Vector) -> list[Document]:
     ]
 
 
-def _eye(session: Session, one: Annotation, up: Vector) -> list[float]:
+def _eye(session: Session, one: Annotation, up: Vector3) -> list[float]:
     """Return a place to see an annotation from, as a match of its size is seen."""
     scene, frame = session.scene, session.shown.frame
     axes, extent = (np.eye(3), np.full(3, POINT_SIZE / frame.scale)) if one.outline is None else one.outline

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw
 
-from ...base.arrays import Flags, Float64, Ids, Int32, Int64, OtherPixels, Vector
+from ...base.arrays import Flags, Float64, Int32, Int64, OtherPixels, RowIds, Vector3
 from ...errors import DrSplatError
 from ...field.evidence.evidence import Explanation
 from ...kernels import SplatArrays, view_weights
@@ -28,8 +28,8 @@ MIN_WEIGHT_PIXELS = 0.02  # of a Gaussian in the whole picture
 class Ray(NamedTuple):
     """A half-line. direction: of length 1, as `ray_along` makes it."""
 
-    origin: Vector
-    direction: Vector
+    origin: Vector3
+    direction: Vector3
 
 
 class Hit(NamedTuple):
@@ -37,10 +37,10 @@ class Hit(NamedTuple):
 
     gaussian_ids: Int64[np.ndarray, " h"]
     weights: Float64[np.ndarray, " h"]
-    point: Vector
+    point: Vector3
 
 
-def ray_along(origin: Vector, direction: Vector) -> Ray:
+def ray_along(origin: Vector3, direction: Vector3) -> Ray:
     """Return the ray in a direction, also in one so short or long that its square is 0 or infinite."""
     scaled = direction / np.abs(direction).max()
     return Ray(origin, np.asarray(scaled / np.linalg.norm(scaled)))
@@ -85,7 +85,7 @@ def blended(met: Met, ray: Ray) -> Hit | None:
     return Hit(met.gaussian_ids[ranked], weights[ranked], point)
 
 
-def _near(gaussians: Gaussians, ray: Ray) -> Ids:
+def _near(gaussians: Gaussians, ray: Ray) -> RowIds:
     """Return the Gaussians whose bounding sphere the ray passes: all that can be met, and few of the scene."""
     offsets = gaussians.means - ray.origin.astype(np.float32)
     along = offsets @ ray.direction.astype(np.float32)
@@ -105,7 +105,7 @@ def _met(part: Gaussians, ray: Ray) -> tuple[Float64[np.ndarray, " m"], Float64[
     return depth, alpha
 
 
-def inside_outline(splats: SplatArrays, view: View, outline: Float64[np.ndarray, "p 2"], *, threads: int = 0) -> Ids:
+def inside_outline(splats: SplatArrays, view: View, outline: Float64[np.ndarray, "p 2"], *, threads: int = 0) -> RowIds:
     """Return the Gaussians, ascending, of which most that a view shows lies inside an outline.
 
     outline: corners of a polygon, in pixels of the view.
@@ -137,7 +137,7 @@ class This:
     """
 
     gaussian_id: int
-    point: Vector
+    point: Vector3
     words: list[Word]
     evidence: list[Explanation]
     match: Match | None

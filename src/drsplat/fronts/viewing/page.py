@@ -16,7 +16,7 @@ import numpy as np
 
 from ...authoring.filming.looking import FOV_DEGREES
 from ...authoring.filming.paths import CameraPath
-from ...base.arrays import Bool, Float16, Float32, Float64, Ids, Shaped, UInt8, UInt16, Vector
+from ...base.arrays import Bool, Float16, Float32, Float64, RowIds, Shaped, UInt8, UInt16, Vector3
 from ...drawing.heat import HEAT
 from ...errors import InputError
 from ...formats.replacing import replacing
@@ -53,10 +53,10 @@ class PageTimes:
     """
 
     times: Times
-    order: Ids
+    order: RowIds
     places: UInt16[np.ndarray, "t k 3"]
-    low: Vector
-    step: Vector
+    low: Vector3
+    step: Vector3
     covariances: Float16[np.ndarray, "t k 6"]
     opacities: UInt8[np.ndarray, "t k"]
     seconds: float
@@ -94,7 +94,7 @@ def times_of_page(session: Session) -> PageTimes | None:
     return _collected(session, times, order, count, len(known))
 
 
-def _collected(session: Session, times: Times, order: Ids, count: int, num_known: int) -> PageTimes:
+def _collected(session: Session, times: Times, order: RowIds, count: int, num_known: int) -> PageTimes:
     centers = np.empty((len(times), count, 3), np.float32)
     covariances = np.empty((len(times), count, 6), np.float16)
     opacities = np.empty((len(times), count), np.uint8)
@@ -216,7 +216,7 @@ class PageAnswer:
     heat: Float32[np.ndarray, " m"]
     owners: UInt8[np.ndarray, " m"]
     matches: Sequence[Match]
-    eyes: Sequence[Vector]
+    eyes: Sequence[Vector3]
     boxes: Sequence[Sequence[Sequence[float] | None]] = ()
     doubt: str = ""
 
@@ -236,9 +236,9 @@ class Page:
     shown: Shown
     gaussians: Gaussians
     answers: Sequence[PageAnswer]
-    eye: Vector
-    target: Vector
-    up: Vector
+    eye: Vector3
+    target: Vector3
+    up: Vector3
     features: Float32[np.ndarray, "m 3"] | None = None
     objects: Sequence[Mapping[str, Any]] = ()
     annotations: Sequence[Mapping[str, Any]] = ()
@@ -274,7 +274,7 @@ def packed(arrays: Mapping[str, np.ndarray]) -> tuple[list[tuple[str, str, int, 
     return layout, b"".join(parts)
 
 
-def _order(page: Page) -> Ids:
+def _order(page: Page) -> RowIds:
     """Return the order of rows in the file: those that move, then by falling significance.
 
     A browser that is slow draws the first rows only while the camera moves.
@@ -287,7 +287,7 @@ def _order(page: Page) -> Ids:
     return np.concatenate([page.times.order[:count], still[np.argsort(-weight[still], kind="stable")]])
 
 
-def _arrays(page: Page, order: Ids) -> dict[str, np.ndarray]:
+def _arrays(page: Page, order: RowIds) -> dict[str, np.ndarray]:
     arrays: dict[str, np.ndarray] = {}
     if page.features is not None:
         arrays["features"] = as_bytes(page.features)
@@ -352,7 +352,7 @@ def _about(page: Page) -> str:
     return " ".join(f"{len(page.shown):,} Gaussians. {moves} {page.shown.summary}".split())
 
 
-def film_document(frame: Frame, path: CameraPath, target: Vector) -> Document:
+def film_document(frame: Frame, path: CameraPath, target: Vector3) -> Document:
     """Return places along a path, near enough to each other for straight lines, in the browser's frame.
 
     Each looks at something as far off as `target`, in the world.

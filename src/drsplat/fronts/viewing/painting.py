@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...base.arrays import Flags, Float32, Numbers, Rows3, UInt8
+from ...base.arrays import Flags, Float32, Ids, UInt8, Vectors
 from ...drawing import heat
 from ...field import LanguageField
 
@@ -31,13 +31,13 @@ def accent(number: int) -> tuple[int, int, int]:
     return ACCENTS[number % len(ACCENTS)]
 
 
-def dimmed(rgb: Rows3) -> Rows3:
+def dimmed(rgb: Vectors) -> Vectors:
     """Return colours with half their light and little of their hue, so that what is not dimmed stands out."""
     grey = (rgb @ LUMA)[:, None]
     return np.asarray(DIM_FLOOR + DIMMED_SHARE * (GREYED_SHARE * grey + (1 - GREYED_SHARE) * rgb), np.float32)
 
 
-def highlighted(rgb: Rows3, owners: Numbers, accents: Sequence[Sequence[int]]) -> Rows3:
+def highlighted(rgb: Vectors, owners: Ids, accents: Sequence[Sequence[int]]) -> Vectors:
     """Return what was found in its own colours and full light, the rest dimmed; as the client paints answers.
 
     Of several queries, what was found has a share of its query's colour.
@@ -56,7 +56,7 @@ def highlighted(rgb: Rows3, owners: Numbers, accents: Sequence[Sequence[int]]) -
     return np.clip(painted, 0, 1).astype(np.float32)
 
 
-def class_painted(rgb: Rows3, labels: Numbers, palette: UInt8[np.ndarray, "c 3"]) -> Rows3:
+def class_painted(rgb: Vectors, labels: Ids, palette: UInt8[np.ndarray, "c 3"]) -> Vectors:
     """Paint classes in their colours, shaded by the scene's own light; dimmed where there is none."""
     painted = dimmed(rgb)
     found = labels >= 0
@@ -74,7 +74,7 @@ def object_colors(count: int) -> Float32[np.ndarray, "c 3"]:
     return np.asarray(1 - lost, np.float32)
 
 
-def object_painted(rgb: Rows3, labels: Numbers, count: int) -> Rows3:
+def object_painted(rgb: Vectors, labels: Ids, count: int) -> Vectors:
     """Return objects with a share of a colour of their own, as the client paints them; the rest dimmed."""
     painted, found = dimmed(rgb), labels >= 0
     shade = (0.35 + 0.65 * (rgb[found] @ LUMA))[:, None]
@@ -84,7 +84,7 @@ def object_painted(rgb: Rows3, labels: Numbers, count: int) -> Rows3:
     return painted
 
 
-def feature_colors(field: LanguageField, rgb: Rows3, registered: Flags, seed: int = 0) -> Rows3:
+def feature_colors(field: LanguageField, rgb: Vectors, registered: Flags, seed: int = 0) -> Vectors:
     """Return the three main directions of the field's features as red, green and blue; dimmed without a feature.
 
     rgb, registered: of every Gaussian of the scene. The directions are those of a sample of

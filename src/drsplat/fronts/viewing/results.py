@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...base.arrays import Float32, Ids, Int64, Numbers
+from ...base.arrays import Float32, Ids, Int64, RowIds
 from ...base.terminal import counted
 from ...drawing.heat import heat_of
 from ...kernels.boxes import box_of
@@ -32,7 +32,7 @@ class Result:
     instead: Sequence[str] = ()
 
     @property
-    def gaussian_ids(self) -> Ids:
+    def gaussian_ids(self) -> RowIds:
         """Sorted ids of the Gaussians of all matches."""
         return joined([match.gaussian_ids for match in self.matches])
 
@@ -71,7 +71,7 @@ def result_of(scene: Scene, label: str, answer: Answer) -> Result:
     return Result(label, answer, answer.threshold, matches, instead)
 
 
-def result_of_ids(scene: Scene, label: str, ids: Ids) -> Result:
+def result_of_ids(scene: Scene, label: str, ids: RowIds) -> Result:
     """Return exactly some Gaussians, one or more, as the only match of a query; they need no feature."""
     rows = scene.field.rows_of(ids)
     answer = Answer.of_rows(scene.field, rows[rows >= 0], OBJECT)
@@ -91,7 +91,7 @@ def split_queries(text: str) -> list[str]:
     return list(dict.fromkeys(part.strip() for part in text.split(QUERY_SEPARATOR) if part.strip()))
 
 
-def joined(parts: Sequence[Int64[np.ndarray, " _"]]) -> Ids:
+def joined(parts: Sequence[Int64[np.ndarray, " _"]]) -> RowIds:
     """Return all ids in any of the parts, ascending."""
     return np.unique(np.concatenate(parts)) if parts else np.empty(0, np.int64)
 
@@ -107,17 +107,17 @@ def heat(results: Sequence[Result], count: int) -> Float32[np.ndarray, " n"]:
     return warmest
 
 
-def owners(results: Sequence[Result], count: int) -> Numbers:
+def owners(results: Sequence[Result], count: int) -> Ids:
     """Return per Gaussian the number of the query that it matches, of several the first; -1 for none."""
     return _numbered([result.gaussian_ids for result in results], count)
 
 
-def match_ids(results: Sequence[Result], count: int) -> Numbers:
+def match_ids(results: Sequence[Result], count: int) -> Ids:
     """Return per Gaussian the number of its match, counted through all queries; -1 for none."""
     return _numbered([match.gaussian_ids for result in results for match in result.matches], count)
 
 
-def _numbered(parts: Sequence[Int64[np.ndarray, " _"]], count: int) -> Numbers:
+def _numbered(parts: Sequence[Int64[np.ndarray, " _"]], count: int) -> Ids:
     numbers = np.full(count, -1, np.int32)
     for number in range(len(parts) - 1, -1, -1):
         numbers[parts[number]] = number

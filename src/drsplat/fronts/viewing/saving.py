@@ -11,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from ...authoring.filming.looking import looking_at, swing
-from ...base.arrays import Pixels, Vector
+from ...base.arrays import Pixels, Vector3
 from ...drawing.pictures import as_pixels
 from ...errors import InputError
 from ...formats.gaussian_ply import write_gaussians
@@ -55,7 +55,7 @@ def picture_of(session: Session, view: View) -> Pixels:
     return as_pixels(drawn.channels)
 
 
-def flight_gif(session: Session, eye: Vector, target: Vector, up: Vector, frames: int = GIF_FRAMES) -> bytes:
+def flight_gif(session: Session, eye: Vector3, target: Vector3, up: Vector3, frames: int = GIF_FRAMES) -> bytes:
     """Render a swing around a target in the world as an endless GIF."""
     places = swing(eye, target, up, frames)
     pictures = [picture_of(session, looking_at(at, target, up, GIF_SIZE_PIXELS)) for at in places]

@@ -15,7 +15,7 @@ from ...authoring.editing.edits import Change
 from ...authoring.editing.resolving import complete_rows
 from ...authoring.editing.targets import MAX_NAME_CHARACTERS
 from ...authoring.filming.looking import radius_of
-from ...base.arrays import Flags, Float32, Float64, Ids, Numbers, OtherPixels, Rows3, Shaped, Vector
+from ...base.arrays import Flags, Float32, Float64, Ids, OtherPixels, RowIds, Shaped, Vector3, Vectors
 from ...base.terminal import counted
 from ...drawing.heat import class_colors, heat_colors
 from ...errors import InputError
@@ -72,7 +72,7 @@ class Session:
     asked: tuple[str, ...] = ()
     present: bool = False
     _edits: Edits = field(init=False)
-    _features: list[Rows3] = field(default_factory=list, init=False)  # made once for all who look
+    _features: list[Vectors] = field(default_factory=list, init=False)  # made once for all who look
 
     def __repr__(self) -> str:
         return f"Session({self.scene.name!r}, {self.mode}, {counted(len(self.results), 'result')})"
@@ -226,14 +226,14 @@ class Session:
         self.clicked = None
         return self._answered([results.result_of_ids(self.scene, "outlined", ids)])
 
-    def _inside(self, view: View, outline: Float64[np.ndarray, "p 2"]) -> Ids:
+    def _inside(self, view: View, outline: Float64[np.ndarray, "p 2"]) -> RowIds:
         splats = self.edits.splats if self.edits.is_edited else self.here.splats
         ids = inside_outline(splats, view, outline, threads=self.scene.threads)
         return np.asarray(ids[ids < len(self.scene.gaussians)])  # what edits added answers nothing
 
     # --- pointing ---
 
-    def click(self, origin: Vector, direction: Vector) -> This | None:
+    def click(self, origin: Vector3, direction: Vector3) -> This | None:
         """Return what a ray in the browser's frame meets first, None where that has no feature.
 
         In a field with objects it is selected: the object, or where that is none all that is like it.
@@ -320,7 +320,7 @@ class Session:
         return ~self.edits.present
 
     @property
-    def selection(self) -> Ids:
+    def selection(self) -> RowIds:
         """All that was found and is not hidden, ascending."""
         ids = results.joined([result.gaussian_ids for result in self.results])
         return np.asarray(ids[~self.hidden[ids]])
@@ -344,11 +344,11 @@ class Session:
         """Take back everything, as it was before all edits, which can be redone."""
         self.edits.undo(self.edits.listed.done)
 
-    def standing(self, ids: Ids) -> Gaussians:
+    def standing(self, ids: RowIds) -> Gaussians:
         """Return some of the scene's own rows, where they are now."""
         return self.edits.standing.subset(ids)
 
-    def _needed(self) -> Ids:
+    def _needed(self) -> RowIds:
         if not len(self.selection):
             raise InputError("nothing is selected: make a query that has a match first")
         return self.selection
@@ -394,7 +394,7 @@ class Session:
         return self._features[0]
 
     @property
-    def object_ids(self) -> Numbers:
+    def object_ids(self) -> Ids:
         """Per Gaussian of the scene its object's number, -1 for none; only of a field that has objects."""
         return np.asarray(self._edits.gaussians.extra[OBJECT_ID])
 
@@ -403,7 +403,7 @@ class Session:
         added = np.zeros(len(self.edits.opacities) - len(values), values.dtype)
         return np.asarray(np.concatenate([values, added])[self.drawn.ids])
 
-    def edited(self, *, selected_only: bool = False) -> tuple[Gaussians, Ids]:
+    def edited(self, *, selected_only: bool = False) -> tuple[Gaussians, RowIds]:
         """Return the Gaussians after all edits, and their rows: the scene's own, then added ones.
 
         selected_only: of that, what is selected. Raises: InputError: nothing is left.

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ...base.arrays import Float32, Float64, Ids, Matrix3, Rows3, Shaped, Vector
+from ...base.arrays import Float32, Float64, Matrix3, RowIds, Shaped, Vector3, Vectors
 from ...errors import InputError
 from ...query import Match, documents
 from ...scene.gaussians import SH_C0, Gaussians
@@ -27,7 +27,7 @@ OUTSIDE_RADII = 2.7  # a ball of one radius fits into 55 degrees from 2.2 on
 class Frame:
     """Frame of the scene in the browser: x_shown = scale * (x_world - center); directions stay."""
 
-    center: Vector
+    center: Vector3
     scale: float
 
     def shown(self, points: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
@@ -45,7 +45,7 @@ class Shown:
     num_left_out: Gaussians beyond the budget. antialiased: as of `Gaussians`.
     """
 
-    ids: Ids
+    ids: RowIds
     centers: Float32[np.ndarray, "m 3"]
     covariances: Float32[np.ndarray, "m 6"]
     rgb: Float32[np.ndarray, "m 3"]
@@ -84,7 +84,7 @@ def shown_of(gaussians: Gaussians, budget: int, frame: Frame | None = None) -> S
     )  # fmt: skip
 
 
-def _shown_centers(gaussians: Gaussians, frame: Frame) -> Rows3:
+def _shown_centers(gaussians: Gaussians, frame: Frame) -> Vectors:
     """Return the centres in a frame; what lies beyond float32 is put at its ends, where nobody looks."""
     farthest = float(np.finfo(np.float32).max)
     return np.asarray(np.clip(frame.shown(gaussians.positions), -farthest, farthest), np.float32)
@@ -113,7 +113,7 @@ def _shown_covariances(part: Gaussians, frame: Frame) -> Float32[np.ndarray, "m 
     return covariances
 
 
-def base_colors(gaussians: Gaussians) -> Rows3:
+def base_colors(gaussians: Gaussians) -> Vectors:
     """Return colours without what depends on the direction of view, in [0, 1]."""
     return np.clip(0.5 + SH_C0 * gaussians.sh[:, 0], 0, 1).astype(np.float32)
 
@@ -127,7 +127,7 @@ def frame_of(gaussians: Gaussians) -> Frame:
     return Frame(center, RADIUS / reach if reach > 0 else 1.0)
 
 
-def first_look(views: Sequence[View], frame: Frame, up: Vector) -> tuple[Vector, Vector]:
+def first_look(views: Sequence[View], frame: Frame, up: Vector3) -> tuple[Vector3, Vector3]:
     """Return where to begin and what to look at: from one of the photos, else from outside, with all in the picture."""
     if not views:
         side = np.array([0.8, 0.5, 0.3])
@@ -144,14 +144,14 @@ DECIMALS = 5  # a browser's unit is a twentieth of the scene
 
 
 def box_document(
-    frame: Frame, center: Vector, axes: Matrix3,
-    extent: Vector,
+    frame: Frame, center: Vector3, axes: Matrix3,
+    extent: Vector3,
 ) -> dict[str, Any]:  # fmt: skip
     """Return an oriented box of the world in the browser's frame."""
     return documents.box_document(frame.shown(center), axes, extent * frame.scale, DECIMALS)
 
 
-def match_document(frame: Frame, match: Match, eye: Vector, name: str = "") -> dict[str, Any]:
+def match_document(frame: Frame, match: Match, eye: Vector3, name: str = "") -> dict[str, Any]:
     """Return a match with its box, a place to see it from, and its numbers in scene units. eye: in the world."""
     shown = replace(match, center=frame.shown(match.center), extent=match.extent * frame.scale)
     document = documents.match_document(shown, DECIMALS)
@@ -168,11 +168,11 @@ def rounded(values: Shaped[np.ndarray, "*any"]) -> list[Any]:
     return documents.rounded(values, DECIMALS)
 
 
-def size_text(extent: Vector) -> str:
+def size_text(extent: Vector3) -> str:
     """Return the lengths of a box in scene units, such as "0.12 x 0.08 x 0.09"."""
     return " x ".join(f"{x:.3g}" for x in extent)
 
 
-def place_text(point: Vector) -> str:
+def place_text(point: Vector3) -> str:
     """Return a place in the world, such as "0.30, 0.14, 0.82"."""
     return ", ".join(f"{round(float(x), 2) + 0.0:.2f}" for x in point)

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...authoring.editing import EditList
 from ...authoring.editing.edits import Change
-from ...base.arrays import Flags, Float32, Float64, Ids, Int32, Int64
+from ...base.arrays import Flags, Float32, Float64, Int32, Int64, RowIds
 from ...drawing.heat import class_colors, heat_colors, heat_of
 from ...errors import InputError
 from ...formats.tiles import Tile, Tiles
@@ -109,7 +109,7 @@ class TiledSession(Session):
         """Return how many Gaussians the coarse part of a tile has."""
         return max(1, min(tile.num_rows, int(tile.num_rows * COARSE_SHARE * self.budget / len(self.tiles))))
 
-    def part(self, number: int) -> tuple[Gaussians, Ids]:
+    def part(self, number: int) -> tuple[Gaussians, RowIds]:
         """Return a part and its rows: 2 k is the coarse one of tile k, 2 k + 1 what that leaves out.
 
         Raises: InputError: there is none. FormatError: the tile is damaged or missing.
@@ -121,7 +121,7 @@ class TiledSession(Session):
         rows = self.rows_of(number) - tile.first
         return whole.subset(rows), rows + tile.first
 
-    def rows_of(self, number: int) -> Ids:
+    def rows_of(self, number: int) -> RowIds:
         """Return the rows of a part; the tile is read where nobody has. Raises: as `part`."""
         tile = self.tile_of(number)
         if number // 2 not in self._coarse:
@@ -137,7 +137,7 @@ class TiledSession(Session):
 
     # --- what rows answer ---
 
-    def heat_at(self, rows: Ids) -> Float32[np.ndarray, " m"]:
+    def heat_at(self, rows: RowIds) -> Float32[np.ndarray, " m"]:
         """Return how well some rows answer, as `results.heat`."""
         own = self.scene.field.rows_of(rows)
         warmest = np.zeros(len(rows), np.float32)
@@ -146,7 +146,7 @@ class TiledSession(Session):
             warmest[own >= 0] = np.maximum(warmest[own >= 0], warm)
         return warmest
 
-    def owners_at(self, rows: Ids) -> Int32[np.ndarray, " m"]:
+    def owners_at(self, rows: RowIds) -> Int32[np.ndarray, " m"]:
         """Return the query that each of some rows answers, as `results.owners`."""
         owners = np.full(len(rows), -1, np.int32)
         for number in range(len(self.results) - 1, -1, -1):
@@ -154,21 +154,21 @@ class TiledSession(Session):
         return owners
 
     @property
-    def _found(self) -> list[Ids]:
+    def _found(self) -> list[RowIds]:
         """Rows of each query, made once for its results."""
         known = self.__dict__.get("_rows_found")
         if known is None or known[0] is not self.results:
             known = self.__dict__["_rows_found"] = self.results, [result.gaussian_ids for result in self.results]
         return known[1]
 
-    def objects_at(self, rows: Ids) -> Int32[np.ndarray, " m"]:
+    def objects_at(self, rows: RowIds) -> Int32[np.ndarray, " m"]:
         """Return the object of each of some rows, -1 for none."""
         own = self.scene.field.rows_of(rows)
         numbers = np.full(len(rows), -1, np.int32)
         numbers[own >= 0] = objects_of(self.scene.field).thing_of(own[own >= 0])
         return numbers
 
-    def colors_at(self, rgb: Float32[np.ndarray, "m 3"], rows: Ids) -> Float32[np.ndarray, "m 3"]:
+    def colors_at(self, rgb: Float32[np.ndarray, "m 3"], rows: RowIds) -> Float32[np.ndarray, "m 3"]:
         """Return the colours of some rows in the present mode, as `Session.colors`. rgb: their own."""
         if self.mode is Mode.CLASSES and self.segmentation is not None:
             palette = class_colors(len(self.segmentation.names))
@@ -197,7 +197,7 @@ class TiledSession(Session):
         """False for each Gaussian: nothing is removed."""
         return np.broadcast_to(np.False_, len(self.scene.rows))
 
-    def _inside(self, view: View, outline: Float64[np.ndarray, "p 2"]) -> Ids:
+    def _inside(self, view: View, outline: Float64[np.ndarray, "p 2"]) -> RowIds:
         seen = self.scene.seen(view)
         assert seen.rows is not None
         return np.asarray(seen.rows[inside_outline(seen.splats, view, outline, threads=self.scene.threads)])
@@ -240,7 +240,7 @@ class TiledSession(Session):
     def edited(self, *, selected_only: bool = False) -> NoReturn:
         raise InputError(UNEDITED)
 
-    def standing(self, ids: Ids) -> Gaussians:
+    def standing(self, ids: RowIds) -> Gaussians:
         return self.scene.rows.shapes_of(ids)
 
 

@@ -14,7 +14,7 @@ from urllib.parse import parse_qs
 
 import uvicorn
 
-from ....base.arrays import Vector
+from ....base.arrays import Vector3
 from ....errors import DrSplatError, InputError
 from ...serving.connections import TIMEOUTS_S, Stage, bounded, run_server
 from ...serving.guards import Answer, App, Body, DoorKeeper, Message, Receive, Send, refused_length
@@ -232,7 +232,7 @@ class Service:
         options: dict[str, Any] = {"log_level": "error", "access_log": False, "timeout_graceful_shutdown": GRACE_S}
         self._server = _Server(bounded(gate, VIEWER_TIMEOUTS_S, **options), app)
 
-    def show(self, session: Session, up: Vector | None = None, text: str = "") -> None:
+    def show(self, session: Session, up: Vector3 | None = None, text: str = "") -> None:
         """Show a session, and ask it something; before anybody has come."""
         self.shared.show(session, up)
         self.shared.note()

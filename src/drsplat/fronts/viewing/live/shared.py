@@ -8,7 +8,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-from ....base.arrays import Vector
+from ....base.arrays import Vector3
 from ....base.terminal import counted
 from ....errors import DrSplatError, InputError
 from ....query import Scene
@@ -148,7 +148,7 @@ class Shared:
 
     # --- changing ---
 
-    def show(self, session: Session, up: Vector | None = None) -> None:
+    def show(self, session: Session, up: Vector3 | None = None) -> None:
         """Show another session in place of the one that is open, to all."""
         self._stage, self.home = Stage.of(session, up), session
         self.counters.scene += 1

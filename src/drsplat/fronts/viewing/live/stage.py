@@ -11,7 +11,7 @@ from pydantic import Field, StringConstraints
 
 from ....authoring.filming.looking import Standpoints, beside, looking_at, size_in, up_direction
 from ....authoring.filming.paths import CameraPath, KeyFrame
-from ....base.arrays import Ids, Vector
+from ....base.arrays import RowIds, Vector3
 from ....errors import InputError
 from ....query import Match
 from ....query.documents import Document
@@ -36,13 +36,13 @@ class Stage:
     """
 
     session: Session
-    up: Vector
+    up: Vector3
     names: list[str] = field(default_factory=list)
     words: list[str] = field(default_factory=list)
-    _order: tuple[Ids, Ids] | None = None
+    _order: tuple[RowIds, RowIds] | None = None
 
     @classmethod
-    def of(cls, session: Session, up: Vector | None = None) -> "Stage":
+    def of(cls, session: Session, up: Vector3 | None = None) -> "Stage":
         """Return a session as it is opened, a scene that moves at its first time. up: None takes the scene's own."""
         if session.scene.motion is not None and session.time is None:
             session.time = float(session.scene.moving.times[0])
@@ -78,7 +78,7 @@ class Stage:
         return take
 
     @cached_property
-    def first_look(self) -> tuple[Vector, Vector]:
+    def first_look(self) -> tuple[Vector3, Vector3]:
         """Eye and target in the world."""
         return first_look(self.session.scene.views, self.session.shown.frame, self.up)
 
@@ -95,7 +95,7 @@ class Stage:
     def _radius(self) -> float:
         return self.session.radius
 
-    def eye_before(self, center: Vector, extent: Vector) -> Vector:
+    def eye_before(self, center: Vector3, extent: Vector3) -> Vector3:
         """Return a place in the world to see a box from, as `authoring.filming.looking.before`."""
         return beside(center, size_in(extent, self._radius), self._standpoints, self.up)
 
@@ -104,7 +104,7 @@ class Stage:
         return placed_now(self.session, match)
 
     @property
-    def order(self) -> Ids:
+    def order(self) -> RowIds:
         """Places of the drawn rows by falling significance; the same at all times of the same edits."""
         session = self.session
         ids = session.drawn.ids

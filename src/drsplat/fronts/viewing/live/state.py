@@ -8,7 +8,7 @@ import numpy as np
 from ....authoring.editing.edits import NAMES
 from ....authoring.filming.looking import FOV_DEGREES
 from ....authoring.filming.writing import ffmpeg
-from ....base.arrays import Matrix3, Vector
+from ....base.arrays import Matrix3, Vector3
 from ....drawing.heat import HEAT, class_colors
 from ....query import Match
 from ....query.documents import Document, support_document
@@ -230,6 +230,6 @@ def _annotation(stage: Stage, annotation: Annotation) -> Document:
 # --- numbers and words ---
 
 
-def _box(stage: Stage, center: Vector, axes: Matrix3, extent: Vector) -> Document:
+def _box(stage: Stage, center: Vector3, axes: Matrix3, extent: Vector3) -> Document:
     frame = stage.session.shown.frame
     return box_document(frame, center, axes, extent) | {"eye": rounded(frame.shown(stage.eye_before(center, extent)))}
