@@ -1,7 +1,7 @@
 """Answers that are sure, maybe or nothing: how often each is given, of words that are there and of words that are not.
 
     python benchmarks/study_maybe.py PLACE... --kept FOLDER [--clip FOLDER] [--names FOLDER] [--masks whole]
-    python benchmarks/study_maybe.py --built-in ROOM=FIELD...
+    python benchmarks/study_maybe.py --built-in ROOM=FIELD... CAPTURE=SCENE=FIELD... [--kept FOLDER]
 
 PLACE: as of study_answers.py. Words and embeddings are drawn as there, a fifth of the masks with a wrong embedding in
 every second trial; 20 absent words a trial. `clean`: masks show the best picture of a word, `rough`: one of three, of
@@ -11,6 +11,7 @@ peak may miss the clear margin (`MAYBE_SPREADS`), which was chosen on table_1, t
 
 --built-in: asks the fields of the built-in encoder for its own nouns, each with and without the colours of the things
 that are there; its maybe (`MAYBE_LEAST_SHARE`) was chosen on table_1, table_3 and three rooms that were made for it.
+Of captures it asks "something COLOUR" of each colour that an outlined thing has, and of those that nothing there has.
 """
 
 import argparse
@@ -27,7 +28,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.machine import describe
 from benchmarks.suite.answers import kind_of, place_of
-from benchmarks.suite.places import true_things
+from benchmarks.suite.places import Place, true_things
+from benchmarks.suite.real_colors import NOT_THERE, TRUTH
 from benchmarks.suite.scenes import read_scene
 from benchmarks.suite.tables import markdown
 from benchmarks.suite.trials import LEAST, Trial, trial
@@ -76,12 +78,42 @@ def asked(case: Trial) -> Iterator[Asked]:
 
 
 def shares(some: list[Asked]) -> str:
+    if not some:
+        return "-"
     return ", ".join(f"{np.mean([one.certainty == said for one in some]):.1%}" for said in (SURE, MAYBE, NOTHING))
 
 
-def built_in(given: str) -> Iterator[Asked]:
+def built_in(given: str, kept: Path | None) -> Iterator[Asked]:
+    """Ask a field of the built-in encoder for what it knows of a room, or for the colours of a capture."""
+    *place, path = given.split("=")
+    if len(place) == 1:
+        yield from _of_room(place[0], path)
+    elif kept is not None:
+        yield from _of_capture(place_of("=".join(place), "graph", kept), Path(place[0]).name, path)
+
+
+def _of_capture(place: Place, name: str, path: str) -> Iterator[Asked]:
+    """IoU is over Gaussians of outlined things, without those that have the colour in part."""
+    field, things = load_field(path), list(place.things)
+    labels, mass = place.labels[field.gaussian_ids], place.mass[field.gaussian_ids]
+    scene = Scene(field, place.gaussians, place.cameras, MiniEncoder())
+    for color in COLORS:
+        right, partly = (
+            [things.index(thing) for thing, said in TRUTH[name].items() if color in said[part].split()]
+            for part in (0, 1)
+        )
+        if not right and color not in NOT_THERE.get(name, "").split():
+            continue
+        text = f"something {color}"
+        counted, meant = mass * ((labels < len(things)) & ~np.isin(labels, partly)), np.isin(labels, right)
+        answer, free = scene.ask(text), scene.ask(Query(text, present=True))
+        selected = [one.values > one.threshold for one in (answer.without_maybe(), answer, free)]
+        ious = [float(counted[rows & meant].sum() / max(counted[rows | meant].sum(), 1e-9)) for rows in selected]
+        yield Asked(bool(right), answer.certainty, 0.0, *ious)
+
+
+def _of_room(folder: str, path: str) -> Iterator[Asked]:
     """Ask a room for what the built-in encoder was taught, things of a few Gaussians left out."""
-    folder, _, path = given.partition("=")
     made, encoder = read_scene(Path(folder)), MiniEncoder()
     scene = Scene(load_field(path), made.gaussians, made.views, encoder)
     labels = true_things(made)[0][scene.field.gaussian_ids]
@@ -103,7 +135,10 @@ def table(found: Mapping[str, list[Asked]]) -> str:
     rows = []
     for name, every in found.items():
         there, absent = ([one for one in every if one.present is present] for present in (True, False))
-        ious = (f"{np.mean([getattr(one, rule) for one in there]):.3f}" for rule in ("refused", "answered", "forced"))
+        ious = (
+            "-" if not there else f"{np.mean([getattr(one, rule) for one in there]):.3f}"
+            for rule in ("refused", "answered", "forced")
+        )
         rows.append((f"{name} ({len(there)}, {len(absent)})", shares(there), shares(absent), *ious))
     titles = ("words there, absent", "there: sure, maybe, nothing", "absent: sure, maybe, nothing")
     return markdown((*titles, "IoU, maybe refused", "answered", "nothing refused"), rows)
@@ -112,7 +147,7 @@ def table(found: Mapping[str, list[Asked]]) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("places", nargs="*")
-    parser.add_argument("--built-in", nargs="+", default=[], metavar="ROOM=FIELD")
+    parser.add_argument("--built-in", nargs="+", default=[], metavar="PLACE=FIELD")
     parser.add_argument("--clip", type=Path)
     parser.add_argument("--names", type=Path)
     parser.add_argument("--kept", type=Path)
@@ -120,7 +155,10 @@ def main() -> None:
     arguments = parser.parse_args()
     print(describe())
     if arguments.built_in:
-        rooms = {Path(given.partition("=")[0]).name: list(built_in(given)) for given in arguments.built_in}
+        rooms = {
+            f"{Path(given.partition('=')[0]).name}, {Path(given).stem}": list(built_in(given, arguments.kept))
+            for given in arguments.built_in
+        }
         print(table(rooms | {"all": [one for some in rooms.values() for one in some]}))
         return
     found: dict[str, list[Asked]] = defaultdict(list)
