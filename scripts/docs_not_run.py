@@ -48,7 +48,7 @@ def _options(piece: Piece) -> str:
     return f"no such option: {', '.join(unknown)}" if unknown and not told.returncode else ""
 
 
-INSTALL = Reason("changes the environment; its extras exist", _install)
+INSTALL = Reason("changes the environment, or makes one; its extras exist", _install)
 HOURS = Reason("takes hours and data sets; its module and its options exist", _options)
 ENDS = Reason("needs a checkout's tests: .ci/run runs this line", lambda piece: "" if "pytest" in piece.text else "?")
 
@@ -91,7 +91,7 @@ NOT_RUN: dict[tuple[str, str], Reason] = {
 
 def reason(piece: Piece) -> Reason | None:
     """Return why a command is not run, or None."""
-    if piece.text.startswith("pip install"):
+    if piece.text.startswith(("pip install", "uvx --from .")):
         return INSTALL
     if (piece.language == "bash" and "python -m world" in piece.text) or "python -m benchmarks" in piece.text:
         return HOURS

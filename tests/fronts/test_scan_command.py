@@ -298,7 +298,7 @@ def test_photos_without_poses_end_as_a_page(tmp_path: Path, capsys: Capture) -> 
     answer = answer_of(capsys, "scan", tmp_path / "photos", "-o", tmp_path / "room", *QUICK)
     assert (answer["num_photos"], answer["num_registered"]) == (11, 10)
     assert [one["name"] for one in answer["left_out"]] == ["empty.jpg"]
-    assert any("1 of 11 photos have no pose" in note for note in answer["notes"])
+    assert any("1 of 11 photos has no pose" in note for note in answer["notes"])
     assert list(answer["stage_seconds"]) == ["capture", *STAGES]
     assert answer["answers"], "words that find something are asked where none are given"
     assert len(read_views(answer["capture"])) == 10

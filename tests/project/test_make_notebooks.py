@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from drsplat import open_scene
+from drsplat.evaluation.demo.story import Story
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "scripts"))
@@ -87,7 +88,7 @@ def test_notebooks_of_the_docs_are_their_sources_with_outputs(path: Path) -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", make_notebooks.of_docs(), ids=lambda path: path.stem)
-def test_notebooks_of_the_docs_run(path: Path, household_folder: Path, tmp_path: Path) -> None:
+def test_notebooks_of_the_docs_run(path: Path, household_story: Story, household_folder: Path, tmp_path: Path) -> None:
     """As a reader runs them, in a folder with the demo's; they find the vase, and say where."""
     for name in ("nbclient", "ipykernel"):
         pytest.importorskip(name, reason="nbclient and ipykernel are not installed")

@@ -281,7 +281,8 @@ def notes(states: Facts, is_doubted: bool) -> list[str]:
     posed = stages.get("capture", {})
     without = posed.get("left_out", [])
     if without:
-        said.append(f"{len(without):,} of {posed['num_photos']:,} photos have no pose (left_out says why).")
+        have = "has" if len(without) == 1 else "have"
+        said.append(f"{len(without):,} of {posed['num_photos']:,} photos {have} no pose (left_out says why).")
     if posed.get("num_with_people"):
         said.append(people_text(posed["num_with_people"], posed["num_registered"]).capitalize() + ".")
     if stages["train"]["held_out_far_below"]:
