@@ -89,6 +89,27 @@ def test_what_hangs_on_a_wall_is_not_on_it() -> None:
     assert not is_on(block((-0.2, 0.97, 1.2), (0.2, 1.0, 1.6)), wall)
 
 
+def test_a_book_that_leans_in_a_shelf_is_on_the_board_below_its_middle() -> None:
+    """Its foot touches the back alone: the board under it is a little too low, as where no photo sees it well."""
+    board, back = block((-0.4, -0.2, -0.02), (0.4, 0.2, 0.0), 6_000), block((-0.4, 0.2, 0.0), (0.4, 0.22, 0.4), 6_000)
+    book = block((-0.4, 0.0, 0.06), (-0.36, 0.195, 0.31))
+    gaussians, (own, shelf) = scene_of(book, np.concatenate([board, back]))
+    assert not rests_on(gaussians, own, shelf, UP)
+    assert rests_on(gaussians, own, shelf, UP, inside=True)
+    gaussians, (own, wall) = scene_of(book, back)
+    assert not rests_on(gaussians, own, wall, UP, inside=True)
+
+
+def test_nothing_is_on_what_begins_above_its_ankle() -> None:
+    """Legs of a chair that stand between those of a table."""
+    top = TABLE[TABLE[:, 2] > 0.72]
+    legs = np.concatenate(
+        [block((x, y, 0.2), (x + 0.05, y + 0.05, 0.72), 800) for x in (-0.1, 0.1) for y in (-0.1, 0.1)]
+    )
+    chair = block((-0.04, -0.04, 0.0), (0.09, 0.09, 1.0))
+    assert not is_on(chair, np.concatenate([top, legs]))
+
+
 def test_contact_is_told_by_size_and_spacing() -> None:
     """Rows a tenth apart, so that the third neighbour is two tenths away, and two deviations of both are 0.02."""
     row = np.arange(9.0)[:, None] * [0.1, 0, 0]

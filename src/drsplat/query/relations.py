@@ -36,8 +36,10 @@ Up = Float64[np.ndarray, " 3"]
 MIN_INSIDE_SHARE = 0.5  # of an object's Gaussians in the box of what it is in
 NUM_SECTORS, MIN_WALLED_SECTORS = 16, 12  # around an object; with a wall of what it is in
 MIN_OVER = 8  # Gaussians of what a thing is under, above its middle half
+MIN_BELOW, DEEPEST_SHARE = 3, 0.5  # Gaussians below a thing's middle half, no deeper than this share of its height
 MIN_COMMON_HEIGHT_SHARE = 0.1  # of the lower of two objects next to each other
 _Holds = Callable[[AnyGaussians, Match, Match, Up], bool]
+UPRIGHT_COSINE = 0.99  # of a box's third axis with up
 MAX_OVERHANG_SHARE = 0.05  # of a thing's size, that its middle may stand out of what it is over
 FOOT_SHARE = 0.1  # of a thing's height above its lower side: what can touch
 TOUCHING_DEVIATIONS = 2.0  # of two Gaussians, towards each other
@@ -113,11 +115,15 @@ def lies_above(gaussians: AnyGaussians, thing: Match, other: Match, up: Up) -> b
 def lies_under(gaussians: AnyGaussians, thing: Match, other: Match, up: Up) -> bool:
     """Return True if some of another thing is higher than all of a thing and over its middle half."""
     points, over = (solid_centers(gaussians, one) for one in (thing, other))
+    top = _heights(gaussians, thing, up)[1]
+    return int((_in_column(points, over, up) > top).sum()) >= MIN_OVER
+
+
+def _in_column(points: Points, others: Points, up: Up) -> Float64[np.ndarray, " _"]:
+    """Return the heights of those others that are above or below the middle half of some points."""
     flat, middle = np.eye(3) - np.outer(up, up), points.mean(axis=0)
     half = np.quantile(np.linalg.norm((points - middle) @ flat, axis=1), 0.5)
-    is_over_it = np.linalg.norm((over - middle) @ flat, axis=1) <= half
-    top = _heights(gaussians, thing, up)[1]
-    return int((over[is_over_it] @ up > top).sum()) >= MIN_OVER
+    return np.asarray(others[np.linalg.norm((others - middle) @ flat, axis=1) <= half] @ up)
 
 
 def lies_next_to(gaussians: AnyGaussians, thing: Match, other: Match, up: Up) -> bool:
@@ -198,7 +204,9 @@ def standing_on(scene: Scene, matches: Sequence[Match], query: Query | str) -> l
 
 def stands_on(gaussians: AnyGaussians, thing: Match, support: Match, up: Float64[np.ndarray, " 3"]) -> bool:
     """Return whether a thing rests on another one, by contact of their Gaussians; see `contact.rests_on`."""
-    return rests_on(gaussians, thing.gaussian_ids, support.gaussian_ids, up)
+    away = np.abs(support.axes[:2] @ (thing.center - support.center))
+    inside = abs(float(support.axes[2] @ up)) > UPRIGHT_COSINE and bool((away <= support.extent[:2] / 2).all())
+    return rests_on(gaussians, thing.gaussian_ids, support.gaussian_ids, up, inside)
 
 
 def is_over(
@@ -216,7 +224,7 @@ def solid_centers(gaussians: AnyGaussians, thing: Match) -> Float64[np.ndarray, 
     return gaussians.shapes_of(solid(gaussians, thing.gaussian_ids)).positions
 
 
-def rests_on(gaussians: AnyGaussians, thing: Ids, support: Ids, up: Up) -> bool:
+def rests_on(gaussians: AnyGaussians, thing: Ids, support: Ids, up: Up, inside: bool = False) -> bool:
     """Return whether some Gaussians rest on others, by contact.
 
     Args:
@@ -224,6 +232,8 @@ def rests_on(gaussians: AnyGaussians, thing: Ids, support: Ids, up: Up) -> bool:
         thing: rows of what may rest; those that can be seen count, here and of the support.
         support: rows of what it may rest on; those that it shares do not count, so that nothing is on itself.
         up: the unit direction that is up.
+        inside: whether its middle is in the box of the support, seen from above. Then it also rests on what goes on
+            right below its middle, as a book does that leans in a shelf.
     """
     own = solid(gaussians, thing)
     heights, others = _centers(gaussians, own) @ up, solid(gaussians, np.setdiff1d(support, thing))
@@ -231,11 +241,19 @@ def rests_on(gaussians: AnyGaussians, thing: Ids, support: Ids, up: Up) -> bool:
     ankle = low + FOOT_SHARE * (high - low)
     foot, rest = own[heights <= ankle], own[heights > ankle]
     touching, touched = contacts(gaussians, own, foot, others)
-    if len(touching) < max(MIN_TOUCHING_SHARE * len(foot), 1):
+    if (
+        len(touching) < max(MIN_TOUCHING_SHARE * len(foot), 1)
+        or np.quantile(_centers(gaussians, others) @ up, 0.02) > ankle
+    ):
         return False
     places = _centers(gaussians, touched)
-    if heights.mean() <= (places @ up).mean():
+    over = is_over(_centers(gaussians, own), _centers(gaussians, others), up)
+    if not over or heights.mean() <= (places @ up).mean():
         return False
+    if inside:
+        below = _in_column(_centers(gaussians, own), _centers(gaussians, others), up)
+        if ((below <= ankle) & (below >= low - DEEPEST_SHARE * (high - low))).sum() >= MIN_BELOW:
+            return True
     gap = widest_gap(places, _centers(gaussians, foot).mean(axis=0), up)
     if MAX_ENCLOSED_GAP_RADIANS < gap <= MAX_ONE_SIDED_GAP_RADIANS:
         beside = contacts(gaussians, own, rest, others)[1]
