@@ -19,9 +19,9 @@ pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not insta
 
 from test_catalogue import rows_of, unit
 
-from drsplat.query.catalogue import Catalogue, Conditions, codes, coding, nearest, table
-from drsplat.query.catalogue.manifest import fragments_of, manifest_of
-from drsplat.query.catalogue.nearest import Search, nearest_objects
+from drsplat.query.catalogue import Catalogue, Conditions, codes, table
+from drsplat.query.catalogue.codes import Search, nearest_objects
+from drsplat.query.catalogue.record import fragments_of, manifest_of
 from drsplat.query.catalogue.snapshot import current
 
 ENCODER = EncoderIdentity("test", 64)
@@ -93,7 +93,7 @@ def test_codes_find_what_comparing_all_finds(coded: tuple[Catalogue, np.ndarray,
 
 
 def test_of_larger_tables_more_candidates_are_compared() -> None:
-    assert [nearest.refine_factor(rows) for rows in (0, 300_000, 750_000, 3_000_000, 30_000_000)] == [4, 4, 4, 8, 25]
+    assert [codes.refine_factor(rows) for rows in (0, 300_000, 750_000, 3_000_000, 30_000_000)] == [4, 4, 4, 8, 25]
 
 
 def test_the_same_answer_with_any_number_of_threads(coded: tuple[Catalogue, np.ndarray, np.ndarray]) -> None:
@@ -134,7 +134,7 @@ def test_codes_of_many_deleted_rows_are_passed_over(coded: tuple[Catalogue, np.n
 
 def test_conditions(coded: tuple[Catalogue, np.ndarray, np.ndarray], monkeypatch: pytest.MonkeyPatch) -> None:
     catalogue, vectors, words = coded
-    monkeypatch.setattr(nearest, "FEW_ROWS", 0)  # by codes too
+    monkeypatch.setattr(codes, "FEW_ROWS", 0)  # by codes too
     for where in (
         Conditions(scenes=("s1",)),
         Conditions(scenes=("s0", "s3")),
@@ -153,7 +153,7 @@ def test_files_that_were_put_together_are_coded(
     catalogue, _, words = coded
     encoded: list[object] = []
     monkeypatch.setattr(table, "_is_scattered", lambda _: True)
-    monkeypatch.setattr(coding, "_encoded", lambda *given: encoded.append(given))
+    monkeypatch.setattr(table, "_encoded", lambda *given: encoded.append(given))
     before = {file.name for file in (catalogue.path / "codes").rglob("*")}
     catalogue.remove("s3")
     table.tidy(catalogue.path)
@@ -180,33 +180,33 @@ def test_an_index_puts_files_together(coded: tuple[Catalogue, np.ndarray, np.nda
 
 KILLED = """
 import os, sys
-from drsplat.query.catalogue import Catalogue, coding, table
-real, times = {module}.{name}, []
+from drsplat.query.catalogue import Catalogue, table
+real, times = table.{name}, []
 def killed(*given, **how):
     times.append(1)
     os.kill(os.getpid(), 9) if len(times) == {at} else None
     return real(*given, **how)
-{module}.{name} = killed
+table.{name} = killed
 Catalogue.open(sys.argv[1]).build_index()
 """
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("module", "name", "at"),
+    ("name", "at"),
     [
-        *(("table", name, 1) for name in ("_put_together", "_write_codes", "_record_arranged", "_index_names")),
-        *(("coding", name, 1) for name in ("write_tensors", "publish", "sweep")),
-        ("coding", "write_tensors", 2),
+        *((name, 1) for name in ("_put_together", "_write_codes", "_record_arranged", "_index_names")),
+        *((name, 1) for name in ("write_tensors", "publish", "sweep")),
+        ("write_tensors", 2),
     ],
 )
 def test_a_kill_while_codes_are_written_leaves_the_old_ones(
-    coded: tuple[Catalogue, np.ndarray, np.ndarray], module: str, name: str, at: int
+    coded: tuple[Catalogue, np.ndarray, np.ndarray], name: str, at: int
 ) -> None:
     catalogue, _, words = coded
     catalogue.remove("s0")  # so that the next codebook is another one
     expected = [answer(catalogue, word) for word in words[:3]]
-    code = KILLED.format(module=module, name=name, at=at)
+    code = KILLED.format(name=name, at=at)
     assert subprocess.run([sys.executable, "-c", code, str(catalogue.path)], check=False).returncode == -9
     again = Catalogue.open(catalogue.path)
     assert [answer(again, word) for word in words[:3]] == expected

@@ -21,13 +21,13 @@ scene may be zero. Nothing is ever decompressed beyond that size. Source: RFC 19
 import struct
 import warnings
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Float32, UInt8
+from ..base.arrays import Float32, Harmonics, Quats, UInt8, Vectors
 from ..base.contents import file_bytes
 from ..errors import DrSplatWarning, FormatError
 from ..scene.gaussians import Gaussians
@@ -109,7 +109,7 @@ def read_spz_labels(path: Path) -> Labels:
 
 def _objects(extensions: bytes, count: int) -> tuple[dict[str, np.ndarray], bytes]:
     """Return the columns of drsplat's extension, and its labels as JSON; neither where there is none."""
-    payload = _record(extensions, OBJECTS)
+    payload = next((content for kind, content in _records(extensions) if kind == OBJECTS), None)
     if payload is None:
         return {}, b""
     if len(payload) < OBJECT_SIZES.size:
@@ -124,15 +124,13 @@ def _objects(extensions: bytes, count: int) -> tuple[dict[str, np.ndarray], byte
     return {name: column for name, column in columns.items() if len(column)}, content[sizes[0] + sizes[1] :]
 
 
-def _record(extensions: bytes, wanted: int) -> bytes | None:
-    """Return the payload of the first extension of a kind."""
+def _records(extensions: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield the kind and the content of each extension."""
     offset = 0
     while offset + 8 <= len(extensions):
         kind, length = struct.unpack_from("<II", extensions, offset)
-        if kind == wanted:
-            return extensions[offset + 8 : offset + 8 + length]
+        yield kind, extensions[offset + 8 : offset + 8 + length]
         offset += 8 + length
-    return None
 
 
 def _planes(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], bytes, SpzHeader]:
@@ -209,13 +207,10 @@ def _separate(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], bytes,
 
 def _signs(extensions: bytes) -> Float32[np.ndarray, "3"]:
     """Return the factors of x, y, z that turn the stored axes into RDF."""
-    offset = 0
     system = 4  # RUB
-    while offset + 8 <= len(extensions):
-        kind, length = struct.unpack_from("<II", extensions, offset)
-        if kind == COORDINATE_SYSTEM and extensions[offset + 8 : offset + 12]:
-            system = int.from_bytes(extensions[offset + 8 : offset + 12], "little") or system
-        offset += 8 + length
+    for kind, content in _records(extensions):
+        if kind == COORDINATE_SYSTEM:
+            system = int.from_bytes(content[:4], "little") or system
     if system > 8:
         raise FormatError(f"SPZ stores axes {system}, with y and z exchanged: convert it to RUB (4) first")
     # Bits of system - 1: right, up, front. RDF is right, not up, front.
@@ -223,20 +218,20 @@ def _signs(extensions: bytes) -> Float32[np.ndarray, "3"]:
     return np.where(np.array(stored) == (1, 0, 1), 1, -1).astype(np.float32)
 
 
-def _positions(plane: UInt8[np.ndarray, " _"], fractional_bits: int) -> Float32[np.ndarray, "n 3"]:
+def _positions(plane: UInt8[np.ndarray, " _"], fractional_bits: int) -> Vectors:
     wide = np.zeros((len(plane) // 3, 4), np.uint8)
     wide[:, 1:] = plane.reshape(-1, 3)  # the upper 24 bits, so that shifting down extends the sign
     fixed = wide.view("<i4").reshape(-1, 3) >> 8
     return np.ldexp(fixed.astype(np.float32), -fractional_bits)
 
 
-def _first_three(plane: UInt8[np.ndarray, " _"]) -> Float32[np.ndarray, "n 4"]:
+def _first_three(plane: UInt8[np.ndarray, " _"]) -> Quats:
     xyz = plane.reshape(-1, 3).astype(np.float32) / np.float32(127.5) - 1
     w = np.sqrt(np.maximum(1 - np.einsum("ni,ni->n", xyz, xyz), 0))
     return np.column_stack([w, xyz])
 
 
-def _smallest_three(plane: UInt8[np.ndarray, " _"]) -> Float32[np.ndarray, "n 4"]:
+def _smallest_three(plane: UInt8[np.ndarray, " _"]) -> Quats:
     packed = plane.view("<u4").astype(np.uint32)
     fields = (packed[:, None] >> np.array([20, 10, 0], np.uint32)) & np.uint32(1023)
     magnitudes = (fields & np.uint32(511)).astype(np.float32) * np.float32(np.sqrt(0.5) / 511)
@@ -246,7 +241,7 @@ def _smallest_three(plane: UInt8[np.ndarray, " _"]) -> Float32[np.ndarray, "n 4"
 
 def _harmonics(
     colours: UInt8[np.ndarray, " _"], rest: UInt8[np.ndarray, " _"], header: SpzHeader, signs: Float32[np.ndarray, "3"]
-) -> Float32[np.ndarray, "n k 3"]:
+) -> Harmonics:
     n = header.count
     kept = min(REST_COEFFICIENTS[header.degree], len(PARITIES))
     sh = np.empty((n, 1 + kept, 3), np.float32)

@@ -5,10 +5,10 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Float64, Int64, Integer
-from ..errors import InputError
+from ..base.arrays import Float64, Int64, RowIds, Vector3
 from ..scene.boxes import Box
 from ..scene.gaussians import Gaussians
+from .splats import native
 
 OUTLIER_SHARE = 0.003  # of a thing's mass, cut off at each end of each axis
 MAX_STRAY_SHARE = 0.02  # of a set's mass, left out as strays at each end of each axis
@@ -23,7 +23,7 @@ class Boxes(NamedTuple):
     extent: Float64[np.ndarray, "s 3"]
 
 
-def box_of(gaussians: Gaussians, ids: Integer[np.ndarray, " m"], up: Float64[np.ndarray, " 3"] | None = None) -> Box:
+def box_of(gaussians: Gaussians, ids: RowIds, up: Vector3 | None = None) -> Box:
     """Return the box that holds the Gaussians `ids`, without strays and the outliers of their mass.
 
     up: a unit direction; the box stands upright, along the principal axes in the plane. None: free, along the
@@ -43,25 +43,13 @@ def boxes_of(
     gaussians: Gaussians,
     starts: Int64[np.ndarray, " s1"],
     ids: Int64[np.ndarray, " e"],
-    up: Float64[np.ndarray, " 3"] | None = None,
+    up: Vector3 | None = None,
     *,
     threads: int = 0,
 ) -> Boxes:
     """Return the box of each set ids[starts[s]:starts[s + 1]]; the same bits for any number of threads."""
-    try:
-        centers, axes, extents = _native.boxes(
-            np.ascontiguousarray(gaussians.means),
-            np.ascontiguousarray(gaussians.quats),
-            np.ascontiguousarray(gaussians.scales),
-            np.ascontiguousarray(gaussians.opacities),
-            np.ascontiguousarray(starts),
-            np.ascontiguousarray(ids),
-            None if up is None else np.ascontiguousarray(up, np.float64),
-            OUTLIER_SHARE,
-            MAX_STRAY_SHARE,
-            MIN_TAIL_SPARSENESS,
-            threads,
-        )
-    except ValueError as error:
-        raise InputError(f"boxes: expected {error}") from None
-    return Boxes(np.asarray(centers) + gaussians.origin, np.asarray(axes), np.asarray(extents))
+    directions = None if up is None else np.asarray(up, np.float64)
+    shapes = gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities
+    shares = OUTLIER_SHARE, MAX_STRAY_SHARE, MIN_TAIL_SPARSENESS
+    centers, axes, extents = native("boxes", _native.boxes, *shapes, starts, ids, directions, *shares, threads)
+    return Boxes(centers + gaussians.origin, axes, extents)

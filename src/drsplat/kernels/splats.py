@@ -1,12 +1,13 @@
 """Arrays that the kernels draw a scene from, and what they return, the same on the CPU and on a GPU."""
 
 import os
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Anywhere, Bool, Float32, Float64, Int32, Integer, UInt32
+from ..base.arrays import Anywhere, Flags, Float32, Int32, RowIds, UInt32, Vector3
 from ..errors import InputError
 from ..scene.gaussians import Gaussians, covariances_of
 from ..scene.placing import PUBLISHED_NEAR
@@ -28,11 +29,11 @@ class SplatArrays(NamedTuple):
     covariances: Float32[Anywhere, "6 n"]  # xx, xy, xz, yy, yz, zz
     opacities: Float32[Anywhere, " n"]
     near: float = PUBLISHED_NEAR
-    origin: Float64[np.ndarray, " 3"] = np.zeros(3)
+    origin: Vector3 = np.zeros(3)
     antialiased: bool = False
     engine: Any = None
 
-    def subset(self, index: Integer[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> "SplatArrays":
+    def subset(self, index: RowIds | Flags) -> "SplatArrays":
         """Return the arrays of the Gaussians at `index`; the near plane stays that of the whole scene."""
         xp = np if self.engine is None else self.engine.xp
         rows = xp.asarray(index)
@@ -118,6 +119,35 @@ def camera_numbers(view: View, near: float) -> Float32[np.ndarray, "17"]:
     pose, K = view.cam_from_world, view.K
     numbers = [*pose[:3, :3].ravel(), *pose[:3, 3], K[0, 0], K[1, 1], K[0, 2], K[1, 2], near]
     return np.array(numbers, np.float32)
+
+
+def native(what: str, kernel: Callable[..., Any], *given: object, got: str = "") -> tuple[np.ndarray, ...]:
+    """Call a kernel with contiguous arrays, and return its arrays.
+
+    Args:
+        what: names the call in errors.
+        kernel: a function of the native core.
+        given: its arguments; arrays are made contiguous, also those in tuples.
+        got: ends the error, and says what was given.
+
+    Raises: InputError: arrays that do not fit each other, as the kernel says.
+    """
+    try:
+        made = kernel(*map(_contiguous, given))
+    except (ValueError, TypeError) as error:
+        raise InputError(f"{what}: expected {str(error).splitlines()[0]}{got}") from None
+    return tuple(map(np.asarray, made if isinstance(made, tuple | list) else (made,)))
+
+
+def native_array(what: str, kernel: Callable[..., Any], *given: object, got: str = "") -> np.ndarray:
+    """Call a kernel that makes one array, and return it; see `native`."""
+    return native(what, kernel, *given, got=got)[0]
+
+
+def _contiguous(given: Any) -> Any:
+    if isinstance(given, tuple):
+        return tuple(map(_contiguous, given))
+    return np.ascontiguousarray(given) if isinstance(given, np.ndarray) else given
 
 
 def checked_isa(isa: str) -> str:

@@ -8,7 +8,7 @@ set of `available_isas()`, "" the best (or what the variable DRSPLAT_ISA names).
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Float32, Int32
+from ..base.arrays import Float32, Harmonics, Ids, MaskIds, Vectors
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 from ..scene.views import View
@@ -21,6 +21,7 @@ from .splats import (
     Triples,
     camera_numbers,
     checked_isa,
+    native_array,
     splat_arrays_at_origin,
 )
 
@@ -66,7 +67,7 @@ def _positive(name: str, value: int | None) -> int:
 def view_weights(
     splats: SplatArrays,
     view: View,
-    mask_ids: Int32[np.ndarray, "h w"],
+    mask_ids: MaskIds,
     topk: int | None = 40,
     *,
     first_hits: int | None = None,
@@ -119,20 +120,15 @@ def topk_contributions(
     return Contributions(*_native.topk_contributions(*arrays, *size, *limits, threads, checked_isa(isa)))
 
 
-def heaviest_labels(
-    seen: Contributions, labels: Int32[np.ndarray, " n"], *, threads: int = 0
-) -> Int32[np.ndarray, "h w"]:
+def heaviest_labels(seen: Contributions, labels: Ids, *, threads: int = 0) -> MaskIds:
     """Return the label with the most weight in each pixel, -1 for none; ties go to the heaviest Gaussian's.
 
     seen: the eight largest weights of each pixel. labels: one per Gaussian.
 
     Raises: InputError: another number of weights, or Gaussians without a label.
     """
-    ids, weights = map(np.ascontiguousarray, seen)
-    try:
-        return np.asarray(_native.heaviest_labels(ids, weights, np.ascontiguousarray(labels), threads))
-    except ValueError as error:
-        raise InputError(f"expected {error}; got {seen.ids.shape} of {len(labels)} Gaussians") from None
+    got = f"; got {seen.ids.shape} of {len(labels)} Gaussians"
+    return native_array("labels", _native.heaviest_labels, *seen, labels, threads, got=got)
 
 
 def render_channels(
@@ -165,17 +161,10 @@ def render_channels(
     return Rendering(*_native.render(*_scene_and_camera(splats, view), *canvas, threads, checked_isa(isa)))
 
 
-def sh_colors(
-    sh: Float32[np.ndarray, "n k 3"],
-    means: Float32[np.ndarray, "n 3"],
-    center: np.ndarray,
-    *,
-    threads: int = 0,
-    isa: str = "",
-) -> Float32[np.ndarray, "n 3"]:
+def sh_colors(sh: Harmonics, means: Vectors, center: np.ndarray, *, threads: int = 0, isa: str = "") -> Vectors:
     """Return the colour of each Gaussian seen from `center` (world coordinates): max(0, 0.5 + SH(direction)).
 
     Source: 3DGS, "Spherical harmonics".
     """
-    arrays = np.ascontiguousarray(sh), np.ascontiguousarray(means), np.asarray(center, np.float32)
-    return np.asarray(_native.sh_colors(*arrays, threads, checked_isa(isa)))
+    arrays = sh, means, np.asarray(center, np.float32)
+    return native_array("colours", _native.sh_colors, *arrays, threads, checked_isa(isa))

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...base.arrays import Int64, Vector3
 from ...errors import InputError
-from ...formats.runs import are_rows, ids_of
+from ...formats.json_files import are_rows, ids_of
 from .draft import Draft
 
 Spans = Int64[np.ndarray, "s 2"]

@@ -9,8 +9,7 @@ import numpy as np
 
 from ...base.arrays import Float64, Int64, RowIds, Vector3
 from ...errors import DrSplatWarning, InputError, MismatchError
-from ...formats.json_files import is_text
-from ...formats.runs import are_rows, ids_of, spans_of
+from ...formats.json_files import are_rows, ids_of, is_text, spans_of
 from ...formats.scenes import read_gaussians
 from ...kernels.boxes import box_of
 from ...query.objects import match_of, objects_of

@@ -16,13 +16,10 @@ from ...base.system import folder_bytes
 from ...errors import InputError
 from ...formats.annotations import AnnotationFile
 from ...formats.georeference import Georeference
-from ...formats.json_files import written_name
-from ...formats.known import TILES3D, format_of, lacks, write_scene
+from ...formats.json_files import ids_of, written_name
+from ...formats.known import TILES3D, format_of, lacks, read_labels, write_scene
 from ...formats.labels import Labels
-from ...formats.named import read_labels
-from ...formats.runs import ids_of
-from ...formats.streamed_sog import LOD_META
-from ...formats.streamed_sog_writing import write_streamed_sog
+from ...formats.streamed_sog import LOD_META, write_streamed_sog
 from ...formats.tiles import Tiles
 from ...formats.tiles3d_writing import TiledScene, write_tiles3d
 from ...query import Answer, Match, Query, Scene

@@ -24,9 +24,8 @@ from ...formats.spz_writing import spz_bytes
 from ...query import Match
 from ...query.documents import Document
 from ...query.tracks import tracks
-from ...scene.gaussians import Gaussians
+from ...scene.gaussians import Gaussians, significance
 from ...scene.moving import Moving
-from ...scene.significance import significance
 from . import painting
 from .client import page_html, printable
 from .page_search import PageSearch

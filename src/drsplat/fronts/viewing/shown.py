@@ -9,8 +9,7 @@ import numpy as np
 from ...base.arrays import Float32, Float64, Matrix3, RowIds, Shaped, Vector3, Vectors
 from ...errors import InputError
 from ...query import Match, documents
-from ...scene.gaussians import SH_C0, Gaussians
-from ...scene.significance import most_significant
+from ...scene.gaussians import SH_C0, Gaussians, most_significant
 from ...scene.views import View
 from .client import printable
 

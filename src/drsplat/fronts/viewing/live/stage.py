@@ -16,7 +16,7 @@ from ....errors import InputError
 from ....query import Match
 from ....query.documents import Document
 from ....query.suggesting import suggestions
-from ....scene.significance import significance
+from ....scene.gaussians import significance
 from ....scene.views import View
 from ...serving.query_fields import Strict
 from ..exporting import in_order, names_of, placed_now
