@@ -245,7 +245,7 @@ def _read(path: Path, state: State) -> LiveView | None:
     except FileNotFoundError:
         return None
     check_seal(as_document(document, str(path), FORMAT, cure=CURE), f"{path}", cure=CURE)
-    view = replace(as_kind(document, LiveView, str(path)), state=state)
+    view: LiveView = replace(as_kind(document, LiveView, str(path)), state=state)
     if live_name(view.name) != view.name:
         raise FormatError(f"{path}: damaged: expected a view as it was written. {CURE}")
     return view

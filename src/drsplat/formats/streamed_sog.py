@@ -21,7 +21,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -45,7 +45,8 @@ MAX_TREE_DEPTH = 64  # a million chunks of two branches a node need 20
 MAX_LEVELS = 256
 
 
-class _Run(NamedTuple):
+@dataclass(frozen=True)
+class _Run:
     file: int
     count: int = 0
 
@@ -118,7 +119,7 @@ def _leaves(root: object, where: str) -> Iterator[dict[str, _Run]]:
         node, depth = waiting.pop()
         inner = as_fields(node, f"{where}: tree", lods=dict[str, _Run] | None, children=list[object] | None)
         levels: dict[str, _Run] = inner["lods"] or {}
-        if depth > MAX_TREE_DEPTH or any(min(run) < 0 for run in levels.values()):
+        if depth > MAX_TREE_DEPTH or any(min(run.file, run.count) < 0 for run in levels.values()):
             raise FormatError(f"{where}: tree: expected nodes, at most {MAX_TREE_DEPTH} deep, of 0 or more Gaussians")
         yield levels
         waiting += [(child, depth + 1) for child in reversed(inner["children"] or ())]

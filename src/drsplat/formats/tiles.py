@@ -7,7 +7,7 @@ A scene as leaves of a tree of levels of detail: runs of neighbouring Gaussians 
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -44,13 +44,14 @@ SHAPES, COLOURS = "shapes", "colours"
 _KINDS = {SHAPES: _SHAPES, COLOURS: _COLOURS}
 
 
-class _Entry(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class _Entry:
     name: str
     count: int
     low: Vector3
     high: Vector3
     largest: float
-    crc32: Mapping[str, str] = MappingProxyType({})
+    crc32: Mapping[str, str] = field(default_factory=dict)
 
 
 class Tile(NamedTuple):
@@ -172,14 +173,18 @@ def read_tiles(path: Path) -> Tiles:
                 f"{where}: expected a tile's name of letters and digits, and 1 to {MAX_ROWS:,} rows in all, got "
                 f"{excerpt(entry.name)} of {entry.count}"
             )
-        tiles.append(Tile(entry.name, first, *entry[1:]))
+        box = entry.low, entry.high
+        tiles.append(Tile(entry.name, first, entry.count, *box, entry.largest, entry.crc32))
     if not tiles:
         raise FormatError(f"{where}: expected tiles, there are none")
     about = as_fields(
         document, where, origin=Vector3, near=float, shapes=str, scene=str, sources=tuple[str, ...],
         antialiased=bool | None,
     )  # fmt: skip
-    return Tiles(path, tuple(tiles), *list(about.values())[:-1], antialiased=bool(about["antialiased"]))
+    return Tiles(
+        path, tuple(tiles), about["origin"], about["near"], about["shapes"], about["scene"], about["sources"],
+        bool(about["antialiased"]),
+    )  # fmt: skip
 
 
 class _Writer:
