@@ -30,7 +30,7 @@ EXAMPLES = """\
   drsplat embed capture
   drsplat embed capture --segmenter facebook/sam2.1-hiera-tiny --points auto --crop-layers 0 \\
       --scene model --views auto --crops objects
-  drsplat embed capture --segmenter graph --encoder drsplat-mini   (built in: no download)
+  drsplat embed capture --segmenter graph --encoder drsplat-mini
   drsplat embed capture --encoder google/siglip2-base-patch16-224 --output capture/siglip2 --json
   drsplat embed capture --masks capture/language_features --encoder facebook/dinov2-base --output capture/dinov2
   drsplat embed capture --masks room.field --scene model --encoder drsplat-mini --output capture/things
