@@ -1,7 +1,7 @@
 """Searching in product-quantised codes, beside FAISS, raw cosines and the limit of reading memory.
 
     python benchmarks/bench_search.py [--points 1000000] [--threads 1] [--rounds 9] [--json out.json]
-        [--skip single|many|mapped] [--mapped-points 5000000 10000000]
+        [--skip single|many|mapped] [--bytes 128 64 32] [--mapped-points 5000000 10000000]
         [--before LIBRARY]
 
 Everything runs in one process and in turns; times are minima of wall time, and hold all that a caller waits for
@@ -11,11 +11,13 @@ query is far larger than the others.
 --before: the file of an earlier native library, which takes turns with this one.
 
 single: one query, all scores of all points, for 128, 64 and 32 bytes. many: 20 and 200 queries, the best of them for
-each point. mapped: fields saved and loaded again: the first query after loading beside the next ones.
+each point. mapped: fields saved and loaded again: the first query after loading beside the next ones; also with the
+file's pages dropped before (Linux), beside reading the file alone.
 """
 
 import argparse
 import json
+import os
 import shutil
 import tempfile
 import time
@@ -114,7 +116,7 @@ def single(args: argparse.Namespace) -> dict[str, object]:
     """One query, every score."""
     found: dict[str, object] = {}
     query, threads = drawn_queries(1)[0], args.threads
-    for parts in PARTS:
+    for parts in args.bytes:
         code = random_code(args.points, parts)
         ours = f"drsplat {default_isa()}"
 
@@ -203,6 +205,36 @@ def many(args: argparse.Namespace) -> dict[str, object]:
     return found
 
 
+def timed_once(run: Run) -> float:
+    start = time.perf_counter()
+    run()
+    return 1e3 * (time.perf_counter() - start)
+
+
+def dropped(folder: Path) -> None:
+    """Drop the pages of a folder's files, so that they are read from the disk again."""
+    for path in folder.iterdir():
+        with open(path, "rb") as file:
+            os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+
+
+def cold(folder: Path, query: np.ndarray, threads: int) -> dict[str, float]:
+    """Milliseconds of a first query whose pages are on the disk, and of reading the largest file from there."""
+    largest = max(folder.iterdir(), key=lambda path: path.stat().st_size)
+    firsts, reads = [], []
+    for _ in range(3):
+        dropped(folder)
+        field = load_field(folder)
+        firsts.append(timed_once(lambda field=field: field.scores(query, threads=threads)))
+        del field
+        dropped(folder)
+        content = np.memmap(largest, np.uint8, "r")
+        whole = content[: content.size // 8 * 8].view(np.uint64)
+        reads.append(timed_once(lambda whole=whole: whole.max()))
+        del content, whole
+    return {"cold_first_ms": min(firsts), "cold_read_ms": min(reads)}
+
+
 def mapped(args: argparse.Namespace) -> dict[str, object]:
     """Saved, loaded, asked: nothing is converted on the way."""
     found: dict[str, object] = {}
@@ -232,6 +264,13 @@ def mapped(args: argparse.Namespace) -> dict[str, object]:
                 f"{row['first_ms']:.1f} ms, "
                 f"next ones {row['warm_ms']:.1f} ms ({row['first_ms'] / row['warm_ms']:.2f} x); file in the page cache"
             )
+            if hasattr(os, "posix_fadvise"):
+                del field
+                row |= cold(folder / "a.field", query, args.threads)
+                print(
+                    f"  pages dropped: first query {row['cold_first_ms']:.0f} ms, reading the file alone "
+                    f"{row['cold_read_ms']:.0f} ms"
+                )
             found[str(points)] = row
         finally:
             shutil.rmtree(folder)
@@ -245,6 +284,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=9)
     parser.add_argument("--cpu", action="store_true", help="time of the processor, not of the clock: on a busy machine")
     parser.add_argument("--skip", action="append", default=[], choices=("single", "many", "mapped"))
+    parser.add_argument("--bytes", type=int, nargs="*", default=PARTS, help="of a code, where one query is asked")
     parser.add_argument("--mapped-points", type=int, nargs="*", default=[5_000_000, 10_000_000])
     parser.add_argument("--folder", help="where --mapped-points are saved; else where the system has it")
     parser.add_argument("--before", metavar="LIBRARY")

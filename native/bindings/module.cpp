@@ -1,8 +1,21 @@
 #include "bindings/module.h"
 
 #include "bindings/arrays.h"
+#include "host/checksum.h"
 
 using namespace drsplat;
+
+namespace {
+
+uint32_t crc32_of(nb::handle bytes, uint32_t value) {
+  Py_buffer view;
+  if (PyObject_GetBuffer(bytes.ptr(), &view, PyBUF_SIMPLE)) throw nb::python_error();
+  value = without_gil([&] { return crc32((const uint8_t *)view.buf, (size_t)view.len, value); });
+  PyBuffer_Release(&view);
+  return value;
+}
+
+}  // namespace
 
 NB_MODULE(_native, m) {
   bind_algebra(m);
@@ -18,6 +31,7 @@ NB_MODULE(_native, m) {
     for (auto list = available_kernels(); *list; list++) names.append((*list)->name);
     return names;
   });
+  m.def("crc32", &crc32_of, "bytes"_a, "value"_a);
 #if defined(__clang__)
   m.attr("compiler") = "Clang " __clang_version__;
 #else

@@ -10,6 +10,7 @@ namespace drsplat {
 
 struct Processor {
   bool v2 = false, v3 = false, v4 = false, vbmi = false;  // all that kernels of that level use
+  bool carryless = false;                                 // multiplication, and what v2 has
 
   Processor() {
     uint32_t a, b, c, d, b7, c7;
@@ -17,6 +18,8 @@ struct Processor {
     constexpr uint32_t kFma = 1 << 12, kSse42 = 1 << 20, kPopcnt = 1 << 23, kSavesMore = 1 << 27, kAvx = 1 << 28,
                        kF16c = 1 << 29;
     v2 = has(c, kSse42 | kPopcnt);
+    constexpr uint32_t kClmul = 1 << 1;
+    carryless = v2 && has(c, kClmul);
     if (!v2 || !has(c, kSavesMore | kAvx | kFma | kF16c) || !__get_cpuid_count(7, 0, &a, &b7, &c7, &d)) return;
     constexpr uint32_t kBmi1 = 1 << 3, kAvx2 = 1 << 5, kBmi2 = 1 << 8, kVbmi = 1 << 1, kVnni = 1 << 11;
     constexpr uint32_t kF = 1 << 16, kDq = 1 << 17, kCd = 1 << 28, kBw = 1 << 30, kVl = 1u << 31;

@@ -6,7 +6,6 @@
 #include "kernels/buffer.h"
 
 #include <algorithm>
-#include <limits>
 
 namespace drsplat {
 namespace {
@@ -39,7 +38,8 @@ struct Scan {
     return tables.coarse ? tables.coarse + (size_t)query * tables.coarse_count : nullptr;
   }
 
-  // work(thread, block, query, first row, rows, sums) for every pair of groups and every query, queries in order.
+  // work(thread, block, first query, queries, first row, rows, sums) for every pair of groups and every tile of
+  // queries, in their order.
   template <class Work>
   void run(int threads, Work work) const {
     std::vector<Buffer> scratch(threads), sums(threads);
@@ -52,8 +52,7 @@ struct Scan {
           float *of_query = (float *)sums[thread].data;
           kernels.sums(rows, tables.queries, prepared.data, query, last, row, scratch[thread].data, of_query);
           const uint32_t count = (uint32_t)std::min<uint64_t>(kPairRows, end - row);
-          for (uint32_t q = query; q < last; q++, of_query += kPairRows)
-            work(thread, begin / block_rows, q, row, count, of_query);
+          work(thread, begin / block_rows, query, last - query, row, count, of_query);
         }
       }
     });
@@ -78,16 +77,18 @@ void lookup_tables(const ScanKernels &kernels, const float *centroids, const flo
 void scan_scores(const ScanKernels &kernels, const GroupedRows &rows, const QueryTables &tables, Precision precision,
                  int threads, float *scores) {
   const Scan scan(kernels, rows, tables, precision, threads);
-  scan.run(threads, [&](int, uint64_t, uint32_t query, uint64_t row, uint32_t count, const float *sums) {
-    scan.finish(query, row, count, sums, scores + (size_t)query * rows.rows + row);
-  });
+  scan.run(threads,
+           [&](int, uint64_t, uint32_t first, uint32_t queries, uint64_t row, uint32_t count, const float *sums) {
+             for (uint32_t q = first; q < first + queries; q++, sums += kPairRows)
+               scan.finish(q, row, count, sums, scores + (size_t)q * rows.rows + row);
+           });
 }
 
 Found scan_above(const ScanKernels &kernels, const GroupedRows &rows, const QueryTables &tables, Precision precision,
                  const float *floor, float threshold, int threads) {
   const Scan scan(kernels, rows, tables, precision, threads);
   std::vector<Found> of_block(scan.blocks());
-  scan.run(threads, [&](int, uint64_t block, uint32_t, uint64_t row, uint32_t count, float *sums) {
+  scan.run(threads, [&](int, uint64_t block, uint32_t, uint32_t, uint64_t row, uint32_t count, float *sums) {
     scan.finish(0, row, count, sums, sums);
     add_above(kernels, sums, floor ? floor + row : nullptr, threshold, row, count, of_block[block]);
   });
@@ -98,7 +99,7 @@ Found scan_top(const ScanKernels &kernels, const GroupedRows &rows, const QueryT
                size_t count, int threads) {
   const Scan scan(kernels, rows, tables, precision, threads);
   BestRows best(kernels, count, threads);
-  scan.run(threads, [&](int thread, uint64_t, uint32_t, uint64_t row, uint32_t n, float *sums) {
+  scan.run(threads, [&](int thread, uint64_t, uint32_t, uint32_t, uint64_t row, uint32_t n, float *sums) {
     scan.finish(0, row, n, sums, sums);
     best.offer(thread, sums, row, n);
   });
@@ -109,14 +110,10 @@ void scan_best(const ScanKernels &kernels, const GroupedRows &rows, const QueryT
                int threads, int32_t *winner, float *best, float *runner_up) {
   const Scan scan(kernels, rows, tables, precision, threads);
   const std::vector<float> ones(rows.coarse_ids ? kPairRows : 0, 1.f);
-  scan.run(threads, [&](int, uint64_t, uint32_t query, uint64_t row, uint32_t count, float *sums) {
-    if (query == 0) {
-      std::fill_n(winner + row, count, 0);
-      std::fill_n(best + row, count, -std::numeric_limits<float>::infinity());
-      std::fill_n(runner_up + row, count, -std::numeric_limits<float>::infinity());
-    }
-    if (rows.coarse_ids) scan.finish(query, row, count, sums, sums);
-    kernels.compete(sums, rows.coarse_ids ? ones.data() : rows.inverse_norms + row, (int32_t)query, count, winner + row,
+  scan.run(threads, [&](int, uint64_t, uint32_t first, uint32_t queries, uint64_t row, uint32_t count, float *sums) {
+    for (uint32_t q = 0; q < queries && rows.coarse_ids; q++)
+      scan.finish(first + q, row, count, sums + q * kPairRows, sums + q * kPairRows);
+    kernels.compete(sums, rows.coarse_ids ? ones.data() : rows.inverse_norms + row, first, queries, count, winner + row,
                     best + row, runner_up + row);
   });
 }

@@ -237,6 +237,9 @@ static void sums(const GroupedRows &rows, uint32_t, const void *prepared, uint32
   const uint8_t *first = rows.codes + group * group_bytes, *second = group + 1 < groups ? first + group_bytes : first;
   const size_t ahead = group + 3 < groups ? 2 * group_bytes : 0;  // the next pair: nearer comes too late
   Accumulators(*totals)[kPlanes] = (Accumulators(*)[kPlanes])scratch;
+  if (begin == 0)  // into the L2 cache, before the codes take all requests: `finish` would wait for each line
+    for (uint32_t i = 0; i < kPairRows; i += 16)
+      _mm_prefetch((const char *)(rows.inverse_norms + first_row + kPairRows + i), _MM_HINT_T1);
   for (uint32_t tile = 0; tile < tiles; tile++) {
     const size_t at = (size_t)tile * kTile * 256;
     const bool fresh = tile % (kChunk / kTile) == 0, last = tile + 1 == tiles || (tile + 1) % (kChunk / kTile) == 0;

@@ -49,9 +49,10 @@ struct ScanKernels {
                  const float *sums, float *out);
   // Which scores - floor (or scores, where floor is null) exceed the threshold; returns how many. `out`: count + 16.
   uint32_t (*above)(const float *scores, const float *floor, float threshold, uint32_t count, uint32_t *out);
-  // Let query `index` compete with sum * scale: `best` and `runner_up` are the two highest so far, ties to the earlier.
-  void (*compete)(const float *sums, const float *scale, int32_t index, uint32_t count, int32_t *winner, float *best,
-                  float *runner_up);
+  // Let `queries` from `first` on, of one tile, compete with sum * scale: `best` and `runner_up` are the two highest so
+  // far, ties to the earlier; query 0 finds nothing written.
+  void (*compete)(const float *sums, const float *scale, uint32_t first, uint32_t queries, uint32_t count,
+                  int32_t *winner, float *best, float *runner_up);
   // tables[q][m][c] = sum over d of queries[q][m][d] * centroids[m][d][c], for sub-vectors [begin, end).
   void (*lookup_tables)(const float *centroids, const float *queries, uint32_t count, uint32_t subvectors, uint32_t dim,
                         uint32_t begin, uint32_t end, float *tables);

@@ -1,6 +1,6 @@
 // From sums of look-ups to what was asked.
 #pragma once
-#include "kernels/isa.h"
+#include "kernels/lanes.h"
 #include "kernels/scan_kernels.h"
 
 namespace drsplat::DRSPLAT_ISA {
@@ -8,13 +8,11 @@ namespace drsplat::DRSPLAT_ISA {
 constexpr uint64_t kManyRows = 1 << 18;
 
 // Writes past the caches where scores are many: what they held of the codes would be lost, and lines that are written
-// whole need not be read first. The next rows' norms are fetched meanwhile.
+// whole need not be read first.
 #if defined(__AVX512F__)
 static void stream_scaled(const float *sums, const float *scale, uint32_t count, float *out) {
-  for (uint32_t i = 0; i < count; i += 16) {
-    __builtin_prefetch(scale + i + kPairRows);
+  for (uint32_t i = 0; i < count; i += 16)
     _mm512_stream_ps(out + i, _mm512_mul_ps(_mm512_loadu_ps(sums + i), _mm512_loadu_ps(scale + i)));
-  }
 }
 #elif defined(__AVX2__)
 static void stream_scaled(const float *sums, const float *scale, uint32_t count, float *out) {
@@ -65,14 +63,35 @@ static uint32_t above(const float *scores, const float *floor, float threshold, 
   return found;
 }
 
-static void compete(const float *__restrict sums, const float *__restrict scale, int32_t index, uint32_t count,
-                    int32_t *__restrict winner, float *__restrict best, float *__restrict runner_up) {
-  for (uint32_t i = 0; i < count; i++) {
-    const float score = sums[i] * scale[i], other = best[i] < score ? best[i] : score;
-    runner_up[i] = runner_up[i] < other ? other : runner_up[i];
-    winner[i] = best[i] < score ? index : winner[i];
-    best[i] = best[i] < score ? score : best[i];
+// Sixteen rows; all queries pass while what they have won stays in registers.
+INLINE void compete_16(const float *sums, const float *scale, uint32_t first, uint32_t queries, int32_t *winner,
+                       float *best, float *runner_up) {
+  const Floats scales = load(scale), lowest = splat(-__builtin_inff());
+  Ints won = first ? load_int(winner) : splat_int(0);
+  Floats most = first ? load(best) : lowest, second = first ? load(runner_up) : lowest;
+  for (uint32_t q = 0; q < queries; q++) {
+    const Floats score = load(sums + q * kPairRows) * scales;
+    const Mask wins = most < score;
+    const Floats other = select(wins, most, score);
+    second = select(second < other, other, second);
+    won = select(wins, splat_int((int32_t)(first + q)), won);
+    most = select(wins, score, most);
   }
+  store_int(winner, won), store(best, most), store(runner_up, second);
+}
+
+static void compete(const float *sums, const float *scale, uint32_t first, uint32_t queries, uint32_t count,
+                    int32_t *winner, float *best, float *runner_up) {
+  uint32_t i = 0;
+  for (; i + 16 <= count; i += 16) compete_16(sums + i, scale + i, first, queries, winner + i, best + i, runner_up + i);
+  if (i == count) return;
+  const size_t rest = (count - i) * sizeof(float);
+  alignas(64) float scales[16] = {}, most[16] = {}, second[16] = {};
+  alignas(64) int32_t won[16] = {};
+  memcpy(scales, scale + i, rest), memcpy(won, winner + i, rest);
+  memcpy(most, best + i, rest), memcpy(second, runner_up + i, rest);
+  compete_16(sums + i, scales, first, queries, won, most, second);
+  memcpy(winner + i, won, rest), memcpy(best + i, most, rest), memcpy(runner_up + i, second, rest);
 }
 
 static void lookup_tables(const float *centroids, const float *queries, uint32_t count, uint32_t subvectors,

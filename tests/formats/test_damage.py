@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+from drsplat import _native
 from drsplat.cli import main
 from drsplat.errors import DrSplatError, FormatError
 from drsplat.field import LanguageField, build_field, load_field
@@ -223,6 +224,19 @@ def test_a_codebook_of_ours_is_checked_whole(tmp_path: Path) -> None:
             continue
         assert book.encoder == expected.encoder
         assert_array_equal(book.centroids, expected.centroids)
+
+
+def test_sums_of_any_bytes_are_those_of_zlib() -> None:
+    """Few bytes go by tables, many by products of polynomials; they may begin anywhere, and go on from others."""
+    content = np.random.default_rng(0).integers(0, 256, 70_000, np.uint8).tobytes()
+    for size in (*range(200), 1023, 4096, len(content) - 1):
+        for value in (0, 1, 0xFFFFFFFF, 0x12345678):
+            part = memoryview(content)[size % 2 :][:size]
+            assert _native.crc32(part, value) == zlib.crc32(part, value)
+    half = _native.crc32(content[:33_333], 0)
+    assert _native.crc32(content[33_333:], half) == zlib.crc32(content)
+    with pytest.raises((BufferError, ValueError)):
+        _native.crc32(np.zeros((4, 4), np.uint8)[:, ::2], 0)
 
 
 def test_checksums_are_those_of_zlib(tmp_path: Path) -> None:

@@ -112,6 +112,20 @@ def test_any_number_of_rows(isa: str, count: int) -> None:
 
 
 @every_isa
+@pytest.mark.parametrize("coarse", [0, 5])
+def test_the_best_of_many_queries_is_that_of_their_scores(isa: str, coarse: int) -> None:
+    """Of more queries than are summed together, and rows that do not fill a register; of equal scores the first."""
+    rows, tables = drawn(5, 523, 8, 40, coarse)
+    for part in tables:
+        if part is not None:
+            part[33] = part[2]
+    how = HYBRID._replace(isa=isa)
+    expected = reference_scan.best(scan_scores(rows, tables, how))
+    for found, wanted in zip(scan_best(rows, tables, how), expected, strict=True):
+        assert_array_equal(found, wanted)
+
+
+@every_isa
 def test_bytes_after_the_last_row_are_never_reported(isa: str) -> None:
     rows, tables = drawn(2, 300, 4)
     dirty = rows.codes.copy()

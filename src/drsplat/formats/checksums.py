@@ -5,7 +5,6 @@ In safetensors files they stand in the header's metadata, in JSON documents besi
 
 import hashlib
 import json
-import zlib
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -13,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .. import _native
 from ..base.contents import open_file, pieces
 from ..errors import FormatError
 from .json_files import document_in
@@ -171,5 +171,5 @@ def _sums(tensors: Mapping[str, np.ndarray]) -> dict[str, str]:
 def _hex(parts: Iterable[bytes | memoryview]) -> str:
     value = 0
     for part in parts:
-        value = zlib.crc32(part, value)
+        value = _native.crc32(part, value)
     return f"{value:08x}"

@@ -1,4 +1,4 @@
-"""What a file of a scene holds (Gaussians as edited, objects, matches, annotations), and writing it.
+"""Writing a scene, and bringing together what its file holds: Gaussians as edited, objects, matches, annotations.
 
 A format of other programs may not hold all of it; what it could not is told.
 """

@@ -182,10 +182,9 @@ def pq_code(codebook: Codebook, codes: Codes, inverse_norms: Float32[np.ndarray,
     Raises: InputError: codes of another codebook.
     """
     codebook.check(codes)
-    norms = inverse_norms
-    if norms is None:
-        norms = codebook.inverse_norms(codes)
-    return PQCode(codebook, group_codes(codes.codes), codes.coarse_ids, norms)
+    if inverse_norms is None:
+        inverse_norms = codebook.inverse_norms(codes)
+    return PQCode(codebook, group_codes(codes.codes), codes.coarse_ids, inverse_norms)
 
 
 def _better(first: Best, second: Best, offset: int) -> Best:

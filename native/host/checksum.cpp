@@ -1,0 +1,100 @@
+// A CRC is the remainder of a polynomial over the numbers 0 and 1. Sixteen bytes are replaced by their product with a
+// power of x, modulo the divisor, which is added to bytes that lie further on: the remainder stays the same.
+// Source: Gopal et al. 2009, Fast CRC computation for generic polynomials using PCLMULQDQ.
+#include "host/checksum.h"
+
+#include "host/processor.h"
+
+#if defined(__x86_64__)
+#include <immintrin.h>
+#endif
+
+namespace drsplat {
+namespace {
+
+constexpr uint32_t kDivisor = 0xedb88320;  // of zlib and PNG, its lowest power in the highest bit
+
+constexpr uint32_t times_x(uint32_t value) { return value >> 1 ^ (value & 1 ? kDivisor : 0); }
+
+// What each byte is worth, and what it is with up to seven bytes after it.
+struct Tables {
+  uint32_t of[8][256];
+  Tables() {
+    for (uint32_t byte = 0; byte < 256; byte++) {
+      of[0][byte] = byte;
+      for (int bit = 0; bit < 8; bit++) of[0][byte] = times_x(of[0][byte]);
+    }
+    for (int after = 1; after < 8; after++)
+      for (int byte = 0; byte < 256; byte++) {
+        const uint32_t before = of[after - 1][byte];
+        of[after][byte] = of[0][before & 255] ^ before >> 8;
+      }
+  }
+};
+
+uint32_t by_tables(const uint8_t *bytes, size_t count, uint32_t state) {
+  static const Tables tables;
+  const auto &of = tables.of;
+  for (; count >= 8; bytes += 8, count -= 8) {
+    for (int i = 0; i < 4; i++) state ^= (uint32_t)bytes[i] << 8 * i;
+    uint32_t next = of[3][bytes[4]] ^ of[2][bytes[5]] ^ of[1][bytes[6]] ^ of[0][bytes[7]];
+    for (int i = 0; i < 4; i++) next ^= of[7 - i][state >> 8 * i & 255];
+    state = next;
+  }
+  for (size_t i = 0; i < count; i++) state = of[0][(state ^ bytes[i]) & 255] ^ state >> 8;
+  return state;
+}
+
+#if defined(__x86_64__)
+constexpr size_t kLane = 16, kLanes = 4, kStride = kLane * kLanes;
+
+// x to a power, modulo the divisor, as a factor of products that are one bit too low.
+constexpr int64_t factor(int power) {
+  uint32_t value = 0x80000000;
+  for (int i = 0; i < power; i++) value = times_x(value);
+  return (int64_t)((uint64_t)value << 1);
+}
+
+#define CARRYLESS __attribute__((target("sse4.2,pclmul")))
+
+// What `lane` is worth so many bytes further on.
+template <size_t Further>
+CARRYLESS inline __m128i moved(__m128i lane) {
+  constexpr int64_t low = factor(8 * (int)Further + 32), high = factor(8 * (int)Further - 32);
+  const __m128i factors = _mm_set_epi64x(high, low);
+  return _mm_xor_si128(_mm_clmulepi64_si128(lane, factors, 0x00), _mm_clmulepi64_si128(lane, factors, 0x11));
+}
+
+CARRYLESS inline __m128i loaded(const uint8_t *at) { return _mm_loadu_si128((const __m128i *)at); }
+
+// Of whole strides, one at least.
+CARRYLESS uint32_t by_strides(const uint8_t *bytes, size_t strides, uint32_t state) {
+  __m128i lanes[kLanes];
+  for (size_t l = 0; l < kLanes; l++) lanes[l] = loaded(bytes + kLane * l);
+  lanes[0] = _mm_xor_si128(lanes[0], _mm_cvtsi32_si128((int)state));
+  for (size_t s = 1; s < strides; s++) {
+    bytes += kStride;
+    for (size_t l = 0; l < kLanes; l++) lanes[l] = _mm_xor_si128(moved<kStride>(lanes[l]), loaded(bytes + kLane * l));
+  }
+  for (size_t l = 1; l < kLanes; l++) lanes[l] = _mm_xor_si128(moved<kLane>(lanes[l - 1]), lanes[l]);
+  alignas(16) uint8_t rest[kLane];
+  _mm_store_si128((__m128i *)rest, lanes[kLanes - 1]);
+  return by_tables(rest, kLane, 0);
+}
+
+#endif
+
+}  // namespace
+
+uint32_t crc32(const uint8_t *bytes, size_t count, uint32_t value) {
+  uint32_t state = ~value;
+#if defined(__x86_64__)
+  static const Processor processor;
+  const size_t strides = processor.carryless ? count / kStride : 0;
+  if (strides) state = by_strides(bytes, strides, state);
+  bytes += strides * kStride, count -= strides * kStride;
+#endif
+  return ~by_tables(bytes, count, state);
+}
+
+}  // namespace drsplat
