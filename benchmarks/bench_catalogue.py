@@ -37,10 +37,9 @@ from scipy.spatial.transform import Rotation
 from drsplat import DrSplatWarning, Query
 from drsplat.formats.vocabulary import VocabularyEncoder, write_vocabulary
 from drsplat.query.catalogue import Catalogue, Conditions, table
-from drsplat.query.catalogue.lance import libraries
-from drsplat.query.catalogue.nearest import Search, nearest_objects
+from drsplat.query.catalogue.codes import Search, nearest_objects
 from drsplat.query.catalogue.record import read_record
-from drsplat.query.catalogue.schema import batch, described_of
+from drsplat.query.catalogue.schema import batch, described_of, libraries
 from drsplat.query.catalogue.snapshot import ROW_ID, current
 from drsplat.query.sketch import Packed, Sketch
 

@@ -27,8 +27,8 @@ from drsplat.kernels.cuda import using_device
 from drsplat.kernels.cuda.devices import on_host
 from drsplat.kernels.cuda.engine import cuda_engine
 from drsplat.training.device_run import DeviceRun
-from drsplat.training.job import Beginning
 from drsplat.training.optimizer import Optimizer
+from drsplat.training.run import Beginning
 from drsplat.training.start import first_gaussians, local_capture, split_views
 
 TRAINED, REGISTERED, TOPK = (1600, 1064), (1000, 730), 40

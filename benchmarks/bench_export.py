@@ -82,7 +82,7 @@ def write(source: Path, output: Path, kind: str, num_objects: int) -> None:
 
 def write_tiled(source: Path, output: Path, kind: str) -> None:
     """Write a folder of tiles in a format that is made from a few tiles at a time."""
-    from drsplat.formats.streamed_sog_writing import write_streamed_sog
+    from drsplat.formats.streamed_sog import write_streamed_sog
     from drsplat.formats.tiles import read_tiles
     from drsplat.formats.tiles3d_writing import write_tiles3d
 

@@ -19,8 +19,8 @@ from drsplat.cli import main
 from drsplat.errors import InputError
 from drsplat.formats.annotations import AnnotationFile
 from drsplat.formats.georeference import Georeference, write_georeference
+from drsplat.formats.known import read_labels
 from drsplat.formats.moving_scenes import write_moving
-from drsplat.formats.named import read_labels
 from drsplat.formats.tiles import Tiles
 from drsplat.scene.annotations import Annotation
 from drsplat.scene.eight_bits import clamped_in_bytes

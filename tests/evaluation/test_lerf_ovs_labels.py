@@ -119,7 +119,7 @@ def changed(**fields: object) -> dict[str, object]:
 @pytest.mark.parametrize(
     ("record", "message"),
     [
-        ([], '"info" and "objects"'),
+        ([], 'an object with info, objects'),
         ({**RECORD, "info": {"width": 0, "height": 3}}, "info.width: expected 1 to"),
         ({**RECORD, "info": {"width": 4, "height": 10**9}}, "info.height: expected 1 to"),
         ({**RECORD, "info": {"width": 4, "height": 3, "name": "frame_1.jpg"}}, "expected 'frame_00041'"),

@@ -15,9 +15,9 @@ from drsplat import Scene, open_scene
 from drsplat.errors import DrSplatError, FormatError, InputError
 from drsplat.field import LanguageField
 from drsplat.field.labels import Label, LabelFile, matched
-from drsplat.formats import runs
+from drsplat.formats import json_files
 from drsplat.formats.claiming import claimed_output
-from drsplat.formats.runs import ids_of, spans_of_runs
+from drsplat.formats.json_files import ids_of, spans_of_runs
 from known_objects import EACH, with_objects
 from mutations import bounded_allocations, mutants, quota, seeded
 
@@ -61,7 +61,7 @@ def test_rows_survive_the_file(rows: set[int]) -> None:
 def test_millions_of_lengths_are_not_looked_at_each_in_turn(monkeypatch) -> None:
     """Three thousand labels of 4,800 lengths took 40 seconds."""
     mixed = spans_of_runs([0, 1.0, 2, 3], "here")
-    monkeypatch.setattr(runs, "as_count", None)
+    monkeypatch.setattr(json_files, "as_count", None)
     np.testing.assert_array_equal(spans_of_runs([0, 1, 2, 3], "here"), mixed)
     np.testing.assert_array_equal(ids_of(mixed), [0, 3, 4, 5])
     assert len(ids_of(spans_of_runs([], "here"))) == 0

@@ -17,7 +17,7 @@ import drsplat.evaluation.demo
 from drsplat.errors import FormatError
 from drsplat.formats.captures import read_views
 from drsplat.formats.colmap import read_colmap, read_points
-from drsplat.formats.colmap_records import MODEL_NAMES, PARAMETERS
+from drsplat.formats.colmap_binary import MODEL_NAMES, PARAMETERS
 from drsplat.scene.lens import distort_points, undistort_points
 from drsplat.scene.photos import load_image, photo_coverage
 from drsplat.scene.views import View

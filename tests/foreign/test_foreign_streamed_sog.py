@@ -11,8 +11,7 @@ from scipy.spatial import cKDTree
 
 import drsplat as ds
 from browsing import a_browser, needs_chromium
-from drsplat.formats.streamed_sog import LOD_META, counts_of_levels, read_streamed_sog
-from drsplat.formats.streamed_sog_writing import write_streamed_sog
+from drsplat.formats.streamed_sog import LOD_META, counts_of_levels, read_streamed_sog, write_streamed_sog
 from drsplat.scene.labelled import LabelledScene
 from foreign_programs import needs_node, needs_packages, splat_transform
 from foreign_viewing import colourful, pictured, psnr, zoomed

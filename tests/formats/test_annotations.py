@@ -56,12 +56,18 @@ def test_written_by_hand(file: AnnotationFile) -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"type": "Feature"}, "a GeoJSON FeatureCollection"),
-        ({"version": 2}, "version 2; this drsplat reads 1"),
-        ({"features": {}}, "a list of up to"),
-        ({"features": [1]}, "feature 1: expected a geometry"),
-        ({"features": [{"geometry": {"type": "Polygon"}, "properties": {}}]}, "expected a Point, got 'Polygon'"),
-        ({"features": [{"geometry": {"type": "Point"}, "properties": {"text": 1}}]}, "expected a text, got 1"),
+        ({"type": "Feature"}, "type: expected 'FeatureCollection', got 'Feature'"),
+        ({"version": 2}, "expected 'drsplat annotations' of version 1, got 2"),
+        ({"features": {}}, "features: expected a list"),
+        ({"features": [1]}, "features: 0: expected an object with geometry, properties, got 1"),
+        (
+            {"features": [{"geometry": {"type": "Polygon"}, "properties": {}}]},
+            "geometry: type: expected 'Point', got 'Polygon'",
+        ),
+        (
+            {"features": [{"geometry": {"type": "Point", "coordinates": [1, 2, 3]}, "properties": {"text": 1}}]},
+            "expected a text, got 1",
+        ),
         (
             {"features": [{"geometry": {"type": "Point", "coordinates": [1, 2]}, "properties": {"text": "a"}}]},
             "expected 3 numbers",

@@ -19,8 +19,7 @@ from drsplat.field.tiles.cutting import cut
 from drsplat.field.tiles.seeing import Gallery
 from drsplat.formats.gaussian_ply import write_gaussians
 from drsplat.formats.known import parse_gaussians
-from drsplat.formats.motion import read_motion, write_motion
-from drsplat.formats.moving_scenes import read_ply_sequence, write_ply_sequence
+from drsplat.formats.moving_scenes import read_motion, read_ply_sequence, write_motion, write_ply_sequence
 from drsplat.formats.scenes import read_gaussians
 from drsplat.formats.sources import blocks_of
 from drsplat.formats.tiles import read_tiles

@@ -15,7 +15,7 @@ from drsplat import cli
 from drsplat.errors import DrSplatError, FormatError, InputError
 from drsplat.formats import compact_features
 from drsplat.formats.compact_features import read_compact, write_compact
-from drsplat.formats.feature_files import COMPACT
+from drsplat.formats.embedding_record import COMPACT
 from drsplat.formats.langsplat import LEVELS, FeatureFolder, read_features, write_features
 from drsplat.formats.tensors import map_tensors, write_tensors
 from drsplat.photos.embedding.embed import EmbeddingReport, embed

@@ -19,7 +19,7 @@ from drsplat.field.growing import remove_views
 from drsplat.field.registration import register
 from drsplat.formats.claiming import ClaimedError, claimed_output
 from drsplat.formats.compact_features import write_compact
-from drsplat.formats.feature_files import COMPACT
+from drsplat.formats.embedding_record import COMPACT
 from drsplat.formats.live_views import FullError, LiveView, LiveViews, TakenNameError, posed, read_live_views
 from drsplat.formats.moving_scenes import read_scene
 from drsplat.formats.replacing import NoRoom, sweep

@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from drsplat.errors import DrSplatError, DrSplatWarning, FormatError
-from drsplat.formats.motion import FORMAT, MOTION
-from drsplat.formats.moving_scenes import read_moving, write_moving
+from drsplat.formats.moving_scenes import FORMAT, MOTION, read_moving, write_moving
 from drsplat.formats.tensors import map_tensors, write_tensors
 from moving_scenes import drifting
 from mutations import bounded_allocations, mutants, quota, seeded

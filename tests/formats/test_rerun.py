@@ -13,7 +13,7 @@ from command_line import Capture, answer_of, error_of
 from drsplat import read_views
 from drsplat.errors import InputError, MissingExtraError
 from drsplat.formats.known import write_scene
-from drsplat.formats.motion import write_motion
+from drsplat.formats.moving_scenes import write_motion
 from drsplat.formats.rerun_writing import write_rrd
 from drsplat.scene.labelled import LabelledScene, Thing
 from drsplat.scene.moving import Frames, Moving

@@ -143,10 +143,14 @@ def test_what_sog_cannot_hold_is_refused() -> None:
     ("change", "said"),
     [
         (b"[]", "of version 1"),
-        (b'{"format":"drsplat objects","version":1,"objects":[{"name":3}]}', "with a name"),
+        (b'{"format":"drsplat objects","version":1,"objects":[{"name":3}]}', "objects: 0: name: expected a text"),
         (b'{"format":"drsplat objects","version":1,"objects":{}}', "expected a list"),
         (b'{"format":"drsplat objects","version":1,"objects":[],"query":7}', "expected a text"),
-        (b'{"format":"drsplat objects","version":1,"objects":[{"name":"a","parent":0}]}', "parent: expected -1"),
+        (
+            b'{"format":"drsplat objects","version":1,"objects":[{"name":"a","parent":0,"score":1,"center":[0,0,0],'
+            b'"extent":[1,1,1],"axes":[[1,0,0],[0,1,0],[0,0,1]]}]}',
+            "parent: expected -1",
+        ),
         (b"[" * 100_000, "expected JSON"),
     ],
 )

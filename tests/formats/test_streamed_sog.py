@@ -80,9 +80,9 @@ for _ in range(70):
     [
         ({"version": 2}, "version 1"),
         ({"version": True}, "version 1"),
-        ({"filenames": "0_0/meta.json"}, "list of names"),
+        ({"filenames": "0_0/meta.json"}, "filenames: expected a list"),
         (one({"bound": BOX}), "names no chunk"),
-        (one(3), "expected nodes"),
+        (one(3), "tree: expected an object with lods, children"),
         (one({"children": {}}), "expected a list"),
         (one({"lods": []}), "expected an object"),
         (one({"lods": {"0": {"file": 9}}}), "chunk 9, there are 4"),

@@ -21,8 +21,15 @@ from drsplat.errors import DrSplatError, FormatError, InputError
 from drsplat.field.tiles.cutting import cut
 from drsplat.formats.sog import read_unpacked_sog
 from drsplat.formats.sources import Block, sources_of
-from drsplat.formats.streamed_sog import LOD_META, counts_of_levels, read_streamed_labels, read_streamed_sog
-from drsplat.formats.streamed_sog_writing import LEVEL_RATIO, LEVELS, write_streamed_sog
+from drsplat.formats.streamed_sog import (
+    LEVEL_RATIO,
+    LEVELS,
+    LOD_META,
+    counts_of_levels,
+    read_streamed_labels,
+    read_streamed_sog,
+    write_streamed_sog,
+)
 from drsplat.formats.tiles import Tiles
 from drsplat.scene.gaussians import Gaussians
 from drsplat.scene.labelled import LabelledScene, Thing

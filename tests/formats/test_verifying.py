@@ -19,8 +19,7 @@ from drsplat.field.codes import PQ, load_codebook, save_codebook
 from drsplat.field.tiles.cutting import cut
 from drsplat.formats.embedding_record import open_record
 from drsplat.formats.langsplat import write_features
-from drsplat.formats.motion import MOTION, SCENE_SUM
-from drsplat.formats.moving_scenes import read_moving, write_moving
+from drsplat.formats.moving_scenes import MOTION, SCENE_SUM, read_moving, write_moving
 from drsplat.formats.sources import blocks_of
 from drsplat.formats.tensors import map_tensors, write_tensors
 from drsplat.formats.tiles import TILES, read_tiles

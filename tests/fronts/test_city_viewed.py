@@ -98,7 +98,7 @@ def test_parts_are_the_whole_each_gaussian_once(viewer: Viewer, whole: Session) 
 
 
 def test_the_coarse_part_of_a_tile_has_what_is_most_significant(tiled: TiledSession) -> None:
-    from drsplat.scene.significance import significance
+    from drsplat.scene.gaussians import significance
 
     for number, tile in enumerate(tiled.tiles.tiles):
         weight = significance(tiled.tiles.tile(tile))

@@ -14,7 +14,7 @@ from drsplat.authoring.filming.looking import before
 from drsplat.fronts.viewing.live import arrays
 from drsplat.fronts.viewing.session import Mode, Session
 from drsplat.query import Scene
-from drsplat.scene.significance import significance
+from drsplat.scene.gaussians import significance
 from live_clients import Viewer, a_viewer, camera, opened
 from moving_scenes import passing_red_scene
 from scenes import random_gaussians

@@ -21,8 +21,7 @@ from drsplat.photos.models.mini.lexicon import NAMES, SYNONYMS, WORDS, nouns_in,
 from drsplat.query import contrast, measuring
 from drsplat.query.search import split_negation
 from drsplat.query.sentences import parsed
-from drsplat.scene.gaussians import Gaussians
-from drsplat.scene.significance import significance
+from drsplat.scene.gaussians import Gaussians, significance
 from scenes import look_at_view
 from twins.page_codes import decoded, read_page
 

@@ -21,7 +21,7 @@ from drsplat.fronts.viewing.client import PAGE_POLICY, filled
 from drsplat.fronts.viewing.exporting import export_page
 from drsplat.fronts.viewing.page import packed
 from drsplat.fronts.viewing.session import Session
-from drsplat.scene.significance import significance
+from drsplat.scene.gaussians import significance
 from viewing_scenes import EACH, THINGS, boxes_scene
 
 

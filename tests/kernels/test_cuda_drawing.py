@@ -18,8 +18,16 @@ from test_kernels import assert_same_triples, masked
 from cuda_on_cpu import CpuEngine, compiled
 from drsplat.kernels import SplatArrays, render_channels, splat_arrays, topk_contributions, view_weights
 from drsplat.kernels.cuda.drawing import sent_splats
-from drsplat.kernels.cuda.sorting import COUNTS_PER_BLOCK, KEYS_PER_BLOCK, running_sums, sorted_pairs
-from drsplat.kernels.cuda.tiling import Raster, room_for_splats, sent_camera, tiles_of
+from drsplat.kernels.cuda.tiling import (
+    COUNTS_PER_BLOCK,
+    KEYS_PER_BLOCK,
+    Raster,
+    room_for_splats,
+    running_sums,
+    sent_camera,
+    sorted_pairs,
+    tiles_of,
+)
 from drsplat.scene.views import View
 from scenes import look_at_view, random_gaussians, random_mask_map
 from twins import registering as reference

@@ -19,7 +19,7 @@ from drsplat.formats.captures import SparsePoints
 from drsplat.kernels import SplatArrays, render_channels, splat_arrays, topk_contributions, view_weights
 from drsplat.kernels.cuda.devices import using_device
 from drsplat.kernels.cuda.engine import CudaEngine, cuda_engine, unavailable
-from drsplat.kernels.cuda.sorting import running_sums, sorted_pairs
+from drsplat.kernels.cuda.tiling import running_sums, sorted_pairs
 from drsplat.training.device_run import DeviceRun
 from drsplat.training.keeper import load_checkpoint, save_checkpoint
 from drsplat.training.run import Run

@@ -14,11 +14,10 @@ from PIL import Image
 from drsplat.errors import InputError
 from drsplat.fronts.commands.capture import LENSES as LENSES_OF_THE_VERB
 from drsplat.photos.capture.capturing import capture_names
-from drsplat.photos.capture.exif import APPLE_SIGNATURE, ExifFacts, exif_facts
 from drsplat.photos.capture.finding import are_numbered, find_photos, in_order
-from drsplat.photos.capture.photos import Photo, bring, sharpness, turned_down
-from drsplat.photos.capture.reasons import Reasons
+from drsplat.photos.capture.photos import APPLE_SIGNATURE, ExifFacts, Photo, bring, exif_facts, sharpness, turned_down
 from drsplat.photos.capture.settings import LENSES
+from drsplat.photos.capture.turning import Reasons
 
 PIXELS = np.random.default_rng(0).integers(0, 255, (80, 100, 3), np.uint8)
 EXIF_IFD, GPS_IFD, ORIENTATION, MAKER_NOTE = 0x8769, 0x8825, 0x0112, 37500

@@ -12,7 +12,7 @@ import pytest
 
 from drsplat.errors import DrSplatWarning, InputError
 from drsplat.photos.capture.capturing import capture
-from drsplat.photos.capture.database import PAIR_BASE, matched_pixels, reading, verified_pairs
+from drsplat.photos.capture.posing import PAIR_BASE, matched_pixels, reading, verified_pairs
 from drsplat.photos.capture.turning import (
     DOUBTFUL_SHARE,
     MIN_MATCHES,

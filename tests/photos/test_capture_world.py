@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drsplat.formats.georeference import read_georeference, write_georeference
-from drsplat.photos.capture.exif import ExifFacts
+from drsplat.photos.capture.photos import ExifFacts
 from drsplat.photos.capture.world import DEFAULT_MEDIAN_DEPTH, World, umeyama, with_scale, world_of
 from drsplat.scene.geodesy import geodetic, local_offsets
 from drsplat.scene.similarity import Similarity

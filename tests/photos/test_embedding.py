@@ -23,8 +23,7 @@ from drsplat import cli
 from drsplat.drawing.pictures import as_pixels, write_picture
 from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchError
 from drsplat.formats.checksums import sealed
-from drsplat.formats.embedding_record import EmbeddingRecord, finished_photos
-from drsplat.formats.feature_files import COMPACT
+from drsplat.formats.embedding_record import COMPACT, EmbeddingRecord, finished_photos
 from drsplat.formats.langsplat import LEVELS, read_features
 from drsplat.formats.replacing import NoRoom
 from drsplat.photos.embedding.embed import embed as embed_compactly

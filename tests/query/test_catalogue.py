@@ -35,7 +35,7 @@ from known_objects import CENTERS, EACH, known_scene
 pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not installed")
 
 from drsplat.query.catalogue import Catalogue, Conditions, reading, record, table
-from drsplat.query.catalogue.conditions import quoted
+from drsplat.query.catalogue.entries import quoted
 from drsplat.query.catalogue.rows import MAX_BYTES, thumbnail
 from drsplat.query.catalogue.schema import KEY, batch, schema_of
 from drsplat.query.catalogue.snapshot import current

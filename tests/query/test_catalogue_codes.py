@@ -19,9 +19,9 @@ pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not insta
 
 from test_catalogue import rows_of, unit
 
-from drsplat.query.catalogue import Catalogue, Conditions, codes, coding, nearest, table
-from drsplat.query.catalogue.manifest import fragments_of, manifest_of
-from drsplat.query.catalogue.nearest import Search, nearest_objects
+from drsplat.query.catalogue import Catalogue, Conditions, codes, coding, table
+from drsplat.query.catalogue.codes import Search, nearest_objects
+from drsplat.query.catalogue.record import fragments_of, manifest_of
 from drsplat.query.catalogue.snapshot import current
 
 ENCODER = EncoderIdentity("test", 64)
@@ -93,7 +93,7 @@ def test_codes_find_what_comparing_all_finds(coded: tuple[Catalogue, np.ndarray,
 
 
 def test_of_larger_tables_more_candidates_are_compared() -> None:
-    assert [nearest.refine_factor(rows) for rows in (0, 300_000, 750_000, 3_000_000, 30_000_000)] == [4, 4, 4, 8, 25]
+    assert [codes.refine_factor(rows) for rows in (0, 300_000, 750_000, 3_000_000, 30_000_000)] == [4, 4, 4, 8, 25]
 
 
 def test_the_same_answer_with_any_number_of_threads(coded: tuple[Catalogue, np.ndarray, np.ndarray]) -> None:
@@ -134,7 +134,7 @@ def test_codes_of_many_deleted_rows_are_passed_over(coded: tuple[Catalogue, np.n
 
 def test_conditions(coded: tuple[Catalogue, np.ndarray, np.ndarray], monkeypatch: pytest.MonkeyPatch) -> None:
     catalogue, vectors, words = coded
-    monkeypatch.setattr(nearest, "FEW_ROWS", 0)  # by codes too
+    monkeypatch.setattr(codes, "FEW_ROWS", 0)  # by codes too
     for where in (
         Conditions(scenes=("s1",)),
         Conditions(scenes=("s0", "s3")),

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 from drsplat import Gaussians, write_gaussians
 from drsplat.errors import FormatError, InputError, MismatchError
-from drsplat.formats.motion import MOTION, SCENE
-from drsplat.formats.moving_scenes import is_moving, read_moving, read_scene, write_moving
+from drsplat.formats.moving_scenes import MOTION, SCENE, is_moving, read_moving, read_scene, write_moving
 from drsplat.scene.moving import Frames, Moving, between
 from moving_scenes import drifting, still
 from scene_files import ply_bytes, ply_columns

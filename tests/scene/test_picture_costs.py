@@ -13,8 +13,14 @@ from PIL import Image
 
 from drsplat.errors import FormatError, InputError
 from drsplat.scene.masks.crops import MAX_PADDED_PIXELS, crop
-from drsplat.scene.photos import decoded_picture, load_image
-from drsplat.scene.picture_costs import MAX_SCANS_OF_LARGE, MAX_SCANS_OF_SMALL, jpeg_scans, most_scans
+from drsplat.scene.photos import (
+    MAX_SCANS_OF_LARGE,
+    MAX_SCANS_OF_SMALL,
+    decoded_picture,
+    jpeg_scans,
+    load_image,
+    most_scans,
+)
 from drsplat.scene.views import View
 
 RNG = np.random.default_rng(0)

@@ -41,10 +41,9 @@ from drsplat.kernels.training import Rates
 from drsplat.scene.eight_bits import MAX_ABS_CONSTANT
 from drsplat.training import device_run
 from drsplat.training.device_run import DeviceOptimizer, DeviceRun
-from drsplat.training.job import Beginning, Job
 from drsplat.training.keeper import load_checkpoint, save_checkpoint
 from drsplat.training.optimizer import Optimizer
-from drsplat.training.run import Run
+from drsplat.training.run import Beginning, Job, Run
 from drsplat.training.start import first_gaussians
 from twins import loss as reference_loss
 from twins.registering import sh_basis

@@ -17,15 +17,13 @@ from drsplat.errors import DrSplatWarning, FormatError, InputError, MismatchErro
 from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.langsplat import read_features
 from drsplat.photos.embedding.embed import embed
-from drsplat.scene.masks.keeping_out import kept_masks
-from drsplat.scene.masks.masks import cut_masks
+from drsplat.scene.masks.masks import cut_masks, kept_masks
 from drsplat.scene.photo_masks import load_mask, views_with_something
 from drsplat.scene.photos import undistort_ids
 from drsplat.training.evaluation import evaluate
-from drsplat.training.job import Beginning
 from drsplat.training.metrics import psnr, ssim
 from drsplat.training.optimizer import Optimizer
-from drsplat.training.run import Run
+from drsplat.training.run import Beginning, Run
 from drsplat.training.start import first_gaussians, split_views
 from drsplat.training.training_photos import TrainingPhotos
 from scenes import look_at_view

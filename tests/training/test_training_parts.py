@@ -21,12 +21,23 @@ from drsplat.formats.captures import SparsePoints
 from drsplat.fronts.commands.train import EVERYDAY_ITERATIONS, ORIGINAL_ITERATIONS
 from drsplat.kernels.training import Gradients, Rates, SceneParameters
 from drsplat.scene.gaussians import SH_C0, rotation_matrices
-from drsplat.training.density import AdaptiveDensity, reset_opacity, rotated, split, spread, unit
+from drsplat.training.density import (
+    AdaptiveDensity,
+    MonteCarlo,
+    drawn,
+    grow,
+    relocate,
+    reset_opacity,
+    rotated,
+    shared_place,
+    split,
+    spread,
+    unit,
+)
 from drsplat.training.devices import budget_of, everyday
-from drsplat.training.mcmc import MonteCarlo, drawn, grow, relocate, shared_place
 from drsplat.training.metrics import psnr, ssim
 from drsplat.training.optimizer import Optimizer
-from drsplat.training.schedules import active_sh_degree, divisor, means_rate, refines, resets_opacity
+from drsplat.training.settings import active_sh_degree, divisor, means_rate, refines, resets_opacity
 from drsplat.training.start import first_gaussians, scene_extent, split_views
 from drsplat.training.start_points import start_points
 from drsplat.training.training_photos import Photo, TrainingPhotos, ViewOrder

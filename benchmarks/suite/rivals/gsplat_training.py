@@ -20,11 +20,10 @@ from torch.nn import Parameter
 from torch.nn.functional import conv2d
 
 from drsplat.kernels.training import SceneParameters
-from drsplat.training.job import Beginning
 from drsplat.training.metrics import C1, C2, SIGMA, WINDOW
 from drsplat.training.optimizer import Optimizer
-from drsplat.training.run import Outcome, Run
-from drsplat.training.schedules import active_sh_degree
+from drsplat.training.run import Beginning, Outcome, Run
+from drsplat.training.settings import active_sh_degree
 
 BLUR_PX2 = 0.3
 HALF = WINDOW // 2

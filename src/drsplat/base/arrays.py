@@ -1,5 +1,7 @@
 """Kinds and shapes of arrays, for annotations: jaxtyping's for whoever checks types, and notes that cost nothing else.
 
+The most common have a name of their own; all others are spelt out where they stand.
+
 Loading jaxtyping takes as long as loading NumPy, loading SciPy's sparse arrays twice that. So `Sparse` and `PilImage`
 are of their libraries only where jaxtyping is loaded already, as by the tests.
 """
@@ -7,9 +9,9 @@ are of their libraries only where jaxtyping is loaded already, as by the tests.
 import sys
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-if TYPE_CHECKING:
-    import numpy as np
+import numpy as np
 
+if TYPE_CHECKING:
     Anywhere: TypeAlias = np.ndarray
 else:
     Anywhere = Any  # an array of NumPy, or of a device's library that answers NumPy's functions
@@ -44,7 +46,44 @@ else:
     Bool = Float = Float16 = Float32 = Float64 = Int = Int8 = Int32 = Int64 = Integer = Num = Real = Shaped = Annotated
     UInt8 = UInt16 = UInt32 = UInt64 = Annotated
 
+Vector3 = Float64[np.ndarray, " 3"]
+"""A place, direction or size in three dimensions."""
+Matrix3 = Float64[np.ndarray, "3 3"]
+"""Three rows of three numbers, such as a rotation, or a box's unit directions."""
+Matrix4 = Float64[np.ndarray, "4 4"]
+"""A transform of points, such as a pose."""
+Points = Float64[np.ndarray, "n 3"]
+"""Places in three dimensions, a row each."""
+Vectors = Float32[np.ndarray, "n 3"]
+"""Three numbers of each Gaussian in single precision: its position or its sizes."""
+Quats = Float32[np.ndarray, "n 4"]
+"""Rotations of Gaussians, (w, x, y, z)."""
+Harmonics = Float32[np.ndarray, "n k 3"]
+"""Spherical harmonics of Gaussians, RGB last."""
+Numbers = Float32[np.ndarray, " n"]
+"""A number of each, such as an opacity or a relevancy."""
+Doubles = Float64[np.ndarray, " n"]
+"""A number of each in double precision."""
+Flags = Bool[np.ndarray, " n"]
+"""Answers of yes or no of each."""
+Ids = Int32[np.ndarray, " n"]
+"""A number of something of each, such as its object; -1 for none."""
+Indices = Int64[np.ndarray, " n"]
+"""A place in another array of each."""
+RowIds = Integer[np.ndarray, " m"]
+"""Numbers of some of the rows."""
+Colors = UInt8[np.ndarray, "n 3"]
+"""RGB of each."""
+Pixels = UInt8[np.ndarray, "h w 3"]
+"""A picture, RGB."""
+Mask = Bool[np.ndarray, "h w"]
+"""Pixels of a picture that belong to something."""
+MaskIds = Int32[np.ndarray, "h w"]
+"""The mask that each pixel of a picture is in; -1 for none."""
+
 __all__ = [
-    "Anywhere", "Bool", "Float", "Float16", "Float32", "Float64", "Int", "Int8", "Int32", "Int64", "Integer", "Num",
-    "PilImage", "Real", "Shaped", "Sparse", "UInt8", "UInt16", "UInt32", "UInt64",
+    "Anywhere", "Bool", "Colors", "Doubles", "Flags", "Float", "Float16", "Float32", "Float64", "Harmonics", "Ids",
+    "Indices", "Int", "Int8", "Int32", "Int64", "Integer", "Mask", "MaskIds", "Matrix3", "Matrix4", "Num", "Numbers",
+    "PilImage", "Pixels", "Points", "Quats", "Real", "RowIds", "Shaped", "Sparse", "UInt8", "UInt16", "UInt32",
+    "UInt64", "Vector3", "Vectors",
 ]  # fmt: skip

@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from ..base.arrays import Bool, Float32, Float64, Int64
 from ..errors import InputError, MismatchError
-from ..formats.runs import ids_of
+from ..formats.json_files import ids_of
 from ..scene.gaussians import SH_C0, Gaussians
 from .growth import Growth
 from .labels import Label

@@ -14,9 +14,8 @@ import numpy as np
 from ..base.arrays import Float64, Int64, Integer
 from ..errors import FormatError, InputError
 from ..formats.claiming import claimed_output
-from ..formats.json_files import as_vector, is_text, read_json
+from ..formats.json_files import are_rows, as_vector, ids_of, is_text, read_json, runs_of, spans_of, spans_of_runs
 from ..formats.replacing import replacing
-from ..formats.runs import are_rows, ids_of, runs_of, spans_of, spans_of_runs
 from .forest import THING
 from .language_field import LanguageField
 

@@ -15,9 +15,8 @@ import numpy as np
 from ..errors import FormatError, InputError, MismatchError
 from ..formats.checksums import DOCUMENT, check_checksums, check_document, check_seal
 from ..formats.field_folder import MANIFEST, read_manifest
-from ..formats.json_files import as_vector, excerpt, is_text
+from ..formats.json_files import MAX_GAUSSIANS, as_vector, excerpt, is_text
 from ..formats.recognising import Kind, mistaken
-from ..formats.runs import MAX_GAUSSIANS
 from ..formats.tensors import check_tensors, map_tensors, read_tensors
 from ..kernels import group_codes
 from .codes import Code, PQCode, codebook_from_tensors, encoder_from_json

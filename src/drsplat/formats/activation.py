@@ -2,14 +2,18 @@
 
 Nothing is repaired: a row that cannot be a Gaussian is an error that says which and how many,
 because dropping or mending rows would change what a row number means.
+
+Checks of scenes that no file could give back, the same for every format.
 """
 
 from collections.abc import Mapping
+from os import PathLike
+from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Anywhere, Bool, Float32, Integer
-from ..errors import FormatError
+from ..base.arrays import Anywhere, Bool, Float32, Harmonics, Integer, Numbers, Quats, Vectors
+from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians
 
 BLOCK_ROWS = 1 << 13
@@ -32,7 +36,7 @@ def sigmoid(logits: Float32[Anywhere, " n"]) -> Float32[Anywhere, " n"]:
     return wide.astype(np.float32)
 
 
-def logit(opacities: Float32[np.ndarray, " n"]) -> Float32[np.ndarray, " n"]:
+def logit(opacities: Numbers) -> Numbers:
     """Return the inverse of `sigmoid`, finite: 0 and 1 become the logits that come back as exactly 0 and 1."""
     wide = opacities.astype(np.float64)
     with np.errstate(divide="ignore"):
@@ -46,15 +50,13 @@ def exp(log_scales: Float32[np.ndarray, "n k"]) -> Float32[np.ndarray, "n k"]:
     return log_scales
 
 
-def unit_quats(quats: Float32[np.ndarray, "n 4"]) -> Float32[np.ndarray, "n 4"]:
+def unit_quats(quats: Quats) -> Quats:
     """Normalise in place; a row without a direction becomes NaN or infinite."""
     quats /= np.sqrt(np.einsum("ni,ni->n", quats, quats, dtype=np.float64))[:, None]
     return quats
 
 
-def from_smallest_three(
-    three: Float32[np.ndarray, "n 3"], largest: Integer[np.ndarray, " n"]
-) -> Float32[np.ndarray, "n 4"]:
+def from_smallest_three(three: Vectors, largest: Integer[np.ndarray, " n"]) -> Quats:
     """Return unit quaternions from all components but the one at index `largest`, which is positive."""
     rest = 1 - np.einsum("ni,ni->n", three, three)
     four = np.column_stack([three, np.sqrt(np.maximum(rest, 0))])
@@ -63,11 +65,11 @@ def from_smallest_three(
 
 @np.errstate(all="ignore")
 def checked(
-    means: Float32[np.ndarray, "n 3"],
-    quats: Float32[np.ndarray, "n 4"],
-    scales: Float32[np.ndarray, "n 3"],
-    opacities: Float32[np.ndarray, " n"],
-    sh: Float32[np.ndarray, "n k 3"],
+    means: Vectors,
+    quats: Quats,
+    scales: Vectors,
+    opacities: Numbers,
+    sh: Harmonics,
     extra: Mapping[str, np.ndarray] = {},
     antialiased: bool = False,
 ) -> Gaussians:
@@ -97,3 +99,32 @@ def _require(good: Bool[np.ndarray, "n ..."], what: str) -> None:
     bad = np.flatnonzero((~good).reshape(len(good), -1).any(axis=1))
     cure = MEANT_OTHERWISE if 2 * len(bad) > len(good) > 1 else CURE
     raise FormatError(f"{len(bad)} of {len(good)} rows have {what}; the first is row {bad[0]}. {cure}")
+
+
+PACKED_SUFFIX = ".compressed.ply"
+
+
+def refuse_packed_name(path: str | PathLike[str]) -> None:
+    """Refuse a name that promises SuperSplat's packed form. Raises: InputError."""
+    name = Path(path).name
+    if name.lower().endswith(PACKED_SUFFIX):
+        stem = name[: -len(PACKED_SUFFIX)]
+        raise InputError(
+            f"{name}: a name of SuperSplat's compressed PLY, which is read and not written: name it {stem}.ply; "
+            "`drsplat export` writes .sog and .spz, which are as small"
+        )
+
+
+def refuse_unwritable(gaussians: Gaussians) -> None:
+    """Refuse a scene that no program can draw. Raises: InputError: no Gaussians, or as `refuse_unreadable`."""
+    if not len(gaussians):
+        raise InputError("there are no Gaussians to write: choose something that is there")
+    refuse_unreadable(gaussians)
+
+
+def refuse_unreadable(g: Gaussians) -> None:
+    """Refuse rows that no reader would take, such as NaN. Raises: InputError: which ones, and how many."""
+    try:
+        checked(g.means, g.quats.copy(), g.scales, g.opacities, g.sh)
+    except FormatError as error:
+        raise InputError(f"these Gaussians could not be read back: {error}") from None

@@ -4,19 +4,18 @@ A feature has a Point as its geometry, with coordinates of the scene's world; a 
 properties, so that other programs show its middle.
 """
 
-import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
+from ..base.arrays import Matrix3, Vector3
 from ..errors import FormatError, InputError
 from ..scene.annotations import Annotation, Outline
 from .claiming import claimed_output
-from .json_files import as_matrix, as_vector, excerpt, read_json
-from .replacing import replacing
+from .json_files import as_document, as_fields, read_json, write_json
 from .scenes import companion
 
 KIND, FORMAT, VERSION = "FeatureCollection", "drsplat annotations", 1
@@ -56,9 +55,7 @@ class AnnotationFile:
             raise InputError(
                 f"{self.path}: would have {len(annotations):,} annotations, the most are {MAX_ANNOTATIONS:,}"
             )
-        text = json.dumps(document_of(annotations), ensure_ascii=False, indent=1)
-        with replacing(self.path, overwrite=True) as file:
-            file.write(f"{text}\n".encode())
+        write_json(self.path, document_of(annotations), overwrite=True, ensure_ascii=False)
 
     def drop(self, number: int) -> Annotations:
         """Drop one, counted from 1; returns the others. Raises: as `read`; InputError: no such annotation."""
@@ -91,47 +88,43 @@ def document_of(annotations: Sequence[Annotation]) -> dict[str, Any]:
     return {"type": KIND, "format": FORMAT, "version": VERSION, "features": features}
 
 
+class _Geometry(NamedTuple):
+    type: Literal["Point"]
+    coordinates: Vector3
+
+
+class _Properties(NamedTuple):
+    text: str
+    extent: Vector3 | None = None
+    axes: Matrix3 | None = None
+
+
+class _Feature(NamedTuple):
+    geometry: _Geometry
+    properties: _Properties
+
+
 def annotations_of(document: object, where: str) -> Annotations:
     """Return the annotations of a document, also of one written by hand without format and version.
 
     Raises: FormatError: no collection of features with a point and a text.
     """
-    if not isinstance(document, dict) or document.get("type") != KIND or document.get("format", FORMAT) != FORMAT:
-        raise FormatError(f"{where}: expected a GeoJSON {KIND} of annotations")
-    if document.get("version", VERSION) != VERSION:
-        raise FormatError(f"{where}: version {excerpt(document.get('version'))}; this drsplat reads {VERSION}")
-    features = document.get("features")
-    if not isinstance(features, list) or len(features) > MAX_ANNOTATIONS:
+    collection = as_fields(document, where, type=Literal["FeatureCollection"], features=tuple[_Feature, ...])
+    as_document({"format": FORMAT, "version": VERSION, **document}, where, FORMAT, VERSION)  # type: ignore[dict-item]
+    if len(collection["features"]) > MAX_ANNOTATIONS:
         raise FormatError(f"{where}: expected a list of up to {MAX_ANNOTATIONS:,} features")
-    return tuple(_annotation(one, f"{where}: feature {number}") for number, one in enumerate(features, start=1))
+    return tuple(_annotation(one, f"{where}: feature {number}") for number, one in enumerate(collection["features"], 1))
 
 
-def _annotation(feature: object, where: str) -> Annotation:
-    geometry, properties = (_part(feature, name, where) for name in ("geometry", "properties"))
-    if geometry.get("type") != "Point":
-        raise FormatError(f"{where}: expected a Point, got {excerpt(geometry.get('type'))}")
-    text = properties.get("text")
-    if not isinstance(text, str):
-        raise FormatError(f"{where}: expected a text, got {excerpt(text)}")
-    center = as_vector(geometry.get("coordinates"), 3, f"{where}: coordinates")
+def _annotation(feature: _Feature, where: str) -> Annotation:
+    text, extent, axes = feature.properties
+    if extent is not None and axes is None:
+        raise FormatError(f"{where}: properties: expected axes beside the extent")
     try:
-        return Annotation(text, center, _outline(properties, where))
+        outline = None if extent is None or axes is None else Outline(axes, extent)
+        return Annotation(text, feature.geometry.coordinates, outline)
     except InputError as error:
         raise FormatError(f"{where}: {error}") from error
-
-
-def _part(feature: object, name: str, where: str) -> dict[str, object]:
-    part = feature.get(name) if isinstance(feature, dict) else None
-    if not isinstance(part, dict):
-        raise FormatError(f"{where}: expected a {name}")
-    return part
-
-
-def _outline(properties: dict[str, object], where: str) -> Outline | None:
-    if "extent" not in properties:
-        return None
-    extent = as_vector(properties["extent"], 3, f"{where}: extent")
-    return Outline(as_matrix(properties.get("axes"), 3, 3, f"{where}: axes"), extent)
 
 
 def _outline_json(outline: Outline | None) -> dict[str, Any]:

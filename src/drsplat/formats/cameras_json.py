@@ -1,21 +1,37 @@
 """cameras.json, which 3DGS training leaves beside its scene -> views, and back."""
 
-import json
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from ..base.arrays import Matrix3, Vector3
 from ..errors import DrSplatWarning, FormatError
 from ..scene.views import View
-from .json_files import as_count, as_matrix, as_number, as_vector, excerpt, read_json
-from .lenses import Entry, distortion_of, number, refuse_other_lenses
+from .json_files import as_kind, as_list, read_json, write_json
 from .photo_files import listed, relative_names, safe_name
-from .poses import inverse_pose, nearest_rotation, pinhole, posed_view
-from .replacing import replacing
+from .poses import (
+    Entry,
+    distortion_of,
+    inverse_pose,
+    nearest_rotation,
+    number,
+    pinhole,
+    posed_view,
+    refuse_other_lenses,
+)
 
-KEYS = ("img_name", "width", "height", "position", "rotation", "fx", "fy")
+
+class _Camera(NamedTuple):
+    img_name: str
+    width: int
+    height: int
+    position: Vector3
+    rotation: Matrix3
+    fx: float
+    fy: float
 
 
 def read_cameras_json(path: Path) -> list[View]:
@@ -27,12 +43,13 @@ def read_cameras_json(path: Path) -> list[View]:
 
     Raises: FormatError: a damaged file, a missing key, a rotation that is none.
     """
-    document = read_json(path)
-    if not isinstance(document, list) or not document:
-        raise FormatError(f"{path}: expected a JSON list of cameras, got {excerpt(document)}")
-    wheres = [f"{path}, camera {index}" for index in range(len(document))]
-    names = relative_names([_name(entry, where) for entry, where in zip(document, wheres, strict=True)])
-    return [_view(entry, name, where) for entry, name, where in zip(document, names, wheres, strict=True)]
+    entries = as_list(read_json(path), f"{path}: a list of cameras")
+    if not entries:
+        raise FormatError(f"{path}: expected a list of cameras, got an empty one")
+    wheres = [f"{path}, camera {index}" for index in range(len(entries))]
+    cameras = [as_kind(entry, _Camera, where) for entry, where in zip(entries, wheres, strict=True)]
+    names = relative_names([camera.img_name for camera in cameras])
+    return [_view(*each) for each in zip(cameras, entries, names, wheres, strict=True)]
 
 
 def write_cameras_json(path: str | Path, views: Sequence[View], overwrite: bool = False) -> None:
@@ -59,28 +76,18 @@ def write_cameras_json(path: str | Path, views: Sequence[View], overwrite: bool 
         }
         for index, view in enumerate(views)
     ]
-    with replacing(path, overwrite) as file:
-        file.write(json.dumps(entries, indent=1).encode())
+    write_json(path, entries, overwrite, end="")
 
 
-def _name(entry: object, where: str) -> str:
-    if not isinstance(entry, dict) or not entry.keys() >= set(KEYS):
-        raise FormatError(f"{where}: expected an object with {', '.join(KEYS)}, got {excerpt(entry)}")
-    if not isinstance(entry["img_name"], str):
-        raise FormatError(f"{where}: expected img_name to be text, got {excerpt(entry['img_name'])}")
-    return str(entry["img_name"])
-
-
-def _view(entry: Entry, name: str, where: str) -> View:
+def _view(camera: _Camera, entry: Entry, name: str, where: str) -> View:
     name = safe_name(name, where)
     where = f"{where} ({name!a})"
-    size = (as_count(entry["width"], f"{where}: width"), as_count(entry["height"], f"{where}: height"))
-    focal = as_number(entry["fx"], f"{where}: fx"), as_number(entry["fy"], f"{where}: fy")
-    rotation = nearest_rotation(as_matrix(entry["rotation"], 3, 3, f"{where}: rotation"), f"{where}: rotation")
-    center = as_vector(entry["position"], 3, f"{where}: position")
+    size = (camera.width, camera.height)
     refuse_other_lenses(entry, where)
-    intrinsics = pinhole(*focal, number(entry, "cx", where, size[0] / 2), number(entry, "cy", where, size[1] / 2))
-    return posed_view(where, name, intrinsics, inverse_pose(rotation, center), size, distortion_of(entry, where))
+    cam_from_world = inverse_pose(nearest_rotation(camera.rotation, f"{where}: rotation"), camera.position)
+    center = number(entry, "cx", where, size[0] / 2), number(entry, "cy", where, size[1] / 2)
+    intrinsics = pinhole(camera.fx, camera.fy, *center)
+    return posed_view(where, name, intrinsics, cam_from_world, size, distortion_of(entry, where))
 
 
 def _is_inexact(view: View) -> bool:

@@ -1,4 +1,7 @@
-"""A capture of any supported kind -> views, sorted by name, with the times of a table or of a pattern of names."""
+"""A capture of any supported kind -> views, sorted by name, with the times of a table or of a pattern of names.
+
+Small tables that people write: a line of column names, then a line for each row.
+"""
 
 import math
 import re
@@ -11,12 +14,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float64, UInt8
+from ..base.arrays import Colors, Points, Vector3
+from ..base.contents import file_text
 from ..errors import DrSplatWarning, FormatError, InputError
 from ..scene.views import View
 from .cameras_json import read_cameras_json
 from .colmap import find_models, has_points, incomplete_model, num_images, num_unread_images, read_colmap, read_points
-from .csv_tables import read_rows
 from .dataparser import FILE_NAME as DATAPARSER_FILE
 from .dataparser import SceneFrame, read_dataparser_transforms
 from .json_files import read_json
@@ -27,6 +30,29 @@ from .ply import read_point_ply
 from .recognising import CAMERAS, TRAIN_TRANSFORMS, TRANSFORMS, Kind, mistaken
 from .rendering_record import with_renderings
 from .transforms import point_file, read_applied_transform, read_transforms
+
+MAX_ROWS = 1_000_000
+
+
+def read_rows(path: Path, columns: tuple[str, ...], each: str) -> list[list[str]]:
+    """Return the rows of a table below the line of its columns; how many cells each has is not checked.
+
+    each: what a row holds, for messages.
+
+    Raises: InputError: there is no such file. FormatError: no table of these columns, or more than `MAX_ROWS`.
+    """
+    import csv
+
+    try:
+        rows = list(csv.reader(file_text(path).splitlines(), strict=True))
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file") from None
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise FormatError(f"{path}: expected a table in UTF-8: {error}") from None
+    if not rows or tuple(cell.strip() for cell in rows[0]) != columns or len(rows) > MAX_ROWS:
+        raise FormatError(f"{path}: expected the line '{','.join(columns)}', and then {each} in each")
+    return rows[1:]
+
 
 HOLE = "{time}"
 _NUMBER = r"([0-9]{1,15}(?:\.[0-9]{1,15})?)"
@@ -39,10 +65,10 @@ CAMERA_FILES = (("transforms", TRANSFORMS), ("transforms", TRAIN_TRANSFORMS), ("
 class SparsePoints(NamedTuple):
     """World positions and RGB of the points that the cameras were posed by."""
 
-    positions: Float64[np.ndarray, "n 3"]
-    colors: UInt8[np.ndarray, "n 3"]
+    positions: Points
+    colors: Colors
 
-    def moved(self, by: Float64[np.ndarray, " 3"]) -> "SparsePoints":
+    def moved(self, by: Vector3) -> "SparsePoints":
         """Return the points moved by a vector."""
         return SparsePoints(self.positions + by, self.colors) if by.any() else self
 

@@ -5,11 +5,11 @@ from types import ModuleType
 
 import numpy as np
 
-from ..base.arrays import Float64, UInt8
+from ..base.arrays import Colors, Points
 from ..errors import FormatError, InputError
 from ..scene.views import View
 from . import colmap_binary, colmap_text
-from .colmap_records import CameraRecord, ImageRecord, PointRecord, parameter_names
+from .colmap_binary import CameraRecord, ImageRecord, PointRecord, parameter_names
 from .photo_files import relative_names, safe_name
 from .poses import pinhole, pose, posed_view, rotation_from_quaternion
 
@@ -82,7 +82,7 @@ def read_colmap(model: Path) -> list[View]:
     return [_view(record._replace(name=name), cameras, path) for record, name in zip(images, names, strict=True)]
 
 
-def read_points(capture: str | Path) -> tuple[Float64[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
+def read_points(capture: str | Path) -> tuple[Points, Colors]:
     """Read the sparse points of a COLMAP capture: world positions and RGB colours, in file order.
 
     Raises: InputError: the capture has no points3D file. FormatError: it is damaged, or a point is not finite.
@@ -96,9 +96,7 @@ def read_points(capture: str | Path) -> tuple[Float64[np.ndarray, "n 3"], UInt8[
     return _point_arrays(list(parser.points(path)), path)
 
 
-def _point_arrays(
-    records: list[PointRecord], path: Path
-) -> tuple[Float64[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
+def _point_arrays(records: list[PointRecord], path: Path) -> tuple[Points, Colors]:
     positions = np.array([record[:3] for record in records], np.float64).reshape(-1, 3)
     bad = np.flatnonzero(~np.isfinite(positions).all(1))
     if len(bad):

@@ -1,6 +1,10 @@
 """COLMAP's cameras.bin, images.bin and points3D.bin, read record by record, and written.
 
 Little-endian, no padding; images and points have records of variable length.
+
+Records of a COLMAP model, whether in text or in binary.
+
+Source: https://colmap.github.io/format.html and COLMAP's list of camera models.
 """
 
 import mmap
@@ -9,16 +13,62 @@ import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float64, UInt8
+from ..base.arrays import Colors, Points
 from ..base.contents import MAX_READ_BYTES, open_file
 from ..errors import FormatError, InputError
 from ..scene.views import View
-from .colmap_records import MODEL_NAMES, CameraRecord, ImageRecord, PointRecord, parameter_names
+from .poses import cure_of
 from .replacing import replacing
+
+PointRecord = tuple[float, float, float, int, int, int]
+"""x, y, z (world), r, g, b."""
+
+MODEL_NAMES = (
+    "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV",
+    "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION",
+    "DIVISION", "SIMPLE_FISHEYE", "FISHEYE", "EUCM", "EQUIRECTANGULAR",
+)  # fmt: skip
+"""By COLMAP's model id."""
+
+PARAMETERS = {
+    "SIMPLE_PINHOLE": ("f", "cx", "cy"), "PINHOLE": ("fx", "fy", "cx", "cy"), "SIMPLE_RADIAL": ("f", "cx", "cy", "k1"),
+    "RADIAL": ("f", "cx", "cy", "k1", "k2"), "OPENCV": ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+}  # fmt: skip
+"""Parameters of the camera models that a remap to a pinhole can undo."""
+
+
+class CameraRecord(NamedTuple):
+    camera_id: int
+    model: str
+    width: int
+    height: int
+    parameters: tuple[float, ...]
+
+
+class ImageRecord(NamedTuple):
+    """quaternion (w, x, y, z) and translation take world to camera."""
+
+    name: str
+    quaternion: tuple[float, float, float, float]
+    translation: tuple[float, float, float]
+    camera_id: int
+
+
+def parameter_names(model: str, where: str) -> tuple[str, ...]:
+    """Return the order of a model's parameters in the file.
+
+    Raises: FormatError: a lens that no pinhole stands for; the message says what to run.
+    """
+    if model in PARAMETERS:
+        return PARAMETERS[model]
+    raise FormatError(
+        f"{where}: camera model {model!a} is not supported (supported: {', '.join(PARAMETERS)}): {cure_of(model)}"
+    )
+
 
 _PINHOLE = MODEL_NAMES.index("PINHOLE")
 Lens = tuple[int, int, float, float, float, float]
@@ -119,9 +169,7 @@ def points(path: Path) -> Iterator[PointRecord]:
         cursor.finish()
 
 
-def write_colmap(
-    model: Path, views: Sequence[View], positions: Float64[np.ndarray, "n 3"], colors: UInt8[np.ndarray, "n 3"]
-) -> None:
+def write_colmap(model: Path, views: Sequence[View], positions: Points, colors: Colors) -> None:
     """Write cameras.bin, images.bin and points3D.bin into a folder that is there.
 
     Views of one lens share a camera. Points have no tracks. A pose is written as a quaternion: what `read_colmap` reads

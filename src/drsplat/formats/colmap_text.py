@@ -7,7 +7,7 @@ from typing import TypeVar
 
 from ..base.contents import encoding_of, open_file
 from ..errors import FormatError
-from .colmap_records import CameraRecord, ImageRecord, PointRecord
+from .colmap_binary import CameraRecord, ImageRecord, PointRecord
 
 T = TypeVar("T")
 

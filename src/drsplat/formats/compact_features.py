@@ -12,6 +12,7 @@ import zstandard
 
 from ..base.arrays import Float32, Int32, Int64
 from ..errors import FormatError, InputError
+from .json_files import as_kind, document_in
 from .tensors import check_tensors, read_tensors, write_tensors
 
 FORMAT = "drsplat features 1"
@@ -106,17 +107,10 @@ def _dtype(num_embeddings: int) -> np.dtype[np.unsignedinteger]:
 
 
 def _counts(text: str | None, where: str) -> tuple[int, ...]:
-    try:
-        numbers = json.loads(text or "")
-    except (ValueError, RecursionError):
-        numbers = None
-    if (
-        not isinstance(numbers, list)
-        or len(numbers) > 4
-        or not all(type(n) is int and 0 <= n <= MAX_PIXELS for n in numbers)
-    ):
+    numbers: tuple[int, ...] = as_kind(document_in(text or "null", where), tuple[int, ...], where)
+    if len(numbers) > 4 or not all(0 <= number <= MAX_PIXELS for number in numbers):
         raise FormatError(f"{where}: expected a short list of counts")
-    return tuple(numbers)
+    return numbers
 
 
 def _decompressed(data: np.ndarray, path: Path, size: int) -> bytes:

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Float64
+from ..base.arrays import Matrix4, Points
 from ..errors import FormatError
 from ..scene.views import View
-from .json_files import as_matrix, as_number, read_json
+from .json_files import as_fields, as_matrix, as_number, read_json
 from .poses import nearest_rotation, pose
 
 FILE_NAME = "dataparser_transforms.json"
@@ -18,14 +18,14 @@ FILE_NAME = "dataparser_transforms.json"
 class SceneFrame:
     """x_scene = scale * (transform @ x_world), a rigid 4x4 followed by a scale."""
 
-    transform: Float64[np.ndarray, "4 4"]
+    transform: Matrix4
     scale: float
 
     def after(self, applied: "SceneFrame") -> "SceneFrame":
         """Return the transform from the frame that `applied` leads to, where this one starts before it."""
         return SceneFrame(self.transform @ np.linalg.inv(applied.transform), self.scale / applied.scale)
 
-    def points(self, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+    def points(self, points: Points) -> Points:
         """Return the world positions in the scene."""
         moved: np.ndarray = points @ self.transform[:3, :3].T + self.transform[:3, 3]
         return self.scale * moved
@@ -44,9 +44,7 @@ def read_dataparser_transforms(path: Path) -> SceneFrame:
 
     Raises: FormatError: a transform that is not rigid, a scale that is not positive.
     """
-    document = read_json(path)
-    if not isinstance(document, dict) or not {"transform", "scale"} <= document.keys():
-        raise FormatError(f'{path}: expected {{"transform": 3x4 matrix, "scale": number}}')
+    document = as_fields(read_json(path), str(path), transform=object, scale=float)
     return scene_frame(document["transform"], document["scale"], str(path))
 
 

@@ -5,6 +5,8 @@ document each time would cost more with every photo. At the end the document tak
 removed. The journal's first line names the document that it continues by its checksum: a journal beside another
 document is one that had been taken into it, and is not read. Each line carries its own checksum. A last line without
 its end was being written when the process was killed, and does not count.
+
+The names that files of language features have.
 """
 
 import json
@@ -12,16 +14,27 @@ import os
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Literal
 
 from ..base.contents import open_file
 from ..errors import FormatError, InputError, MismatchError
-from ..scene.encoders import EncoderIdentity
+from ..scene.encoders import EncoderIdentity, identity_text
 from .checksums import DOCUMENT, check_document, check_seal, hash_file, sealed
-from .feature_files import COMPACT, EMBEDDINGS, MAPS, Form, stems
-from .json_files import document_in, excerpt, is_text, read_json
+from .json_files import as_document, as_fields, as_kind, document_in, read_json, write_json
 from .photo_files import listed
-from .replacing import replacing, saying_what_is_full, sync_folder
+from .replacing import saying_what_is_full, sync_folder
+
+MAPS, EMBEDDINGS = "_s.npy", "_f.npy"  # LangSplat's
+COMPACT = ".features.safetensors"
+Form = Literal["compact", "langsplat"]
+"""Forms that features of a photo are stored in; `langsplat.FORMS` says how each is opened."""
+
+
+def stems(directory: Path, ending: str) -> list[str]:
+    """Return the names, without `ending`, of the files in a folder and its subfolders that end so, sorted."""
+    names = (path.relative_to(directory).as_posix() for path in directory.rglob(f"*{ending}"))
+    return sorted(name.removesuffix(ending) for name in names)
+
 
 CONTINUES = "continues"
 
@@ -125,8 +138,7 @@ class EmbeddingRecord:
         """Write the document with all entries, and return its checksum."""
         photos = {stem: asdict(entry) for stem, entry in sorted(self.finished.items())}
         document = sealed({"format": FORMAT, "settings": self._settings, "photos": photos})
-        with replacing(self.folder / FILE_NAME, overwrite=True) as file:
-            file.write(json.dumps(document, indent=1).encode())
+        write_json(self.folder / FILE_NAME, document, overwrite=True, end="")
         return str(document[DOCUMENT])
 
     def close(self) -> None:
@@ -216,8 +228,8 @@ def embedded_by(folder: Path, named: EncoderIdentity | None) -> EncoderIdentity 
     if named is None or recorded.matches(named):
         return recorded
     raise MismatchError(
-        f"{folder} was embedded by '{_encoder_text(recorded)}', as drsplat embed noted in {FILE_NAME}; named was "
-        f"'{_encoder_text(named)}': name no encoder, or if other embeddings were put there, remove {FILE_NAME}"
+        f"{folder} was embedded by '{identity_text(recorded)}', as drsplat embed noted in {FILE_NAME}; named was "
+        f"'{identity_text(named)}': name no encoder, or if other embeddings were put there, remove {FILE_NAME}"
     )
 
 
@@ -259,50 +271,33 @@ def verify_embedding(folder: Path) -> list[str]:
     return sorted([FILE_NAME, *journal, *names])
 
 
-def _encoder_text(identity: EncoderIdentity) -> str:
-    weights = f", weights {identity.weights}" if identity.weights else ""
-    return f"{identity.name} ({identity.dim}-d{weights})"
-
-
 def encoder_from_json(identity: object, where: str) -> EncoderIdentity:
     """Return the identity that `identity_json` wrote; files of older versions have no preprocessing.
 
     Raises: FormatError: not an object of name, dim and weights.
     """
-    if not isinstance(identity, dict):
-        raise FormatError(f"{where}: expected the encoder's name, dim and weights")
-    name, dim, weights = (identity.get(key) for key in ("name", "dim", "weights"))
-    preprocessing = identity.get("preprocessing", "")
-    texts = (name, weights, preprocessing)
-    if all(map(is_text, texts)) and type(dim) is int and dim > 0:
-        return EncoderIdentity(str(name), dim, str(weights), preprocessing)
-    raise FormatError(f"{where}: expected the encoder's name, dim and weights")
+    encoder: EncoderIdentity = as_kind(identity, EncoderIdentity, f"{where}: the encoder")
+    if encoder.dim < 1:
+        raise FormatError(f"{where}: the encoder: dim: expected 1 or more, got {encoder.dim}")
+    return encoder
 
 
 def _read(path: Path) -> tuple[dict[str, object], dict[str, Finished]]:
-    document = read_json(path)
-    parts = document if isinstance(document, dict) else {}
-    settings, photos = parts.get("settings"), parts.get("photos")
-    if parts.get("format") == FORMAT and isinstance(settings, dict) and isinstance(photos, dict):
-        check_seal(parts, f"{path}", required=False, cure=_CURE)
-        for change in changes_to(path.with_name(JOURNAL), str(parts.get(DOCUMENT)), _CURE):
-            photos[str(change.get("stem"))] = change.get("finished")
-        entries = {stem: _entry(value) for stem, value in photos.items()}
-        return settings, {stem: entry for stem, entry in entries.items() if entry is not None}
-    raise FormatError(
-        f"{path}: expected '{FORMAT}' with settings and photos, got {excerpt(parts.get('format'))}: "
-        f"damaged, or of another version. {_CURE}"
-    )
+    document = as_document(read_json(path), str(path), FORMAT, cure=_CURE)
+    settings, photos = as_fields(document, str(path), settings=dict[str, object], photos=dict[str, object]).values()
+    check_seal(document, f"{path}", required=False, cure=_CURE)
+    for change in changes_to(path.with_name(JOURNAL), str(document.get(DOCUMENT)), _CURE):
+        photos[str(change.get("stem"))] = change.get("finished")
+    entries = {stem: _entry(value) for stem, value in photos.items()}
+    return settings, {stem: entry for stem, entry in entries.items() if entry is not None}
 
 
 def _entry(value: object) -> Finished | None:
     """Return an entry, or None if it is malformed: its photo is then embedded again."""
     try:
-        entry = Finished(**value)  # type: ignore[arg-type]
-        counts = [entry.empty_masks, entry.map_bytes or 0, *entry.masks.values()]
-    except (TypeError, AttributeError):
+        return as_kind(value, Finished, "")  # type: ignore[no-any-return]
+    except FormatError:
         return None
-    return entry if all(type(count) is int for count in counts) else None
 
 
 def _fits(entry: Finished, folder: Path, stem: str) -> bool:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float32
+from ..base.arrays import Float32, Numbers
 from ..base.contents import file_bytes, open_file
 from ..errors import FormatError, InputError
 
@@ -43,7 +43,7 @@ class _Bytes:
     def number(self, size: int) -> int:
         return int.from_bytes(self.take(size), "little")
 
-    def floats(self, count: int) -> Float32[np.ndarray, " n"]:
+    def floats(self, count: int) -> Numbers:
         return np.frombuffer(self.take(4 * count), "<f4")
 
 

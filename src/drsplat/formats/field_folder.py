@@ -4,7 +4,6 @@ Knows nothing of what is in them; `drsplat.field` does.
 """
 
 import ctypes
-import json
 import os
 import shutil
 import sys
@@ -16,20 +15,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ..base.contents import open_file
-from ..errors import FormatError, InputError
+from ..errors import InputError
 from .checksums import sealed
 from .claiming import claimed_output
-from .json_files import parsed
-from .replacing import (
-    at_once,
-    lock,
-    refuse_missing_parent,
-    replacing,
-    saying_what_is_full,
-    sweep,
-    sync_folder,
-    temporary_beside,
-)
+from .json_files import as_object, document_in, write_json
+from .replacing import at_once, lock, refuse_missing_parent, saying_what_is_full, sweep, sync_folder, temporary_beside
 from .tensors import write_tensors
 
 MANIFEST = "field.json"
@@ -64,8 +54,7 @@ def write_folder(
     with replacing_folder(path, overwrite, MANIFEST) as temporary:
         for name, file in files.items():
             write_tensors(temporary / name, file.tensors, file.metadata)
-        with replacing(temporary / MANIFEST) as out:
-            out.write((json.dumps(sealed(manifest), indent=2) + "\n").encode())
+        write_json(temporary / MANIFEST, sealed(manifest), indent=2)
 
 
 @contextmanager
@@ -138,14 +127,10 @@ def read_manifest(
     """
     try:
         with open_file(path / name) as file:
-            manifest = parsed(file.read(most))
+            content = file.read(most)
     except (FileNotFoundError, NotADirectoryError):
         raise InputError(f"{path}: there is no such {what} (no {name} in it)") from None
-    except (ValueError, RecursionError) as error:
-        raise FormatError(f"{path / name}: expected JSON: {error}") from None
-    if not isinstance(manifest, dict):
-        raise FormatError(f"{path / name}: expected an object")
-    return manifest
+    return as_object(document_in(content, str(path / name)), str(path / name))
 
 
 def _take_place(temporary: Path, path: Path) -> None:

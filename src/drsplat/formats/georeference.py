@@ -1,17 +1,15 @@
 """Georeference: a scene's place on the Earth, in georeference.json beside it."""
 
-import json
 import os
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Float64
+from ..base.arrays import Matrix3, Points
 from ..errors import FormatError
 from ..scene.geodesy import geodetic
-from .json_files import as_matrix, as_number, read_json
-from .replacing import replacing
+from .json_files import as_document, as_kind, read_json, write_json
 
 NAME = "georeference.json"
 FORMAT, VERSION = "drsplat georeference", 1
@@ -28,10 +26,10 @@ class Georeference:
     longitude: float
     latitude: float
     height: float
-    enu_from_world: Float64[np.ndarray, "3 3"]
+    enu_from_world: Matrix3
     scale: float
 
-    def positions(self, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+    def positions(self, points: Points) -> Points:
         """Return the longitude and latitude in degrees and height in metres of points of the world."""
         offsets = self.scale * points @ self.enu_from_world.T
         return geodetic((self.longitude, self.latitude, self.height), offsets)
@@ -48,30 +46,22 @@ def read_georeference(*folders: str | os.PathLike[str] | None) -> Georeference |
 
 def write_georeference(folder: Path, georeference: Georeference) -> None:
     """Write a folder's georeference.json anew. Raises: InputError: it cannot be written."""
-    document = {
-        "format": FORMAT,
-        "version": VERSION,
-        **{name: getattr(georeference, name) for name in ("longitude", "latitude", "height", "scale")},
-        "enu_from_world": georeference.enu_from_world.tolist(),
-    }
-    with replacing(folder / NAME, overwrite=True) as file:
-        file.write(json.dumps(document, indent=1).encode())
+    values = asdict(georeference)
+    rotation = values.pop("enu_from_world").tolist()
+    document = {"format": FORMAT, "version": VERSION, **values, "enu_from_world": rotation}
+    write_json(folder / NAME, document, overwrite=True, end="")
 
 
 def _read(path: Path) -> Georeference:
-    document = read_json(path)
-    if not isinstance(document, dict) or (document.get("format"), document.get("version")) != (FORMAT, VERSION):
-        raise FormatError(f"{path}: expected '{FORMAT}' of version {VERSION}")
-    numbers = {
-        name: as_number(document.get(name), f"{path}: {name}") for name in ("longitude", "latitude", "height", "scale")
-    }
-    rotation = as_matrix(document.get("enu_from_world"), 3, 3, f"{path}: enu_from_world")
+    document = as_document(read_json(path), str(path), FORMAT, VERSION)
+    place: Georeference = as_kind(document, Georeference, str(path))
+    rotation = place.enu_from_world
     with np.errstate(over="ignore", invalid="ignore"):
         square = np.abs(rotation @ rotation.T - np.eye(3)).max() <= ROTATION_TOLERANCE
     if not square or np.linalg.det(rotation) < 0:
         raise FormatError(f"{path}: enu_from_world: expected a rotation, rows east, north and up")
-    if abs(numbers["longitude"]) > 180 or abs(numbers["latitude"]) > 90 or not 1e-9 <= numbers["scale"] <= 1e9:
+    if abs(place.longitude) > 180 or abs(place.latitude) > 90 or not 1e-9 <= place.scale <= 1e9:
         raise FormatError(f"{path}: expected degrees of the Earth, and a scale above 0 in metres per unit")
-    if abs(numbers["height"]) > 1e7:
-        raise FormatError(f"{path}: height: expected metres above the ellipsoid, got {numbers['height']:g}")
-    return Georeference(**numbers, enu_from_world=rotation)
+    if abs(place.height) > 1e7:
+        raise FormatError(f"{path}: height: expected metres above the ellipsoid, got {place.height:g}")
+    return place

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64, Int32
+from ..base.arrays import Harmonics, Ids, Matrix3, Matrix4, Numbers, Quats, Vectors
 from ..base.contents import file_bytes
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians, concatenated
@@ -20,7 +20,8 @@ from ..scene.placing import MIN_SIZED_GAUSSIANS, local_origin
 from ..scene.similarity import similarity_of
 from .activation import checked
 from .axes import HALF_TURN
-from .glb_layout import (
+from .glb_tables import ObjectName, labels_of_tables, object_names, object_numbers
+from .gltf import (
     BYTE,
     COLOR_SPACE,
     FEATURE_ID,
@@ -42,9 +43,14 @@ from .glb_layout import (
     SPZ,
     UNSIGNED_BYTE,
     UNSIGNED_SHORT,
+    Entry,
+    Gltf,
+    gltf_in,
+    inner,
+    listed,
+    placed_meshes,
+    whole_number,
 )
-from .glb_tables import ObjectName, labels_of_tables, object_names, object_numbers
-from .gltf import Entry, Gltf, gltf_in, inner, listed, placed_meshes, whole_number
 from .json_files import excerpt
 from .labels import Labels
 from .spz import parse_spz
@@ -203,13 +209,7 @@ def _of_attributes(gltf: Gltf, attributes: Entry, budget: _Budget) -> Gaussians:
     return _checked(means, quats, scales, opacities, sh)
 
 
-def _checked(
-    means: Float32[np.ndarray, "n 3"],
-    quats: Float32[np.ndarray, "n 4"],
-    scales: Float32[np.ndarray, "n 3"],
-    opacities: Float32[np.ndarray, " n"],
-    sh: Float32[np.ndarray, "n k 3"],
-) -> Gaussians:
+def _checked(means: Vectors, quats: Quats, scales: Vectors, opacities: Numbers, sh: Harmonics) -> Gaussians:
     """Return sound Gaussians; unit rotations stay as they are. Raises: FormatError: rows that are none."""
     negative = int((scales < 0).any(axis=1).sum())
     if negative:
@@ -245,7 +245,7 @@ def _columns(gltf: Gltf, primitive: Entry, attributes: Entry, count: int) -> dic
     return columns
 
 
-def _object_ids(gltf: Gltf, primitive: Entry, attributes: Entry) -> Int32[np.ndarray, " n"]:
+def _object_ids(gltf: Gltf, primitive: Entry, attributes: Entry) -> Ids:
     """Return the number of each Gaussian's object, -1 for none: its feature, or what the table says of it."""
     stored = gltf.accessor(
         attributes[FEATURE_ID], "SCALAR", FEATURE_ID, (UNSIGNED_BYTE, UNSIGNED_SHORT, FLOAT, BYTE, SHORT)
@@ -264,7 +264,7 @@ def _object_ids(gltf: Gltf, primitive: Entry, attributes: Entry) -> Int32[np.nda
     return np.asarray(np.append(numbers, np.int32(-1))[ids])  # the last one is that of -1
 
 
-def _placed(gaussians: Gaussians, to_world: Float64[np.ndarray, "4 4"]) -> Gaussians:
+def _placed(gaussians: Gaussians, to_world: Matrix4) -> Gaussians:
     """Return Gaussians where a matrix puts them; those that it only moves keep their bits."""
     try:
         similarity = similarity_of(to_world)
@@ -283,7 +283,7 @@ def _placed(gaussians: Gaussians, to_world: Float64[np.ndarray, "4 4"]) -> Gauss
     return moved
 
 
-def _matrix(rotation: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "4 4"]:
+def _matrix(rotation: Matrix3) -> Matrix4:
     matrix = np.eye(4)
     matrix[:3, :3] = rotation
     return matrix

@@ -12,8 +12,7 @@ import numpy as np
 from ..base.arrays import Int32
 from ..errors import FormatError, InputError
 from ..scene.labelled import LabelledScene, Thing, numbers_of
-from .glb_layout import METADATA
-from .gltf import Entry, Gltf, inner, listed, whole_number
+from .gltf import METADATA, Entry, Gltf, inner, listed, whole_number
 from .json_files import excerpt
 from .labels import Labels
 

@@ -16,13 +16,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64, Int32, UInt8
+from ..base.arrays import Harmonics, Ids, Matrix3, UInt8, Vector3
 from ..errors import InputError
 from ..scene.annotations import Annotation
 from ..scene.gaussians import SH_C0, Gaussians
 from ..scene.labelled import LabelledScene, Thing
 from .axes import standing_up
-from .glb_layout import (
+from .glb_tables import Table, tables_of
+from .gltf import (
     BINARY_CHUNK,
     CHUNK,
     COLOR,
@@ -52,7 +53,6 @@ from .glb_layout import (
     VERSION,
     rotation_xyzw,
 )
-from .glb_tables import Table, tables_of
 from .replacing import replacing
 
 
@@ -215,7 +215,7 @@ def _splat_attributes(gaussians: Gaussians, binary: Binary) -> dict[str, int]:
     return attributes
 
 
-def _coefficient(sh: Float32[np.ndarray, "n k 3"], number: int) -> Rows:
+def _coefficient(sh: Harmonics, number: int) -> Rows:
     return lambda rows: sh[rows, number]
 
 
@@ -226,7 +226,7 @@ def _point_colors(gaussians: Gaussians, rows: slice) -> UInt8[np.ndarray, "b 4"]
     return np.asarray(np.rint(255 * np.column_stack([linear, gaussians.opacities[rows]])), np.uint8)
 
 
-def features_of(objects: Int32[np.ndarray, " n"], count: int, binary: Binary) -> tuple[int, dict[str, Any]]:
+def features_of(objects: Ids, count: int, binary: Binary) -> tuple[int, dict[str, Any]]:
     """Lay out the number of each Gaussian's object; returns its accessor, and what EXT_mesh_features says of it.
 
     objects: rows of the table of objects, -1 for none. count: rows of that table.
@@ -321,9 +321,7 @@ def _annotation(one: Annotation) -> dict[str, Any]:
     return {"name": one.text, **box, "extras": {"kind": "annotation"}}
 
 
-def _box(
-    center: Float64[np.ndarray, " 3"], axes: Float64[np.ndarray, "3 3"], extent: Float64[np.ndarray, " 3"]
-) -> dict[str, Any]:
+def _box(center: Vector3, axes: Matrix3, extent: Vector3) -> dict[str, Any]:
     """Return what makes the cube of side 1 about zero a box; columns of the rotation are the box's directions."""
     columns = axes.T * [1.0, 1.0, np.sign(np.linalg.det(axes))]  # people may write a left-handed box, which is the same
     return {"translation": center.tolist(), "rotation": rotation_xyzw(columns), "scale": extent.tolist()}

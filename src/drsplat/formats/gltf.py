@@ -4,10 +4,15 @@ A GLB has its document and one buffer in one file; a `.gltf` is the document alo
 files beside it. Source: glTF 2.0 specification, sections 3.6 (buffers, accessors) and 4 (GLB).
 
 Its nodes, from the roots of the scene down, place its meshes.
+
+Names and numbers of a GLB file with Gaussians, which its reader and its writer share.
+
+Source: glTF 2.0; KHR_gaussian_splatting (release candidate of 2026); EXT_mesh_features; EXT_structural_metadata.
 """
 
 import base64
 import binascii
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,18 +21,46 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from ..base.arrays import Float64
+from ..base.arrays import Float64, Matrix3, Matrix4
 from ..base.contents import file_bytes
 from ..errors import FormatError
 from ..scene.gaussians import rotation_matrices
+from ..scene.similarity import quaternion_of
 from .axes import HALF_TURN, standing_up
-from .glb_layout import BINARY_CHUNK, CHUNK, COMPONENTS, HEADER, JSON_CHUNK, MAGIC, NUMBERS_OF_TYPE, OURS, VERSION
-from .json_files import as_vector, document_in, excerpt
+from .json_files import as_list, as_vector, document_in, excerpt
 from .photo_files import safe_name
+
+MAGIC, VERSION = b"glTF", 2
+HEADER = struct.Struct("<4sII")  # magic, version, bytes of the file
+CHUNK = struct.Struct("<I4s")  # bytes of the chunk, its kind
+JSON_CHUNK, BINARY_CHUNK = b"JSON", b"BIN\x00"
+MAX_FILE_BYTES = 2**32 - 1  # a header's limit
+
+SPLATTING, SPZ = "KHR_gaussian_splatting", "KHR_gaussian_splatting_compression_spz_2"
+FEATURES, METADATA = "EXT_mesh_features", "EXT_structural_metadata"
+KERNEL, COLOR_SPACE, LINEAR_COLOR_SPACE = "ellipse", "srgb_rec709_display", "lin_rec709_display"
+POINTS_MODE = 0  # of a primitive
+POSITION, COLOR = "POSITION", "COLOR_0"
+ROTATION, SCALE, OPACITY = (f"{SPLATTING}:{name}" for name in ("ROTATION", "SCALE", "OPACITY"))
+HARMONICS = tuple(f"{SPLATTING}:SH_DEGREE_{degree}_COEF_{n}" for degree in range(4) for n in range(2 * degree + 1))
+FEATURE_ID, RELEVANCY = "_FEATURE_ID_0", "_RELEVANCY"
+
+BYTE, UNSIGNED_BYTE, SHORT, UNSIGNED_SHORT, UNSIGNED_INT, FLOAT = 5120, 5121, 5122, 5123, 5125, 5126
+COMPONENTS = {BYTE: "<i1", UNSIGNED_BYTE: "<u1", SHORT: "<i2", UNSIGNED_SHORT: "<u2", UNSIGNED_INT: "<u4", FLOAT: "<f4"}
+NUMBERS_OF_TYPE = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT3": 9, "MAT4": 16}
+
+OURS = "drsplat"  # the name under which `extras` of the root node say what glTF has no place for
+
+
+def rotation_xyzw(rotation: Matrix3) -> list[float]:
+    """Return a rotation as a node has it: a unit quaternion x, y, z, w."""
+    w, x, y, z = (float(number) + 0.0 for number in quaternion_of(rotation).round(15))
+    return [x, y, z, w]
+
 
 TURN_ABOUT_Z = np.diag([-1.0, -1.0, 1.0])
 SAME_ROTATION_TOLERANCE = 1e-6  # between the entries of a rotation as stored and as computed
-Matrix = Float64[np.ndarray, "4 4"]
+Matrix = Matrix4
 
 
 DATA_URI = "data:"
@@ -205,10 +238,7 @@ def _base64(uri: str, place: int) -> memoryview:
 
 def listed(entry: object, name: str, where: str) -> list[Any]:
     """Return a list of an object, [] where there is none. Raises: FormatError: it is no list."""
-    value = entry.get(name, []) if isinstance(entry, dict) else []
-    if not isinstance(value, list):
-        raise FormatError(f"{where}: {name}: expected a list, got {excerpt(value)}")
-    return value
+    return as_list(inner(entry).get(name, []), f"{where}: {name}")
 
 
 def inner(entry: object, *names: str) -> Entry:
@@ -248,7 +278,7 @@ def placed_meshes(gltf: Gltf) -> Iterator[tuple[int, Matrix]]:
         waiting += [(child, here) for child in reversed(_numbers(gltf, node, "children"))]
 
 
-def _turn_to_ply(gltf: Gltf) -> Float64[np.ndarray, "3 3"]:
+def _turn_to_ply(gltf: Gltf) -> Matrix3:
     """Return the half turn that makes y down: about x, or about z for splat-transform, which undoes what it did."""
     generator = inner(gltf.document, "asset").get("generator")
     return TURN_ABOUT_Z if isinstance(generator, str) and generator.startswith("splat-transform") else HALF_TURN
@@ -281,7 +311,7 @@ def local_matrix(node: Entry, number: int) -> Matrix:
     return matrix
 
 
-def _rotation(xyzw: Float64[np.ndarray, " 4"]) -> Float64[np.ndarray, "3 3"]:
+def _rotation(xyzw: Float64[np.ndarray, " 4"]) -> Matrix3:
     return np.asarray(rotation_matrices(xyzw[None, [3, 0, 1, 2]] / np.linalg.norm(xyzw))[0])
 
 

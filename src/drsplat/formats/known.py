@@ -2,6 +2,8 @@
 
 `scenes.read_gaussians` and `write_scene` find their way in `FORMATS`, and so do errors, `drsplat export` and the table
 of docs/formats.md, which `python -m scripts.made_tables` writes.
+
+Named objects that a scene's file holds beside its Gaussians, whatever its format.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,35 +16,32 @@ import numpy as np
 from ..errors import FormatError, InputError, did_you_mean
 from ..scene.gaussians import Gaussians
 from ..scene.labelled import LabelledScene
-from .compressed_ply import is_compressed, parse_compressed_ply
-from .gaussian_ply import parse_gaussian_ply, write_gaussians
-from .glb import parse_glb, read_glb
-from .glb_layout import MAGIC as GLB_MAGIC
+from .activation import refuse_packed_name, refuse_unwritable
+from .gaussian_ply import is_compressed, parse_compressed_ply, parse_gaussian_ply, write_gaussians
+from .glb import labels_in_glb, parse_glb, read_glb
 from .glb_writing import write_glb
+from .gltf import MAGIC as GLB_MAGIC
 from .ksplat import MAGIC as KSPLAT_MAGIC
 from .ksplat import parse_ksplat
-from .labels import NAMES_SUFFIX, labels_bytes
+from .labels import NAMES_SUFFIX, Labels, labels_bytes, parse_labels
 from .ply import MARK, read_header
 from .replacing import replacing, together
 from .rerun_writing import write_rrd
-from .sog import parse_sog, read_unpacked_sog
-from .sog_files import META, ZIP_MAGIC
+from .sog import META, ZIP_MAGIC, parse_sog, read_sog_labels, read_unpacked_sog
 from .sog_writing import sog_bytes
 from .splat import parse_splat
 from .spz import MAGIC as SPZ_MAGIC
-from .spz import parse_spz
+from .spz import parse_spz, read_spz_labels
 from .spz_writing import spz4_bytes, spz_bytes
-from .streamed_sog import LOD_META, read_streamed_sog
-from .streamed_sog_writing import write_streamed_sog
+from .streamed_sog import LOD_META, read_streamed_labels, read_streamed_sog, write_streamed_sog
 from .tiles import TILES, read_tiles
 from .tiles3d_writing import write_tiles3d
 from .usd import SUFFIXES as USD_SUFFIXES
 from .usd import TEXT as USD_TEXT
-from .usd import layer_of, scene_of
+from .usd import layer_of, read_usd, scene_of
 from .usd_library import write_usdc, write_usdz
 from .usd_text import parse_usda
 from .usd_writing import write_usda
-from .writable import refuse_packed_name, refuse_unwritable
 
 Writer = Callable[[Path, LabelledScene, bool], None]
 GZIP_DEFLATE = b"\x1f\x8b\x08"
@@ -289,7 +288,7 @@ def format_of(path: Path, spz_version: int = 3) -> str:
 
 
 def _refuse_unwritable(scene: LabelledScene) -> None:
-    """Check a scene. Raises: InputError: what `formats.writable` refuses, or relevancies that are not finite."""
+    """Check a scene. Raises: InputError: what `refuse_unwritable` refuses, or relevancies that are not finite."""
     refuse_unwritable(scene.gaussians)
     if scene.relevancy is not None and not np.isfinite(scene.relevancy).all():
         row = int(np.flatnonzero(~np.isfinite(scene.relevancy))[0])
@@ -311,3 +310,37 @@ def lacks(kind: str, scene: LabelledScene) -> tuple[str, ...]:
     }
     held = next(one.holds for one in FORMATS if kind in one.write)
     return tuple(f"{kind} keeps no {ASPECTS[name]}" for name, has in there.items() if has and name not in held)
+
+
+MAX_OBJECT_NUMBER = (1 << 31) - 1  # Gaussians store it as int32
+_BY_NAME = {LOD_META: read_streamed_labels, META: read_sog_labels}
+_BY_SUFFIX = {".sog": read_sog_labels, ".spz": read_spz_labels, ".glb": labels_in_glb, ".gltf": labels_in_glb}
+
+
+def read_labels(path: Path) -> Labels:
+    """Return the names and boxes of the objects and groups in a file of drsplat, or beside a PLY; none in other files.
+
+    path: a scene, or the folder of a streamed SOG.
+
+    Raises: FormatError: damaged, or labels that are none. MissingExtraError: as `read_usd`.
+    """
+    path = path / LOD_META if (path / LOD_META).is_file() else path
+    if path.suffix.lower() in USD_SUFFIXES:
+        scene = read_usd(path)
+        return _checked(Labels(scene.things, scene.groups, scene.query), path)
+    beside = path.with_suffix(NAMES_SUFFIX)
+    if path.suffix.lower() == ".ply" and beside.is_file():
+        return _checked(parse_labels(beside.read_bytes(), str(beside)), beside)
+    reader = _BY_NAME.get(path.name) or _BY_SUFFIX.get(path.suffix.lower())
+    return Labels() if reader is None else _checked(reader(path), path)
+
+
+def _checked(labels: Labels, path: Path) -> Labels:
+    """Return labels. Raises: FormatError: a group that is not there, or a number that no Gaussian can have."""
+    for thing in (*labels.things, *labels.groups):
+        if not (-1 <= thing.parent < len(labels.groups) and -1 <= thing.number <= MAX_OBJECT_NUMBER):
+            raise FormatError(
+                f"{path}: '{thing.name:.40}': expected a group from -1 to {len(labels.groups) - 1} and a number from "
+                f"-1 to {MAX_OBJECT_NUMBER}, got {thing.parent} and {thing.number}: damaged"
+            )
+    return labels

@@ -7,11 +7,13 @@ Embeddings and annotations do not go along.
 
 import json
 from dataclasses import dataclass
-from typing import Any
 
+import numpy as np
+
+from ..base.arrays import Matrix3, Vector3
 from ..errors import FormatError
 from ..scene.labelled import LabelledScene, Thing
-from .json_files import as_count, as_matrix, as_number, as_vector, excerpt, is_text
+from .json_files import as_document, as_kind, as_text, document_in
 
 FORMAT, VERSION = "drsplat objects", 1
 NO_GROUP = -1
@@ -47,49 +49,31 @@ def labels_bytes(scene: LabelledScene) -> bytes:
 
 def parse_labels(content: bytes, where: str) -> Labels:
     """Decode what `labels_bytes` encodes. Raises: FormatError: other JSON, or numbers that are no boxes."""
-    try:
-        document = json.loads(content)
-    except (ValueError, RecursionError) as error:
-        raise FormatError(f"{where}: expected JSON: {error}") from None
-    if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
-        raise FormatError(f"{where}: expected '{FORMAT}' of version {VERSION}, got {excerpt(document)}")
-    query = document.get("query", "")
-    if not is_text(query) and query != "":
-        raise FormatError(f"{where}: query: expected a text, got {excerpt(query)}")
+    document = as_document(document_in(content, where), where, FORMAT, VERSION)
     groups = _things(document.get("groups", []), f"{where}: groups", 0)
-    return Labels(_things(document.get("objects"), f"{where}: objects", len(groups)), groups, str(query))
+    things = _things(document.get("objects"), f"{where}: objects", len(groups))
+    return Labels(things, groups, as_text(document.get("query", ""), f"{where}: query"))
 
 
 def _entry(thing: Thing) -> dict[str, object]:
     return {
         "name": thing.name,
         "score": float(thing.score),
-        "center": [float(x) for x in thing.center],
-        "extent": [float(x) for x in thing.extent],
-        "axes": [[float(x) for x in row] for row in thing.axes],
+        **{name: np.asarray(getattr(thing, name), np.float64).tolist() for name in ("center", "extent", "axes")},
         **({} if thing.parent == NO_GROUP else {"parent": int(thing.parent)}),
         **({} if thing.number < 0 else {"number": thing.number}),
     }
 
 
 def _things(entries: object, where: str, groups: int) -> tuple[Thing, ...]:
-    if not isinstance(entries, list):
-        raise FormatError(f"{where}: expected a list, got {excerpt(entries)}")
-    return tuple(_thing(entry, f"{where}: {number}", groups) for number, entry in enumerate(entries))
+    things: tuple[Thing, ...] = as_kind(entries, tuple[_thing, ...], where)  # type: ignore[valid-type]
+    for number, thing in enumerate(things):
+        if not NO_GROUP <= thing.parent < groups:
+            raise FormatError(f"{where}: {number}: parent: expected -1 to {groups - 1}, got {thing.parent}")
+    return things
 
 
-def _thing(entry: Any, where: str, groups: int) -> Thing:
-    if not isinstance(entry, dict) or not isinstance(entry.get("name"), str):
-        raise FormatError(f"{where}: expected an object with a name, got {excerpt(entry)}")
-    parent = as_count(entry.get("parent", NO_GROUP), f"{where}: parent")
-    if not NO_GROUP <= parent < max(groups, 0):
-        raise FormatError(f"{where}: parent: expected -1 to {groups - 1}, got {parent}")
-    return Thing(
-        entry["name"],
-        as_number(entry.get("score"), f"{where}: score"),
-        as_vector(entry.get("center"), 3, f"{where}: center"),
-        as_matrix(entry.get("axes"), 3, 3, f"{where}: axes"),
-        as_vector(entry.get("extent"), 3, f"{where}: extent"),
-        parent,
-        number=as_count(entry["number"], f"{where}: number") if "number" in entry else -1,
-    )
+def _thing(
+    name: str, score: float, center: Vector3, axes: Matrix3, extent: Vector3, parent: int = NO_GROUP, number: int = -1
+) -> Thing:
+    return Thing(name, score, center, axes, extent, parent, number=number)

@@ -19,8 +19,7 @@ from ..scene.encoders import EncoderIdentity
 from ..scene.masks.features import ViewFeatures
 from ..scene.masks.masks import LEVELS
 from .compact_features import read_compact, write_compact
-from .embedding_record import check_finished, embedded_by, finished_photos
-from .feature_files import COMPACT, EMBEDDINGS, MAPS, Form, stems
+from .embedding_record import COMPACT, EMBEDDINGS, MAPS, Form, check_finished, embedded_by, finished_photos, stems
 from .npy import map_npy, write_npy
 from .photo_files import by_folded, folded, listed, safe_name
 from .recognising import Kind, mistaken

@@ -11,13 +11,13 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ..base.arrays import Bool, Float64, Int64
+from ..base.arrays import Bool, Float64, Int64, Mask
 from ..errors import FormatError, InputError
-from .json_files import as_count, as_vector, excerpt, read_json
+from .json_files import as_fields, as_object, as_text, as_vector, excerpt, read_json
 from .photo_files import safe_name
 
 MAX_SIDE_PIXELS = 16384
@@ -45,12 +45,18 @@ class LabelledFrame:
     def categories(self) -> tuple[str, ...]:
         return tuple(sorted(self.polygons))
 
-    def mask(self, category: str) -> Bool[np.ndarray, "h w"]:
+    def mask(self, category: str) -> Mask:
         """Return all objects of the category in one."""
         united = np.zeros((self.height, self.width), bool)
         for polygon in self.polygons[category]:
             united |= fill_polygon(polygon, self.width, self.height)
         return united
+
+
+class _Info(NamedTuple):
+    width: int
+    height: int
+    name: str | None = None
 
 
 def read_lerf_labels(folder: Path) -> list[LabelledFrame]:
@@ -69,27 +75,21 @@ def read_lerf_frame(path: Path) -> LabelledFrame:
 
     Raises: InputError: there is no such file. FormatError: damaged; the message names file, object and field.
     """
-    document = read_json(path)
-    if not isinstance(document, dict) or not isinstance(document.get("info"), dict):
-        raise FormatError(f'{path}: expected a JSON object with "info" and "objects"')
-    info, objects = document["info"], document.get("objects")
-    width, height = (_side(info.get(key), f"{path}: info.{key}") for key in ("width", "height"))
-    name = info.get("name", path.name)
-    if not isinstance(name, str) or Path(safe_name(name, f"{path}: info.name")).stem != path.stem:
-        raise FormatError(f"{path}: info.name: expected '{path.stem}', got {excerpt(name)}")
-    if not isinstance(objects, list):
-        raise FormatError(f"{path}: objects: expected a list, got {excerpt(objects)}")
-    read = [_object(entry, (width, height), f"{path}: object {index}") for index, entry in enumerate(objects)]
+    document = as_fields(read_json(path), str(path), info=_Info, objects=list[object])
+    info = document["info"]
+    size = (_side(info.width, f"{path}: info.width"), _side(info.height, f"{path}: info.height"))
+    if info.name is not None and Path(safe_name(info.name, f"{path}: info.name")).stem != path.stem:
+        raise FormatError(f"{path}: info.name: expected '{path.stem}', got {excerpt(info.name)}")
+    read = [_object(entry, size, f"{path}: object {index}") for index, entry in enumerate(document["objects"])]
     return LabelledFrame(
         path.stem,
-        width,
-        height,
+        *size,
         _grouped((category, polygon) for category, polygon, _ in read),
         _grouped((category, box) for category, _, box in read),
     )
 
 
-def fill_polygon(polygon: Polygon, width: int, height: int) -> Bool[np.ndarray, "h w"]:
+def fill_polygon(polygon: Polygon, width: int, height: int) -> Mask:
     """Return the pixels inside (even-odd) or on the edge of a polygon of whole corners.
 
     The same pixels as OpenCV 5.0's `fillPoly` for corners within the frame; 4.10 draws edges a little
@@ -132,18 +132,16 @@ def _line(start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return start[0] + x, start[1] + (y if dy >= 0 else -y)
 
 
-def _side(value: object, where: str) -> int:
-    side = as_count(value, where)
+def _side(side: int, where: str) -> int:
     if not 1 <= side <= MAX_SIDE_PIXELS:
         raise FormatError(f"{where}: expected 1 to {MAX_SIDE_PIXELS} pixels, got {side}")
     return side
 
 
 def _object(entry: object, size: tuple[int, int], where: str) -> tuple[str, Polygon, Box]:
-    if not isinstance(entry, dict):
-        raise FormatError(f"{where}: expected an object, got {excerpt(entry)}")
-    category = entry.get("category")
-    if not isinstance(category, str) or not category.strip() or not category.isprintable():
+    entry = as_object(entry, where)
+    category = as_text(entry.get("category"), f"{where}: category")
+    if not category.strip() or not category.isprintable():
         raise FormatError(f"{where}: category: expected a text, got {excerpt(category)}")
     where = f"{where} ({category[:60]!a})"
     polygon = _polygon(entry.get("segmentation"), size, f"{where}: segmentation")

@@ -11,21 +11,18 @@ state at any time. Only added views are part of the capture.
 """
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Literal
 
-import numpy as np
-
-from ..base.arrays import Float64
+from ..base.arrays import Matrix4
 from ..base.contents import open_file
 from ..errors import DrSplatError, FormatError, InputError
 from ..scene.views import View
 from .checksums import check_seal, sealed
-from .feature_files import COMPACT
-from .json_files import as_count, as_matrix, as_number, as_vector, document_in, excerpt, is_text
+from .embedding_record import COMPACT
+from .json_files import as_count, as_document, as_kind, as_matrix, as_number, as_vector, document_in
 from .photo_files import PHOTO_SUFFIXES, on_raster, safe_name
 from .poses import pinhole, pose, posed_view, rotation_from_quaternion
 from .replacing import replacing, sync_folder
@@ -211,7 +208,7 @@ def read_live_views(capture: Path) -> list[View]:
     return [live.posed(view) for view in live.every("added")]
 
 
-def _cam_from_world(sent: Mapping[str, object], where: str) -> Float64[np.ndarray, "4 4"]:
+def _cam_from_world(sent: Mapping[str, object], where: str) -> Matrix4:
     """Return the pose in the form that it was sent. Raises: FormatError: not exactly one form, or no rigid motion."""
     forms = [name for name in POSES if _has(sent, name)]
     if len(forms) != 1 or ("quaternion" in forms) != _has(sent, "translation"):
@@ -247,18 +244,9 @@ def _read(path: Path, state: State) -> LiveView | None:
             document = document_in(file.read(), str(path))
     except FileNotFoundError:
         return None
-    if not isinstance(document, dict) or document.pop("format", None) != FORMAT:
-        raise FormatError(f"{path}: expected '{FORMAT}', got {excerpt(document)}. {CURE}")
-    check_seal({"format": FORMAT, **document}, f"{path}", cure=CURE)
-    values = {name: value for name, value in document.items() if name in LiveView.__dataclass_fields__}
-    try:
-        view = replace(LiveView(**values), state=state)
-        times = [view.arrived, view.ended, view.time or 0.0]
-        is_sound = all(map(is_text, (view.name, view.content, view.reason))) and all(map(math.isfinite, times))
-        maps = isinstance(view.pose, dict) and isinstance(view.lens, dict)
-    except (TypeError, AttributeError):
-        is_sound = maps = False
-    if not (is_sound and maps and live_name(view.name) == view.name):
+    check_seal(as_document(document, str(path), FORMAT, cure=CURE), f"{path}", cure=CURE)
+    view: LiveView = replace(as_kind(document, LiveView, str(path)), state=state)
+    if live_name(view.name) != view.name:
         raise FormatError(f"{path}: damaged: expected a view as it was written. {CURE}")
     return view
 

@@ -16,10 +16,10 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from ..base.arrays import Bool, Float, Float64, Int64, UInt8
+from ..base.arrays import Bool, Float, Float64, Indices, Int64, Mask, UInt8
 from ..base.contents import file_text
 from ..errors import FormatError, InputError
-from .json_files import as_count, as_number, excerpt
+from .json_files import as_count, as_number, as_object, as_text, excerpt
 from .photo_files import safe_name
 
 _FIRST_CODE = 48
@@ -50,7 +50,7 @@ class AnnotatedPhoto:
 class Runs:
     """Run lengths of a mask: numbers, or COCO's compressed text of them."""
 
-    counts: Int64[np.ndarray, " n"] | str
+    counts: Indices | str
     height: int
     width: int
 
@@ -80,7 +80,7 @@ class Annotations:
     categories: Mapping[int, str]
     instances: tuple[Instance, ...]
 
-    def mask(self, instance: Instance) -> Bool[np.ndarray, "h w"]:
+    def mask(self, instance: Instance) -> Mask:
         """Return the pixels of an instance; polygons are filled by `lvis.fill_polygon` and united.
 
         Raises: FormatError: runs that do not fit the photo.
@@ -159,8 +159,7 @@ def _array(values: object, dtype: type[np.float64] | type[np.int64]) -> object:
 def _by_id(entries: list[object], what: str, parse: Callable[[dict[str, object], int, str], T]) -> dict[int, T]:
     found: dict[int, T] = {}
     for place, entry in enumerate(entries):
-        if not isinstance(entry, dict):
-            raise FormatError(f"{what} at place {place}: expected an object, got {excerpt(entry)}")
+        entry = as_object(entry, f"{what} at place {place}")
         number = as_count(entry.get("id"), f"{what} at place {place}: id")
         if number in found:
             raise FormatError(f"{what} {number}: the id occurs twice")
@@ -190,10 +189,7 @@ def _photo_name(entry: dict[str, object], where: str) -> str:
 
 
 def _category(entry: dict[str, object], number: int, where: str) -> str:
-    name = entry.get("name")
-    if not isinstance(name, str):
-        raise FormatError(f"{where}: name: expected text, got {excerpt(name)}")
-    return name
+    return as_text(entry.get("name"), f"{where}: name")
 
 
 def _instance(entry: dict[str, object], number: int, where: str) -> Instance:
@@ -242,7 +238,7 @@ def _check_links(
         )
 
 
-def decode_runs(counts: Int64[np.ndarray, " n"], height: int, width: int, where: str) -> Bool[np.ndarray, "h w"]:
+def decode_runs(counts: Indices, height: int, width: int, where: str) -> Mask:
     """Return the mask of run lengths, the first of which are pixels outside.
 
     Raises: FormatError: a negative length, or lengths that do not add up to the image. Nothing is
@@ -260,7 +256,7 @@ def decode_runs(counts: Int64[np.ndarray, " n"], height: int, width: int, where:
     return mask
 
 
-def unpack_counts(text: str, where: str) -> Int64[np.ndarray, " n"]:
+def unpack_counts(text: str, where: str) -> Indices:
     """Run lengths from COCO's compressed text.
 
     A number is a row of characters, each 48 plus five bits, lowest first; 32 says that more follow, and the fifth bit
@@ -296,7 +292,7 @@ def _codes(text: str, where: str) -> UInt8[np.ndarray, " c"]:
     return codes
 
 
-def fill_polygon(points: Float[np.ndarray, "v 2"], height: int, width: int) -> Bool[np.ndarray, "h w"]:
+def fill_polygon(points: Float[np.ndarray, "v 2"], height: int, width: int) -> Mask:
     """Return the pixels whose centres lie inside a closed polygon, by the even-odd rule.
 
     points: x, y in pixels; the centre of pixel (0, 0) is at (0.5, 0.5), a centre on a left or upper

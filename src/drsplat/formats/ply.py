@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64, Shaped, UInt8
+from ..base.arrays import Colors, Float32, Points, Shaped
 from ..base.contents import file_bytes
 from ..errors import DrSplatWarning, FormatError, InputError, placed
 from .replacing import replacing
@@ -298,7 +298,7 @@ def _code(name: str, column: Shaped[np.ndarray, " n"]) -> str:
     return "<" + code
 
 
-def read_point_ply(path: str | PathLike[str]) -> tuple[Float64[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
+def read_point_ply(path: str | PathLike[str]) -> tuple[Points, Colors]:
     """Return the positions and RGB of the element `vertex`, in file order; other elements and properties are left out.
 
     red, green and blue are whole numbers up to 255, or fractions up to 1; without them points are grey.
@@ -328,7 +328,7 @@ def _points(rows: Records) -> tuple[np.ndarray, np.ndarray]:
     return positions, _bytes(np.stack([rows[name] for name in COLORS], axis=1))
 
 
-def _bytes(colors: np.ndarray) -> UInt8[np.ndarray, "n 3"]:
+def _bytes(colors: np.ndarray) -> Colors:
     with np.errstate(all="ignore"):  # judged below
         scaled = colors * 255.0 if colors.dtype.kind == "f" else colors.astype(np.float64)
     if not ((scaled >= 0) & (scaled <= 255)).all():

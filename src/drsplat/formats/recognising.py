@@ -11,7 +11,7 @@ from pathlib import Path
 from ..base.contents import open_file
 from ..errors import DrSplatError, FormatError, InputError, did_you_mean
 from .colmap import find_models
-from .feature_files import COMPACT, EMBEDDINGS
+from .embedding_record import COMPACT, EMBEDDINGS
 from .field_folder import MANIFEST
 from .known import SCENE_SUFFIXES
 from .photo_files import PHOTO_SUFFIXES

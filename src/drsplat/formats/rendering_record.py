@@ -9,17 +9,14 @@ num_pictures      how many there are
 coverage          what they show of the scene
 """
 
-import json
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from ..errors import FormatError
 from ..scene.views import View
 from .checksums import check_seal, sealed
-from .json_files import excerpt, is_text, read_json
+from .json_files import as_document, as_fields, as_kind, read_json, write_json
 from .photo_files import capture_folder
-from .replacing import replacing
 
 RECORD = "photograph.json"
 FORMAT, VERSION = "drsplat photograph", 1
@@ -28,9 +25,7 @@ CURE = "Make the pictures again with `drsplat photograph`"
 
 def write_rendering_record(folder: Path, record: Mapping[str, object]) -> None:
     """Write the record of a folder. Raises: InputError: there is one, or the disk is full."""
-    document = sealed({"format": FORMAT, "version": VERSION, **record})
-    with replacing(folder / RECORD) as file:
-        file.write((json.dumps(document, indent=1) + "\n").encode())
+    write_json(folder / RECORD, sealed({"format": FORMAT, "version": VERSION, **record}))
 
 
 def read_rendering_record(folder: Path) -> dict[str, object] | None:
@@ -41,19 +36,14 @@ def read_rendering_record(folder: Path) -> dict[str, object] | None:
     path = folder / RECORD
     if not path.is_file():
         return None
-    record = read_json(path)
-    if not isinstance(record, dict) or (record.get("format"), record.get("version")) != (FORMAT, VERSION):
-        raise FormatError(f"{path}: expected the record of rendered pictures, version {VERSION}")
+    record = as_document(read_json(path), str(path), FORMAT, VERSION)
     check_seal(record, f"{path}", cure=CURE)
     return record
 
 
 def rendered_from(record: Mapping[str, object], where: str) -> str:
     """Return the scene of a record, its name and fingerprint. Raises: FormatError: there is none."""
-    scene = record.get("scene")
-    name, fingerprint = (scene.get(key) for key in ("name", "fingerprint")) if isinstance(scene, dict) else (None, None)
-    if not is_text(name) or not is_text(fingerprint):
-        raise FormatError(f"{where}: expected the scene's name and fingerprint, got {excerpt(scene)}. {CURE}")
+    name, fingerprint = as_fields(record.get("scene"), f"{where}: scene", name=str, fingerprint=str).values()
     return f"{name} ({fingerprint})"
 
 
@@ -69,7 +59,5 @@ def with_renderings(views: list[View], capture: Path) -> list[View]:
     if record is None:
         return views
     where = str(folder / RECORD)
-    source, time = rendered_from(record, where), record.get("time")
-    if not (time is None or isinstance(time, float)):
-        raise FormatError(f"{where}: time: expected a number or null, got {excerpt(time)}. {CURE}")
+    source, time = rendered_from(record, where), as_kind(record.get("time"), float | None, f"{where}: time")
     return [replace(view, rendered_from=source, time=view.time if time is None else time) for view in views]

@@ -73,6 +73,12 @@ def replacing(path: str | os.PathLike[str], overwrite: bool = False) -> Iterator
                 temporary.unlink(missing_ok=True)
 
 
+def take_over(made: Path, path: Path, overwrite: bool) -> None:
+    """Write a file with what another library has made of it elsewhere. Raises: as `replacing`."""
+    with replacing(path, overwrite) as file, made.open("rb") as source:
+        shutil.copyfileobj(source, file, 1 << 20)
+
+
 @contextmanager
 def together() -> Iterator[None]:
     """Let files that are written in the block take their names at its end, one right after the other.

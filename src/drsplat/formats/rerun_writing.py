@@ -4,7 +4,6 @@ A scene that moves has all of its times on the timeline "time", with the tracks 
 Rerun's splats are marked unstable in its SDK (0.41). Axes are those of the scene.
 """
 
-import shutil
 import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
@@ -20,8 +19,8 @@ from ..scene.labelled import LabelledScene, Thing
 from ..scene.moving import Moving
 from ..scene.similarity import quaternion_of
 from ..scene.views import View
-from .replacing import replacing
-from .writable import refuse_unwritable
+from .activation import refuse_unwritable
+from .replacing import take_over
 
 INSTALL = 'pip install "drsplat[rerun]"'
 TIMELINE = "time"
@@ -44,8 +43,7 @@ def write_rrd(path: Path, scene: LabelledScene, overwrite: bool = False) -> None
         _log(rerun, stream, scene)
         stream.flush()
         stream.disconnect()
-        with replacing(path, overwrite) as file, made.open("rb") as source:
-            shutil.copyfileobj(source, file, 1 << 20)
+        take_over(made, path, overwrite)
 
 
 def _sdk() -> Any:

@@ -7,17 +7,21 @@ models            segmenter and encoder that embedded the photos
 stages            by name: options, whether it is done, its seconds and what it answered
 """
 
-import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from ..errors import FormatError
-from .json_files import read_json
-from .replacing import replacing
+from .json_files import as_document, as_fields, read_json, write_json
 
 RECORD = "scan.json"
 FORMAT, VERSION = "drsplat scan", 1
 MODEL, CAPTURE = "model", "capture"
+
+
+class _Stage(NamedTuple):
+    options: object
+
+
+_PARTS = {"input": dict[str, object], "capture": str, "models": dict[str, object], "stages": dict[str, _Stage]}
 
 
 def read_scan_record(folder: Path) -> dict[str, Any] | None:
@@ -28,24 +32,15 @@ def read_scan_record(folder: Path) -> dict[str, Any] | None:
     path = folder / RECORD
     if not path.is_file():
         return None
-    record = read_json(path)
-    sound = isinstance(record, dict) and record.get("format") == FORMAT
-    if not sound or not isinstance(record, dict) or record.get("version") != VERSION:
-        raise FormatError(f"{path}: expected the record of a scan, version {VERSION}")
-    parts = {"input": dict, "capture": str, "models": dict, "stages": dict}
-    for name, kind in parts.items():
-        if not isinstance(record.get(name), kind):
-            raise FormatError(f"{path}: expected {name} as `drsplat scan` writes it")
-    if any(not isinstance(stage, dict) or "options" not in stage for stage in record["stages"].values()):
-        raise FormatError(f"{path}: expected stages as `drsplat scan` writes them")
+    record = as_document(read_json(path), str(path), FORMAT, VERSION)
+    as_fields(record, f"{path}: as `drsplat scan` writes it", **_PARTS)
     return record
 
 
 def write_scan_record(folder: Path, record: dict[str, Any]) -> None:
     """Replace the record of a folder. Raises: InputError: the disk is full."""
     document = {"format": FORMAT, "version": VERSION, **record}
-    with replacing(folder / RECORD, overwrite=True) as file:
-        file.write(json.dumps(document, indent=1, default=_plain).encode())
+    write_json(folder / RECORD, document, overwrite=True, end="", default=_plain)
 
 
 def _plain(value: object) -> object:

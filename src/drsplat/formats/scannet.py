@@ -11,13 +11,14 @@ Source: Dai et al. 2017 (ScanNet), its README; Rozenberszki et al. 2022 (ScanNet
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float32, Int32
+from ..base.arrays import Ids, Vectors
 from ..base.contents import file_bytes, file_text
 from ..errors import FormatError, InputError, MismatchError
-from .json_files import excerpt, read_json
+from .json_files import as_fields, read_json
 from .ply import gather, read_elements, read_header
 
 MAX_LABEL = 1 << 20
@@ -29,8 +30,8 @@ TABLE_NAME = "scannetv2-labels.combined.tsv"
 class LabelledCloud:
     """World positions in metres and a label of each, 0 for none."""
 
-    positions: Float32[np.ndarray, "n 3"]
-    labels: Int32[np.ndarray, " n"]
+    positions: Vectors
+    labels: Ids
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +41,13 @@ class Instances:
     names: the raw category of each object.
     """
 
-    objects: Int32[np.ndarray, " n"]
+    objects: Ids
     names: tuple[str, ...]
+
+
+class _Group(NamedTuple):
+    label: str
+    segments: object
 
 
 def scene_file(scene: Path, ending: str) -> Path:
@@ -81,18 +87,13 @@ def read_scannet_instances(segments: Path, aggregation: Path) -> Instances:
     Raises: InputError: there is no such file. FormatError: damaged; the message names the group and the field.
     """
     of_vertex = _segment_ids(segments)
-    document = read_json(aggregation)
-    groups = document.get("segGroups") if isinstance(document, dict) else None
-    if not isinstance(groups, list):
-        raise FormatError(f'{aggregation}: expected a JSON object with a list "segGroups"')
+    groups = as_fields(read_json(aggregation), str(aggregation), segGroups=list[_Group])["segGroups"]
     present, inverse = np.unique(of_vertex, return_inverse=True)
     owner = np.full(len(present), -1, np.int32)
-    names = []
     for index, group in enumerate(groups):
-        name, members = _group(group, f"{aggregation}: segGroups {index}")
+        members = _whole(group.segments, f"{aggregation}: segGroups: {index} ({group.label[:60]!a}): segments")
         owner[np.isin(present, members)] = index
-        names.append(name)
-    return Instances(owner[inverse.reshape(-1)], tuple(names))
+    return Instances(owner[inverse.reshape(-1)], tuple(group.label for group in groups))
 
 
 def read_label_table(path: Path) -> dict[str, int]:
@@ -123,7 +124,7 @@ def read_label_table(path: Path) -> dict[str, int]:
     return table
 
 
-def raw_category_labels(instances: Instances, table: Mapping[str, int]) -> Int32[np.ndarray, " n"]:
+def raw_category_labels(instances: Instances, table: Mapping[str, int]) -> Ids:
     """Return the category id of each vertex's object; 0 without one, or where the table has no such name."""
     ids = np.array([table.get(name, 0) for name in instances.names] + [0], np.int32)
     labels: np.ndarray = ids[instances.objects]
@@ -149,7 +150,7 @@ def _vertices(path: Path) -> np.ndarray:
         raise FormatError(f"{path}: {error}") from error
 
 
-def _positions(rows: np.ndarray, path: Path) -> Float32[np.ndarray, "n 3"]:
+def _positions(rows: np.ndarray, path: Path) -> Vectors:
     missing = [name for name in "xyz" if name not in (rows.dtype.names or ())]
     if missing:
         raise FormatError(f"{path}: vertex has no {', '.join(missing)}")
@@ -162,21 +163,11 @@ def _positions(rows: np.ndarray, path: Path) -> Float32[np.ndarray, "n 3"]:
 
 
 def _segment_ids(path: Path) -> np.ndarray:
-    document = read_json(path)
-    ids = document.get("segIndices") if isinstance(document, dict) else None
-    if not isinstance(ids, list) or not all(type(item) is int for item in ids):
-        raise FormatError(f"{path}: segIndices: expected a list of whole numbers")
-    if any(abs(item) >= 1 << 62 for item in ids):
-        raise FormatError(f"{path}: segIndices: a number that no segment has")
-    return np.array(ids, np.int64)
+    return _whole(as_fields(read_json(path), str(path), segIndices=object)["segIndices"], f"{path}: segIndices")
 
 
-def _group(group: object, where: str) -> tuple[str, np.ndarray]:
-    if not isinstance(group, dict):
-        raise FormatError(f"{where}: expected an object, got {excerpt(group)}")
-    name, members = group.get("label"), group.get("segments")
-    if not isinstance(name, str):
-        raise FormatError(f"{where}: label: expected a text, got {excerpt(name)}")
-    if not isinstance(members, list) or not all(type(item) is int and abs(item) < 1 << 62 for item in members):
-        raise FormatError(f"{where} ({name[:60]!a}): segments: expected a list of whole numbers")
-    return name, np.array(members, np.int64)
+def _whole(numbers: object, where: str) -> np.ndarray:
+    """Return numbers of segments, millions of them."""
+    if not isinstance(numbers, list) or not all(type(item) is int and abs(item) < 1 << 62 for item in numbers):
+        raise FormatError(f"{where}: expected a list of whole numbers of segments")
+    return np.array(numbers, np.int64)

@@ -11,7 +11,7 @@ from ..scene.gaussians import Gaussians
 from ..scene.units import lost_precision
 from .known import format_at, parse_gaussians
 from .recognising import Kind, mistaken, recognised
-from .sog_files import META
+from .sog import META
 from .streamed_sog import LOD_META
 from .tiles import TILES
 

@@ -12,25 +12,180 @@ relevancy, comes back in `extra`.
 Axes are those of the PLY that it was made from, as splat-transform reads and writes it.
 
 Source: developer.playcanvas.com, "The SOG Format"; splat-transform's readers for version 1.
+
+The files of a SOG: a folder beside its meta.json, or a ZIP of them; and what a lossless WebP says of its size.
+
+Nothing is unfolded before its size is known and plausible: names are bare, an archive has few members, none
+of them is larger than the archive (WebP does not shrink any more), and a picture is decoded once its header
+has the size that was asked for.
+
+Source: PKWARE APPNOTE.TXT 6.3 (ZIP); RFC 9649 (WebP).
 """
 
-import json
-from collections.abc import Mapping
+import io
+import struct
+from collections.abc import Callable, Mapping
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Float32, UInt8
-from ..base.contents import file_bytes
+from ..base.arrays import Float32, Harmonics, Numbers, Quats, UInt8, Vector3, Vectors
+from ..base.contents import file_bytes, open_file
 from ..errors import FormatError
 from ..scene.gaussians import Gaussians, flat
 from .activation import checked, exp, from_smallest_three, sigmoid
-from .json_files import as_count, as_number, as_vector, excerpt
+from .json_files import as_count, as_kind, as_number, as_object, as_vector, document_in, excerpt
 from .labels import Labels, parse_labels
-from .sog_files import META, Member, folder_member, webp_pixels, webp_size, zip_member
 from .spz import refuse_implausible
+
+META = "meta.json"
+MAX_META_BYTES = 1 << 20
+MAX_MEMBERS = 64
+MAX_DIRECTORY_BYTES = 1 << 16
+ZIP_MAGIC = b"PK\x03\x04"
+_END = struct.Struct("<4s4H2IH")  # of the central directory
+_MAX_COMMENT_BYTES = 1 << 16
+
+Member = Callable[[str], bytes]
+"""The bytes of a file by its name."""
+
+
+def folder_member(folder: Path) -> Member:
+    """Return a reader of the files beside meta.json. It raises FormatError: a name that leads elsewhere."""
+
+    def read(name: str) -> bytes:
+        path = folder / _bare(name)
+        if not path.is_file():
+            raise FormatError(f"{folder}: there is no file '{name}', which {META} names")
+        limit = MAX_META_BYTES if name == META else path.stat().st_size
+        with open_file(path) as file:
+            content = file.read(limit + 1)
+        if len(content) > limit:
+            raise FormatError(f"{path}: more than {limit} bytes")
+        return content
+
+    return read
+
+
+def beside(document: Path, name: object) -> Path:
+    """Return the path of a file that a document names relative to its own folder.
+
+    Raises: FormatError: the name leads out of the folder, or is none.
+    """
+    path = (
+        PurePosixPath(name) if isinstance(name, str) and "\\" not in name and "\0" not in name else PurePosixPath("/")
+    )
+    if path.is_absolute() or ".." in path.parts or not path.name:
+        raise FormatError(f"{document}: expected the path of a file in this folder, got {excerpt(name)}")
+    return document.parent / path
+
+
+def zip_member(buffer: memoryview) -> Member:
+    """Return the members at the root of a ZIP.
+
+    Raises: FormatError, also when called: a damaged archive, too many members or two of one name; one
+    that is missing, encrypted or larger than the archive.
+    """
+    _refuse_large_directory(buffer)
+    import zipfile
+
+    try:
+        archive = zipfile.ZipFile(io.BytesIO(buffer))
+        found = archive.infolist()
+    except Exception as error:  # of damaged archives it raises anything
+        raise FormatError(f"SOG archive is damaged: {error}") from None
+    members = {info.filename: info for info in found}
+    if len(found) > MAX_MEMBERS or len(members) < len(found):
+        raise FormatError(
+            f"SOG archive of {len(found)} members with {len(members)} names: expected at most "
+            f"{MAX_MEMBERS}, each with its own"
+        )
+
+    def read(name: str) -> bytes:
+        info = members.get(_bare(name))
+        if info is None:
+            raise FormatError(f"SOG archive has no '{name}' at its root")
+        limit = MAX_META_BYTES if name == META else len(buffer)
+        try:
+            with archive.open(info) as file:
+                content = file.read(limit + 1)
+        except Exception as error:  # as above
+            raise FormatError(f"SOG archive is damaged at '{name}': {error}") from None
+        if len(content) > limit:
+            raise FormatError(f"'{name}' unfolds to more than {limit} bytes: a decompression bomb")
+        return content
+
+    return read
+
+
+def _bare(name: str) -> str:
+    if set(name) & set("/\\:\0") or name in ("", ".", ".."):
+        raise FormatError(f"expected the name of a file beside {META}, got {excerpt(name)}")
+    return name
+
+
+def _refuse_large_directory(buffer: memoryview) -> None:
+    """Refuse a directory whose entries, which are all read at once, have too many bytes."""
+    tail = bytes(buffer[-(_END.size + _MAX_COMMENT_BYTES) :])
+    at = tail.rfind(b"PK\x05\x06")
+    if at < 0 or at + _END.size > len(tail):
+        raise FormatError("SOG archive is truncated: a ZIP ends with its directory")
+    _, _, _, _, count, size, start, _ = _END.unpack_from(tail, at)
+    if count > MAX_MEMBERS or size > MAX_DIRECTORY_BYTES or start + size > len(buffer):
+        raise FormatError(
+            f"SOG archive claims {count} members in a directory of {size} bytes at {start}: expected "
+            f"at most {MAX_MEMBERS} in {MAX_DIRECTORY_BYTES}, within its {len(buffer)} bytes"
+        )
+
+
+def webp_size(data: bytes, name: str) -> tuple[int, int]:
+    """Return the width and height that a lossless WebP declares.
+
+    Raises: FormatError: no WebP; a lossy or animated one, whose numbers are not what was stored.
+    """
+    if data[:4] != b"RIFF" or data[8:12] != b"WEBP":
+        raise FormatError(f"'{name}' is no WebP: it begins with {data[:12]!r}")
+    at, canvas = 12, None
+    while at + 18 <= len(data):
+        kind, size = data[at : at + 4], struct.unpack_from("<I", data, at + 4)[0]
+        body = at + 8
+        if kind == b"VP8X":
+            canvas = tuple(int.from_bytes(data[body + k : body + k + 3], "little") + 1 for k in (4, 7))
+        elif kind == b"VP8L" and data[body] == 0x2F:
+            bits = struct.unpack_from("<I", data, body + 1)[0]
+            width, height = (bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1
+            if canvas not in (None, (width, height)):
+                raise FormatError(f"'{name}' is {width}x{height} pixels on a canvas of {canvas}")
+            return width, height
+        elif kind in (b"VP8 ", b"ANIM", b"ANMF", b"VP8L"):
+            raise FormatError(
+                f"'{name}' is no lossless WebP of one picture: its values are not those that were "
+                "stored; export the scene again"
+            )
+        at = body + size + size % 2
+    raise FormatError(f"'{name}' is a WebP without a picture")
+
+
+def webp_pixels(data: bytes, name: str) -> UInt8[np.ndarray, "h w 4"]:
+    """Return RGBA as stored; only once `webp_size` has been judged.
+
+    Raises: FormatError: it cannot be decoded, or is not of the size that it declares.
+    """
+    from PIL import Image
+
+    size = webp_size(data, name)
+    try:
+        with Image.open(io.BytesIO(data), formats=("WEBP",)) as picture:
+            same = picture.size == size and getattr(picture, "n_frames", 1) == 1
+            pixels = np.asarray(picture.convert("RGBA")) if same else None
+    except Exception as error:  # decoders of damaged files raise anything
+        raise FormatError(f"'{name}' cannot be decoded: {error}") from None
+    if pixels is None:
+        raise FormatError(f"'{name}' is not the one picture of {size} that it declares")
+    return pixels
+
 
 REST_COEFFICIENTS = (0, 3, 8, 15)  # of each channel without the constant one, by degree
 PALETTE_ROW_ENTRIES = 64
@@ -70,6 +225,7 @@ class _Sog:
     def __init__(self, member: Member) -> None:
         self.member = member
         self.meta = _document(member(META))
+        self.own = _part(self.meta, OWN) if OWN in self.meta else {}
         version = self.meta.get("version")
         if version not in (None, 2) or isinstance(version, bool):
             raise FormatError(f"SOG version {excerpt(version)}; 1 and 2 can be read: export it again")
@@ -89,21 +245,17 @@ class _Sog:
         scales = flat(scales[:, :2]) if model == SURFELS else scales
         sh = self._harmonics(colours)
         gaussians = checked(means, quats, scales, opacities, sh, self._own_columns(), model == ANTIALIASED)
-        origin = _part(self.meta, OWN).get("origin") if OWN in self.meta else None
-        return gaussians if origin is None else replace(gaussians, origin=as_vector(origin, 3, f"{META}: origin"))
+        origin = as_kind(self.own.get("origin"), Vector3 | None, f"{META}: origin")
+        return gaussians if origin is None else replace(gaussians, origin=origin)
 
     def labels(self) -> Labels:
         """Return the names and boxes of objects that drsplat wrote beside; none in files of other programs."""
-        name = _part(self.meta, OWN).get("labels") if OWN in self.meta else None
-        if name is None:
-            return Labels()
-        if not isinstance(name, str):
-            raise FormatError(f"{META}: {OWN}: labels: expected the name of a file, got {excerpt(name)}")
-        return parse_labels(self.member(name), name)
+        name = as_kind(self.own.get("labels"), str | None, f"{META}: {OWN}: labels")
+        return Labels() if name is None else parse_labels(self.member(name), name)
 
     def _own_columns(self) -> dict[str, np.ndarray]:
         """Return the object of each Gaussian, -1 for none, and its relevancy, as far as they are there."""
-        own = _part(self.meta, OWN) if OWN in self.meta else {}
+        own = self.own
         columns: dict[str, np.ndarray] = {}
         if "object_id" in own:
             low, middle, high = self._plane_of(own, "object_id")[:, :3].T.astype(np.int32)
@@ -143,13 +295,13 @@ class _Sog:
         book = as_vector(_part(self.meta, part).get("codebook"), 256, f"{META}: {part}: codebook")
         return np.asarray(book.astype(np.float32)[codes])
 
-    def _means(self) -> Float32[np.ndarray, "n 3"]:
+    def _means(self) -> Vectors:
         low, high = (self._plane("means", place)[:, :3].astype(np.uint16) for place in (0, 1))
         logs = self._between("means", low | high << 8, 65535).astype(np.float64)
         means: np.ndarray = np.sign(logs) * np.expm1(np.abs(logs))
         return means.astype(np.float32)
 
-    def _quats(self) -> Float32[np.ndarray, "n 4"]:
+    def _quats(self) -> Quats:
         plane = self._plane("quats")
         bad = np.flatnonzero(plane[:, 3] < _FIRST_TAG)
         if len(bad):
@@ -160,23 +312,23 @@ class _Sog:
         three = (plane[:, :3] / np.float32(127.5) - 1) * np.float32(0.5**0.5)
         return from_smallest_three(three.astype(np.float32), plane[:, 3] - np.uint8(_FIRST_TAG))
 
-    def _scales(self) -> Float32[np.ndarray, "n 3"]:
+    def _scales(self) -> Vectors:
         sizes = self._plane("scales")[:, :3]
         return exp(self._between("scales", sizes, 255) if self.legacy else self._looked_up("scales", sizes))
 
-    def _opacities(self, colours: Bytes) -> Float32[np.ndarray, " n"]:
+    def _opacities(self, colours: Bytes) -> Numbers:
         if self.legacy:
             return sigmoid(self._between("sh0", colours, 255)[:, 3])
         return np.asarray(colours[:, 3] / np.float32(255))
 
-    def _harmonics(self, colours: Bytes) -> Float32[np.ndarray, "n k 3"]:
+    def _harmonics(self, colours: Bytes) -> Harmonics:
         if self.legacy:
             first = self._between("sh0", colours, 255)[:, None, :3]
         else:
             first = self._looked_up("sh0", colours[:, None, :3])
         return np.concatenate([first, self._further()], axis=1) if "shN" in self.meta else first
 
-    def _further(self) -> Float32[np.ndarray, "n k 3"]:
+    def _further(self) -> Harmonics:
         palette = self._palette()
         labels = self._plane("shN", 1)[:, :2].astype(np.uint16)
         chosen = labels[:, 0] | labels[:, 1] << 8
@@ -217,13 +369,10 @@ class _Sog:
 
 
 def _document(data: bytes) -> dict[str, Any]:
-    try:
-        found = json.loads(data.decode("utf-8-sig"))
-    except (ValueError, RecursionError) as error:
-        raise FormatError(f"{META}: expected JSON: {error}") from None
+    found = document_in(data, META)
     if not is_sog_meta(found):
         raise FormatError(f"{META}: expected that of a SOG, with means, scales, quats and sh0")
-    return dict(found)
+    return as_object(found, META)
 
 
 def is_sog_meta(document: object) -> bool:
@@ -234,16 +383,11 @@ def is_sog_meta(document: object) -> bool:
 
 
 def _part(meta: Mapping[str, Any], name: str) -> Mapping[str, Any]:
-    found = meta.get(name)
-    if not isinstance(found, dict):
-        raise FormatError(f"{META}: {name}: expected an object, got {excerpt(found)}")
-    return found
+    return as_object(meta.get(name), f"{META}: {name}")
 
 
 def _file(meta: Mapping[str, Any], part: str, place: int) -> str:
-    files = _part(meta, part).get("files")
-    if not isinstance(files, list) or not all(isinstance(name, str) for name in files):
-        raise FormatError(f"{META}: {part}: files: expected a list of names, got {excerpt(files)}")
+    files = as_kind(_part(meta, part).get("files"), list[str], f"{META}: {part}: files")
     if place >= len(files):
         raise FormatError(f"{META}: {part}: expected {place + 1} files, got {len(files)}")
     return str(files[place])

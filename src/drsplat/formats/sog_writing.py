@@ -19,17 +19,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64, Integer, UInt8, UInt16
+from ..base.arrays import Doubles, Float32, Float64, Harmonics, Integer, Numbers, Quats, UInt8, UInt16, Vectors
 from ..errors import InputError
 from ..kernels import pq_encode
 from ..kernels.kmeans import train_centroids
 from ..scene.gaussians import Gaussians
 from ..scene.labelled import LabelledScene
 from ..scene.morton import morton_order
+from .activation import refuse_unwritable
 from .labels import has_labels, labels_bytes
-from .sog import ANTIALIASED, MAX_PALETTE_ENTRIES, OWN, PALETTE_ROW_ENTRIES, SURFELS
-from .sog_files import META
-from .writable import refuse_unwritable
+from .sog import ANTIALIASED, MAX_PALETTE_ENTRIES, META, OWN, PALETTE_ROW_ENTRIES, SURFELS
 
 VERSION, GENERATOR = 2, "drsplat"
 CODEBOOK_ENTRIES = 256
@@ -165,14 +164,14 @@ def codebook(values: Float32[np.ndarray, "..."], importance: Importance = np.one
     return np.sort(book)
 
 
-def _spread(ascending: Float64[np.ndarray, " n"], weights: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " c"]:
+def _spread(ascending: Doubles, weights: Doubles) -> Float64[np.ndarray, " c"]:
     counted, edges = np.histogram(ascending, HISTOGRAM_BINS, weights=weights)
     reached = np.concatenate([[0.0], np.cumsum(np.cbrt(counted))])
     book: np.ndarray = np.interp((np.arange(CODEBOOK_ENTRIES) + 0.5) / CODEBOOK_ENTRIES * reached[-1], reached, edges)
     return book
 
 
-def sizes(logs: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+def sizes(logs: Doubles) -> Doubles:
     """Return what squared errors of logarithms of scales weigh: the scale.
 
     It lies between the logarithm alone, which weighs 1, and what a picture sees: edges move by the error times the
@@ -182,7 +181,7 @@ def sizes(logs: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
     return weights
 
 
-def _means(means: Float32[np.ndarray, "n 3"]) -> tuple[dict[str, object], dict[str, bytes]]:
+def _means(means: Vectors) -> tuple[dict[str, object], dict[str, bytes]]:
     logs = np.sign(means) * np.log1p(np.abs(means.astype(np.float64)))
     low, high = logs.min(0), logs.max(0)
     steps = np.rint((logs - low) / np.where(high > low, high - low, 1) * 65535).astype(np.uint16)
@@ -194,7 +193,7 @@ def low_bytes(values: Integer[np.ndarray, "..."]) -> UInt8[np.ndarray, "..."]:
     return np.asarray(values & 255).astype(np.uint8)
 
 
-def _quats(quats: Float32[np.ndarray, "n 4"]) -> UInt8[np.ndarray, "n 4"]:
+def _quats(quats: Quats) -> UInt8[np.ndarray, "n 4"]:
     largest = np.abs(quats).argmax(1)
     signs = np.where(np.take_along_axis(quats, largest[:, None], 1) < 0, -1, 1)
     three = np.take_along_axis(quats, OTHER_COMPONENTS[largest], 1) * signs * np.sqrt(2)
@@ -202,7 +201,7 @@ def _quats(quats: Float32[np.ndarray, "n 4"]) -> UInt8[np.ndarray, "n 4"]:
     return np.column_stack([steps, FIRST_TAG + largest]).astype(np.uint8)
 
 
-def _further(rest: Float32[np.ndarray, "n k 3"]) -> tuple[dict[str, object], dict[str, bytes]]:
+def _further(rest: Harmonics) -> tuple[dict[str, object], dict[str, bytes]]:
     """Encode harmonics beyond the constant one as a palette and a label of each row."""
     coefficients = rest.shape[1]
     if not coefficients:
@@ -280,7 +279,7 @@ def _object_ids(object_of: Integer[np.ndarray, " n"]) -> tuple[Mapping[str, obje
     return {"files": [OBJECTS]}, picture(rows)
 
 
-def _relevancy(relevancy: Float32[np.ndarray, " n"]) -> tuple[Mapping[str, object], bytes]:
+def _relevancy(relevancy: Numbers) -> tuple[Mapping[str, object], bytes]:
     """Encode relevancies as 16 bits between the least and the greatest."""
     low, high = float(relevancy.min()), float(relevancy.max())
     steps = np.rint((relevancy.astype(np.float64) - low) / max(high - low, 1e-30) * 65535).astype(np.uint16)

@@ -7,14 +7,13 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from ..base.arrays import Bool, Float32, Float64, Integer
+from ..base.arrays import Flags, Matrix4, Numbers, Points, RowIds, Vector3
 from ..base.contents import file_bytes
 from ..errors import FormatError, InputError, placed
 from ..scene.gaussians import Gaussians
 from ..scene.similarity import IDENTITY, Similarity, similarity_of
-from .compressed_ply import is_compressed
-from .gaussian_ply import MEANS, SCALES, activated_columns, drawn_as_marked, gaussian_rows, gaussians_of
-from .json_files import as_matrix, as_vector, excerpt, is_text, read_json
+from .gaussian_ply import MEANS, SCALES, activated_columns, drawn_as_marked, gaussian_rows, gaussians_of, is_compressed
+from .json_files import as_kind, as_list, as_object, excerpt, read_json
 from .ply import Header, Records, read_header
 from .scenes import read_gaussians, scene_file
 from .streamed_sog import LOD_META, chunks_of
@@ -28,21 +27,27 @@ class Source(Protocol):
 
     @property
     def name(self) -> str: ...
-    def positions(self) -> Float64[np.ndarray, "n 3"]: ...
-    def sizes(self) -> Float32[np.ndarray, " n"]:
+    def positions(self) -> Points: ...
+    def sizes(self) -> Numbers:
         """Return the standard deviation along the longest axis."""
 
-    def gaussians(self, rows: Integer[np.ndarray, " m"]) -> Gaussians: ...
+    def gaussians(self, rows: RowIds) -> Gaussians: ...
 
 
 class Keep(NamedTuple):
     """A box of the world, the lower side included and the upper one not."""
 
-    low: Float64[np.ndarray, " 3"]
-    high: Float64[np.ndarray, " 3"]
+    low: Vector3
+    high: Vector3
 
-    def holds(self, positions: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+    def holds(self, positions: Points) -> Flags:
         return np.asarray(((positions >= self.low) & (positions < self.high)).all(axis=1))
+
+
+class _Entry(NamedTuple):
+    file: str
+    transform: Matrix4 | None = None
+    keep: Keep | None = None
 
 
 class Block(NamedTuple):
@@ -60,7 +65,7 @@ class _MappedPly:
         self.name, self._path, self._rows, self._header = path.name, path, rows, header
         self._activated = activated_columns(rows)
 
-    def positions(self) -> Float64[np.ndarray, "n 3"]:
+    def positions(self) -> Points:
         result = np.empty((len(self._rows), 3))
         for begin in range(0, len(result), BLOCK_ROWS):
             block = self._rows[begin : begin + BLOCK_ROWS]
@@ -68,7 +73,7 @@ class _MappedPly:
                 result[begin : begin + BLOCK_ROWS, axis] = block[name]
         return result
 
-    def sizes(self) -> Float32[np.ndarray, " n"]:
+    def sizes(self) -> Numbers:
         largest = np.full(len(self._rows), -np.inf, np.float32)
         for begin in range(0, len(largest), BLOCK_ROWS):
             block = self._rows[begin : begin + BLOCK_ROWS]
@@ -77,7 +82,7 @@ class _MappedPly:
         with np.errstate(over="ignore"):  # rows that are no Gaussians are told when they are read
             return largest if "scale" in self._activated else np.exp(largest)
 
-    def gaussians(self, rows: Integer[np.ndarray, " m"]) -> Gaussians:
+    def gaussians(self, rows: RowIds) -> Gaussians:
         try:
             return drawn_as_marked(gaussians_of(self._rows[rows], self._activated), self._header)
         except FormatError as error:
@@ -94,13 +99,13 @@ class _Whole:
     def _gaussians(self) -> Gaussians:
         return read_gaussians(self._path)
 
-    def positions(self) -> Float64[np.ndarray, "n 3"]:
+    def positions(self) -> Points:
         return self._gaussians.positions
 
-    def sizes(self) -> Float32[np.ndarray, " n"]:
+    def sizes(self) -> Numbers:
         return np.asarray(self._gaussians.scales.max(axis=1))
 
-    def gaussians(self, rows: Integer[np.ndarray, " m"]) -> Gaussians:
+    def gaussians(self, rows: RowIds) -> Gaussians:
         return self._gaussians.subset(rows)
 
 
@@ -134,31 +139,24 @@ def read_blocks(path: Path) -> list[Block]:
 
     Raises: InputError: a file that is missing. FormatError: another document.
     """
-    document = read_json(path)
-    if not isinstance(document, list) or not document:
-        raise FormatError(f"{path}: expected a list of blocks, got {excerpt(document)}")
-    return [block for number, entry in enumerate(document) for block in _blocks(entry, path, f"{path}: block {number}")]
+    entries = as_list(read_json(path), f"{path}: a list of blocks")
+    if not entries:
+        raise FormatError(f"{path}: expected a list of blocks, got an empty one")
+    return [block for number, entry in enumerate(entries) for block in _blocks(entry, path, f"{path}: block {number}")]
 
 
-def _blocks(entry: object, path: Path, where: str) -> list[Block]:
-    known = {"file", "transform", "keep"}
-    if not isinstance(entry, dict) or not entry.keys() <= known or not is_text(entry.get("file")):
-        raise FormatError(f"{where}: expected an object with file, and maybe transform and keep, got {excerpt(entry)}")
-    place = IDENTITY
-    if "transform" in entry:
-        try:
-            place = similarity_of(as_matrix(entry["transform"], 4, 4, f"{where}: transform"))
-        except InputError as error:
-            raise FormatError(f"{where}: transform: {error}") from None
-    keep = None
-    if "keep" in entry:
-        box = entry["keep"]
-        if not isinstance(box, dict) or box.keys() != {"low", "high"}:
-            raise FormatError(f"{where}: keep: expected low and high, got {excerpt(box)}")
-        keep = Keep(*(as_vector(box[end], 3, f"{where}: keep: {end}") for end in ("low", "high")))
-        if not (keep.low < keep.high).all():
-            raise FormatError(f"{where}: keep: expected low below high, got {excerpt(box)}")
-    return [Block(source, place, keep) for source in sources_of(path.parent / str(entry["file"]))]
+def _blocks(value: object, path: Path, where: str) -> list[Block]:
+    entry: _Entry = as_kind(value, _Entry, where)
+    unknown = sorted(as_object(value, where).keys() - set(_Entry._fields))
+    if unknown:
+        raise FormatError(f"{where}: expected file, and maybe transform and keep, got {excerpt(unknown[0])}")
+    try:
+        place = IDENTITY if entry.transform is None else similarity_of(entry.transform)
+    except InputError as error:
+        raise FormatError(f"{where}: transform: {error}") from None
+    if entry.keep is not None and not (entry.keep.low < entry.keep.high).all():
+        raise FormatError(f"{where}: keep: expected low below high")
+    return [Block(source, place, entry.keep) for source in sources_of(path.parent / entry.file)]
 
 
 def blocks_of(paths: Sequence[Path]) -> list[Block]:

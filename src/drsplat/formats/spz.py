@@ -27,7 +27,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Float32, UInt8
+from ..base.arrays import Float32, Harmonics, Quats, UInt8, Vectors
 from ..base.contents import file_bytes
 from ..errors import DrSplatWarning, FormatError
 from ..scene.gaussians import Gaussians
@@ -223,20 +223,20 @@ def _signs(extensions: bytes) -> Float32[np.ndarray, "3"]:
     return np.where(np.array(stored) == (1, 0, 1), 1, -1).astype(np.float32)
 
 
-def _positions(plane: UInt8[np.ndarray, " _"], fractional_bits: int) -> Float32[np.ndarray, "n 3"]:
+def _positions(plane: UInt8[np.ndarray, " _"], fractional_bits: int) -> Vectors:
     wide = np.zeros((len(plane) // 3, 4), np.uint8)
     wide[:, 1:] = plane.reshape(-1, 3)  # the upper 24 bits, so that shifting down extends the sign
     fixed = wide.view("<i4").reshape(-1, 3) >> 8
     return np.ldexp(fixed.astype(np.float32), -fractional_bits)
 
 
-def _first_three(plane: UInt8[np.ndarray, " _"]) -> Float32[np.ndarray, "n 4"]:
+def _first_three(plane: UInt8[np.ndarray, " _"]) -> Quats:
     xyz = plane.reshape(-1, 3).astype(np.float32) / np.float32(127.5) - 1
     w = np.sqrt(np.maximum(1 - np.einsum("ni,ni->n", xyz, xyz), 0))
     return np.column_stack([w, xyz])
 
 
-def _smallest_three(plane: UInt8[np.ndarray, " _"]) -> Float32[np.ndarray, "n 4"]:
+def _smallest_three(plane: UInt8[np.ndarray, " _"]) -> Quats:
     packed = plane.view("<u4").astype(np.uint32)
     fields = (packed[:, None] >> np.array([20, 10, 0], np.uint32)) & np.uint32(1023)
     magnitudes = (fields & np.uint32(511)).astype(np.float32) * np.float32(np.sqrt(0.5) / 511)
@@ -246,7 +246,7 @@ def _smallest_three(plane: UInt8[np.ndarray, " _"]) -> Float32[np.ndarray, "n 4"
 
 def _harmonics(
     colours: UInt8[np.ndarray, " _"], rest: UInt8[np.ndarray, " _"], header: SpzHeader, signs: Float32[np.ndarray, "3"]
-) -> Float32[np.ndarray, "n k 3"]:
+) -> Harmonics:
     n = header.count
     kept = min(REST_COEFFICIENTS[header.degree], len(PARITIES))
     sh = np.empty((n, 1 + kept, 3), np.float32)

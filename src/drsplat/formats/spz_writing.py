@@ -15,7 +15,7 @@ import struct
 
 import numpy as np
 
-from ..base.arrays import Float32, UInt8
+from ..base.arrays import Harmonics, Quats, UInt8, Vectors
 from ..errors import FormatError, InputError
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians
 from ..scene.labelled import LabelledScene
@@ -115,7 +115,7 @@ def _planes(gaussians: Gaussians, degree: int, version: int, flags: int, streams
     )
 
 
-def _fractional_bits(means: Float32[np.ndarray, "n 3"]) -> int:
+def _fractional_bits(means: Vectors) -> int:
     """Return the number of fractional bits with which the farthest position still fits into 24."""
     farthest = float(np.abs(means).max(initial=0))
     if not len(means) or farthest > MAX_FIXED_POSITION:
@@ -127,12 +127,12 @@ def _fractional_bits(means: Float32[np.ndarray, "n 3"]) -> int:
     return int(np.clip(np.floor(spare), 0, MAX_FRACTIONAL_BITS))
 
 
-def _fixed(values: Float32[np.ndarray, "n 3"], bits: int) -> UInt8[np.ndarray, "n 9"]:
+def _fixed(values: Vectors, bits: int) -> UInt8[np.ndarray, "n 9"]:
     whole = np.rint(values.astype(np.float64) * 2.0**bits).astype("<i4")
     return np.ascontiguousarray(whole.view(np.uint8).reshape(-1, 3, 4)[:, :, :3]).reshape(-1, 9)
 
 
-def _smallest_three(quats: Float32[np.ndarray, "n 4"]) -> np.ndarray:
+def _smallest_three(quats: Quats) -> np.ndarray:
     """Pack (w, x, y, z): sign and 9 bits of each but the largest, whose index among (x, y, z, w) is on top."""
     xyzw = quats[:, [1, 2, 3, 0]]
     largest = np.abs(xyzw).argmax(1)
@@ -146,7 +146,7 @@ def _smallest_three(quats: Float32[np.ndarray, "n 4"]) -> np.ndarray:
     return np.asarray(packed.astype("<u4"))
 
 
-def _harmonics(rest: Float32[np.ndarray, "n k 3"]) -> UInt8[np.ndarray, "n k 3"]:
+def _harmonics(rest: Harmonics) -> UInt8[np.ndarray, "n k 3"]:
     """Quantise coefficients, with those negated that are odd in the axes which SPZ turns."""
     signs = np.array([(-1) ** (name.count("y") + name.count("z")) for name in PARITIES[: rest.shape[1]]], np.float32)
     return _byte(rest * signs[None, :, None] * 128 + 128)

@@ -2,26 +2,29 @@
 
 Rows follow a Morton curve; a tile holds a run of them, so a row of the scene is the tile's first row plus a row of
 the tile. What a photo sees is loaded from the tiles in front of its camera, never the whole scene.
+
+A scene as leaves of a tree of levels of detail: runs of neighbouring Gaussians that are read one at a time.
 """
 
-import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64
+from ..base.arrays import Numbers, Vector3, Vectors
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians, ShapesDigest, drawn_alike, filled
+from ..scene.morton import morton_order
 from ..scene.parted import Parted
 from ..scene.placing import near_plane
+from .activation import refuse_unwritable
 from .checksums import DOCUMENT, check_document, check_seal, header_checksum, sealed
 from .field_folder import read_manifest, replacing_folder
-from .json_files import as_count, as_number, as_vector, excerpt, is_text, written_name
-from .replacing import replacing
+from .json_files import as_document, as_fields, as_kind, excerpt, write_json, written_name
 from .tensors import check_tensors, read_tensors, write_tensors
 
 TILES = "tiles.json"
@@ -41,6 +44,16 @@ SHAPES, COLOURS = "shapes", "colours"
 _KINDS = {SHAPES: _SHAPES, COLOURS: _COLOURS}
 
 
+@dataclass(frozen=True, eq=False)
+class _Entry:
+    name: str
+    count: int
+    low: Vector3
+    high: Vector3
+    largest: float
+    crc32: Mapping[str, str] = field(default_factory=dict)
+
+
 class Tile(NamedTuple):
     """A run of rows. low, high: the box of its centres, counted from the scene's origin.
 
@@ -51,8 +64,8 @@ class Tile(NamedTuple):
     name: str
     first: int
     num_rows: int
-    low: Float64[np.ndarray, " 3"]
-    high: Float64[np.ndarray, " 3"]
+    low: Vector3
+    high: Vector3
     largest: float
     checksums: Mapping[str, str] = MappingProxyType({})
 
@@ -67,7 +80,7 @@ class Tiles:
 
     path: Path
     tiles: tuple[Tile, ...]
-    origin: Float64[np.ndarray, " 3"]
+    origin: Vector3
     near: float
     digest: str
     fingerprint: str
@@ -150,46 +163,38 @@ def read_tiles(path: Path) -> Tiles:
     """
     where = str(path / TILES)
     document = read_manifest(path, TILES, "tiled scene", MAX_MANIFEST_BYTES)
-    if document.get("format") != FORMAT or document.get("version") != VERSION:
-        raise FormatError(f"{where}: expected '{FORMAT}' of version {VERSION}, got {excerpt(document.get('version'))}")
+    as_document(document, where, FORMAT, VERSION)
     check_seal(document, where, cure=CURE)
-    listed, sources = document.get("tiles"), document.get("sources")
-    if not isinstance(listed, list) or not listed or not isinstance(sources, list) or not all(map(is_text, sources)):
-        raise FormatError(f"{where}: expected lists of tiles and sources")
     tiles: list[Tile] = []
-    for entry in listed:
-        tiles.append(_tile(entry, tiles[-1].first + tiles[-1].num_rows if tiles else 0, where))
-    return Tiles(
-        path, tuple(tiles), as_vector(document.get("origin"), 3, f"{where}: origin"),
-        as_number(document.get("near"), f"{where}: near"), str(document.get("shapes")), str(document.get("scene")),
-        tuple(sources), document.get("antialiased") is True,
+    for entry in as_kind(document.get("tiles"), tuple[_Entry, ...], f"{where}: tiles"):
+        first = tiles[-1].first + tiles[-1].num_rows if tiles else 0
+        if not entry.name.isalnum() or not 0 < entry.count <= MAX_ROWS - first:
+            raise FormatError(
+                f"{where}: expected a tile's name of letters and digits, and 1 to {MAX_ROWS:,} rows in all, got "
+                f"{excerpt(entry.name)} of {entry.count}"
+            )
+        box = entry.low, entry.high
+        tiles.append(Tile(entry.name, first, entry.count, *box, entry.largest, entry.crc32))
+    if not tiles:
+        raise FormatError(f"{where}: expected tiles, there are none")
+    about = as_fields(
+        document, where, origin=Vector3, near=float, shapes=str, scene=str, sources=tuple[str, ...],
+        antialiased=bool | None,
     )  # fmt: skip
-
-
-def _tile(entry: object, first: int, where: str) -> Tile:
-    if not isinstance(entry, dict):
-        raise FormatError(f"{where}: expected a tile, got {excerpt(entry)}")
-    name = entry.get("name")
-    if not isinstance(name, str) or not name.isalnum():
-        raise FormatError(f"{where}: expected a tile's name of letters and digits, got {excerpt(name)}")
-    count = as_count(entry.get("count"), f"{where}: count")
-    if not 0 < count <= MAX_ROWS - first:
-        raise FormatError(f"{where}: tile {name}: expected 1 to {MAX_ROWS:,} rows in all, got {count}")
-    low, high = (as_vector(entry.get(end), 3, f"{where}: {end}") for end in ("low", "high"))
-    sums = entry.get(DOCUMENT, {})
-    if not isinstance(sums, dict) or not all(map(is_text, sums.values())):
-        raise FormatError(f"{where}: tile {name}: expected the checksums of its files, got {excerpt(sums)}")
-    return Tile(name, first, count, low, high, as_number(entry.get("largest"), f"{where}: largest"), sums)
+    return Tiles(
+        path, tuple(tiles), about["origin"], about["near"], about["shapes"], about["scene"], about["sources"],
+        bool(about["antialiased"]),
+    )  # fmt: skip
 
 
 class _Writer:
     """Tiles of a folder that is being made, one at a time."""
 
-    def __init__(self, folder: Path, origin: Float64[np.ndarray, " 3"]) -> None:
+    def __init__(self, folder: Path, origin: Vector3) -> None:
         self.folder, self.origin, self.digest = folder, origin, ShapesDigest(origin)
         self.tiles: list[dict[str, object]] = []
-        self.means: list[Float32[np.ndarray, "n 3"]] = []
-        self.opacities: list[Float32[np.ndarray, " n"]] = []
+        self.means: list[Vectors] = []
+        self.opacities: list[Numbers] = []
         self.antialiased: list[bool] = []
 
     def add(self, part: Gaussians) -> None:
@@ -232,7 +237,7 @@ class _Writer:
 
 
 def write_tiles(
-    path: Path, parts: Iterator[Gaussians], origin: Float64[np.ndarray, " 3"], sources: Sequence[str], overwrite: bool
+    path: Path, parts: Iterator[Gaussians], origin: Vector3, sources: Sequence[str], overwrite: bool
 ) -> Tiles:
     """Write tiles as they come, all or none. parts: counted from `origin`, with the columns block and source_row.
 
@@ -242,6 +247,31 @@ def write_tiles(
         writer = _Writer(folder, origin)
         for part in parts:
             writer.add(part)
-        with replacing(folder / TILES) as out:
-            out.write((json.dumps(sealed(writer.manifest(sources)), indent=1) + "\n").encode())
+        write_json(folder / TILES, sealed(writer.manifest(sources)))
     return read_tiles(path)
+
+
+Leaf = Callable[[], Gaussians]
+"""Reads the Gaussians of a leaf."""
+
+
+class Leaves(NamedTuple):
+    """Leaves in order, neighbours next to each other. middle: of the box of all centres, in the world."""
+
+    leaves: list[Leaf]
+    middle: Vector3
+
+
+def leaves_of(source: Gaussians | Tiles, rows: int) -> Leaves:
+    """Split a scene into leaves. rows: of a leaf at most, of a scene that is not cut into tiles already.
+
+    Raises: InputError: no Gaussians, or some that no file could give back.
+    """
+    if isinstance(source, Tiles):
+        low, high = np.min([t.low for t in source.tiles], axis=0), np.max([t.high for t in source.tiles], axis=0)
+        return Leaves([partial(source.tile, tile) for tile in source.tiles], source.origin + (low + high) / 2)
+    refuse_unwritable(source)
+    order = morton_order(source.means.astype(np.float64))
+    runs = [order[begin : begin + rows] for begin in range(0, len(order), rows)]
+    middle = source.origin + (source.means.min(0).astype(np.float64) + source.means.max(0)) / 2
+    return Leaves([partial(source.subset, run) for run in runs], middle)

@@ -12,7 +12,6 @@ Source: OGC 22-025r4, "3D Tiles Specification 1.1"; KHR_gaussian_splatting, KHR_
 (draft), EXT_mesh_features, EXT_structural_metadata.
 """
 
-import json
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float64, Int32
+from ..base.arrays import Ids, Int32, Matrix4, Vector3
 from ..scene.gaussians import Gaussians, concatenated
 from ..scene.geodesy import enu_axes, geocentric
 from ..scene.labelled import PLY_UP, LabelledScene, Thing, numbers_of
@@ -30,7 +29,9 @@ from ..scene.merging import coarser
 from .axes import Z_UP_FROM_PLY, standing_as_ply
 from .field_folder import replacing_folder
 from .georeference import Georeference
-from .glb_layout import (
+from .glb_tables import Table, object_table
+from .glb_writing import Binary, features_of, head_of, tables_document
+from .gltf import (
     COLOR,
     COLOR_SPACE,
     FEATURE_ID,
@@ -47,13 +48,11 @@ from .glb_layout import (
     SPZ,
     UNSIGNED_BYTE,
 )
-from .glb_tables import Table, object_table
-from .glb_writing import Binary, features_of, head_of, tables_document
-from .leaves import Leaf, leaves_of
+from .json_files import write_json
 from .replacing import replacing
 from .spz_writing import TO_RUB, spz_bytes
 from .tensors import read_tensors, write_tensors
-from .tiles import Tile, Tiles
+from .tiles import Leaf, Tile, Tiles, leaves_of
 from .usd_writing import extent_of
 
 KEPT = {"kernel": KERNEL, "colorSpace": COLOR_SPACE, "sortingMethod": "cameraDistance"}
@@ -72,7 +71,7 @@ class TiledScene(NamedTuple):
 
     tiles: Tiles
     things: tuple[Thing, ...] = ()
-    object_of: Int32[np.ndarray, " n"] | None = None
+    object_of: Ids | None = None
     up: tuple[float, float, float] = PLY_UP
 
 
@@ -83,8 +82,8 @@ class _Node(NamedTuple):
     waiting: Path
     num_gaussians: int
     error: float
-    low: Float64[np.ndarray, " 3"]
-    high: Float64[np.ndarray, " 3"]
+    low: Vector3
+    high: Vector3
 
 
 def write_tiles3d(
@@ -120,8 +119,7 @@ def write_tiles3d(
         with tempfile.TemporaryDirectory(dir=folder) as waiting:
             root = _Writer(folder, Path(waiting), middle, scale, things).tree(leaves)
         document = _tileset(root, _transform(georeference, middle, source.up))
-        with replacing(folder / TILESET) as file:
-            file.write(json.dumps(document, separators=(",", ":")).encode())
+        write_json(folder / TILESET, document, end="", indent=None, separators=(",", ":"))
 
 
 def _tile_of(source: TiledScene, tile: Tile) -> Gaussians:
@@ -141,7 +139,7 @@ class _Writer:
 
     folder: Path
     waiting: Path
-    middle: Float64[np.ndarray, " 3"]
+    middle: Vector3
     scale: float
     things: tuple[Thing, ...]
     count: int = 0
@@ -210,13 +208,13 @@ def _read_aside(path: Path) -> Gaussians:
     return Gaussians(means, quats, scales, opacities, sh, objects, arrays["origin"], bool(arrays["antialiased"]))
 
 
-def _box(low: Float64[np.ndarray, " 3"], high: Float64[np.ndarray, " 3"]) -> list[float]:
+def _box(low: Vector3, high: Vector3) -> list[float]:
     """Return the middle of a box and its three half axes, in the axes of a tileset."""
     half = np.diag((high - low) / 2) @ Z_UP_FROM_PLY.T
     return [*(Z_UP_FROM_PLY @ (low + high) / 2).tolist(), *half.ravel().tolist()]
 
 
-def _tileset(root: _Node, transform: Float64[np.ndarray, "4 4"]) -> dict[str, Any]:
+def _tileset(root: _Node, transform: Matrix4) -> dict[str, Any]:
     from .. import __version__
 
     names = [SPLATTING, SPZ]
@@ -230,9 +228,7 @@ def _tileset(root: _Node, transform: Float64[np.ndarray, "4 4"]) -> dict[str, An
     }
 
 
-def _transform(
-    georeference: Georeference | None, middle: Float64[np.ndarray, " 3"], up: tuple[float, float, float]
-) -> Float64[np.ndarray, "4 4"]:
+def _transform(georeference: Georeference | None, middle: Vector3, up: tuple[float, float, float]) -> Matrix4:
     """Return the matrix from the tileset to the Earth, or to axes whose z is up. Metres on both sides."""
     matrix = np.eye(4)
     if georeference is None:
@@ -246,10 +242,7 @@ def _transform(
 
 
 def content_glb(
-    gaussians: Gaussians,
-    offset: Float64[np.ndarray, " 3"],
-    objects: Int32[np.ndarray, " n"] | None = None,
-    things: tuple[Thing, ...] = (),
+    gaussians: Gaussians, offset: Vector3, objects: Ids | None = None, things: tuple[Thing, ...] = ()
 ) -> bytes:
     """Encode the content of a tile.
 
@@ -307,7 +300,7 @@ def _declared(gaussians: Gaussians, binary: Binary) -> dict[str, int]:
     return {name: number for number, name in enumerate(kinds)}
 
 
-def _table_of(objects: Int32[np.ndarray, " n"], things: Sequence[Thing]) -> tuple[Int32[np.ndarray, " u"], Table]:
+def _table_of(objects: Ids, things: Sequence[Thing]) -> tuple[Int32[np.ndarray, " u"], Table]:
     """Return the places of the objects that are in the tile, and their table."""
     used = np.unique(objects[objects >= 0])
     numbers = numbers_of(things)

@@ -6,20 +6,34 @@ from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float64
+from ..base.arrays import Matrix4
 from ..errors import DrSplatWarning, FormatError, InputError
 from ..scene.views import View
 from .dataparser import SceneFrame, scene_frame
-from .json_files import as_count, as_matrix, excerpt, read_json
-from .lenses import Entry, distortion_of, intrinsics_of, number, refuse_other_lenses
+from .json_files import as_count, as_kind, as_list, as_matrix, as_object, as_text, read_json
 from .mask_files import FOLDER, IMAGE_FOLDER
 from .photo_files import find_files, is_absolute, listed, on_photo, relative_names, safe_name, view_name
-from .poses import inverse_pose, nearest_rotation, posed_view
+from .poses import (
+    Entry,
+    distortion_of,
+    intrinsics_of,
+    inverse_pose,
+    nearest_rotation,
+    number,
+    posed_view,
+    refuse_other_lenses,
+)
 
 _OPENCV_FROM_OPENGL = np.array([1.0, -1.0, -1.0])  # camera axes: y up and z backward become y down and z forward
+
+
+class _Files(NamedTuple):
+    file_path: str
+    mask_path: str | None = None
 
 
 def read_transforms(path: Path, images: Path | None = None) -> list[View]:
@@ -37,16 +51,16 @@ def read_transforms(path: Path, images: Path | None = None) -> list[View]:
     for. InputError: no photo at all, or a mask that is missing.
     """
     document = _document(path)
-    frames: list[object] = document["frames"]  # type: ignore[assignment]
-    given = [_file_path(frame, f"{path}, frame {index}") for index, frame in enumerate(frames)]
-    named = [_mask_path(frame, f"{path}, frame {index}") for index, frame in enumerate(frames)]
+    frames: list[dict[str, object]] = document["frames"]
+    files = [as_kind(frame, _Files, f"{path}, frame {index}") for index, frame in enumerate(frames)]
+    given, named = [file.file_path for file in files], [file.mask_path or "" for file in files]
     names, mask_names = _relative_to(path, given, named)
     photos = find_files([_places(path.parent, images, name, file) for name, file in zip(names, given, strict=True)])
     masks = _masks(path, {k: named[k] for k, photo in enumerate(photos) if photo and named[k]}, mask_names, set(photos))
     of_all = {key: value for key, value in document.items() if key != "time"}  # each photo has its own
     views = []
     for index, (frame, name, photo) in enumerate(zip(frames, names, photos, strict=True)):
-        if photo is not None and isinstance(frame, dict):
+        if photo is not None:
             view = _view(ChainMap(frame, of_all), view_name(_inner(name), photo), photo, f"{path}, frame {index}")
             views.append(replace(view, mask_path=masks.get(index)))
     _report(path, [name for name, photo in zip(names, photos, strict=True) if photo is None], len(views))
@@ -69,18 +83,15 @@ def point_file(path: Path) -> Path | None:
     named = _document(path).get("ply_file_path")
     if named is None:
         return None
-    if not isinstance(named, str):
-        raise FormatError(f"{path}: ply_file_path: expected a file's name, got {excerpt(named)}")
+    named = as_text(named, f"{path}: ply_file_path")
     name = safe_name(relative_names([named])[0], f"{path}: ply_file_path")
     places = [Path(named)] * _is_path(named) + [path.parent / name]
     return find_files([places])[0] or places[0]
 
 
-def _document(path: Path) -> dict[str, object]:
-    document = read_json(path)
-    if not isinstance(document, dict) or not isinstance(document.get("frames"), list):
-        raise FormatError(f'{path}: expected a JSON object with a list of "frames"')
-    if not document["frames"]:
+def _document(path: Path) -> dict[str, Any]:
+    document = as_object(read_json(path), str(path))
+    if not as_list(document.get("frames"), f"{path}: frames"):
         raise FormatError(f"{path}: the list of frames is empty")
     return document
 
@@ -97,7 +108,7 @@ def _view(entry: Entry, name: str, photo: Path, where: str) -> View:
     return on_photo(replace(view, time=time), photo)
 
 
-def cam_from_transform(rows: object, where: str) -> Float64[np.ndarray, "4 4"]:
+def cam_from_transform(rows: object, where: str) -> Matrix4:
     """Return cam_from_world of a transform_matrix. Raises: FormatError: it is no rigid motion."""
     if isinstance(rows, list) and len(rows) == 4:
         last = as_matrix(rows[3:], 1, 4, where)
@@ -122,13 +133,6 @@ def _size(entry: Entry, photo: Path, where: str) -> tuple[int, int]:
     from ..scene.photos import photo_size
 
     return photo_size(photo)
-
-
-def _file_path(frame: object, where: str) -> str:
-    if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
-        raise FormatError(f"{where}: expected an object with a file_path, got {excerpt(frame)}")
-    path: str = frame["file_path"]
-    return path
 
 
 def _relative_to(path: Path, names: Sequence[str], masks: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -158,14 +162,6 @@ def _places(base: Path, images: Path | None, name: str, given: str) -> list[Path
 def _is_path(name: str) -> bool:
     """Return True for a plain absolute path of this system."""
     return name.startswith("/") and is_absolute(name)
-
-
-def _mask_path(frame: object, where: str) -> str:
-    """Return the name of a frame's mask, "" where it has none."""
-    named = frame.get("mask_path") if isinstance(frame, dict) else None
-    if not isinstance(named, str | None):
-        raise FormatError(f"{where}: mask_path: expected a file's name, got {excerpt(named)}")
-    return named or ""
 
 
 def _masks(path: Path, named: Mapping[int, str], names: Sequence[str], photos: set[Path | None]) -> dict[int, Path]:

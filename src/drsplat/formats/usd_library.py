@@ -8,7 +8,6 @@ them. Numbers are little-endian, of 8 bytes.
 Source: OpenUSD 26.11, pxr/usd/sdf/crateFile.cpp, which is all that describes the format.
 """
 
-import shutil
 import struct
 import tempfile
 from pathlib import Path
@@ -19,7 +18,7 @@ import numpy as np
 from ..base.arrays import UInt8
 from ..errors import FormatError, MissingExtraError
 from ..scene.labelled import LabelledScene
-from .replacing import replacing
+from .replacing import take_over
 from .usd_text import API_SCHEMAS, MAX_NESTING, TIME_SAMPLES, UsdPrim, Value, is_wanted
 from .usd_writing import ROOT, SPLAT, Column, columns_of, layer_text
 
@@ -56,7 +55,7 @@ def write_usdc(path: Path, scene: LabelledScene, overwrite: bool = False) -> Non
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / f"{ROOT}.usdc"
         _export(pxr, layer, made)
-        _move(made, path, overwrite)
+        take_over(made, path, overwrite)
 
 
 def write_usdz(path: Path, scene: LabelledScene, overwrite: bool = False) -> None:
@@ -68,7 +67,7 @@ def write_usdz(path: Path, scene: LabelledScene, overwrite: bool = False) -> Non
         _export(pxr, layer, made)
         with pxr.Sdf.ZipFileWriter.CreateNew(str(package)) as writer:
             writer.AddFile(str(made), made.name)
-        _move(package, path, overwrite)
+        take_over(package, path, overwrite)
 
 
 def library_layer(path: Path, content: UInt8[np.ndarray, " n"]) -> UsdPrim:
@@ -133,11 +132,6 @@ def _library_array(pxr: Any, column: Column) -> Any:
 def _export(pxr: Any, layer: Any, path: Path) -> None:
     if not layer.Export(str(path)):
         raise FormatError(f"OpenUSD could not write {path.name}")
-
-
-def _move(made: Path, path: Path, overwrite: bool) -> None:
-    with replacing(path, overwrite) as file, made.open("rb") as source:
-        shutil.copyfileobj(source, file, 1 << 20)
 
 
 def _prim(pxr: Any, spec: Any) -> UsdPrim:

@@ -19,10 +19,10 @@ from ..errors import InputError
 from ..scene.annotations import Annotation
 from ..scene.gaussians import Gaussians, covariances_of
 from ..scene.labelled import LabelledScene, Thing
+from .activation import refuse_unwritable
 from .axes import standing_up
 from .json_files import is_text
 from .replacing import replacing
-from .writable import refuse_unwritable
 
 BLOCK_ROWS = 1 << 12  # of an array that are made text at once
 SUPPORT_SIGMAS = 3.0  # of the schema's kernel

@@ -10,7 +10,7 @@ from ..base.arrays import Float32
 from ..errors import FormatError, InputError, did_you_mean
 from ..scene.encoders import EncoderIdentity
 from .checksums import check_checksums
-from .json_files import as_vector, excerpt, is_text, parsed, read_json
+from .json_files import as_kind, as_vector, document_in, excerpt, is_text, read_json
 from .sog import is_sog_meta
 from .tensors import map_tensors, write_tensors
 
@@ -116,16 +116,11 @@ def _read_safetensors(path: Path) -> tuple[list[str], np.ndarray, Mapping[str, s
     if vectors is None or "texts" not in metadata:
         raise FormatError(f"{path}: expected a safetensors file with '{TENSOR}' and metadata 'texts'")
     check_checksums(tensors, metadata, str(path), required=False)
-    try:
-        texts = parsed(metadata["texts"])
-    except (ValueError, RecursionError) as error:
-        raise FormatError(f"{path}: expected metadata 'texts' and 'name': {error}") from error
-    if not is_text(metadata.get("name", "")) or not is_text(metadata.get("weights", "")):
+    texts = as_kind(document_in(metadata["texts"], f"{path}: texts"), list[str], f"{path}: texts")
+    if not all(is_text(metadata.get(name, "")) for name in ("name", "weights")):
         raise FormatError(f"{path}: expected the encoder's name and weights as text in its metadata")
-    if not isinstance(texts, list) or not all(isinstance(text, str) for text in texts) or len(set(texts)) < len(texts):
-        raise FormatError(
-            f"{path}: expected metadata 'texts' to be a JSON list of different texts, got {excerpt(texts)}"
-        )
+    if len(set(texts)) < len(texts):
+        raise FormatError(f"{path}: texts: expected a list of different texts, got {excerpt(texts)}")
     if vectors.ndim != 2 or 0 in vectors.shape or vectors.dtype.kind != "f" or len(vectors) != len(texts):
         raise FormatError(f"{path}: expected floats ({len(texts)}, D), got {vectors.dtype} {vectors.shape}")
     return texts, vectors, metadata

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Float64, Int64, Integer
+from ..base.arrays import Float64, Int64, RowIds, Vector3
 from ..errors import InputError
 from ..scene.boxes import Box
 from ..scene.gaussians import Gaussians
@@ -23,7 +23,7 @@ class Boxes(NamedTuple):
     extent: Float64[np.ndarray, "s 3"]
 
 
-def box_of(gaussians: Gaussians, ids: Integer[np.ndarray, " m"], up: Float64[np.ndarray, " 3"] | None = None) -> Box:
+def box_of(gaussians: Gaussians, ids: RowIds, up: Vector3 | None = None) -> Box:
     """Return the box that holds the Gaussians `ids`, without strays and the outliers of their mass.
 
     up: a unit direction; the box stands upright, along the principal axes in the plane. None: free, along the
@@ -43,7 +43,7 @@ def boxes_of(
     gaussians: Gaussians,
     starts: Int64[np.ndarray, " s1"],
     ids: Int64[np.ndarray, " e"],
-    up: Float64[np.ndarray, " 3"] | None = None,
+    up: Vector3 | None = None,
     *,
     threads: int = 0,
 ) -> Boxes:

@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Float16, Float32, Int8, Int32, Int64, Integer, UInt8, UInt16
+from ..base.arrays import Float16, Float32, Ids, Int8, Int32, Int64, Integer, Numbers, UInt8, UInt16
 from ..errors import InputError
 from .splats import checked_isa
 
@@ -34,7 +34,7 @@ class Encoded(NamedTuple):
 
     ids: Int32[np.ndarray, "n k"]
     weights: UInt8[np.ndarray, "n k"]
-    scales: Float32[np.ndarray, " n"]
+    scales: Numbers
 
 
 class Blocks(NamedTuple):
@@ -84,7 +84,7 @@ def mixture_encode(
 
 def nearest_centres(
     points: Float32[np.ndarray, "n D"], centres: Float32[np.ndarray, "c D"], *, threads: int = 0, isa: str = ""
-) -> Int32[np.ndarray, " n"]:
+) -> Ids:
     """Return the centre that has the largest inner product with each point; the lowest index wins ties.
 
     Raises: InputError: no centres, or of another dimension.
@@ -96,7 +96,7 @@ def nearest_centres(
 def nearest_members(
     points: Float32[np.ndarray, "n D"],
     dictionary: Dictionary,
-    groups: Int32[np.ndarray, " n"],
+    groups: Ids,
     members: Int32[np.ndarray, "g m"],
     wanted: int,
     *,
@@ -127,7 +127,7 @@ def mixture_select(
     dictionary: Dictionary,
     query: Float32[np.ndarray, " D"],
     threshold: float,
-    floor: Float32[np.ndarray, " n"] | None = None,
+    floor: Numbers | None = None,
     *,
     threads: int = 0,
     isa: str = "",
@@ -164,7 +164,7 @@ def mixture_top(
 
 def mixture_best(
     blocks: Blocks, dictionary: Dictionary, queries: Float32[np.ndarray, "c D"], *, threads: int = 0, isa: str = ""
-) -> tuple[Int32[np.ndarray, " n"], Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
+) -> tuple[Ids, Numbers, Numbers]:
     """Return for each row the query with the highest score (the first wins ties), that score, and the next highest.
 
     Raises: InputError: shapes disagree, no query, or one that is not finite.

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Float32, Float64, Int32, UInt8
+from ..base.arrays import Float32, Float64, Ids, Int32, MaskIds, Pixels
 from ..errors import InputError
 from .splats import checked_isa
 
@@ -40,7 +40,7 @@ class Sight:
     traits: near each other for pixels of one thing.
     """
 
-    borders: Int32[np.ndarray, "h w"]
+    borders: MaskIds
     traits: Int32[np.ndarray, "h w t"]
 
 
@@ -61,7 +61,7 @@ class RegionGraph:
     borders: Float64[np.ndarray, "e 5"]
 
 
-def lab_colors(image: UInt8[np.ndarray, "h w 3"], *, threads: int = 0, isa: str = "") -> Int32[np.ndarray, "h w 3"]:
+def lab_colors(image: Pixels, *, threads: int = 0, isa: str = "") -> Int32[np.ndarray, "h w 3"]:
     """Return CIELAB in steps of 1 / LAB_STEPS; the same on any processor.
 
     Raises: InputError: an image without pixels, or of 2^16 or more to a side.
@@ -69,7 +69,7 @@ def lab_colors(image: UInt8[np.ndarray, "h w 3"], *, threads: int = 0, isa: str 
     return _called("colours", _native.lab_colors, image, threads, checked_isa(isa))
 
 
-def small_regions(lab: Int32[np.ndarray, "h w 3"], scale: float, least: int) -> Int32[np.ndarray, "h w"]:
+def small_regions(lab: Int32[np.ndarray, "h w 3"], scale: float, least: int) -> MaskIds:
     """Return the region of each pixel, numbered from 0 by first pixel; every region is connected.
 
     scale: how unlike neighbours must be, in CIELAB units times pixels: higher, larger regions. least: pixels of a
@@ -82,7 +82,7 @@ def small_regions(lab: Int32[np.ndarray, "h w 3"], scale: float, least: int) -> 
     return _called("regions", _native.small_regions, lab, scale, least).reshape(lab.shape[:2])
 
 
-def look(image: UInt8[np.ndarray, "h w 3"], layers: Layers, *, threads: int = 0, isa: str = "") -> Sight:
+def look(image: Pixels, layers: Layers, *, threads: int = 0, isa: str = "") -> Sight:
     """Return what a U-Net sees in an image of any size; the same bits at any `threads`.
 
     layers: weights (9 * inputs, outputs), rows in the order of row, column, channel, and bias of each 3x3 convolution
@@ -94,9 +94,7 @@ def look(image: UInt8[np.ndarray, "h w 3"], layers: Layers, *, threads: int = 0,
     return Sight(*_all_called("network", _native.look, image, layers, threads, checked_isa(isa)))
 
 
-def people(
-    image: UInt8[np.ndarray, "h w 3"], layers: Layers, *, threads: int = 0, isa: str = ""
-) -> Float32[np.ndarray, "h w"]:
+def people(image: Pixels, layers: Layers, *, threads: int = 0, isa: str = "") -> Float32[np.ndarray, "h w"]:
     """Return how likely each pixel shows a person, 0 to 1; the same bits at any `threads`.
 
     image: of sides that are a multiple of 16, and 1 more. layers: weights and bias of each in turn, of MobileNetV2 and
@@ -111,7 +109,7 @@ def people(
     return _called("network", _native.people, image, layers, threads, checked_isa(isa))
 
 
-def region_graph(labels: Int32[np.ndarray, "h w"], lab: Int32[np.ndarray, "h w 3"], sight: Sight) -> RegionGraph:
+def region_graph(labels: MaskIds, lab: Int32[np.ndarray, "h w 3"], sight: Sight) -> RegionGraph:
     """Return the sums over regions and over the borders between them.
 
     labels: from 0, every number up to the largest in use.
@@ -135,7 +133,7 @@ def pair_likelihoods(graph: RegionGraph, rule: PairRule, *, isa: str = "") -> Fl
 
 def merged_regions(
     graph: RegionGraph, rule: PairRule, threshold: float, least_area: float, least_width: float, *, isa: str = ""
-) -> Int32[np.ndarray, " n"]:
+) -> Ids:
     """Return the thing of each region, from 0 in the order of the lowest region of each.
 
     The likeliest pair is merged, of equal ones the first, until none is above the threshold. Then regions with fewer
@@ -161,7 +159,7 @@ def merge_order(graph: RegionGraph, rule: PairRule, *, isa: str = "") -> Int32[n
     return _called("regions", _native.merge_order, _arrays(graph), graph.pixels, rule, checked_isa(isa)).reshape(-1, 2)
 
 
-def flooded(heights: Int32[np.ndarray, "h w"], markers: Int32[np.ndarray, "h w"]) -> Int32[np.ndarray, "h w"]:
+def flooded(heights: MaskIds, markers: MaskIds) -> MaskIds:
     """Return the marker that each pixel is flooded from: a watershed.
 
     Lowest pixels first, of equal ones those that were reached first, along the sides of pixels. markers: numbers from 1

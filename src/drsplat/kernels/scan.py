@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Float32, Int32, Int64, Integer, UInt8, UInt16
+from ..base.arrays import Float32, Ids, Int64, Integer, Numbers, UInt8, UInt16
 from ..errors import InputError
 from .algebra import CENTROIDS
 from .splats import checked_isa
@@ -27,7 +27,7 @@ class GroupedRows(NamedTuple):
     """Coded features. codes: see `group_codes`. coarse_ids: each row's row of the coarse table, or None."""
 
     codes: UInt8[np.ndarray, "g L 256"]
-    inverse_norms: Float32[np.ndarray, " n"]
+    inverse_norms: Numbers
     coarse_ids: UInt16[np.ndarray, " n"] | None = None
 
 
@@ -110,11 +110,7 @@ def scan_scores(rows: GroupedRows, tables: QueryTables, how: Scanning = EXACT) -
 
 
 def scan_above(
-    rows: GroupedRows,
-    tables: QueryTables,
-    threshold: float,
-    floor: Float32[np.ndarray, " n"] | None = None,
-    how: Scanning = EXACT,
+    rows: GroupedRows, tables: QueryTables, threshold: float, floor: Numbers | None = None, how: Scanning = EXACT
 ) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
     """Return the rows whose score minus `floor` exceeds the threshold, ascending, and their scores; of one query.
 
@@ -142,9 +138,7 @@ def scan_top(
     return np.asarray(best).view(np.int64), np.asarray(scores)  # else "long long"
 
 
-def scan_best(
-    rows: GroupedRows, tables: QueryTables, how: Scanning = EXACT
-) -> tuple[Int32[np.ndarray, " n"], Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
+def scan_best(rows: GroupedRows, tables: QueryTables, how: Scanning = EXACT) -> tuple[Ids, Numbers, Numbers]:
     """Return each row's query of the highest score (ties to the first), that score, and the next highest.
 
     With one query the next highest is -inf.
@@ -202,7 +196,7 @@ def check_fit(rows: RowShapes, tables: QueryTables) -> None:
             raise InputError(f"coarse id {rows.largest_id} of {tables.coarse.shape[1]} coarse centroids")
 
 
-def check_floor(floor: Float32[np.ndarray, " n"] | None, count: int) -> None:
+def check_floor(floor: Numbers | None, count: int) -> None:
     """Refuse a floor of another length than the rows. Raises: InputError."""
     if floor is not None and floor.shape != (count,):
         raise InputError(f"expected a floor per row, got {floor.shape}")

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Anywhere, Bool, Float32, Float64, Int32, Integer, UInt32
+from ..base.arrays import Anywhere, Flags, Float32, Int32, RowIds, UInt32, Vector3
 from ..errors import InputError
 from ..scene.gaussians import Gaussians, covariances_of
 from ..scene.placing import PUBLISHED_NEAR
@@ -28,11 +28,11 @@ class SplatArrays(NamedTuple):
     covariances: Float32[Anywhere, "6 n"]  # xx, xy, xz, yy, yz, zz
     opacities: Float32[Anywhere, " n"]
     near: float = PUBLISHED_NEAR
-    origin: Float64[np.ndarray, " 3"] = np.zeros(3)
+    origin: Vector3 = np.zeros(3)
     antialiased: bool = False
     engine: Any = None
 
-    def subset(self, index: Integer[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> "SplatArrays":
+    def subset(self, index: RowIds | Flags) -> "SplatArrays":
         """Return the arrays of the Gaussians at `index`; the near plane stays that of the whole scene."""
         xp = np if self.engine is None else self.engine.xp
         rows = xp.asarray(index)

@@ -8,7 +8,7 @@ set of `available_isas()`, "" the best (or what the variable DRSPLAT_ISA names).
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Float32, Int32
+from ..base.arrays import Float32, Harmonics, Ids, MaskIds, Vectors
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 from ..scene.views import View
@@ -66,7 +66,7 @@ def _positive(name: str, value: int | None) -> int:
 def view_weights(
     splats: SplatArrays,
     view: View,
-    mask_ids: Int32[np.ndarray, "h w"],
+    mask_ids: MaskIds,
     topk: int | None = 40,
     *,
     first_hits: int | None = None,
@@ -119,9 +119,7 @@ def topk_contributions(
     return Contributions(*_native.topk_contributions(*arrays, *size, *limits, threads, checked_isa(isa)))
 
 
-def heaviest_labels(
-    seen: Contributions, labels: Int32[np.ndarray, " n"], *, threads: int = 0
-) -> Int32[np.ndarray, "h w"]:
+def heaviest_labels(seen: Contributions, labels: Ids, *, threads: int = 0) -> MaskIds:
     """Return the label with the most weight in each pixel, -1 for none; ties go to the heaviest Gaussian's.
 
     seen: the eight largest weights of each pixel. labels: one per Gaussian.
@@ -165,14 +163,7 @@ def render_channels(
     return Rendering(*_native.render(*_scene_and_camera(splats, view), *canvas, threads, checked_isa(isa)))
 
 
-def sh_colors(
-    sh: Float32[np.ndarray, "n k 3"],
-    means: Float32[np.ndarray, "n 3"],
-    center: np.ndarray,
-    *,
-    threads: int = 0,
-    isa: str = "",
-) -> Float32[np.ndarray, "n 3"]:
+def sh_colors(sh: Harmonics, means: Vectors, center: np.ndarray, *, threads: int = 0, isa: str = "") -> Vectors:
     """Return the colour of each Gaussian seen from `center` (world coordinates): max(0, 0.5 + SH(direction)).
 
     Source: 3DGS, "Spherical harmonics".

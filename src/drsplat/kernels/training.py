@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Float32
+from ..base.arrays import Float32, Harmonics, Numbers, Quats, Vectors
 from ..errors import InputError
 from ..scene.placing import PUBLISHED_NEAR
 from ..scene.views import View
@@ -23,11 +23,11 @@ class SceneParameters(NamedTuple):
     quats: wxyz, of any length. log_scales: natural logarithms. logits: of the opacities.
     """
 
-    means: Float32[np.ndarray, "n 3"]
-    log_scales: Float32[np.ndarray, "n 3"]
-    quats: Float32[np.ndarray, "n 4"]
-    logits: Float32[np.ndarray, " n"]
-    sh: Float32[np.ndarray, "n k 3"]
+    means: Vectors
+    log_scales: Vectors
+    quats: Quats
+    logits: Numbers
+    sh: Harmonics
 
 
 class Rates(NamedTuple):
@@ -48,13 +48,13 @@ class Gradients(NamedTuple):
     radii: three standard deviations of the splat's longer axis, rounded up, in pixels.
     """
 
-    means: Float32[np.ndarray, "n 3"]
-    log_scales: Float32[np.ndarray, "n 3"]
-    quats: Float32[np.ndarray, "n 4"]
-    logits: Float32[np.ndarray, " n"]
-    sh: Float32[np.ndarray, "n k 3"]
-    screen: Float32[np.ndarray, " n"]
-    radii: Float32[np.ndarray, " n"]
+    means: Vectors
+    log_scales: Vectors
+    quats: Quats
+    logits: Numbers
+    sh: Harmonics
+    screen: Numbers
+    radii: Numbers
 
 
 class Loss(NamedTuple):

@@ -13,9 +13,8 @@ from ..field.tiles.seeing import seen_tiles
 from ..formats.tiles import Tile, Tiles
 from ..kernels import SplatArrays, splat_arrays_at_origin
 from ..kernels.splatting import on_device_in_use
-from ..scene.gaussians import Gaussians, filled
+from ..scene.gaussians import Gaussians, filled, most_significant
 from ..scene.parted import AnyGaussians
-from ..scene.significance import most_significant
 from ..scene.views import View
 
 SAMPLED_GAUSSIANS = 1000  # whose mean is the place of a thing

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float64
+from ..base.arrays import Matrix3, Vector3
 from ..errors import InputError
 
 MAX_TEXT_CHARACTERS = 200
@@ -17,8 +17,8 @@ ORTHONORMAL_TOLERANCE = 1e-4  # of the axes' lengths and right angles
 class Outline(NamedTuple):
     """A box's directions and lengths: row a of axes is the unit direction of the full length extent[a]."""
 
-    axes: Float64[np.ndarray, "3 3"]
-    extent: Float64[np.ndarray, " 3"]
+    axes: Matrix3
+    extent: Vector3
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,18 +32,18 @@ class Annotation:
     """
 
     text: str
-    center: Float64[np.ndarray, " 3"]
+    center: Vector3
     outline: Outline | None = None
 
     @classmethod
-    def at(cls, text: str, point: Sequence[int | float] | Float64[np.ndarray, " 3"]) -> "Annotation":
+    def at(cls, text: str, point: Sequence[int | float] | Vector3) -> "Annotation":
         """Annotate a point."""
         return cls(text.strip(), np.asarray(point, np.float64))
 
     @classmethod
     def box(
-        cls, text: str, center: Float64[np.ndarray, " 3"], axes: Float64[np.ndarray, "3 3"],
-        extent: Float64[np.ndarray, " 3"],
+        cls, text: str, center: Vector3, axes: Matrix3,
+        extent: Vector3,
     ) -> "Annotation":  # fmt: skip
         """Annotate the box of a match or of an object."""
         return cls(text.strip(), center, Outline(axes, extent))
@@ -59,7 +59,7 @@ class Annotation:
         if self.outline is not None:
             self._check(*self.outline)
 
-    def _check(self, axes: Float64[np.ndarray, "3 3"], extent: Float64[np.ndarray, " 3"]) -> None:
+    def _check(self, axes: Matrix3, extent: Vector3) -> None:
         if not ((extent > 0) & (extent <= MAX_COORDINATE)).all():
             raise InputError(f"annotation '{self.text}': expected a box of finite lengths above 0")
         if not np.abs(axes @ axes.T - np.eye(3)).max() <= ORTHONORMAL_TOLERANCE:

@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from ..base.arrays import Float64, Integer
+from ..base.arrays import Float64, Integer, Matrix3, RowIds, Vector3
 from ..errors import InputError
 from .parted import AnyGaussians
 from .views import View
@@ -24,12 +24,12 @@ class Box(NamedTuple):
     the first the longer of the other two. Free: the longest first.
     """
 
-    center: Float64[np.ndarray, " 3"]
-    axes: Float64[np.ndarray, "3 3"]
-    extent: Float64[np.ndarray, " 3"]
+    center: Vector3
+    axes: Matrix3
+    extent: Vector3
 
 
-def upward(views: Sequence[View]) -> Float64[np.ndarray, " 3"]:
+def upward(views: Sequence[View]) -> Vector3:
     """Return the unit direction that is up in most photos: people hold cameras level, whatever they point them at.
 
     It is square to the horizontals of all photos, or the mean of their ups where the horizontals lie along one line.
@@ -44,7 +44,7 @@ def camera_axes(views: Sequence[View]) -> Float64[np.ndarray, "v 2 3"]:
     return np.array([view.cam_from_world[:2, :3] for view in views], np.float64).reshape(-1, 2, 3)
 
 
-def upward_of(axes: Float64[np.ndarray, "v 2 3"]) -> Float64[np.ndarray, " 3"]:
+def upward_of(axes: Float64[np.ndarray, "v 2 3"]) -> Vector3:
     """Return the upward direction from `camera_axes`; see `upward`. Raises: InputError: as `upward`."""
     if not len(axes):
         raise InputError("which way is up is told by the photos, and this scene has none")
@@ -60,7 +60,7 @@ def upward_of(axes: Float64[np.ndarray, "v 2 3"]) -> Float64[np.ndarray, " 3"]:
     return np.asarray(square)
 
 
-def up_of(views: Sequence[View]) -> Float64[np.ndarray, " 3"] | None:
+def up_of(views: Sequence[View]) -> Vector3 | None:
     """Return the upward direction (`upward`), or None where the photos do not tell."""
     try:
         return upward(views)
@@ -68,7 +68,7 @@ def up_of(views: Sequence[View]) -> Float64[np.ndarray, " 3"] | None:
         return None
 
 
-def solid(gaussians: AnyGaussians, ids: Integer[np.ndarray, " m"]) -> Integer[np.ndarray, " s"]:
+def solid(gaussians: AnyGaussians, ids: RowIds) -> Integer[np.ndarray, " s"]:
     """Return the ids of the Gaussians opaque enough to be seen; all ids if none is."""
     visible: np.ndarray = ids[gaussians.opacities_of(ids) >= HAZE_OPACITY]
     return visible if len(visible) else ids

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..base.arrays import Bool, Float32, Float64
+from ..base.arrays import Flags, Float64, Harmonics, Points
 from .gaussians import SH_C0, Gaussians
 from .similarity import sh_basis
 
@@ -17,7 +17,7 @@ MAX_ABS_CONSTANT = 0.5 / SH_C0  # of a coefficient sh[:, 0] whose colour is betw
 BYTE_ROUNDING = 0.5 / 255  # of a colour
 
 
-def clamped_in_bytes(gaussians: Gaussians) -> Bool[np.ndarray, " n"]:
+def clamped_in_bytes(gaussians: Gaussians) -> Flags:
     """Return which Gaussians have a constant colour that a byte for each channel does not hold."""
     return np.asarray((np.abs(SH_C0 * gaussians.sh[:, 0]) > 0.5 + BYTE_ROUNDING).any(axis=1))
 
@@ -37,7 +37,7 @@ def fitted_to_8_bits(gaussians: Gaussians) -> Gaussians:
     return replace(gaussians, sh=sh)
 
 
-def _directions(count: int) -> Float64[np.ndarray, "n 3"]:
+def _directions(count: int) -> Points:
     """Return unit vectors that are spread evenly over a sphere (Fibonacci's lattice)."""
     z = 1 - (2 * np.arange(count) + 1) / count
     turn = np.arange(count) * np.pi * (3 - np.sqrt(5))
@@ -45,7 +45,7 @@ def _directions(count: int) -> Float64[np.ndarray, "n 3"]:
     return np.stack([ring * np.cos(turn), ring * np.sin(turn), z], axis=1)
 
 
-def _fitted(sh: Float64[np.ndarray, "n k 3"], basis: Float64[np.ndarray, "d k"]) -> Float32[np.ndarray, "n k 3"]:
+def _fitted(sh: Float64[np.ndarray, "n k 3"], basis: Float64[np.ndarray, "d k"]) -> Harmonics:
     """Fit harmonics of limited constants to the clamped colours of `sh`, by projected steps that never fit worse."""
     wanted = np.clip(0.5 + basis @ sh, 0, 1)
     fitted, inverse = _within(sh.copy()), np.linalg.pinv(basis)

@@ -5,14 +5,14 @@ Source: WGS 84, NGA.STND.0036: semi-major axis and flattening; Bowring 1976 for 
 
 import numpy as np
 
-from ..base.arrays import Float64
+from ..base.arrays import Matrix3, Points
 
 EQUATOR_RADIUS_M, FLATTENING = 6_378_137.0, 1 / 298.257223563
 ECCENTRICITY2 = FLATTENING * (2 - FLATTENING)
 LATITUDE_ITERATIONS = 6  # far more than are needed near the surface
 
 
-def geodetic(origin: tuple[float, float, float], enu: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+def geodetic(origin: tuple[float, float, float], enu: Points) -> Points:
     """Return longitude and latitude in degrees and height in metres of points near an origin.
 
     origin: its longitude, latitude and height. enu: metres east, north and up of it.
@@ -20,7 +20,7 @@ def geodetic(origin: tuple[float, float, float], enu: Float64[np.ndarray, "n 3"]
     return _from_geocentric(geocentric(np.array([origin]))[0] + enu @ enu_axes(origin))
 
 
-def enu_axes(origin: tuple[float, float, float]) -> Float64[np.ndarray, "3 3"]:
+def enu_axes(origin: tuple[float, float, float]) -> Matrix3:
     """Return rows east, north and up of an origin, in geocentric axes."""
     longitude, latitude = np.radians(origin[:2])
     sin_l, cos_l, sin_p, cos_p = np.sin(longitude), np.cos(longitude), np.sin(latitude), np.cos(latitude)
@@ -28,7 +28,7 @@ def enu_axes(origin: tuple[float, float, float]) -> Float64[np.ndarray, "3 3"]:
     return np.array([east, north, (cos_p * cos_l, cos_p * sin_l, sin_p)])
 
 
-def geocentric(positions: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+def geocentric(positions: Points) -> Points:
     """Return metres from the centre of the Earth for longitudes and latitudes (degrees) and heights (metres)."""
     longitude, latitude = np.radians(positions[:, :2]).T
     height = positions[:, 2]
@@ -38,7 +38,7 @@ def geocentric(positions: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 
     return np.stack([around * np.cos(longitude), around * np.sin(longitude), z], axis=1)
 
 
-def _from_geocentric(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+def _from_geocentric(points: Points) -> Points:
     x, y, z = points.T
     around = np.hypot(x, y)
     latitude = np.arctan2(z, around * (1 - ECCENTRICITY2))
@@ -51,8 +51,6 @@ def _from_geocentric(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, 
     return np.stack([np.degrees(np.arctan2(y, x)), np.degrees(latitude), height], axis=1)
 
 
-def local_offsets(
-    origin: tuple[float, float, float], positions: Float64[np.ndarray, "n 3"]
-) -> Float64[np.ndarray, "n 3"]:
+def local_offsets(origin: tuple[float, float, float], positions: Points) -> Points:
     """Return metres east, north and up of an origin for longitudes, latitudes and heights; see `geodetic`."""
     return np.asarray((geocentric(positions) - geocentric(np.array([origin]))[0]) @ enu_axes(origin).T)

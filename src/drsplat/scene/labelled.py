@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64, Int32
+from ..base.arrays import Float32, Ids, Matrix3, Numbers, Vector3
 from ..errors import InputError
 from .annotations import Annotation
 from .gaussians import Gaussians
@@ -30,9 +30,9 @@ class Thing:
 
     name: str
     score: float
-    center: Float64[np.ndarray, " 3"]
-    axes: Float64[np.ndarray, "3 3"]
-    extent: Float64[np.ndarray, " 3"]
+    center: Vector3
+    axes: Matrix3
+    extent: Vector3
     parent: int = -1
     embedding: Float32[np.ndarray, " d"] | None = None
     number: int = -1
@@ -62,9 +62,9 @@ class LabelledScene:
     title: str = "scene"
     things: tuple[Thing, ...] = ()
     groups: tuple[Thing, ...] = ()
-    object_of: Int32[np.ndarray, " n"] | None = None
+    object_of: Ids | None = None
     query: str = ""
-    relevancy: Float32[np.ndarray, " n"] | None = None
+    relevancy: Numbers | None = None
     matches: tuple[Thing, ...] = ()
     annotations: tuple[Annotation, ...] = ()
     up: tuple[float, float, float] = PLY_UP
@@ -86,7 +86,7 @@ class LabelledScene:
             raise InputError(f"object_of: expected numbers from -1 to {len(self.things) - 1}, which things there are")
 
     @property
-    def object_numbers(self) -> Int32[np.ndarray, " n"] | None:
+    def object_numbers(self) -> Ids | None:
         """The number of each Gaussian's object as `drsplat objects` counts, -1 for none; None without objects."""
         if self.object_of is None:
             return None
@@ -104,7 +104,7 @@ def numbers_of(things: Sequence[Thing]) -> list[int]:
     return [place if thing.number < 0 else thing.number for place, thing in enumerate(things)]
 
 
-def places_of(numbers: np.ndarray, things: Sequence[Thing]) -> Int32[np.ndarray, " n"] | None:
+def places_of(numbers: np.ndarray, things: Sequence[Thing]) -> Ids | None:
     """Return the place in `things` of the object of each Gaussian, -1 for none, by the objects' numbers.
 
     None: there is a number that no object has.

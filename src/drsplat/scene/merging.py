@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64, Int, Int64
+from ..base.arrays import Doubles, Float32, Float64, Indices, Int, Int64, Quats, Vectors
 from ..errors import InputError
 from .gaussians import SH_C0, Gaussians
 
@@ -25,7 +25,7 @@ class Level:
     """A coarser scene. group_of: the row of `gaussians` that each row of the finer scene went into."""
 
     gaussians: Gaussians
-    group_of: Int64[np.ndarray, " n"]
+    group_of: Indices
 
 
 def coarser(gaussians: Gaussians, count: int, within: Int[np.ndarray, " n"] | None = None) -> Level:
@@ -57,7 +57,7 @@ def coarser(gaussians: Gaussians, count: int, within: Int[np.ndarray, " n"] | No
     return Level(gaussians, group_of)
 
 
-def merged(gaussians: Gaussians, group_of: Int64[np.ndarray, " n"]) -> Gaussians:
+def merged(gaussians: Gaussians, group_of: Indices) -> Gaussians:
     """Merge the rows of each group into one Gaussian.
 
     Args:
@@ -89,13 +89,13 @@ def merged(gaussians: Gaussians, group_of: Int64[np.ndarray, " n"]) -> Gaussians
     )
 
 
-def areas_of(scales: Float32[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
+def areas_of(scales: Vectors) -> Doubles:
     """Return the area of each Gaussian as seen from all sides, up to a common factor."""
     a, b, c = scales.T.astype(np.float64)
     return np.asarray(a * b + b * c + c * a)
 
 
-def masses_of(gaussians: Gaussians) -> Float64[np.ndarray, " n"]:
+def masses_of(gaussians: Gaussians) -> Doubles:
     """Return how much each Gaussian covers, opacity times area, above 0."""
     return np.asarray(np.maximum(gaussians.opacities, MIN_OPACITY) * areas_of(gaussians.scales))
 
@@ -106,7 +106,7 @@ _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 class _Sums:
     """Weighted means of the rows of each group."""
 
-    def __init__(self, group_of: Int64[np.ndarray, " n"], masses: Float64[np.ndarray, " n"]) -> None:
+    def __init__(self, group_of: Indices, masses: Doubles) -> None:
         self._order = np.lexsort((-masses, group_of))
         self.sizes = np.bincount(group_of)
         self._starts = np.concatenate([[0], np.cumsum(self.sizes)[:-1]])
@@ -117,7 +117,7 @@ class _Sums:
         return np.asarray(np.add.reduceat(values[self._order] * self._weights[:, None], self._starts, axis=0))
 
 
-def shapes_of(covariances: Float64[np.ndarray, "n 6"]) -> tuple[Float32[np.ndarray, "n 4"], Float32[np.ndarray, "n 3"]]:
+def shapes_of(covariances: Float64[np.ndarray, "n 6"]) -> tuple[Quats, Vectors]:
     """Return rotations (w, x, y, z) and standard deviations of covariances, given as upper triangles."""
     matrices = np.empty((len(covariances), 3, 3))
     for at, (i, j) in enumerate(_UPPER):
@@ -128,7 +128,7 @@ def shapes_of(covariances: Float64[np.ndarray, "n 6"]) -> tuple[Float32[np.ndarr
     return quaternions_of(axes), scales
 
 
-def quaternions_of(rotations: Float64[np.ndarray, "n 3 3"]) -> Float32[np.ndarray, "n 4"]:
+def quaternions_of(rotations: Float64[np.ndarray, "n 3 3"]) -> Quats:
     """Return the unit quaternions (w, x, y, z) of rotation matrices, from the largest component of each."""
     m = rotations.transpose(1, 2, 0)
     products = np.array(  # 4 q q^T
@@ -144,7 +144,7 @@ def quaternions_of(rotations: Float64[np.ndarray, "n 3 3"]) -> Float32[np.ndarra
     return np.asarray(quats / np.linalg.norm(quats, axis=1, keepdims=True), np.float32)
 
 
-def _paired(gaussians: Gaussians, most: int, kinds: Int[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
+def _paired(gaussians: Gaussians, most: int, kinds: Int[np.ndarray, " n"]) -> Indices:
     """Return the group of each row: up to `most` pairs, and the others alone."""
     first, second = _edges(gaussians.means)
     alike = kinds[first] == kinds[second]
@@ -157,7 +157,7 @@ def _paired(gaussians: Gaussians, most: int, kinds: Int[np.ndarray, " n"]) -> In
     return np.asarray(numbers[leader])
 
 
-def _edges(means: Float32[np.ndarray, "n 3"]) -> tuple[Int64[np.ndarray, " e"], Int64[np.ndarray, " e"]]:
+def _edges(means: Vectors) -> tuple[Int64[np.ndarray, " e"], Int64[np.ndarray, " e"]]:
     """Return pairs of near rows, the lower one first, each pair once, in order."""
     from scipy.spatial import cKDTree
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..base.arrays import Float, Int64, UInt64
+from ..base.arrays import Float, Indices, UInt64
 
 BITS_PER_AXIS = 21  # three times 21 fill 63
 _SPREAD = (  # shift, mask: each bit of 21 to every third place
@@ -14,7 +14,7 @@ _SPREAD = (  # shift, mask: each bit of 21 to every third place
 )
 
 
-def morton_order(positions: Float[np.ndarray, "n 3"], bits: int = BITS_PER_AXIS) -> Int64[np.ndarray, " n"]:
+def morton_order(positions: Float[np.ndarray, "n 3"], bits: int = BITS_PER_AXIS) -> Indices:
     """Return the order of rows along the curve through their box; rows of one cell stay in order."""
     return np.argsort(morton_codes(positions, bits), kind="stable")
 

@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64
+from ..base.arrays import Float32, Float64, Quats, Vector3
 from ..errors import InputError
 from .gaussians import Gaussians
 
@@ -126,7 +126,7 @@ def between(one: Gaussians, other: Gaussians, share: float) -> Gaussians:
     )
 
 
-def counted_from(gaussians: Gaussians, origin: Float64[np.ndarray, " 3"]) -> Gaussians:
+def counted_from(gaussians: Gaussians, origin: Vector3) -> Gaussians:
     """Return the Gaussians counted from another origin; the same object if it has that origin already."""
     if np.array_equal(gaussians.origin, origin):
         return gaussians
@@ -149,9 +149,7 @@ def _linear(
     return np.asarray(wide + (end - wide) * share, np.float32)
 
 
-def _rotations_between(
-    start: Float32[np.ndarray, "n 4"], end: Float32[np.ndarray, "n 4"], share: float
-) -> Float32[np.ndarray, "n 4"]:
+def _rotations_between(start: Quats, end: Quats, share: float) -> Quats:
     begin, target = start.astype(np.float64), end.astype(np.float64)
     target = np.where((begin * target).sum(1, keepdims=True) < 0, -target, target)  # q and -q turn alike
     way = target - begin

@@ -7,7 +7,7 @@ from threading import Lock
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64, Int64, Integer
+from ..base.arrays import Float32, Float64, Int64, Integer, RowIds, Vector3
 from .gaussians import Gaussians, Part
 
 HELD_BYTES = 64 << 20  # of shapes, of the parts looked at last
@@ -26,7 +26,7 @@ class Parted:
     starts: Int64[np.ndarray, " p1"]
     low: Float64[np.ndarray, "p 3"]
     high: Float64[np.ndarray, "p 3"]
-    origin: Float64[np.ndarray, " 3"]
+    origin: Vector3
     fingerprint: str
     near: float
     antialiased: bool
@@ -41,22 +41,22 @@ class Parted:
     def __len__(self) -> int:
         return int(self.starts[-1])
 
-    def subset(self, index: Integer[np.ndarray, " m"]) -> Gaussians:
+    def subset(self, index: RowIds) -> Gaussians:
         """Return the Gaussians at some rows, in that order, with their colours. Raises: as `read`."""
         return self._gathered(index, self.read)
 
-    def shapes_of(self, index: Integer[np.ndarray, " m"]) -> Gaussians:
+    def shapes_of(self, index: RowIds) -> Gaussians:
         """Return the Gaussians at some rows, in that order, without colours. Raises: as `read_shapes`."""
         return self._gathered(index, self._shapes)
 
-    def opacities_of(self, index: Integer[np.ndarray, " m"]) -> Float32[np.ndarray, " m"]:
+    def opacities_of(self, index: RowIds) -> Float32[np.ndarray, " m"]:
         """Return the opacities of some rows. Raises: as `read_shapes`."""
         values = np.empty(len(index), np.float32)
         for number, at, rows in self._places(index):
             values[at] = self._shapes(number).opacities[rows]
         return values
 
-    def parts_near(self, point: Float64[np.ndarray, " 3"] | None = None) -> Iterator[Part]:
+    def parts_near(self, point: Vector3 | None = None) -> Iterator[Part]:
         """Yield all parts, those nearer to a point of the world first; in their order where there is none."""
         count = len(self.starts) - 1
         away2 = np.zeros(count)
@@ -67,7 +67,7 @@ class Parted:
         for number in np.argsort(away2, kind="stable").tolist():
             yield Part(int(self.starts[number]), float(away2[number]), self._shapes(number))
 
-    def _gathered(self, index: Integer[np.ndarray, " m"], read: Callable[[int], Gaussians]) -> Gaussians:
+    def _gathered(self, index: RowIds, read: Callable[[int], Gaussians]) -> Gaussians:
         """Return rows, read part by part into arrays of their own."""
         count, most = len(index), 1
         means, scales = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
@@ -82,9 +82,7 @@ class Parted:
             sh[at, : part.sh.shape[1]] = part.sh[rows]
         return Gaussians(means, quats, scales, opacities, sh, {}, self.origin, self.antialiased)
 
-    def _places(
-        self, index: Integer[np.ndarray, " m"]
-    ) -> Iterator[tuple[int, Integer[np.ndarray, " k"], Integer[np.ndarray, " k"]]]:
+    def _places(self, index: RowIds) -> Iterator[tuple[int, Integer[np.ndarray, " k"], Integer[np.ndarray, " k"]]]:
         """Yield each part that has some of the rows: its number, their places among the rows, and their rows in it."""
         part = np.searchsorted(self.starts, index, "right") - 1
         order = np.argsort(part, kind="stable")
@@ -133,7 +131,7 @@ def middle(
     gaussians: AnyGaussians,
     shares: tuple[float, float],
     among: Integer[np.ndarray, " r"] | None = None,
-    origin: Float64[np.ndarray, " 3"] | None = None,
+    origin: Vector3 | None = None,
 ) -> Float64[np.ndarray, "2 3"]:
     """Return two quantiles of the centres along each axis, one axis after another: 8 bytes for each row.
 

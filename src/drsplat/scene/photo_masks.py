@@ -9,11 +9,10 @@ from warnings import warn
 import numpy as np
 from PIL import Image
 
-from ..base.arrays import Bool, UInt8
+from ..base.arrays import Mask, Pixels, UInt8
 from ..base.contents import open_file
 from ..errors import DrSplatWarning, FormatError, MismatchError
-from .photos import PHOTO_FORMATS, photo_size, undistort_ids
-from .picture_costs import check_cost
+from .photos import PHOTO_FORMATS, check_cost, photo_size, undistort_ids
 from .views import View, same_aspect
 
 MIN_WHITE = 128  # grey values from here on count as white
@@ -66,7 +65,7 @@ def _of_alpha(grey: UInt8[np.ndarray, "h w"], alpha: UInt8[np.ndarray, "h w"]) -
     return np.minimum(grey, alpha) if white and black and white + black == 1 else alpha
 
 
-def _of_colours(rgb: UInt8[np.ndarray, "h w 3"], *, is_palette: bool, lossy: bool) -> UInt8[np.ndarray, "h w"]:
+def _of_colours(rgb: Pixels, *, is_palette: bool, lossy: bool) -> UInt8[np.ndarray, "h w"]:
     """Return the mask of a coloured picture: colours are labels of what is kept, and black is none."""
     brightest = rgb.max(axis=2)
     if lossy or (brightest - rgb.min(axis=2) <= _NEARLY).all():
@@ -76,7 +75,7 @@ def _of_colours(rgb: UInt8[np.ndarray, "h w 3"], *, is_palette: bool, lossy: boo
     return np.where(brightest > _NEARLY, np.uint8(_WHITE), np.uint8(0))
 
 
-def load_mask(view: View) -> Bool[np.ndarray, "h w"] | None:
+def load_mask(view: View) -> Mask | None:
     """Return which pixels of `load_image` a view's mask keeps; None without a mask, which keeps all.
 
     A pixel of a smaller raster is kept if all that it shows is kept. The view's distortion is undone on the mask, too,
@@ -91,7 +90,7 @@ def load_mask(view: View) -> Bool[np.ndarray, "h w"] | None:
     white = picture.point(lambda grey: _WHITE if (grey >= MIN_WHITE) != view.mask_inverted else 0)
     if white.size != (view.width, view.height):
         white = white.resize((view.width, view.height), Image.Resampling.BOX)
-    mask: Bool[np.ndarray, "h w"] = np.asarray(white) == _WHITE
+    mask: Mask = np.asarray(white) == _WHITE
     if view.distortion is not None:
         mask = undistort_ids(view, mask.astype(np.int32)) == 1
     return mask

@@ -1,20 +1,95 @@
-"""Pixels of a posed photo, on the raster of its pinhole."""
+"""Pixels of a posed photo, on the raster of its pinhole.
 
+Cost of decoding a picture file, from its headers, before a decoder is started.
+
+A file of some hundred bytes can declare gigabytes, and a progressive JPEG can send its pixels over again as often as
+it has bytes for.
+"""
+
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from functools import lru_cache
-from io import BytesIO
+from io import BufferedIOBase, BytesIO
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL.BmpImagePlugin import BmpImageFile
+from PIL.JpegImagePlugin import JpegImageFile
+from PIL.TiffImagePlugin import TiffImageFile
 
-from ..base.arrays import Bool, Float64, Int32, UInt8
+from ..base.arrays import Bool, Colors, Float64, Mask, MaskIds, Pixels
 from ..base.contents import open_file
 from ..errors import FormatError, InputError, placed
 from .lens import Points, distort_points, undistort_points
-from .picture_costs import check_cost
 from .views import View
+
+MAX_SCANS_OF_LARGE = 32  # JPEGs; encoders write 1 to 15
+MAX_SCANS_OF_SMALL = 500
+SMALL_PIXELS = 1 << 20
+MAX_JPEG_BYTES = 256 << 20
+
+_MARKER = re.compile(rb"\xff+([^\x00\xff\xd0-\xd7])", re.DOTALL)  # not stuffing or restarts, which stand among pixels
+_START_MARKER = 0xD8
+_SCAN_MARKER = 0xDA
+_END_MARKER = 0xD9
+_TILE_WIDTH_TAG, _TILE_LENGTH_TAG = 322, 323
+
+
+def check_cost(picture: Image.Image, file: BufferedIOBase, most_pixels: int | None = None) -> None:
+    """Refuse a picture that takes more time or memory to decode than its pixels deserve.
+
+    picture: opened, not decoded. file: what it was opened from; its position stays.
+
+    Raises: InputError: more pixels than `most_pixels`, a JPEG of too many scans, a TIFF of tiles far larger than
+    itself, a BMP of runs, which is decoded byte by byte in Python and in older Pillow believes their lengths.
+    """
+    pixels, size = picture.width * picture.height, f"{picture.width}x{picture.height}"
+    if most_pixels is not None and pixels > most_pixels:
+        raise InputError(f"a picture of {size} pixels: at most {most_pixels:,} are taken, make it smaller")
+    if isinstance(picture, JpegImageFile):
+        scans, most = jpeg_scans(_content(file)), most_scans(pixels)
+        if scans > most:
+            raise InputError(f"a JPEG of {size} pixels in {scans} scans: at most {most} are taken, save it anew")
+    if isinstance(picture, TiffImageFile) and _tile(picture) > 4 * max(pixels, SMALL_PIXELS):
+        raise InputError(f"a TIFF of {size} pixels in far larger tiles: save it as PNG")
+    if isinstance(picture, BmpImageFile) and picture.info.get("compression") in (1, 2):
+        raise InputError("a BMP of runs of pixels (RLE): save it as PNG")
+
+
+def most_scans(pixels: int) -> int:
+    """Return the number of scans a JPEG may have, so that their total number of pixels is bounded."""
+    return min(MAX_SCANS_OF_SMALL, MAX_SCANS_OF_LARGE * max(1, SMALL_PIXELS // max(pixels, 1)))
+
+
+def jpeg_scans(data: bytes) -> int:
+    """Count the scans of a JPEG: its SOS markers, except those of previews inside segments."""
+    scans, at = 0, 0
+    while match := _MARKER.search(data, at):
+        marker, at = match[1][0], match.end()
+        if marker == _END_MARKER:
+            break
+        scans += marker == _SCAN_MARKER
+        if marker != _START_MARKER:
+            at += int.from_bytes(data[at : at + 2], "big")
+    return scans
+
+
+def _content(file: BufferedIOBase) -> bytes:
+    position = file.tell()
+    file.seek(0)
+    content = file.read(MAX_JPEG_BYTES + 1)
+    file.seek(position)
+    if len(content) > MAX_JPEG_BYTES:
+        raise InputError(f"a JPEG of more than {MAX_JPEG_BYTES:,} bytes")
+    return content
+
+
+def _tile(picture: TiffImageFile) -> int:
+    tags = picture.tag_v2
+    return int(tags.get(_TILE_WIDTH_TAG, 0)) * int(tags.get(_TILE_LENGTH_TAG, 0))
+
 
 PHOTO_FORMATS = ("JPEG", "PNG", "WEBP", "TIFF", "BMP", "PPM")
 """The only decoders that are ever started on a file, whatever its name."""
@@ -34,7 +109,7 @@ def photo_size(path: Path) -> tuple[int, int]:
         return photo.size
 
 
-def decoded_picture(source: Path | BytesIO, most_pixels: int | None = None) -> UInt8[np.ndarray, "h w 3"]:
+def decoded_picture(source: Path | BytesIO, most_pixels: int | None = None) -> Pixels:
     """Decode any picture as RGB, upright, on black where it is transparent; for queries, which have no camera.
 
     Raises: InputError: more than `most_pixels`, or too costly (`check_cost`), before it is decoded. FormatError:
@@ -55,7 +130,7 @@ def decoded_picture(source: Path | BytesIO, most_pixels: int | None = None) -> U
         raise FormatError(f"cannot be read as a picture ({'/'.join(PHOTO_FORMATS)}): {type(error).__name__}") from error
 
 
-def load_image(view: View) -> UInt8[np.ndarray, "h w 3"]:
+def load_image(view: View) -> Pixels:
     """Return the photo of a view as RGB, resized to (view.height, view.width) and undistorted.
 
     The raster is taken as stored: an EXIF orientation is not applied, because poses and intrinsics of COLMAP,
@@ -79,7 +154,7 @@ def load_image(view: View) -> UInt8[np.ndarray, "h w 3"]:
     return pixels if view.distortion is None else _undistort_bilinear(view, pixels)
 
 
-def photo_coverage(view: View) -> Bool[np.ndarray, "h w"]:
+def photo_coverage(view: View) -> Mask:
     """Return which pixels of the pinhole lie on the photo; elsewhere `load_image` is black."""
     covered = np.ones((view.height, view.width), bool)
     if view.distortion is not None:
@@ -88,7 +163,7 @@ def photo_coverage(view: View) -> Bool[np.ndarray, "h w"]:
     return covered
 
 
-def undistort_ids(view: View, mask_ids: Int32[np.ndarray, "h w"]) -> Int32[np.ndarray, "h w"]:
+def undistort_ids(view: View, mask_ids: MaskIds) -> MaskIds:
     """Bring a label map made on the photo as stored to the pinhole, by nearest pixel.
 
     The map keeps its own raster, which need not be the view's; it is -1 outside the photo. Masks computed on a
@@ -97,12 +172,12 @@ def undistort_ids(view: View, mask_ids: Int32[np.ndarray, "h w"]) -> Int32[np.nd
     return _moved_ids(view, mask_ids, distort_points)
 
 
-def distort_ids(view: View, ids: Int32[np.ndarray, "h w"]) -> Int32[np.ndarray, "h w"]:
+def distort_ids(view: View, ids: MaskIds) -> MaskIds:
     """Bring a label map of the pinhole to the photo as it is stored, as `undistort_ids` does the other way."""
     return _moved_ids(view, ids, undistort_points)
 
 
-def _moved_ids(view: View, ids: Int32[np.ndarray, "h w"], way: Way) -> Int32[np.ndarray, "h w"]:
+def _moved_ids(view: View, ids: MaskIds, way: Way) -> MaskIds:
     if view.distortion is None:
         return ids
     height, width = ids.shape
@@ -114,7 +189,7 @@ def _moved_ids(view: View, ids: Int32[np.ndarray, "h w"], way: Way) -> Int32[np.
 @lru_cache(maxsize=2)  # photos of a capture mostly share a camera; 4 bytes a pixel
 def _nearest_pixels(
     width: int, height: int, intrinsics: bytes, distortion: tuple[float, float, float, float], way: Way
-) -> Int32[np.ndarray, "h w"]:
+) -> MaskIds:
     """Return the flat index of the pixel that each pixel shows, `way` from it; -1 outside."""
     view = View("", np.frombuffer(intrinsics).reshape(3, 3), np.eye(4), width, height, distortion=distortion)
     nearest = np.full((height, width), -1, np.int32)
@@ -126,7 +201,7 @@ def _nearest_pixels(
     return nearest
 
 
-def _undistort_bilinear(view: View, photo: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+def _undistort_bilinear(view: View, photo: Pixels) -> Pixels:
     undistorted = np.zeros_like(photo)
     for rows, source in _source_blocks(view):
         inside = _inside(source, view.width, view.height)
@@ -134,7 +209,7 @@ def _undistort_bilinear(view: View, photo: UInt8[np.ndarray, "h w 3"]) -> UInt8[
     return undistorted
 
 
-def _bilinear(photo: UInt8[np.ndarray, "h w 3"], at: Float64[np.ndarray, "n 2"]) -> UInt8[np.ndarray, "n 3"]:
+def _bilinear(photo: Pixels, at: Float64[np.ndarray, "n 2"]) -> Colors:
     height, width = photo.shape[:2]
     corner = np.clip(at - 0.5, 0, (width - 1, height - 1))  # pixel centres are at half integers
     low = corner.astype(np.intp)

@@ -6,7 +6,7 @@ exact as one about zero. Poses, boxes and whatever else is reported stay in the 
 
 import numpy as np
 
-from ..base.arrays import Bool, Float, Float64
+from ..base.arrays import Bool, Float, Points, Vector3
 
 PUBLISHED_NEAR = 0.2  # scene units: 3DGS draws nothing nearer to a camera
 NEAR_SHARE = 0.05  # of the scene's size, where that is less: in scenes smaller than four units
@@ -25,7 +25,7 @@ def size_of(positions: Float[np.ndarray, "n 3"]) -> float:
     return float(np.linalg.norm(high.astype(np.float64) - low.astype(np.float64)))
 
 
-def middle_of(positions: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " 3"]:
+def middle_of(positions: Float[np.ndarray, "n 3"]) -> Vector3:
     """Return the median along each axis, in float64: the sum of two float32 may overflow float32."""
     return np.asarray(np.median(positions.astype(np.float64), axis=0))
 
@@ -42,7 +42,7 @@ def near_plane(means: Float[np.ndarray, "n 3"], opacities: Float[np.ndarray, " n
     return min(PUBLISHED_NEAR, share) if share > 0 else PUBLISHED_NEAR
 
 
-def local_origin(positions: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " 3"]:
+def local_origin(positions: Float[np.ndarray, "n 3"]) -> Vector3:
     """Return the point that positions are counted from: zero unless the scene is far from zero along some axis.
 
     Far is more than twice the scene's size; 256 times where float32 holds all positions as they are, since nothing is
@@ -64,7 +64,7 @@ def local_origin(positions: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, " 3
     return np.where(loses | (steps == 0), 0.0, steps * step)
 
 
-def _fits_float32(positions: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " 3"]:
+def _fits_float32(positions: Points) -> Bool[np.ndarray, " 3"]:
     """Return for each axis whether float32 holds all coordinates exactly."""
     with np.errstate(over="ignore"):
         return np.asarray((positions.astype(np.float32) == positions).all(axis=0))

@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64
+from ..base.arrays import Float32, Float64, Harmonics, Matrix3, Matrix4, Points, Quats, Vector3
 from ..errors import InputError
 from .gaussians import SH_C0, Gaussians
 from .placing import local_origin
@@ -20,10 +20,10 @@ class Similarity:
     """Similarity transform x -> scale * rotation @ x + translation in the world; see `similarity_of`."""
 
     scale: float
-    rotation: Float64[np.ndarray, "3 3"]
-    translation: Float64[np.ndarray, " 3"]
+    rotation: Matrix3
+    translation: Vector3
 
-    def positions(self, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+    def positions(self, points: Points) -> Points:
         """Transform points."""
         return np.asarray(self.scale * points @ self.rotation.T + self.translation)
 
@@ -43,7 +43,7 @@ class Similarity:
             origin=origin,
         )
 
-    def _harmonics(self, sh: Float32[np.ndarray, "n k 3"]) -> Float32[np.ndarray, "n k 3"]:
+    def _harmonics(self, sh: Harmonics) -> Harmonics:
         result = sh.copy()
         for of_degree, matrix in zip(SH_SLICES, self._by_degree, strict=True):
             if of_degree.stop <= sh.shape[1]:
@@ -63,7 +63,7 @@ class Similarity:
 IDENTITY = Similarity(1.0, np.eye(3), np.zeros(3))
 
 
-def similarity_of(matrix: Float64[np.ndarray, "4 4"]) -> Similarity:
+def similarity_of(matrix: Matrix4) -> Similarity:
     """Split a 4x4 matrix into rotation, uniform scale and translation.
 
     Raises: InputError: it shears, mirrors, scales its axes differently, or is no such matrix.
@@ -80,7 +80,7 @@ def similarity_of(matrix: Float64[np.ndarray, "4 4"]) -> Similarity:
     return Similarity(scale, rotation, matrix[:3, 3])
 
 
-def turned(quats: Float32[np.ndarray, "n 4"], rotation: Float64[np.ndarray, "3 3"]) -> Float32[np.ndarray, "n 4"]:
+def turned(quats: Quats, rotation: Matrix3) -> Quats:
     """Rotate unit quaternions (w, x, y, z)."""
     a, b = quaternion_of(rotation), quats.astype(np.float64)
     w, v = a[0], a[1:]
@@ -90,7 +90,7 @@ def turned(quats: Float32[np.ndarray, "n 4"], rotation: Float64[np.ndarray, "3 3
     return np.asarray(product / np.linalg.norm(product, axis=1, keepdims=True), np.float32)
 
 
-def quaternion_of(rotation: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, " 4"]:
+def quaternion_of(rotation: Matrix3) -> Float64[np.ndarray, " 4"]:
     """Return (w, x, y, z), w >= 0: the eigenvector of Bar-Itzhack's matrix (2000), stable at any angle."""
     m = rotation
     k = np.array(
@@ -105,7 +105,7 @@ def quaternion_of(rotation: Float64[np.ndarray, "3 3"]) -> Float64[np.ndarray, "
     return -vector if vector[0] < 0 else vector
 
 
-def sh_basis(directions: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 16"]:
+def sh_basis(directions: Points) -> Float64[np.ndarray, "n 16"]:
     """Evaluate the real spherical harmonics of degrees 0 to 3, in order and sign of 3DGS files."""
     x, y, z = directions.T
     xx, yy, zz = x * x, y * y, z * z

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Float64
+from ..base.arrays import Matrix3, Matrix4, Vector3
 from ..errors import InputError
 
 PHOTOS, RENDERINGS = "photos", "renderings"
@@ -30,8 +30,8 @@ class View:
     """
 
     name: str
-    K: Float64[np.ndarray, "3 3"]
-    cam_from_world: Float64[np.ndarray, "4 4"]
+    K: Matrix3
+    cam_from_world: Matrix4
     width: int
     height: int
     image_path: Path | None = None
@@ -61,7 +61,7 @@ class View:
 
     @classmethod
     def standing(
-        cls, name: str, eye: Float64[np.ndarray, " 3"], axes: Float64[np.ndarray, "3 3"], focal: float,
+        cls, name: str, eye: Vector3, axes: Matrix3, focal: float,
         size: tuple[int, int],
     ) -> "View":  # fmt: skip
         """Return a camera at a place. axes: right, down and ahead. focal, size (across and down): pixels."""
@@ -72,11 +72,11 @@ class View:
         return cls(name, np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]]), pose, width, height)
 
     @property
-    def center(self) -> Float64[np.ndarray, " 3"]:
+    def center(self) -> Vector3:
         """Camera centre in world coordinates."""
         return np.asarray(-self.cam_from_world[:3, :3].T @ self.cam_from_world[:3, 3])
 
-    def relative_to(self, origin: Float64[np.ndarray, " 3"]) -> "View":
+    def relative_to(self, origin: Vector3) -> "View":
         """Return the camera in a world whose zero is at `origin`; the same object if `origin` is zero."""
         if not origin.any():
             return self

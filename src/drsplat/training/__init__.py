@@ -6,7 +6,7 @@ Imports `scene`, `formats`, `kernels` and `drawing`.
 """
 
 from .devices import everyday, train
-from .job import Status, Training
+from .run import Status, Training
 from .settings import TrainingSettings
 
 __all__ = ["Status", "Training", "TrainingSettings", "everyday", "train"]

@@ -25,12 +25,11 @@ from ..kernels.cuda.training import (
 )
 from ..kernels.training import Rates, SceneParameters
 from ..scene.views import View
-from .job import Beginning, Job, Training
 from .keeper import Keeper
 from .loop import optimise, trained
 from .optimizer import Optimizer, Slopes
-from .run import Outcome, Run
-from .schedules import active_sh_degree
+from .run import Beginning, Job, Outcome, Run, Training
+from .settings import active_sh_degree
 from .training_photos import Photo, TrainingPhotos
 
 CURE = "limit them with max_gaussians=N, or train on smaller photos"

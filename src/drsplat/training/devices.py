@@ -12,7 +12,7 @@ from ..formats.captures import SparsePoints
 from ..kernels.cuda.devices import chosen_device
 from ..scene.views import View
 from . import device_run, loop
-from .job import CHECKPOINT_EVERY, SAVE_AT, Job, Status, Training
+from .run import CHECKPOINT_EVERY, SAVE_AT, Job, Status, Training
 from .settings import TrainingSettings
 
 DEFAULT_ITERATIONS = 4000

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Float32, UInt8
+from ..base.arrays import Float32, Pixels, UInt8
 from ..drawing.pictures import as_pixels, write_picture
 from ..kernels.training import SceneParameters, forward
 from ..scene.placing import PUBLISHED_NEAR
@@ -99,6 +99,6 @@ def side_by_side(image: Float32[np.ndarray, "h w 3"], photo: Photo) -> UInt8[np.
     return np.concatenate([photo.pixels, as_pixels(image), as_pixels(error)], axis=1)
 
 
-def _write(path: Path, picture: UInt8[np.ndarray, "h w 3"]) -> None:
+def _write(path: Path, picture: Pixels) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     write_picture(path, picture, overwrite=True)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Float64
+from ..base.arrays import Vector3
 from ..errors import DrSplatWarning, FormatError, InputError, MismatchError
 from ..formats.captures import SparsePoints
 from ..formats.checksums import hash_file
@@ -21,11 +21,9 @@ from ..formats.ply import read_point_ply
 from ..formats.tensors import check_tensors, read_tensors, write_tensors
 from ..scene.views import View
 from .evaluation import Evaluation, evaluate
-from .job import Job, Training
 from .model_folder import ModelFolder
-from .run import Run
-from .schedules import same_until
-from .settings import TrainingSettings
+from .run import Job, Run, Training
+from .settings import TrainingSettings, same_until
 from .start import Split
 from .start_points import Start, start_points
 from .training_photos import TrainingPhotos
@@ -170,7 +168,7 @@ def start_of(
     views: Sequence[View],
     settings: TrainingSettings,
     rng: np.random.Generator,
-    origin: Float64[np.ndarray, " 3"],
+    origin: Vector3,
     *,
     threads: int = 0,
 ) -> Start:

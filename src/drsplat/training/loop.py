@@ -9,11 +9,10 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from .job import Beginning, Job, Status, Training
 from .keeper import Keeper, start_of
 from .model_folder import model_folder
 from .optimizer import Optimizer
-from .run import R, Run
+from .run import Beginning, Job, R, Run, Status, Training
 from .start import first_gaussians, local_capture, split_views
 
 PSNR_EVERY, PSNR_MEMORY = 10, 0.95

@@ -5,13 +5,13 @@ import math
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from ..base.arrays import Bool, Float32, Float64, Integer
+from ..base.arrays import Bool, Float32, Float64, RowIds
 
 WINDOW, SIGMA = 11, 1.5
 C1, C2 = 0.01**2, 0.03**2
 
 Image = Float32[np.ndarray, "h w 3"]
-Flat = Integer[np.ndarray, " m"] | Bool[np.ndarray, " hw"]
+Flat = RowIds | Bool[np.ndarray, " hw"]
 
 
 def psnr(image: Image, photo: Image, outside: Flat | None = None) -> float:

@@ -12,7 +12,6 @@
 Each file appears whole or not at all.
 """
 
-import json
 import re
 import shutil
 from collections.abc import Iterator, Sequence
@@ -27,6 +26,7 @@ from ..formats.cameras_json import write_cameras_json
 from ..formats.captures import SparsePoints
 from ..formats.claiming import LOCK, claimed_folder
 from ..formats.gaussian_ply import write_gaussians
+from ..formats.json_files import write_json
 from ..formats.mask_files import photo_folder
 from ..formats.ply import write_vertices
 from ..formats.replacing import replacing
@@ -127,8 +127,7 @@ class ModelFolder:
         return path
 
     def write_json(self, name: str, document: object) -> None:
-        with replacing(self.path / name, overwrite=True) as file:
-            file.write(json.dumps(document, indent=1).encode())
+        write_json(self.path / name, document, overwrite=True, end="")
 
 
 def _source_and_images(view: View) -> tuple[Path, str]:

@@ -1,29 +1,124 @@
-"""One optimisation between two iterations: everything that decides the next one, and the step."""
+"""One optimisation between two iterations: everything that decides the next one, and the step.
+
+A training's job, its status while it is under way, and the beginning of its optimisation.
+"""
 
 import json
 import math
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ..base.arrays import Anywhere, Float32
-from ..errors import DrSplatError
+from ..base.arrays import Anywhere, Float32, Vector3
+from ..errors import DrSplatError, InputError
+from ..formats.captures import SparsePoints
 from ..kernels.training import Loss, Rates, TrainingView, forward, photometric_loss
 from ..scene.gaussians import Gaussians
 from ..scene.placing import near_plane
 from ..scene.views import View
-from .density import AdaptiveDensity
-from .job import Beginning
-from .mcmc import MonteCarlo
+from .density import AdaptiveDensity, MonteCarlo
+from .evaluation import Evaluation
 from .metrics import psnr
 from .optimizer import Optimizer, Slopes
-from .schedules import active_sh_degree, divisor, means_rate
+from .settings import TrainingSettings, active_sh_degree, divisor, means_rate
 from .start import scene_extent
 from .training_photos import Photo, TrainingPhotos, ViewOrder
+
+CHECKPOINT_EVERY = 1000
+SAVE_AT = (7000,)
+MAX_HELD_OUT_LOSS_DB = 10.0  # well covered captures lose 3 dB on held-out photos, sparse ones up to 8
+
+
+class Status(NamedTuple):
+    """Status of a run under way. psnr: running mean over the photos it is trained on, in dB."""
+
+    iteration: int
+    iterations: int
+    loss: float
+    psnr: float
+    num_gaussians: int
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """The arguments of `devices.train`, which describes them, but for the device.
+
+    Raises: InputError: checkpoint_every < 1.
+    """
+
+    views: Sequence[View]
+    settings: TrainingSettings = field(default_factory=TrainingSettings)
+    output_dir: str | Path | None = None
+    points: SparsePoints | None = None
+    overwrite: bool = False
+    save_at: Collection[int] = SAVE_AT
+    checkpoint_every: int = CHECKPOINT_EVERY
+    threads: int = 0
+    report: Callable[[Status], None] | None = None
+
+    def __post_init__(self) -> None:
+        if self.checkpoint_every < 1:
+            raise InputError(f"checkpoint_every: expected at least 1, got {self.checkpoint_every}")
+
+
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """Inputs of a run. origin: the point of the world that is zero in the frame of views and Gaussians."""
+
+    views: Sequence[View]
+    settings: TrainingSettings
+    optimizer: Optimizer
+    rng: np.random.Generator
+    origin: Vector3 = field(default_factory=lambda: np.zeros(3))
+
+
+@dataclass(frozen=True, eq=False)
+class Training:
+    """The result of a training.
+
+    evaluation: on the held-out photos; None when there are none. psnr_train: mean over as many of the photos that
+    it was trained on, in dB. seconds: of optimisation, over all sittings. stage_seconds: the same by stage.
+    history: evaluations on the way. start: points that it started from, by where they came from. num_masked: photos,
+    trained on or held out, of which masks leave pixels out: these take no part, in measures neither.
+    """
+
+    gaussians: Gaussians
+    settings: TrainingSettings
+    evaluation: Evaluation | None
+    seconds: float
+    stage_seconds: dict[str, float]
+    history: list[dict[str, object]]
+    psnr_train: float
+    start: dict[str, int]
+    num_masked: int = 0
+
+    @property
+    def held_out_far_below(self) -> bool:
+        """True where held-out photos are rendered so much worse that the scene is fog from other viewpoints."""
+        test = self.evaluation
+        return test is not None and self.psnr_train - test.psnr > MAX_HELD_OUT_LOSS_DB
+
+    def measures(self) -> dict[str, object]:
+        """Return the main numbers, for JSON."""
+        return {
+            "psnr_test": self.evaluation.psnr if self.evaluation else None,
+            "psnr_train": self.psnr_train,
+            "held_out_far_below": self.held_out_far_below,
+            "ssim_test": self.evaluation.ssim if self.evaluation else None,
+            "num_gaussians": len(self.gaussians),
+            "iterations": self.settings.iterations,
+            "seconds": self.seconds,
+            "num_test_views": len(self.evaluation.views) if self.evaluation else 0,
+            "num_masked_views": self.num_masked,
+            "stage_seconds": self.stage_seconds,
+            "start": self.start,
+        }
+
 
 FINITE_CHECK_EVERY = 100
 MIN_SIDE_PIXELS = 32  # of a photo that is made coarse; three windows of SSIM

@@ -8,7 +8,7 @@ from warnings import warn
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..base.arrays import Float64
+from ..base.arrays import Vector3
 from ..errors import DrSplatWarning, InputError
 from ..formats.captures import SparsePoints
 from ..kernels.training import SceneParameters
@@ -67,7 +67,7 @@ class Local(NamedTuple):
 
     split: Split
     points: SparsePoints | None
-    origin: Float64[np.ndarray, " 3"]
+    origin: Vector3
 
 
 def local_capture(split: Split, points: SparsePoints | None) -> Local:

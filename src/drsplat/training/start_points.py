@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..base.arrays import Bool, Float64
+from ..base.arrays import Bool, Doubles, Flags, Float64, Points
 from ..errors import DrSplatWarning, InputError
 from ..formats.captures import SparsePoints
 from ..scene.views import View
@@ -84,7 +84,7 @@ def _triangulated_start(
 
 
 def _random_places(
-    views: Sequence[View], known: Float64[np.ndarray, "n 3"], settings: TrainingSettings, rng: np.random.Generator
+    views: Sequence[View], known: Points, settings: TrainingSettings, rng: np.random.Generator
 ) -> Float64[np.ndarray, "m 3"]:
     """Draw places in the space that several cameras see; where there is none, in the cube about the cameras."""
     count = settings.random_points
@@ -129,7 +129,7 @@ def _check_points(points: SparsePoints) -> None:
         raise InputError(
             f"points: expected positions and colors (n, 3), got {points.positions.shape} and {points.colors.shape}"
         )
-    finite: Bool[np.ndarray, " n"] = np.isfinite(points.positions).all(axis=1)
+    finite: Flags = np.isfinite(points.positions).all(axis=1)
     if not finite.all():
         raise InputError(
             f"{count - int(finite.sum())} of {count} points are not finite, the first at index "
@@ -143,7 +143,7 @@ def _check_points(points: SparsePoints) -> None:
 
 
 def fill(
-    views: Sequence[View], triangulated: Float64[np.ndarray, "n 3"], count: int, rng: np.random.Generator, size: float
+    views: Sequence[View], triangulated: Points, count: int, rng: np.random.Generator, size: float
 ) -> Float64[np.ndarray, "m 3"]:
     """Draw at most `count` points along random rays; fewer where cameras share little or no space.
 
@@ -166,7 +166,7 @@ def fill(
     return np.concatenate(batches)
 
 
-def depth_ranges(views: Sequence[View], triangulated: Float64[np.ndarray, "n 3"], size: float) -> Ranges:
+def depth_ranges(views: Sequence[View], triangulated: Points, size: float) -> Ranges:
     """Return the depths between which each view is filled: about its points, else about the point all views look at."""
     looked_at = _distances_to_focus(views, size)
     ranges = looked_at[:, None] * DEPTHS_OVER_FOCUS_DISTANCE
@@ -191,7 +191,7 @@ def _distances_to_focus(views: Sequence[View], size: float) -> Float64[np.ndarra
     return distances
 
 
-def _depths_seen(view: View, points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " m"]:
+def _depths_seen(view: View, points: Points) -> Float64[np.ndarray, " m"]:
     pixels, depths = _projected(view, points)
     seen: np.ndarray = depths[_inside(view, pixels, depths)]
     return seen
@@ -226,9 +226,7 @@ def _seen_by_several(
     return (num_views >= min(MIN_CAMERAS, len(views))) & ~is_close
 
 
-def _projected(
-    view: View, points: Float64[np.ndarray, "n 3"]
-) -> tuple[Float64[np.ndarray, "n 2"], Float64[np.ndarray, " n"]]:
+def _projected(view: View, points: Points) -> tuple[Float64[np.ndarray, "n 2"], Doubles]:
     """Return the pixels and depths (camera z) of points. Pixels of points behind the camera are meaningless."""
     in_camera = (points - view.center) @ view.cam_from_world[:3, :3].T
     depths = in_camera[:, 2]
@@ -236,14 +234,12 @@ def _projected(
     return (in_camera @ view.K.T)[:, :2] / safe[:, None], depths
 
 
-def _inside(
-    view: View, pixels: Float64[np.ndarray, "n 2"], depths: Float64[np.ndarray, " n"]
-) -> Bool[np.ndarray, " n"]:
+def _inside(view: View, pixels: Float64[np.ndarray, "n 2"], depths: Doubles) -> Flags:
     inside = (pixels >= 0).all(axis=1) & (pixels < (view.width, view.height)).all(axis=1)
     return inside & (depths > 0)
 
 
-def _clearance(triangulated: Float64[np.ndarray, "n 3"]) -> float:
+def _clearance(triangulated: Points) -> float:
     """Return how far random points stay from triangulated ones, in scene units; 0 for fewer than two."""
     if len(triangulated) < 2:
         return 0.0

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from ..base.arrays import Bool, Float32, Integer, UInt8
+from ..base.arrays import Bool, Float32, Mask, Pixels, RowIds
 from ..scene.photo_masks import load_mask
 from ..scene.photos import load_image, photo_coverage
 from ..scene.views import View
@@ -21,12 +21,12 @@ class Photo(NamedTuple):
     mask leaves a pixel out; None where it has no mask.
     """
 
-    pixels: UInt8[np.ndarray, "h w 3"]
-    outside: Integer[np.ndarray, " m"]
-    left_out: Bool[np.ndarray, "h w"] | None = None
+    pixels: Pixels
+    outside: RowIds
+    left_out: Mask | None = None
 
     @property
-    def unused(self) -> Integer[np.ndarray, " m"] | Bool[np.ndarray, " hw"]:
+    def unused(self) -> RowIds | Bool[np.ndarray, " hw"]:
         """The flat pixels that take no part: their indices or, where there is a mask, a mark for each pixel."""
         if self.left_out is None:
             return self.outside
@@ -92,7 +92,7 @@ class TrainingPhotos:
                 self._room -= photo.num_bytes
         return photo
 
-    def _outside_of(self, view: View) -> Integer[np.ndarray, " m"]:
+    def _outside_of(self, view: View) -> RowIds:
         """Return the pixels that the lens does not cover; the views of one camera share them."""
         camera = (view.width, view.height, view.distortion, view.K.tobytes())
         with self._counting:

@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from ...base.arrays import Bool, Float64, Int64
 from ...errors import DrSplatWarning, InputError
-from ...formats.runs import spans_of
+from ...formats.json_files import spans_of
 from ...scene.boxes import HAZE_OPACITY
 from .draft import Draft
 from .fill_record import Clones, FillRecord

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...base.arrays import Float64, Int64
 from ...errors import InputError
-from ...formats.runs import are_rows, ids_of
+from ...formats.json_files import are_rows, ids_of
 from .draft import Draft
 
 Spans = Int64[np.ndarray, "s 2"]

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ...base.arrays import Float64
-from ...formats.runs import spans_of
+from ...formats.json_files import spans_of
 from ...formats.scenes import read_gaussians
 from ...kernels.boxes import box_of
 from ...query.objects import match_of, objects_of

@@ -7,8 +7,7 @@ import numpy as np
 
 from ...base.arrays import Float64, Int64
 from ...errors import DrSplatWarning, InputError, MismatchError
-from ...formats.json_files import is_text
-from ...formats.runs import are_rows, ids_of
+from ...formats.json_files import are_rows, ids_of, is_text
 from ...kernels.boxes import box_of
 from ...scene.boxes import Box, solid
 from ...scene.gaussians import Gaussians

@@ -11,8 +11,7 @@ import numpy as np
 
 from ...base.arrays import Float64, Int64, Integer
 from ...errors import InputError
-from ...formats.json_files import is_text
-from ...formats.runs import are_rows, ids_of, spans_of
+from ...formats.json_files import are_rows, ids_of, is_text, spans_of
 from .draft import Draft
 
 Named = Literal["object", "label", "query", "rows"]

@@ -10,10 +10,9 @@ import numpy as np
 from ...base.arrays import Bool
 from ...errors import InputError
 from ...formats.annotations import AnnotationFile
-from ...formats.json_files import written_name
+from ...formats.json_files import ids_of, written_name
+from ...formats.known import read_labels
 from ...formats.labels import Labels
-from ...formats.named import read_labels
-from ...formats.runs import ids_of
 from ...formats.tiles import Tiles
 from ...formats.tiles3d_writing import TiledScene
 from ...query import Answer, Match, Query, Scene

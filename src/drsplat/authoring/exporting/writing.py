@@ -9,8 +9,7 @@ from ...base.system import folder_bytes
 from ...errors import InputError
 from ...formats.georeference import Georeference
 from ...formats.known import TILES3D, format_of, lacks, write_scene
-from ...formats.streamed_sog import LOD_META
-from ...formats.streamed_sog_writing import write_streamed_sog
+from ...formats.streamed_sog import LOD_META, write_streamed_sog
 from ...formats.tiles import Tiles
 from ...formats.tiles3d_writing import TiledScene, write_tiles3d
 from ...query import Query, Scene

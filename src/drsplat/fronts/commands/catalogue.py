@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from datetime import datetime
 
     from ...query.catalogue import Catalogue
-    from ...query.catalogue.conditions import Corners, Degrees
+    from ...query.catalogue.entries import Corners, Degrees
     from .query_options import Asked
 
 EXAMPLES = """\
@@ -139,7 +139,7 @@ def _index(_: Options, catalogue: Catalogue) -> Facts:
 def _ask(options: Options, catalogue: Catalogue) -> Facts:
     from ...drawing.pictures import write_picture
     from ...query.catalogue import Conditions
-    from ...query.catalogue.sheets import entry_sheet
+    from ...query.catalogue.rows import entry_sheet
 
     text = " ".join(options.given) or None
     said = text or options.others["image"] or options.others["vector"]

@@ -105,7 +105,7 @@ def _levels(path: Path) -> Facts:
 def _named_objects(path: Path) -> Facts:
     """Return the named objects that a scene file holds; {} if there are none."""
     from ...formats.glb import names_in_glb
-    from ...formats.named import read_labels
+    from ...formats.known import read_labels
     from ...scene.labelled import numbers_of
 
     if path.suffix.lower() in (".glb", ".gltf"):

@@ -136,7 +136,7 @@ def new_output(path: str, overwrite: bool, suffix: str = "") -> Path:
 
     Raises: InputError: it exists and not `overwrite`, or has another suffix.
     """
-    from ...formats.writable import refuse_packed_name
+    from ...formats.activation import refuse_packed_name
 
     refuse_packed_name(path)
     if Path(path).exists() and not overwrite:

@@ -145,8 +145,7 @@ def _catalogue(path: Path) -> Verified:
 
 
 def _scene(path: Path) -> Verified:
-    from ...formats.motion import verify_motion
-    from ...formats.moving_scenes import read_scene
+    from ...formats.moving_scenes import read_scene, verify_motion
     from ...formats.recognising import MOTION
     from ...formats.tensors import read_tensors
     from ...scene.moving import Moving
@@ -166,8 +165,7 @@ def _scene(path: Path) -> Verified:
 
 def _features(path: Path) -> Verified:
     from ... import read_features
-    from ...formats.embedding_record import verify_embedding
-    from ...formats.feature_files import COMPACT, stems
+    from ...formats.embedding_record import COMPACT, stems, verify_embedding
 
     names, folder = verify_embedding(path), read_features(path)
     for key in folder:

@@ -14,8 +14,8 @@ from ...base.arrays import UInt8
 from ...errors import DrSplatError, InputError
 from ...formats.captures import read_views
 from ...formats.recognising import Kind, recognised
+from ...photos.capture.capturing import sources_key
 from ...photos.capture.finding import VIDEO_ENDS, find_photos
-from ...photos.capture.rescaling import sources_key
 from ...photos.capture.videos import some_frames, video_source
 from ...scene.photos import decoded_picture
 

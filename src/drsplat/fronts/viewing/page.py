@@ -23,8 +23,7 @@ from ...formats.replacing import replacing
 from ...formats.spz_writing import spz_bytes
 from ...query import Match
 from ...query.documents import Document
-from ...scene.gaussians import Gaussians
-from ...scene.significance import significance
+from ...scene.gaussians import Gaussians, significance
 from . import painting
 from .client import page_html
 from .page_search import PageSearch

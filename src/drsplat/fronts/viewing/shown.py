@@ -8,8 +8,7 @@ import numpy as np
 from ...authoring.filming.looking import Vector
 from ...base.arrays import Float32, Float64, Int64
 from ...errors import InputError
-from ...scene.gaussians import SH_C0, Gaussians
-from ...scene.significance import most_significant
+from ...scene.gaussians import SH_C0, Gaussians, most_significant
 from ...scene.views import View
 
 RADIUS = (

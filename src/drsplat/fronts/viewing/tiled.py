@@ -16,8 +16,7 @@ from ...formats.tiles import Tile, Tiles
 from ...query import Scene
 from ...query.objects import objects_of
 from ...query.seen import Seen
-from ...scene.gaussians import Gaussians
-from ...scene.significance import most_significant
+from ...scene.gaussians import Gaussians, most_significant
 from ...scene.views import View
 from . import painting
 from .edits import Notes

@@ -8,14 +8,13 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from ...base.arrays import Float32, Int32
+from ...base.arrays import Float32, MaskIds
 from ...errors import DrSplatError
 from ...scene.views import View
 from ..splats import Contributions, Rendering, SplatArrays, Triples
 from .devices import on_host
 from .engine import Engine, blocks_of, is_memory_full
-from .sorting import empty, running_sums, sorted_pairs
-from .tiling import Raster, Tiles, room_for_splats, sent_camera, tiles_of
+from .tiling import Raster, Tiles, empty, room_for_splats, running_sums, sent_camera, sorted_pairs, tiles_of
 
 WARPS_PER_TILE, PIXELS_PER_TILE = 8, 256
 BATCH_BYTES = 24 << 10  # of shared memory that a kernel needs besides its columns
@@ -89,9 +88,7 @@ def drawn_channels(splats: SplatArrays, view: View, values: Any, background: Any
     return image, alpha, depth
 
 
-def view_weights(
-    splats: SplatArrays, view: View, mask_ids: Int32[np.ndarray, "h w"], topk: int, first_hits: int
-) -> Triples:
+def view_weights(splats: SplatArrays, view: View, mask_ids: MaskIds, topk: int, first_hits: int) -> Triples:
     """Return one view's entries of W as `kernels.splatting.view_weights`; 0 for `topk` or `first_hits`: all.
 
     Raises: DrSplatError: the GPU is full.

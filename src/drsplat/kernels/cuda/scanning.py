@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Float32, Int32, Int64
+from ...base.arrays import Float32, Ids, Int64, Numbers
 from ...errors import InputError
 from ..scan import (
     GroupedRows,
@@ -23,7 +23,7 @@ from ..scan import (
 )
 from .devices import on_host
 from .engine import Engine, blocks_of
-from .sorting import MAX_KEYS, sorted_pairs
+from .tiling import MAX_KEYS, sorted_pairs
 
 THREADS_PER_BLOCK = 512  # as in scan.cuh
 ROWS_PER_BLOCK = 1024  # that it scores at once
@@ -81,7 +81,7 @@ def scan_scores(rows: DeviceRows, tables: QueryTables) -> Float32[np.ndarray, "q
 
 
 def scan_above(
-    rows: DeviceRows, tables: QueryTables, threshold: float, floor: Float32[np.ndarray, " n"] | None = None
+    rows: DeviceRows, tables: QueryTables, threshold: float, floor: Numbers | None = None
 ) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
     """Return the rows whose score minus `floor` exceeds the threshold as `kernels.scan.scan_above`.
 
@@ -108,9 +108,7 @@ def scan_top(
     return on_host(places).astype(np.int64), on_host(scores[places])
 
 
-def scan_best(
-    rows: DeviceRows, tables: QueryTables
-) -> tuple[Int32[np.ndarray, " n"], Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
+def scan_best(rows: DeviceRows, tables: QueryTables) -> tuple[Ids, Numbers, Numbers]:
     """Return each row's best query, its score and the next highest as `kernels.scan.scan_best`.
 
     Raises: InputError: arrays that do not fit each other.

@@ -11,8 +11,7 @@ import numpy as np
 from ...scene.views import View
 from ..training import Rates, SceneParameters
 from .engine import Engine, blocks_of
-from .sorting import empty
-from .tiling import Projected, Raster, Tiles, room_for_splats, sent_camera, tiles_of
+from .tiling import Projected, Raster, Tiles, empty, room_for_splats, sent_camera, tiles_of
 
 PIXELS_PER_TILE = 256
 SUMS_PER_SPLAT = 9  # in each tile, of gradients

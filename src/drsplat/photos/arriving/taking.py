@@ -16,11 +16,11 @@ from ...field import LanguageField
 from ...field.growing.changing import check_growth
 from ...formats.claiming import claimed_output
 from ...formats.compact_features import read_compact
-from ...formats.feature_files import COMPACT
+from ...formats.embedding_record import COMPACT
 from ...formats.langsplat import FeatureFolder, level_index
 from ...formats.live_views import FullError, LiveView, LiveViews, TakenNameError, live_name, posed, stem_of
 from ...formats.replacing import saying_what_is_full
-from ...scene.picture_costs import check_cost
+from ...scene.photos import check_cost
 from ...scene.views import View, same_aspect
 from .models import FEATURES, ModelNames, check_names
 

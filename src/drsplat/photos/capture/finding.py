@@ -16,8 +16,7 @@ from ...errors import DrSplatError, DrSplatWarning, InputError
 from ...formats.mask_files import FOLDER_NAME as MASK_FOLDER
 from ...formats.mask_files import NO_NAME, mask_folders, masks_of
 from ...formats.photo_files import folded, listed, safe_name
-from ...scene.photos import PHOTO_FORMATS, photo_size
-from ...scene.picture_costs import check_cost
+from ...scene.photos import PHOTO_FORMATS, check_cost, photo_size
 from ...scene.views import same_aspect
 
 PHOTO_ENDS = {".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff", ".bmp", ".heic", ".heif"}

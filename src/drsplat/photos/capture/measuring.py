@@ -8,13 +8,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Bool, Float64
+from ...base.arrays import Doubles, Flags, Float64, Vector3
 from ...errors import FormatError, InputError, did_you_mean
-from ...formats.csv_tables import read_rows
+from ...formats.captures import read_rows
 from ...formats.photo_files import listed
 from .program import ask_colmap
 
-Position = Float64[np.ndarray, " 3"]
+Position = Vector3
 
 MAX_AWAY_SHARE = 0.05  # of the photo's diagonal: points farther from the pixel say nothing about it
 MAX_SURFACE_POINTS = 12  # nearest to the pixel, which define the surface there
@@ -172,7 +172,7 @@ def _on_surface(place: Place, look: dict[str, Any]) -> Position:
     return np.array(look["center"]) + depth * np.array(look["ray"])
 
 
-def _depth(offsets: Float64[np.ndarray, "n 2"], depths: Float64[np.ndarray, " n"]) -> float:
+def _depth(offsets: Float64[np.ndarray, "n 2"], depths: Doubles) -> float:
     """Return the depth at a pixel of the foremost surface through the points around it.
 
     On a plane the inverse of the depth is linear in the pixel; it is not extrapolated beyond the points' depths.
@@ -186,7 +186,7 @@ def _depth(offsets: Float64[np.ndarray, "n 2"], depths: Float64[np.ndarray, " n"
     return 1 / float(np.clip(at_pixel, inverse.min(), inverse.max()))
 
 
-def _front(depths: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def _front(depths: Doubles) -> Flags:
     """Return which depths are of the first surface: people point at objects, not at the wall behind."""
     ascending = np.sort(depths)
     ends = np.flatnonzero(np.diff(ascending) > MIN_GAP_SHARE * ascending[:-1]) + 1

@@ -5,26 +5,79 @@ the photos. The look of a photo is its SIFT descriptors relative to the words of
 the photos themselves.
 Source: Jegou et al., Aggregating local descriptors into a compact image representation, CVPR 2010 (VLAD), with the
 intra-normalisation of Arandjelovic and Zisserman, All about VLAD, CVPR 2013.
+
+Contents of COLMAP's database, read without COLMAP.
+
+Source: https://colmap.github.io/database.html
 """
 
 import hashlib
+import sqlite3
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 
-from ...base.arrays import Float32, Float64
+from ...base.arrays import Float32, Float64, Points
+from ...errors import FormatError
 from ...formats.replacing import replacing
 from ...scene.geodesy import geocentric
-from . import database as colmap_database
 from .finding import are_numbered
 from .photos import Photo, mask_path
 from .program import ColmapFailure, ask_colmap
 from .settings import LENSES
 from .turning import MIN_MATCHES, check_moved
 from .work import Work
+
+PAIR_BASE = 2147483647  # pair id = PAIR_BASE * (smaller image id) + larger image id
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[sqlite3.Connection]:
+    """Open a database to read it. Raises: FormatError: it is damaged, or there is none."""
+    try:
+        with closing(sqlite3.connect(f"file:{quote(str(path))}?mode=ro", uri=True)) as database:
+            yield database
+    except sqlite3.Error as error:
+        raise FormatError(
+            f"COLMAP's database in {path.parent} is damaged ({error}): remove that folder, and start anew"
+        ) from error
+
+
+def num_features(database: sqlite3.Connection) -> dict[str, int]:
+    """Return the number of features of each processed photo, by its name."""
+    query = "SELECT name, rows FROM images JOIN keypoints USING (image_id) JOIN descriptors USING (image_id, rows)"
+    return dict(database.execute(query))
+
+
+def verified_pairs(database: sqlite3.Connection) -> dict[tuple[str, str], int]:
+    """Return the number of verified matches of each pair of names that has some."""
+    names = dict(database.execute("SELECT image_id, name FROM images"))
+    rows = database.execute("SELECT pair_id, rows FROM two_view_geometries WHERE rows > 0")
+    return {(names[pair // PAIR_BASE], names[pair % PAIR_BASE]): count for pair, count in rows}
+
+
+def matched_pixels(database: sqlite3.Connection, pair: tuple[str, str]) -> Float64[np.ndarray, "2 n 2"]:
+    """Return the pixels of the verified matches of a pair of `verified_pairs`, in its first and second photo."""
+    query = "SELECT image_id, rows, data FROM images JOIN keypoints USING (image_id) WHERE name = ?"
+    (first, *ours), (second, *theirs) = (database.execute(query, (name,)).fetchone() for name in pair)
+    query = "SELECT data FROM two_view_geometries WHERE pair_id = ?"
+    matches = np.frombuffer(database.execute(query, (PAIR_BASE * first + second,)).fetchone()[0], np.uint32)
+    pixels = [np.frombuffer(data, np.float32).reshape(rows, -1)[:, :2] for rows, data in (ours, theirs)]
+    return np.stack([pixels[k][matches[k::2]] for k in (0, 1)]).astype(np.float64)
+
+
+def descriptors_of(database: sqlite3.Connection, name: str) -> Float32[np.ndarray, "n 128"]:
+    """Return the SIFT descriptors of a photo, of unit length."""
+    query = "SELECT rows, cols, data FROM descriptors JOIN images USING (image_id) WHERE name = ?"
+    rows, columns, data = database.execute(query, (name,)).fetchone() or (0, 128, b"")
+    values = np.frombuffer(data, np.uint8).reshape(rows, columns).astype(np.float32)
+    return np.asarray(values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-9))
+
 
 FEATURES_SIDE_PIXELS = 1200  # longer side of photos for finding features
 DEFAULT_FOCAL_SHARE = 1.2 * 0.8  # of the diagonal: COLMAP's guess, 1.2 times the longer side of a photo of 4:3
@@ -83,12 +136,12 @@ class Posing:
     def run(self) -> Posed:
         """Pose the photos. Raises: InputError: the camera only turned, a full disk. ColmapFailure: COLMAP failed."""
         self._extract()
-        with colmap_database.reading(self._database) as database:
-            features = colmap_database.num_features(database)
+        with reading(self._database) as database:
+            features = num_features(database)
             chosen = self._pairs(database, features)
         self._match(chosen)
-        with colmap_database.reading(self._database) as database:
-            pairs = colmap_database.verified_pairs(database)
+        with reading(self._database) as database:
+            pairs = verified_pairs(database)
             files = {photo.file for photo in self.photos}
             pairs = {pair: count for pair, count in pairs.items() if set(pair) <= files}
             self._check_moved(database, pairs)
@@ -137,9 +190,7 @@ class Posing:
         if len(photos) <= (MAX_EXHAUSTIVE_NUMBERED_PHOTOS if numbered else MAX_EXHAUSTIVE_PHOTOS):
             pairs = all_pairs(len(photos))
         else:
-            looks = looks_of(
-                [photo.file for photo in photos], lambda file: colmap_database.descriptors_of(database, file)
-            )
+            looks = looks_of([photo.file for photo in photos], lambda file: descriptors_of(database, file))
             alike = NUMBERED_NEIGHBOURS_IN_LOOKS if numbered else NEIGHBOURS_IN_LOOKS
             pairs = pairs_in_looks(looks, alike) | pairs_in_place(places_of(photos))
             if numbered:
@@ -164,7 +215,7 @@ class Posing:
             sizes = np.array([[[photos[file].width, photos[file].height]] for file in pair])
             diagonals = np.linalg.norm(sizes, axis=2, keepdims=True)
             focals = np.array([[[camera_of(photos[file], self.lens)["params"][0]]] for file in pair])
-            pixels = colmap_database.matched_pixels(database, pair)
+            pixels = matched_pixels(database, pair)
             sample.append(((pixels - sizes / 2) / diagonals, focals / diagonals))
         check_moved(sample, self.lens != "fisheye" and all(photo.exif.focal_share for photo in self.photos))
 
@@ -232,7 +283,7 @@ def camera_of(photo: Photo, lens: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def places_of(photos: Sequence[Photo]) -> Float64[np.ndarray, "n 3"]:
+def places_of(photos: Sequence[Photo]) -> Points:
     """Return positions of photos in metres from the centre of the Earth; rows of NaN where they have none."""
     nowhere = (np.nan, np.nan, np.nan)
     positions = [photo.exif.position or nowhere for photo in photos]
@@ -314,7 +365,7 @@ def pairs_in_order(count: int) -> set[tuple[int, int]]:
     return {(i, i + step) for step in steps for i in range(count - step)}
 
 
-def pairs_in_place(positions: Float64[np.ndarray, "n 3"]) -> set[tuple[int, int]]:
+def pairs_in_place(positions: Points) -> set[tuple[int, int]]:
     """Return pairs of photos that were taken near each other; rows of NaN have no place."""
     from scipy.spatial import KDTree
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Bool, Float64, Int64, UInt8
+from ...base.arrays import Doubles, Flags, Int64, UInt8
 from ...base.contents import open_file
 from ...errors import InputError, MissingExtraError
 from ...formats.replacing import replacing
@@ -38,8 +38,8 @@ BLOCKS_ACROSS = 4
 class Film:
     """Measurements of each frame. sharpness: see `photos.sharpness`. moved: shares of the width since the last."""
 
-    sharpness: Float64[np.ndarray, " n"]
-    moved: Float64[np.ndarray, " n"]
+    sharpness: Doubles
+    moved: Doubles
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +203,7 @@ def choose(film: Film) -> Choice:
     return Choice(np.sort(usable[order[first]]), int(blurred.sum()), still)
 
 
-def are_blurred(sharpness: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+def are_blurred(sharpness: Doubles) -> Flags:
     """Return which frames are much less sharp than the frames around them."""
     from scipy.ndimage import median_filter
 

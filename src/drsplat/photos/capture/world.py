@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...base.arrays import Float64
+from ...base.arrays import Doubles, Matrix3, Points, Vector3
 from ...errors import InputError
 from ...formats.georeference import Georeference
 from ...scene.boxes import upward
 from ...scene.geodesy import geocentric, local_offsets
 from ...scene.similarity import Similarity
 from ...scene.views import View
-from .exif import ExifFacts
+from .photos import ExifFacts
 
 MIN_GPS_PHOTOS = 4
 MAX_RESIDUAL_SHARE = 0.2  # of the spread of the GPS positions: noise in a room is larger than the room
@@ -27,8 +27,7 @@ REFIT_ROUNDS = 5
 MAX_GRAVITY_SPREAD_DEGREES = 10.0  # median angle to the mean
 DEFAULT_MEDIAN_DEPTH = 4.0  # units from a camera to the points it sees, where the scale is unknown
 
-Points = Float64[np.ndarray, "n 3"]
-Rotation = Float64[np.ndarray, "3 3"]
+Rotation = Matrix3
 
 
 @dataclass(frozen=True)
@@ -81,7 +80,7 @@ def _upright(views: Sequence[View], facts: Mapping[str, ExifFacts]) -> tuple[Rot
         return np.eye(3), ""
 
 
-def _gravity_up(views: Sequence[View], facts: Mapping[str, ExifFacts]) -> Float64[np.ndarray, " 3"] | None:
+def _gravity_up(views: Sequence[View], facts: Mapping[str, ExifFacts]) -> Vector3 | None:
     """Return the mean upward direction of the photos' accelerometers; None where they disagree or are missing."""
     downs = [(view, facts[view.name].down) for view in views]
     ups = np.array([-view.cam_from_world[:3, :3].T @ np.array(down) for view, down in downs if down is not None])
@@ -93,7 +92,7 @@ def _gravity_up(views: Sequence[View], facts: Mapping[str, ExifFacts]) -> Float6
     return mean if spread <= MAX_GRAVITY_SPREAD_DEGREES else None
 
 
-def upright_rotation(up: Float64[np.ndarray, " 3"], views: Sequence[View]) -> Rotation:
+def upright_rotation(up: Vector3, views: Sequence[View]) -> Rotation:
     """Return the rotation that maps `up` to +z, and the first camera's right to +x."""
     axes = [view.cam_from_world[row, :3] for view in views[:1] for row in (0, 1, 2)]
     across = max((axis - (axis @ up) * up for axis in axes), key=lambda axis: float(np.linalg.norm(axis)))
@@ -126,7 +125,7 @@ def _gps_fit(views: Sequence[View], facts: Mapping[str, ExifFacts], upright: Rot
     return World(similarity, "m", up_from, "GPS", georeference, middle)
 
 
-def _robust_similarity(source: Points, target: Points) -> tuple[Similarity, Float64[np.ndarray, " n"]]:
+def _robust_similarity(source: Points, target: Points) -> tuple[Similarity, Doubles]:
     """Return the similarity from source to target without the influence of outliers, and all distances after it.
 
     It begins with the best of many that are fitted to four pairs each: least median of squares.
@@ -142,7 +141,7 @@ def _robust_similarity(source: Points, target: Points) -> tuple[Similarity, Floa
     return similarity, _distances(similarity, source, target)
 
 
-def _distances(similarity: Similarity, source: Points, target: Points) -> Float64[np.ndarray, " n"]:
+def _distances(similarity: Similarity, source: Points, target: Points) -> Doubles:
     return np.asarray(np.linalg.norm(similarity.positions(source) - target, axis=1))
 
 

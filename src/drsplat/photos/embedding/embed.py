@@ -21,14 +21,12 @@ from ...errors import DrSplatWarning, InputError
 from ...field.codes import Track, encoder_from_json, untracked
 from ...formats.checksums import hash_file
 from ...formats.claiming import claimed_folder
-from ...formats.embedding_record import FILE_NAME, EmbeddingRecord, open_record, read_settings
-from ...formats.feature_files import Form
+from ...formats.embedding_record import FILE_NAME, EmbeddingRecord, Form, open_record, read_settings
 from ...formats.langsplat import FeatureFolder, stored_features, write_features
 from ...formats.photo_files import listed
 from ...formats.vocabulary import VocabularyEncoder, read_vocabulary, write_vocabulary
 from ...scene.encoders import Encoder, EncoderIdentity, ImageEncoder, identity_json
-from ...scene.masks.keeping_out import kept_masks
-from ...scene.masks.masks import LEVELS, Masks, Segmenter
+from ...scene.masks.masks import LEVELS, Masks, Segmenter, kept_masks
 from ...scene.masks.selection import MaskMaps, mask_maps
 from ...scene.photo_masks import load_mask, views_with_something
 from ...scene.photos import load_image

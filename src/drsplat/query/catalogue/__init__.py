@@ -4,7 +4,6 @@ Only `table` uses LanceDB and Arrow, both of the extra `catalogue`; they are imp
 """
 
 from .catalogue import Catalogue
-from .conditions import Conditions
-from .entries import CatalogueAnswer, Entry, SceneEntry
+from .entries import CatalogueAnswer, Conditions, Entry, SceneEntry
 
 __all__ = ["Catalogue", "CatalogueAnswer", "Conditions", "Entry", "SceneEntry"]

@@ -23,11 +23,9 @@ from ..encoding import Load
 from ..opening import SceneFiles, scene_files
 from ..ranking import Surroundings
 from . import table
-from .codes import CodeReader, has_codebook
+from .codes import CodeReader, Search, has_codebook, nearest_objects
 from .coding import verify as verify_codes
-from .conditions import Conditions, checked_name, of_scene
-from .entries import CatalogueAnswer, Entry, SceneEntry
-from .nearest import Search, nearest_objects
+from .entries import CatalogueAnswer, Conditions, Entry, SceneEntry, checked_name, of_scene
 from .reading import SceneRules, entries_of, listed_of, thumbnail_of
 from .rows import SceneRows, rows_of
 from .schema import batch

@@ -25,7 +25,7 @@ from .codes import (
     listed,
     read_part,
 )  # fmt: skip
-from .manifest import Fragment
+from .record import Fragment
 from .snapshot import Snapshot
 
 TRAINING_ROWS = 8192  # objects whose descriptors a codebook is trained on

@@ -18,9 +18,8 @@ from .. import Query
 from ..opening import scene_files
 from ..ranking import Ranked
 from ..sketch import Sketch, SketchedScene
-from .conditions import of_scene
-from .entries import Entry, Position, SceneEntry, checked_jpeg
-from .lance import CURE, libraries
+from .entries import Entry, Position, SceneEntry, checked_jpeg, of_scene
+from .schema import CURE, libraries
 from .snapshot import ROW_ID, Snapshot
 
 TEXTS = ("scene", "field", "added", "label", "name", "photo", "mask", "thumbnail")

@@ -2,9 +2,13 @@
 
 LanceDB writes a file once and never changes it, except for a hint at the latest version. So a record stays true when
 versions are added; versions after it come from a process that was killed before it could record them.
+
+Fragments of a version of a LanceDB table, from its manifest.
+
+A manifest ends in where its message of Protocol Buffers begins, 8 bytes, and "LANC"; the message has its length before
+it. Source: the Lance table format, `table.proto`.
 """
 
-import json
 import os
 import re
 import time
@@ -17,9 +21,109 @@ from uuid import UUID
 
 from ...errors import FormatError
 from ...formats.checksums import check_document, check_seal, file_checksum, sealed
-from ...formats.json_files import is_text, read_json
-from ...formats.replacing import replacing
-from .manifest import manifest_of
+from ...formats.json_files import as_document, as_fields, read_json, write_json
+
+NEWEST_FIRST = (1 << 64) - 1  # LanceDB names the manifest of version v NEWEST_FIRST - v, formerly v
+MAGIC, FOOTER_BYTES, LENGTH_BYTES = b"LANC", 16, 4
+FRAGMENTS, READER_FLAGS, STABLE_ROW_IDS = 2, 9, 2  # of a manifest; the flag: row ids are no addresses
+NUMBER, FILES, PHYSICAL_ROWS, PATH = 1, 2, 4, 1  # of a fragment, and of its file
+ADDRESS_BITS = 32  # of a row's place in its fragment
+
+
+class Fragment(NamedTuple):
+    """Rows in one file that never changes. data: its name; num_rows: with those that were deleted since."""
+
+    number: int
+    data: str
+    num_rows: int
+
+    @property
+    def first(self) -> int:
+        """Id of the first row; the next fragment's are from `first + (1 << 32)` on."""
+        return self.number << ADDRESS_BITS
+
+    @property
+    def sql(self) -> str:
+        """Condition that a row is of this fragment."""
+        return f"(_rowid >= {self.first} AND _rowid < {self.first + self.num_rows})"
+
+
+def manifest_of(table: Path, version: int) -> Path | None:
+    """Return the manifest of a version; None if it is missing."""
+    paths = (table / "_versions" / f"{number}.manifest" for number in (NEWEST_FIRST - version, version))
+    return next((path for path in paths if path.exists()), None)
+
+
+def fragments_of(manifest: Path) -> list[Fragment] | None:
+    """Return the fragments of a version, in order; None if its row ids are no addresses.
+
+    Raises: FormatError: no manifest, or one of fragments in several files.
+    """
+    content = manifest.read_bytes()
+    try:
+        parts = list(_fields(_message(content)))
+        if any(key == READER_FLAGS and int(value) & STABLE_ROW_IDS for key, value in parts):
+            return None
+        return [_fragment(value) for key, value in parts if key == FRAGMENTS and isinstance(value, bytes)]
+    except (IndexError, ValueError, TypeError, KeyError) as error:
+        raise FormatError(f"{manifest}: expected the fragments of a LanceDB table ({error!s:.80})") from error
+
+
+def _message(content: bytes) -> bytes:
+    begin = int.from_bytes(content[-FOOTER_BYTES : 8 - FOOTER_BYTES], "little") + LENGTH_BYTES
+    length = int.from_bytes(content[begin - LENGTH_BYTES : begin], "little")
+    message = content[begin : begin + length]
+    if not content.endswith(MAGIC) or len(message) != length:
+        raise ValueError("cut short")
+    return message
+
+
+def _fragment(message: bytes) -> Fragment:
+    parts = list(_fields(message))
+    values = dict(parts)
+    (file,) = (value for key, value in parts if key == FILES)
+    number, num_rows = int(values.get(NUMBER, 0)), int(values.get(PHYSICAL_ROWS, 0))
+    if not (number < 1 << 31 and num_rows < 1 << ADDRESS_BITS):
+        raise ValueError(f"{num_rows} rows")
+    return Fragment(number, _bytes(dict(_fields(_bytes(file)))[PATH]).decode(), num_rows)
+
+
+def _bytes(value: int | bytes) -> bytes:
+    if not isinstance(value, bytes):
+        raise TypeError("a number for a message")
+    return value
+
+
+def _fields(message: bytes) -> Iterator[tuple[int, int | bytes]]:
+    """Yield the number and the value of each field. Raises: IndexError, ValueError: no message."""
+    at = 0
+    while at < len(message):
+        key, at = _number(message, at)
+        kind = key & 7
+        if kind == 0:
+            value, at = _number(message, at)
+            yield key >> 3, value
+            continue
+        if kind not in (1, 2, 5):
+            raise ValueError(f"field of kind {kind}")
+        length, at = _number(message, at) if kind == 2 else ({1: 8, 5: 4}[kind], at)
+        if at + length > len(message):
+            raise ValueError("cut short")
+        yield key >> 3, message[at : at + length]
+        at += length
+
+
+def _number(message: bytes, at: int) -> tuple[int, int]:
+    """Return a number of seven bits a byte, the lowest first, and where it ends."""
+    value = shift = 0
+    while True:
+        byte = message[at]
+        value, at, shift = value | (byte & 127) << shift, at + 1, shift + 7
+        if byte < 128:
+            return value, at
+        if shift > 63:
+            raise ValueError("a number of more than 64 bits")
+
 
 RECORD, FORMAT, VERSION = "checksums.json", "drsplat catalogue checksums", 1
 HINT = "_versions/latest_version_hint.json"
@@ -94,15 +198,10 @@ def read_record(catalogue: Path) -> Record | None:
     path = catalogue / RECORD
     if not path.exists():
         return None
-    document = read_json(path)
-    if not isinstance(document, dict) or document.get("format") != FORMAT or document.get("version") != VERSION:
-        raise FormatError(f"{path}: expected '{FORMAT}' of version {VERSION}. {CURE}")
+    document = as_document(read_json(path), str(path), FORMAT, VERSION, CURE)
     check_seal(document, str(path), cure=CURE)
-    version, removed = document.get("table"), document.get("removed")
-    if type(version) is not int or not isinstance(removed, list) or not all(map(is_text, removed)):
-        raise FormatError(f"{path}: expected the table's version and names of scenes. {CURE}")
-    files, older = (_files(document.get(key), path) for key in ("files", "older"))
-    return Record(version, files, older, tuple(removed))
+    parts = as_fields(document, str(path), table=int, files=object, older=object, removed=tuple[str, ...])
+    return Record(parts["table"], _files(parts["files"], path), _files(parts["older"], path), parts["removed"])
 
 
 def verify_record(catalogue: Path, table: Path) -> list[str]:
@@ -139,8 +238,7 @@ def write_record(catalogue: Path, table: Path, version: int, removed: Iterable[s
         "files": {name: sums[name] for name in sorted(sums) if name in of_version},
         "older": {name: sums[name] for name in sorted(sums) if name not in of_version},
     }  # fmt: skip
-    with replacing(catalogue / RECORD, overwrite=True) as out:
-        out.write((json.dumps(sealed(document), indent=1) + "\n").encode())
+    write_json(catalogue / RECORD, sealed(document), overwrite=True)
 
 
 def _files(document: object, path: Path) -> dict[str, Summed]:

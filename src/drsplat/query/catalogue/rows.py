@@ -1,4 +1,7 @@
-"""Objects of a scene as columns of the table."""
+"""Objects of a scene as columns of the table.
+
+Picture of a catalogue's answer.
+"""
 
 import io
 from collections.abc import Sequence
@@ -10,6 +13,8 @@ import numpy as np
 from PIL import Image
 
 from ...base.arrays import UInt8
+from ...drawing.cards import Card, card_sheet
+from ...drawing.pictures import OtherPixels
 from ...errors import InputError
 from ...field import LanguageField
 from ...field.codes import Track
@@ -19,7 +24,7 @@ from .. import Match, Scene
 from ..objects import objects_of, support_of
 from ..sheets import object_picture, object_views
 from ..sketch import sketch_of
-from .entries import Position
+from .entries import Entry, Position
 
 UNTILED = 0
 SIZE = (240, 180)
@@ -148,3 +153,24 @@ def _jpeg(picture: Image.Image, quality: int) -> bytes:
     file = io.BytesIO()
     picture.save(file, "JPEG", quality=quality, optimize=True)
     return file.getvalue()
+
+
+COLUMNS, MAX_CARDS = 5, 60
+GREY = 214  # of an object without a thumbnail
+
+
+def entry_sheet(entries: Sequence[Entry], heading: str) -> OtherPixels:
+    """Draw a card for each of the first 60 entries. Raises: InputError: none. FormatError: a damaged thumbnail."""
+    if not entries:
+        raise InputError("there is nothing to draw: no object answers this query")
+    cards = [
+        Card(_tile(entry), entry.title, (f"in {entry.scene}", f"score {entry.score:.2f} · {entry.photo or 'no photo'}"))
+        for entry in entries[:MAX_CARDS]
+    ]
+    return card_sheet(cards, COLUMNS, heading, "Best first.")
+
+
+def _tile(entry: Entry) -> OtherPixels:
+    if entry.thumbnail is None:
+        return np.full((SIZE[1], SIZE[0], 3), GREY, np.uint8)
+    return np.asarray(Image.fromarray(entry.picture()).resize(SIZE))

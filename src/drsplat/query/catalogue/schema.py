@@ -1,17 +1,76 @@
-"""Columns of a catalogue's table, rows of them, and descriptors in a byte for each number."""
+"""Columns of a catalogue's table, rows of them, and descriptors in a byte for each number.
+
+LanceDB and Arrow, imported where a catalogue needs them, and their errors in our words.
+"""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ...base.arrays import Float32, Int8, Int64
-from ...errors import FormatError, InputError
+from ...errors import DrSplatError, FormatError, InputError, MissingExtraError
+from ...formats.json_files import as_fields, document_in
 from ...scene.encoders import EncoderIdentity, identity_json
 from ..ranking import Described
-from .lance import CURE, libraries
+
+PANICS = ("PanicException", "RustPanic")  # of Rust, on unexpected contents
+INDEX_CACHE_BYTES, METADATA_CACHE_BYTES = 512 << 20, 256 << 20
+CURE = "the table is damaged: restore it from a copy, or remove the folder and add its scenes again"
+
+
+def libraries() -> tuple[Any, Any]:
+    """Import LanceDB and Arrow. Raises: MissingExtraError: they are not installed."""
+    try:
+        import lancedb
+        import pyarrow
+    except ImportError as error:
+        raise MissingExtraError(f'a catalogue needs LanceDB ({error}): pip install "drsplat[catalogue]"') from error
+    return lancedb, pyarrow
+
+
+@cache
+def session() -> Any:
+    """Return the cache that all queries of this process share; without it each would read the index anew."""
+    lancedb, _ = libraries()
+    return lancedb.Session(INDEX_CACHE_BYTES, METADATA_CACHE_BYTES)
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Turn errors of LanceDB into FormatErrors."""
+    with _lance_errors(path):
+        yield
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """Turn errors of LanceDB into InputErrors: it could not write, and nothing has changed."""
+    try:
+        with _lance_errors(path):
+            yield
+    except FormatError as error:
+        raise InputError(f"{path}: nothing was changed: {error.__cause__!s:.300}") from error
+
+
+@contextmanager
+def _lance_errors(path: Path) -> Iterator[None]:
+    """Turn errors of LanceDB, Arrow and Rust into FormatErrors."""
+    try:
+        yield
+    except DrSplatError:
+        raise
+    except (ValueError, RuntimeError, OSError) as error:  # Arrow's are among these
+        raise FormatError(f"{path}: {CURE} ({type(error).__name__}: {error!s:.300})") from error
+    except BaseException as error:
+        if type(error).__name__ not in PANICS:
+            raise
+        raise FormatError(f"{path}: {CURE} ({error!s:.300})") from error
+
 
 KEY = b"drsplat catalogue"  # of the table's metadata
 VERSION = 4
@@ -130,13 +189,11 @@ def encoder_of(path: Path, schema: Any) -> EncoderIdentity:
 
 def _identity(path: Path, about: bytes | None) -> EncoderIdentity:
     try:
-        document = json.loads(about or b"null")
+        document = as_fields(document_in(about or b"", str(path)), str(path), version=object, encoder=EncoderIdentity)
         encoder, version = document["encoder"], document["version"]
-        texts = [encoder["name"], encoder["weights"], encoder.get("preprocessing", "")]
-        dim = encoder["dim"]
-        if type(dim) is not int or not 1 <= dim <= MAX_DIM or not all(type(text) is str for text in texts):
-            raise ValueError("encoder")
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        if not 1 <= encoder.dim <= MAX_DIM:
+            raise FormatError(f"encoder of {encoder.dim} dimensions")
+    except FormatError as error:
         raise FormatError(f"{path}: a LanceDB table, but not of a catalogue that drsplat made") from error
     if version != VERSION:
         cure = (
@@ -145,4 +202,4 @@ def _identity(path: Path, about: bytes | None) -> EncoderIdentity:
             else "install the drsplat that made it"
         )
         raise FormatError(f"{path}: a catalogue of version {version!a:.20}; this drsplat reads {VERSION}: {cure}")
-    return EncoderIdentity(texts[0], dim, texts[1], texts[2])
+    return encoder  # type: ignore[no-any-return]

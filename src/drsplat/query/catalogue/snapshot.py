@@ -12,10 +12,8 @@ from ...base.arrays import Float32, Int64
 from ...errors import FormatError, MismatchError
 from ...scene.encoders import EncoderIdentity, identity_text
 from ..ranking import Described
-from .lance import CURE, libraries, reading, session
-from .manifest import Fragment, fragments_of, manifest_of
-from .record import read_record
-from .schema import COMPARED, HEAD, cosines_of, described_of, encoder_of
+from .record import Fragment, fragments_of, manifest_of, read_record
+from .schema import COMPARED, CURE, HEAD, cosines_of, described_of, encoder_of, libraries, reading, session
 
 NAME = "objects"
 OF_OBJECTS = "object_id >= 0"

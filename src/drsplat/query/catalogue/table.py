@@ -17,10 +17,9 @@ from ...formats.claiming import claimed_output
 from ...scene.encoders import EncoderIdentity
 from . import coding
 from .codes import CODEBOOK, FOLDER, codebook_of, has_codebook
-from .conditions import of_scene
-from .lance import libraries, reading, writing
+from .entries import of_scene
 from .record import RECORD, read_record, verify_record, write_record
-from .schema import HEAD, schema_of
+from .schema import HEAD, libraries, reading, schema_of, writing
 from .snapshot import NAME, Snapshot, current, folder_of, latest
 
 FORMER_INDEX = "descriptors_idx"  # of LanceDB, that earlier versions have built

@@ -6,7 +6,7 @@ from typing import overload
 
 import numpy as np
 
-from ...base.arrays import Bool, Int64, Integer, UInt8
+from ...base.arrays import Indices, Integer, Mask, Pixels, UInt8
 from ...errors import InputError
 from .masks import Masks
 
@@ -15,9 +15,7 @@ MAX_PADDED_PIXELS = 6000 * 6000  # the whole of an ordinary photo is padded as i
 Crop = UInt8[np.ndarray, "_ _ 3"]
 
 
-def crop(
-    image: UInt8[np.ndarray, "H W 3"], part: Bool[np.ndarray, "h w"], box: Integer[np.ndarray, "4"] | Sequence[int]
-) -> Crop:
+def crop(image: UInt8[np.ndarray, "H W 3"], part: Mask, box: Integer[np.ndarray, "4"] | Sequence[int]) -> Crop:
     """Return the pixels of a mask on black, in the middle of a square whose side is the longer one of its box.
 
     box: x0, y0, x1, y1, ends excluded. Odd padding puts the extra pixel at the right or below.
@@ -43,7 +41,7 @@ def crop(
     return _padded(image[y0:y1, x0:x1], part)
 
 
-def _padded(pixels: UInt8[np.ndarray, "h w 3"], part: Bool[np.ndarray, "h w"] | None = None) -> Crop:
+def _padded(pixels: Pixels, part: Mask | None = None) -> Crop:
     height, width = pixels.shape[:2]
     side = max(width, height)
     left, top = (side - width) // 2, (side - height) // 2
@@ -53,9 +51,7 @@ def _padded(pixels: UInt8[np.ndarray, "h w 3"], part: Bool[np.ndarray, "h w"] | 
     return square
 
 
-def _shrunk(
-    pixels: UInt8[np.ndarray, "h w 3"], part: Bool[np.ndarray, "h w"], scale: float
-) -> UInt8[np.ndarray, "_ _ 3"]:
+def _shrunk(pixels: Pixels, part: Mask, scale: float) -> UInt8[np.ndarray, "_ _ 3"]:
     height, width = (max(1, round(length * scale)) for length in part.shape)
     from PIL import Image
 
@@ -70,16 +66,14 @@ class Crops(Sequence[Crop]):
     left out because they have none.
     """
 
-    def __init__(self, image: UInt8[np.ndarray, "h w 3"], masks: Masks) -> None:
+    def __init__(self, image: Pixels, masks: Masks) -> None:
         if image.shape[:2] != (masks.height, masks.width):
             raise InputError(
                 f"masks of an image of {masks.width}x{masks.height} pixels, given with one of "
                 f"{image.shape[1]}x{image.shape[0]}: give the image that was segmented"
             )
         self._image, self._masks = image, masks
-        self.kept: Int64[np.ndarray, " n"] = np.array(
-            [row for row, part in enumerate(masks.parts) if part.any()], np.int64
-        )
+        self.kept: Indices = np.array([row for row, part in enumerate(masks.parts) if part.any()], np.int64)
         self.num_empty = len(masks) - len(self.kept)
 
     def __len__(self) -> int:
@@ -96,7 +90,7 @@ class Crops(Sequence[Crop]):
         return crop(self._image, self._masks.parts[row], self._masks.boxes[row])
 
 
-def crops(image: UInt8[np.ndarray, "h w 3"], masks: Masks) -> Crops:
+def crops(image: Pixels, masks: Masks) -> Crops:
     """Return the crops of all masks that have pixels, in their order.
 
     Raises: InputError: the masks are of an image of another size.

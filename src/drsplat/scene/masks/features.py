@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.arrays import Float32, Int32
+from ...base.arrays import Float32, MaskIds
 from ...base.terminal import counted
 from ...errors import InputError
 
@@ -21,7 +21,7 @@ class ViewFeatures:
     Raises: InputError: a mask id without an embedding, a row that is not a finite unit vector.
     """
 
-    mask_ids: Int32[np.ndarray, "h w"]
+    mask_ids: MaskIds
     embeddings: Float32[np.ndarray, "s d"]
 
     def __post_init__(self) -> None:

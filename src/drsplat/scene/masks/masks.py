@@ -1,4 +1,7 @@
-"""Masks of one image, and the protocol of segmenters."""
+"""Masks of one image, and the protocol of segmenters.
+
+Masks of an image without the pixels that its photo's mask leaves out.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -6,7 +9,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from ...base.arrays import Bool, Float32, Int32, Int64, UInt8
+from ...base.arrays import Bool, Indices, Int32, Int64, Mask, Numbers, Pixels
 from ...errors import InputError
 
 LEVELS = ("default", "small", "medium", "large")
@@ -27,7 +30,7 @@ class Masks:
     width: int
     boxes: Int32[np.ndarray, "n 4"]
     parts: tuple[Bool[np.ndarray, "_ _"], ...]
-    scores: Float32[np.ndarray, " n"]
+    scores: Numbers
 
     def __post_init__(self) -> None:
         if not len(self.boxes) == len(self.parts) == len(self.scores):
@@ -47,11 +50,11 @@ class Masks:
         return len(self.parts)
 
     @property
-    def areas(self) -> Int64[np.ndarray, " n"]:
+    def areas(self) -> Indices:
         """Pixels of each mask."""
         return np.array([np.count_nonzero(part) for part in self.parts], np.int64)
 
-    def full(self, index: int) -> Bool[np.ndarray, "h w"]:
+    def full(self, index: int) -> Mask:
         """Return one mask at the size of the image."""
         mask = np.zeros((self.height, self.width), bool)
         x0, y0, x1, y1 = self.boxes[index]
@@ -65,7 +68,7 @@ class Masks:
         return Masks(self.height, self.width, self.boxes[chosen], parts, self.scores[chosen])
 
 
-def cut_masks(full: Bool[np.ndarray, "n h w"], scores: Float32[np.ndarray, " n"]) -> Masks:
+def cut_masks(full: Bool[np.ndarray, "n h w"], scores: Numbers) -> Masks:
     """Cut each mask, given at the size of the image, to the smallest box that holds it.
 
     One without pixels gets the image's first pixel as its box and stays without pixels, so that
@@ -78,7 +81,7 @@ def cut_masks(full: Bool[np.ndarray, "n h w"], scores: Float32[np.ndarray, " n"]
     return Masks(full.shape[1], full.shape[2], boxes, parts, scores)
 
 
-def tight_box(mask: Bool[np.ndarray, "h w"]) -> tuple[int, int, int, int] | None:
+def tight_box(mask: Mask) -> tuple[int, int, int, int] | None:
     """Return x0, y0, x1, y1 of the smallest box around a mask, ends excluded; None for a mask without pixels."""
     rows = np.flatnonzero(mask.any(1))
     if not len(rows):
@@ -97,6 +100,31 @@ class Segmenter(Protocol):
 
     identity: Mapping[str, object]
 
-    def segment(self, image: UInt8[np.ndarray, "h w 3"]) -> Mapping[str, Masks]:
+    def segment(self, image: Pixels) -> Mapping[str, Masks]:
         """Return masks by level, keys from LEVELS; a segmenter of one level returns `large` only."""
         ...
+
+
+MIN_KEPT_SHARE = 0.5  # of a mask's pixels; a smaller rest would be embedded as something else
+
+
+def kept_masks(levels: Mapping[str, Masks], kept: Mask) -> dict[str, Masks]:
+    """Return the masks of each level cut to the pixels that are kept; those that mostly are not are dropped."""
+    return {level: _cut(masks, kept) for level, masks in levels.items()}
+
+
+def _cut(masks: Masks, kept: Mask) -> Masks:
+    rows, boxes, parts = [], [], []
+    for row, ((x0, y0, x1, y1), part) in enumerate(zip(masks.boxes.tolist(), masks.parts, strict=True)):
+        rest = part & kept[y0:y1, x0:x1]
+        box = tight_box(rest)
+        if box is None or np.count_nonzero(rest) < MIN_KEPT_SHARE * np.count_nonzero(part):
+            continue
+        left, top, right, bottom = box
+        rows.append(row)
+        boxes.append((x0 + left, y0 + top, x0 + right, y0 + bottom))
+        parts.append(rest[top:bottom, left:right].copy())
+    return Masks(
+        masks.height, masks.width, np.array(boxes, np.int32).reshape(-1, 4), tuple(parts),
+        masks.scores[np.array(rows, np.int64)],
+    )  # fmt: skip

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Float32, Float64, Int32, Int64
+from ...base.arrays import Float32, Float64, Indices, Int32, MaskIds
 
 MIN_AREA_SHARE, MAX_AREA_SHARE = 0.0008, 0.6  # of the photo, of a node that is a candidate
 
@@ -19,7 +19,7 @@ class RegionTree:
     outline's strength, 0 to 1, along it.
     """
 
-    labels: Int32[np.ndarray, "h w"]
+    labels: MaskIds
     pairs: Int32[np.ndarray, "k 2"]
     touching: Int32[np.ndarray, "e 2"]
     lengths: Float64[np.ndarray, " e"]
@@ -30,7 +30,7 @@ class RegionTree:
         return len(self.areas)
 
     @property
-    def areas(self) -> Int64[np.ndarray, " n"]:
+    def areas(self) -> Indices:
         """Pixels of each region."""
         return np.bincount(self.labels.ravel())
 

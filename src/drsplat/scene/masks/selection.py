@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.arrays import Bool, Float64, Int32, Int64
+from ...base.arrays import Flags, Float64, Indices, Int32, Int64, MaskIds
 from ...errors import InputError
 from .masks import LEVELS, Masks
 
@@ -45,24 +45,20 @@ def mask_nms(masks: Masks, max_iou: float = 0.8, min_score: float = 0.7, inner: 
     return np.flatnonzero(~gone).astype(np.int64)
 
 
-def _repeats_better(
-    shared: Int64[np.ndarray, "n n"], areas: Int64[np.ndarray, " n"], masks: Masks, max_iou: float
-) -> Bool[np.ndarray, " n"]:
+def _repeats_better(shared: Int64[np.ndarray, "n n"], areas: Indices, masks: Masks, max_iou: float) -> Flags:
     union = np.maximum(areas[:, None] + areas - shared, 1)
     rank = np.empty(len(masks), np.int64)
     rank[np.argsort(-masks.scores, kind="stable")] = np.arange(len(masks))
     better = rank[:, None] < rank
-    gone: Bool[np.ndarray, " n"] = (better & (shared / union > max_iou)).any(0)
+    gone: Flags = (better & (shared / union > max_iou)).any(0)
     return gone
 
 
-def _inside_larger(
-    shared: Int64[np.ndarray, "n n"], areas: Int64[np.ndarray, " n"], inner: float
-) -> Bool[np.ndarray, " n"]:
+def _inside_larger(shared: Int64[np.ndarray, "n n"], areas: Indices, inner: float) -> Flags:
     of_outer: Float64[np.ndarray, "n n"] = shared / np.maximum(areas, 1)[:, None]
     of_inner = of_outer.T
     inside = (of_outer < _MAX_INNER_SHARE) & (of_inner >= _MIN_INSIDE_SHARE)
-    gone: Bool[np.ndarray, " n"] = (inside & (1 - of_inner * of_outer > 1 - inner)).any(0)
+    gone: Flags = (inside & (1 - of_inner * of_outer > 1 - inner)).any(0)
     return gone
 
 
@@ -116,7 +112,7 @@ def _edges(masks: Masks, index: int) -> Int64[np.ndarray, " r2"]:
     return edges
 
 
-def paint(masks: Masks) -> Int32[np.ndarray, "h w"]:
+def paint(masks: Masks) -> MaskIds:
     """Return for each pixel the number of the last mask that covers it, -1 where none does.
 
     Later masks paint over earlier ones. Source: LangSplat preprocess.py, which paints in the order
@@ -142,7 +138,7 @@ def mask_maps(levels: Mapping[str, Masks]) -> MaskMaps:
         return MaskMaps(np.stack([ids] * len(LEVELS)), masks)
     if set(levels) != set(LEVELS):
         raise InputError(f"levels: expected {', '.join(LEVELS)} or large alone, got {set(levels)}")
-    maps: list[Int32[np.ndarray, "h w"]] = []
+    maps: list[MaskIds] = []
     shown: list[Masks] = []
     for level in LEVELS:
         ids, masks = _painted(levels[level], sum(map(len, shown)))
@@ -152,7 +148,7 @@ def mask_maps(levels: Mapping[str, Masks]) -> MaskMaps:
     return MaskMaps(np.stack(maps), joined)
 
 
-def _painted(masks: Masks, first_id: int) -> tuple[Int32[np.ndarray, "h w"], Masks]:
+def _painted(masks: Masks, first_id: int) -> tuple[MaskIds, Masks]:
     """Return a level's map with ids from first_id on, and the masks that are seen in it."""
     ids = paint(masks)
     used = np.zeros(len(masks) + 1, bool)  # the last is that of -1

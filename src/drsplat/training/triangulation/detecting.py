@@ -18,7 +18,7 @@ import numpy as np
 from skimage.color import rgb2gray
 from skimage.feature import SIFT
 
-from ...base.arrays import Bool, Float32, Float64, UInt8
+from ...base.arrays import Colors, Flags, Float64, Numbers, Pixels, UInt8
 from ...base.system import end_with
 from ...errors import InputError
 from ...scene.lens import undistort_points
@@ -37,7 +37,7 @@ class Keypoints(NamedTuple):
     """Keypoints of a view: pixels on its pinhole (lens undone) at its own size, and SIFT descriptors."""
 
     pixels: Float64[np.ndarray, "n 2"]
-    colors: UInt8[np.ndarray, "n 3"]
+    colors: Colors
     descriptors: UInt8[np.ndarray, "n 128"]
 
 
@@ -45,8 +45,8 @@ class Detection(NamedTuple):
     """Keypoints that SIFT detected. pixels: x and y on the raster that SIFT saw; sigmas: in its pixels."""
 
     pixels: Float64[np.ndarray, "n 2"]
-    sigmas: Float32[np.ndarray, " n"]
-    colors: UInt8[np.ndarray, "n 3"]
+    sigmas: Numbers
+    colors: Colors
     descriptors: UInt8[np.ndarray, "n 128"]
 
 
@@ -143,13 +143,13 @@ def located(view: View, stored: View, detection: Detection) -> Keypoints:
     return Keypoints(pixels[chosen], detection.colors[chosen], detection.descriptors[chosen])
 
 
-def _inside_mask(stored: View, pixels: Float64[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+def _inside_mask(stored: View, pixels: Float64[np.ndarray, "n 2"]) -> Flags:
     """Return which pixels of a stored photo lie inside its mask; all where it has none."""
     mask = load_mask(stored)
     if mask is None:
         return np.ones(len(pixels), bool)
     x, y = np.clip(pixels.astype(np.intp), 0, (stored.width - 1, stored.height - 1)).T
-    inside: Bool[np.ndarray, " n"] = mask[y, x]
+    inside: Flags = mask[y, x]
     return inside
 
 
@@ -184,7 +184,7 @@ def _shrunk(view: View) -> View:
 
 
 @np.errstate(all="ignore")  # a patch without gradients divides by their sum
-def _detected(photo: UInt8[np.ndarray, "h w 3"]) -> Any:
+def _detected(photo: Pixels) -> Any:
     """Return a SIFT with its keypoints, or None for a photo without texture."""
     if min(photo.shape[:2]) < MIN_SIDE_PIXELS:
         return None

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ...base.arrays import Bool, Float64, Integer, UInt8
+from ...base.arrays import Bool, Colors, Doubles, Float64, Integer, Matrix3, RowIds, UInt8, Vector3
 from ...scene.views import View
 from .detecting import Keypoints, as_stored, detect_all, located
 
@@ -49,7 +49,7 @@ class Triangulation(NamedTuple):
     """
 
     positions: Float64[np.ndarray, "n 3"]
-    colors: UInt8[np.ndarray, "n 3"]
+    colors: Colors
     photos: int
     alike: int
     agreeing: int
@@ -90,7 +90,7 @@ def _thinned(views: list[View]) -> list[View]:
 
 def _points(
     views: Sequence[View], keypoints: Sequence[Keypoints], tracks: Tracks
-) -> tuple[Float64[np.ndarray, "n 3"], UInt8[np.ndarray, "n 3"]]:
+) -> tuple[Float64[np.ndarray, "n 3"], Colors]:
     if len(tracks.tracks) == 0:
         return np.empty((0, 3)), np.empty((0, 3), np.uint8)
     rows = _rows(keypoints, tracks)
@@ -107,9 +107,7 @@ def _rows(keypoints: Sequence[Keypoints], tracks: Tracks) -> Integer[np.ndarray,
     return rows
 
 
-def _mean_colors(
-    colors: UInt8[np.ndarray, "o 3"], tracks: Integer[np.ndarray, " o"], used: np.ndarray
-) -> UInt8[np.ndarray, "n 3"]:
+def _mean_colors(colors: UInt8[np.ndarray, "o 3"], tracks: Integer[np.ndarray, " o"], used: np.ndarray) -> Colors:
     """Return the mean colour of each track over the observations that are used."""
     count = int(tracks.max(initial=-1)) + 1
     counts = np.maximum(np.bincount(tracks[used], minlength=count), 1)
@@ -132,9 +130,7 @@ def neighbours(views: Sequence[View]) -> Integer[np.ndarray, "p 2"]:
     return np.array(sorted(pairs), np.int64).reshape(-1, 2)
 
 
-def _by_distance(
-    index: int, centers: Float64[np.ndarray, "n 3"], directions: Float64[np.ndarray, "n 3"]
-) -> Integer[np.ndarray, " m"]:
+def _by_distance(index: int, centers: Float64[np.ndarray, "n 3"], directions: Float64[np.ndarray, "n 3"]) -> RowIds:
     """Return the other cameras that look about the same way, nearest first."""
     alike = directions @ directions[index] > np.cos(np.radians(MAX_TURN_DEGREES))
     alike[index] = False
@@ -190,7 +186,7 @@ def _fits(
     return fits
 
 
-def fundamental_matrix(first: View, second: View) -> Float64[np.ndarray, "3 3"]:
+def fundamental_matrix(first: View, second: View) -> Matrix3:
     """Return F with y^T F x = 0 for pixels x of the first and y of the second view that show one point.
 
     Source: Hartley and Zisserman, "Multiple View Geometry" (2004), Eq. 9.2.
@@ -276,10 +272,7 @@ def meet(views: Sequence[View], tracks: Tracks, pixels: Float64[np.ndarray, "o 2
 
 
 def _rays(
-    views: Sequence[View],
-    photos: Integer[np.ndarray, " o"],
-    pixels: Float64[np.ndarray, "o 2"],
-    mean_center: Float64[np.ndarray, "3"],
+    views: Sequence[View], photos: Integer[np.ndarray, " o"], pixels: Float64[np.ndarray, "o 2"], mean_center: Vector3
 ) -> _Rays:
     homogeneous = np.concatenate([pixels, np.ones((len(pixels), 1))], axis=1)
     to_world = np.array([view.cam_from_world[:3, :3].T @ np.linalg.inv(view.K) for view in views])
@@ -314,9 +307,7 @@ def _off(
     return depths, aside / np.maximum(depths, MIN_DETERMINANT)
 
 
-def _angles(
-    rays: _Rays, tracks: Integer[np.ndarray, " o"], used: Bool[np.ndarray, " o"], count: int
-) -> Float64[np.ndarray, " n"]:
+def _angles(rays: _Rays, tracks: Integer[np.ndarray, " o"], used: Bool[np.ndarray, " o"], count: int) -> Doubles:
     """Return each track's largest angle between a ray and the mean of all, in radians."""
     means = _summed(rays.directions * used[:, None], tracks, count)
     means /= np.maximum(np.linalg.norm(means, axis=1, keepdims=True), MIN_DETERMINANT)

@@ -11,7 +11,7 @@ from ....authoring.filming.looking import Standpoints, beside, size_in, up_direc
 from ....base.arrays import Float64, Int64
 from ....query import Match
 from ....query.suggesting import suggestions
-from ....scene.significance import significance
+from ....scene.gaussians import significance
 from ..object_list import in_order, names_of, placed_now
 from ..session import Session
 from ..shown import first_look
