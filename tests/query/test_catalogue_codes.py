@@ -19,7 +19,7 @@ pytest.importorskip("lancedb", reason="the extra drsplat[catalogue] is not insta
 
 from test_catalogue import rows_of, unit
 
-from drsplat.query.catalogue import Catalogue, Conditions, codes, coding, table
+from drsplat.query.catalogue import Catalogue, Conditions, codes, table
 from drsplat.query.catalogue.codes import Search, nearest_objects
 from drsplat.query.catalogue.record import fragments_of, manifest_of
 from drsplat.query.catalogue.snapshot import current
@@ -153,7 +153,7 @@ def test_files_that_were_put_together_are_coded(
     catalogue, _, words = coded
     encoded: list[object] = []
     monkeypatch.setattr(table, "_is_scattered", lambda _: True)
-    monkeypatch.setattr(coding, "_encoded", lambda *given: encoded.append(given))
+    monkeypatch.setattr(table, "_encoded", lambda *given: encoded.append(given))
     before = {file.name for file in (catalogue.path / "codes").rglob("*")}
     catalogue.remove("s3")
     table.tidy(catalogue.path)
@@ -180,33 +180,33 @@ def test_an_index_puts_files_together(coded: tuple[Catalogue, np.ndarray, np.nda
 
 KILLED = """
 import os, sys
-from drsplat.query.catalogue import Catalogue, coding, table
-real, times = {module}.{name}, []
+from drsplat.query.catalogue import Catalogue, table
+real, times = table.{name}, []
 def killed(*given, **how):
     times.append(1)
     os.kill(os.getpid(), 9) if len(times) == {at} else None
     return real(*given, **how)
-{module}.{name} = killed
+table.{name} = killed
 Catalogue.open(sys.argv[1]).build_index()
 """
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("module", "name", "at"),
+    ("name", "at"),
     [
-        *(("table", name, 1) for name in ("_put_together", "_write_codes", "_record_arranged", "_index_names")),
-        *(("coding", name, 1) for name in ("write_tensors", "publish", "sweep")),
-        ("coding", "write_tensors", 2),
+        *((name, 1) for name in ("_put_together", "_write_codes", "_record_arranged", "_index_names")),
+        *((name, 1) for name in ("write_tensors", "publish", "sweep")),
+        ("write_tensors", 2),
     ],
 )
 def test_a_kill_while_codes_are_written_leaves_the_old_ones(
-    coded: tuple[Catalogue, np.ndarray, np.ndarray], module: str, name: str, at: int
+    coded: tuple[Catalogue, np.ndarray, np.ndarray], name: str, at: int
 ) -> None:
     catalogue, _, words = coded
     catalogue.remove("s0")  # so that the next codebook is another one
     expected = [answer(catalogue, word) for word in words[:3]]
-    code = KILLED.format(module=module, name=name, at=at)
+    code = KILLED.format(name=name, at=at)
     assert subprocess.run([sys.executable, "-c", code, str(catalogue.path)], check=False).returncode == -9
     again = Catalogue.open(catalogue.path)
     assert [answer(again, word) for word in words[:3]] == expected

@@ -24,12 +24,12 @@ from ..opening import SceneFiles, scene_files
 from ..ranking import Surroundings
 from . import table
 from .codes import CodeReader, Search, has_codebook, nearest_objects
-from .coding import verify as verify_codes
 from .entries import CatalogueAnswer, Conditions, Entry, SceneEntry, checked_name, of_scene
 from .reading import SceneRules, entries_of, listed_of, thumbnail_of
 from .rows import SceneRows, rows_of
 from .schema import batch
 from .snapshot import OF_OBJECTS, Snapshot, current
+from .table import verify_codes
 
 LARGE_ROWS = 100_000  # from here on an index is worth its time
 MIN_INDEX_OBJECTS = 256  # that its centroids are trained on
