@@ -9,7 +9,7 @@ import numpy as np
 from .. import _native
 from ..base.arrays import Float, Float32, Float64, Int32, Int64, Integer, UInt8
 from ..errors import InputError
-from .splats import checked_isa
+from .splats import checked_isa, native, native_array
 
 CENTROIDS = 256
 LANES = 16  # numbers per step of the native code
@@ -41,13 +41,9 @@ def weighted_rows(
     low, high = int(starts[0]), int(starts[-1])
     if not 0 <= low <= high <= len(indices) or len(indices) != len(data) or (np.diff(starts) < 0).any():
         raise InputError(f"rows {begin}:{end}: row starts do not fit {len(indices)} columns, {len(data)} weights")
-    entries = np.ascontiguousarray(indices[low:high], np.int32), np.ascontiguousarray(data[low:high])
-    arrays = starts - low, *entries, np.ascontiguousarray(embeddings)
-    try:
-        rows = _native.weighted_rows(*arrays, threads, checked_isa(isa))
-    except ValueError as error:
-        raise InputError(f"rows {begin}:{end}: expected {error}; there are {len(embeddings)} embeddings") from None
-    return np.asarray(rows)
+    arrays = starts - low, np.asarray(indices[low:high], np.int32), data[low:high], embeddings
+    what, got = f"rows {begin}:{end}", f"; there are {len(embeddings)} embeddings"
+    return native_array(what, _native.weighted_rows, *arrays, threads, checked_isa(isa), got=got)
 
 
 def dense_rows(
@@ -92,14 +88,9 @@ def convolve(
     outputs = weight.shape[1]
     beyond = -outputs % LANES
     columns, added = np.pad(weight, ((0, 0), (0, beyond))), np.pad(bias, (0, beyond))
-    arrays = np.ascontiguousarray(images), np.ascontiguousarray(columns), added
-    try:
-        out = _native.convolve(*arrays, stride, threads, checked_isa(isa))
-    except ValueError as error:
-        raise InputError(
-            f"expected {error}; got images {images.shape}, weights {weight.shape}, a bias {bias.shape}, stride {stride}"
-        ) from None
-    return np.asarray(out)[..., :outputs]
+    got = f"; got images {images.shape}, weights {weight.shape}, a bias {bias.shape}, stride {stride}"
+    given = images, columns, added, stride, threads, checked_isa(isa)
+    return native_array("convolution", _native.convolve, *given, got=got)[..., :outputs]
 
 
 def changed_columns(
@@ -112,17 +103,14 @@ def changed_columns(
 
     Raises: InputError: other rows in one than in the other, a damaged matrix, or columns without a number.
     """
-    try:
-        merged = _native.changed_columns(*_csr(weights), np.ascontiguousarray(numbers), *_csr(added), threads)
-    except ValueError as error:
-        raise InputError(f"columns: expected {error}") from None
-    starts, columns, values = map(np.asarray, merged)
+    given = *_csr(weights), numbers, *_csr(added), threads
+    starts, columns, values = native("columns", _native.changed_columns, *given)
     return starts.view(np.int64), columns, values  # it may come as "long long"
 
 
 def _csr(entries: Entries) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     starts, columns, values = entries
-    return np.ascontiguousarray(starts, np.int64), np.ascontiguousarray(columns, np.int32), np.ascontiguousarray(values)
+    return np.asarray(starts, np.int64), np.asarray(columns, np.int32), values
 
 
 def code_sums(
@@ -132,11 +120,9 @@ def code_sums(
 
     Raises: InputError: not one code per sub-vector.
     """
-    try:
-        sums, counts = _native.code_sums(np.ascontiguousarray(points), np.ascontiguousarray(codes), threads)
-    except ValueError as error:
-        raise InputError(f"expected {error}; got {points.shape} and {codes.shape}") from None
-    return np.asarray(sums), np.asarray(counts).view(np.int64)  # it may come as "long long"
+    got = f"; got {points.shape} and {codes.shape}"
+    sums, counts = native("sums", _native.code_sums, points, codes, threads, got=got)
+    return sums, counts.view(np.int64)  # it may come as "long long"
 
 
 def pq_encode(
@@ -155,7 +141,4 @@ def pq_encode(
         )
     if not np.isfinite(features).all():
         raise InputError("features to encode must be finite")
-    codes = _native.pq_encode(
-        np.ascontiguousarray(features), np.ascontiguousarray(centroids), threads, checked_isa(isa)
-    )
-    return np.asarray(codes)
+    return native_array("codes", _native.pq_encode, features, centroids, threads, checked_isa(isa))

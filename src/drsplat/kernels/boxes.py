@@ -6,9 +6,9 @@ import numpy as np
 
 from .. import _native
 from ..base.arrays import Float64, Int64, RowIds, Vector3
-from ..errors import InputError
 from ..scene.boxes import Box
 from ..scene.gaussians import Gaussians
+from .splats import native
 
 OUTLIER_SHARE = 0.003  # of a thing's mass, cut off at each end of each axis
 MAX_STRAY_SHARE = 0.02  # of a set's mass, left out as strays at each end of each axis
@@ -48,20 +48,8 @@ def boxes_of(
     threads: int = 0,
 ) -> Boxes:
     """Return the box of each set ids[starts[s]:starts[s + 1]]; the same bits for any number of threads."""
-    try:
-        centers, axes, extents = _native.boxes(
-            np.ascontiguousarray(gaussians.means),
-            np.ascontiguousarray(gaussians.quats),
-            np.ascontiguousarray(gaussians.scales),
-            np.ascontiguousarray(gaussians.opacities),
-            np.ascontiguousarray(starts),
-            np.ascontiguousarray(ids),
-            None if up is None else np.ascontiguousarray(up, np.float64),
-            OUTLIER_SHARE,
-            MAX_STRAY_SHARE,
-            MIN_TAIL_SPARSENESS,
-            threads,
-        )
-    except ValueError as error:
-        raise InputError(f"boxes: expected {error}") from None
-    return Boxes(np.asarray(centers) + gaussians.origin, np.asarray(axes), np.asarray(extents))
+    directions = None if up is None else np.asarray(up, np.float64)
+    shapes = gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities
+    shares = OUTLIER_SHARE, MAX_STRAY_SHARE, MIN_TAIL_SPARSENESS
+    centers, axes, extents = native("boxes", _native.boxes, *shapes, starts, ids, directions, *shares, threads)
+    return Boxes(centers + gaussians.origin, axes, extents)

@@ -6,20 +6,18 @@ of threads and of queries in a call, and on any instruction set.
 threads: 0 for all cores. isa: an instruction set of `available_isas()`, or "" for the best one.
 """
 
-from collections.abc import Callable
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 
 from .. import _native
 from ..base.arrays import Float16, Float32, Ids, Int8, Int32, Int64, Integer, Numbers, UInt8, UInt16
 from ..errors import InputError
-from .splats import checked_isa
+from .splats import checked_isa, native, native_array
 
 ROWS_PER_BLOCK = 64
 MAX_ATOMS_PER_ROW = 16
 MAX_ATOMS = 1 << 16  # that a 16-bit id can name
-T = TypeVar("T")
 
 
 class Dictionary(NamedTuple):
@@ -76,10 +74,8 @@ def mixture_encode(
     if not np.isfinite(features).all():
         raise InputError("features to encode must be finite")
     starts = np.ascontiguousarray(candidates.indptr, np.int64)
-    rows = (np.ascontiguousarray(features), starts, *map(np.ascontiguousarray, candidates[1:]))
-    arrays = (*_contiguous(dictionary), *rows)
-    encoded = _checked_call(_native.mixture_encode, *arrays, atoms_per_row, threads, checked_isa(isa))
-    return Encoded(*map(np.asarray, encoded))
+    arrays = (*dictionary, features, starts, *candidates[1:])
+    return Encoded(*native("mixture_encode", _native.mixture_encode, *arrays, atoms_per_row, threads, checked_isa(isa)))
 
 
 def nearest_centres(
@@ -89,8 +85,7 @@ def nearest_centres(
 
     Raises: InputError: no centres, or of another dimension.
     """
-    arrays = np.ascontiguousarray(points), np.ascontiguousarray(centres)
-    return np.asarray(_checked_call(_native.nearest_centres, *arrays, threads, checked_isa(isa)))
+    return native_array("nearest_centres", _native.nearest_centres, points, centres, threads, checked_isa(isa))
 
 
 def nearest_members(
@@ -107,8 +102,8 @@ def nearest_members(
 
     Raises: InputError: groups or members that do not exist, or fewer members than wanted.
     """
-    arrays = (*_contiguous(dictionary), *map(np.ascontiguousarray, (points, groups, members)))
-    return np.asarray(_checked_call(_native.nearest_members, *arrays, wanted, threads, checked_isa(isa)))
+    given = *dictionary, points, groups, members, wanted, threads, checked_isa(isa)
+    return native_array("nearest_members", _native.nearest_members, *given)
 
 
 def mixture_scores(
@@ -119,7 +114,7 @@ def mixture_scores(
     Raises: InputError: shapes disagree, or a query that is not finite.
     """
     arrays = _scan_arrays(blocks, dictionary), _finite(queries)
-    return np.asarray(_checked_call(_native.mixture_scores, *arrays, threads, checked_isa(isa)))
+    return native_array("mixture_scores", _native.mixture_scores, *arrays, threads, checked_isa(isa))
 
 
 def mixture_select(
@@ -136,10 +131,9 @@ def mixture_select(
 
     Raises: InputError: shapes disagree, or a query that is not finite.
     """
-    floors = None if floor is None else np.ascontiguousarray(floor)
-    arguments = _scan_arrays(blocks, dictionary), _finite(query), threshold, floors
-    rows, scores = _checked_call(_native.mixture_select, *arguments, threads, checked_isa(isa))
-    return np.asarray(rows).view(np.int64), np.asarray(scores)  # the native dtype may be "long long"
+    arguments = _scan_arrays(blocks, dictionary), _finite(query), threshold, floor
+    rows, scores = native("mixture_select", _native.mixture_select, *arguments, threads, checked_isa(isa))
+    return rows.view(np.int64), scores  # the native dtype may be "long long"
 
 
 def mixture_top(
@@ -158,8 +152,8 @@ def mixture_top(
     if count < 1:
         raise InputError(f"count: expected 1 or more, got {count}")
     arguments = _scan_arrays(blocks, dictionary), _finite(query), count
-    rows, scores = _checked_call(_native.mixture_top, *arguments, threads, checked_isa(isa))
-    return np.asarray(rows).view(np.int64), np.asarray(scores)  # the native dtype may be "long long"
+    rows, scores = native("mixture_top", _native.mixture_top, *arguments, threads, checked_isa(isa))
+    return rows.view(np.int64), scores  # the native dtype may be "long long"
 
 
 def mixture_best(
@@ -170,29 +164,16 @@ def mixture_best(
     Raises: InputError: shapes disagree, no query, or one that is not finite.
     """
     arrays = _scan_arrays(blocks, dictionary), _finite(queries)
-    index, scores, runner_up = _checked_call(_native.mixture_best, *arrays, threads, checked_isa(isa))
-    return np.asarray(index), np.asarray(scores), np.asarray(runner_up)
-
-
-def _checked_call(kernel: Callable[..., T], *arguments: object) -> T:
-    """Call a kernel; raise what it refuses as an InputError."""
-    try:
-        return kernel(*arguments)
-    except (ValueError, TypeError) as error:
-        expected = str(error).splitlines()[0]
-        raise InputError(f"{kernel.__name__}: expected {expected}") from None
-
-
-def _contiguous(dictionary: Dictionary) -> tuple[np.ndarray, np.ndarray]:
-    return np.ascontiguousarray(dictionary.values), np.ascontiguousarray(dictionary.scales)
+    index, scores, runner_up = native("mixture_best", _native.mixture_best, *arrays, threads, checked_isa(isa))
+    return index, scores, runner_up
 
 
 def _scan_arrays(blocks: Blocks, dictionary: Dictionary) -> tuple[np.ndarray, ...]:
-    ids, weights, scales = (np.ascontiguousarray(part) for part in blocks)
-    return ids, weights, scales.view(np.uint16), *_contiguous(dictionary)
+    ids, weights, scales = blocks
+    return ids, weights, np.ascontiguousarray(scales).view(np.uint16), *dictionary
 
 
 def _finite(queries: np.ndarray) -> np.ndarray:
     if not np.isfinite(queries).all():
         raise InputError("queries must be finite")
-    return np.ascontiguousarray(queries)
+    return queries

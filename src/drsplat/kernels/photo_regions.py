@@ -4,16 +4,13 @@ All sums are of whole numbers, so that they do not depend on order: colours are 
 traits in steps of 1 / TRAIT_STEPS, borders in steps of 1 / BORDER_STEPS.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from .. import _native
 from ..base.arrays import Float32, Float64, Ids, Int32, MaskIds, Pixels
-from ..errors import InputError
-from .splats import checked_isa
+from .splats import checked_isa, native, native_array
 
 LAB_STEPS = 16
 TRAITS = 8
@@ -66,7 +63,7 @@ def lab_colors(image: Pixels, *, threads: int = 0, isa: str = "") -> Int32[np.nd
 
     Raises: InputError: an image without pixels, or of 2^16 or more to a side.
     """
-    return _called("colours", _native.lab_colors, image, threads, checked_isa(isa))
+    return native_array("colours", _native.lab_colors, image, threads, checked_isa(isa))
 
 
 def small_regions(lab: Int32[np.ndarray, "h w 3"], scale: float, least: int) -> MaskIds:
@@ -79,7 +76,7 @@ def small_regions(lab: Int32[np.ndarray, "h w 3"], scale: float, least: int) -> 
     Raises: InputError: as lab_colors.
     Source: Felzenszwalb and Huttenlocher 2004, Efficient graph-based image segmentation; with sigma 0.5.
     """
-    return _called("regions", _native.small_regions, lab, scale, least).reshape(lab.shape[:2])
+    return native_array("regions", _native.small_regions, lab, scale, least).reshape(lab.shape[:2])
 
 
 def look(image: Pixels, layers: Layers, *, threads: int = 0, isa: str = "") -> Sight:
@@ -91,7 +88,7 @@ def look(image: Pixels, layers: Layers, *, threads: int = 0, isa: str = "") -> S
 
     Raises: InputError: as lab_colors, or layers that do not fit together.
     """
-    return Sight(*_all_called("network", _native.look, image, layers, threads, checked_isa(isa)))
+    return Sight(*native("network", _native.look, image, layers, threads, checked_isa(isa)))
 
 
 def people(image: Pixels, layers: Layers, *, threads: int = 0, isa: str = "") -> Float32[np.ndarray, "h w"]:
@@ -106,7 +103,7 @@ def people(image: Pixels, layers: Layers, *, threads: int = 0, isa: str = "") ->
     Source: Sandler et al. 2018, MobileNetV2; Chen et al. 2017, Rethinking Atrous Convolution.
     Twin: tests/twins/people_network.py::people.
     """
-    return _called("network", _native.people, image, layers, threads, checked_isa(isa))
+    return native_array("network", _native.people, image, layers, threads, checked_isa(isa))
 
 
 def region_graph(labels: MaskIds, lab: Int32[np.ndarray, "h w 3"], sight: Sight) -> RegionGraph:
@@ -117,7 +114,7 @@ def region_graph(labels: MaskIds, lab: Int32[np.ndarray, "h w 3"], sight: Sight)
     Raises: InputError: as lab_colors, labels below 0, or arrays of different sizes.
     """
     given = labels, lab, sight.borders, sight.traits
-    sums, boxes, pairs, borders = _all_called("regions", _native.photo_graph, *given)
+    sums, boxes, pairs, borders = native("regions", _native.photo_graph, *given)
     return RegionGraph(
         labels.size, sums.reshape(-1, COLUMNS), boxes.reshape(-1, 4), pairs.reshape(-1, 2), borders.reshape(-1, 5)
     )
@@ -128,7 +125,7 @@ def pair_likelihoods(graph: RegionGraph, rule: PairRule, *, isa: str = "") -> Fl
 
     Raises: InputError: a graph or rule of other shapes, pairs that are not in order.
     """
-    return _called("regions", _native.pair_likelihoods, _arrays(graph), graph.pixels, rule, checked_isa(isa))
+    return native_array("regions", _native.pair_likelihoods, _arrays(graph), graph.pixels, rule, checked_isa(isa))
 
 
 def merged_regions(
@@ -144,7 +141,7 @@ def merged_regions(
     Twin: tests/twins/photo_merging.py::Merging.
     """
     given = _arrays(graph), graph.pixels, rule, threshold, least_area, least_width
-    return _called("regions", _native.merged_regions, *given, checked_isa(isa))
+    return native_array("regions", _native.merged_regions, *given, checked_isa(isa))
 
 
 def merge_order(graph: RegionGraph, rule: PairRule, *, isa: str = "") -> Int32[np.ndarray, "k 2"]:
@@ -156,7 +153,9 @@ def merge_order(graph: RegionGraph, rule: PairRule, *, isa: str = "") -> Int32[n
     Raises: InputError: as pair_likelihoods.
     Twin: tests/twins/photo_merging.py::Merging.
     """
-    return _called("regions", _native.merge_order, _arrays(graph), graph.pixels, rule, checked_isa(isa)).reshape(-1, 2)
+    return native_array("regions", _native.merge_order, _arrays(graph), graph.pixels, rule, checked_isa(isa)).reshape(
+        -1, 2
+    )
 
 
 def flooded(heights: MaskIds, markers: MaskIds) -> MaskIds:
@@ -169,26 +168,8 @@ def flooded(heights: MaskIds, markers: MaskIds) -> MaskIds:
     Source: Beucher and Meyer 1993, by a queue.
     Twin: tests/twins/photo_regions.py::flooded.
     """
-    return _called("watershed", _native.flooded, heights, markers).reshape(heights.shape)
+    return native_array("watershed", _native.flooded, heights, markers).reshape(heights.shape)
 
 
 def _arrays(graph: RegionGraph) -> tuple[np.ndarray, ...]:
     return graph.sums, graph.boxes, graph.pairs, graph.borders
-
-
-def _called(what: str, function: Callable[..., object], *given: object) -> np.ndarray:
-    return _all_called(what, lambda *parts: (function(*parts),), *given)[0]
-
-
-def _all_called(what: str, function: Callable[..., Any], *given: object) -> list[np.ndarray]:
-    """Return what native code makes of arrays and tuples of them. Raises: InputError: instead of ValueError."""
-    try:
-        return [np.asarray(made) for made in function(*map(_contiguous, given))]
-    except ValueError as error:
-        raise InputError(f"{what}: expected {error}") from None
-
-
-def _contiguous(given: Any) -> Any:
-    if isinstance(given, tuple):
-        return tuple(map(_contiguous, given))
-    return np.ascontiguousarray(given) if isinstance(given, np.ndarray) else given

@@ -7,7 +7,7 @@ import numpy as np
 
 from .. import _native
 from ..base.arrays import Float32, Int32, Integer, Sparse
-from ..errors import InputError
+from .splats import native
 
 
 @dataclass(frozen=True)
@@ -72,18 +72,10 @@ def agglomerate(
     Raises: InputError: arrays that are not so.
     Twin: tests/twins/regions.py::agglomerate.
     """
-    try:
-        forest = _native.agglomerate(
-            np.ascontiguousarray(weights.indptr, np.int64),
-            np.ascontiguousarray(weights.indices, np.int32),
-            np.ascontiguousarray(weights.data, np.float32),
-            np.ascontiguousarray(views, np.int32),
-            np.ascontiguousarray(embeddings, np.float32),
-            np.ascontiguousarray(edges, np.int32).reshape(-1, 2),
-            np.asarray(thresholds, np.float64),
-            np.asarray(astuple(rule), np.float64),
-            threads,
-        )
-    except ValueError as error:
-        raise InputError(f"regions: expected {error}") from None
-    return Forest(*map(np.asarray, forest))
+    given = (
+        np.asarray(weights.indptr, np.int64), np.asarray(weights.indices, np.int32),
+        np.asarray(weights.data, np.float32), np.asarray(views, np.int32), np.asarray(embeddings, np.float32),
+        np.asarray(edges, np.int32).reshape(-1, 2), np.asarray(thresholds, np.float64),
+        np.asarray(astuple(rule), np.float64),
+    )  # fmt: skip
+    return Forest(*native("regions", _native.agglomerate, *given, threads))

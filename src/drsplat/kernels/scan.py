@@ -15,7 +15,7 @@ from .. import _native
 from ..base.arrays import Float32, Ids, Int64, Integer, Numbers, UInt8, UInt16
 from ..errors import InputError
 from .algebra import CENTROIDS
-from .splats import checked_isa
+from .splats import checked_isa, native, native_array
 
 GROUP_ROWS = 256
 MAX_SCORE_ERROR = 1e-4  # never exceeded
@@ -96,8 +96,7 @@ def lookup_tables(
             f"queries of {queries.shape[1]} numbers do not fit centroids {centroids.shape}: "
             f"expected (L, D / L, {CENTROIDS})"
         )
-    arrays = np.ascontiguousarray(centroids), np.ascontiguousarray(queries)
-    return np.asarray(_native.lookup_tables(*arrays, threads, checked_isa(isa)))
+    return native_array("tables", _native.lookup_tables, centroids, queries, threads, checked_isa(isa))
 
 
 def scan_scores(rows: GroupedRows, tables: QueryTables, how: Scanning = EXACT) -> Float32[np.ndarray, "q n"]:
@@ -106,7 +105,7 @@ def scan_scores(rows: GroupedRows, tables: QueryTables, how: Scanning = EXACT) -
     Raises: InputError: arrays that do not fit each other.
     Source: Jegou et al. 2011, asymmetric distance; Dr. Splat Eq. 5-6.
     """
-    return np.asarray(_native.scan_scores(*_checked(rows, tables, how)))
+    return native_array("scores", _native.scan_scores, *_checked(rows, tables, how))
 
 
 def scan_above(
@@ -119,9 +118,8 @@ def scan_above(
     arguments = _checked(rows, tables, how)
     refuse_several_queries(tables)
     check_floor(floor, len(rows.inverse_norms))
-    floor = None if floor is None else np.ascontiguousarray(floor)
-    matches, scores = _native.scan_above(*arguments, float(threshold), floor)
-    return np.asarray(matches).view(np.int64), np.asarray(scores)  # else "long long"
+    matches, scores = native("scores", _native.scan_above, *arguments, float(threshold), floor)
+    return matches.view(np.int64), scores  # else "long long"
 
 
 def scan_top(
@@ -134,8 +132,8 @@ def scan_top(
     arguments = _checked(rows, tables, how)
     refuse_several_queries(tables)
     check_count(count)
-    best, scores = _native.scan_top(*arguments, min(count, len(rows.inverse_norms) + 1))
-    return np.asarray(best).view(np.int64), np.asarray(scores)  # else "long long"
+    best, scores = native("scores", _native.scan_top, *arguments, min(count, len(rows.inverse_norms) + 1))
+    return best.view(np.int64), scores  # else "long long"
 
 
 def scan_best(rows: GroupedRows, tables: QueryTables, how: Scanning = EXACT) -> tuple[Ids, Numbers, Numbers]:
@@ -145,8 +143,8 @@ def scan_best(rows: GroupedRows, tables: QueryTables, how: Scanning = EXACT) -> 
 
     Raises: InputError: arrays that do not fit each other.
     """
-    index, scores, runner_up = _native.scan_best(*_checked(rows, tables, how))
-    return np.asarray(index), np.asarray(scores), np.asarray(runner_up)
+    index, scores, runner_up = native("scores", _native.scan_best, *_checked(rows, tables, how))
+    return index, scores, runner_up
 
 
 _ScanArguments = tuple[tuple[object, ...], tuple[object, ...], tuple[object, ...]]
@@ -156,10 +154,7 @@ def _checked(rows: GroupedRows, tables: QueryTables, how: Scanning) -> _ScanArgu
     check_fit(shapes_of(rows), tables)
     if not how.error > 0 or how.wide < 0:
         raise InputError(f"expected an error above 0 and wide of 0 or more, got {how}")
-    whole = tuple(
-        tuple(None if part is None else np.ascontiguousarray(part) for part in parts) for parts in (rows, tables)
-    )
-    return whole[0], whole[1], (how.error, how.wide, how.threads, checked_isa(how.isa))
+    return tuple(rows), tuple(tables), (how.error, how.wide, how.threads, checked_isa(how.isa))
 
 
 def shapes_of(rows: GroupedRows) -> RowShapes:

@@ -1,6 +1,7 @@
 """Arrays that the kernels draw a scene from, and what they return, the same on the CPU and on a GPU."""
 
 import os
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -118,6 +119,35 @@ def camera_numbers(view: View, near: float) -> Float32[np.ndarray, "17"]:
     pose, K = view.cam_from_world, view.K
     numbers = [*pose[:3, :3].ravel(), *pose[:3, 3], K[0, 0], K[1, 1], K[0, 2], K[1, 2], near]
     return np.array(numbers, np.float32)
+
+
+def native(what: str, kernel: Callable[..., Any], *given: object, got: str = "") -> tuple[np.ndarray, ...]:
+    """Call a kernel with contiguous arrays, and return its arrays.
+
+    Args:
+        what: names the call in errors.
+        kernel: a function of the native core.
+        given: its arguments; arrays are made contiguous, also those in tuples.
+        got: ends the error, and says what was given.
+
+    Raises: InputError: arrays that do not fit each other, as the kernel says.
+    """
+    try:
+        made = kernel(*map(_contiguous, given))
+    except (ValueError, TypeError) as error:
+        raise InputError(f"{what}: expected {str(error).splitlines()[0]}{got}") from None
+    return tuple(map(np.asarray, made if isinstance(made, tuple | list) else (made,)))
+
+
+def native_array(what: str, kernel: Callable[..., Any], *given: object, got: str = "") -> np.ndarray:
+    """Call a kernel that makes one array, and return it; see `native`."""
+    return native(what, kernel, *given, got=got)[0]
+
+
+def _contiguous(given: Any) -> Any:
+    if isinstance(given, tuple):
+        return tuple(map(_contiguous, given))
+    return np.ascontiguousarray(given) if isinstance(given, np.ndarray) else given
 
 
 def checked_isa(isa: str) -> str:

@@ -21,6 +21,7 @@ from .splats import (
     Triples,
     camera_numbers,
     checked_isa,
+    native_array,
     splat_arrays_at_origin,
 )
 
@@ -126,11 +127,8 @@ def heaviest_labels(seen: Contributions, labels: Ids, *, threads: int = 0) -> Ma
 
     Raises: InputError: another number of weights, or Gaussians without a label.
     """
-    ids, weights = map(np.ascontiguousarray, seen)
-    try:
-        return np.asarray(_native.heaviest_labels(ids, weights, np.ascontiguousarray(labels), threads))
-    except ValueError as error:
-        raise InputError(f"expected {error}; got {seen.ids.shape} of {len(labels)} Gaussians") from None
+    got = f"; got {seen.ids.shape} of {len(labels)} Gaussians"
+    return native_array("labels", _native.heaviest_labels, *seen, labels, threads, got=got)
 
 
 def render_channels(
@@ -168,5 +166,5 @@ def sh_colors(sh: Harmonics, means: Vectors, center: np.ndarray, *, threads: int
 
     Source: 3DGS, "Spherical harmonics".
     """
-    arrays = np.ascontiguousarray(sh), np.ascontiguousarray(means), np.asarray(center, np.float32)
-    return np.asarray(_native.sh_colors(*arrays, threads, checked_isa(isa)))
+    arrays = sh, means, np.asarray(center, np.float32)
+    return native_array("colours", _native.sh_colors, *arrays, threads, checked_isa(isa))
