@@ -3,7 +3,7 @@
 Names are read whoever wrote them, boxes where drsplat did.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -96,16 +96,10 @@ def _boxes(name: str, kind: str, things: Sequence[Thing]) -> Table:
     table = Table(name, kind, len(things), {}, {})
     names = Column(np.frombuffer(b"".join(texts), np.uint8), offsets.astype("<u4"))
     table.add(NAME, {"type": "STRING", "required": True}, names)
-    table.add("score", {"type": "SCALAR", **_FLOAT}, _floats(things, lambda thing: [thing.score]))
-    table.add("center", {"type": "VEC3", **_FLOAT}, _floats(things, lambda thing: thing.center))
-    table.add("extent", {"type": "VEC3", **_FLOAT}, _floats(things, lambda thing: thing.extent))
-    # stored column by column: the columns of this matrix are the box's directions
-    table.add("axes", {"type": "MAT3", **_FLOAT}, _floats(things, lambda thing: thing.axes.ravel()))
+    for column, shape in BOXES.items():  # axes row by row: the columns of this matrix are the box's directions
+        numbers = np.array([np.ravel(getattr(thing, column)) for thing in things], "<f4")
+        table.add(column, {"type": shape, **_FLOAT}, Column(numbers))
     return table
-
-
-def _floats(things: Sequence[Thing], numbers: Callable[[Thing], Any]) -> Column:
-    return Column(np.array([numbers(thing) for thing in things], "<f4"))
 
 
 def _parents(things: Sequence[Thing]) -> Column:

@@ -21,7 +21,7 @@ scene may be zero. Nothing is ever decompressed beyond that size. Source: RFC 19
 import struct
 import warnings
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -109,7 +109,7 @@ def read_spz_labels(path: Path) -> Labels:
 
 def _objects(extensions: bytes, count: int) -> tuple[dict[str, np.ndarray], bytes]:
     """Return the columns of drsplat's extension, and its labels as JSON; neither where there is none."""
-    payload = _record(extensions, OBJECTS)
+    payload = next((content for kind, content in _records(extensions) if kind == OBJECTS), None)
     if payload is None:
         return {}, b""
     if len(payload) < OBJECT_SIZES.size:
@@ -124,15 +124,13 @@ def _objects(extensions: bytes, count: int) -> tuple[dict[str, np.ndarray], byte
     return {name: column for name, column in columns.items() if len(column)}, content[sizes[0] + sizes[1] :]
 
 
-def _record(extensions: bytes, wanted: int) -> bytes | None:
-    """Return the payload of the first extension of a kind."""
+def _records(extensions: bytes) -> Iterator[tuple[int, bytes]]:
+    """Yield the kind and the content of each extension."""
     offset = 0
     while offset + 8 <= len(extensions):
         kind, length = struct.unpack_from("<II", extensions, offset)
-        if kind == wanted:
-            return extensions[offset + 8 : offset + 8 + length]
+        yield kind, extensions[offset + 8 : offset + 8 + length]
         offset += 8 + length
-    return None
 
 
 def _planes(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], bytes, SpzHeader]:
@@ -209,13 +207,10 @@ def _separate(buffer: memoryview) -> tuple[list[UInt8[np.ndarray, " _"]], bytes,
 
 def _signs(extensions: bytes) -> Float32[np.ndarray, "3"]:
     """Return the factors of x, y, z that turn the stored axes into RDF."""
-    offset = 0
     system = 4  # RUB
-    while offset + 8 <= len(extensions):
-        kind, length = struct.unpack_from("<II", extensions, offset)
-        if kind == COORDINATE_SYSTEM and extensions[offset + 8 : offset + 12]:
-            system = int.from_bytes(extensions[offset + 8 : offset + 12], "little") or system
-        offset += 8 + length
+    for kind, content in _records(extensions):
+        if kind == COORDINATE_SYSTEM:
+            system = int.from_bytes(content[:4], "little") or system
     if system > 8:
         raise FormatError(f"SPZ stores axes {system}, with y and z exchanged: convert it to RUB (4) first")
     # Bits of system - 1: right, up, front. RDF is right, not up, front.
