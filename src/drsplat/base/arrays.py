@@ -76,14 +76,59 @@ Colors = UInt8[np.ndarray, "n 3"]
 """RGB of each."""
 Pixels = UInt8[np.ndarray, "h w 3"]
 """A picture, RGB."""
+OtherPixels = UInt8[np.ndarray, "_ _ 3"]
+"""A picture of another size than the arguments, RGB."""
 Mask = Bool[np.ndarray, "h w"]
 """Pixels of a picture that belong to something."""
 MaskIds = Int32[np.ndarray, "h w"]
 """The mask that each pixel of a picture is in; -1 for none."""
+Image = Float32[np.ndarray, "h w 3"]
+"""A picture of light, RGB, from 0 to 1."""
+Embedding = Float32[np.ndarray, " D"]
+"""A vector of an encoder."""
+Embeddings = Float32[np.ndarray, "n D"]
+"""Vectors of an encoder, a row each."""
 
 __all__ = [
-    "Anywhere", "Bool", "Colors", "Doubles", "Flags", "Float", "Float16", "Float32", "Float64", "Harmonics", "Ids",
-    "Indices", "Int", "Int8", "Int32", "Int64", "Integer", "Mask", "MaskIds", "Matrix3", "Matrix4", "Num", "Numbers",
-    "PilImage", "Pixels", "Points", "Quats", "Real", "RowIds", "Shaped", "Sparse", "UInt8", "UInt16", "UInt32",
-    "UInt64", "Vector3", "Vectors",
+    "Anywhere",
+    "Bool",
+    "Colors",
+    "Doubles",
+    "Embedding",
+    "Embeddings",
+    "Flags",
+    "Float",
+    "Float16",
+    "Float32",
+    "Float64",
+    "Harmonics",
+    "Ids",
+    "Image",
+    "Indices",
+    "Int",
+    "Int8",
+    "Int32",
+    "Int64",
+    "Integer",
+    "Mask",
+    "MaskIds",
+    "Matrix3",
+    "Matrix4",
+    "Num",
+    "Numbers",
+    "OtherPixels",
+    "PilImage",
+    "Pixels",
+    "Points",
+    "Quats",
+    "Real",
+    "RowIds",
+    "Shaped",
+    "Sparse",
+    "UInt8",
+    "UInt16",
+    "UInt32",
+    "UInt64",
+    "Vector3",
+    "Vectors",
 ]  # fmt: skip

@@ -7,7 +7,7 @@ Every function is the same to the bit for any number of threads; `threads=0` tak
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Float, Float32, Float64, Int32, Int64, Integer, UInt8
+from ..base.arrays import Embeddings, Float, Float32, Float64, Int32, Int64, Integer, UInt8
 from ..errors import InputError
 from .splats import checked_isa, native, native_array
 
@@ -114,7 +114,7 @@ def _csr(entries: Entries) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def code_sums(
-    points: Float32[np.ndarray, "n D"], codes: UInt8[np.ndarray, "n L"], *, threads: int = 0
+    points: Embeddings, codes: UInt8[np.ndarray, "n L"], *, threads: int = 0
 ) -> tuple[Float64[np.ndarray, "L c d"], Int64[np.ndarray, "L c"]]:
     """Return the sum of the sub-vectors of each code, in the order of points, and how many they are.
 
@@ -126,7 +126,7 @@ def code_sums(
 
 
 def pq_encode(
-    features: Float32[np.ndarray, "n D"], centroids: Float32[np.ndarray, "L c d"], *, threads: int = 0, isa: str = ""
+    features: Embeddings, centroids: Float32[np.ndarray, "L c d"], *, threads: int = 0, isa: str = ""
 ) -> UInt8[np.ndarray, "n L"]:
     """Return the nearest of 256 centroids (L2) for each of L sub-vectors, ties to the lowest index.
 

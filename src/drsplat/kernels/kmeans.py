@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64, Int, Int64, UInt8, UInt64
+from ..base.arrays import Embeddings, Float32, Float64, Int, Int64, UInt8, UInt64
 from .algebra import CENTROIDS, code_sums, pq_encode
 
 KMEANS_STEPS = 12
@@ -37,7 +37,7 @@ untracked = _Untracked()
 
 
 def train_centroids(
-    points: Float32[np.ndarray, "n D"], num_subvectors: int, seed: int, threads: int = 0, track: Track = untracked
+    points: Embeddings, num_subvectors: int, seed: int, threads: int = 0, track: Track = untracked
 ) -> Float32[np.ndarray, "L c d"]:
     """Train 256 centroids per sub-vector; one of at most 256 distinct values gets exactly those.
 

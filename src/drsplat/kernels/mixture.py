@@ -11,7 +11,20 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Float16, Float32, Ids, Int8, Int32, Int64, Integer, Numbers, UInt8, UInt16
+from ..base.arrays import (
+    Embedding,
+    Embeddings,
+    Float16,
+    Float32,
+    Ids,
+    Int8,
+    Int32,
+    Int64,
+    Integer,
+    Numbers,
+    UInt8,
+    UInt16,
+)
 from ..errors import InputError
 from .splats import checked_isa, native, native_array
 
@@ -55,7 +68,7 @@ class Candidates(NamedTuple):
 
 
 def mixture_encode(
-    features: Float32[np.ndarray, "n D"],
+    features: Embeddings,
     dictionary: Dictionary,
     candidates: Candidates,
     atoms_per_row: int,
@@ -78,9 +91,7 @@ def mixture_encode(
     return Encoded(*native("mixture_encode", _native.mixture_encode, *arrays, atoms_per_row, threads, checked_isa(isa)))
 
 
-def nearest_centres(
-    points: Float32[np.ndarray, "n D"], centres: Float32[np.ndarray, "c D"], *, threads: int = 0, isa: str = ""
-) -> Ids:
+def nearest_centres(points: Embeddings, centres: Float32[np.ndarray, "c D"], *, threads: int = 0, isa: str = "") -> Ids:
     """Return the centre that has the largest inner product with each point; the lowest index wins ties.
 
     Raises: InputError: no centres, or of another dimension.
@@ -89,7 +100,7 @@ def nearest_centres(
 
 
 def nearest_members(
-    points: Float32[np.ndarray, "n D"],
+    points: Embeddings,
     dictionary: Dictionary,
     groups: Ids,
     members: Int32[np.ndarray, "g m"],
@@ -120,7 +131,7 @@ def mixture_scores(
 def mixture_select(
     blocks: Blocks,
     dictionary: Dictionary,
-    query: Float32[np.ndarray, " D"],
+    query: Embedding,
     threshold: float,
     floor: Numbers | None = None,
     *,
@@ -137,13 +148,7 @@ def mixture_select(
 
 
 def mixture_top(
-    blocks: Blocks,
-    dictionary: Dictionary,
-    query: Float32[np.ndarray, " D"],
-    count: int,
-    *,
-    threads: int = 0,
-    isa: str = "",
+    blocks: Blocks, dictionary: Dictionary, query: Embedding, count: int, *, threads: int = 0, isa: str = ""
 ) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
     """Return the `count` rows with the highest scores, best first, and these scores; the lower row wins ties.
 

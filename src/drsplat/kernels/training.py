@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Float32, Harmonics, Numbers, Quats, Vectors
+from ..base.arrays import Float32, Harmonics, Image, Numbers, Quats, Vectors
 from ..errors import InputError
 from ..scene.placing import PUBLISHED_NEAR
 from ..scene.views import View
@@ -63,7 +63,7 @@ class Loss(NamedTuple):
     value: float
     l1: float
     ssim: float
-    gradient: Float32[np.ndarray, "h w 3"]
+    gradient: Image
 
 
 class TrainingView:
@@ -72,14 +72,14 @@ class TrainingView:
     image: RGB over the background. alpha: 1 - the transmittance that is left.
     """
 
-    image: Float32[np.ndarray, "h w 3"]
+    image: Image
     alpha: Float32[np.ndarray, "h w"]
 
     def __init__(self, native: _native.TrainingPass) -> None:
         self._native, self._done = native, False
         self.image, self.alpha = native.forward()
 
-    def backward(self, image_gradient: Float32[np.ndarray, "h w 3"]) -> Gradients:
+    def backward(self, image_gradient: Image) -> Gradients:
         """Return the parameters' gradients, given the loss's gradient by the image; once for each forward pass.
 
         Raises: InputError: a gradient of another size than the image; a second call.
@@ -128,14 +128,7 @@ def forward(
     )
 
 
-def photometric_loss(
-    image: Float32[np.ndarray, "h w 3"],
-    target: Float32[np.ndarray, "h w 3"],
-    ssim_weight: float = 0.2,
-    *,
-    threads: int = 0,
-    isa: str = "",
-) -> Loss:
+def photometric_loss(image: Image, target: Image, ssim_weight: float = 0.2, *, threads: int = 0, isa: str = "") -> Loss:
     """Return (1 - w) L1 + w (1 - SSIM); SSIM with a Gaussian window of 11, sigma 1.5, zeros outside.
 
     Raises: InputError: images of different sizes.

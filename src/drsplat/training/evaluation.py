@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Float32, Pixels, UInt8
+from ..base.arrays import Image, Pixels, UInt8
 from ..drawing.pictures import as_pixels, write_picture
 from ..kernels.training import SceneParameters, forward
 from ..scene.placing import PUBLISHED_NEAR
@@ -73,7 +73,7 @@ def evaluate(
 
 def rendered(
     parameters: SceneParameters, view: View, settings: TrainingSettings, near: float = PUBLISHED_NEAR, threads: int = 0
-) -> Float32[np.ndarray, "h w 3"]:
+) -> Image:
     """Render a picture with all SH degrees on the settings' backdrop, clipped to [0, 1]."""
     backdrop = np.array(settings.backdrop, np.float32)
     drawn = forward(
@@ -83,7 +83,7 @@ def rendered(
     return clipped
 
 
-def _score(name: str, image: Float32[np.ndarray, "h w 3"], photo: Photo) -> ViewScore:
+def _score(name: str, image: Image, photo: Photo) -> ViewScore:
     """Compare a rendering with its photo, without what a mask leaves out, also in the windows of SSIM beside it."""
     colors = photo.colors()
     if photo.left_out is not None:
@@ -92,7 +92,7 @@ def _score(name: str, image: Float32[np.ndarray, "h w 3"], photo: Photo) -> View
     return ViewScore(name, psnr(image, colors, unused), ssim(image, colors, unused))
 
 
-def side_by_side(image: Float32[np.ndarray, "h w 3"], photo: Photo) -> UInt8[np.ndarray, "h w3 3"]:
+def side_by_side(image: Image, photo: Photo) -> UInt8[np.ndarray, "h w3 3"]:
     """Draw photo, rendering, and four times their difference."""
     error = np.abs(image - photo.colors()) * np.float32(ERROR_GAIN)
     error.reshape(-1, 3)[photo.unused] = 0

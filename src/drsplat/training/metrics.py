@@ -5,12 +5,11 @@ import math
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from ..base.arrays import Bool, Float32, Float64, RowIds
+from ..base.arrays import Bool, Float64, Image, RowIds
 
 WINDOW, SIGMA = 11, 1.5
 C1, C2 = 0.01**2, 0.03**2
 
-Image = Float32[np.ndarray, "h w 3"]
 Flat = RowIds | Bool[np.ndarray, " hw"]
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ..base.arrays import Anywhere, Float32, Vector3
+from ..base.arrays import Anywhere, Float32, Image, Vector3
 from ..errors import DrSplatError, InputError
 from ..formats.captures import SparsePoints
 from ..kernels.training import Loss, Rates, TrainingView, forward, photometric_loss
@@ -218,7 +218,7 @@ class Run:
             return self.rng.random(3, np.float32)
         return np.array(self.settings.backdrop, np.float32)
 
-    def _loss(self, drawn: TrainingView, target: Float32[np.ndarray, "h w 3"], photo: Photo, threads: int) -> Loss:
+    def _loss(self, drawn: TrainingView, target: Image, photo: Photo, threads: int) -> Loss:
         """Return the loss; where the photo is masked, the rendering is its own target and nothing is learnt."""
         unused = photo.unused
         if len(unused):
@@ -294,5 +294,5 @@ class Run:
 R = TypeVar("R", bound=Run)
 
 
-def _psnr(image: Float32[np.ndarray, "h w 3"], target: Float32[np.ndarray, "h w 3"], photo: Photo) -> float:
+def _psnr(image: Image, target: Image, photo: Photo) -> float:
     return min(psnr(np.clip(image, 0, 1), target, photo.unused), 99.0)

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Bool, Float32, Indices, Int64
+from ...base.arrays import Bool, Embedding, Indices, Int64
 from ...errors import FormatError, InputError
 from ...field.codes import Codebook, Codes, PQCode, load_codebook, pq_code
 from ...formats.checksums import check_checksums
@@ -63,9 +63,7 @@ class Coded:
     parts: Mapping[Key, Part]
     without: tuple[Fragment, ...]
 
-    def nearest(
-        self, query: Float32[np.ndarray, " D"], count: int, allowed: Int64[np.ndarray, " a"] | None, threads: int
-    ) -> Found:
+    def nearest(self, query: Embedding, count: int, allowed: Int64[np.ndarray, " a"] | None, threads: int) -> Found:
         """Return `count` rows of the highest codes; deleted ones may be among them. allowed: ids, ascending."""
         most = sum(len(part.row_ids) for part in self.parts.values())
         looked_at = DESCRIPTORS_PER_WANTED * count * (1 if allowed is None else most // max(len(allowed), 1) + 1)
@@ -77,7 +75,7 @@ class Coded:
                 return Found(distinct[:count], looked_at >= most and len(distinct) <= count)
             looked_at *= GROWTH
 
-    def _top(self, query: Float32[np.ndarray, " D"], count: int, threads: int) -> Int64[np.ndarray, " h"]:
+    def _top(self, query: Embedding, count: int, threads: int) -> Int64[np.ndarray, " h"]:
         """Return the rows of the `count` best descriptors, best first; the largest part sets what others must reach."""
         ids, scores = np.empty(0, np.int64), np.empty(0, np.float32)
         for code, row_ids in sorted(self.parts.values(), key=lambda part: -len(part.row_ids)):
@@ -213,7 +211,7 @@ FEW_ROWS = 20_000  # that meet a condition: comparing them all is quicker than t
 class Search(NamedTuple):
     """Search for objects. vector: of unit length; where: SQL, "" for all; wanted: number of objects."""
 
-    vector: Float32[np.ndarray, " D"]
+    vector: Embedding
     where: str
     wanted: int
     threads: int

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ...base.arrays import Float32, Int8, Int64
+from ...base.arrays import Embedding, Float32, Int8, Int64
 from ...errors import DrSplatError, FormatError, InputError, MissingExtraError
 from ...formats.json_files import as_fields, document_in
 from ...scene.encoders import EncoderIdentity, identity_json
@@ -135,7 +135,7 @@ def described_of(column: Any, path: Path) -> Described:
     return Described(vectors / _lengths(vectors, path)[:, None], starts)
 
 
-def cosines_of(column: Any, vector: Float32[np.ndarray, " D"], path: Path) -> Float32[np.ndarray, " r"]:
+def cosines_of(column: Any, vector: Embedding, path: Path) -> Float32[np.ndarray, " r"]:
     """Return the highest cosine of a unit vector with a descriptor of each row, -inf for rows without any.
 
     Raises: FormatError: some have no direction.

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...base.arrays import Float32, Int64
+from ...base.arrays import Embedding, Int64
 from ...errors import FormatError, MismatchError
 from ...scene.encoders import EncoderIdentity, identity_text
 from ..ranking import Described
@@ -66,7 +66,7 @@ class Snapshot:
             rows = self.table.search().where("object_id = -1").select(["scene"]).with_row_id(True).to_arrow()
             return dict(zip(rows["scene"].to_pylist(), rows[ROW_ID].to_pylist(), strict=True))
 
-    def nearest(self, vector: Float32[np.ndarray, " D"], where: str, count: int) -> Any:
+    def nearest(self, vector: Embedding, where: str, count: int) -> Any:
         """Return the objects whose descriptors have the highest cosines with a unit vector, all compared.
 
         where: SQL that they meet, "" for all.
