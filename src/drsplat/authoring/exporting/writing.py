@@ -1,4 +1,4 @@
-"""What a file of a scene holds (Gaussians as edited, objects, matches, annotations), and writing it.
+"""Content of a file of a scene (Gaussians as edited, objects, matches, annotations), and the writing of it.
 
 A format of other programs may not hold all of it; what it could not is told.
 """

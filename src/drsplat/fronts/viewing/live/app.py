@@ -121,7 +121,7 @@ LOOKS: dict[str, tuple[Callable[[Shared, QueryParams], Any], Callable[[Any], Res
     "clicked-photo": (lambda shared, _: files.clicked_photo(shared.stage), _jpeg),
     "catalogue-picture": (lambda shared, asked: shared.entry_picture(_number(asked, "number")), _jpeg),
 }
-"""What is looked at in the turn of a browser, and how it is sent."""
+"""Looks that a browser takes in its turn, and how each is sent."""
 
 QUESTIONS: dict[str, tuple[type[BaseModel], Callable[[Shared, Any], Any], Callable[[Any], Response]]] = {
     "picture": (CameraOnly, lambda shared, asked: files.shown_picture(shared.stage, asked.camera), _png),
