@@ -632,3 +632,18 @@ def test_arrays_hold_numbers_whatever_is_asked(viewer: Viewer) -> None:
     paint = viewer.arrays("/view/paint")
     assert paint["owner"].max() == 3
     assert np.isfinite(viewer.arrays("/view/splats")["centers"]).all()
+
+
+def test_what_waits_is_dropped_at_the_end() -> None:
+    """A viewer that ends waits for what is being done, and for nothing else: a thread in the kernels would abort."""
+    turns, goes_on = Turns(), threading.Event()
+    first, second = turns.submit(goes_on.wait), turns.submit(lambda: "late")
+    eventually(first.running)
+    ending = threading.Thread(target=turns.stop)
+    ending.start()
+    while not turns.is_ending:
+        ending.join(0.01)
+    goes_on.set()
+    ending.join()
+    assert first.result() is True
+    assert second.cancelled()

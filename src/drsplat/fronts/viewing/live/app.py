@@ -147,7 +147,7 @@ class Viewer:
     def prepare(self) -> None:
         """Find names, words and pictures of the objects of the scene that is open. Raises: BusyError."""
         self.lanes.change(self.shared.prepare)
-        self.lanes.files.submit(lambda: self.pictures.draw(self.shared.stage))
+        self.lanes.files.submit(lambda: self.pictures.draw(self.shared.stage, lambda: self.lanes.files.is_ending))
 
     def routes(self) -> list[Route]:
         own: dict[str, Handler] = {

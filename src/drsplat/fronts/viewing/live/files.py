@@ -103,9 +103,11 @@ class ObjectPictures:
         """Return an object's picture where it is drawn already."""
         return self._kept.get(number) if stage is self._stage else None
 
-    def draw(self, stage: Stage) -> None:
-        """Draw all that are kept, those listed first. Raises: as `picture`."""
+    def draw(self, stage: Stage, is_ending: Callable[[], bool]) -> None:
+        """Draw all that are kept, those listed first, until the viewer ends. Raises: as `picture`."""
         for number in stage.listed[:MAX_PICTURES_KEPT]:
+            if is_ending():
+                return
             self.picture(stage, number)
 
     def picture(self, stage: Stage, number: int) -> bytes:

@@ -26,7 +26,7 @@ class Turns:
     """A thread that does what it is given in that order. Exceptions go to whoever waits for the result."""
 
     def __init__(self, most_waiting: int = MAX_REQUESTS_WAITING, name: str = "viewer") -> None:
-        self.most_waiting, self.waiting = most_waiting, 0
+        self.most_waiting, self.waiting, self.is_ending = most_waiting, 0, False
         self._jobs: SimpleQueue[tuple[Future[Any], Callable[[], Any]] | None] = SimpleQueue()
         self._latest: dict[Hashable, object] = {}
         self._lock = threading.Lock()
@@ -63,12 +63,15 @@ class Turns:
 
     def stop(self) -> None:
         """End after what is being done, which has some seconds; what waits is dropped."""
+        self.is_ending = True
         self._jobs.put(None)
         self._thread.join(GRACE_S)
 
     def _run(self) -> None:
         while (job := self._jobs.get()) is not None:
             future, act = job
+            if self.is_ending:
+                future.cancel()
             try:
                 if future.set_running_or_notify_cancel():
                     future.set_result(act())
