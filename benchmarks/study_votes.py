@@ -215,7 +215,7 @@ def main() -> None:
     arguments = parser.parse_args()
     print(describe())
     results: dict[str, Mapping[str, Found]] = {}
-    found = []
+    flat_rows = []
     for given in arguments.places:
         folder, _, scene = given.partition("=")
         path = Path(folder).resolve()
@@ -226,12 +226,12 @@ def main() -> None:
         else:
             place = room(path, "true" if arguments.masks == "whole" else "graph", arguments.kept)
         if arguments.surfaces:
-            found.append(surface_row(place))
+            flat_rows.append(surface_row(place))
             continue
         results[place.name], seconds = measured(place, path, arguments.kept, arguments.pictures)
         print(f"{place.name}: {seconds}")
-    if found:
-        print(markdown(("place", "surfaces", "right, of known", "what they are", "surfaces there (said)"), found))
+    if flat_rows:
+        print(markdown(("place", "surfaces", "right, of known", "what they are", "surfaces there (said)"), flat_rows))
         return
     names = list(next(iter(results.values())))
     rows = []
