@@ -11,7 +11,8 @@ second table counts what each name of a room means: how often the sure matches, 
 
 --by-hand: asks the sentences of suite/sentences.json instead, which were written by hand with what they mean, of the
 rooms and of captures, whose things are called by drawn pictures of genuine text vectors (`suite/trials.py::called`).
-"Refused" is right for what the grammar does not know. FOLDER: as of study_maybe.py.
+"Refused" is right for what the grammar does not know. Names of the captures' things are counted too.
+FOLDER: as of study_maybe.py.
 """
 
 import argparse
@@ -74,10 +75,11 @@ def main() -> None:
 
 def by_hand(rooms: list[str], captures: list[str], names: Path, kept: Path) -> None:
     said = json.loads((Path(__file__).parent / "suite" / "sentences.json").read_text(encoding="utf-8"))
-    rows, total = [], np.zeros(4, int)
+    rows, total, counts_of = [], np.zeros(4, int), np.zeros(3, int)
     for given in (*rooms, *captures):
         name = Path(given.partition("=")[0]).name
         scene, labels, numbers = _room(given) if given in rooms else _capture(given, names, kept)
+        counts_of += _counted(scene, [CALLED.get(thing, thing) for thing in numbers if thing != "lid"])
         counts = np.zeros(4, int)
         for text, meant in said[name].items():
             true = meant if meant == REFUSED else {numbers.get(one, one) for one in meant}
@@ -88,6 +90,7 @@ def by_hand(rooms: list[str], captures: list[str], names: Path, kept: Path) -> N
         total += counts
     titles = ("place", "sentences", "right", "maybe, less or nothing", "wrong for sure")
     print(markdown(titles, [*rows, ("all", *map(str, total))]))
+    print(markdown(("names of captures counted", "right by sure matches", "by all"), [tuple(map(str, counts_of))]))
 
 
 def _room(given: str) -> tuple[Scene, np.ndarray, dict[str, int]]:

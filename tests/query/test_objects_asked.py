@@ -169,6 +169,7 @@ def test_two_things_that_touch_are_two_places() -> None:
     values = (field.objects.thing_of() < 2).astype(np.float32)
     found = Scene(field, near).locate(Answer.of(field, values, 0.5))
     assert sorted(match.object_id for match in found) == [0, 1]
+    assert [match.sure for match in found] == [True, False]  # counted as parts of one
     loose = replace(field, objects=None)
     assert len(Scene(loose, near).locate(Answer.of(loose, values, 0.5))) == 1
 

@@ -1,5 +1,7 @@
 """Selection, localization and segmentation on scenes where the answer is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,7 +14,7 @@ from drsplat.field import LanguageField, build_field
 from drsplat.field.codes import Codebook
 from drsplat.field.evidence.evidence import Evidence, MaskIds
 from drsplat.query import Answer
-from drsplat.query.tasks import NO_CLASS, locate, rank, segment, sure_matches
+from drsplat.query.tasks import NO_CLASS, locate, rank, segment, sure_matches, whole_of
 from drsplat.scene.encoders import EncoderIdentity
 from drsplat.scene.gaussians import Gaussians
 
@@ -229,3 +231,24 @@ def test_sure_are_the_best_and_those_nearly_as_good() -> None:
     scene, answer = places((200, -0.5), (100, -0.4))
     assert [len(match) for match in sure_matches(locate(answer, scene, link_distance=0.5), scene)] == [100]
     assert sure_matches([], scene) == []
+
+
+def test_parts_that_touch_are_counted_once() -> None:
+    """Foot and shade of a lamp, what lies on it by chance and fits less, a second lamp, and a scrap of that."""
+    centers = [(0.0, 0, 0), (0.0, 0, 0.1), (0.4, 0, 0), (3.0, 0, 0), (3.4, 0, 0)]
+    scene, labels = boxes_scene(centers)
+    field = field_of(scene, labels)
+    values = np.array([0.9, 0.85, 0.6, 0.92, 0.88], np.float32)[labels]
+    one = locate(Answer.of(field, values, 0.5), scene)
+    assert len(one) == 2
+    matches = [
+        replace(one[0], gaussian_ids=np.flatnonzero(labels == k), score=float(values[labels == k][0]))
+        for k in (3, 0, 1, 4, 2)
+    ]
+    matches = [
+        replace(match, center=np.array(centers[k]), extent=np.array([0.4, 0.2, 0.1]))
+        for match, k in zip(matches, (3, 0, 1, 4, 2), strict=True)
+    ]
+    assert whole_of(matches, [True] * 3 + [False] * 2, scene) == [0, 1, 1, 0, -1]
+    assert whole_of(matches[:1], [True], scene) == [0]
+    assert whole_of([], [], scene) == []

@@ -6,10 +6,14 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..base.arrays import Float64, Int64, Integer
+from ..scene.boxes import solid
+from ..scene.parted import AnyGaussians
+from .answer import Match
 
 NUM_NEIGHBOURS = 8
 MIN_NEAR_SHARE = 0.5  # of what is joined to an object as its border
 LINK_FACTOR = 3.0  # links of up to this many typical spacings hold a thing together
+TOUCH_FACTOR, MIN_TOUCHING_SHARE = 2.0, 0.1  # spacings between what touches, and how much of the smaller does
 
 
 def components(points: Float64[np.ndarray, "n 3"], link_distance: float | None) -> Int64[np.ndarray, " n"]:
@@ -38,6 +42,22 @@ def join_to_held(
     for number in np.unique(component[joins]):
         of = np.bincount(places[held[nearest[joins & (component == number)]]])
         places[loose[component == number]] = of.argmax()
+
+
+Seen = tuple[cKDTree, float]
+
+
+def seen_of(match: Match, gaussians: AnyGaussians) -> Seen:
+    """Return what can be seen of a match, and how near is touching."""
+    tree = cKDTree(gaussians.shapes_of(solid(gaussians, match.gaussian_ids)).positions)
+    last = min(NUM_NEIGHBOURS + 1, tree.n)
+    return tree, TOUCH_FACTOR / LINK_FACTOR * _reach(tree.query(tree.data, [last])[0])
+
+
+def touch(one: Seen, other: Seen) -> bool:
+    """Return whether a tenth of the smaller of two matches is within two typical spacings of the larger."""
+    (small, reach), (large, far) = sorted((one, other), key=lambda each: int(each[0].n))
+    return bool((large.query(small.data)[0] <= max(reach, far)).mean() >= MIN_TOUCHING_SHARE)
 
 
 def _join_near_parts(

@@ -22,6 +22,7 @@ from ..scene.parted import AnyGaussians
 from ..scene.views import View
 from .answer import Match
 from .query import Query
+from .tasks import meant_of
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -192,7 +193,7 @@ def standing_on(scene: Scene, matches: Sequence[Match], query: Query | str) -> l
 
     Raises: InputError: nothing is called so, or the photos do not tell which way is up.
     """
-    supports = [one for one in scene.locate(query) if one.sure]
+    supports = meant_of(scene.locate(query), scene.rows)
     if not supports:
         text = query if isinstance(query, str) else query.text or ""
         raise InputError(f"no match for '{text[:60]}', so nothing can stand on it")

@@ -35,7 +35,7 @@ from .places import Point, nearest_gaussian
 from .query import Cut, Query
 from .search import PixelWeights, feature_of, pixel_weights, row_of, seen_among
 from .support import support_in
-from .tasks import locate, segment, sure_matches
+from .tasks import locate, segment, sure_matches, whole_of
 from .views import view_named
 from .wholes import for_comparing
 
@@ -419,12 +419,13 @@ class Scene:
         answer = query if isinstance(query, Answer) else self.ask(query)
         up = self.up if box == "upright" else None
         matches = locate(answer, self.rows, min_gaussians=min_gaussians, up=up)
-        meant = matches if answer.is_exact else sure_matches(matches, self.rows)
-        num_sure = len(meant) if answer.certainty == SURE else 0
+        sure = [answer.certainty == SURE] * len(matches if answer.is_exact else sure_matches(matches, self.rows))
+        if not answer.is_exact:
+            wholes = whole_of(matches[: len(sure)], sure, self.rows)
+            sure = [whole == number for number, whole in enumerate(wholes)]
+        sure += [False] * (len(matches) - len(sure))
         return [
-            replace(
-                match, support=support_in(match, answer), label=self._label_of(match.object_id), sure=number < num_sure
-            )
+            replace(match, support=support_in(match, answer), label=self._label_of(match.object_id), sure=sure[number])
             for number, match in enumerate(matches[:top])
         ]
 

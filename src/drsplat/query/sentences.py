@@ -17,6 +17,7 @@ from .answer import Answer, Match
 from .defaults import OBJECT
 from .query import Query
 from .search import split_negation
+from .tasks import meant_of
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -132,7 +133,7 @@ def related_answer(scene: "Scene", query: Query, sentence: Sentence) -> Answer:
     for text in sentence.others:
         other = scene.ask(replace(query, text=text))
         found = scene.locate(other)
-        ends.append([one for one in found if one.sure] or found)
+        ends.append(meant_of(found, scene.rows) or found)
         doubts.append(
             other.doubt
             if found

@@ -1,6 +1,7 @@
 """Localisation and segmentation: functions of arrays that turn values per Gaussian into matches and classes."""
 
 from collections.abc import Iterable, Sequence
+from functools import cache
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from .defaults import MIN_GAUSSIANS
 NO_CLASS = -1
 MASS_POWER = 0.1  # ten times the mass weighs as much as a score that is 1.26 times as high
 SURE_RANK_SHARE = 0.85  # of the best match's rank: from it on another is meant as well
+PART_SCORE_SHARE = 0.9  # of the score of a sure match, for what touches it and is a part of it
 
 
 def locate(
@@ -70,6 +72,34 @@ def sure_matches(matches: Sequence[Match], gaussians: AnyGaussians) -> list[Matc
     ranks = [rank(match, gaussians) for match in matches]
     best = max(ranks, default=0.0)
     return [match for match, own in zip(matches, ranks, strict=True) if own >= min(SURE_RANK_SHARE * best, best)]
+
+
+def whole_of(matches: Sequence[Match], meant: Sequence[bool], gaussians: AnyGaussians) -> list[int]:
+    """Return of each match the number of the one that is meant of which it is a part, its own where it is itself.
+
+    A part touches that match, or another part of it, has a lower rank, and fits at least nine tenths as well: masks cut
+    a lamp in foot and shade. -1: of none. meant: of each match whether a query certainly means it.
+    """
+    from .linking import seen_of, touch
+
+    reaches = [float(np.linalg.norm(match.extent)) for match in matches]  # twice as far as their boxes
+    seen = cache(lambda number: seen_of(matches[number], gaussians))
+    wholes: list[int] = []
+    for number, match in enumerate(matches):
+        whole = (
+            of for other, of in enumerate(wholes)
+            if of >= 0 and match.score >= PART_SCORE_SHARE * matches[of].score
+            and np.linalg.norm(match.center - matches[other].center) <= reaches[number] + reaches[other]
+            and touch(seen(number), seen(other))
+        )  # fmt: skip
+        wholes.append(next(whole, number if meant[number] else -1))
+    return wholes
+
+
+def meant_of(matches: Sequence[Match], gaussians: AnyGaussians) -> list[Match]:
+    """Return the sure matches of a query with their parts, of which none is sure itself."""
+    wholes = whole_of(matches, [match.sure for match in matches], gaussians)
+    return [match for match, whole in zip(matches, wholes, strict=True) if whole >= 0]
 
 
 def _places(answer: Answer, selected: Gaussians, link_distance: float | None) -> Int64[np.ndarray, " m"]:

@@ -22,6 +22,7 @@ from ..scene.views import View
 from .answer import Match, MatchTrack
 from .query import Query
 from .relations import RELATIONS, SIDES, Relation, Side, Up, is_beside, related
+from .tasks import meant_of
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -175,7 +176,7 @@ def _spanned(scene: Scene, span: Span) -> Scene:
 
 def _meant(scene: Scene, what: Match | Query | str) -> list[Match]:
     """Return a match itself, or the sure ones of a query. Raises: InputError: it has none."""
-    found = [what] if isinstance(what, Match) else [one for one in scene.locate(what) if one.sure]
+    found = [what] if isinstance(what, Match) else meant_of(scene.locate(what), scene.rows)
     matches = found[:MAX_MATCHES_RELATED]
     if not matches:
         asked = what.text if isinstance(what, Query) else what

@@ -19,17 +19,41 @@ export function placesOf(selected: number[], values: Float32Array, things: Int32
   places.sort((a, b) => b.rank - a.rank || shown[a.rows[0]] - shown[b.rows[0]]);
   const best = places[0]?.rank ?? 0;
   for (const place of places) place.sure = place.rank >= Math.min(rules.sure_rank_share * best, best);
+  countOnce(places.filter((place) => place.sure), splats, solid, shown, rules);
   return places;
+}
+
+interface Part { at: Float64Array; tree: Tree; reach: number; whole: Place }
+
+/** Take the parts of other places from those that are sure: query/tasks.py::whole_of. */
+function countOnce(places: Place[], splats: Splats, solid: ArrayLike<number>, shown: Uint32Array, rules: Rules): void {
+  const known: Part[] = [];
+  for (const place of places.length > 1 ? places : []) {
+    const at = pointsOf(place.rows.filter((row) => solid[shown[row]]), splats, shown), tree = new Tree(at);
+    const part = { at, tree, reach: rules.touch_factor / rules.link_factor * reachOf(at, tree, rules), whole: place };
+    const other = known.find((one) => place.score >= rules.part_score_share * one.whole.score && touch(part, one, rules));
+    if (other) { place.sure = false; part.whole = other.whole; }
+    known.push(part);
+  }
+}
+
+function touch(one: Part, other: Part, rules: Rules): boolean {
+  const [small, large] = one.at.length <= other.at.length ? [one, other] : [other, one], reach = Math.max(one.reach, other.reach), count = small.at.length / 3;
+  let near = 0;
+  for (let i = 0; i < count; i++) near += Number(large.tree.nearest(small.at[3 * i], small.at[3 * i + 1], small.at[3 * i + 2], 1).squares[0] <= reach * reach);
+  return near >= rules.min_touching_share * count;
+}
+
+function pointsOf(rows: number[], splats: Splats, shown: Uint32Array): Float64Array {
+  const out = new Float64Array(3 * rows.length);
+  rows.forEach((row, n) => { for (let k = 0; k < 3; k++) out[3 * n + k] = splats.centers[3 * shown[row] + k]; });
+  return out;
 }
 
 /** Return the object of each selected row; loose ones that hang together share a number below 0. */
 function numbered(selected: number[], things: Int32Array, splats: Splats, shown: Uint32Array, rules: Rules): number[] {
   const places = selected.map((row) => things[row]), loose = [...places.keys()].filter((i) => places[i] < 0), held = [...places.keys()].filter((i) => places[i] >= 0);
-  const points = (some: number[]) => {
-    const out = new Float64Array(3 * some.length);
-    some.forEach((i, n) => { for (let k = 0; k < 3; k++) out[3 * n + k] = splats.centers[3 * shown[selected[i]] + k]; });
-    return out;
-  };
+  const points = (some: number[]) => pointsOf(some.map((i) => selected[i]), splats, shown);
   if (loose.length > 1) {
     const at = points(loose), labels = connected(at, reachOf(at, new Tree(at), rules));
     loose.forEach((i, k) => { places[i] = -1 - labels[k]; });
