@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ..base.arrays import Float32, Int64, OtherPixels, Pixels
+from ..base.arrays import Float32, Indices, OtherPixels, Pixels
 from .heat import LUMA
 from .pictures import FAINT, INK, PAPER, border, fitting
 
@@ -110,7 +110,7 @@ def _window(share: Float32[np.ndarray, "h w"]) -> tuple[int, int, int, int]:
     return left, top, right, bottom
 
 
-def _placed(at: Int64[np.ndarray, " n"], length: float, side: int) -> tuple[int, int]:
+def _placed(at: Indices, length: float, side: int) -> tuple[int, int]:
     """Return an interval about the middle of some pixels: moved into the photo, or centred where it is longer."""
     begin = float(np.percentile(at, (1, 99)).mean()) + 0.5 - length / 2
     begin = min(max(begin, 0.0), side - length) if length <= side else (side - length) / 2

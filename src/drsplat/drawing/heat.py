@@ -4,11 +4,11 @@ import colorsys
 
 import numpy as np
 
-from ..base.arrays import Float32, UInt8, Vectors
+from ..base.arrays import Numbers, UInt8, Vectors
 
 LUMA = np.array([0.299, 0.587, 0.114])  # of red, green and blue: how light a colour looks
 GOLDEN_TURN_SHARE = 0.6180339887498949  # between hues, which keeps any number of them apart
-Values = Float32[np.ndarray, " n"]
+Values = Numbers
 
 HEAT = np.array(
     [

@@ -9,7 +9,7 @@ from os import PathLike
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ..base.arrays import Bool, Float32, Integer, OtherPixels, Pixels, UInt8
+from ..base.arrays import Float32, Integer, Mask, OtherPixels, Pixels, RowIds, UInt8
 from ..errors import InputError
 from ..formats.replacing import replacing
 from ..kernels import SplatArrays, render_channels, splat_arrays
@@ -54,12 +54,7 @@ def photo_or_rendering(
 
 
 def visible_share(
-    gaussians: Gaussians,
-    view: View,
-    ids: Integer[np.ndarray, " m"],
-    *,
-    splats: SplatArrays | None = None,
-    threads: int = 0,
+    gaussians: Gaussians, view: View, ids: RowIds, *, splats: SplatArrays | None = None, threads: int = 0
 ) -> Float32[np.ndarray, "h w"]:
     """Return, per pixel, the summed blending weight of the Gaussians at `ids`, as far as nothing hides them."""
     if not len(ids):
@@ -102,7 +97,7 @@ def heated(photo: Pixels, heat: Float32[np.ndarray, "h w"]) -> Pixels:
     return picture
 
 
-def border(inside: Bool[np.ndarray, "h w"], thickness: int) -> Bool[np.ndarray, "h w"]:
+def border(inside: Mask, thickness: int) -> Mask:
     """Return the pixels just outside a region; specks of a few pixels get none."""
     from scipy import ndimage
 

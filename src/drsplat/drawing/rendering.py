@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Flags, Float32, Integer
+from ..base.arrays import Flags, Float32, Image, RowIds
 from ..errors import InputError
 from ..kernels import SplatArrays, render_channels, sh_colors, splat_arrays
 from ..kernels.cuda.devices import on_host
@@ -13,7 +13,7 @@ from ..scene.gaussians import Gaussians
 from ..scene.views import View
 
 MAX_PIXELS = 1 << 27  # of a picture, e.g. 16384x8192: drawing it takes about 3 GB
-Index = Integer[np.ndarray, " m"] | Flags
+Index = RowIds | Flags
 
 
 class Picture(NamedTuple):
@@ -23,7 +23,7 @@ class Picture(NamedTuple):
     composited `values`, without columns if there were none.
     """
 
-    rgb: Float32[np.ndarray, "h w 3"]
+    rgb: Image
     alpha: Float32[np.ndarray, "h w"]
     depth: Float32[np.ndarray, "h w"]
     channels: Float32[np.ndarray, "h w c"]

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from ..base.arrays import Bool, Float32, RowIds
+from ..base.arrays import Float32, Mask, RowIds
 from ..errors import FormatError, InputError, MismatchError
 from ..field.codes import Track, untracked
 from ..formats.captures import read_views
@@ -234,7 +234,7 @@ def _write_masks(
     return scores
 
 
-def _masks(splats: SplatArrays, view: View, cut: _Cut, threads: int) -> Iterator[tuple[str, Bool[np.ndarray, "h w"]]]:
+def _masks(splats: SplatArrays, view: View, cut: _Cut, threads: int) -> Iterator[tuple[str, Mask]]:
     """Yield each column's mask; equal selections are rendered once."""
     count, mask = -1, np.zeros((view.height, view.width), bool)
     for column, threshold in sorted(cut.at.items(), key=lambda item: item[1]):
@@ -244,7 +244,7 @@ def _masks(splats: SplatArrays, view: View, cut: _Cut, threads: int) -> Iterator
         yield column, mask
 
 
-def silhouette(splats: SplatArrays, view: View, selected: RowIds, threads: int = 0) -> Bool[np.ndarray, "h w"]:
+def silhouette(splats: SplatArrays, view: View, selected: RowIds, threads: int = 0) -> Mask:
     """Return where the selected Gaussians, rendered alone, are more opaque than 0.7."""
     if not len(selected):
         return np.zeros((view.height, view.width), bool)

@@ -16,7 +16,7 @@ from urllib.parse import quote
 import numpy as np
 from PIL import Image
 
-from ..base.arrays import Bool, Flags, Float32, Float64
+from ..base.arrays import Doubles, Flags, Float32, Float64, Mask, Numbers
 from ..errors import FormatError, InputError, MismatchError
 from ..formats.json_files import excerpt, read_json
 from ..formats.replacing import replacing
@@ -118,13 +118,13 @@ def mask_path(folder: Path, scene: str, column: str, frame: str, category: str) 
     return folder / scene / column / f"{frame}_{safe}.png"
 
 
-def write_mask(path: Path, mask: Bool[np.ndarray, "h w"]) -> None:
+def write_mask(path: Path, mask: Mask) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path, overwrite=True) as file:
         Image.fromarray(mask.astype(np.uint8) * 255).save(file, "PNG", compress_level=1)
 
 
-def read_mask(path: Path, width: int, height: int) -> Bool[np.ndarray, "h w"] | None:
+def read_mask(path: Path, width: int, height: int) -> Mask | None:
     """Read a predicted mask; None where nothing was predicted.
 
     Raises: FormatError: not a picture, or of another size: predictions are never resized.
@@ -173,7 +173,7 @@ def best_sweep(means: Mapping[str, float]) -> str | None:
 
 
 def sweep_weighted_ious(
-    scores: Float32[np.ndarray, " n"], truth: Flags, weights: Float64[np.ndarray, " n"], thresholds: Sequence[float]
+    scores: Numbers, truth: Flags, weights: Doubles, thresholds: Sequence[float]
 ) -> Float64[np.ndarray, " t"]:
     """Return Eq. 3's IoU of {score > t} for each threshold t, in one pass over the Gaussians.
 

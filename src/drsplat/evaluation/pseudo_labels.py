@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..base.arrays import Float32, Float64, Ids, Int32, Int64, Vector3, Vectors
+from ..base.arrays import Doubles, Float32, Float64, Ids, Indices, Int32, Int64, Vector3, Vectors
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 
@@ -49,11 +49,11 @@ class _Sources(NamedTuple):
     reach: half sides of the box that holds the cut-off. size: its longest, up to a power of two.
     """
 
-    ids: Int64[np.ndarray, " n"]
+    ids: Indices
     means: Vectors
     whiten: Float32[np.ndarray, "n 9"]
     reach: Vectors
-    size: Float64[np.ndarray, " n"]
+    size: Doubles
 
     def rows(self, index: np.ndarray | slice) -> "_Sources":
         return _Sources(*(column[index] for column in self))

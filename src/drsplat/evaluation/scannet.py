@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64, Ids, Int32, Integer
+from ..base.arrays import Doubles, Ids, Int32, Integer, Numbers
 from ..base.contents import file_text
 from ..errors import FormatError, InputError, MismatchError
 from ..field.codes import Track, untracked
@@ -135,13 +135,13 @@ class ScannetScene:
     gaussians: Gaussians
 
     @cached_property
-    def significance(self) -> Float64[np.ndarray, " n"]:
+    def significance(self) -> Doubles:
         """Significance d_i = s_x s_y s_z alpha_i.  Source: Dr. Splat Sec. C."""
         volumes = self.gaussians.scales.astype(np.float64).prod(1)
         return np.asarray(volumes * self.gaussians.opacities)
 
     @cached_property
-    def pseudo_labels(self) -> Int32[np.ndarray, " n"]:
+    def pseudo_labels(self) -> Ids:
         """Class per Gaussian; 0 where other classes win or no point is near."""
         return np.asarray(np.maximum(pseudo_labels(self.gaussians, self.points), 0), np.int32)
 
@@ -242,7 +242,7 @@ def predict_classes(
     Manifest(protocol, scorer.name, scene.name, columns, inputs).write(folder)
 
 
-def predicted_classes(scene: ScannetScene, folder: Path) -> Int32[np.ndarray, " n"]:
+def predicted_classes(scene: ScannetScene, folder: Path) -> Ids:
     """Read the classes that `predict_classes` wrote; all 0 where they are missing.
 
     Raises: FormatError: damaged, or not one class of the label set per Gaussian.
@@ -260,13 +260,13 @@ def scores_path(folder: Path, scene: str, kind: str, number: int) -> Path:
     return folder / scene / f"{kind}_{number:03d}.npy"
 
 
-def predicted_scores(scene: ScannetScene, folder: Path, kind: str, number: int) -> Float32[np.ndarray, " n"] | None:
+def predicted_scores(scene: ScannetScene, folder: Path, kind: str, number: int) -> Numbers | None:
     scores = read_array(scores_path(folder, scene.name, kind, number), len(scene.gaussians), "f")
     return None if scores is None else scores.astype(np.float32)
 
 
 def segmentation_record(
-    predicted: scorers.Labels, truth: scorers.Labels, labels: LabelSet, weights: Float64[np.ndarray, " n"] | None = None
+    predicted: scorers.Labels, truth: scorers.Labels, labels: LabelSet, weights: Doubles | None = None
 ) -> dict[str, Any]:
     """Return the means over the classes of the scene, and the numbers of each."""
     ious = scorers.class_ious(predicted, truth, len(labels), weights)

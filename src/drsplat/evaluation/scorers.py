@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from ..base.arrays import Bool, Float32, Float64, Integer, Real
+from ..base.arrays import Bool, Embedding, Float32, Float64, Integer, Real
 from ..errors import MismatchError
 from ..field import LanguageField, relevancy_from_scores
 from ..formats.peer_features import Rows
@@ -328,7 +328,7 @@ def hashed(array: Rows) -> str:
     return digest.hexdigest()
 
 
-def _cosines(features: Rows, unit: Float32[np.ndarray, " D"]) -> Scores:
+def _cosines(features: Rows, unit: Embedding) -> Scores:
     scores = np.empty(len(features), np.float32)
     for start in range(0, len(features), BLOCK_ROWS):
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from ..base.arrays import Bool, Float32, Float64, Int64
+from ..base.arrays import Bool, Doubles, Float32, Float64, Indices, Int64, Points, Quats
 from ..errors import InputError, MismatchError
 from ..formats.json_files import ids_of
 from ..scene.gaussians import SH_C0, Gaussians
@@ -28,8 +28,8 @@ class Assignment:
     distances: how far it has moved, in scene units. reach: how far it could have.
     """
 
-    rows: Int64[np.ndarray, " n"]
-    distances: Float64[np.ndarray, " n"]
+    rows: Indices
+    distances: Doubles
     reach: float
     scene: str
     num_gaussians: int
@@ -99,7 +99,7 @@ def carry_label(label: Label, assignment: Assignment) -> Label | None:
     return Label.of(label.name, assignment.scene, rows, label.center) if len(rows) else None
 
 
-def _spacing(points: Float64[np.ndarray, "n 3"], threads: int) -> float:
+def _spacing(points: Points, threads: int) -> float:
     """Return the median distance of a Gaussian to the nearest other one."""
     some = points[:: max(1, len(points) // SPACING_SAMPLE)]
     distances, _ = cKDTree(points).query(some, 2, workers=threads or -1)
@@ -107,16 +107,16 @@ def _spacing(points: Float64[np.ndarray, "n 3"], threads: int) -> float:
     return float(np.median(away[away > 0])) if np.isfinite(away).all() and (away > 0).any() else 0.0
 
 
-def _looks(gaussians: Gaussians) -> Float32[np.ndarray, "n 4"]:
+def _looks(gaussians: Gaussians) -> Quats:
     """Return opacity and colour, each from about 0 to 1."""
     return np.column_stack([gaussians.opacities, 0.5 + np.float32(SH_C0) * gaussians.sh[:, 0]])
 
 
 def _candidates(
-    here: Float64[np.ndarray, "n 3"],
+    here: Points,
     there: Float64[np.ndarray, "m 3"],
     reach: float,
-    old: Float32[np.ndarray, "n 4"],
+    old: Quats,
     new: Float32[np.ndarray, "m 4"],
     threads: int,
 ) -> tuple[Int64[np.ndarray, "n k"], Float32[np.ndarray, "n k"]]:
@@ -133,9 +133,7 @@ def _candidates(
     return found, costs
 
 
-def _objects_lost(
-    found: Int64[np.ndarray, "n k"], costs: Float32[np.ndarray, "n k"], count: int
-) -> Int64[np.ndarray, " n"]:
+def _objects_lost(found: Int64[np.ndarray, "n k"], costs: Float32[np.ndarray, "n k"], count: int) -> Indices:
     """Give each row of the new scene to one Gaussian: the most alike first, of equal ones the lower row."""
     rows, taken = np.full(len(found), -1), np.zeros(count, bool)
     for choice in range(found.shape[1]):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Float64, Int64, Integer
+from ..base.arrays import Int64, RowIds, Vector3
 from ..errors import FormatError, InputError
 from ..formats.claiming import claimed_output
 from ..formats.json_files import are_rows, as_vector, ids_of, is_text, read_json, runs_of, spans_of, spans_of_runs
@@ -38,12 +38,10 @@ class Label:
     name: str
     scene: str
     spans: Int64[np.ndarray, "s 2"]
-    center: Float64[np.ndarray, " 3"]
+    center: Vector3
 
     @classmethod
-    def of(
-        cls, name: str, scene: str, gaussian_ids: Integer[np.ndarray, " m"], center: Float64[np.ndarray, " 3"]
-    ) -> "Label":
+    def of(cls, name: str, scene: str, gaussian_ids: RowIds, center: Vector3) -> "Label":
         """Return the label of ascending rows of the scene."""
         return cls(name.strip(), scene, spans_of(gaussian_ids), center)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64, Int64, Integer, UInt32
+from ..base.arrays import Embedding, Embeddings, Float32, Float64, Int64, Integer, RowIds, UInt32, Vector3
 from ..base.terminal import counted, facts_html
 from ..errors import InputError, MismatchError
 from ..formats.field_folder import TensorFile, write_folder
@@ -46,7 +46,7 @@ class Negatives:
     """
 
     texts: tuple[str, ...]
-    embeddings: Float32[np.ndarray, "n D"]
+    embeddings: Embeddings
     maxima: Float32[np.ndarray, " r"]
 
 
@@ -55,7 +55,7 @@ class WordList:
     """Texts that queries are contrasted with, and their unit embeddings."""
 
     texts: tuple[str, ...]
-    embeddings: Float32[np.ndarray, "n D"]
+    embeddings: Embeddings
 
 
 _OTHER_FILE = (
@@ -90,7 +90,7 @@ class LanguageField:
     negatives: Negatives | None = None
     aggregator: AggregatorRecord = MEAN_RECORD
     contrast: WordList | None = None
-    up: Float64[np.ndarray, " 3"] | None = None
+    up: Vector3 | None = None
     left_out: tuple[str, ...] = ()
     objects: Objects | None = None
     growth: Growth | None = None
@@ -146,7 +146,7 @@ class LanguageField:
     def __len__(self) -> int:
         return len(self.gaussian_ids)
 
-    def rows_of(self, gaussian_ids: Integer[np.ndarray, " m"]) -> Int64[np.ndarray, " m"]:
+    def rows_of(self, gaussian_ids: RowIds) -> Int64[np.ndarray, " m"]:
         """Return the row of each Gaussian of the scene, -1 where it has no feature, or there is no such Gaussian."""
         if not len(self):
             return np.full(len(gaussian_ids), -1)
@@ -199,7 +199,7 @@ class LanguageField:
         scores = (code or self.code).scores(np.atleast_2d(unit), threads=threads)
         return scores if query.ndim == 2 else scores[0]
 
-    def select(self, query: Float32[np.ndarray, " D"], threshold: float, *, threads: int = 0) -> Hits:
+    def select(self, query: Embedding, threshold: float, *, threads: int = 0) -> Hits:
         """Return the rows whose cosine with the query exceeds the threshold, ascending: one scan, and no other array.
 
         Raises: as `scores`.
@@ -207,7 +207,7 @@ class LanguageField:
         """
         return self.code.select(self._unit(query), threshold, threads=threads)
 
-    def select_relevant(self, query: Float32[np.ndarray, " D"], threshold: float = 0.5, *, threads: int = 0) -> Hits:
+    def select_relevant(self, query: Embedding, threshold: float = 0.5, *, threads: int = 0) -> Hits:
         """Return the rows whose relevancy exceeds the threshold, ascending, with their cosines; one scan.
 
         relevancy > t where score - max_n <n, f> > log(t / (1 - t)) / 10.
@@ -222,7 +222,7 @@ class LanguageField:
         margin = float(np.log(threshold / (1 - threshold)) / TEMPERATURE)
         return self.code.select(self._unit(query), margin, self.negatives.maxima, threads=threads)
 
-    def top(self, query: Float32[np.ndarray, " D"], count: int, *, threads: int = 0) -> Hits:
+    def top(self, query: Embedding, count: int, *, threads: int = 0) -> Hits:
         """Return the `count` rows of the highest cosine, best first. Raises: as `scores`; InputError: count < 1."""
         return self.code.top(self._unit(query), count, threads=threads)
 
@@ -235,7 +235,7 @@ class LanguageField:
         return self.code.best(self._unit(queries), threads=threads)
 
     def relevancy(
-        self, query: Float32[np.ndarray, " D"], negatives: Float32[np.ndarray, "n D"] | None = None, *, threads: int = 0
+        self, query: Embedding, negatives: Embeddings | None = None, *, threads: int = 0
     ) -> Float32[np.ndarray, " r"]:
         """Return how much better the query fits than any negative, in (0, 1); one scan if they are cached.
 
@@ -252,9 +252,7 @@ class LanguageField:
             raise InputError("relevancy needs negatives: pass their embeddings, or call with_negatives first")
         return relevancy_from_scores(self.scores(query, threads=threads), known.maxima)
 
-    def score_negatives(
-        self, embeddings: Float32[np.ndarray, "n D"], texts: tuple[str, ...] = (), *, threads: int = 0
-    ) -> Negatives:
+    def score_negatives(self, embeddings: Embeddings, texts: tuple[str, ...] = (), *, threads: int = 0) -> Negatives:
         """Return each row's best score among some negatives. Raises: InputError: no embeddings, or not one per text."""
         if not len(embeddings) or (texts and len(texts) != len(embeddings)):
             raise InputError(
@@ -263,7 +261,7 @@ class LanguageField:
         unit = _unit(embeddings)
         return Negatives(texts, unit, self._maxima(unit, threads))
 
-    def _maxima(self, unit: Float32[np.ndarray, "n D"], threads: int) -> Float32[np.ndarray, " r"]:
+    def _maxima(self, unit: Embeddings, threads: int) -> Float32[np.ndarray, " r"]:
         maxima = self.code.best(unit[:BATCH_NEGATIVES], threads=threads).scores
         for begin in range(BATCH_NEGATIVES, len(unit), BATCH_NEGATIVES):
             more = self.code.best(unit[begin : begin + BATCH_NEGATIVES], threads=threads).scores
@@ -271,7 +269,7 @@ class LanguageField:
         return maxima
 
     def with_negatives(
-        self, embeddings: Float32[np.ndarray, "n D"], texts: tuple[str, ...] = (), *, threads: int = 0
+        self, embeddings: Embeddings, texts: tuple[str, ...] = (), *, threads: int = 0
     ) -> "LanguageField":
         """Return the field with its negatives scored once and for all; `save` keeps them."""
         return replace(self, negatives=self.score_negatives(embeddings, texts, threads=threads))
@@ -282,7 +280,7 @@ class LanguageField:
         negatives = old and replace(old, maxima=self._maxima(old.embeddings, threads))
         return replace(self, negatives=negatives, contrast=other.contrast)
 
-    def with_contrast(self, embeddings: Float32[np.ndarray, "n D"], texts: tuple[str, ...]) -> "LanguageField":
+    def with_contrast(self, embeddings: Embeddings, texts: tuple[str, ...]) -> "LanguageField":
         """Return the field with the words that queries are contrasted with; `save` keeps them.
 
         Raises: InputError: not one embedding of the encoder's dimension for each text.
@@ -307,7 +305,7 @@ class LanguageField:
         """Return decoded unit features of some rows."""
         return self.code.decode(np.arange(len(self))[rows])
 
-    def explain(self, gaussian_id: int, query: Float32[np.ndarray, " D"], top: int = 5) -> list[Explanation]:
+    def explain(self, gaussian_id: int, query: Embedding, top: int = 5) -> list[Explanation]:
         """Return the photos and masks that speak most for `query` at a Gaussian; none without a feature.
 
         Raises: InputError: no such Gaussian, or the field was made without evidence.

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from ..base.arrays import Float32, Int64
+from ..base.arrays import Embedding, Float32, Int64
 from ..kernels import Triples, splat_arrays, view_weights
 from ..scene.gaussians import Gaussians
 from ..scene.masks.features import ViewFeatures
@@ -54,7 +54,7 @@ def coded_features(
     return seen[has_direction], pq_code(codebook, codes)
 
 
-def cosines(code: PQCode, query: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, " r"]:
+def cosines(code: PQCode, query: Embedding) -> Float32[np.ndarray, " r"]:
     """Return <q, c_i> / |c_i|, q the vector of a text or a picture: L look-ups of <q_l, centroid> (Sec. B)."""
     scores: np.ndarray = code.scores((query / np.linalg.norm(query))[None])[0]
     return scores

@@ -15,7 +15,7 @@ from warnings import warn
 import numpy as np
 from scipy.sparse import csr_array
 
-from ..base.arrays import Float32, Float64
+from ..base.arrays import Float32, Float64, Vector3
 from ..base.terminal import counted, facts_html
 from ..errors import DrSplatWarning, InputError, MismatchError, did_you_mean
 from ..kernels import default_isa
@@ -56,7 +56,7 @@ class Registration:
     scene: str
     encoder: EncoderIdentity
     sampling: Sampling | None = None
-    up: Float64[np.ndarray, " 3"] | None = None
+    up: Vector3 | None = None
     left_out: tuple[str, ...] = ()
     provenance: Provenance | None = None
     coder: RowCoder = AT_ONCE
@@ -365,9 +365,7 @@ def encoder_of(features: Mapping[str, ViewFeatures], dim: int) -> EncoderIdentit
     return encoder if isinstance(encoder, EncoderIdentity) else EncoderIdentity(UNKNOWN_ENCODER, dim)
 
 
-def _between(
-    one: Float64[np.ndarray, " 3"] | None, other: Float64[np.ndarray, " 3"] | None
-) -> Float64[np.ndarray, " 3"] | None:
+def _between(one: Vector3 | None, other: Vector3 | None) -> Vector3 | None:
     """Return the direction between two; the only one if the other is None; None for opposite ones."""
     if one is None or other is None:
         return other if one is None else one

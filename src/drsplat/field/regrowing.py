@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.sparse import csr_array, vstack
 
-from ..base.arrays import Bool, Int32, Int64
+from ..base.arrays import Bool, Flags, Indices, Int32, Int64
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Span
@@ -52,7 +52,7 @@ def regrown_field(
     field: LanguageField,
     evidence: Evidence,
     provenance: Provenance,
-    touched: Bool[np.ndarray, " n"],
+    touched: Flags,
     changed: Collection[str],
     *,
     threads: int = 0,
@@ -146,7 +146,7 @@ def _coded_again(
     return Coded(pq_code(field.codebook, _ordered(old, codes, order), norms[order]), directed)
 
 
-def _ordered(one: Codes, other: Codes, order: Int64[np.ndarray, " n"]) -> Codes:
+def _ordered(one: Codes, other: Codes, order: Indices) -> Codes:
     """Return the codes at `order` of both, one after the other."""
     places = np.empty_like(order)
     places[order] = np.arange(len(order))

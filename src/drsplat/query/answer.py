@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64, Int32, Int64, Integer, PilImage
+from ..base.arrays import Embedding, Float32, Float64, Ids, Int64, Integer, Matrix3, Numbers, PilImage, Vector3
 from ..base.terminal import counted, facts_html
 from ..errors import InputError
 from ..field import LanguageField
@@ -31,7 +31,7 @@ class Answer:
     """
 
     field: LanguageField
-    vector: Float32[np.ndarray, " D"] | None
+    vector: Embedding | None
     values: Float32[np.ndarray, " r"]
     measure: str
     threshold: float
@@ -110,7 +110,7 @@ class Answer:
         return self.rule in (OBJECT, LABEL)
 
     @property
-    def dense(self) -> Float32[np.ndarray, " n"]:
+    def dense(self) -> Numbers:
         """Values per Gaussian of the scene; the lowest where there is no feature."""
         return self.field.dense(self.values, fill=self.lowest)
 
@@ -160,9 +160,9 @@ class Match:
     whether the query surely means it; those that do are counted.
     """
 
-    center: Float64[np.ndarray, " 3"]
-    axes: Float64[np.ndarray, "3 3"]
-    extent: Float64[np.ndarray, " 3"]
+    center: Vector3
+    axes: Matrix3
+    extent: Vector3
     score: float
     gaussian_ids: Int64[np.ndarray, " m"]
     support: tuple[Explanation, ...] = ()
@@ -193,7 +193,7 @@ class Segmentation:
     """
 
     names: tuple[str, ...]
-    labels: Int32[np.ndarray, " n"]
+    labels: Ids
     answers: list[Answer]
 
     @property

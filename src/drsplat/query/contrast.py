@@ -12,7 +12,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ..base.arrays import Bool, Float, Float32, Float64, Integer, UInt16
+from ..base.arrays import Bool, Embedding, Embeddings, Flags, Float, Float32, Float64, Integer, UInt16
 from ..base.contents import release, scratch
 from ..field import LanguageField
 from ..kernels.algebra import dense_rows, row_products
@@ -53,8 +53,8 @@ class Contrast:
     colours, and no broad list. counts: rows of the field that each row here stands for, in order; None for one.
     """
 
-    vectors: Float32[np.ndarray, "n D"]
-    usual: Float32[np.ndarray, " D"]
+    vectors: Embeddings
+    usual: Embedding
     spread: float
     scores: Float32[np.ndarray, "r t"]
     words: UInt16[np.ndarray, "r t"]
@@ -85,10 +85,7 @@ class Contrast:
         return peak_score(self._of_each((self.scores + levels).max(1)), peak) if len(self.scores) else 0.0
 
     def relevancy(
-        self,
-        query: Float32[np.ndarray, " D"],
-        scores: Float32[np.ndarray, " r"],
-        same: Bool[np.ndarray, " n"] | None = None,
+        self, query: Embedding, scores: Float32[np.ndarray, " r"], same: Flags | None = None
     ) -> Float32[np.ndarray, " r"] | None:
         """Return values in (0, 1): above 0.5 where the query fits better than all words but one in WORDS_PER_RIVAL.
 
@@ -110,9 +107,7 @@ class Contrast:
             release(self.scores, self.words)
         return self._of_each(values)
 
-    def _not_competing(
-        self, query: Float32[np.ndarray, " D"], same: Bool[np.ndarray, " n"] | None
-    ) -> Bool[np.ndarray, " n"]:
+    def _not_competing(self, query: Embedding, same: Flags | None) -> Flags:
         near = _near(self.vectors, query)
         return near if same is None else near | same
 
@@ -120,18 +115,14 @@ class Contrast:
         """Return the values of all rows of the field."""
         return values if self.counts is None else np.repeat(values, self.counts)
 
-    def speaks(self, query: Float32[np.ndarray, " D"]) -> bool:
+    def speaks(self, query: Embedding) -> bool:
         """Return whether a vector lies with the words rather than with the pictures."""
         sides = np.stack([self.vectors.mean(0), self.usual]).astype(np.float64)
         to_words, to_pictures = row_products(sides / np.linalg.norm(sides, axis=1, keepdims=True), query)
         return bool(to_words > to_pictures)
 
     def raised(
-        self,
-        query: Float32[np.ndarray, " D"],
-        scores: Float32[np.ndarray, " r"],
-        same: Bool[np.ndarray, " n"] | None,
-        score: Score,
+        self, query: Embedding, scores: Float32[np.ndarray, " r"], same: Flags | None, score: Score
     ) -> Float32[np.ndarray, " r"]:
         """Return the cosines of a query, raised to those of the best name of its kind, what is usual of each taken off.
 
@@ -146,12 +137,7 @@ class Contrast:
             np.maximum(best, (score(vectors[some]) - usual[some, None]).max(axis=0), out=best)
         return best
 
-    def rival(
-        self,
-        query: Float32[np.ndarray, " D"],
-        values: Float32[np.ndarray, " r"],
-        same: Bool[np.ndarray, " n"] | None = None,
-    ) -> int | None:
+    def rival(self, query: Embedding, values: Float32[np.ndarray, " r"], same: Flags | None = None) -> int | None:
         """Return the number of the word that fits best where the query fits best; None: none that means another thing.
 
         values: relevancies of the query, one per row here. same: as of `relevancy`.
@@ -167,14 +153,14 @@ class Contrast:
         scores, words = _best_words_of(features, self.vectors, self.usual)
         return replace(self, scores=scores, words=words)
 
-    def _level(self, near: Bool[np.ndarray, " n"], rank: int, run: slice) -> Float32[np.ndarray, " r"]:
+    def _level(self, near: Flags, rank: int, run: slice) -> Float32[np.ndarray, " r"]:
         """Return per row of a run the score of the `rank`-th best word that is not near, or of the last one kept."""
         better = np.cumsum(np.take(~near, self.words[run].T), axis=0, dtype=np.uint16) < rank
         places = np.minimum(better.sum(0, dtype=np.uint16), len(better) - 1)
         return np.asarray(self.scores[run][np.arange(len(places)), places])
 
 
-def _near(vectors: Float32[np.ndarray, "n D"], query: Float32[np.ndarray, " D"]) -> Bool[np.ndarray, " n"]:
+def _near(vectors: Embeddings, query: Embedding) -> Flags:
     """Mark the words that mean the same as the query. The last answer is kept: many scenes ask with one list."""
     global _last_near
     last = _last_near
@@ -189,7 +175,7 @@ def _near(vectors: Float32[np.ndarray, "n D"], query: Float32[np.ndarray, " D"])
     return last[2]
 
 
-def near_each(vectors: Float32[np.ndarray, "n D"], queries: Float32[np.ndarray, "q D"]) -> Bool[np.ndarray, "n q"]:
+def near_each(vectors: Embeddings, queries: Float32[np.ndarray, "q D"]) -> Bool[np.ndarray, "n q"]:
     """Mark the words that mean the same as each of many unit queries: what `_near` does for one.
 
     Both are seen from the mean of the list and the query: with c = n + 1 texts and all from the list's mean, that of a
@@ -203,7 +189,7 @@ def near_each(vectors: Float32[np.ndarray, "n D"], queries: Float32[np.ndarray, 
     return np.asarray((vectors @ queries.T > 1 - 1e-5) | (cosines > SAME_MEANING_COSINE))
 
 
-def contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], *, threads: int = 0) -> Contrast:
+def contrast(field: LanguageField, vectors: Embeddings, *, threads: int = 0) -> Contrast:
     """Score a list of words once; 6 (n / WORDS_PER_RIVAL + SPARE_WORDS) bytes per row. The last one of a field is kept.
 
     Raises: MismatchError: vectors of another dimension.
@@ -214,7 +200,7 @@ def contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], *, threa
     return known
 
 
-def contrast_of_kind(field: LanguageField, vectors: Float32[np.ndarray, "n D"], *, threads: int = 0) -> Contrast:
+def contrast_of_kind(field: LanguageField, vectors: Embeddings, *, threads: int = 0) -> Contrast:
     """Score a few words of one kind that a text competes with in place of the list, which stays the one that is kept.
 
     What is usual counts half for them too: a scene of greys in all lights takes some of its black and white for grey.
@@ -224,7 +210,7 @@ def contrast_of_kind(field: LanguageField, vectors: Float32[np.ndarray, "n D"], 
 
 def contrast_of(
     features: Float32[np.ndarray, "m D"],
-    vectors: Float32[np.ndarray, "n D"],
+    vectors: Embeddings,
     *,
     pictures: Float32[np.ndarray, "s D"] | None = None,
     of_kind: bool = False,
@@ -297,24 +283,22 @@ _last_near: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None
 _LAST_CONTRASTS: "WeakKeyDictionary[LanguageField, Contrast]" = WeakKeyDictionary()
 
 
-def _contrast(field: LanguageField, vectors: Float32[np.ndarray, "n D"], threads: int) -> Contrast:
+def _contrast(field: LanguageField, vectors: Embeddings, threads: int) -> Contrast:
     usual, spread = _usual(usual_pictures(field), vectors, threads)
     runs = [(run, partial(field.scores, threads=threads, code=code)) for run, code in field.runs()]
     scores, words = _best_words(vectors, usual, runs, threads)
     return Contrast(vectors, usual, spread, scores, words)
 
 
-def _usual(
-    pictures: Float32[np.ndarray, "s D"], vectors: Float32[np.ndarray, "n D"], threads: int
-) -> tuple[Float32[np.ndarray, " D"], float]:
+def _usual(pictures: Float32[np.ndarray, "s D"], vectors: Embeddings, threads: int) -> tuple[Embedding, float]:
     """Return the mean picture times USUAL_COSINE_SHARE, and the unit of margins."""
     usual = (USUAL_COSINE_SHARE * pictures.mean(0, dtype=np.float64)).astype(np.float32)
     return usual, _spread(dense_rows(pictures, vectors.T, threads=threads))
 
 
 def _best_words(
-    vectors: Float32[np.ndarray, "n D"],
-    usual: Float32[np.ndarray, " D"],
+    vectors: Embeddings,
+    usual: Embedding,
     runs: Sequence[tuple[slice, Score]],
     threads: int = 1,
     at_once: int = WORDS_AT_ONCE,
@@ -335,7 +319,7 @@ def _best_words(
 
 
 def _best_words_of(
-    features: Float32[np.ndarray, "m D"], vectors: Float32[np.ndarray, "n D"], usual: Float32[np.ndarray, " D"]
+    features: Float32[np.ndarray, "m D"], vectors: Embeddings, usual: Embedding
 ) -> tuple[Float32[np.ndarray, "m t"], UInt16[np.ndarray, "m t"]]:
     at_once = max(WORDS_AT_ONCE, min(MAX_WORDS_AT_ONCE, MAX_SCORES_AT_ONCE // max(len(features), 1)))
     runs = [(slice(0, len(features)), lambda some: dense_rows(features, some.T, threads=1).T)]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Float64, Shaped
+from ..base.arrays import Float64, Matrix3, Shaped, Vector3
 from ..field.evidence.evidence import Explanation
 from ..field.objects.agreed import FEW_PHOTOS
 from ..formats.georeference import Georeference
@@ -23,12 +23,7 @@ CORNER_SIGNS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-
 DEGREE_DECIMALS, HEIGHT_DECIMALS = 9, 4  # a ten-thousandth of a metre
 
 
-def box_document(
-    center: Float64[np.ndarray, " 3"],
-    axes: Float64[np.ndarray, "3 3"],
-    extent: Float64[np.ndarray, " 3"],
-    decimals: int | None = None,
-) -> Document:
+def box_document(center: Vector3, axes: Matrix3, extent: Vector3, decimals: int | None = None) -> Document:
     """Return an oriented box: its centre, its full lengths along the axes, and its axes as rows."""
     return {"center": rounded(center, decimals), "extent": rounded(extent, decimals), "axes": _short(axes, decimals)}
 
@@ -138,10 +133,7 @@ def _short(values: Any, decimals: int | None) -> Any:
 
 
 def earth_document(
-    georeference: Georeference | None,
-    center: Float64[np.ndarray, " 3"],
-    axes: Float64[np.ndarray, "3 3"],
-    extent: Float64[np.ndarray, " 3"],
+    georeference: Georeference | None, center: Vector3, axes: Matrix3, extent: Vector3
 ) -> dict[str, Any]:
     """Return the position of a box's centre and its footprint, in WGS 84; nothing without a georeference.
 
@@ -187,6 +179,6 @@ def _turn(one: np.ndarray, two: np.ndarray, three: np.ndarray) -> float:
     return float(a * d - b * c)
 
 
-def _rounded(place: Float64[np.ndarray, " 3"]) -> list[float]:
+def _rounded(place: Vector3) -> list[float]:
     longitude, latitude, height = place.tolist()
     return [round(longitude, DEGREE_DECIMALS), round(latitude, DEGREE_DECIMALS), round(height, HEIGHT_DECIMALS)]

@@ -5,7 +5,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ..base.arrays import Float64, Int64, Integer
+from ..base.arrays import Float64, Indices, Int64, Integer, Points
 from ..scene.boxes import solid
 from ..scene.parted import AnyGaussians
 from .answer import Match
@@ -16,7 +16,7 @@ LINK_FACTOR = 3.0  # links of up to this many typical spacings hold a thing toge
 TOUCH_FACTOR, MIN_TOUCHING_SHARE = 2.0, 0.1  # spacings between what touches, and how much of the smaller does
 
 
-def components(points: Float64[np.ndarray, "n 3"], link_distance: float | None) -> Int64[np.ndarray, " n"]:
+def components(points: Points, link_distance: float | None) -> Indices:
     """Label each point: those joined by steps of at most the link distance (None: typical spacings) share a label."""
     k = min(NUM_NEIGHBOURS, len(points) - 1)
     distances, neighbours = cKDTree(points).query(points, k=k + 1)
@@ -60,9 +60,7 @@ def touch(one: Seen, other: Seen) -> bool:
     return bool((large.query(small.data)[0] <= max(reach, far)).mean() >= MIN_TOUCHING_SHARE)
 
 
-def _join_near_parts(
-    points: Float64[np.ndarray, "n 3"], labels: Int64[np.ndarray, " n"], reach: float
-) -> Int64[np.ndarray, " p"]:
+def _join_near_parts(points: Points, labels: Indices, reach: float) -> Int64[np.ndarray, " p"]:
     """Return a new label for each part; nearest neighbours alone can leave gaps narrower than the reach."""
     order = np.argsort(labels, kind="stable")
     parts = np.split(points[order], np.flatnonzero(np.diff(labels[order])) + 1)
@@ -78,9 +76,7 @@ def _join_near_parts(
     return _connected(len(parts), ends[:, 0], ends[:, 1])
 
 
-def _connected(
-    count: int, source: Int64[np.ndarray, " e"], target: Integer[np.ndarray, " e"]
-) -> Int64[np.ndarray, " n"]:
+def _connected(count: int, source: Int64[np.ndarray, " e"], target: Integer[np.ndarray, " e"]) -> Indices:
     edges = coo_array((np.ones(len(source), bool), (source, target)), shape=(count, count))
     return np.asarray(connected_components(edges, directed=False)[1], np.int64)
 

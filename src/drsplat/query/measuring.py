@@ -6,7 +6,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from ..base.arrays import Bool, Float32, UInt8
+from ..base.arrays import Embedding, Embeddings, Flags, Float32, Pixels, UInt8
 from ..errors import InputError
 from ..field import LanguageField, Negatives, relevancy_from_scores
 from ..kernels.algebra import dense_rows
@@ -97,7 +97,7 @@ class Background:
         rivals = rival_vectors(self.encoder, text)
         return self.contrast if rivals is None else self.contrast_of_kind(rivals)
 
-    def contrast_of_kind(self, vectors: Float32[np.ndarray, "n D"]) -> Contrast:
+    def contrast_of_kind(self, vectors: Embeddings) -> Contrast:
         return contrast_of_kind(self.field, vectors, threads=self.threads)
 
     @cached_property
@@ -118,7 +118,7 @@ class Background:
             return ()
         return listed_words(self.encoder)[0] if kept is None else kept.texts
 
-    def same_kind(self, known: Contrast, text: str | None) -> Bool[np.ndarray, " n"] | None:
+    def same_kind(self, known: Contrast, text: str | None) -> Flags | None:
         """Mark the words of a contrast that name what is of the kind of a text; None: there are none."""
         is_taught = np.isfinite(self.least_peak)  # an encoder of few words was taught what they stand for
         return None if text is None or is_taught else same_kind(self.texts_of(known), text)
@@ -192,7 +192,7 @@ class Measuring:
         """Answer a picture of a thing. Raises: InputError: an encoder of words only. MismatchError: another encoder."""
         return self.of_vector(embedded_image(self.background.encoder, picture))
 
-    def of_vector(self, vector: Float32[np.ndarray, " D"]) -> Answer:
+    def of_vector(self, vector: Embedding) -> Answer:
         """Answer a vector of the encoder's space, or a feature of the field itself.
 
         One that lies where texts do is asked as words are, if the field keeps a list of words.
@@ -220,9 +220,7 @@ class Measuring:
         values = np.where(left, np.float32(answer.lowest), answer.values)
         return replace(answer, values=values, scores=np.where(left, np.float32(UNSELECTED_COSINE), scores))
 
-    def _of_words(
-        self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"], text: str | None
-    ) -> Answer:
+    def _of_words(self, query: Embedding, scores: Float32[np.ndarray, " r"], text: str | None) -> Answer:
         kept = self.background.kept_contrast
         own = self.background.own_threshold if kept is None else None
         if own is not None:
@@ -264,11 +262,7 @@ class Measuring:
         return others[int(np.argmax(fits))] if max(fits) > own + SWAP_TOLERANCE else ""
 
     def _certainty(
-        self,
-        known: Contrast,
-        scores: Float32[np.ndarray, " r"],
-        values: Float32[np.ndarray, " r"],
-        same: Bool[np.ndarray, " n"] | None,
+        self, known: Contrast, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"], same: Flags | None
     ) -> str:
         """Return whether a text is found for sure, maybe, or not.
 
@@ -298,11 +292,7 @@ class Measuring:
         return own_level(values, known.peak)
 
     def _contrasted(
-        self,
-        known: Contrast,
-        query: Float32[np.ndarray, " D"],
-        scores: Float32[np.ndarray, " r"],
-        same: Bool[np.ndarray, " n"] | None,
+        self, known: Contrast, query: Embedding, scores: Float32[np.ndarray, " r"], same: Flags | None
     ) -> Float32[np.ndarray, " r"] | None:
         """Return relevancies, None where there is nothing to compare with.
 
@@ -313,9 +303,7 @@ class Measuring:
         is_sum = np.isfinite(self.background.least_peak) and not known.of_kind
         return lower_partial_fits(scores, values) if values is not None and is_sum else values
 
-    def _measured(
-        self, query: Float32[np.ndarray, " D"], scores: Float32[np.ndarray, " r"], default: _Default
-    ) -> Answer:
+    def _measured(self, query: Embedding, scores: Float32[np.ndarray, " r"], default: _Default) -> Answer:
         if not self.cut.measures_relevancy:
             return self._cut(query, scores, scores, COSINE, default)
         values = relevancy_from_scores(scores, self._negatives.maxima)
@@ -323,7 +311,7 @@ class Measuring:
 
     def _cut(
         self,
-        query: Float32[np.ndarray, " D"],
+        query: Embedding,
         scores: Float32[np.ndarray, " r"],
         values: Float32[np.ndarray, " r"],
         measure: str,
@@ -356,7 +344,7 @@ class Measuring:
         return field.score_negatives(given, threads=background.threads)
 
 
-def same_kind(texts: Sequence[str], text: str) -> Bool[np.ndarray, " n"] | None:
+def same_kind(texts: Sequence[str], text: str) -> Flags | None:
     """Mark the texts that name what is of the kind of a text (`names_under`); None: there are none."""
     names = names_under(text)
     same = np.array([one in names for one in texts], np.bool_)
@@ -387,7 +375,7 @@ def lower_partial_fits(
     return np.where(half, np.minimum(values, np.float32(RELEVANCY_THRESHOLD)), values)
 
 
-def embedded_image(encoder: Encoder, picture: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, " D"]:
+def embedded_image(encoder: Encoder, picture: Pixels) -> Embedding:
     """Embed a picture of a thing as masks are embedded: padded with black to a square.
 
     Raises: InputError: an encoder of words only.

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.arrays import Float32
+from ..base.arrays import Embedding, Embeddings, Float32
 from ..errors import InputError
 from ..field import LanguageField
 from ..formats.vocabulary import VocabularyEncoder
@@ -118,7 +118,7 @@ def _household_names(encoder: MiniEncoder, seen: _Seen, nouns: bool) -> list[str
 
 
 def _sure_texts(
-    encoder: Encoder, seen: _Seen, texts: Sequence[str], least: float, rivals: Float32[np.ndarray, "n D"] | None = None
+    encoder: Encoder, seen: _Seen, texts: Sequence[str], least: float, rivals: Embeddings | None = None
 ) -> list[str | None]:
     """Return the text that each node is called by, None for none. rivals: further words that it has to exceed."""
     vectors = np.asarray(encoder.encode_texts(texts), np.float32)
@@ -126,11 +126,7 @@ def _sure_texts(
 
 
 def _sure(
-    seen: _Seen,
-    texts: Sequence[str],
-    vectors: Float32[np.ndarray, "n D"],
-    every: Float32[np.ndarray, "m D"],
-    least: float,
+    seen: _Seen, texts: Sequence[str], vectors: Embeddings, every: Float32[np.ndarray, "m D"], least: float
 ) -> list[str | None]:
     """Return the text that each node is called by; see `_sure_words`."""
     sure = iter(_sure_words(seen, vectors, every, least))
@@ -138,9 +134,7 @@ def _sure(
     return [texts[word] if word >= 0 else None for word in chosen]
 
 
-def _sure_words(
-    seen: _Seen, vectors: Float32[np.ndarray, "n D"], every: Float32[np.ndarray, "m D"], least: float
-) -> list[int]:
+def _sure_words(seen: _Seen, vectors: Embeddings, every: Float32[np.ndarray, "m D"], least: float) -> list[int]:
     """Return for each row the number of its best word, -1 where another fits nearly as well.
 
     vectors: of the words, with which `every` begins. least: by how much the best exceeds all that do not mean the same,
@@ -161,11 +155,7 @@ def _sure_words(
 
 
 def best_names(
-    encoder: Encoder,
-    field: LanguageField,
-    feature: Float32[np.ndarray, " D"],
-    vocabulary: Sequence[str] | None,
-    top: int,
+    encoder: Encoder, field: LanguageField, feature: Embedding, vocabulary: Sequence[str] | None, top: int
 ) -> list[tuple[str, float]]:
     """Return the `top` texts of the highest cosine with a unit feature, best first.
 

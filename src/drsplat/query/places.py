@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..base.arrays import Float64, Int64, Integer
+from ..base.arrays import Float64, Int64, Integer, Vector3
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 from ..scene.parted import AnyGaussians, middle
@@ -10,7 +10,7 @@ from ..scene.parted import AnyGaussians, middle
 MAX_DEVIATIONS = 3.0  # standard ones, of a place from the Gaussian that is meant
 MAX_DISTANCE_SHARE = 0.01  # of the scene's size: people and models round their numbers
 MIN_VARIANCE_SHARE = 1e-9  # that the thinnest axis of a Gaussian has of the largest
-Point = tuple[float, float, float] | Float64[np.ndarray, " 3"]
+Point = tuple[float, float, float] | Vector3
 MAX_CANDIDATES = 64  # by the distance of centres
 
 
@@ -45,7 +45,7 @@ def nearest_gaussian(gaussians: AnyGaussians, candidates: Integer[np.ndarray, " 
 
 
 def _nearest(
-    gaussians: AnyGaussians, candidates: Integer[np.ndarray, " r"], at: Float64[np.ndarray, " 3"]
+    gaussians: AnyGaussians, candidates: Integer[np.ndarray, " r"], at: Vector3
 ) -> tuple[Int64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
     """Return the rows of up to MAX_CANDIDATES, the nearest centre first, and the squares of their distances.
 

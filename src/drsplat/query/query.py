@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.arrays import Float32, UInt8
+from ..base.arrays import Embedding, Embeddings, Pixels
 from ..errors import InputError
 from .defaults import AUTO, NEVER
 from .schema import SUBJECTS
@@ -27,7 +27,7 @@ class Cut:
     threshold: float | str | None = None
     top_share: float | None = None
     relevancy: bool = False
-    negatives: tuple[str, ...] | Float32[np.ndarray, "n D"] | None = None
+    negatives: tuple[str, ...] | Embeddings | None = None
     during: tuple[float | int, float | int] | None = None
     objects: str = AUTO
     present: bool = False
@@ -75,8 +75,8 @@ class Query(Cut):
     """
 
     text: str | None = None
-    vector: Float32[np.ndarray, " D"] | None = None
-    image: UInt8[np.ndarray, "h w 3"] | None = None
+    vector: Embedding | None = None
+    image: Pixels | None = None
     point: tuple[float, float, float] | None = None
     click: tuple[str, float, float] | None = None
     exclude: tuple[str, ...] = ()

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Bool, Float32, Int64
+from ..base.arrays import Bool, Embedding, Embeddings, Flags, Float32, Int64
 from ..errors import InputError, MismatchError
 from ..field import relevancy_from_scores
 from ..kernels.algebra import dense_rows, row_products
@@ -50,10 +50,10 @@ class Described:
             return np.empty(0, np.float32)
         return np.asarray(np.maximum.reduceat(values, self.starts[:-1]), np.float32)
 
-    def cosines(self, vector: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, " o"]:
+    def cosines(self, vector: Embedding) -> Float32[np.ndarray, " o"]:
         return self.best(self.products(vector))
 
-    def products(self, vector: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, " P"]:
+    def products(self, vector: Embedding) -> Float32[np.ndarray, " P"]:
         """Return each descriptor's inner product with a vector."""
         return row_products(self.descriptors, vector)
 
@@ -91,7 +91,7 @@ class Surroundings:
         vectors = list_vectors(self.encoder)
         return contrast_of(self.usual, vectors) if len(vectors) and len(self.usual) else None
 
-    def vector(self, query: Query) -> Float32[np.ndarray, " D"]:
+    def vector(self, query: Query) -> Embedding:
         """Return the unit vector of a query.
 
         Raises: InputError: a point, a click or a share, which are of one scene; a query that never asks objects; no
@@ -115,7 +115,7 @@ class Surroundings:
             )
         return _unit(query.vector)
 
-    def rank(self, query: Query, vector: Float32[np.ndarray, " D"], objects: Described) -> Ranked:
+    def rank(self, query: Query, vector: Embedding, objects: Described) -> Ranked:
         """Return how well each object answers. vector: the query's. Raises: as `vector`."""
         cosines = objects.cosines(vector)
         values, measure, threshold, rule = self._measured(query, vector, objects, cosines)
@@ -124,7 +124,7 @@ class Surroundings:
         return Ranked(values, (values > threshold) & ~self._excluded(query, objects, cosines), measure, threshold, rule)
 
     def _measured(
-        self, query: Query, vector: Float32[np.ndarray, " D"], objects: Described, cosines: Float32[np.ndarray, " o"]
+        self, query: Query, vector: Embedding, objects: Described, cosines: Float32[np.ndarray, " o"]
     ) -> tuple[Float32[np.ndarray, " o"], str, float, str]:
         if query.measures_relevancy:
             rivals = dense_rows(objects.descriptors, self._negatives(query).T, threads=1).max(axis=1)
@@ -150,15 +150,15 @@ class Surroundings:
             return self.contrast
         return contrast_of(self.usual, rivals, of_kind=True)
 
-    def _same_kind(self, known: Contrast, text: str) -> Bool[np.ndarray, " n"] | None:
+    def _same_kind(self, known: Contrast, text: str) -> Flags | None:
         """Mark the words of the list that name what is of a kind, as of one scene (`Background.same_kind`)."""
         if known.of_kind or np.isfinite(least_peak(self.encoder, known, MIN_OBJECTS)):
             return None
         return same_kind(listed_words(self.encoder)[0], text)
 
     def _contrasted(
-        self, known: Contrast, vector: Float32[np.ndarray, " D"], objects: Described,
-        cosines: Float32[np.ndarray, " o"], same: Bool[np.ndarray, " n"] | None,
+        self, known: Contrast, vector: Embedding, objects: Described,
+        cosines: Float32[np.ndarray, " o"], same: Flags | None,
     ) -> Float32[np.ndarray, " o"] | None:  # fmt: skip
         fits = known.raised(
             vector, objects.products(vector), same, lambda some: dense_rows(objects.descriptors, some.T, threads=1).T
@@ -184,7 +184,7 @@ class Surroundings:
             return float(values.max())
         return threshold_above(values, MIN_OBJECT_RELEVANCY, OBJECT_CUT_SHARE, peak=MIN_OBJECTS)
 
-    def _automatic(self, vector: Float32[np.ndarray, " D"], cosines: Float32[np.ndarray, " o"]) -> float:
+    def _automatic(self, vector: Embedding, cosines: Float32[np.ndarray, " o"]) -> float:
         """Return a threshold between what objects usually reach and the best."""
         known = np.concatenate([row_products(self.usual, vector), cosines])
         return automatic_threshold(known, OBJECT_CUT_SHARE, peak=MIN_OBJECTS) if len(known) else 0.0
@@ -198,13 +198,13 @@ class Surroundings:
                 out |= objects.cosines(self._text(f"{word} {wanted}")) >= cosines
         return out
 
-    def _negatives(self, query: Query) -> Float32[np.ndarray, "n D"]:
+    def _negatives(self, query: Query) -> Embeddings:
         given = NEGATIVES if query.negatives is None else query.negatives
         if isinstance(given, tuple):
             return np.stack([self._text(text) for text in given])
         return np.stack([_unit(vector) for vector in given])
 
-    def _text(self, text: str) -> Float32[np.ndarray, " D"]:
+    def _text(self, text: str) -> Embedding:
         return _unit(embed_query(self.encoder, self.embedded, text))
 
 
@@ -219,7 +219,7 @@ def _said(text: str) -> tuple[str, tuple[str, ...]]:
     return split_negation(sentence.text)
 
 
-def _unit(vector: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, " D"]:
+def _unit(vector: Embedding) -> Embedding:
     length = float(np.linalg.norm(vector.astype(np.float64)))
     if not np.isfinite(length) or not length > 0:
         raise InputError("embeddings to compare with must be finite and not zero")

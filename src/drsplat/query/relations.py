@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..base.arrays import Float64, Integer
+from ..base.arrays import Float64, Integer, Vector3
 from ..errors import InputError
 from ..scene.boxes import solid
 from ..scene.parted import AnyGaussians
@@ -32,7 +32,7 @@ RELATIONS: tuple[Relation, ...] = get_args(Relation)
 Side = Literal["left_of", "right_of"]
 OfTwo = Literal["on", "in", "next_to", "above", "under", "left_of", "right_of"]  # what `Scene.when` takes
 SIDES: tuple[Side, ...] = get_args(Side)
-Up = Float64[np.ndarray, " 3"]
+Up = Vector3
 
 MIN_INSIDE_SHARE = 0.5  # of an object's Gaussians in the box of what it is in
 NUM_SECTORS, MIN_WALLED_SECTORS = 16, 12  # around an object; with a wall of what it is in
@@ -203,16 +203,14 @@ def standing_on(scene: Scene, matches: Sequence[Match], query: Query | str) -> l
     return [one for one in matches if any(stands_on(gaussians, one, support, up) for support in supports)]
 
 
-def stands_on(gaussians: AnyGaussians, thing: Match, support: Match, up: Float64[np.ndarray, " 3"]) -> bool:
+def stands_on(gaussians: AnyGaussians, thing: Match, support: Match, up: Vector3) -> bool:
     """Return whether a thing rests on another one, by contact of their Gaussians; see `contact.rests_on`."""
     away = np.abs(support.axes[:2] @ (thing.center - support.center))
     inside = abs(float(support.axes[2] @ up)) > UPRIGHT_COSINE and bool((away <= support.extent[:2] / 2).all())
     return rests_on(gaussians, thing.gaussian_ids, support.gaussian_ids, up, inside)
 
 
-def is_over(
-    above: Float64[np.ndarray, "m 3"], below: Float64[np.ndarray, "n 3"], up: Float64[np.ndarray, " 3"]
-) -> bool:
+def is_over(above: Float64[np.ndarray, "m 3"], below: Float64[np.ndarray, "n 3"], up: Vector3) -> bool:
     """Return True if the middle of some points is over others, seen from above: within a twentieth of their size."""
     flat = np.eye(3) - np.outer(up, up)
     size = float(np.linalg.norm(np.ptp(below @ flat, axis=0)))

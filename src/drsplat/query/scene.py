@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from ..base.arrays import Bool, Float32, Float64, Int32, Int64, Integer, Shaped, UInt8
+from ..base.arrays import Bool, Embedding, Float32, Ids, Int64, Integer, RowIds, Shaped, UInt8, Vector3
 from ..base.terminal import facts_html
 from ..errors import InputError, MissingExtraError
 from ..field import LanguageField
@@ -126,7 +126,7 @@ class Scene:
         return self.background.encoder
 
     @cached_property
-    def up(self) -> Float64[np.ndarray, " 3"] | None:
+    def up(self) -> Vector3 | None:
         """The unit direction that is up, None where the photos do not tell."""
         return up_of(self.views) if self.field.up is None else self.field.up
 
@@ -136,7 +136,7 @@ class Scene:
         return splat_arrays(self.gaussians)
 
     @cached_property
-    def box(self) -> tuple[Float64[np.ndarray, " 3"], Float64[np.ndarray, " 3"]]:
+    def box(self) -> tuple[Vector3, Vector3]:
         """Lowest and highest corner of the box of the middle 98 % of the Gaussians, along the world's axes."""
         low, high = middle(self.rows, (0.01, 0.99), origin=self.rows.origin)
         return low, high
@@ -208,7 +208,7 @@ class Scene:
         except (InputError, MissingExtraError):
             return ""
 
-    def object_ids(self) -> Int32[np.ndarray, " n"]:
+    def object_ids(self) -> Ids:
         """Return per Gaussian of the scene its object's number, -1: none. Raises: InputError: the field has none.
 
         >>> np.unique(scene.object_ids()).tolist()
@@ -467,7 +467,7 @@ class Scene:
         feature = self.feature_of(place)
         return [Word(*one) for one in best_names(self.encoder, self.field, feature, names, top)]
 
-    def feature_of(self, place: Place) -> Float32[np.ndarray, " D"]:
+    def feature_of(self, place: Place) -> Embedding:
         """Return the unit feature at a Gaussian, a point or a click. Raises: InputError: no feature there.
 
         >>> scene.feature_of(0).shape
@@ -493,7 +493,7 @@ class Scene:
         """
         return nearest_gaussian(self.rows, self.field.gaussian_ids, point)
 
-    def point_at(self, click: tuple[str, float, float]) -> Float64[np.ndarray, " 3"]:
+    def point_at(self, click: tuple[str, float, float]) -> Vector3:
         """Return the centre of the heaviest Gaussian with a feature at a pixel of a view, in world coordinates.
 
         Raises: InputError: no such view or pixel, or nothing with a feature there.
@@ -526,7 +526,7 @@ class Scene:
     def picture(
         self,
         view: View | str | None = None,
-        shown: Answer | Integer[np.ndarray, " m"] | None = None,
+        shown: Answer | RowIds | None = None,
         *,
         photo: bool = False,
         max_side: int | None = None,
@@ -562,7 +562,7 @@ class Scene:
         share = visible_share(seen.gaussians, chosen, seen.local(ids), splats=seen.splats, threads=self.threads)
         return highlighted(pixels, share)
 
-    def best_view(self, gaussian_ids: Integer[np.ndarray, " m"] | None = None) -> View:
+    def best_view(self, gaussian_ids: RowIds | None = None) -> View:
         """Return the view that shows most of some Gaussians; the first one for None.
 
         Raises: InputError: the scene has no views.
@@ -597,7 +597,7 @@ class Scene:
         field, rows, views = self.field, self.rows, self.views
         return [self._best_in_tiles(ids, among or views_showing(field, rows, views, ids)) for ids in selections]
 
-    def _best_in_tiles(self, ids: Integer[np.ndarray, " m"], views: Sequence[View]) -> View:
+    def _best_in_tiles(self, ids: RowIds, views: Sequence[View]) -> View:
         from .seen import areas_in_tiles
 
         areas = [areas_in_tiles(self.seen(view), view, ids, self.threads) for view in views]

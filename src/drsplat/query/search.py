@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64, Int32, Int64
+from ..base.arrays import Embedding, Float32, Float64, Indices, Int64, MaskIds
 from ..errors import InputError
 from ..field import LanguageField, Negatives
 from ..kernels import SplatArrays, view_weights
@@ -29,7 +29,7 @@ QUERIES_AT_ONCE = 8  # whose scores are held
 BUT_NOT = re.compile(r"\s*,\s*(?:(?:and|but)\s+)?not(?:\s+|$)|\s+but\s+not(?:\s+|$)", re.IGNORECASE)
 
 
-def embed_query(encoder: Encoder, field: Embedded, text: str) -> Float32[np.ndarray, " D"]:
+def embed_query(encoder: Encoder, field: Embedded, text: str) -> Embedding:
     """Return the unit vector of a text. Raises: MismatchError: the field was written with another encoder."""
     field.check_encoder(encoder.identity)
     return np.asarray(encoder.encode_texts([text])[0], np.float32)
@@ -86,7 +86,7 @@ def row_of(field: LanguageField, gaussian_id: int) -> int:
     return row
 
 
-def feature_of(field: LanguageField, gaussian_id: int) -> Float32[np.ndarray, " D"]:
+def feature_of(field: LanguageField, gaussian_id: int) -> Embedding:
     """Return the unit feature of a Gaussian of the scene. Raises: InputError: it has none."""
     feature: np.ndarray = field.feature(np.array([row_of(field, gaussian_id)]))[0]
     return feature
@@ -95,7 +95,7 @@ def feature_of(field: LanguageField, gaussian_id: int) -> Float32[np.ndarray, " 
 def seen_among(
     field: LanguageField,
     splats: SplatArrays,
-    ids: Int64[np.ndarray, " n"] | None,
+    ids: Indices | None,
     view: View,
     xy: tuple[float, float],
     *,
@@ -120,7 +120,7 @@ def seen_among(
 
 def pixel_weights(
     splats: SplatArrays,
-    ids: Int64[np.ndarray, " n"] | None,
+    ids: Indices | None,
     view: View,
     pixels: Float64[np.ndarray, "p xy"],
     k: int,
@@ -143,9 +143,7 @@ def pixel_weights(
     return PixelWeights(found.gaussian_ids[order], found.weights[order])
 
 
-def _pixel_map(
-    view: View, pixels: Float64[np.ndarray, "p xy"]
-) -> tuple[Int32[np.ndarray, "h w"], Int64[np.ndarray, " p"]]:
+def _pixel_map(view: View, pixels: Float64[np.ndarray, "p xy"]) -> tuple[MaskIds, Int64[np.ndarray, " p"]]:
     """Return a map with a number for each of some pixels, -1 elsewhere, and the number of each.
 
     Raises: InputError: a pixel that is not finite, or outside of the view.

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float64, Int64, Integer
+from ..base.arrays import Int64, Integer, RowIds, Vector3
 from ..errors import DrSplatWarning
 from ..field import LanguageField
 from ..field.tiles.seeing import seen_tiles
@@ -102,16 +102,14 @@ def _joined(parts: list[Gaussians], tiles: Tiles) -> Gaussians:
     return Gaussians(means, quats, scales, opacities, sh, {}, tiles.origin, tiles.antialiased)
 
 
-def areas_in_tiles(seen: Seen, view: View, ids: Integer[np.ndarray, " m"], threads: int) -> float:
+def areas_in_tiles(seen: Seen, view: View, ids: RowIds, threads: int) -> float:
     """Return how much of a view some Gaussians fill, as `drawing.pictures.shown_areas`."""
     from ..drawing.pictures import shown_areas
 
     return float(shown_areas(seen.splats, view, [seen.local(ids)], threads=threads)[0])
 
 
-def views_showing(
-    field: LanguageField, rows: AnyGaussians, views: Sequence[View], ids: Integer[np.ndarray, " m"]
-) -> list[View]:
+def views_showing(field: LanguageField, rows: AnyGaussians, views: Sequence[View], ids: RowIds) -> list[View]:
     """Return a few views whose masks have the largest weights in some Gaussians; without evidence, near ones.
 
     rows: the scene's.
@@ -128,7 +126,7 @@ def views_showing(
     return [view for view in views if view.name in names] or list(views[:MAX_VIEWS_COMPARED])
 
 
-def _near_views(views: Sequence[View], place: Float64[np.ndarray, " 3"]) -> list[View]:
+def _near_views(views: Sequence[View], place: Vector3) -> list[View]:
     """Return the views that are nearest to a place, of those that have it in their picture if there are any."""
     poses, K = np.array([view.cam_from_world for view in views]), np.array([view.K for view in views])
     local = poses[:, :3, :3] @ place + poses[:, :3, 3]

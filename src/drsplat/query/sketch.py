@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..base.arrays import Bool, Float32, Int8, Int32, Int64, Integer, UInt8
+from ..base.arrays import Bool, Embedding, Embeddings, Float32, Ids, Int8, Int32, Int64, Integer, Numbers, UInt8
 from ..errors import FormatError
 from ..field import LanguageField
 from ..field.codes.code import Best, Hits
@@ -46,7 +46,7 @@ class Packed:
     """
 
     data: UInt8[np.ndarray, "p b"]
-    steps: Float32[np.ndarray, " D"]
+    steps: Embedding
 
     @classmethod
     def checked(cls, data: np.ndarray, steps: np.ndarray, dim: int) -> "Packed":
@@ -243,7 +243,7 @@ class _Copies:
     """A code whose rows are copies of a few vectors."""
 
     packed: Packed
-    of_row: Int32[np.ndarray, " n"]
+    of_row: Ids
     kind = "copies"
 
     @property
@@ -261,14 +261,14 @@ class _Copies:
         return np.asarray(self.packed.products(queries)[:, self.of_row])
 
     def select(
-        self, query: Float32[np.ndarray, " D"], threshold: float, floor: Float32[np.ndarray, " n"] | None = None,
+        self, query: Embedding, threshold: float, floor: Numbers | None = None,
         *, threads: int = 0,
     ) -> Hits:  # fmt: skip
         scores = self.scores(query[None])[0]
         (rows,) = np.nonzero(scores - (0 if floor is None else floor) > threshold)
         return Hits(rows, scores[rows])
 
-    def top(self, query: Float32[np.ndarray, " D"], count: int, *, threads: int = 0) -> Hits:
+    def top(self, query: Embedding, count: int, *, threads: int = 0) -> Hits:
         scores = self.scores(query[None])[0]
         rows = np.argsort(-scores, kind="stable")[:count]
         return Hits(rows, scores[rows])
@@ -316,10 +316,10 @@ class _Sketched(Background):
         kept = self.field.contrast
         return None if kept is None else self._of_list(kept.embeddings)
 
-    def contrast_of_kind(self, vectors: Float32[np.ndarray, "n D"]) -> Contrast:
+    def contrast_of_kind(self, vectors: Embeddings) -> Contrast:
         return self._of_list(vectors, of_kind=True)
 
-    def _of_list(self, words: Float32[np.ndarray, "n D"], *, of_kind: bool = False) -> Contrast:
+    def _of_list(self, words: Embeddings, *, of_kind: bool = False) -> Contrast:
         sketch = self.sketch
         known = contrast_of(sketch.features.vectors, words, pictures=unit(sketch.pictures), of_kind=of_kind)
         return replace(known, counts=sketch.counts)

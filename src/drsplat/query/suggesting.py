@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..base.arrays import Float32
+from ..base.arrays import Embedding
 from ..errors import DrSplatError
 from ..photos.models.mini.lexicon import NAMES, STRUCTURES
 from .answer import Answer
@@ -23,7 +23,7 @@ def words_of(scene: Scene) -> tuple[str, ...]:
 
 
 def suggestions(
-    scene: Scene, words: Sequence[str] | None = None, most: int = 4, near: Float32[np.ndarray, " D"] | None = None
+    scene: Scene, words: Sequence[str] | None = None, most: int = 4, near: Embedding | None = None
 ) -> list[str]:
     """Return up to `most` words that find something: the most frequent of a sample first, large ones last.
 
@@ -57,7 +57,7 @@ def missed_text(answer: Answer, words: Sequence[str] = ()) -> str:
     return f"{near} Words that match here: {', '.join(words)}.".strip() if words else near
 
 
-def _likely(scene: Scene, words: Sequence[str], near: Float32[np.ndarray, " D"] | None) -> list[str]:
+def _likely(scene: Scene, words: Sequence[str], near: Embedding | None) -> list[str]:
     rows = len(scene.field)
     if not rows:
         return []

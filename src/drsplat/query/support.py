@@ -4,7 +4,7 @@ from itertools import islice
 
 import numpy as np
 
-from ..base.arrays import Float32, Integer
+from ..base.arrays import Embedding, RowIds
 from ..errors import InputError
 from ..field import LanguageField
 from ..field.evidence.evidence import Explanation
@@ -13,9 +13,7 @@ from .answer import Answer, Match
 from .objects import MAX_SUPPORT_MASKS, objects_of, support_of
 
 
-def supporting_masks(
-    field: LanguageField, gaussian_ids: Integer[np.ndarray, " m"], query: Float32[np.ndarray, " D"], top: int = 5
-) -> list[Explanation]:
+def supporting_masks(field: LanguageField, gaussian_ids: RowIds, query: Embedding, top: int = 5) -> list[Explanation]:
     """Return the masks that speak most for `query` in all the Gaussians together: largest sum of W_ij <q, e_j>.
 
     Only what speaks for it is listed, so there may be fewer than `top`. Gaussians without a feature

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64, Int32, Int64
+from ..base.arrays import Float32, Int32, Int64, Vector3
 from ..errors import InputError
 from ..field import LanguageField
 from ..kernels.boxes import box_of
@@ -27,7 +27,7 @@ def locate(
     *,
     link_distance: float | None = None,
     min_gaussians: int = MIN_GAUSSIANS,
-    up: Float64[np.ndarray, " 3"] | None = None,
+    up: Vector3 | None = None,
 ) -> list[Match]:
     """Return the places that an answer's Gaussians make, the highest `rank` first; nothing found is [].
 
@@ -166,7 +166,7 @@ def _match(
     gaussians: Gaussians,
     scores: Float32[np.ndarray, " m"],
     ids: Int64[np.ndarray, " m"],
-    up: Float64[np.ndarray, " 3"] | None,
+    up: Vector3 | None,
     place: int,
 ) -> Match:
     """Return the match that some Gaussians make. ids: their rows in the scene."""

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..base.arrays import Float32, Int32, Int64, Integer, UInt32
+from ..base.arrays import Embedding, Float32, Int32, Int64, Integer, UInt32
 from ..field import LanguageField
 from ..field.forest import Objects
 from ..kernels.algebra import row_products
@@ -45,7 +45,7 @@ def with_objects(
 
 
 def for_comparing(
-    field: LanguageField, values: Float32[np.ndarray, " r"], query: Float32[np.ndarray, " D"] | None = None
+    field: LanguageField, values: Float32[np.ndarray, " r"], query: Embedding | None = None
 ) -> Float32[np.ndarray, " r"]:
     """Return values per row by which classes are compared, of which one has to be the best: an object has its mean.
 
@@ -63,7 +63,7 @@ def for_comparing(
     return np.where(numbers > 0, means.astype(np.float32)[numbers], values)
 
 
-def _best_descriptors(objects: Objects, query: Float32[np.ndarray, " D"]) -> Float32[np.ndarray, " T"]:
+def _best_descriptors(objects: Objects, query: Embedding) -> Float32[np.ndarray, " T"]:
     """Return per node the highest cosine of a query with one of its descriptors."""
     cosines = row_products(objects.descriptors, query / np.linalg.norm(query))
     starts = objects.descriptor_starts

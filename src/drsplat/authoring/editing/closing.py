@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
-from ...base.arrays import Bool, Float64, Int64, RowIds
+from ...base.arrays import Float64, Int64, Mask, RowIds
 from ...errors import DrSplatWarning, InputError
 from ...formats.json_files import spans_of
 from ...scene.boxes import HAZE_OPACITY
@@ -22,7 +22,7 @@ CLONE_MARGIN_CELLS = 2  # around cells that close: Gaussians there reach into th
 MIN_VISIBLE_GAUSSIANS = 10  # of an object that can leave a hole
 WARNED_CLOSED_SHARE = 0.9  # of a hole: where less is closed, a warning says so
 MIN_CLOSED_SHARE = 0.2  # of a hole: with less it stays open, for the fill would be specks
-Cells = Bool[np.ndarray, "h w"]
+Cells = Mask
 
 
 def closing(draft: Draft, ids: RowIds) -> FillRecord:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...base.arrays import Flags, Float32, Float64, Matrix3, RowIds, Vector3, Vectors
+from ...base.arrays import Flags, Float32, Float64, Harmonics, Matrix3, Numbers, Quats, RowIds, Vector3, Vectors
 from ...drawing.heat import LUMA
 from ...errors import InputError
 from ...formats.scenes import read_gaussians
@@ -34,10 +34,10 @@ class Draft:
     """
 
     means: Vectors
-    quats: Float32[np.ndarray, "n 4"]
+    quats: Quats
     scales: Vectors
-    opacities: Float32[np.ndarray, " n"]
-    sh: Float32[np.ndarray, "n k 3"]
+    opacities: Numbers
+    sh: Harmonics
     extra: dict[str, np.ndarray]
     origin: Vector3
     present: Flags
@@ -254,7 +254,7 @@ def around(
     return Similarity(float(scale), rotation, fixed - scale * rotation @ fixed)
 
 
-def middle_of(part: Gaussians) -> Float64[np.ndarray, " 3"]:
+def middle_of(part: Gaussians) -> Vector3:
     """Return the middle of the box, along the world's axes, of the centres of what can be seen."""
     if not len(part):
         return np.zeros(3)

@@ -8,7 +8,7 @@ from scipy import ndimage
 from scipy.signal import fftconvolve
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from ...base.arrays import Bool, Flags, Float64, Int64, Integer, Points, RowIds, Vector3
+from ...base.arrays import Bool, Doubles, Flags, Float64, Int64, Integer, Mask, Points, RowIds, Vector3
 from ...drawing.rendering import Picture, render
 from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import SH_C0, Gaussians
@@ -30,7 +30,7 @@ MIN_SURROUNDED_SHARE = 0.5  # of a hole, by the rest of the plane: less, and the
 Places = Points
 GRID_CELLS = 128  # along the longer side
 VIEW_DISTANCE_SIZES = 40.0  # from which a plane is rendered, in its own sizes
-Cells = Bool[np.ndarray, "h w"]
+Cells = Mask
 MEDIAN_WINDOW_CELLS = 21  # side of the window whose median colour a plane has in its middle
 MIN_OUTLIER_DIFFERENCE = 0.12  # from that colour, of 1
 OUTLIER_MEDIANS = 1.5  # in median differences: an outlier exceeds both
@@ -172,7 +172,7 @@ class Ground:
         return self.scene.means.astype(np.float64)
 
     @cached_property
-    def heights(self) -> Float64[np.ndarray, " n"]:
+    def heights(self) -> Doubles:
         return self.plane.heights(self.places)
 
     @cached_property
@@ -327,12 +327,12 @@ def _is_of_surface(owners: Integer[np.ndarray, " l"], in_hole: Bool[np.ndarray, 
     return np.asarray((owners < 0) | (2 * np.bincount(which[in_hole], minlength=len(counts)) <= counts)[which])
 
 
-def _distances(places: Places, points: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, " n"]:
+def _distances(places: Places, points: Float64[np.ndarray, "p 3"]) -> Doubles:
     """Return how far each place is from the nearest point; infinite without any."""
     return np.asarray(cKDTree(points).query(places)[0]) if len(points) else np.full(len(places), np.inf)
 
 
-def _limit(off: Float64[np.ndarray, " n"]) -> float:
+def _limit(off: Doubles) -> float:
     return max(MIN_OUTLIER_DIFFERENCE, OUTLIER_MEDIANS * float(np.median(off)))
 
 

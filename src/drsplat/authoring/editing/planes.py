@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.arrays import Flags, Float64, Int64, Points, Vector3
+from ...base.arrays import Doubles, Flags, Float64, Indices, Points, Vector3
 
 RANSAC_TRIES = 300
 MAX_RANSAC_POINTS = 4000
@@ -36,7 +36,7 @@ class Plane:
     axes: Float64[np.ndarray, "2 3"]
     tolerance: float
 
-    def heights(self, points: Points) -> Float64[np.ndarray, " n"]:
+    def heights(self, points: Points) -> Doubles:
         return np.asarray(np.einsum("ni,i->n", points, self.normal) - self.offset)
 
     def flat(self, points: Points) -> Float64[np.ndarray, "n 2"]:
@@ -136,7 +136,7 @@ def num_sides(thing: Float64[np.ndarray, "t 2"], ground: Float64[np.ndarray, "m 
     return sum(int(number) >= least for number in beside)
 
 
-def _polar(away: Float64[np.ndarray, "n 2"]) -> tuple[Int64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
+def _polar(away: Float64[np.ndarray, "n 2"]) -> tuple[Indices, Doubles]:
     """Return eighths of a turn, and distances."""
     eighths = np.floor((np.arctan2(away[:, 1], away[:, 0]) + np.pi) / (np.pi / 4)).astype(np.int64) % 8
     return eighths, np.linalg.norm(away, axis=1)

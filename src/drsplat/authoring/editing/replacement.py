@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...base.arrays import Float64, Int64, RowIds, Vector3
+from ...base.arrays import Int64, Matrix4, RowIds, Vector3
 from ...errors import DrSplatWarning, InputError, MismatchError
 from ...formats.json_files import are_rows, ids_of, is_text, spans_of
 from ...formats.scenes import read_gaussians
@@ -36,7 +36,7 @@ class Replace:
 
     scene: str
     fingerprint: str
-    matrix: Float64[np.ndarray, "4 4"]
+    matrix: Matrix4
     spans: Spans | None = None
 
     def __post_init__(self) -> None:
@@ -69,7 +69,7 @@ class Replace:
         return other.subset(ids_of(self.spans))
 
 
-def fitted(goes: Box, comes: Box) -> Float64[np.ndarray, "4 4"]:
+def fitted(goes: Box, comes: Box) -> Matrix4:
     """Return the matrix that puts one upright box into another: same floor, same middle, the largest size that fits.
 
     Upright: the third axis is up. Long sides lie along long sides. Raises: InputError: a box without a length.
@@ -86,7 +86,7 @@ def fitted(goes: Box, comes: Box) -> Float64[np.ndarray, "4 4"]:
 
 def placed_in(
     scene: Gaussians, ids: RowIds, up: Vector3, other: Gaussians, others: Int64[np.ndarray, " k"], up_there: Vector3
-) -> Float64[np.ndarray, "4 4"]:  # fmt: skip
+) -> Matrix4:  # fmt: skip
     """Return `fitted` for the boxes of rows of this scene and of another. up: unit directions in each of them."""
     goes, comes = box_of(scene, solid(scene, ids), up), box_of(other, solid(other, others), up_there)
     return fitted(goes, comes)

@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from ...base.arrays import Bool, Flags, Float64, Int64, Integer, RowIds
+from ...base.arrays import Bool, Flags, Float64, Indices, Int64, Integer, RowIds
 from ...errors import InputError
 from ...field import LanguageField
 from ...query import Query, Scene
@@ -36,7 +36,7 @@ GRAPH_NEIGHBOURS = 8
 SPACING_NEIGHBOUR = 6  # neighbour whose distance counts as the spacing of a thing's Gaussians
 MAX_STEP_SPACINGS = 1.5  # of a path between Gaussians, in median spacings of the thing's
 MAX_SIZE_QUANTILE = 0.95  # of a thing's Gaussians: larger ones reach beyond it
-Owners = Int64[np.ndarray, " n"]
+Owners = Indices
 Agreed = Bool[np.ndarray, " o"]  # of each object
 Thing = Float64[np.ndarray, "t 3"]
 Points = Float64[np.ndarray, "p 3"]

@@ -9,7 +9,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ...base.arrays import Int64, Integer, Matrix3, RowIds, Vector3
+from ...base.arrays import Int64, Matrix3, RowIds, Vector3
 from ...errors import InputError
 from ...formats.json_files import are_rows, ids_of, is_text, spans_of
 from .draft import Draft
@@ -33,7 +33,7 @@ class Rows:
     spans: Int64[np.ndarray, "s 2"]
 
     @classmethod
-    def of(cls, ids: Integer[np.ndarray, " m"], kind: Named = "rows", name: str = "") -> "Rows":
+    def of(cls, ids: RowIds, kind: Named = "rows", name: str = "") -> "Rows":
         return cls(kind, name, spans_of(np.unique(ids)))
 
     def __post_init__(self) -> None:

@@ -15,7 +15,7 @@ from warnings import warn
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Ids, Int32
+from ...base.arrays import Ids, MaskIds
 from ...drawing.heat import class_colors
 from ...errors import DrSplatWarning, InputError
 from ...field.codes import Track, untracked
@@ -150,7 +150,7 @@ def draw_features(
     return masks
 
 
-def _drawn(scene: Scene, view: View, *labelings: Int32[np.ndarray, " n"]) -> list[Int32[np.ndarray, "h w"]]:
+def _drawn(scene: Scene, view: View, *labelings: Ids) -> list[MaskIds]:
     """Return, of each labelling, the label that has most weight in each pixel, on the photo as it is stored.
 
     -1 stands for Gaussians without a label, and for pixels of which they cover less than half.

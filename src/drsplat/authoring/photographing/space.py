@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from ...base.arrays import Flags, Float32, Float64, Points, Vector3
+from ...base.arrays import Flags, Float32, Float64, Numbers, Points, Vector3
 from ...kernels import SplatArrays, render_channels, splat_arrays
 from ...scene.gaussians import Gaussians
 from ...scene.placing import MIN_SIZED_GAUSSIANS, SOLID_OPACITY
@@ -71,7 +71,7 @@ class Space:
         return low, high
 
     @cached_property
-    def reaches(self) -> Float32[np.ndarray, " n"]:
+    def reaches(self) -> Numbers:
         """Distance from each centre up to which a place may be inside of the Gaussian, in scene units."""
         return np.asarray(np.float32(INSIDE_SIGMAS) * self.gaussians.scales.max(1))
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Bool, Float32, OtherPixels, RowIds, Vector3
+from ...base.arrays import Bool, Float32, Mask, OtherPixels, RowIds, Vector3
 from ...base.progress import Stopwatch
 from ...base.terminal import counted
 from ...drawing.pictures import (
@@ -92,7 +92,7 @@ class Household:
     categories: dict[int, str]
     held_out: tuple[str, ...]
 
-    def mask(self, view_name: str, meant: Collection[str]) -> Bool[np.ndarray, "h w"]:
+    def mask(self, view_name: str, meant: Collection[str]) -> Mask:
         """Return where a held-out photo shows one of these categories."""
         ids = np.asarray(Image.open(self.folder / "ids" / f"{Path(view_name).stem}.png"))
         numbers = [number for number, name in self.categories.items() if name in meant]
@@ -223,7 +223,7 @@ class _Judge:
         drawn = render_channels(self.splats, view, chosen, threads=self.scene.threads)
         return np.asarray(drawn.channels > 0.5)
 
-    def _true(self, meant: tuple[str, ...]) -> Bool[np.ndarray, "h w"]:
+    def _true(self, meant: tuple[str, ...]) -> Mask:
         """Return where the held-out photos show these categories."""
         return np.concatenate([self.household.mask(view.name, meant) for view in self.held_out])
 

@@ -4,7 +4,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from ...base.arrays import Float32, Int32, Int64, Integer
+from ...base.arrays import Embedding, Float32, Ids, Int64, Integer, Numbers
 from ...errors import InputError
 
 
@@ -21,9 +21,9 @@ class Best(NamedTuple):
     Ties go to the first query. With one query the second best score is -inf.
     """
 
-    index: Int32[np.ndarray, " n"]  # type: ignore[assignment]  # hides tuple.index
-    scores: Float32[np.ndarray, " n"]
-    runner_up: Float32[np.ndarray, " n"]
+    index: Ids  # type: ignore[assignment]  # hides tuple.index
+    scores: Numbers
+    runner_up: Numbers
 
 
 @runtime_checkable
@@ -50,17 +50,10 @@ class Code(Protocol):
     def scores(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Float32[np.ndarray, "q n"]:
         """Return the score of every row for each query; the same whether a query comes alone or among others."""
 
-    def select(
-        self,
-        query: Float32[np.ndarray, " D"],
-        threshold: float,
-        floor: Float32[np.ndarray, " n"] | None = None,
-        *,
-        threads: int = 0,
-    ) -> Hits:
+    def select(self, query: Embedding, threshold: float, floor: Numbers | None = None, *, threads: int = 0) -> Hits:
         """Return the rows whose score, minus the row's `floor`, exceeds the threshold; ascending."""
 
-    def top(self, query: Float32[np.ndarray, " D"], count: int, *, threads: int = 0) -> Hits:
+    def top(self, query: Embedding, count: int, *, threads: int = 0) -> Hits:
         """Return the `count` best rows, best first, ties to the lower row."""
 
     def best(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Best:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Float32, Integer, UInt8, UInt16
+from ...base.arrays import Embeddings, Float32, Numbers, RowIds, UInt8, UInt16
 from ...errors import FormatError, InputError, MismatchError
 from ...formats.embedding_record import encoder_from_json
 from ...formats.faiss_index import is_faiss
@@ -34,7 +34,7 @@ class Codes(NamedTuple):
     codes: UInt8[np.ndarray, "n L"]
     coarse_ids: UInt16[np.ndarray, " n"] | None = None
 
-    def rows(self, index: slice | Integer[np.ndarray, " m"]) -> "Codes":
+    def rows(self, index: slice | RowIds) -> "Codes":
         return Codes(self.codes[index], None if self.coarse_ids is None else self.coarse_ids[index])
 
 
@@ -97,7 +97,7 @@ class Codebook:
                 digest.update(np.ascontiguousarray(part).data)
         return digest.hexdigest()
 
-    def encode(self, features: Float32[np.ndarray, "n D"], *, threads: int = 0) -> Codes:
+    def encode(self, features: Embeddings, *, threads: int = 0) -> Codes:
         """Return the nearest code of each feature; blockwise, so n may be any number.
 
         Coarse centroids are chosen by inner product, as in the authors' index.
@@ -116,7 +116,7 @@ class Codebook:
             codes[rows] = pq_encode(block - self.coarse[nearest], self.centroids, threads=threads)
         return Codes(codes, coarse_ids)
 
-    def decode(self, codes: Codes) -> Float32[np.ndarray, "n D"]:
+    def decode(self, codes: Codes) -> Embeddings:
         """Return the features that codes stand for, as coded: not normalised.
 
         Raises: InputError: codes of another codebook (see `check`).
@@ -128,7 +128,7 @@ class Codebook:
             features += self.coarse[codes.coarse_ids]
         return features
 
-    def inverse_norms(self, codes: Codes) -> Float32[np.ndarray, " n"]:
+    def inverse_norms(self, codes: Codes) -> Numbers:
         """Return 1 / norm of each decoded feature, 0 where it is zero; decodes a block at a time."""
         self.check(codes)
         squares = (self.centroids.astype(np.float64) ** 2).sum(axis=2).astype(np.float32)
@@ -193,7 +193,7 @@ class Codebook:
 
 
 def train_codebook(
-    embeddings: Float32[np.ndarray, "n D"],
+    embeddings: Embeddings,
     num_subvectors: int = 128,
     *,
     encoder: EncoderIdentity,

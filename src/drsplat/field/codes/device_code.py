@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ...base.arrays import Float32
+from ...base.arrays import Float32, Numbers
 from ...errors import InputError
 from ...kernels import QueryTables, Scanning
 from ...kernels.cuda import scanning
@@ -38,9 +38,7 @@ class DevicePQCode(PQCode):
     def _scan_scores(self, tables: QueryTables, how: Scanning) -> Float32[np.ndarray, "q n"]:
         return scanning.scan_scores(self._device_rows, tables)
 
-    def _scan_above(
-        self, tables: QueryTables, threshold: float, floor: Float32[np.ndarray, " n"] | None, how: Scanning
-    ) -> Hits:
+    def _scan_above(self, tables: QueryTables, threshold: float, floor: Numbers | None, how: Scanning) -> Hits:
         return Hits(*scanning.scan_above(self._device_rows, tables, threshold, floor))
 
     def _scan_top(self, tables: QueryTables, count: int, how: Scanning) -> Hits:

@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ...base.arrays import Float32, Integer, UInt8, UInt16
+from ...base.arrays import Embedding, Float32, Integer, Numbers, UInt8, UInt16
 from ...errors import InputError
 from ...kernels import (
     GroupedRows,
@@ -42,7 +42,7 @@ class PQCode:
     codebook: Codebook
     grouped: UInt8[np.ndarray, "g L k"]
     coarse_ids: UInt16[np.ndarray, " n"] | None
-    inverse_norms: Float32[np.ndarray, " n"]
+    inverse_norms: Numbers
 
     kind = "pq"
 
@@ -79,19 +79,12 @@ class PQCode:
             return batches[0]
         return np.concatenate([np.empty((0, len(self)), np.float32), *batches])
 
-    def select(
-        self,
-        query: Float32[np.ndarray, " D"],
-        threshold: float,
-        floor: Float32[np.ndarray, " n"] | None = None,
-        *,
-        threads: int = 0,
-    ) -> Hits:
+    def select(self, query: Embedding, threshold: float, floor: Numbers | None = None, *, threads: int = 0) -> Hits:
         """See Code."""
         tables = self.codebook.tables(query[None], threads=threads)
         return self._scan_above(tables, threshold, floor, self._exact(threads))
 
-    def top(self, query: Float32[np.ndarray, " D"], count: int, *, threads: int = 0) -> Hits:
+    def top(self, query: Embedding, count: int, *, threads: int = 0) -> Hits:
         """See Code. Raises: InputError: a count below 1."""
         tables = self.codebook.tables(query[None], threads=threads)
         return self._scan_top(tables, count, self._exact(threads))
@@ -148,9 +141,7 @@ class PQCode:
     def _scan_scores(self, tables: QueryTables, how: Scanning) -> Float32[np.ndarray, "q n"]:
         return scan_scores(self._rows, tables, how)
 
-    def _scan_above(
-        self, tables: QueryTables, threshold: float, floor: Float32[np.ndarray, " n"] | None, how: Scanning
-    ) -> Hits:
+    def _scan_above(self, tables: QueryTables, threshold: float, floor: Numbers | None, how: Scanning) -> Hits:
         return Hits(*scan_above(self._rows, tables, threshold, floor, how))
 
     def _scan_top(self, tables: QueryTables, count: int, how: Scanning) -> Hits:
@@ -176,7 +167,7 @@ class PQCode:
         return Scanning(HYBRID_SCORE_ERROR / self._scale, wide, threads)
 
 
-def pq_code(codebook: Codebook, codes: Codes, inverse_norms: Float32[np.ndarray, " n"] | None = None) -> PQCode:
+def pq_code(codebook: Codebook, codes: Codes, inverse_norms: Numbers | None = None) -> PQCode:
     """Return codes as a code that can be searched. inverse_norms: computed if None.
 
     Raises: InputError: codes of another codebook.

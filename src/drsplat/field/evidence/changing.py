@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Bool, Float64, Int32, Int64
+from ...base.arrays import Bool, Flags, Float64, Indices, Int32
 from ...errors import MismatchError
 from ...kernels.algebra import changed_columns as merged
 from .aggregation.entries import canonical
@@ -65,7 +65,7 @@ def _times(both: tuple[MaskIds, MaskIds], rank: dict[str, int]) -> Float64[np.nd
     return times
 
 
-def rows_with(weights: csr_array, columns: Bool[np.ndarray, " m"]) -> Bool[np.ndarray, " n"]:
+def rows_with(weights: csr_array, columns: Bool[np.ndarray, " m"]) -> Flags:
     """Return which rows have an entry in any of some columns."""
     rows = np.zeros(weights.shape[0], np.bool_)
     entries = np.flatnonzero(columns[weights.indices])
@@ -86,7 +86,7 @@ def changed_columns(weights: csr_array, columns: Int32[np.ndarray, " m"], added:
     return csr_array((data, indices, indptr), shape=added.shape)
 
 
-def _interleaved(own: np.ndarray, its: np.ndarray, order: Int64[np.ndarray, " n"]) -> np.ndarray:
+def _interleaved(own: np.ndarray, its: np.ndarray, order: Indices) -> np.ndarray:
     """Concatenate the rows of both and put them in an order, copying runs of consecutive rows at once."""
     ends = np.append(np.flatnonzero((np.diff(order) != 1) | (order[1:] == len(own))) + 1, len(order))
     parts, begin = [own[:0]], 0

@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Float32, Int32, Int64, UInt32
+from ...base.arrays import Float32, Int64, MaskIds, UInt32
 from ...errors import FormatError, InputError, MismatchError
 from ...formats.tensors import map_tensors, read_tensors, write_tensors
 from ...kernels import SplatArrays, Triples, default_isa, splat_arrays
@@ -156,7 +156,7 @@ class ColumnMaker:
         """
         return self._key(view, _mask_ids(view, features))
 
-    def _key(self, view: View, mask_ids: Int32[np.ndarray, "h w"]) -> bytes:
+    def _key(self, view: View, mask_ids: MaskIds) -> bytes:
         salt = f"{self._settings} {self.scenery.digest(view)}"
         return digest_of(view.K, view.cam_from_world, mask_ids, salt=salt)
 
@@ -168,7 +168,7 @@ class ColumnMaker:
         return f"{COLUMNS_VERSION} {sampling.topk} {sampling.first_hits}{pixels}"
 
 
-def _mask_ids(view: View, features: ViewFeatures) -> Int32[np.ndarray, "h w"]:
+def _mask_ids(view: View, features: ViewFeatures) -> MaskIds:
     """Return the mask map on the view's raster, undistorted; -1 also where the photo's mask leaves a pixel out."""
     height, width = features.mask_ids.shape
     if not same_aspect((width, height), (view.width, view.height)):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.arrays import Float64, Int64, UInt8
+from ...base.arrays import Float64, Int64, UInt8, Vector3
 from ...errors import InputError
 from ...scene.boxes import upward_of
 from ...scene.views import View
@@ -50,7 +50,7 @@ class Provenance:
         return len(self.axes)
 
     @property
-    def up(self) -> Float64[np.ndarray, " 3"] | None:
+    def up(self) -> Vector3 | None:
         """Direction that is up in the photos (`boxes.upward`); None: they do not tell."""
         try:
             return upward_of(self.axes)

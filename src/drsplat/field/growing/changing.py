@@ -9,7 +9,7 @@ from warnings import warn
 
 import numpy as np
 
-from ...base.arrays import Bool
+from ...base.arrays import Flags
 from ...base.progress import Stopwatch
 from ...errors import DrSplatWarning, InputError, MismatchError
 from ...kernels import available_isas, default_isa
@@ -243,7 +243,7 @@ def _changed(
     )
 
 
-def _touched(evidence: Evidence, names: Collection[str]) -> Bool[np.ndarray, " n"]:
+def _touched(evidence: Evidence, names: Collection[str]) -> Flags:
     """Return which rows a mask of the named views sees."""
     masks = evidence.masks
     changed = np.isin(masks.view_names, list(names))

@@ -9,7 +9,21 @@ import numpy as np
 from scipy.sparse import csr_array, vstack
 from scipy.spatial import cKDTree
 
-from ...base.arrays import Bool, Float, Float32, Float64, Int32, Int64, Integer
+from ...base.arrays import (
+    Bool,
+    Doubles,
+    Flags,
+    Float,
+    Float32,
+    Float64,
+    Ids,
+    Indices,
+    Int32,
+    Int64,
+    Integer,
+    Vector3,
+    Vectors,
+)
 from ...base.contents import release
 from ...kernels import Forest, MergeRule, agglomerate
 from ...scene.morton import morton_codes, morton_order
@@ -24,7 +38,7 @@ BULK_QUANTILES = (0.01, 0.99)  # of places: a side is measured between them, wit
 CURVE_BITS = 10  # of each coordinate
 ROWS_AT_ONCE = 1 << 20
 
-Points = Float32[np.ndarray, "n 3"]
+Points = Vectors
 NUM_NEIGHBOURS = 12
 MAX_USUAL_DISTANCES = 4.0  # to the sixth neighbour, of the scene or of the Gaussian
 
@@ -34,11 +48,11 @@ POINTS_AT_ONCE = 1 << 16
 class Block(NamedTuple):
     """A box that ends nowhere at the sides of the scene. around: how far its surroundings reach beyond it."""
 
-    low: Float64[np.ndarray, " 3"]
-    high: Float64[np.ndarray, " 3"]
+    low: Vector3
+    high: Vector3
     around: float
 
-    def away(self, points: Points) -> Float64[np.ndarray, " n"]:
+    def away(self, points: Points) -> Doubles:
         """Return how far points are from the block, along the axis of the largest distance; 0 within, its end is out.
 
         In parts of `around`: surroundings reach up to 1.
@@ -55,8 +69,8 @@ class BlockRows(NamedTuple):
     the scene's masks, with their views, their weights in the whole scene, and embeddings along few directions.
     """
 
-    rows: Int64[np.ndarray, " n"]
-    away: Float64[np.ndarray, " n"]
+    rows: Indices
+    away: Doubles
     points: Points
     indptr: Int64[np.ndarray, " n1"]
     indices: Int32[np.ndarray, " e"]
@@ -102,9 +116,7 @@ def in_blocks(points: Points, counts: Integer[np.ndarray, " n"], most: int) -> l
     return blocks
 
 
-def rows_around(
-    block: Block, points: Points, weights: csr_array, sums: Float64[np.ndarray, " n"], masks: MaskColumns
-) -> BlockRows:
+def rows_around(block: Block, points: Points, weights: csr_array, sums: Doubles, masks: MaskColumns) -> BlockRows:
     """Return the rows of W in a block and around it. sums: the weight of each row."""
     parts = []
     for begin in range(0, len(points), ROWS_AT_ONCE):
@@ -123,7 +135,7 @@ def rows_around(
     )  # fmt: skip
 
 
-def _placed_order(points: Points, sums: Float64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
+def _placed_order(points: Points, sums: Doubles) -> Indices:
     """Return an order along a curve that only places decide, and sums of weights where places are equal."""
     if not len(points):
         return np.empty(0, np.int64)
@@ -140,10 +152,10 @@ class BlockNodes(NamedTuple):
     their rows inside in each mask, a row for each node that is cut. views: those that see the block.
     """
 
-    rows: Int64[np.ndarray, " n"]
-    lowest: Int32[np.ndarray, " n"]
-    inside: Bool[np.ndarray, " n"]
-    sure: Bool[np.ndarray, " n"]
+    rows: Indices
+    lowest: Ids
+    inside: Flags
+    sure: Flags
     parents: Int32[np.ndarray, " t"]
     ranks: Int32[np.ndarray, " t"]
     fits: Float32[np.ndarray, " t"]
@@ -179,7 +191,7 @@ def nodes_of(block: BlockRows, thresholds: tuple[float, ...], rule: MergeRule, t
     )  # fmt: skip
 
 
-def _seeing(block: BlockRows, inside: Bool[np.ndarray, " n"]) -> Int32[np.ndarray, " v"]:
+def _seeing(block: BlockRows, inside: Flags) -> Int32[np.ndarray, " v"]:
     """Return the views with more than a sliver of the weight that the best view has inside the block."""
     held = np.repeat(inside, np.diff(block.indptr))
     shown = np.bincount(block.views[block.indices[held]], block.data[held])
@@ -207,7 +219,7 @@ def _ranks(forest: Forest, thresholds: tuple[float, ...]) -> Int32[np.ndarray, "
 
 
 def _sums(
-    weights: csr_array, nodes: Int64[np.ndarray, " n"], parents: Int64[np.ndarray, " t"], cut: Bool[np.ndarray, " t"]
+    weights: csr_array, nodes: Indices, parents: Int64[np.ndarray, " t"], cut: Bool[np.ndarray, " t"]
 ) -> csr_array:
     """Return (C, M) the weights of the rows in each node that is cut. nodes: the lowest of each row, -1 for none."""
     (rows,), count = np.nonzero(nodes >= 0), len(parents)
@@ -222,7 +234,7 @@ def _sums(
     return summed
 
 
-def along_a_curve(points: Float[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
+def along_a_curve(points: Float[np.ndarray, "n 3"]) -> Indices:
     """Return the rows of points in Morton order: what is near in space then mostly lies near in memory too."""
     if not len(points):
         return np.zeros(0, np.int64)
@@ -262,7 +274,7 @@ def _nearest(
 
 
 def _keys(
-    found: Int32[np.ndarray, "n k"], distances: Float64[np.ndarray, "n k"], reach: Float64[np.ndarray, " n"], begin: int
+    found: Int32[np.ndarray, "n k"], distances: Float64[np.ndarray, "n k"], reach: Doubles, begin: int
 ) -> Int64[np.ndarray, " p"]:
     """Return a number for each pair of neighbours of some rows, the same whichever of the two it comes from."""
     rows = slice(begin, begin + POINTS_AT_ONCE)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Bool, Float32, Int32, Int64
+from ...base.arrays import Bool, Float32, Ids, Indices, Int32, Int64, MaskIds
 from ...kernels import SplatArrays, heaviest_labels, render_channels, splat_arrays, topk_contributions
 from ...scene.gaussians import Gaussians
 from ...scene.views import View
@@ -26,7 +26,7 @@ REACH_PIXELS = 8  # from the border to the far end of a slope
 MAX_BEND = 1.0  # between the slopes on both sides, away from the camera: a mug's foot on a table, the corner of a room
 NONE = -1
 
-Labels = Int32[np.ndarray, "h w"]
+Labels = MaskIds
 
 
 class ViewBorders(NamedTuple):
@@ -54,7 +54,7 @@ class Borders(NamedTuple):
     back: Int32[np.ndarray, " p"]
     levels: Int64[np.ndarray, " p"]
     lengths: Int64[np.ndarray, " p"]
-    areas: Int64[np.ndarray, " n"]
+    areas: Indices
 
 
 def some_views(views: Iterable[View]) -> list[View]:
@@ -62,9 +62,7 @@ def some_views(views: Iterable[View]) -> list[View]:
     return sorted(views, key=lambda view: (drawn(view.name), view.name))[:MAX_VIEWS]
 
 
-def borders(
-    gaussians: Gaussians, views: Iterable[View], pieces: Int32[np.ndarray, " n"], *, threads: int = 0
-) -> Borders:
+def borders(gaussians: Gaussians, views: Iterable[View], pieces: Ids, *, threads: int = 0) -> Borders:
     """Look at views. pieces: of each Gaussian, -1 for none.
 
     Memory is that of one view, and of the pairs. The same bits at any number of threads.
@@ -74,7 +72,7 @@ def borders(
     return of_all_views(found, int(pieces.max(initial=NONE)) + 1)
 
 
-def borders_in(splats: SplatArrays, view: View, pieces: Int32[np.ndarray, " n"], *, threads: int = 0) -> ViewBorders:
+def borders_in(splats: SplatArrays, view: View, pieces: Ids, *, threads: int = 0) -> ViewBorders:
     """Return the borders that a view shows. pieces: of each of the splats, -1 for none."""
     seen, labels, depth = _seen(splats, view.limited(MAX_SIDE_PIXELS), pieces, threads)
     shown, areas = np.unique(labels[labels >= 0], return_counts=True)
@@ -110,7 +108,7 @@ def _summed(keys: Int64[np.ndarray, " k"], counts: Int64[np.ndarray, "k 2"]) -> 
 
 
 def _seen(
-    splats: SplatArrays, view: View, pieces: Int32[np.ndarray, " n"], threads: int
+    splats: SplatArrays, view: View, pieces: Ids, threads: int
 ) -> tuple[View, Labels, Float32[np.ndarray, "h w"]]:
     """Return the piece that each pixel shows most of, -1 for none, and its depth."""
     drawing = render_channels(splats, view, np.empty((len(pieces), 0), np.float32), threads=threads)

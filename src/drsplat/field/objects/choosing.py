@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Bool, Float32, Float64, Int32, Int64, Integer, UInt8
+from ...base.arrays import Bool, Float32, Float64, Indices, Int32, Int64, Integer, UInt8
 from ...kernels import Forest
 from ..forest import GROUP, PART, THING
 
@@ -73,7 +73,7 @@ def _small_things(
     return np.asarray(small & (taken <= sizes / 2)[thing])
 
 
-def _within(parents: Int32[np.ndarray, " t"], nodes: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
+def _within(parents: Int32[np.ndarray, " t"], nodes: Indices) -> Indices:
     """Return the forest of some nodes alone: for each the number of the lowest of them above it, -1 for none."""
     among = np.zeros(len(parents), bool)
     among[nodes] = True
@@ -153,7 +153,7 @@ def _several_branches(parents: Int64[np.ndarray, " t"], things: Bool[np.ndarray,
 
 
 def _tree_of(
-    forest: Forest, node_of: Integer[np.ndarray, " r"], nodes: Int64[np.ndarray, " n"], levels: UInt8[np.ndarray, " n"]
+    forest: Forest, node_of: Integer[np.ndarray, " r"], nodes: Indices, levels: UInt8[np.ndarray, " n"]
 ) -> Tree:
     """Return the tree of the chosen nodes alone, in their order."""
     among = np.zeros(len(forest.parents), bool)

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Bool, Float32, Float64, Int32, Int64, UInt32
+from ...base.arrays import Bool, Float32, Float64, Ids, Int32, Int64, UInt32
 from ...base.contents import release
 from ...errors import InputError
 from ...kernels import Forest, MergeRule, agglomerate
@@ -210,7 +210,7 @@ def of_pieces(
     return with_pieces_joined(tree, borders(gaussians, views, pieces, threads=threads))
 
 
-def pieces_of(tree: Tree, ids: UInt32[np.ndarray, " r"], count: int) -> Int32[np.ndarray, " n"]:
+def pieces_of(tree: Tree, ids: UInt32[np.ndarray, " r"], count: int) -> Ids:
     """Return the thing of each of `count` Gaussians, numbered in the order of nodes, -1 for none."""
     (things,) = np.nonzero(tree.levels == THING)
     owners = _owners(tree.parents, tree.levels == THING)

@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Bool, Float32, Float64, Int64
+from ...base.arrays import Bool, Doubles, Flags, Float64, Int64, Numbers
 from ..forest import PART, THING
 from .borders import Borders
 from .choosing import NONE, Tree, _above, _owners
@@ -46,7 +46,7 @@ class Outlines:
     them. back: its transpose. level: (n, n), symmetric, where depth goes on.
     """
 
-    areas: Float64[np.ndarray, " n"]
+    areas: Doubles
     front: csr_array
     back: csr_array
     level: csr_array
@@ -60,17 +60,17 @@ class Outlines:
         return cls(found.areas.astype(np.float64), front, csr_array(front.T), csr_array(level + level.T))
 
     @cached_property
-    def fronts(self) -> Float64[np.ndarray, " n"]:
+    def fronts(self) -> Doubles:
         """Pixels of its outline where each piece is in front."""
         return np.asarray(self.front.sum(axis=1)).ravel()
 
     @cached_property
-    def levels(self) -> Float64[np.ndarray, " n"]:
+    def levels(self) -> Doubles:
         """Pixels of its outline where depth goes on, of each piece."""
         return np.asarray(self.level.sum(axis=1)).ravel()
 
     @cached_property
-    def reliefs(self) -> Float64[np.ndarray, " n"]:
+    def reliefs(self) -> Doubles:
         """Relief of each piece alone."""
         return relief(self.fronts, self.levels)
 
@@ -110,7 +110,7 @@ class PieceSet:
         """True where depth goes on along enough of the borders within."""
         return bool(goes_on(np.array(self.inner_level), np.array(self.inner_front)))
 
-    def changes(self, free: Bool[np.ndarray, " n"]) -> Int64[np.ndarray, " c"]:
+    def changes(self, free: Flags) -> Int64[np.ndarray, " c"]:
         """Return the pieces that may be added or taken out: pieces of the set, and what depth goes on to from it.
 
         free: pieces that may be added. Of others those that are small in the set may (`MAX_SMALL_SHARE`): a bow on a
@@ -164,7 +164,7 @@ class Joined(NamedTuple):
     relief: float
 
 
-def join(found: Borders, sure: Float32[np.ndarray, " n"]) -> list[Joined]:
+def join(found: Borders, sure: Numbers) -> list[Joined]:
     """Return the disjoint sets of pieces that are one thing, by their first pieces.
 
     From each piece, large ones first, a set is grown and refined (`standing_out`), and so are unions of the best sets.
@@ -194,7 +194,7 @@ def join(found: Borders, sure: Float32[np.ndarray, " n"]) -> list[Joined]:
 class _Candidates:
     """Sets of pieces that are one thing, by how much more they stand out than their pieces do, times their area."""
 
-    def __init__(self, outlines: Outlines, free: Bool[np.ndarray, " n"]) -> None:
+    def __init__(self, outlines: Outlines, free: Flags) -> None:
         self.outlines, self.free = outlines, free
         self.found: dict[tuple[int, ...], tuple[float, float]] = {}  # what a set is worth, and its relief
 
@@ -282,7 +282,7 @@ def goes_on(level: Float64[np.ndarray, " *s"], front: Float64[np.ndarray, " *s"]
     return np.asarray(level >= MIN_LEVEL_SHARE * (level + front))
 
 
-def grown(outlines: Outlines, seed: int, free: Bool[np.ndarray, " n"]) -> Int64[np.ndarray, " k"]:
+def grown(outlines: Outlines, seed: int, free: Flags) -> Int64[np.ndarray, " k"]:
     """Return the set that stands out most of those that come about as pieces are added to a seed, best first.
 
     Each time the neighbour is added with which the set stands out most, also where that is less than before: a thing
@@ -304,7 +304,7 @@ def grown(outlines: Outlines, seed: int, free: Bool[np.ndarray, " n"]) -> Int64[
     return np.sort(np.array(order[:length]))
 
 
-def refined(outlines: Outlines, members: Int64[np.ndarray, " k"], free: Bool[np.ndarray, " n"]) -> PieceSet:
+def refined(outlines: Outlines, members: Int64[np.ndarray, " k"], free: Flags) -> PieceSet:
     """Return the set once no single piece added or taken out lets it stand out more; every step is the best one.
 
     No step is taken after which depth does not go on along half of the borders within. free: see `PieceSet.changes`.

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...base.arrays import Float64, Int32
+from ...base.arrays import Float64, Ids
 from ...scene.boxes import solid
 from ...scene.gaussians import Gaussians
 
@@ -14,7 +14,7 @@ MIN_SIDE, MIN_SIDE_AROUND = 0.0346, 0.144
 If Gaussians are spread evenly, these are sides of 0.12 and 0.5 of the size."""
 
 
-def surfaces(object_of: Int32[np.ndarray, " n"], count: int, gaussians: Gaussians, size: float) -> list[bool]:
+def surfaces(object_of: Ids, count: int, gaussians: Gaussians, size: float) -> list[bool]:
     """Return whether each object is flat and large, or so large that it goes around the scene.
 
     What lies on a table top or holds it does not count: a fifth of an object's Gaussians may be anywhere.

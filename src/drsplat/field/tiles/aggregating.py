@@ -14,7 +14,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from ...base.arrays import Bool, Float32, Float64, Int64
+from ...base.arrays import Bool, Doubles, Float32, Float64, Int64, Vectors
 from ...base.contents import pieces
 from ...formats.tensors import map_tensors
 from ...formats.tiles import Tile
@@ -170,7 +170,7 @@ class Voting:
         return self.gallery.shapes(tile)
 
     def _nearest(
-        self, run: Run, points: Float32[np.ndarray, "n 3"], threads: int
+        self, run: Run, points: Vectors, threads: int
     ) -> tuple[Float64[np.ndarray, "n k"], Int64[np.ndarray, "n k"]]:
         """Return the nearest givers of points: those of the run, then those of all tiles that may hold nearer ones.
 
@@ -194,7 +194,7 @@ class Voting:
         return distances[:, some], near[:, some]
 
 
-def _distances_to_box(points: Float32[np.ndarray, "n 3"], tile: Tile) -> Float64[np.ndarray, " n"]:
+def _distances_to_box(points: Vectors, tile: Tile) -> Doubles:
     """Return how far points are from the box of a tile, and a little less: of what is rounded none is missed."""
     away = np.maximum(np.maximum(tile.low - points, points - tile.high), 0)
     return np.asarray(np.sqrt(np.square(away).sum(axis=1)) * (1 - 1e-6))

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Float32, Float64, Int64, UInt16, UInt32
+from ...base.arrays import Int64, Numbers, Points, UInt16, UInt32, Vector3
 from ...errors import InputError
 from ...formats.sources import Block
 from ...formats.tiles import Tiles, write_tiles
@@ -45,8 +45,8 @@ def cut(blocks: Sequence[Block], output: Path, rows: int = TILE_ROWS, *, overwri
 class _Placed(NamedTuple):
     """Gaussians that are kept: their positions in the world, sizes, blocks, and rows within the blocks."""
 
-    positions: Float64[np.ndarray, "n 3"]
-    sizes: Float32[np.ndarray, " n"]
+    positions: Points
+    sizes: Numbers
     blocks: UInt16[np.ndarray, " n"]
     rows: UInt32[np.ndarray, " n"]
 
@@ -76,7 +76,7 @@ def _placed(blocks: Sequence[Block]) -> _Placed:
 
 def _tile(
     blocks: Sequence[Block], block_of: UInt16[np.ndarray, " m"], row_of: UInt32[np.ndarray, " m"],
-    origin: Float64[np.ndarray, " 3"],
+    origin: Vector3,
 ) -> Gaussians:  # fmt: skip
     """Return some rows of some blocks, in the order given, with positions counted from the origin."""
     order = np.lexsort((row_of, block_of))  # files are read front to back

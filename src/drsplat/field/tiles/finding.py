@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Int32
+from ...base.arrays import Ids
 from ...base.contents import pieces as pieces_of_bytes
 from ...errors import InputError
 from ...formats.tensors import map_tensors, read_tensors, write_tensors
@@ -193,7 +193,7 @@ class BorderTask:
         return borders_in(seen.splats, view, of_seen, threads=self.threads)._asdict()
 
 
-def _borders(work: TileBlocks, tiles: Tiles, views: Sequence[View], pieces: Int32[np.ndarray, " n"]) -> Borders:
+def _borders(work: TileBlocks, tiles: Tiles, views: Sequence[View], pieces: Ids) -> Borders:
     """Return the borders of pieces in all views, a task for each."""
     digest = hashlib.blake2b(f"{tiles.digest} {default_isa()}".encode(), digest_size=16)
     for piece in pieces_of_bytes(pieces):

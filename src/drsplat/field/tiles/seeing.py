@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...base.arrays import Bool, Float64
+from ...base.arrays import Bool, Float64, Vector3
 from ...formats.tiles import SHAPES, Tile, Tiles, file_name
 from ...kernels import SplatArrays, splat_arrays_at_origin
 from ...scene.gaussians import Gaussians
@@ -40,7 +40,7 @@ def seen_tiles(tiles: Tiles, view: View, near: float) -> Bool[np.ndarray, " t"]:
     return np.asarray(seen)
 
 
-def _borders(view: View) -> list[tuple[Float64[np.ndarray, " 3"], float]]:
+def _borders(view: View) -> list[tuple[Vector3, float]]:
     """Return what is positive inside of each border of the raster, in camera coordinates, and what a deviation adds."""
     fx, fy, cx, cy = view.K[0, 0], view.K[1, 1], view.K[0, 2], view.K[1, 2]
     slanted = (CLAMP_HALF_FIELDS * view.width / (2 * fx)) ** 2 + (CLAMP_HALF_FIELDS * view.height / (2 * fy)) ** 2

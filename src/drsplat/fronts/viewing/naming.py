@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw
 
-from ...base.arrays import Flags, Float64, Int32, Int64, OtherPixels, RowIds, Vector3
+from ...base.arrays import Flags, Float64, Int64, MaskIds, OtherPixels, RowIds, Vector3
 from ...errors import DrSplatError
 from ...field.evidence.evidence import Explanation
 from ...kernels import SplatArrays, view_weights
@@ -118,7 +118,7 @@ def inside_outline(splats: SplatArrays, view: View, outline: Float64[np.ndarray,
     return np.flatnonzero((inside > MIN_INSIDE_SHARE * every) & (every >= MIN_WEIGHT_PIXELS))
 
 
-def _filled(view: View, outline: Float64[np.ndarray, "p 2"]) -> Int32[np.ndarray, "h w"]:
+def _filled(view: View, outline: Float64[np.ndarray, "p 2"]) -> MaskIds:
     """Return 1 for each pixel inside a polygon and 0 for the others."""
     picture = Image.new("L", (view.width, view.height))
     corners = np.clip(outline, -8 * max(view.width, view.height), 9 * max(view.width, view.height))

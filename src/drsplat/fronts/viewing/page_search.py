@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 
 from ...authoring.filming import looking
-from ...base.arrays import Float32
+from ...base.arrays import Embedding, Float32
 from ...errors import DrSplatError
 from ...field import LanguageField
 from ...kernels import boxes, pq_encode
@@ -148,9 +148,7 @@ def _known(scene: Scene, words: Sequence[str]) -> PageSearch | None:
     return _texts(background, pairs, None if kept or encoder is None else background.own_threshold) if pairs else None
 
 
-def _texts(
-    background: measuring.Background, pairs: Mapping[str, Float32[np.ndarray, " D"]], least: float | None
-) -> PageSearch:
+def _texts(background: measuring.Background, pairs: Mapping[str, Embedding], least: float | None) -> PageSearch:
     """Return texts that are each asked as they are; those of the scene's list come first."""
     texts, vectors = list(pairs), np.array(list(pairs.values()), np.float32)
     document: Document = {"texts": texts, "lists": {}, "doubt": "", "threshold": least}

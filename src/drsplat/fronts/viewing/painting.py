@@ -4,11 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...base.arrays import Flags, Float32, Ids, UInt8, Vectors
+from ...base.arrays import Flags, Float32, Ids, Numbers, UInt8, Vectors
 from ...drawing import heat
 from ...field import LanguageField
 
-Values = Float32[np.ndarray, " n"]
+Values = Numbers
 
 ACCENTS = (
     (255, 170, 30), (60, 150, 255), (255, 70, 150), (70, 210, 110), (180, 110, 255), (60, 215, 220), (255, 95, 60),

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...base.arrays import Float32, Ids, Int64, RowIds
+from ...base.arrays import Ids, Int64, Numbers, RowIds
 from ...base.terminal import counted
 from ...drawing.heat import heat_of
 from ...kernels.boxes import box_of
@@ -96,7 +96,7 @@ def joined(parts: Sequence[Int64[np.ndarray, " _"]]) -> RowIds:
     return np.unique(np.concatenate(parts)) if parts else np.empty(0, np.int64)
 
 
-def heat(results: Sequence[Result], count: int) -> Float32[np.ndarray, " n"]:
+def heat(results: Sequence[Result], count: int) -> Numbers:
     """Return per Gaussian how well it answers, as in `drawing.heat.heat_of`; of several queries the best."""
     warmest = np.zeros(count, np.float32)
     for result in results:
@@ -124,7 +124,7 @@ def _numbered(parts: Sequence[Int64[np.ndarray, " _"]], count: int) -> Ids:
     return numbers
 
 
-def relevancy(results: Sequence[Result], count: int) -> Float32[np.ndarray, " n"]:
+def relevancy(results: Sequence[Result], count: int) -> Numbers:
     """Return per Gaussian the highest value of any query, in its own measure."""
     if not results:
         return np.zeros(count, np.float32)

@@ -356,7 +356,7 @@ class Session:
     # --- what it looks like ---
 
     @property
-    def colors(self) -> Float32[np.ndarray, "n 3"]:
+    def colors(self) -> Vectors:
         """Colours of every Gaussian of the scene in the present mode, in [0, 1]."""
         mode, count = self.mode, len(self.scene.gaussians)
         if mode is Mode.FEATURES:
@@ -386,7 +386,7 @@ class Session:
         return np.concatenate([self.colors, self.edits.added_colors])
 
     @property
-    def _feature_colors(self) -> Float32[np.ndarray, "n 3"]:
+    def _feature_colors(self) -> Vectors:
         if not self._features:
             registered = np.zeros(len(self.scene.gaussians), bool)
             registered[self.scene.field.gaussian_ids] = True

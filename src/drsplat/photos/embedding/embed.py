@@ -16,7 +16,7 @@ from warnings import warn
 
 import numpy as np
 
-from ...base.arrays import Float32, Int32, UInt8
+from ...base.arrays import Float32, Int32, Pixels
 from ...errors import DrSplatWarning, InputError
 from ...field.codes import Track, encoder_from_json, untracked
 from ...formats.checksums import hash_file
@@ -317,9 +317,7 @@ def _rewrite(record: EmbeddingRecord, stem: str, form: Form) -> None:
         _store(record, stem, entry.photo, _Embedded(*stored, entry.masks, entry.empty_masks), form)
 
 
-def _embeddings(
-    image: UInt8[np.ndarray, "h w 3"], masks: Masks, encoder: ImageEncoder, name: str
-) -> Float32[np.ndarray, "n d"]:
+def _embeddings(image: Pixels, masks: Masks, encoder: ImageEncoder, name: str) -> Float32[np.ndarray, "n d"]:
     dim = encoder.identity.dim
     if len(masks) == 0:
         return np.zeros((0, dim), np.float32)

@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from scipy.ndimage import find_objects
 
-from ...base.arrays import Float32, Int32, Integer, UInt8
+from ...base.arrays import Float32, Int32, Integer, Pixels, UInt8
 from ...errors import MismatchError
 from ...formats.checksums import hash_file
 from ...formats.embedding_record import read_settings
@@ -81,7 +81,7 @@ def embedded_again(
     rows, masks = _cut_out(mask_ids if mask_ids.ndim == 3 else mask_ids[None])
     embeddings = np.zeros((int(mask_ids.max(initial=-1)) + 1, encoder.identity.dim), np.float32)
     if len(rows):
-        image: UInt8[np.ndarray, "h w 3"] = load_image(view)
+        image: Pixels = load_image(view)
         embeddings[rows] = mask_rows(image, masks, encoder)
     return embeddings
 
@@ -111,10 +111,10 @@ def _cut_out(levels: Int32[np.ndarray, "l h w"]) -> tuple[list[int], Masks]:
 class MaskEncoder(Protocol):
     """Encoder that embeds masks from one pass over the image, without crops of them."""
 
-    def encode_masks(self, image: UInt8[np.ndarray, "h w 3"], masks: Masks) -> Float32[np.ndarray, "n d"]: ...
+    def encode_masks(self, image: Pixels, masks: Masks) -> Float32[np.ndarray, "n d"]: ...
 
 
-def mask_rows(image: UInt8[np.ndarray, "h w 3"], masks: Masks, encoder: ImageEncoder) -> Float32[np.ndarray, "n d"]:
+def mask_rows(image: Pixels, masks: Masks, encoder: ImageEncoder) -> Float32[np.ndarray, "n d"]:
     """Return unit vectors of the masks of an image, each with a pixel or more, in their order."""
     if isinstance(encoder, MaskEncoder):
         return encoder.encode_masks(image, masks)

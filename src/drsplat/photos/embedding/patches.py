@@ -15,7 +15,7 @@ from warnings import warn
 
 import numpy as np
 
-from ...base.arrays import Float32, UInt8
+from ...base.arrays import Float32, Pixels
 from ...errors import DrSplatWarning, InputError, MismatchError
 from ...field.codes import Track, untracked
 from ...formats.json_files import read_json
@@ -64,7 +64,7 @@ class PatchSource:
 class Patches(NamedTuple):
     """Photo with the masks of its wanted instances."""
 
-    image: UInt8[np.ndarray, "h w 3"]
+    image: Pixels
     masks: Masks
 
 

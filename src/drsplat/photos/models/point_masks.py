@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from scipy import ndimage
 
-from ...base.arrays import Bool, Float32, Float64, Int64, UInt8
+from ...base.arrays import Bool, Flags, Float64, Indices, Int64, Mask, Numbers, Pixels, UInt8
 from ...errors import InputError
 from ...scene.masks.masks import LEVELS, Masks, tight_box
 from ...scene.masks.selection import mask_nms
@@ -96,10 +96,10 @@ class PointMasks(NamedTuple):
     """
 
     masks: Bool[np.ndarray, "n h w"]
-    predicted_iou: Float32[np.ndarray, " n"]
-    stability: Float32[np.ndarray, " n"]
-    output: Int64[np.ndarray, " n"]
-    point: Int64[np.ndarray, " n"]
+    predicted_iou: Numbers
+    stability: Numbers
+    output: Indices
+    point: Indices
 
 
 @runtime_checkable
@@ -109,7 +109,7 @@ class PointPredictor(Protocol):
     identity: Mapping[str, object]
 
     def find(
-        self, crop: UInt8[np.ndarray, "h w 3"], points: Float64[np.ndarray, "p 2"], settings: PointMaskSettings
+        self, crop: Pixels, points: Float64[np.ndarray, "p 2"], settings: PointMaskSettings
     ) -> Iterator[PointMasks]:
         """Yield masks at points (x, y in pixels of the crop), by point, then by output, a few at a time.
 
@@ -131,7 +131,7 @@ class _Candidate:
     crop_area: int
 
     @property
-    def part(self) -> Bool[np.ndarray, "h w"]:
+    def part(self) -> Mask:
         height, width = self.box[3] - self.box[1], self.box[2] - self.box[0]
         return np.unpackbits(self.bits, count=height * width).reshape(height, width).astype(bool)
 
@@ -146,7 +146,7 @@ class PointSegmenter:
         self.predictor, self.settings = predictor, settings or PointMaskSettings()
         self.identity: Mapping[str, object] = {**predictor.identity, "settings": asdict(self.settings)}
 
-    def segment(self, image: UInt8[np.ndarray, "h w 3"]) -> dict[str, Masks]:
+    def segment(self, image: Pixels) -> dict[str, Masks]:
         """Return masks by level, in painting order. Raises: InputError: an image without pixels."""
         height, width = image.shape[:2]
         if 0 in (height, width):
@@ -163,7 +163,7 @@ class PointSegmenter:
             for level, candidates in by_level.items()
         }
 
-    def _in_crop(self, image: UInt8[np.ndarray, "h w 3"], crop: Box, layer: int) -> list[_Candidate]:
+    def _in_crop(self, image: Pixels, crop: Box, layer: int) -> list[_Candidate]:
         """Return the passing masks of a crop, from rounds of finer grids where no mask explains the pixels yet.
 
         A pixel is explained by a mask of the finest output wanted. For the large output only the part that the point's
@@ -174,15 +174,13 @@ class PointSegmenter:
         explained = np.zeros(pixels.shape[:2], np.bool_)
         passing: list[_Candidate] = []
         for points in self._rounds(layer, explained):
-            middle: dict[int, Bool[np.ndarray, "h w"]] = {}
+            middle: dict[int, Mask] = {}
             for batch in self.predictor.find(pixels, points, self.settings):
                 passing += self._passing(batch, crop, image.shape[:2])
                 self._explain(explained, batch, middle)
         return passing
 
-    def _explain(
-        self, explained: Bool[np.ndarray, "h w"], batch: PointMasks, middle: dict[int, Bool[np.ndarray, "h w"]]
-    ) -> None:
+    def _explain(self, explained: Mask, batch: PointMasks, middle: dict[int, Mask]) -> None:
         """Mark the pixels that masks explain. middle: last good middle mask by point, maybe of the batch before."""
         finest = self.settings.outputs[0]
         for i in np.flatnonzero(self._good(batch)):
@@ -192,7 +190,7 @@ class PointSegmenter:
                 middle.clear()
                 middle[int(batch.point[i])] = batch.masks[i]
 
-    def _rounds(self, layer: int, explained: Bool[np.ndarray, "h w"]) -> Iterator[Float64[np.ndarray, "p 2"]]:
+    def _rounds(self, layer: int, explained: Mask) -> Iterator[Float64[np.ndarray, "p 2"]]:
         """Yield the points of each round, from the pixels explained when it begins."""
         left = self.settings.most_points
         for side in self.settings.sides(layer):
@@ -201,7 +199,7 @@ class PointSegmenter:
             if len(points):
                 yield points
 
-    def _good(self, batch: PointMasks) -> Bool[np.ndarray, " n"]:
+    def _good(self, batch: PointMasks) -> Flags:
         s = self.settings
         return np.asarray((batch.predicted_iou > s.min_predicted_iou) & (batch.stability >= s.min_stability))
 
@@ -270,7 +268,7 @@ def point_grid(side: int) -> Float64[np.ndarray, "p 2"]:
     return np.stack(np.meshgrid(middles, middles), -1).reshape(-1, 2)
 
 
-def open_points(side: int, explained: Bool[np.ndarray, "h w"]) -> Float64[np.ndarray, "p 2"]:
+def open_points(side: int, explained: Mask) -> Float64[np.ndarray, "p 2"]:
     """Return the grid points (x, y in pixels) outside `explained` whose cells are not more than half explained.
 
     Without any explained pixel that is the whole grid. Slivers between masks get no point.
@@ -347,7 +345,7 @@ def box_nms(boxes: Sequence[Box], scores: Sequence[float], max_iou: float) -> In
 
 
 def without_small_regions(
-    box: Box, part: Bool[np.ndarray, "h w"], size: tuple[int, int], min_region: int
+    box: Box, part: Mask, size: tuple[int, int], min_region: int
 ) -> tuple[Box, Bool[np.ndarray, "_ _"], bool]:
     """Fill the holes of a mask below min_region pixels, then remove its islands below min_region pixels.
 
@@ -375,18 +373,18 @@ def without_small_regions(
     return shifted, canvas[top:bottom, left:right].copy(), True
 
 
-def _regions_below(mask: Bool[np.ndarray, "h w"], limit: int) -> Bool[np.ndarray, "h w"]:
+def _regions_below(mask: Mask, limit: int) -> Mask:
     """Return the pixels of a mask whose connected region has fewer pixels than the limit."""
     labels, _ = ndimage.label(mask, np.ones((3, 3), int))
     small = np.bincount(labels.ravel()) < limit
     small[0] = False
-    below: Bool[np.ndarray, "h w"] = small[labels]
+    below: Mask = small[labels]
     return below
 
 
-def _largest(mask: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+def _largest(mask: Mask) -> Mask:
     labels, _ = ndimage.label(mask, np.ones((3, 3), int))
     sizes = np.bincount(labels.ravel())
     sizes[0] = 0
-    largest: Bool[np.ndarray, "h w"] = labels == sizes.argmax()
+    largest: Mask = labels == sizes.argmax()
     return largest

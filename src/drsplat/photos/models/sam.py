@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Bool, Float32, Float64, Int64, UInt8
+from ...base.arrays import Bool, Flags, Float32, Float64, Int64, Pixels
 from ...errors import FormatError, InputError, MissingExtraError
 from ...formats.json_files import as_vector, excerpt, read_json
 from .devices import chosen_device, fitting
@@ -83,7 +83,7 @@ class ModelFrame:
         scale = self.side / max(height, width)
         return max(1, int(height * scale + 0.5)), max(1, int(width * scale + 0.5))
 
-    def pixel_values(self, image: UInt8[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "3 s s"]:
+    def pixel_values(self, image: Pixels) -> Float32[np.ndarray, "3 s s"]:
         height, width = self.scaled_size(*image.shape[:2])
         scaled = Image.fromarray(image).resize((width, height), Image.Resampling.BILINEAR)
         pixels = np.asarray(scaled, np.float64) / 255
@@ -120,7 +120,7 @@ class SamPredictor:
         self._last: tuple[np.ndarray | None, Any] = None, None
 
     def find(
-        self, crop: UInt8[np.ndarray, "h w 3"], points: Float64[np.ndarray, "p 2"], settings: PointMaskSettings
+        self, crop: Pixels, points: Float64[np.ndarray, "p 2"], settings: PointMaskSettings
     ) -> Iterator[PointMasks]:
         """Yield masks at points; see PointPredictor. The last image's encoding is reused; points go in batches."""
         size = crop.shape[:2]
@@ -137,7 +137,7 @@ class SamPredictor:
                     yield masks._replace(point=first + masks.point)
                 first += len(iou)
 
-    def _features(self, crops: list[UInt8[np.ndarray, "h w 3"]]) -> SharedImage:
+    def _features(self, crops: list[Pixels]) -> SharedImage:
         """Run the image encoder on the single crop of this batch."""
         import torch
 
@@ -172,7 +172,7 @@ class SamPredictor:
 
     def _stable(
         self, logits: Any, size: tuple[int, ...], settings: PointMaskSettings
-    ) -> tuple[Bool[np.ndarray, " n"], Bool[np.ndarray, "g h w"], Float32[np.ndarray, " g"]]:
+    ) -> tuple[Flags, Bool[np.ndarray, "g h w"], Float32[np.ndarray, " g"]]:
         """Return which masks are stable enough, and those at the size of the crop with their stability."""
         import torch
 

@@ -7,7 +7,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ...base.arrays import Float32
+from ...base.arrays import Embedding, Embeddings, Float32
 from ...errors import InputError
 from ...formats.vocabulary import VocabularyEncoder, spellings
 from ...scene.encoders import Encoder
@@ -51,12 +51,12 @@ wood, metal, plastic, glass pane, leather, cloth, fur, wool, cardboard, concrete
 NOUNS = tuple(dict.fromkeys(word.strip() for word in _THINGS.replace("\n", " ").split(",")))
 
 
-def list_vectors(encoder: Encoder) -> Float32[np.ndarray, "n D"]:
+def list_vectors(encoder: Encoder) -> Embeddings:
     """Return the vectors of all texts of a vocabulary, of the encoder's own nouns, or of those that ship."""
     return listed_words(encoder)[1]
 
 
-def listed_words(encoder: Encoder) -> tuple[Sequence[str], Float32[np.ndarray, "n D"]]:
+def listed_words(encoder: Encoder) -> tuple[Sequence[str], Embeddings]:
     """Return the texts of `list_vectors`, and these."""
     if encoder not in _EMBEDDED:
         if isinstance(encoder, VocabularyEncoder):
@@ -67,7 +67,7 @@ def listed_words(encoder: Encoder) -> tuple[Sequence[str], Float32[np.ndarray, "
     return _EMBEDDED[encoder]
 
 
-def rival_vectors(encoder: Encoder, text: str | None) -> Float32[np.ndarray, "n D"] | None:
+def rival_vectors(encoder: Encoder, text: str | None) -> Embeddings | None:
     """Return the vectors of the few words that a text competes with; None: those of the list.
 
     text: None for a query that is no text. An encoder of few words may have `rivals`, see `MiniEncoder.rivals`.
@@ -79,7 +79,7 @@ def rival_vectors(encoder: Encoder, text: str | None) -> Float32[np.ndarray, "n 
 _EMBEDDED: "WeakKeyDictionary[Encoder, tuple[Sequence[str], Float32[np.ndarray, 'n D']]]" = WeakKeyDictionary()
 
 
-def known_words(encoder: Encoder, words: Sequence[str]) -> tuple[list[str], Float32[np.ndarray, "n D"]]:
+def known_words(encoder: Encoder, words: Sequence[str]) -> tuple[list[str], Embeddings]:
     """Return those of some words that an encoder can read, and their vectors."""
     try:
         return list(words), np.asarray(encoder.encode_texts(words), np.float32)
@@ -89,7 +89,7 @@ def known_words(encoder: Encoder, words: Sequence[str]) -> tuple[list[str], Floa
     return [word for word, _ in pairs], vectors.reshape(len(pairs), encoder.identity.dim)
 
 
-def _if_known(encoder: Encoder, noun: str) -> Sequence[Float32[np.ndarray, " D"]]:
+def _if_known(encoder: Encoder, noun: str) -> Sequence[Embedding]:
     try:
         return list(encoder.encode_texts([noun]))
     except InputError:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....base.arrays import Float32, Integer, UInt8, UInt16
+from ....base.arrays import Embedding, Float32, Integer, Numbers, UInt8, UInt16
 from ....errors import FormatError, InputError
 from ....formats.tensors import check_tensors
 from ....kernels.algebra import row_products
@@ -101,19 +101,12 @@ class MixtureCode:
         """
         return mixture_scores(self.blocks, self.atoms.dictionary, queries, threads=threads)
 
-    def select(
-        self,
-        query: Float32[np.ndarray, " D"],
-        threshold: float,
-        floor: Float32[np.ndarray, " n"] | None = None,
-        *,
-        threads: int = 0,
-    ) -> Hits:
+    def select(self, query: Embedding, threshold: float, floor: Numbers | None = None, *, threads: int = 0) -> Hits:
         """See Code. Raises: InputError: a query of another dimension, not finite, or not one floor per row."""
         atoms = self.atoms.dictionary
         return Hits(*mixture_select(self.blocks, atoms, query, threshold, floor, threads=threads))
 
-    def top(self, query: Float32[np.ndarray, " D"], count: int, *, threads: int = 0) -> Hits:
+    def top(self, query: Embedding, count: int, *, threads: int = 0) -> Hits:
         """See Code. Raises: InputError: a query of another dimension, not finite, or a count below 1."""
         return Hits(*mixture_top(self.blocks, self.atoms.dictionary, query, count, threads=threads))
 
@@ -145,7 +138,7 @@ class MixtureCode:
         """See Code. The atoms stay as they are."""
         return MixtureCode(packed(*self.unpacked(index)), self.atoms)
 
-    def parts(self, row: int, query: Float32[np.ndarray, " D"], top: int = 5) -> list[Part]:
+    def parts(self, row: int, query: Embedding, top: int = 5) -> list[Part]:
         """Return the masks of the largest support for `query` in a row, and their shares of all positive support.
 
         Raises: InputError: no such row, or a query of another dimension.

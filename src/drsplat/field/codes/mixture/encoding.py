@@ -4,7 +4,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from ....base.arrays import Bool, Float32, Int32, Int64, Integer, Sparse
+from ....base.arrays import Bool, Embeddings, Float32, Int32, Int64, Integer, Sparse
 from ....base.contents import release
 from ....errors import InputError
 from ....kernels.kmeans import Track, untracked
@@ -28,7 +28,7 @@ class MixtureSource(Protocol):
     @property
     def embeddings(self) -> Float32[np.ndarray, "m D"]: ...
     def __len__(self) -> int: ...
-    def features(self, begin: int, end: int, *, threads: int = 0) -> Float32[np.ndarray, "n D"]: ...
+    def features(self, begin: int, end: int, *, threads: int = 0) -> Embeddings: ...
 
 
 @runtime_checkable
@@ -149,9 +149,7 @@ def encode_rows(
     return Encoded(ids, weights, scales)
 
 
-def _candidates(
-    source: MixtureSource, plan: Plan, features: Float32[np.ndarray, "n D"], block: slice, threads: int
-) -> Candidates:
+def _candidates(source: MixtureSource, plan: Plan, features: Embeddings, block: slice, threads: int) -> Candidates:
     indptr = source.weights.indptr[block.start : block.stop + 1].astype(np.int64)
     atoms = plan.positions[source.weights.indices[indptr[0] : indptr[-1]]]
     kept = np.concatenate([[0], np.cumsum(atoms >= 0)])

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ....base.arrays import Float32, Int32
+from ....base.arrays import Embeddings, Float32, Ids, Int32
 from ....errors import InputError
 from ....kernels import weighted_rows
 from ....kernels.mixture import Dictionary, nearest_centres, nearest_members
@@ -31,7 +31,7 @@ class SceneAtoms:
     def __len__(self) -> int:
         return len(self.vectors)
 
-    def near(self, features: Float32[np.ndarray, "n D"], *, threads: int = 0) -> Int32[np.ndarray, "n w"]:
+    def near(self, features: Embeddings, *, threads: int = 0) -> Int32[np.ndarray, "n w"]:
         """Return the atoms nearest to each feature, among those of its nearest group; best first."""
         wanted = min(CANDIDATE_ATOMS, self.members.shape[1])
         groups = nearest_centres(features, self.centres, threads=threads)
@@ -41,7 +41,7 @@ class SceneAtoms:
         return near
 
 
-def train_scene_atoms(points: Float32[np.ndarray, "n D"], count: int, *, seed: int = 0, threads: int = 0) -> SceneAtoms:
+def train_scene_atoms(points: Embeddings, count: int, *, seed: int = 0, threads: int = 0) -> SceneAtoms:
     """Train `count` atoms on unit `points`, fewer where there are fewer points; the same bits for any threads.
 
     By k-means in which a point is compared with the atoms around its group's centre alone.
@@ -78,9 +78,7 @@ def _members(
     return np.argsort(-nearness, axis=1, kind="stable")[:, :size].astype(np.int32)
 
 
-def spherical_kmeans(
-    points: Float32[np.ndarray, "n D"], count: int, seed: int, threads: int
-) -> Float32[np.ndarray, "c D"]:
+def spherical_kmeans(points: Embeddings, count: int, seed: int, threads: int) -> Float32[np.ndarray, "c D"]:
     """Return unit centres; one that serves no point moves to the worst-served point."""
     centres = _drawn(points, count, seed)
     for _ in range(FIT_ITERATIONS):
@@ -91,16 +89,13 @@ def spherical_kmeans(
     return centres
 
 
-def _drawn(points: Float32[np.ndarray, "n D"], count: int, seed: int) -> Float32[np.ndarray, "c D"]:
+def _drawn(points: Embeddings, count: int, seed: int) -> Float32[np.ndarray, "c D"]:
     drawn = np.random.default_rng(seed).choice(len(points), count, replace=False)
     return np.ascontiguousarray(points[np.sort(drawn)])
 
 
 def _means(
-    points: Float32[np.ndarray, "n D"],
-    nearest: Int32[np.ndarray, " n"],
-    centres: Float32[np.ndarray, "c D"],
-    threads: int,
+    points: Embeddings, nearest: Ids, centres: Float32[np.ndarray, "c D"], threads: int
 ) -> Float32[np.ndarray, "c D"]:
     """Return the mean direction of each centre's points; the old centre where they cancel out."""
     counts = np.bincount(nearest, minlength=len(centres))

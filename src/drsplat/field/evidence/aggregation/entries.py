@@ -14,7 +14,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.sparse import csr_array
 
-from ....base.arrays import Bool, Float32, Float64, Int64, Integer
+from ....base.arrays import Bool, Float32, Float64, Indices, Int64, Integer
 from ....base.contents import release
 from ..evidence import Evidence, MaskIds
 
@@ -44,7 +44,7 @@ class RowBlock:
         return table.take(self.columns[: self.active[entry], entry], axis=0)
 
 
-def row_block(weights: csr_array, rows: Int64[np.ndarray, " n"]) -> RowBlock:
+def row_block(weights: csr_array, rows: Indices) -> RowBlock:
     """Return the entries of some rows as tables; rows must come by falling length, none of them empty."""
     starts = weights.indptr[rows].astype(np.int64)
     lengths = weights.indptr[rows + 1] - starts
@@ -75,7 +75,7 @@ def entry_values(evidence: Evidence, rule: Rule, threads: int = 0) -> Float32[np
     # Rows of like length go together, so that their tables are full.
     order = np.argsort(-lengths, kind="stable")[: np.count_nonzero(lengths)]
 
-    def work(rows: Int64[np.ndarray, " n"]) -> None:
+    def work(rows: Indices) -> None:
         block = row_block(weights, rows)
         values[block.positions[block.filled]] = rule(block)[block.filled]
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ....base.arrays import Float32, Float64
+from ....base.arrays import Doubles, Float32, Float64
 from ..evidence import Evidence
 from .entries import RowBlock, reweighted
 
@@ -60,9 +60,7 @@ def agreements(block: RowBlock, table: Float32[np.ndarray, "m d"]) -> Float64[np
     return np.where(alone, 1.0, (cosines - w) / np.sqrt(np.where(alone, 1.0, others)))
 
 
-def weighted_medians(
-    values: Float64[np.ndarray, "n k"], weights: Float64[np.ndarray, "n k"]
-) -> Float64[np.ndarray, " n"]:
+def weighted_medians(values: Float64[np.ndarray, "n k"], weights: Float64[np.ndarray, "n k"]) -> Doubles:
     """Return each row's weighted median: the lowest value that, with all lower ones, has half the weight."""
     order = np.argsort(np.where(weights > 0, values, np.inf), axis=1, kind="stable")
     held = np.cumsum(np.take_along_axis(weights, order, 1), axis=1)

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from ....base.arrays import Int32
+from ....base.arrays import MaskIds
 from ....errors import FormatError, InputError
 from ....formats.json_files import as_number, excerpt
 from ....kernels import SplatArrays, Triples, view_weights
@@ -39,7 +39,7 @@ class Sampling:
         if self.near is not None and not 0 < self.near < np.inf:
             raise InputError(f"near: expected a distance in front of the camera, got {self.near}")
 
-    def triples(self, splats: SplatArrays, view: View, mask_ids: Int32[np.ndarray, "h w"], threads: int = 0) -> Triples:
+    def triples(self, splats: SplatArrays, view: View, mask_ids: MaskIds, threads: int = 0) -> Triples:
         """Return the entries of W of one view. Raises: InputError: `pixels` is not "all"."""
         if self.pixels != "all":
             raise InputError(f"pixels: only all of them can be registered, not '{self.pixels}'")

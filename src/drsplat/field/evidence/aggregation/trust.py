@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....base.arrays import Float32, Float64, Integer
+from ....base.arrays import Doubles, Float32, Float64, Integer
 from ..evidence import Evidence
 from .entries import PASS_ENTRIES, RowBlock, entry_values, row_chunks, with_weights
 from .outliers import agreements
@@ -83,7 +83,7 @@ def tally(evidence: Evidence, threads: int = 0) -> Tally:
     return Tally(total, held)
 
 
-def _in_order(values: Float64[np.ndarray, "n k"]) -> Float64[np.ndarray, " n"]:
+def _in_order(values: Float64[np.ndarray, "n k"]) -> Doubles:
     """Return the sum of each row, added up from its beginning: zeros at its end change no bit."""
     return np.asarray(np.cumsum(values, axis=1)[:, -1])
 

@@ -7,7 +7,7 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ....base.arrays import Bool, Float32, Float64, Int32, Int64, Integer
+from ....base.arrays import Bool, Doubles, Float32, Float64, Int32, Int64, Integer
 from ....kernels import weighted_rows
 from ....scene.gaussians import Gaussians
 from ..evidence import Evidence
@@ -63,7 +63,7 @@ class ModeVoting:
             donors[rows] = self.elected(voters, trust[present], sizes[present], features)
         return donors
 
-    def sizes(self, gaussians: Gaussians) -> Float64[np.ndarray, " n"]:
+    def sizes(self, gaussians: Gaussians) -> Doubles:
         """Return what Gaussians count by where many small ones are beside a large one."""
         return np.asarray(footprints(gaussians) ** self.footprint)
 
@@ -112,7 +112,7 @@ class Voters:
         return np.union1d(self.rows, self.candidates)
 
 
-def footprints(gaussians: Gaussians) -> Float64[np.ndarray, " n"]:
+def footprints(gaussians: Gaussians) -> Doubles:
     """Return the product of the two larger scales: the area that a Gaussian on a surface covers."""
     sides = np.sort(gaussians.scales.astype(np.float64), axis=1)
     return np.asarray(np.maximum(sides[:, 1] * sides[:, 2], np.finfo(np.float64).tiny))

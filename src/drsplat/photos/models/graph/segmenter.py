@@ -13,7 +13,7 @@ from importlib.resources import files
 import numpy as np
 from PIL import Image
 
-from ....base.arrays import Float32, Float64, Int32, UInt8
+from ....base.arrays import Float32, Float64, Ids, Int32, MaskIds, Pixels, UInt8
 from ....errors import InputError
 from ....kernels import photo_regions
 from ....kernels.photo_regions import Layers, PairRule, RegionGraph, Sight, lab_colors, merged_regions, region_graph
@@ -105,7 +105,7 @@ class GraphSegmenter:
         """Return the same segmenter on one thread, for several threads to call at once."""
         return GraphSegmenter(self.settings, threads=1)
 
-    def segment(self, image: UInt8[np.ndarray, "h w 3"]) -> dict[str, Masks]:
+    def segment(self, image: Pixels) -> dict[str, Masks]:
         """Return masks of `large`, largest first; together they cover the image.
 
         Raises: InputError: an image without pixels.
@@ -119,8 +119,8 @@ class GraphSegmenter:
 
 
 def segment_labels(
-    image: UInt8[np.ndarray, "h w 3"], rule: MergeRule, weights: Tensors, settings: GraphSettings, *, threads: int = 0
-) -> Int32[np.ndarray, "h w"]:
+    image: Pixels, rule: MergeRule, weights: Tensors, settings: GraphSettings, *, threads: int = 0
+) -> MaskIds:
     """Return the number of each pixel's object, from 0."""
     lab = lab_colors(image, threads=threads)
     labels = small_regions(lab)
@@ -128,14 +128,14 @@ def segment_labels(
     return np.asarray(owner[labels], np.int32)
 
 
-def merged(graph: RegionGraph, rule: MergeRule, settings: GraphSettings) -> Int32[np.ndarray, " n"]:
+def merged(graph: RegionGraph, rule: MergeRule, settings: GraphSettings) -> Ids:
     """Return the object that each region belongs to, from 0."""
     threshold = float(rule.threshold[0]) if settings.threshold is None else settings.threshold
     least_area = settings.least_area * working_share(graph.pixels)
     return merged_regions(graph, rule.parts, threshold, least_area, settings.least_width)
 
 
-def label_masks(labels: Int32[np.ndarray, "h w"]) -> Masks:
+def label_masks(labels: MaskIds) -> Masks:
     """Return a mask per number that occurs, largest first; equal ones by number."""
     from scipy.ndimage import find_objects
 
@@ -154,7 +154,7 @@ def working_share(pixels: int) -> float:
     return max(pixels / WORKING_PIXELS, 0.25)
 
 
-def working_image(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h2 w2 3"]:
+def working_image(image: Pixels) -> UInt8[np.ndarray, "h2 w2 3"]:
     """Return the image, averaged down to WORKING_PIXELS if it has more."""
     height, width = image.shape[:2]
     shrink = (WORKING_PIXELS / (height * width)) ** 0.5
@@ -164,14 +164,14 @@ def working_image(image: UInt8[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h2 w2
     return np.asarray(Image.fromarray(image).resize(size, Image.Resampling.BOX))
 
 
-def small_regions(lab: Int32[np.ndarray, "h w 3"]) -> Int32[np.ndarray, "h w"]:
+def small_regions(lab: Int32[np.ndarray, "h w 3"]) -> MaskIds:
     """Label connected regions, from 0."""
     share = working_share(lab.shape[0] * lab.shape[1])
     # 255: the published code has colours from 0 to 1
     return photo_regions.small_regions(lab, MERGE_SCALE * share / 255, round(MIN_AREA_PIXELS * share))
 
 
-def enlarged(labels: Int32[np.ndarray, "h w"], height: int, width: int) -> Int32[np.ndarray, "h2 w2"]:
+def enlarged(labels: MaskIds, height: int, width: int) -> Int32[np.ndarray, "h2 w2"]:
     """Enlarge labels: each pixel gets the label at its centre in the working image."""
     if labels.shape == (height, width):
         return labels
@@ -194,7 +194,7 @@ def layers_of(weights: Tensors) -> Layers:
     return tuple(weights[f"{layer}.{part}"] for layer in _LAYERS for part in ("weight", "bias"))
 
 
-def look(image: UInt8[np.ndarray, "h w 3"], weights: Tensors, *, threads: int = 0) -> Sight:
+def look(image: Pixels, weights: Tensors, *, threads: int = 0) -> Sight:
     """Run the network on an image of any size; the result has the same bits at any `threads`.
 
     weights: stem, down<i>a, down<i>b, up<i>a, up<i>b and head, `.weight` and `.bias`.

@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
-from ....base.arrays import Float32, Int32, UInt8
+from ....base.arrays import Float32, MaskIds, Pixels
 from ....errors import InputError
 from ....kernels.photo_regions import (
     BORDER_STEPS,
@@ -36,7 +36,7 @@ def identity() -> str:
     return " ".join([VERSION, shipped_outlines()[1], shipped_network()[1], shipped_rule()[1]])
 
 
-def region_tree(image: UInt8[np.ndarray, "h w 3"], *, threads: int = 0) -> RegionTree:
+def region_tree(image: Pixels, *, threads: int = 0) -> RegionTree:
     """Return the regions of a photo and their tree, on a raster of at most 640x480 pixels; the same at any `threads`.
 
     Regions are basins of the outlines' strength. They merge as in `graph`, on and on: its rule says which two are
@@ -56,7 +56,7 @@ def region_tree(image: UInt8[np.ndarray, "h w 3"], *, threads: int = 0) -> Regio
     return RegionTree(labels, pairs, graph.pairs, borders[:, LENGTH], strengths)
 
 
-def basins(strength: Float32[np.ndarray, "h w"]) -> Int32[np.ndarray, "h w"]:
+def basins(strength: Float32[np.ndarray, "h w"]) -> MaskIds:
     """Return the region of each pixel, from 0: a watershed of the strength of outlines."""
     smooth = ndimage.gaussian_filter(strength.astype(np.float64), BLUR_PIXELS)
     heights = np.round(smooth * HEIGHT_STEPS).astype(np.int32)
@@ -72,7 +72,7 @@ def shipped_outlines() -> tuple[Layers, str]:
     return layers_of(weights), seen
 
 
-def outlines(image: UInt8[np.ndarray, "h w 3"], *, threads: int = 0) -> Float32[np.ndarray, "h w"]:
+def outlines(image: Pixels, *, threads: int = 0) -> Float32[np.ndarray, "h w"]:
     """Return the strength of an outline at each pixel, 0 to 1; the same bits at any `threads`.
 
     It is the mean of what the network sees in the image and in the image at half its size. Images of more than 640x480

@@ -7,7 +7,7 @@ from importlib.resources import files
 import numpy as np
 from scipy import ndimage
 
-from ....base.arrays import Int32, UInt8
+from ....base.arrays import MaskIds, Pixels
 from ....errors import FormatError, InputError
 from ....kernels import photo_regions
 from ....kernels.photo_regions import Layers
@@ -21,7 +21,7 @@ GROWN_PIXELS = 4  # beyond what is possible: hair, and the blur of a border
 WEIGHTS = "45db52db00a777ed"
 
 
-def people(image: UInt8[np.ndarray, "h w 3"], *, threads: int = 0) -> Int32[np.ndarray, "h w"]:
+def people(image: Pixels, *, threads: int = 0) -> MaskIds:
     """Return the number of the person, or of the group, that each pixel shows; 0 for nobody.
 
     image: of at most SIDE_PIXELS a side; larger people are found better. The result is the same at any `threads`.

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from ....base.arrays import Float64, Int32, UInt8
+from ....base.arrays import Doubles, MaskIds, Pixels
 from ....formats.captures import SparsePoints
 from ....formats.mask_files import SUFFIX
 from ....formats.replacing import replacing
@@ -61,9 +61,7 @@ def _without_people(view: View, points: SparsePoints | None, folder: Path) -> Vi
     return replace(view, mask_path=path)
 
 
-def _still(
-    view: View, image: UInt8[np.ndarray, "h w 3"], labels: Int32[np.ndarray, "h w"], points: SparsePoints
-) -> list[int]:
+def _still(view: View, image: Pixels, labels: MaskIds, points: SparsePoints) -> list[int]:
     """Return the numbers of those who stand still, by the points that the photo should show there."""
     at = (points.positions - view.center) @ view.cam_from_world[:3, :3].T
     ahead = at[:, 2] > 0
@@ -76,7 +74,7 @@ def _still(
     return [number for number, person in enumerate(persons) if number and _agree(seen[person], known[person])]
 
 
-def _agree(seen: Float64[np.ndarray, " n"], known: Float64[np.ndarray, " n"]) -> bool:
+def _agree(seen: Doubles, known: Doubles) -> bool:
     if len(seen) < LEAST_POINTS:
         return False
     together = ((seen - seen.mean()) * (known - known.mean())).mean()
