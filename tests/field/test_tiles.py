@@ -147,12 +147,12 @@ def test_blocks_stand_where_their_transforms_put_them(tmp_path):
     [
         ([], "a list of blocks"),
         ({"file": "a.ply"}, "a list of blocks"),
-        ([{"file": 3}], "expected an object with file"),
-        ([{"file": "a.ply", "rotate": 1}], "expected an object with file"),
+        ([{"file": 3}], "file: expected a text, got 3"),
+        ([{"file": "a.ply", "rotate": 1}], "expected file, and maybe transform and keep, got 'rotate'"),
         ([{"file": "a.ply", "transform": [[1, 0], [0, 1]]}], "4 rows of 4"),
         ([{"file": "a.ply", "transform": np.diag([1.0, 2, 1, 1]).tolist()}], "scales axes apart"),
         ([{"file": "a.ply", "transform": np.diag([1.0, 1, -1, 1]).tolist()}], "determinant"),
-        ([{"file": "a.ply", "keep": {"low": [0, 0, 0]}}], "low and high"),
+        ([{"file": "a.ply", "keep": {"low": [0, 0, 0]}}], "keep: high: expected 3 numbers"),
         ([{"file": "a.ply", "keep": {"low": [0, 0, 0], "high": [1, 0, 1]}}], "low below high"),
     ],
 )

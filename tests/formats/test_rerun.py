@@ -54,7 +54,7 @@ def test_each_degree_is_written(degree: int, tmp_path: Path) -> None:
 
 def test_without_the_sdk_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(MissingExtraError, match=r"drsplat\[rerun\]"):
+    with pytest.raises(MissingExtraError, match=r"\[rerun\]"):
         write_scene(tmp_path / "out.rrd", labelled())
     assert not (tmp_path / "out.rrd").exists()
 

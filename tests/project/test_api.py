@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from collections import Counter
 from importlib.metadata import version
 from pathlib import Path
 
@@ -256,3 +257,15 @@ def nouns_first(path: Path) -> list[str]:
     actions = [node for node in functions if not any("property" in ast.unparse(d) for d in node.decorator_list)]
     lines = [text.splitlines()[0] for node in actions if (text := ast.get_docstring(node))]
     return [line for line in lines if line.split()[0].rstrip(",:;") not in VERBS]
+
+
+@pytest.mark.parametrize("path", sorted(SOURCE.rglob("*.py")), ids=lambda path: path.relative_to(SOURCE).as_posix())
+def test_no_module_gives_a_name_twice(path: Path) -> None:
+    """The second would be meant where the first is read: so a joined module reads another's constant."""
+    names: list[str] = []
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.Assign):
+            names += [name.id for target in node.targets for name in ast.walk(target) if isinstance(name, ast.Name)]
+        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            names.append(node.target.id)
+    assert [name for name, count in Counter(names).items() if count > 1 and name != "__all__"] == []

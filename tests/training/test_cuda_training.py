@@ -497,7 +497,7 @@ def test_auto_is_cuda_where_cupy_and_a_gpu_are(machine):
 @pytest.mark.parametrize(
     ("absent", "said"),
     [
-        ({"cupy": False}, r'CuPy, which is not installed: pip install "drsplat\[cuda\]"'),
+        ({"cupy": False}, r'CuPy, which is not installed: pip install .*\[cuda\]"'),
         ({"gpus": 0}, "CuPy finds no GPU: check nvidia-smi"),
         ({"fault": RuntimeError("driver is too old")}, r"CuPy finds no GPU \(driver is too old\)"),
     ],

@@ -177,11 +177,11 @@ class Scene:
 
     @cached_property
     def surfaces(self) -> list[bool] | None:
-        """True for each object, by number, that is a surface such as a floor; None without Gaussians in memory.
+        """True for each object, by number, that is a surface such as a floor; None without Gaussians.
 
         Raises: InputError: the field has no objects.
         """
-        if not isinstance(self._rows, Gaussians):
+        if self._rows is None:
             return None
         low, high = self.box
         return surfaces(self.object_ids(), len(self.objects), self._rows, float(np.linalg.norm(high - low)))

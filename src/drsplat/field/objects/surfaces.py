@@ -4,7 +4,7 @@ import numpy as np
 
 from ...base.arrays import Float64, Ids
 from ...scene.boxes import solid
-from ...scene.gaussians import Gaussians
+from ...scene.parted import AnyGaussians
 
 NEAREST_SHARE, ROUNDS = 0.8, 4  # of the Gaussians, those nearest to the plane, to which it is fitted again
 MAX_RELIEF = 0.12  # standard deviation across the plane, of that along its shorter side
@@ -14,7 +14,7 @@ MIN_SIDE, MIN_SIDE_AROUND = 0.0346, 0.144
 If Gaussians are spread evenly, these are sides of 0.12 and 0.5 of the size."""
 
 
-def surfaces(object_of: Ids, count: int, gaussians: Gaussians, size: float) -> list[bool]:
+def surfaces(object_of: Ids, count: int, gaussians: AnyGaussians, size: float) -> list[bool]:
     """Return whether each object is flat and large, or so large that it goes around the scene.
 
     What lies on a table top or holds it does not count: a fifth of an object's Gaussians may be anywhere.
@@ -22,13 +22,17 @@ def surfaces(object_of: Ids, count: int, gaussians: Gaussians, size: float) -> l
     Args:
         object_of: number of each Gaussian's object, -1 for none.
         count: objects.
-        gaussians: the scene.
+        gaussians: the scene; one in parts is read along its rows.
         size: diagonal of the scene, in its units.
     """
     order = np.argsort(object_of, kind="stable")
     starts = np.searchsorted(object_of[order], np.arange(count + 1))
     each = np.split(order, starts)[1:-1]
-    return [_is_surface(gaussians.means[solid(gaussians, ids)].astype(np.float64), size) for ids in each]
+    found = [False] * count
+    for number in sorted(range(count), key=lambda number: int(each[number][0])):
+        shapes = gaussians.shapes_of(solid(gaussians, each[number]))
+        found[number] = _is_surface(shapes.means.astype(np.float64), size)
+    return found
 
 
 def _is_surface(points: Float64[np.ndarray, "m 3"], size: float) -> bool:

@@ -31,7 +31,7 @@ UNLIKE_ROOMS = (
     "('something red'): no answer about {} will be reliable"
 )
 PHOTOS_JUDGED = 8
-LIGHT = {"points": AUTO, "crop_layers": 0, "levels": "large"}
+LIGHT: Mapping[str, str | int] = {"points": AUTO, "crop_layers": 0, "levels": "large"}
 """Options of `drsplat embed` for SAM on a CPU. Fewer photos and crops may cost answers (docs/embedding.md)."""
 
 

@@ -31,7 +31,7 @@ from .results import result_of
 from .session import Mode, Session
 from .shown import box_document, first_look, size_text
 
-PICTURE_SIZE_PIXELS = (200, 150)
+CARD_SIZE_PIXELS = (200, 150)
 
 
 def pictures_of(session: Session, matches: list[Match]) -> list[OtherPixels | None]:
@@ -40,8 +40,7 @@ def pictures_of(session: Session, matches: list[Match]) -> list[OtherPixels | No
         return [None] * len(matches)
     views = object_views(session.scene, matches)
     return [
-        object_picture(session.scene, match, view, PICTURE_SIZE_PIXELS)
-        for match, view in zip(matches, views, strict=True)
+        object_picture(session.scene, match, view, CARD_SIZE_PIXELS) for match, view in zip(matches, views, strict=True)
     ]
 
 

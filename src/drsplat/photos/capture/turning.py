@@ -25,7 +25,7 @@ from .photos import Photo
 
 MAX_BLURRED_SHARE = 0.35  # of the median sharpness
 MIN_FEATURES = 150
-MIN_MATCHES = 15  # which COLMAP requires of a pair
+PAIR_MATCHES = 15  # which COLMAP requires of a pair
 ENOUGH_MATCHES = 300  # for a pose, unless the camera has not moved
 WALK_ROUND = (
     "Walk round what you take, a step to the side for each photo, with texture in sight; turning on the spot is not "
@@ -62,7 +62,7 @@ class Reasons:
         if photo.sharpness < MAX_BLURRED_SHARE * self._typical_sharpness:
             return "it is blurred"
         matches = self._best_matches.get(photo.file, 0)
-        if matches < MIN_MATCHES:
+        if matches < PAIR_MATCHES:
             return "no overlap: it shows nothing that another photo shows"
         if matches < ENOUGH_MATCHES:
             return f"too little overlap or movement: at most {matches} places in common with another photo"

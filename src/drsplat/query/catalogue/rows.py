@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import UInt8
+from ...base.arrays import OtherPixels, UInt8
 from ...drawing.cards import Card, card_sheet
-from ...drawing.pictures import OtherPixels
 from ...errors import InputError
 from ...field import LanguageField
 from ...field.codes import Track
