@@ -11,6 +11,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
+pytest.importorskip("fastapi", reason="the extra drsplat[viewer] is not installed")
+pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
+
 from browsing import a_page, needs_chromium
 from cities import write_city
 from drsplat.authoring.filming.looking import Standpoints, beside

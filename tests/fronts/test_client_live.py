@@ -7,6 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+pytest.importorskip("fastapi", reason="the extra drsplat[viewer] is not installed")
+pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
+
 from browsing import PANEL, a_page, colorfulness, eventually, near, needs_chromium, opened, pixels_of, settled
 from drsplat.authoring.editing import Duplicate
 from drsplat.fronts.viewing.exporting import export_page
@@ -16,7 +19,6 @@ from drsplat.query import Scene, open_scene
 from drsplat.scene.annotations import Annotation
 from live_clients import served
 
-pytest.importorskip("uvicorn")
 pytestmark = [needs_chromium, pytest.mark.slow]
 SIZES = {"desk": (1100, 700), "hand": (390, 844)}
 UP = np.array([0.0, 0, 1])

@@ -8,6 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+pytest.importorskip("fastapi", reason="the extra drsplat[viewer] is not installed")
+pytest.importorskip("uvicorn", reason="the extra drsplat[viewer] is not installed")
+
 from drsplat import open_scene, write_gaussians
 from drsplat.authoring.editing import EditFile
 from drsplat.authoring.filming.looking import before
