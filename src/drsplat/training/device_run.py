@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, cast
@@ -102,10 +102,13 @@ class DeviceRun(Run):
     def __init__(self, beginning: Beginning, engine: Engine) -> None:
         self.engine = engine
         super().__init__(beginning)
-        self.photos.read_all(os.cpu_count() or 1)  # else the GPU waits for each of them
-        self.targets = DevicePhotos(self.photos, engine)
         self.window = loss_window(engine)
         self._cameras: dict[tuple[int, int, int], DeviceView] = {}
+
+    def show(self, views: Sequence[View]) -> None:
+        super().show(views)
+        self.photos.read_all(os.cpu_count() or 1)  # else the GPU waits for each of them
+        self.targets = DevicePhotos(self.photos, self.engine)
 
     def _learn(self, gradients: Slopes, threads: int) -> None:
         before = len(self)

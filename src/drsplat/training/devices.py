@@ -20,6 +20,7 @@ REFINE_FROM_SHARE = 1 / 8  # of the iterations; and no later than originally
 REFINE_UNTIL_SHARE = 0.63  # of the iterations
 MCMC_REFINE_UNTIL_SHARE = 25 / 30  # as in the original schedule of mcmc
 FULL_SIZE_FROM_SHARE = 1 / 4  # of the iterations; photos are coarser before
+TRANSIENTS_SHARE = 1 / 2  # of the iterations, after which what moves is looked for
 SH_DEGREES = 7  # of harmonics that all the iterations would have time for
 OPACITY_PENALTY = 0.01
 RATES = {"means_rate_end": 1.6e-5, "sh_rest_rate": 5e-4, "scales_rate": 1e-2, "quats_rate": 4e-3}
@@ -32,8 +33,8 @@ def everyday(views: Sequence[View], iterations: int = DEFAULT_ITERATIONS, **chos
     """Return settings for so many iterations: rates, degrees and refinement have come to their end at the last one.
 
     Steps are fewer than originally, and longer (`RATES`). No opacity is reset. A penalty on opacities removes what no
-    photo needs instead; photos are small at first; and the number of Gaussians follows the pixels of the photos
-    (`budget_of`).
+    photo needs instead; photos are small at first; what moves between them is left out half-way; and the number of
+    Gaussians follows the pixels of the photos (`budget_of`).
     views: to train on, at the size to train at. chosen: any other field of TrainingSettings, which counts.
 
     Raises: InputError: as TrainingSettings.
@@ -44,6 +45,7 @@ def everyday(views: Sequence[View], iterations: int = DEFAULT_ITERATIONS, **chos
         "means_rate_steps": iterations,
         "sh_degree_every": max(iterations // SH_DEGREES, 1),
         "full_size_from": round(FULL_SIZE_FROM_SHARE * iterations),
+        "transients_at": round(TRANSIENTS_SHARE * iterations),
         "refine_from": min(round(REFINE_FROM_SHARE * iterations), TrainingSettings.refine_from),
         "refine_until": round(refined * iterations),
         "reset_every": iterations,

@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from .settings import TrainingSettings, same_until
 from .start import Split
 from .start_points import Start, start_points
 from .training_photos import TrainingPhotos
+from .transients import with_masks, without_transients
 
 CHECKPOINT_S = 120.0
 MAX_SCORED_TRAIN_PHOTOS = 16
@@ -190,6 +192,8 @@ class Keeper:
         self.run, self.split, self.folder, self.job = run, split, folder, job
         self.test_photos = TrainingPhotos(split.test, run.settings.photo_memory_bytes)
         self.capture = ""
+        self.num_transient = 0
+        self.place: TemporaryDirectory[str] | None = None
         self.saved = time.monotonic()
 
     def begin(self, points: SparsePoints | None, start: Start) -> None:
@@ -198,17 +202,42 @@ class Keeper:
         run.start = start.plain()
         if folder is None:
             return
-        views = sorted([*self.split.train, *self.split.test], key=lambda view: view.name)
+        views = sorted(self._views, key=lambda view: view.name)
         self.capture = capture_fingerprint(views, points)
         views = [view.relative_to(-run.origin) for view in views]
         if folder.goes_on:
             load_checkpoint(folder.checkpoint, run, self.capture)
+            if 0 < run.settings.transients_at < run.iteration:
+                self._show(with_masks(self._views, folder.masks))
             folder.results.unlink(missing_ok=True)  # until there are those of this length
             folder.write_settings(views, run.settings)
         else:
             folder.write_start(views, start.points.moved(run.origin))
             folder.write_settings(views, run.settings)
             self._checkpoint()  # whatever is written from here on can be gone on with
+
+    def leave_transients_out(self) -> None:
+        """Look for what moves between the photos, and train on without it; keep the masks."""
+        begin = time.perf_counter()
+        if self.folder is None and self.place is None:
+            self.place = TemporaryDirectory(prefix="drsplat-")  # photos are read as long as the run lasts
+        masks = self.folder.masks if self.folder else Path(self.place.name)
+        self._show(
+            without_transients(
+                self.split.train, self.run.optimizer.gaussians(), masks,
+                held_out=self.split.test, threads=self.job.threads,
+            )
+        )  # fmt: skip
+        self.run.seconds += time.perf_counter() - begin
+
+    def _show(self, views: Sequence[View]) -> None:
+        """Train on with the masks of these views. Held-out photos are measured as before: masks hide what fails."""
+        self.num_transient = sum(new is not old for new, old in zip(views, self._views, strict=True))
+        self.run.show(views[: len(self.split.train)])
+
+    @property
+    def _views(self) -> list[View]:
+        return [*self.split.train, *self.split.test]
 
     def after_step(self, interrupted: bool) -> None:
         """Evaluate and save where it is time. Raises: KeyboardInterrupt: `interrupted`; all is in the checkpoint."""
@@ -285,7 +314,7 @@ class Keeper:
         train = self._psnr_train(min(max(len(self.split.test), 1), MAX_SCORED_TRAIN_PHOTOS))
         training = Training(
             gaussians, run.settings, evaluation, run.seconds, run.stage_seconds, run.history, train, run.start,
-            sum(view.mask_path is not None for view in [*self.split.train, *self.split.test]),
+            sum(view.mask_path is not None for view in self._views), self.num_transient,
         )  # fmt: skip
         _warn_of_fog(training)
         if folder is not None:

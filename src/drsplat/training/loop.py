@@ -47,6 +47,8 @@ def optimise(run: Run, keeper: Keeper, job: Job) -> None:
     psnr = math.nan
     with deferred_interrupt() as interrupted:
         while run.iteration < run.settings.iterations:
+            if run.iteration and run.iteration == run.settings.transients_at:
+                keeper.leave_transients_out()
             begin = time.perf_counter()
             outcome = run.step(job.threads)
             run.seconds += time.perf_counter() - begin

@@ -6,6 +6,7 @@
     input.ply                                 the points that it started from
     settings.json                             every hyper-parameter
     test/NAME.png                             held-out photo, rendering, 4 x difference
+    masks/NAME.png                            black where a photo shows what moves, or its mask leaves out
     results.json                              the measures; written last
     checkpoint.safetensors                    where an unfinished or a longer run goes on
 
@@ -27,6 +28,7 @@ from ..formats.captures import SparsePoints
 from ..formats.claiming import LOCK, claimed_folder
 from ..formats.gaussian_ply import write_gaussians
 from ..formats.json_files import write_json
+from ..formats.mask_files import FOLDER as MASKS
 from ..formats.mask_files import photo_folder
 from ..formats.ply import write_vertices
 from ..formats.replacing import replacing
@@ -65,6 +67,7 @@ class ModelFolder:
         self.checkpoint = self.path / CHECKPOINT
         self.results = self.path / "results.json"
         self.test_pictures = self.path / "test"
+        self.masks = self.path / MASKS
 
     def scene(self, iteration: int) -> Path:
         return self.path / "point_cloud" / f"iteration_{iteration}" / "point_cloud.ply"
@@ -98,7 +101,8 @@ class ModelFolder:
             file.unlink()
             if not any(file.parent.iterdir()):
                 file.parent.rmdir()
-        shutil.rmtree(self.test_pictures, ignore_errors=True)
+        for pictures in (self.test_pictures, self.masks):
+            shutil.rmtree(pictures, ignore_errors=True)
 
     def write_start(self, views: Sequence[View], points: SparsePoints) -> None:
         """Write cameras.json and input.ply. views: with photos."""

@@ -84,7 +84,8 @@ class Training:
     evaluation: on the held-out photos; None when there are none. psnr_train: mean over as many of the photos that
     it was trained on, in dB. seconds: of optimisation, over all sittings. stage_seconds: the same by stage.
     history: evaluations on the way. start: points that it started from, by where they came from. num_masked: photos,
-    trained on or held out, of which masks leave pixels out: these take no part, in measures neither.
+    trained on or held out, of which masks leave pixels out: these take no part, in measures neither. num_transient:
+    photos, of both kinds, that show something that moves, which was not learnt.
     """
 
     gaussians: Gaussians
@@ -96,6 +97,7 @@ class Training:
     psnr_train: float
     start: dict[str, int]
     num_masked: int = 0
+    num_transient: int = 0
 
     @property
     def held_out_far_below(self) -> bool:
@@ -115,6 +117,7 @@ class Training:
             "seconds": self.seconds,
             "num_test_views": len(self.evaluation.views) if self.evaluation else 0,
             "num_masked_views": self.num_masked,
+            "num_views_with_transients": self.num_transient,
             "stage_seconds": self.stage_seconds,
             "start": self.start,
         }
@@ -137,11 +140,11 @@ class Run:
 
     def __init__(self, beginning: Beginning) -> None:
         self.origin, self.rng = beginning.origin, beginning.rng
-        self.views, self.settings = beginning.views, beginning.settings
+        self.settings = beginning.settings
         self.optimizer = self._placed(beginning.optimizer)
         self.near = near_plane(beginning.optimizer.parameters.means)
+        self.show(beginning.views)
         self.extent = scene_extent(self.views)
-        self.photos = TrainingPhotos(self.views, self.settings.photo_memory_bytes)
         self.order = ViewOrder(len(self.views))
         self.density = self._density()
         self.iteration = 0
@@ -150,6 +153,11 @@ class Run:
         self.start: dict[str, int] = {}
         self.stage_seconds = dict.fromkeys(STAGES, 0.0)
         self._since = time.perf_counter()
+
+    def show(self, views: Sequence[View]) -> None:
+        """Take these photos from now on: the same ones, perhaps with other masks."""
+        self.views = views
+        self.photos = TrainingPhotos(views, self.settings.photo_memory_bytes)
 
     def __len__(self) -> int:
         """Return the present number of Gaussians."""

@@ -20,7 +20,11 @@ STRATEGIES = ("default", "mcmc")
 BACKGROUNDS = ("black", "white", "random")
 NOT_OF_AN_ITERATION = ("evaluate_every", "photo_memory_bytes", "iterations")  # `iterations` alone may grow
 
-SINCE = ("antialiased", "colors_in_bytes")  # settings that older runs did not have; off means as they were
+SINCE = (
+    "antialiased",
+    "colors_in_bytes",
+    "transients_at",
+)  # settings that older runs did not have; off means as they were
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,7 @@ class TrainingSettings:
     colors_in_bytes: bool = False  # D: constant colours stay within 0 and 1, as viewers hold them in bytes
     test_every: int = 8  # A: every 8th photo is held out; 0: none
     full_size_from: int = 0  # D: photos of half their sides before this iteration, of a quarter before a quarter of it
+    transients_at: int = 0  # D: after this iteration what moves between photos is left out (`transients`); 0: never
     evaluate_every: int = 0  # D: also measure held-out photos on the way; 0: at the end only
     photo_memory_bytes: int = 2 << 30  # D: decoded photos that are kept; others are read again
 
@@ -115,7 +120,13 @@ class TrainingSettings:
 
     def _check_counts(self) -> None:
         least = {"seed": 0, "sh_degree": 0, "test_every": 0, "evaluate_every": 0, "refine_from": 0}
-        least |= {"full_size_from": 0, "refine_until": 0, "photo_memory_bytes": 0, "reset_recovery": 0}
+        least |= {
+            "full_size_from": 0,
+            "transients_at": 0,
+            "refine_until": 0,
+            "photo_memory_bytes": 0,
+            "reset_recovery": 0,
+        }
         least |= {"max_gaussians": 4}  # the size of the first ones comes from 3 neighbours
         for field in fields(self):
             value, low = getattr(self, field.name), least.get(field.name, 1)

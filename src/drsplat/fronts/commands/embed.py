@@ -164,6 +164,14 @@ class Options(Verb):
 
         return Path(self.output) if self.output else capture_folder(Path(self.capture)) / "language_features"
 
+    def still(self, views: list[View]) -> list[View]:
+        """Return the views with the masks of what moves, where training wrote some beside the scene."""
+        from ...formats.mask_files import FOLDER
+        from ...training.transients import with_masks
+
+        scene = self.with_scene.scene
+        return views if scene is None or self.keep_people else with_masks(views, Path(scene) / FOLDER)
+
     def models(self) -> ModelChoice:
         """Return the models, of which "auto" leaves the choice to what can be had here.
 
@@ -224,7 +232,7 @@ def run(options: Options) -> Facts:
     watch.lap("load")
     chosen, seen = _chosen_views(options, views, scene)
     with without_people(options, chosen, options.photos.dataparser_transforms) as used:
-        report = _embedded(options, used, segmenter, encoder, scene)
+        report = _embedded(options, options.still(used), segmenter, encoder, scene)
     watch.lap("embed")
     made = report.photos - report.reused
     return {

@@ -28,11 +28,18 @@ def without() -> Any:
 
 
 def keep_people(title: str = "") -> Any:
-    return flag("keep people in photos that come without masks (default: they are left out)", title=title)
+    return flag(
+        "keep people in photos that come without masks, and what moves between photos (default: they are left out)",
+        title=title,
+    )
 
 
 def people_text(count: int, of: int) -> str:
     return f"people in {count:,} of {of:,} photos are left out"
+
+
+def transients_text(count: int, of: int) -> str:
+    return f"what moves is left out of {count:,} of {of:,} photos"
 
 
 @contextmanager

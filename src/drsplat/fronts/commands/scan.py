@@ -310,7 +310,7 @@ def _embedding(
     from ...formats.scan_record import MODEL
     from ..scanning.choosing import AUTO, ModelChoice, choose_models
 
-    given = [capture, "--output", str(output / FEATURES), *options.people]
+    given = [capture, "--output", str(output / FEATURES), "--scene", str(output / MODEL), *options.people]
     for name, model in {"segmenter": options.segmenter, "encoder": options.encoder}.items():
         if model is not None and model != AUTO:
             given += [f"--{name}", model]
@@ -324,8 +324,7 @@ def _embedding(
         choice = choose_models(named[0], named[1], first.options.device)
     defaults = {"segmenter": choice.segmenter, "encoder": choice.encoder}
     if cutting := choice.cutting(named[0]):
-        light = {name.replace("_", "-"): str(value) for name, value in cutting.items()}
-        defaults |= light | {"scene": str(output / MODEL)}
+        defaults |= {name.replace("_", "-"): str(value) for name, value in cutting.items()}
     line = verb_line("embed", given, options.common, defaults)
     line.options.point_settings(choice)  # or the error that says which options do not go together
     return line, choice, named

@@ -14,7 +14,7 @@ from ...errors import DrSplatError, InputError
 from ...query.defaults import MAYBE
 from .configuring import OPTIONS_NOT_KEPT, Given, did_you_mean, place, table_keys
 from .declaring import Facts, made
-from .leaving_out import people_text
+from .leaving_out import people_text, transients_text
 from .options import verb_parser
 
 if TYPE_CHECKING:
@@ -285,6 +285,8 @@ def notes(states: Facts, is_doubted: bool) -> list[str]:
         said.append(f"{len(without):,} of {posed['num_photos']:,} photos {have} no pose (left_out says why).")
     if posed.get("num_with_people"):
         said.append(people_text(posed["num_with_people"], posed["num_registered"]).capitalize() + ".")
+    if moved := stages["train"].get("num_views_with_transients"):
+        said.append(transients_text(moved, stages["train"]["num_views"]).capitalize() + ".")
     if stages["train"]["held_out_far_below"]:
         said.append(
             "Photos that were held out look far worse than those trained on: the photos overlap too little, or poses "

@@ -191,7 +191,8 @@ def show(answer: Facts) -> None:
             "Gaussians": answer["num_gaussians"],
             "started from": " and ".join(f"{n:,} {STARTS[kind]} points" for kind, n in answer["start"].items() if n),
             "photos": f"{answer['num_views']}, {answer['width']}x{answer['height']}"
-            + (f", {answer['num_masked_views']} with masks" if answer["num_masked_views"] else ""),
+            + (f", {answer['num_masked_views']} with masks" if answer["num_masked_views"] else "")
+            + (f"; what moves is left out of {moved}" if (moved := answer["num_views_with_transients"]) else ""),
             "time": f"{seconds:.1f} s on {answer['device']}, {1000 * seconds / count:.1f} ms an iteration",
             "stages, ms": ", ".join(f"{name} {1000 * spent / count:.1f}" for name, spent in stages),
             "peak memory": size_text(answer["peak_memory_bytes"]),
@@ -204,6 +205,8 @@ def _settings(options: Options, views: Sequence[View]) -> TrainingSettings:
 
     chosen = {name: value for name, value in vars(options.method).items() if name != "schedule"}
     chosen["evaluate_every"] = options.course.eval_every
+    if options.keep_people:
+        chosen["transients_at"] = 0
     if options.method.is_everyday:
         return everyday(views, options.planned_iterations, **chosen)
     return TrainingSettings(iterations=options.planned_iterations, **chosen)
