@@ -39,7 +39,7 @@ CORNERS = 24
 
 
 class Photographed(NamedTuple):
-    """Undistorted photos in a folder, and the pixels of what was pasted into each."""
+    """Photos in a folder, and the pixels of what was pasted into each."""
 
     views: list[View]
     things: dict[str, np.ndarray]
@@ -79,17 +79,17 @@ def pasted(photo: np.ndarray, rng: random.Random) -> tuple[np.ndarray, np.ndarra
 
 
 def photographed(capture: Path, folder: Path, side: int, every: int) -> Photographed:
-    """Write the photos of a capture without their lens; every: of the photos trained on, 0 for none, get a thing."""
+    """Write the photos of a capture, smaller; every: of the photos trained on, 0 for none, get a thing."""
     rng, views, things = random.Random(1), [], {}
     for number, view in enumerate(sorted(read_views(capture), key=lambda view: view.name)):
         small = view.limited(side)
-        photo, shown = load_image(small), np.zeros((small.height, small.width), bool)
+        photo, shown = load_image(replace(small, distortion=None)), np.zeros((small.height, small.width), bool)
         trained = number - number // TEST_EVERY - 1  # among those that are not held out
         if every and number % TEST_EVERY and trained % every == every // 2:
             photo, shown = pasted(photo, rng)
         name = f"{Path(view.name).stem}.png"
         write_picture(folder / name, photo)
-        views.append(replace(small, name=name, image_path=folder / name, distortion=None, mask_path=None))
+        views.append(replace(small, name=name, image_path=folder / name, mask_path=None))
         things[name] = shown
     return Photographed(views, things)
 
@@ -111,10 +111,11 @@ def trained(photos: Photographed, points: SparsePoints | None, iterations: int, 
 
 
 def draw(photos: Photographed, masks: Path, folder: Path) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
     for view in photos.views:
         path = masks / f"{view.name}.png"
         if path.is_file():
-            photo, left_out = load_image(view).copy(), ~np.asarray(Image.open(path))
+            photo, left_out = load_image(replace(view, distortion=None)).copy(), ~np.asarray(Image.open(path))
             photo[left_out] = photo[left_out] // 2 + np.array([127, 0, 0], np.uint8)
             write_picture(folder / view.name, photo, overwrite=True)
 

@@ -10,7 +10,6 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -186,14 +185,14 @@ def start_of(
 
 
 class Keeper:
-    """One sitting of a run, with its folder or without one."""
+    """One sitting of a run, with its folder or without one. place: for what lasts as long as the sitting."""
 
-    def __init__(self, run: Run, split: Split, folder: ModelFolder | None, job: Job) -> None:
+    def __init__(self, run: Run, split: Split, folder: ModelFolder | None, job: Job, place: Path) -> None:
         self.run, self.split, self.folder, self.job = run, split, folder, job
+        self.masks = place if folder is None else folder.masks
         self.test_photos = TrainingPhotos(split.test, run.settings.photo_memory_bytes)
         self.capture = ""
         self.num_transient = 0
-        self.place: TemporaryDirectory[str] | None = None
         self.saved = time.monotonic()
 
     def begin(self, points: SparsePoints | None, start: Start) -> None:
@@ -208,7 +207,7 @@ class Keeper:
         if folder.goes_on:
             load_checkpoint(folder.checkpoint, run, self.capture)
             if 0 < run.settings.transients_at < run.iteration:
-                self._show(with_masks(self._views, folder.masks))
+                self._show(with_masks(self._views, self.masks))
             folder.results.unlink(missing_ok=True)  # until there are those of this length
             folder.write_settings(views, run.settings)
         else:
@@ -219,12 +218,9 @@ class Keeper:
     def leave_transients_out(self) -> None:
         """Look for what moves between the photos, and train on without it; keep the masks."""
         begin = time.perf_counter()
-        if self.folder is None and self.place is None:
-            self.place = TemporaryDirectory(prefix="drsplat-")  # photos are read as long as the run lasts
-        masks = self.folder.masks if self.folder else Path(self.place.name)
         self._show(
             without_transients(
-                self.split.train, self.run.optimizer.gaussians(), masks,
+                self.split.train, self.run.optimizer.gaussians(), self.masks,
                 held_out=self.split.test, threads=self.job.threads,
             )
         )  # fmt: skip

@@ -6,6 +6,8 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -32,11 +34,11 @@ def trained(job: Job, run_of: Callable[[Beginning], R], optimise: Callable[[R, K
     settings = job.settings
     split, points, origin = local_capture(split_views(job.views, settings.test_every), job.points)
     rng = np.random.default_rng(settings.seed)
-    with model_folder(job.output_dir, job.overwrite) as folder:
+    with model_folder(job.output_dir, job.overwrite) as folder, TemporaryDirectory(prefix="drsplat-") as place:
         start = start_of(folder, points, split.train, settings, rng, origin, threads=job.threads)
         optimizer = Optimizer(first_gaussians(start.points, settings))
         run = run_of(Beginning(split.train, settings, optimizer, rng, origin))
-        keeper = Keeper(run, split, folder, job)
+        keeper = Keeper(run, split, folder, job, Path(place))
         keeper.begin(points, start)
         optimise(run, keeper, job)
         return keeper.finish()

@@ -41,6 +41,7 @@ MIN_PHOTOS = 4.0  # that show the same Gaussians; of fewer nothing is said
 MIN_SHARE, MAX_SHARE = 0.004, 0.4  # of a photo; more than that is a photo with a wrong pose
 MIN_FLAGGED = 0.6  # of a part of the photo's hierarchy, from which on it stands out as a whole
 SAME = 0.55  # correlation of fine patterns, from which on it is the same thing in another light
+LIGHTS = 0.4, 2.0  # how much darker or brighter the same thing may be than in most photos
 PATTERN = 6.0  # pixels: what is coarser is light
 FRAME, MARGIN = 4, 2  # pixels at the photo's border that are not judged, and that are left out around what moves
 _WHITE = 255
@@ -125,11 +126,11 @@ class _Jury:
         weight, lacked, squared = np.maximum(others, 1e-9)
         values = np.stack([lacked / weight, weight**2 / squared, np.ones_like(weight)], 1).astype(np.float32)
         drawn = render(self.gaussians, _pinhole(view), values=values, splats=self.splats, threads=self.threads)
-        lacking, photos, covered = np.moveaxis(drawn.channels, 2, 0)
+        lacking, photos, covered = np.moveaxis(drawn.channels.astype(np.float64), 2, 0)
         seen = compared.seen & (covered > MIN_COVERED) & (photos >= MIN_PHOTOS * covered)
-        times = np.where(seen, compared.difference / (lacking / np.maximum(covered, MIN_COVERED) + NOISE), 0)
+        level = np.where(seen, lacking / np.maximum(covered, MIN_COVERED) + NOISE, np.inf)
         tree = region_tree(np.uint8(np.round(compared.photo * _WHITE)), threads=self.threads)
-        return _moving(_flagged(tree, times)[tree.labels], compared)
+        return _moving(_flagged(tree, compared.difference / level)[tree.labels], compared, level)
 
 
 def _flagged(tree: RegionTree, times: Float64[np.ndarray, "h w"]) -> np.ndarray:
@@ -142,14 +143,21 @@ def _flagged(tree: RegionTree, times: Float64[np.ndarray, "h w"]) -> np.ndarray:
     return flagged | ((wholes.T @ filled) > 0)
 
 
-def _moving(flagged: Mask, compared: _Compared) -> Mask:
-    """Return the flagged pixels, but for small pieces, and for what has the pattern of the scene in another light."""
+def _moving(flagged: Mask, compared: _Compared, level: Float64[np.ndarray, "h w"]) -> Mask:
+    """Return the flagged pixels, but for small pieces, and for what the scene shows as well, in another light.
+
+    level: the difference that is nothing, of each pixel.
+    """
     pieces, count = ndimage.label(flagged)
     moving = np.zeros_like(flagged)
     patterns = [_pattern(colors) for colors in (compared.photo, compared.drawn)]
     for number in range(1, count + 1):
         piece = pieces == number
-        if piece.mean() > MIN_SHARE and _correlation(*(pattern[piece] for pattern in patterns)) < SAME:
+        if piece.mean() <= MIN_SHARE or _correlation(*(pattern[piece] for pattern in patterns)) >= SAME:
+            continue
+        photo, drawn = compared.photo[piece], compared.drawn[piece]
+        light = np.clip((photo * drawn).sum() / ((drawn**2).sum() + DARK), *LIGHTS)
+        if (np.abs(photo - light * drawn).mean(axis=1) / level[piece]).mean() >= MIN_TIMES:
             moving |= piece
     if not moving.any() or moving.mean() > MAX_SHARE:
         return np.zeros_like(flagged)

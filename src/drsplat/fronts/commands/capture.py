@@ -42,7 +42,7 @@ class Options(Verb):
     )
     overwrite: bool = overwrite()
     invert_masks: bool = invert_masks()
-    keep_people: bool = keep_people()
+    keep_people: bool = keep_people(what="people")
     known_distance: list[str] | None = option(
         "distance between two places in metres: PHOTO X Y PHOTO X Y METRES, in pixels (x right, y down) of the upright "
         "photo at full size, or with --places NAME NAME METRES", "PLACE", nargs="+", title=SIZE,

@@ -27,11 +27,8 @@ def without() -> Any:
     )  # fmt: skip
 
 
-def keep_people(title: str = "") -> Any:
-    return flag(
-        "keep people in photos that come without masks, and what moves between photos (default: they are left out)",
-        title=title,
-    )
+def keep_people(title: str = "", what: str = "people, and what moves,") -> Any:
+    return flag(f"keep {what} in photos that come without masks (default: they are left out)", title=title)
 
 
 def people_text(count: int, of: int) -> str:
