@@ -38,6 +38,8 @@ def write_photos(views: list[View], count: int, side: int, folder: Path) -> None
     """Write a capture of undistorted photos, evenly taken from the views, or each several times."""
     chosen = [views[number * len(views) // count] for number in range(count)]
     placed = [replace(view.limited(side), name=f"{number:04}.png") for number, view in enumerate(chosen)]
+    for part in ("images", "sparse/0"):
+        (folder / part).mkdir(parents=True)
     for view in placed:
         write_picture(folder / "images" / view.name, load_image(view))
     posed = [replace(view, distortion=None) for view in placed]
@@ -49,9 +51,9 @@ def with_count(gaussians: Gaussians, count: int) -> Gaussians:
     rng = np.random.default_rng(0)
     rows = np.sort(rng.permutation(np.arange(count) % len(gaussians)))
     if count <= len(gaussians):
-        return gaussians.take(np.sort(rng.permutation(len(gaussians))[:count]))
+        return gaussians.subset(np.sort(rng.permutation(len(gaussians))[:count]))
     copies = np.bincount(rows, minlength=len(gaussians))[rows]
-    split = gaussians.take(rows)
+    split = gaussians.subset(rows)
     means = split.means + np.where(copies[:, None] > 1, rng.normal(0, 0.5, (count, 3)) * split.scales, 0)
     opacities = 1 - (1 - np.minimum(split.opacities, 0.999)) ** (1 / copies)
     return replace(split, means=means.astype(np.float32), opacities=opacities.astype(np.float32))
@@ -96,6 +98,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as place:
         work = args.work or Path(place)
         if not (work / "scene.ply").exists():
+            work.mkdir(parents=True, exist_ok=True)
             write_photos(read_views(args.capture), args.photos, args.side, work / "capture")
             write_gaussians(work / "scene.ply", with_count(read_gaussians(args.scene), args.gaussians))
         rows, costs = [], {}

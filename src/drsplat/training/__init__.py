@@ -2,7 +2,7 @@
 
 Begin with `loop` and `run`.
 
-Imports `scene`, `formats`, `kernels` and `drawing`.
+Imports `scene`, `formats`, `kernels`, `photos` and `drawing`.
 """
 
 from .devices import everyday, train

@@ -1,4 +1,4 @@
-"""What moves between photos: the regions of a photo that its scene, made of all photos, does not show.
+"""Find what moves between photos: the regions of a photo that its scene, made of all photos, does not show.
 
 A scene of all photos shows what most of them agree on. Somebody's hand, a pet or a chair that was moved stands out of
 it where one photo shows it. So does a glossy or finely patterned thing, but in every photo: what the *other* photos
