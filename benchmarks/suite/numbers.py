@@ -32,7 +32,6 @@ MEASURES: dict[str, Pick] = {
     "points": _segmentation("scannet-points", "miou"),
     "voxel": _segmentation("voxel", "miou"),
 }
-PROTOCOL_OF = {"selection_tuned": "lerf-ovs"}
 
 
 def records_of(results: Results, masks: str, method: str) -> list[Record]:
@@ -41,9 +40,7 @@ def records_of(results: Results, masks: str, method: str) -> list[Record]:
 
 
 def values(results: Results, masks: str, method: str, key: str) -> list[float]:
-    """A number per scene; keys of PROTOCOL_OF are at the one threshold that is best over the scenes."""
-    if key in PROTOCOL_OF:
-        return tuned(results, masks, method, PROTOCOL_OF[key])[1]
+    """Return a number per scene, in percent."""
     return [100 * MEASURES[key](record) for record in records_of(results, masks, method)]
 
 
@@ -57,14 +54,7 @@ def measured(results: Results, key: str) -> bool:
     try:
         return all(MEASURES[key](r) is not None for r in results["records"])
     except KeyError:
-        return key in PROTOCOL_OF
-
-
-def tuned(results: Results, masks: str, method: str, protocol: str) -> tuple[float, list[float]]:
-    """The threshold with the best mean over the scenes, the lowest of equal ones, and each scene's mIoU."""
-    sweeps = np.array([r[protocol]["sweep"] for r in records_of(results, masks, method)])
-    best = int(np.argmax(np.round(sweeps.mean(0), 9)))
-    return float(results["sweep"][best]), (100 * sweeps[:, best]).tolist()
+        return False
 
 
 def difference(a: Sequence[float], b: Sequence[float]) -> list[float]:

@@ -15,14 +15,13 @@ from typing import Any
 from drsplat.formats.replacing import replacing
 from drsplat.query.thresholds import CUT_SHARE
 
-from .headline import PLACES, Answers, headline_table, picture, places_table, systems_table
+from .headline import Answers, headline_table, picture, places_table, systems_table
 from .numbers import Results, masks_of, measured, methods_of
 from .papers import SOURCES, papers_table
 from .places import SIDE
 from .reading import reading
 from .rendered import CONTRIBUTORS, DIRECTIONS, ONE_STEP, RENDERED, STEPS, WIDTH
-from .rivals import FITTED
-from .tables import markdown, methods_table, scenes_table, study_table
+from .tables import methods_table, scenes_table, study_table
 from .targets import targets_table
 
 ANSWERS_FILE, TARGETS_FILE = "answers.json", "targets.json"
@@ -73,9 +72,9 @@ _PROTOCOLS = """\
   same classes compared in voxels of {side:g} m.
 - **Points**, `scannet-points@1`: one Gaussian frozen at each labelled point, round, as large as the gaps, opacity
   0.9, nothing trained; OpenGaussian trains theirs. So these numbers rank methods, and do not compare with papers.
-- Thresholds: *automatic* is that of `drsplat select`, the encoder's own ({threshold:.3f}, learned without these
-  scenes) or {cut:g} of the query's 40th highest cosine where that is more ([tasks.md](tasks.md)). *Tuned* is the best
-  of {first:g} to {last:g} on the very scenes that it is scored on, as papers report it: never compare the two."""
+- The threshold is that of `drsplat select`: the encoder's own ({threshold:.3f}, learned without these scenes), or
+  {cut:g} of the query's 40th highest cosine where that is more ([tasks.md](tasks.md)). Papers report thresholds that
+  are tuned on the test."""
 _COMPARED = """\
 `mean`, and each other method minus it, scene by scene, in points of mIoU (`lerf-ovs@1`; `scannet-volume@1`,
 `scannet-points@1`, `voxel@1`):"""
@@ -143,7 +142,6 @@ def _sections(results: Results, answers: Answers | None, targets: Mapping[str, A
         yield from _folded("What the papers report", [SOURCES, papers_table()])
     yield "## Again"
     yield _AGAIN.format(scene=next(iter(results["scenes"])))
-    yield hours_table(results, answers)
     yield _versions(results)
 
 
@@ -178,8 +176,6 @@ def _protocols(results: Results) -> Iterator[str]:
         missing="" if measured(results, "seen_automatic") else _MISSING,
         threshold=results["encoder"]["threshold"],
         cut=CUT_SHARE,
-        first=min(results["sweep"]),
-        last=max(results["sweep"]),
     )
 
 
@@ -197,27 +193,6 @@ def _of_masks(results: Results, kind: str) -> Iterator[str]:
     yield methods_table(results, kind, "mean")
 
 
-def hours_table(results: Results, answers: Answers | None) -> str:
-    """Return how long each part took; parts of a run that kept no times say so."""
-    fitted = [record for record in results["records"] if record["method"] in FITTED]
-    parts = {
-        "methods in rooms": [record for record in results["records"] if record["method"] not in FITTED],
-        "rivals that are fitted": fitted,
-    }
-    for record in answers["records"] if answers else ():
-        parts.setdefault(f"words in {PLACES[record['kind']]}", []).append(record)
-    rows = [(name, f"{len(records)}", _hours(records)) for name, records in parts.items() if records]
-    return markdown(("part", "records", "hours"), rows)
-
-
-def _hours(records: Sequence[dict[str, Any]]) -> str:
-    seconds = [record["seconds"] for record in records if "seconds" in record]
-    if not seconds:
-        return "not timed"
-    missing = f", {len(records) - len(seconds)} not timed" if len(seconds) < len(records) else ""
-    return f"{sum(seconds) / 3600:.1f}{missing}"
-
-
 def _versions(results: Results) -> str:
     encoder, segmenter = results["encoder"], results["segmenter"]
     return (
@@ -232,8 +207,12 @@ def _ages(results: Results) -> str:
     if "code" not in results:
         return _UNSTAMPED
     last, records = results["code"], results["records"]
-    older = {f"`{r['method']}`, {r['masks']}" for r in records if r.get("code") != last[r["method"]]}
-    return _STALE.format(names="; ".join(sorted(older))) if older else ""
+    older: dict[str, set[str]] = {}
+    for one in records:
+        if one.get("code") != last[one["method"]]:
+            older.setdefault(one["masks"], set()).add(f"`{one['method']}`")
+    names = "; ".join(f"with masks {masks} {', '.join(sorted(methods))}" for masks, methods in older.items())
+    return _STALE.format(names=names) if older else ""
 
 
 def write_page(results_file: Path, output: Path) -> None:

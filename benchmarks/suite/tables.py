@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from .numbers import Results, by_scene, correlations, masks_of, measured, methods_of, records_of, said, values
 
 COMPARED = {
-    "automatic": "selection, automatic", "selection_tuned": "selection, tuned", "seen_automatic": "seen, automatic",
+    "automatic": "selection", "seen_automatic": "seen",
     "volume": "volume", "points": "points", "voxel": "voxel",
 }  # fmt: skip
 
