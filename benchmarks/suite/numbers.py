@@ -26,7 +26,6 @@ def _segmentation(protocol: str, number: str) -> Pick:
 MEASURES: dict[str, Pick] = {
     "selection": _column("lerf-ovs", FIXED, "miou"),
     "automatic": _column("lerf-ovs", "automatic", "miou"),
-    "seen_automatic": _column("lerf-ovs", "automatic", "seen"),
     "localization": _column("lerf-ovs", FIXED, "localization"),
     "volume": _segmentation("scannet-volume", "miou"),
     "points": _segmentation("scannet-points", "miou"),
@@ -47,14 +46,6 @@ def values(results: Results, masks: str, method: str, key: str) -> list[float]:
 def by_scene(results: Results, masks: str, method: str, key: str) -> dict[str, float]:
     scenes = [record["scene"] for record in records_of(results, masks, method)]
     return dict(zip(scenes, values(results, masks, method, key), strict=True))
-
-
-def measured(results: Results, key: str) -> bool:
-    """Whether the run made the number: a run of an older version did not make all."""
-    try:
-        return all(MEASURES[key](r) is not None for r in results["records"])
-    except KeyError:
-        return False
 
 
 def difference(a: Sequence[float], b: Sequence[float]) -> list[float]:

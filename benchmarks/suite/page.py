@@ -7,7 +7,7 @@ page.
 import argparse
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -16,12 +16,12 @@ from drsplat.formats.replacing import replacing
 from drsplat.query.thresholds import CUT_SHARE
 
 from .headline import Answers, headline_table, picture, places_table, systems_table
-from .numbers import Results, masks_of, measured, methods_of
+from .numbers import Results, masks_of, methods_of
 from .papers import SOURCES, papers_table
 from .places import SIDE
 from .reading import reading
 from .rendered import CONTRIBUTORS, DIRECTIONS, ONE_STEP, RENDERED, STEPS, WIDTH
-from .tables import methods_table, scenes_table, study_table
+from .tables import methods_table, study_table
 from .targets import targets_table
 
 ANSWERS_FILE, TARGETS_FILE = "answers.json", "targets.json"
@@ -65,9 +65,8 @@ control, the mean on the same coarse pixels and directions: `mean` minus `{one_s
 `{one_step}` minus `{name}` what the fitting does."""
 _PROTOCOLS = """\
 - **Selection**, `lerf-ovs@1`: "red mug" selects Gaussians, these alone are rendered into the labelled photos. Means
-  over pairs of photo and category, then over scenes. *Seen* counts where the selection is more than half of the
-  picture of the whole scene; alone, what stands behind something else shows through it and counts as
-  wrong.{missing}
+  over pairs of photo and category, then over scenes. What stands behind something else shows through it and counts
+  as wrong.
 - **Volume**, `scannet-volume@1`: classes of free Gaussians by significance-weighted IoU. **Voxel**, `voxel@1`: the
   same classes compared in voxels of {side:g} m.
 - **Points**, `scannet-points@1`: one Gaussian frozen at each labelled point, round, as large as the gaps, opacity
@@ -81,7 +80,6 @@ _COMPARED = """\
 _STUDY = """\
 Fig. S3 of the paper: how mIoU by Gaussians, with and without significance, correlates with mIoU by voxels, over scenes,
 for `mean`."""
-_MISSING = " This run did not measure it: make it again."
 _AGAIN = """\
 ```bash
 pip install -e .
@@ -157,12 +155,17 @@ def _what_is_measured(results: Results, answers: Answers | None) -> Iterator[str
     if answers:
         yield _WORDS.format(side=SIDE, wrong=" or ".join(map(str, answers["wrong"])))
     yield _METHODS
-    yield (
-        f"{len(results['scenes'])} scenes of the [household world](../world/README.md), held out from all that was "
-        "learned."
-    )
-    yield scenes_table(results)
+    yield _scenes(results["scenes"].values())
     yield from _folded("Protocols, thresholds and controls", _protocols(results))
+
+
+def _scenes(scenes: Collection[Mapping[str, Any]]) -> str:
+    words = {"things": "things", "photos": "photos", "labelled_photos": "of them labelled", "pairs": "pairs"}
+    sums = ", ".join(f"{sum(scene[key] for scene in scenes):,} {word}" for key, word in words.items())
+    return (
+        f"{len(scenes)} scenes of the [household world](../world/README.md), held out from all that was learned: "
+        f"{sums} of photo and category."
+    )
 
 
 def _protocols(results: Results) -> Iterator[str]:
@@ -171,12 +174,7 @@ def _protocols(results: Results) -> Iterator[str]:
             name=RENDERED, directions=DIRECTIONS, steps=STEPS[RENDERED], width=WIDTH,
             contributors=CONTRIBUTORS, one_step=ONE_STEP,
         )  # fmt: skip
-    yield _PROTOCOLS.format(
-        side=results["voxel_side"],
-        missing="" if measured(results, "seen_automatic") else _MISSING,
-        threshold=results["encoder"]["threshold"],
-        cut=CUT_SHARE,
-    )
+    yield _PROTOCOLS.format(side=results["voxel_side"], threshold=results["encoder"]["threshold"], cut=CUT_SHARE)
 
 
 def _taken(results: Results) -> str:

@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-from .numbers import Results, by_scene, correlations, masks_of, measured, methods_of, records_of, said, values
+from .numbers import Results, by_scene, correlations, masks_of, methods_of, records_of, said, values
 
 COMPARED = {
-    "automatic": "selection", "seen_automatic": "seen",
+    "automatic": "selection",
     "volume": "volume", "points": "points", "voxel": "voxel",
 }  # fmt: skip
 
@@ -23,34 +23,22 @@ def markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     return "\n".join([*head, *(f"| {' | '.join(row)} |" for row in rows)])
 
 
-def scenes_table(results: Results) -> str:
-    keys = ("things", "photos", "labelled_photos", "pairs", "gaussians")
-    words = ("things", "photos", "labelled photos", "pairs", "Gaussians")
-    rows = [(name, scene["cameras"], *(f"{scene[key]:,}" for key in keys)) for name, scene in results["scenes"].items()]
-    return markdown(("scene", "cameras", *words), rows)
-
-
 def methods_table(results: Results, masks: str, base: str) -> str:
     """Return the numbers of one method and the difference of each other from it, scene by scene.
 
     Without that method, all rows are numbers.
     """
-    rows, keys, methods = [], compared(results), methods_of(results, masks)
+    rows, methods = [], methods_of(results, masks)
     for method in methods:
         minus = base in methods and method != base
         cells = [
             said(gain(results, masks, method, base, key), signed=True)
             if minus
             else said(values(results, masks, method, key))
-            for key in keys
+            for key in COMPARED
         ]
         rows.append((f"`{method}`", *cells))
-    return markdown(("method", *(COMPARED[key] for key in keys)), rows)
-
-
-def compared(results: Results) -> list[str]:
-    """What methods are compared in, as far as the run measured it."""
-    return [key for key in COMPARED if measured(results, key)]
+    return markdown(("method", *COMPARED.values()), rows)
 
 
 def gain(results: Results, masks: str, method: str, base: str, key: str) -> list[float]:
