@@ -15,7 +15,7 @@ from drsplat.fronts.commands.declaring import Item, items_of
 from drsplat.fronts.commands.options import Verb
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
-MIN_VERBS = 6  # that share an option
+MIN_VERBS = 8  # that share an option
 
 
 def formats() -> list[str]:

@@ -117,13 +117,14 @@ def _masks_said(masks: str, made: Mapping[str, Any]) -> str:
 
 
 def places_table(answers: Answers) -> str:
-    """Every place by itself."""
+    """Return the table of every place: means, and the interval of what objects gain, word by word."""
     rows = []
     for one in (place for group in asked(answers) for place in group.by_place):
         record = one.records[0]
         asked_for = f"{len(set(record['texts']))}, {len(record['texts'])} times"
         gain = within(*one.gain("objects", "plain"), signed=True)
-        rows.append((record["place"], one.masks, asked_for, *_cells(one)[:3], gain, *_cells(one)[3:]))
+        means = (f"{one.over(column)[0]:.1f}" for column in COLUMNS)
+        rows.append((record["place"], one.masks, asked_for, *means, gain, *_cells(one)[3:]))
     heads = (
         "place",
         "masks",

@@ -1,7 +1,6 @@
 """Records of a run to lists over its scenes, means and intervals. All in percent."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,15 +15,6 @@ Results = Mapping[str, Any]
 Pick = Callable[[Record], float]
 
 
-@dataclass(frozen=True)
-class Measure:
-    """key: in `MEASURES`. words: in tables."""
-
-    key: str
-    words: str
-    pick: Pick
-
-
 def _column(protocol: str, column: str, number: str) -> Pick:
     return lambda record: float(record[protocol]["columns"][column][number])
 
@@ -33,23 +23,14 @@ def _segmentation(protocol: str, number: str) -> Pick:
     return lambda record: float(record[protocol]["segmentation"][number])
 
 
-_ALL = (
-    Measure("selection", "mIoU, fixed", _column("lerf-ovs", FIXED, "miou")),
-    Measure("seen", "mIoU seen, fixed", _column("lerf-ovs", FIXED, "seen")),
-    Measure("seen_automatic", "mIoU seen, automatic", _column("lerf-ovs", "automatic", "seen")),
-    Measure("acc25", "Acc@0.25, fixed", _column("lerf-ovs", FIXED, "acc@0.25")),
-    Measure("acc50", "Acc@0.5, fixed", _column("lerf-ovs", FIXED, "acc@0.5")),
-    Measure("automatic", "mIoU, automatic", _column("lerf-ovs", "automatic", "miou")),
-    Measure("localization", "localization", _column("lerf-ovs", FIXED, "localization")),
-    Measure("volume", "volume mIoU", _segmentation("scannet-volume", "miou")),
-    Measure("volume_acc", "volume mAcc", _segmentation("scannet-volume", "macc")),
-    Measure("volume_fixed", "fixed", _column("scannet-volume", FIXED, "miou")),
-    Measure("volume_automatic", "automatic", _column("scannet-volume", "automatic", "miou")),
-    Measure("points", "points mIoU", _segmentation("scannet-points", "miou")),
-    Measure("voxel", "voxel mIoU", _segmentation("voxel", "miou")),
-)
-MEASURES = {measure.key: measure for measure in _ALL}
-PROTOCOL_OF = {"selection_tuned": "lerf-ovs", "volume_tuned": "scannet-volume"}
+MEASURES: dict[str, Pick] = {
+    "selection": _column("lerf-ovs", FIXED, "miou"),
+    "automatic": _column("lerf-ovs", "automatic", "miou"),
+    "localization": _column("lerf-ovs", FIXED, "localization"),
+    "volume": _segmentation("scannet-volume", "miou"),
+    "points": _segmentation("scannet-points", "miou"),
+    "voxel": _segmentation("voxel", "miou"),
+}
 
 
 def records_of(results: Results, masks: str, method: str) -> list[Record]:
@@ -58,30 +39,13 @@ def records_of(results: Results, masks: str, method: str) -> list[Record]:
 
 
 def values(results: Results, masks: str, method: str, key: str) -> list[float]:
-    """A number per scene; keys of PROTOCOL_OF are at the one threshold that is best over the scenes."""
-    if key in PROTOCOL_OF:
-        return tuned(results, masks, method, PROTOCOL_OF[key])[1]
-    return [100 * MEASURES[key].pick(record) for record in records_of(results, masks, method)]
+    """Return a number per scene, in percent."""
+    return [100 * MEASURES[key](record) for record in records_of(results, masks, method)]
 
 
 def by_scene(results: Results, masks: str, method: str, key: str) -> dict[str, float]:
     scenes = [record["scene"] for record in records_of(results, masks, method)]
     return dict(zip(scenes, values(results, masks, method, key), strict=True))
-
-
-def measured(results: Results, key: str) -> bool:
-    """Whether the run made the number: a run of an older version did not make all."""
-    try:
-        return all(MEASURES[key].pick(r) is not None for r in results["records"])
-    except KeyError:
-        return key in PROTOCOL_OF
-
-
-def tuned(results: Results, masks: str, method: str, protocol: str) -> tuple[float, list[float]]:
-    """The threshold with the best mean over the scenes, the lowest of equal ones, and each scene's mIoU."""
-    sweeps = np.array([r[protocol]["sweep"] for r in records_of(results, masks, method)])
-    best = int(np.argmax(np.round(sweeps.mean(0), 9)))
-    return float(results["sweep"][best]), (100 * sweeps[:, best]).tolist()
 
 
 def difference(a: Sequence[float], b: Sequence[float]) -> list[float]:

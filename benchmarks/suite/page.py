@@ -7,7 +7,7 @@ page.
 import argparse
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from textwrap import fill
 from typing import Any
@@ -15,31 +15,20 @@ from typing import Any
 from drsplat.formats.replacing import replacing
 from drsplat.query.thresholds import CUT_SHARE
 
-from .headline import PLACES, Answers, headline_table, picture, places_table, systems_table
-from .numbers import Results, masks_of, measured, methods_of
+from .headline import Answers, headline_table, picture, places_table, systems_table
+from .numbers import Results, masks_of, methods_of
 from .papers import SOURCES, papers_table
 from .places import SIDE
 from .reading import reading
 from .rendered import CONTRIBUTORS, DIRECTIONS, ONE_STEP, RENDERED, STEPS, WIDTH
-from .rivals import FITTED
-from .tables import (
-    SEGMENTATION,
-    SELECTION,
-    against_table,
-    files_table,
-    markdown,
-    measures_table,
-    scenes_table,
-    study_table,
-    thresholds_table,
-)
+from .tables import methods_table, study_table
 from .targets import targets_table
 
 ANSWERS_FILE, TARGETS_FILE = "answers.json", "targets.json"
 _HEAD = """\
 How well a word finds the thing that is meant, in photos of real places and in made-up rooms whose truth is known to
-the pixel. No number here is typed: `python -m benchmarks.suite` makes [evaluation.json](evaluation.json) and
-[answers.json](answers.json), and this page from them."""
+the pixel. `python -m benchmarks.suite` makes [evaluation.json](evaluation.json), [answers.json](answers.json), and
+this page from them; more columns of it, and what was tuned, stood here until 2b6e4a87."""
 _TARGETS = """\
 A word can mean no thing of a place, one or several, and the answer says which: *no such object* (`certainty` is
 "nothing"), *maybe* with the reason, or sure matches, which are counted. Asked were all nouns that the built-in encoder
@@ -48,50 +37,49 @@ was taught, in {rooms} made-up rooms (`python benchmarks/study_targets.py ROOM=F
 ScanNet, whose questions all have a target, with `--present`, so that nothing is refused."""
 _HEADLINE = """\
 Percent of IoU: what was selected *and* meant, of what was selected *or* meant. *Plain* asks every Gaussian for itself,
-*whole objects* is what `drsplat` does, and the *best threshold* is that of the plain field, chosen for each word with
-the truth: no rule can know it, and it says how much a better rule could gain (not asked of the built-in encoder). In
-brackets are 95 % intervals: for
-CLIP's vectors over the words that were asked, for the built-in encoder over rooms. The last two columns are percent of
-the words that are there and found nothing, and of those that are not there and found something: plain, then whole
-objects."""
+*whole objects* is what `drsplat` does. The *best threshold* of the plain field is chosen for each word with the truth:
+it says how much a better rule could gain. In brackets are 95 % intervals, over words for CLIP's vectors and over rooms
+for the built-in encoder. The last two columns are percent of the present words that found nothing, and of the absent
+ones that found something: plain, then whole objects."""
 _SYSTEMS = """\
 All on the same Gaussians, masks and embeddings (the built-in encoder's), in the made-up rooms. *Selection*: IoU in
-photos of what a word selects, with a threshold that is chosen without the truth. *Localization*: how often the best
-place is on the thing. *Classes*: IoU of classes of Gaussians, by volume. *Fitted* systems took of their papers' steps:
-{taken}; no code of theirs is in it ([rivals](rivals.md))."""
+photos, with a threshold that is chosen without the truth. *Localization*: how often the best place is on the thing.
+*Classes*: IoU of classes of Gaussians, by volume. *Fitted* systems took of their papers' steps: {taken}; no code of
+theirs is in it ([rivals](rivals.md))."""
 _WORDS = """\
 **Words in real captures and rooms.** Things of the captures were outlined by hand in some photos, or came with labels;
-photos are looked at {side} pixels wide. These things, and those of rooms, are called by words whose vectors are genuine
-CLIP's, and the masks are given genuine vectors of pictures that fit these words; {wrong} % of the masks have a
-wrong one. IoU is over Gaussians, by the weight that photos give them. Masks are found by the segmenter that ships
-(`graph`), *true*, or *simulated*: masks of whole things, as SAM makes them, their borders up to three pixels off."""
+photos are {side} pixels wide. Words have genuine CLIP vectors, and masks genuine vectors of pictures that fit these
+words; {wrong} % of the masks have a wrong one. IoU is over Gaussians, by the weight that photos give them. Masks are
+found by the segmenter that ships (`graph`), *true*, or *simulated*: masks of whole things, as SAM makes them, their
+borders up to three pixels off."""
 _METHODS = """\
 **Methods in rooms, with the built-in encoder.** Masks are *true* (each thing and structure of a photo is one mask) or
-found by the built-in segmenter *graph*; the built-in encoder `drsplat-mini` embeds both. It never saw these rooms,
-their shapes or textures. Photos with labels are left out of registration. All methods of a scene share one codebook,
-that of the mean. Aggregators are those of [aggregators.md](aggregators.md)."""
+found by *graph*; `drsplat-mini`, which never saw these rooms, their shapes or textures, embeds both. Photos with labels
+are left out of registration. All methods of a scene share one codebook, that of the mean
+([aggregators](aggregators.md))."""
 _RENDERED = """\
-`{name}` is no aggregator but the rival: features that are fitted so that their *rendering* matches the embedding of
-the mask at each pixel, as LangSplat and LEGaussians optimise theirs, and then looked up in 3D like all others. It is
-our own least-squares form of that idea ({directions} directions, {steps} steps of conjugate gradients, photos {width}
-pixels wide, {contributors} Gaussians a pixel), not their code. `{one_step}` is its control: one step from zero is the
-mean on the same coarse pixels and directions. So `mean` minus `{one_step}` is what the coarseness costs, and
+`{name}` fits features so that their *rendering* matches the embedding of the mask at each pixel, as LangSplat and
+LEGaussians do, and looks them up in 3D like all others: our own least-squares form ({directions} directions, {steps}
+steps of conjugate gradients, photos {width} pixels wide, {contributors} Gaussians a pixel). `{one_step}` is its
+control, the mean on the same coarse pixels and directions: `mean` minus `{one_step}` is what the coarseness costs,
 `{one_step}` minus `{name}` what the fitting does."""
 _PROTOCOLS = """\
 - **Selection**, `lerf-ovs@1`: "red mug" selects Gaussians, these alone are rendered into the labelled photos. Means
-  over pairs of photo and category, then over scenes. *Seen* is the same of where the selection is more than half of
-  the picture of the whole scene: alone, what stands behind something else shows through it and counts as
-  wrong.{missing}
-- **Volume**, `scannet-volume@1`: classes of free Gaussians by significance-weighted IoU; fixed, automatic and tuned
-  are localization, one class at a time by threshold. **Voxel**, `voxel@1`: the same classes compared in voxels of
-  {side:g} m.
+  over pairs of photo and category, then over scenes. What stands behind something else shows through it and counts
+  as wrong.
+- **Volume**, `scannet-volume@1`: classes of free Gaussians by significance-weighted IoU. **Voxel**, `voxel@1`: the
+  same classes compared in voxels of {side:g} m.
 - **Points**, `scannet-points@1`: one Gaussian frozen at each labelled point, round, as large as the gaps, opacity
   0.9, nothing trained; OpenGaussian trains theirs. So these numbers rank methods, and do not compare with papers.
-- Thresholds: *fixed* is the encoder's own ({threshold:.3f}), learned without these scenes. *Automatic* is that of
-  `drsplat select`: the fixed one, or {cut:g} of the query's 40th highest cosine where that is more
-  ([tasks.md](tasks.md)). *Tuned on test* is the best of {sweep} on the very scenes that it is scored on, as papers
-  report it: never compare it with the other two."""
-_MISSING = " This run did not measure it: make it again."
+- The threshold is that of `drsplat select`: the encoder's own ({threshold:.3f}, learned without these scenes), or
+  {cut:g} of the query's 40th highest cosine where that is more ([tasks.md](tasks.md)). Papers report thresholds that
+  are tuned on the test."""
+_COMPARED = """\
+`mean`, and each other method minus it, scene by scene, in points of mIoU (`lerf-ovs@1`; `scannet-volume@1`,
+`scannet-points@1`, `voxel@1`):"""
+_STUDY = """\
+Fig. S3 of the paper: how mIoU by Gaussians, with and without significance, correlates with mIoU by voxels, over scenes,
+for `mean`."""
 _AGAIN = """\
 ```bash
 pip install -e .
@@ -146,15 +134,13 @@ def _sections(results: Results, answers: Answers | None, targets: Mapping[str, A
         yield from _folded("Words in every place", [places_table(answers)])
     for masks in sorted(masks_of(results), key=lambda kind: kind != "graph"):
         yield from _folded(f"Every method in rooms, {masks} masks", _of_masks(results, masks))
-    yield from _folded("Thresholds that were tuned on the test", [thresholds_table(results, masks_of(results))])
-    yield from _folded("Does significance stand in for volume?", _study(results))
+    if study := study_table(results, "mean"):
+        yield from _folded("Does significance stand in for volume?", [_STUDY, study])
     if _efforts(results):
         yield from _folded("What the papers report", [SOURCES, papers_table()])
     yield "## Again"
     yield _AGAIN.format(scene=next(iter(results["scenes"])))
-    yield hours_table(results, answers)
     yield _versions(results)
-    yield from _folded("Checksums of the scenes", [files_table(results)])
 
 
 def _folded(summary: str, sections: Sequence[str] | Iterator[str]) -> Iterator[str]:
@@ -169,12 +155,17 @@ def _what_is_measured(results: Results, answers: Answers | None) -> Iterator[str
     if answers:
         yield _WORDS.format(side=SIDE, wrong=" or ".join(map(str, answers["wrong"])))
     yield _METHODS
-    yield (
-        f"{len(results['scenes'])} scenes of the [household world](../world/README.md), held out from all that was "
-        "learned."
-    )
-    yield scenes_table(results)
+    yield _scenes(results["scenes"].values())
     yield from _folded("Protocols, thresholds and controls", _protocols(results))
+
+
+def _scenes(scenes: Collection[Mapping[str, Any]]) -> str:
+    words = {"things": "things", "photos": "photos", "labelled_photos": "of them labelled", "pairs": "pairs"}
+    sums = ", ".join(f"{sum(scene[key] for scene in scenes):,} {word}" for key, word in words.items())
+    return (
+        f"{len(scenes)} scenes of the [household world](../world/README.md), held out from all that was learned: "
+        f"{sums} of photo and category."
+    )
 
 
 def _protocols(results: Results) -> Iterator[str]:
@@ -183,13 +174,7 @@ def _protocols(results: Results) -> Iterator[str]:
             name=RENDERED, directions=DIRECTIONS, steps=STEPS[RENDERED], width=WIDTH,
             contributors=CONTRIBUTORS, one_step=ONE_STEP,
         )  # fmt: skip
-    yield _PROTOCOLS.format(
-        side=results["voxel_side"],
-        missing="" if measured(results, "seen") else _MISSING,
-        threshold=results["encoder"]["threshold"],
-        cut=CUT_SHARE,
-        sweep=", ".join(f"{threshold:g}" for threshold in results["sweep"]),
-    )
+    yield _PROTOCOLS.format(side=results["voxel_side"], threshold=results["encoder"]["threshold"], cut=CUT_SHARE)
 
 
 def _taken(results: Results) -> str:
@@ -202,45 +187,8 @@ def _efforts(results: Results) -> dict[str, float]:
 
 
 def _of_masks(results: Results, kind: str) -> Iterator[str]:
-    yield "Selection (`lerf-ovs@1`):"
-    yield measures_table(results, kind, SELECTION)
-    yield (
-        "Classes (`scannet-volume@1`, `scannet-points@1`, `voxel@1`), and localization by threshold "
-        "(`scannet-volume@1`):"
-    )
-    yield measures_table(results, kind, SEGMENTATION)
-    if "mean" in methods_of(results, kind):
-        yield "Minus `mean`, scene by scene:"
-        yield against_table(results, kind, "mean")
-
-
-def _study(results: Results) -> Iterator[str]:
-    yield "Fig. S3 of the paper: mIoU by Gaussians, with and without significance, beside mIoU by voxels, for `mean`."
-    for kind in masks_of(results):
-        if "mean" in methods_of(results, kind):
-            yield f"{kind} masks:"
-            yield study_table(results, kind, "mean")
-
-
-def hours_table(results: Results, answers: Answers | None) -> str:
-    """Return how long each part took; parts of a run that kept no times say so."""
-    fitted = [record for record in results["records"] if record["method"] in FITTED]
-    parts = {
-        "methods in rooms": [record for record in results["records"] if record["method"] not in FITTED],
-        "rivals that are fitted": fitted,
-    }
-    for record in answers["records"] if answers else ():
-        parts.setdefault(f"words in {PLACES[record['kind']]}", []).append(record)
-    rows = [(name, f"{len(records)}", _hours(records)) for name, records in parts.items() if records]
-    return markdown(("part", "records", "hours"), rows)
-
-
-def _hours(records: Sequence[dict[str, Any]]) -> str:
-    seconds = [record["seconds"] for record in records if "seconds" in record]
-    if not seconds:
-        return "not timed"
-    missing = f", {len(records) - len(seconds)} not timed" if len(seconds) < len(records) else ""
-    return f"{sum(seconds) / 3600:.1f}{missing}"
+    yield _COMPARED if "mean" in methods_of(results, kind) else "Means over the scenes:"
+    yield methods_table(results, kind, "mean")
 
 
 def _versions(results: Results) -> str:
@@ -257,8 +205,12 @@ def _ages(results: Results) -> str:
     if "code" not in results:
         return _UNSTAMPED
     last, records = results["code"], results["records"]
-    older = {f"`{r['method']}`, {r['masks']}" for r in records if r.get("code") != last[r["method"]]}
-    return _STALE.format(names="; ".join(sorted(older))) if older else ""
+    older: dict[str, set[str]] = {}
+    for one in records:
+        if one.get("code") != last[one["method"]]:
+            older.setdefault(one["masks"], set()).add(f"`{one['method']}`")
+    names = "; ".join(f"with masks {masks} {', '.join(sorted(methods))}" for masks, methods in older.items())
+    return _STALE.format(names=names) if older else ""
 
 
 def write_page(results_file: Path, output: Path) -> None:

@@ -15,9 +15,9 @@ ROWS = (
     ("VALA", "58.0", "82.9", "", "32.1", ""),
 )
 SOURCES = """\
-The first four rows are of Dr. Splat's paper and its supplement (Table S3), whose thresholds were tuned on the test; the
-last two, and their classes, of VALA's. An empty cell was not reported, or not on the same scenes. These are other
-photos with SAM's masks and OpenCLIP: compare the order of the systems, never the numbers."""
+The first four rows are of Dr. Splat's paper and its supplement (Table S3), with thresholds tuned on the test; the last
+two, and their classes, of VALA's. These are other photos, masks and embeddings: compare the order of the systems, never
+the numbers."""
 
 
 def papers_table() -> str:

@@ -168,11 +168,20 @@ def field_folder(capture, tmp_path_factory) -> Path:
     return folder
 
 
-def test_the_layout_of_a_field_is_as_documented(field_folder):
-    """formats.md lists | `file` | `name` | dtype |; `coarse*` are of residual codes, `view_times` of films."""
+def table_of(file: str) -> str:
+    """Return the rows of the table of formats.md that describes a file of a field."""
     text = (ROOT / "docs/formats.md").read_text(encoding="utf-8")
-    listed = re.findall(r"^\| `(\w+\.safetensors)` \| `(\w+)` \| (\w+) \|", text, re.MULTILINE)
-    documented = {(file, name): dtype for file, name, dtype in listed}
+    (table,) = re.findall(rf"^\| `{re.escape(file)}` \| .+\n((?:\|.*\n)+)", text, re.MULTILINE)
+    return str(table)
+
+
+def test_the_layout_of_a_field_is_as_documented(field_folder):
+    """formats.md has a table for each file; `coarse*` are of residual codes, `view_times` of films."""
+    documented = {
+        (file, name): dtype
+        for file in (path.name for path in field_folder.glob("*.safetensors"))
+        for name, dtype in re.findall(r"^\| `(\w+)` \| (\w+) \(", table_of(file), re.MULTILINE)
+    }
     for part in ("codes", "evidence", "negatives", "contrast", "objects", "growth"):
         file = f"{part}.safetensors"
         tensors, _ = map_tensors(field_folder / file)
@@ -182,6 +191,5 @@ def test_the_layout_of_a_field_is_as_documented(field_folder):
 
 
 def test_the_manifest_of_a_field_is_as_documented(field_folder):
-    text = (ROOT / "docs/formats.md").read_text(encoding="utf-8")
-    keys = set(re.findall(r"^\| `field.json` \| `(\w+)` \|", text, re.MULTILINE))
+    keys = set(re.findall(r"^\| `(\w+)` \|", table_of("field.json"), re.MULTILINE))
     assert keys == set(json.loads((field_folder / "field.json").read_text()))

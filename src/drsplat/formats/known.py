@@ -118,12 +118,11 @@ FORMATS = (
     SceneFormat(
         "PLY", suffixes=(".ply",), marks=(b"ply\n", b"ply\r"), parse=_parse_ply, write={".ply": _write_ply},
         holds=_NAMED | {"columns", "surfels"},
-        row="| 3DGS PLY `.ply` | yes | yes | little- and big-endian binary, ASCII; properties by name, in any order, "
-        "of a float type or [as other programs mean them](#files-of-other-programs); SH degree 0 to 3; further "
-        "scalar properties are kept in `Gaussians.extra`; other elements are stepped over; infinite opacity "
-        "logits (SuperSplat writes them); no `scale_2`: [surfels](#surfels) | meshes and point clouds: train them"
-        " first; colours of linear light: export it in sRGB; rows that are no Gaussians, with their number and "
-        "the first: delete them in SuperSplat or with `splat-transform --filter-nan` |",
+        row="| 3DGS PLY `.ply` | yes | yes | binary of either byte order, ASCII; properties by name, of a float type "
+        "or [as other programs mean them](#files-of-other-programs); SH degree 0 to 3; further scalar properties, "
+        "in `Gaussians.extra`; infinite opacity logits; no `scale_2`: [surfels](#surfels) | meshes and point "
+        "clouds: train them first; linear light: export in sRGB; rows that are no Gaussians: delete them in "
+        "SuperSplat or with `splat-transform --filter-nan` |",
     ),
     SceneFormat(
         "compressed PLY", parse=_parse_ply,
@@ -133,10 +132,9 @@ FORMATS = (
     SceneFormat(
         "SPZ", suffixes=(".spz",), marks=(SPZ_MAGIC, GZIP_DEFLATE), parse=parse_spz,
         write={".spz": _encoded_by(lambda scene: spz_bytes(scene.gaussians))},
-        row="| SPZ `.spz` | 2, 3, 4 | 3, by [`drsplat export`](export.md) and in pages (`formats/spz_writing.py`); 4 "
-        "with `spz4_bytes` there ([objects](#objects-in-an-spz)) | extension 0xADBE0003 (axes); several gzip "
-        "members, padding with zeros; SH degree 4 is cut to 3 with a warning | version 1, level-of-detail trees: "
-        "export again without; sizes that the compressed bytes cannot hold |",
+        row="| SPZ `.spz` | 2, 3, 4 | 3, by [`drsplat export`](export.md) and in pages; 4 with "
+        "`formats/spz_writing.py` ([objects](#objects-in-an-spz)) | extension 0xADBE0003 (axes); several gzip "
+        "members; SH degree 4 is cut to 3 with a warning | version 1, level-of-detail trees: export again without |",
     ),
     SceneFormat(
         SPZ_4, write={SPZ_4: _encoded_by(spz4_bytes)}, holds=_NAMED,
@@ -151,26 +149,24 @@ FORMATS = (
         "streamed SOG", files=(LOD_META,), read=read_streamed_sog, write={LOD_META: write_streamed_sog},
         holds=_NAMED | {"surfels"},
         row="| streamed SOG, the folder with its `lod-meta.json` | 1 | 1, of a scene or of tiles "
-        "([levels](#streamed-sog)) | the finest level, in the order of the tree, then the environment; in Python "
-        "any level | trees that name chunks there are not, or outside of the folder |",
+        "([levels](#streamed-sog)) | the finest level, then the environment; in Python any level | chunks that are "
+        "missing or outside of the folder |",
     ),
     SceneFormat(
         ".splat", suffixes=(".splat",), by_suffix=True, parse=parse_splat,
-        row="| `.splat` | yes | no | told by its suffix, as it has no mark; SH degree 0 | a size that is no multiple "
-        "of 32 bytes |",
+        row="| `.splat` | yes | no | told by its suffix; SH degree 0 | a size that is no multiple of 32 bytes |",
     ),
     SceneFormat(
         "KSPLAT", suffixes=(".ksplat",), by_suffix=True, marks=(KSPLAT_MAGIC,), parse=parse_ksplat,
-        row="| KSPLAT `.ksplat` | 0.1 | no | levels 0 to 2; SH degree 0 to 2, [layout](#ksplat) | counts, buckets and"
-        " sections that are not exactly the file; a scene saved before it was loaded: export it again |",
+        row="| KSPLAT `.ksplat` | 0.1 | no | levels 0 to 2; SH degree 0 to 2, [layout](#ksplat) | sections that are "
+        "not exactly the file; a scene saved before it was loaded: export it again |",
     ),
     SceneFormat(
         "GLB", suffixes=(".glb",), marks=(GLB_MAGIC,), parse=parse_glb, write={".glb": write_glb}, holds=_ALMOST_ALL,
         row="| GLB `.glb`, glTF `.gltf` with KHR_gaussian_splatting | yes | `.glb` | floats and the integers that the"
-        " extension allows; nodes, with harmonics turned along; several primitives; SPZ within "
-        "(`..._compression_spz_2`); numbers and names of objects, [layout](#glb) | colours of linear light; "
-        "transforms that shear; extensions that are required and not known; negative scales, which are logarithms"
-        " of drafts; buffers that are not right beside a `.gltf` |",
+        " extension allows; nodes and primitives; SPZ within (`..._compression_spz_2`); numbers and names of "
+        "objects, [layout](#glb) | linear light; transforms that shear; unknown required extensions; negative "
+        "scales, the logarithms of drafts; buffers that are not right beside a `.gltf` |",
     ),
     SceneFormat(
         "glTF", suffixes=(".gltf",), by_suffix=True, parse=parse_glb, read=read_glb,
@@ -180,12 +176,10 @@ FORMATS = (
         read=lambda path: scene_of(layer_of(path)).gaussians,
         write={".usda": write_usda, ".usdc": write_usdc, ".usdz": write_usdz}, holds=_ALMOST_ALL,
         row="| OpenUSD `.usda`, `.usdc`, `.usdz`, `.usd` | 26.03 | `.usda`, `.usdc`, `.usdz` | "
-        "ParticleField3DGaussianSplat, single and half precision; primvars with a number per Gaussian; `.usda` "
-        'needs no library, binary files need `pip install ".[usd]"` ([layout](#openusd)); SH degree above 3'
-        " is cut with a warning | colours of linear light or of other primaries than sRGB's, by ColorSpaceAPI as "
-        "USD resolves it or by `colorSpace` of the harmonics: export it in `srgb_rec709_scene`; stages whose "
-        "splats lie in other files or variants: flatten them; splats that move; several splats of which some are "
-        "moved: one file each |",
+        "ParticleField3DGaussianSplat, single and half precision; primvars with a number per Gaussian; binary "
+        'files need `pip install ".[usd]"` ([layout](#openusd)); SH degree above 3 is cut with a warning | linear '
+        "light or other primaries: export in `srgb_rec709_scene`; splats in other files or variants: flatten the "
+        "stage; splats that move; several splats of which some are moved: one file each |",
     ),
     SceneFormat(
         "trained model",
@@ -205,8 +199,8 @@ FORMATS = (
     ),
     SceneFormat(
         "rerun", write={".rrd": write_rrd}, holds=frozenset({"names", "matches", "annotations", "photos"}),
-        row="| rerun `.rrd` | no | 0.41 | splats (unstable in its SDK), objects, groups and matches as boxes with "
-        "names, annotations, photos with cameras, motion on a timeline (`formats/rerun_writing.py`); needs `pip "
+        row="| rerun `.rrd` | no | 0.41 | splats (unstable in its SDK), objects, groups and matches as named "
+        "boxes, annotations, photos with cameras, motion on a timeline; needs `pip "
         'install ".[rerun]"` | |',
     ),
     SceneFormat(
@@ -216,7 +210,7 @@ FORMATS = (
     SceneFormat(
         "checkpoints",
         row="| checkpoints of nerfstudio, gsplat and 3DGS (`.ckpt`, `.pt`, `.pth`) | no | no | | never opened, as "
-        "they can run code; the error names the command that exports a PLY |",
+        "they can run code: the error names the command that exports a PLY |",
     ),
 )  # fmt: skip
 WRITERS: Mapping[str, Writer] = {kind: write for one in FORMATS for kind, write in one.write.items()}

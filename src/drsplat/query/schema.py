@@ -81,9 +81,8 @@ EXCLUDE = QueryField(
 CUT = (
     QueryField(
         "threshold", "threshold", "T|auto",
-        "select scores above this (default: auto, which adapts to the scene: with CLIP-like encoders, words must fit "
-        "better than a list of words; with a built-in encoder, they must exceed its own threshold; for vectors, "
-        "pictures and clicks, it is 0.6 of the way from the median cosine to the highest ones)",
+        "select scores above this (default: auto, where words must fit better than a list of words or, with a "
+        "built-in encoder, exceed its own threshold)",
         (*PROGRAMS, Place.CATALOGUE, Place.WORDS), group="cut",
     ),
     QueryField(
