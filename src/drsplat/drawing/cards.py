@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ..base.arrays import Float32, Indices, OtherPixels, Pixels
+from ..base.arrays import Indices, OtherPixels, PixelNumbers, Pixels
 from .heat import LUMA
 from .pictures import FAINT, INK, PAPER, border, fitting
 
@@ -74,7 +74,7 @@ def _write(picture: Image.Image, left: int, top: int, lines: Sequence[tuple[str,
         top += line
 
 
-def cut_out(photo: Pixels, share: Float32[np.ndarray, "h w"], size: tuple[int, int] = TILE_PIXELS) -> OtherPixels:
+def cut_out(photo: Pixels, share: PixelNumbers, size: tuple[int, int] = TILE_PIXELS) -> OtherPixels:
     """Return a tile of the part of a photo where `share` is above a half, outlined; all of it if there is none.
 
     share: as of `visible_share`, at the photo's size. size: width and height of the tile, of 4 to 3.
@@ -96,7 +96,7 @@ def _cropped(picture: Image.Image, window: tuple[int, int, int, int], size: tupl
     return canvas.resize(size, Image.Resampling.BICUBIC)
 
 
-def _window(share: Float32[np.ndarray, "h w"]) -> tuple[int, int, int, int]:
+def _window(share: PixelNumbers) -> tuple[int, int, int, int]:
     """Return left, top, right and bottom around the object: in a tile's proportions, in the photo where it fits."""
     rows, columns = np.nonzero(share > 0.5 * min(1.0, float(share.max(initial=0))))
     if not len(rows):

@@ -7,7 +7,7 @@ from itertools import combinations
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ..base.arrays import Float64, Matrix3, Pixels, Vector3
+from ..base.arrays import DoubleRows, Float64, Matrix3, Pixels, Vector3
 from ..scene.annotations import Annotation
 from ..scene.views import View
 from .pictures import OUTLINE_COLOR
@@ -207,7 +207,7 @@ def _places(
     return np.stack([x, y, x + wide, y + high], axis=1)
 
 
-def _shared(places: Float64[np.ndarray, "c 4"], taken: Float64[np.ndarray, "t 4"]) -> Float64[np.ndarray, "c t"]:
+def _shared(places: Float64[np.ndarray, "n 4"], taken: Float64[np.ndarray, "k 4"]) -> DoubleRows:
     """Return the number of pixels that each place shares with each taken plate."""
     a, b = places[:, None], taken[None]
     sides = np.minimum(a[..., 2:], b[..., 2:]) - np.maximum(a[..., :2], b[..., :2])

@@ -16,7 +16,7 @@ from urllib.parse import quote
 import numpy as np
 from PIL import Image
 
-from ..base.arrays import Doubles, Flags, Float32, Float64, Mask, Numbers
+from ..base.arrays import Doubles, Flags, Float32, Mask, Numbers, OtherDoubles
 from ..errors import FormatError, InputError, MismatchError
 from ..formats.json_files import excerpt, read_json
 from ..formats.replacing import replacing
@@ -172,9 +172,7 @@ def best_sweep(means: Mapping[str, float]) -> str | None:
     return best
 
 
-def sweep_weighted_ious(
-    scores: Numbers, truth: Flags, weights: Doubles, thresholds: Sequence[float]
-) -> Float64[np.ndarray, " t"]:
+def sweep_weighted_ious(scores: Numbers, truth: Flags, weights: Doubles, thresholds: Sequence[float]) -> OtherDoubles:
     """Return Eq. 3's IoU of {score > t} for each threshold t, in one pass over the Gaussians.
 
     A score of NaN is above no threshold.

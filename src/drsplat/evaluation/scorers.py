@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from ..base.arrays import Bool, Embedding, Float32, Float64, Integer, Real
+from ..base.arrays import Bool, Embedding, Flags, Float32, Float64, FloatRows, Integer, Real
 from ..errors import MismatchError
 from ..field import LanguageField, relevancy_from_scores
 from ..formats.peer_features import Rows
@@ -172,7 +172,7 @@ def mean_interval(values: Numbers, level: float = 0.95) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _ratio(part: PerClass, whole: PerClass, present: Bool[np.ndarray, " c"]) -> PerClass:
+def _ratio(part: PerClass, whole: PerClass, present: Flags) -> PerClass:
     ratio: np.ndarray = np.divide(part, whole, out=np.full(len(part), np.nan), where=present)
     return ratio
 
@@ -207,7 +207,7 @@ class Scorer:
     about: Mapping[str, object] = field(default_factory=dict)
     views: tuple[str, ...] | None = None
     least: float | None = None
-    several: Callable[[Sequence[str]], Float32[np.ndarray, "q N"]] | None = None
+    several: Callable[[Sequence[str]], FloatRows] | None = None
     answer: Callable[[str], tuple[Scores, float]] | None = None
     classes: Callable[[Sequence[str]], Iterator[Scores]] | None = None
 
@@ -233,7 +233,7 @@ def cosine_scorer(source: LanguageField, encoder: Encoder, name: str = "cosine",
     """
     source.check_encoder(encoder.identity)
 
-    def several(texts: Sequence[str]) -> Float32[np.ndarray, "q N"]:
+    def several(texts: Sequence[str]) -> FloatRows:
         queries = np.stack([embed_query(encoder, source, text) for text in texts])
         rows = source.scores(queries, threads=threads)
         return np.stack([source.dense(by_object(source, row), fill=float("nan")) for row in rows])
@@ -309,7 +309,7 @@ def relevant(cosines: Scorer, name: str = "relevancy") -> Scorer:
     def scores(text: str) -> Scores:
         return relevancy_from_scores(cosines.scores(text), best_negative())
 
-    def several(texts: Sequence[str]) -> Float32[np.ndarray, "q N"]:
+    def several(texts: Sequence[str]) -> FloatRows:
         rows = cosines.each(texts)
         return np.stack([relevancy_from_scores(row, best_negative()) for row in rows])
 

@@ -6,7 +6,18 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from ..base.arrays import Bool, Doubles, Float32, Float64, Indices, Int64, Points, Quats
+from ..base.arrays import (
+    Doubles,
+    Flags,
+    Float32,
+    FloatRows,
+    IndexRows,
+    Indices,
+    OtherIndices,
+    OtherPoints,
+    Points,
+    Quats,
+)
 from ..errors import InputError, MismatchError
 from ..formats.json_files import ids_of
 from ..scene.gaussians import SH_C0, Gaussians
@@ -79,7 +90,7 @@ def carry_field(field: LanguageField, assignment: Assignment) -> LanguageField:
     )  # fmt: skip
 
 
-def check_found(found: Bool[np.ndarray, " r"], reach: float) -> None:
+def check_found(found: Flags, reach: float) -> None:
     """Refuse to go on where too many are lost. Raises: MismatchError."""
     lost = int(np.count_nonzero(~found))
     if lost > MAX_LOST_SHARE * len(found):
@@ -113,13 +124,8 @@ def _looks(gaussians: Gaussians) -> Quats:
 
 
 def _candidates(
-    here: Points,
-    there: Float64[np.ndarray, "m 3"],
-    reach: float,
-    old: Quats,
-    new: Float32[np.ndarray, "m 4"],
-    threads: int,
-) -> tuple[Int64[np.ndarray, "n k"], Float32[np.ndarray, "n k"]]:
+    here: Points, there: OtherPoints, reach: float, old: Quats, new: Float32[np.ndarray, "m 4"], threads: int
+) -> tuple[IndexRows, FloatRows]:
     """Return rows of the new scene near each Gaussian, the most alike first, and how unlike: infinite out of reach."""
     tree, count = cKDTree(there), min(CANDIDATE_NEIGHBOURS, len(there))
     found, costs = np.empty((len(here), count), np.int64), np.empty((len(here), count), np.float32)
@@ -133,7 +139,7 @@ def _candidates(
     return found, costs
 
 
-def _objects_lost(found: Int64[np.ndarray, "n k"], costs: Float32[np.ndarray, "n k"], count: int) -> Indices:
+def _objects_lost(found: IndexRows, costs: FloatRows, count: int) -> Indices:
     """Give each row of the new scene to one Gaussian: the most alike first, of equal ones the lower row."""
     rows, taken = np.full(len(found), -1), np.zeros(count, bool)
     for choice in range(found.shape[1]):
@@ -147,7 +153,7 @@ def _objects_lost(found: Int64[np.ndarray, "n k"], costs: Float32[np.ndarray, "n
     return rows
 
 
-def _ascending(rows: Int64[np.ndarray, " r"]) -> tuple[Int64[np.ndarray, " s"], Int64[np.ndarray, " s"]]:
+def _ascending(rows: OtherIndices) -> tuple[Indices, Indices]:
     """Return which rows are found again, in the order of their new ones, and these."""
     (kept,) = np.nonzero(rows >= 0)
     order = kept[np.argsort(rows[kept])]

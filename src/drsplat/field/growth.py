@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.arrays import Int32, Sparse, UInt32
+from ..base.arrays import OtherIds, Sparse, UnsignedIds
 from ..errors import FormatError, InputError
 from ..formats.json_files import excerpt, is_text
 from ..formats.tensors import check_tensors
@@ -42,11 +42,11 @@ class Growth:
 
     provenance: Provenance
     code: PQ | Mixture | Smaller | None
-    rest_ids: UInt32[np.ndarray, " q"]
+    rest_ids: UnsignedIds
     rest: Sparse
     learnt_from: tuple[str, ...] = ()
     scene_atoms: SceneAtoms | None = None
-    scene_places: Int32[np.ndarray, " p"] | None = None
+    scene_places: OtherIds | None = None
     removed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Int64, RowIds, Vector3
+from ..base.arrays import Indices, Int64, RowIds, Vector3
 from ..errors import FormatError, InputError
 from ..formats.claiming import claimed_output
 from ..formats.json_files import are_rows, as_vector, ids_of, is_text, read_json, runs_of, spans_of, spans_of_runs
@@ -59,7 +59,7 @@ class Label:
         """Return True if the label names Gaussians of the field's scene."""
         return self.scene == field.scene and int(self.spans[-1, 1]) <= field.num_gaussians
 
-    def gaussian_ids(self, field: LanguageField) -> Int64[np.ndarray, " m"]:
+    def gaussian_ids(self, field: LanguageField) -> Indices:
         """Return the rows of the field's scene, ascending; none where it is of another one."""
         if not self.is_of(field):
             return np.empty(0, np.int64)

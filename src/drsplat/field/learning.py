@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Bool
+from ..base.arrays import Bool, Flags
 from ..scene.encoders import EncoderIdentity
 from .codes import PQ, Codebook, Mixture, Track, train_codebook
 from .codes.codebook import MAX_TRAINING_POINTS
@@ -30,7 +30,7 @@ Sampler = Callable[[Aggregated, Bool[np.ndarray, " m"]], Aggregated]
 """The rows of features that some columns alone have any for. Columns: True for those."""
 
 
-def rows_of_columns(features: Aggregated, kept: Bool[np.ndarray, " m"]) -> Aggregated:
+def rows_of_columns(features: Aggregated, kept: Flags) -> Aggregated:
     """Return the rows of features that some columns alone have any for: a `Sampler` of this process."""
     if not kept.all():
         features = Aggregated(of_columns(features.evidence, kept), features.donors, features.record)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import zstandard
 
-from ..base.arrays import Float32, Int32, Int64
+from ..base.arrays import Embeddings, Int32, Int64
 from ..errors import FormatError, InputError
 from .json_files import as_kind, document_in
 from .tensors import check_tensors, read_tensors, write_tensors
@@ -32,7 +32,7 @@ class CompactFile:
     """
 
     path: Path
-    embeddings: Float32[np.ndarray, "n d"]
+    embeddings: Embeddings
     size: tuple[int, int]
     levels: tuple[int, ...]
     maps: tuple[np.ndarray, ...]
@@ -54,10 +54,7 @@ class CompactFile:
 
 
 def write_compact(
-    path: Path,
-    mask_ids: Int32[np.ndarray, "*levels h w"],
-    embeddings: Float32[np.ndarray, "n d"],
-    overwrite: bool = False,
+    path: Path, mask_ids: Int32[np.ndarray, "*levels h w"], embeddings: Embeddings, overwrite: bool = False
 ) -> None:
     """Write one photo's features; maps that are alike are kept once.
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float32, Numbers
+from ..base.arrays import Embeddings, Float32, Numbers
 from ..base.contents import file_bytes, open_file
 from ..errors import FormatError, InputError
 
@@ -25,7 +25,7 @@ class FaissQuantizer(NamedTuple):
     """coarse: None, or the centroids whose residuals are coded."""
 
     centroids: Float32[np.ndarray, "L c d"]
-    coarse: Float32[np.ndarray, "C D"] | None
+    coarse: Embeddings | None
 
 
 class _Bytes:
@@ -92,7 +92,7 @@ def _index_header(source: _Bytes) -> int:
     return dim
 
 
-def _inverted_file(source: _Bytes, path: Path) -> tuple[int, Float32[np.ndarray, "C D"] | None]:
+def _inverted_file(source: _Bytes, path: Path) -> tuple[int, Embeddings | None]:
     """Return the dimension and coarse centroids; None where codes are of the vectors themselves."""
     dim = _index_header(source)
     lists = source.number(8)

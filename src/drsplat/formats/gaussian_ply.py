@@ -32,7 +32,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Float32, Harmonics, Quats, Shaped, UInt32, Vector3, Vectors
+from ..base.arrays import Float32, FloatRows, Harmonics, Quats, Shaped, UnsignedIds, Vector3, Vectors
 from ..errors import DrSplatWarning, FormatError, InputError
 from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians, filled, flat
 from ..scene.placing import local_origin
@@ -382,13 +382,11 @@ def _packed_rest_names(header: Header) -> list[str]:
     return names
 
 
-def _packed(vertex: Records, which: int) -> UInt32[np.ndarray, " n"]:
+def _packed(vertex: Records, which: int) -> UnsignedIds:
     return vertex[PACKED[which]].astype(np.uint32)
 
 
-def _unpack(
-    packed: UInt32[np.ndarray, " n"], shifts: tuple[int, ...], bits: tuple[int, ...]
-) -> Float32[np.ndarray, "n c"]:
+def _unpack(packed: UnsignedIds, shifts: tuple[int, ...], bits: tuple[int, ...]) -> FloatRows:
     """Return bit fields as fractions of their range."""
     result = np.empty((len(packed), len(shifts)), np.float32)
     for column, (shift, width) in enumerate(zip(shifts, bits, strict=True)):

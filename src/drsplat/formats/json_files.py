@@ -14,7 +14,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import numpy as np
 
-from ..base.arrays import Doubles, Float64, Int64, Matrix3, Matrix4, RowIds, Vector3
+from ..base.arrays import DoubleRows, Doubles, Indices, Int64, Matrix3, Matrix4, RowIds, Vector3
 from ..base.contents import file_text
 from ..errors import FormatError, InputError
 from .replacing import replacing
@@ -124,7 +124,7 @@ def as_vector(value: object, length: int, where: str) -> Doubles:
     return np.array([as_number(item, where) for item in value])
 
 
-def as_matrix(value: object, rows: int, columns: int, where: str) -> Float64[np.ndarray, "r c"]:
+def as_matrix(value: object, rows: int, columns: int, where: str) -> DoubleRows:
     """Return `rows` lists of `columns` finite numbers."""
     if not isinstance(value, list) or len(value) != rows:
         raise FormatError(f"{where}: expected {rows} rows of {columns} numbers, got {excerpt(value)}")
@@ -250,7 +250,7 @@ def are_rows(spans: Spans) -> bool:
     return bool(len(ends) and ends[0] >= 0 and (ends[1:] > ends[:-1]).all())
 
 
-def ids_of(spans: Spans) -> Int64[np.ndarray, " m"]:
+def ids_of(spans: Spans) -> Indices:
     """Return the rows that spans stand for. The caller has checked the last one, which may be any number."""
     lengths = spans[:, 1] - spans[:, 0]
     ends = np.cumsum(lengths)

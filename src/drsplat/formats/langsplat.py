@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from ..base.arrays import Float32, Int32, Int64
+from ..base.arrays import Embeddings, Indices, Int32, Int64
 from ..base.terminal import counted
 from ..errors import DrSplatError, FormatError, InputError, MismatchError
 from ..scene.encoders import EncoderIdentity
@@ -61,7 +61,7 @@ class LevelFeatures(ViewFeatures):
     file_rows: the row of `_f.npy` that each mask has, ascending; its id in `_s.npy`.
     """
 
-    file_rows: Int64[np.ndarray, " s"]
+    file_rows: Indices
 
 
 class FeatureFolder(Mapping[str, ViewFeatures]):
@@ -115,7 +115,7 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
             )
         return features
 
-    def stored(self, name: str) -> tuple[Int32[np.ndarray, "*levels h w"], Float32[np.ndarray, "n d"]]:
+    def stored(self, name: str) -> tuple[Int32[np.ndarray, "*levels h w"], Embeddings]:
         """Return all levels of a photo and its embeddings as they are in its files: what `write_features` takes.
 
         Raises: as indexing does.
@@ -199,7 +199,7 @@ def write_features(
     directory: str | Path,
     stem: str,
     mask_ids: Int32[np.ndarray, "*levels h w"],
-    embeddings: Float32[np.ndarray, "n d"],
+    embeddings: Embeddings,
     overwrite: bool = False,
     form: Form = "langsplat",
 ) -> None:
@@ -261,9 +261,7 @@ def _listed_keys(directory: Path) -> dict[str, Form]:
     return dict(sorted(forms.items()))
 
 
-def stored_features(
-    directory: Path, stem: str, form: Form
-) -> tuple[Int32[np.ndarray, "*levels h w"], Float32[np.ndarray, "n d"]]:
+def stored_features(directory: Path, stem: str, form: Form) -> tuple[Int32[np.ndarray, "*levels h w"], Embeddings]:
     """See `FeatureFolder.stored`."""
     files = FORMS[form][1](directory, stem)
     maps = np.stack([files.ids(level).astype(np.int32) for level in range(files.count_levels())])
@@ -318,7 +316,7 @@ def _map_embeddings(path: Path) -> np.ndarray:
     return rows
 
 
-def unit_rows(rows: np.ndarray, wanted: Int64[np.ndarray, " s"], path: Path) -> Float32[np.ndarray, "s d"]:
+def unit_rows(rows: np.ndarray, wanted: Indices, path: Path) -> Embeddings:
     """Return some rows of a file, brought to unit length. Raises: FormatError: one has no direction."""
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         taken = rows[wanted].astype(np.float64)

@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from ..base.arrays import Bool, Float, Float64, Indices, Int64, Mask, UInt8
+from ..base.arrays import Bool, ByteValues, Float, Float64, Indices, Mask
 from ..base.contents import file_text
 from ..errors import FormatError, InputError
 from .json_files import as_count, as_number, as_object, as_text, excerpt
@@ -281,7 +281,7 @@ def unpack_counts(text: str, where: str) -> Indices:
     return np.asarray(numbers)
 
 
-def _codes(text: str, where: str) -> UInt8[np.ndarray, " c"]:
+def _codes(text: str, where: str) -> ByteValues:
     raw = np.frombuffer(text.encode("utf-8", "replace"), np.uint8)
     codes: np.ndarray = raw - np.uint8(_FIRST_CODE)  # below 48 wraps to above 63
     bad = np.flatnonzero(codes > _DIGIT_MASK + _CONTINUATION_BIT)
@@ -313,10 +313,10 @@ def fill_polygon(points: Float[np.ndarray, "v 2"], height: int, width: int) -> M
 
 
 def _parity(
-    begins: Float[np.ndarray, "v 2"],
-    ends: Float[np.ndarray, "v 2"],
-    top: Int64[np.ndarray, " v"],
-    bottom: Int64[np.ndarray, " v"],
+    begins: Float[np.ndarray, "n 2"],
+    ends: Float[np.ndarray, "n 2"],
+    top: Indices,
+    bottom: Indices,
     rows: slice,
     width: int,
 ) -> Bool[np.ndarray, "r w"]:

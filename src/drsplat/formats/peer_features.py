@@ -19,7 +19,7 @@ from typing import Any, BinaryIO, Protocol, runtime_checkable
 
 import numpy as np
 
-from ..base.arrays import Float32, Integer, Num
+from ..base.arrays import Float32, Num, WholeNumbers
 from ..base.contents import open_file
 from ..errors import FormatError, InputError, MissingExtraError
 from .npy import map_npy, read_npy
@@ -52,7 +52,7 @@ class ByLeaf:
     """A feature of each leaf, and the leaf of each row; -1: none."""
 
     features: Num[np.ndarray, "l d"]
-    leaves: Integer[np.ndarray, " n"]
+    leaves: WholeNumbers
 
     @property
     def shape(self) -> tuple[int, ...]:

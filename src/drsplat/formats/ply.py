@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Colors, Float32, Points, Shaped
+from ..base.arrays import Colors, FloatRows, Points, Shaped
 from ..base.contents import file_bytes
 from ..errors import DrSplatWarning, FormatError, InputError, placed
 from .replacing import replacing
@@ -228,7 +228,7 @@ def _ascii_rows(rows: Iterator[bytes], element: Element) -> Records:
     return result
 
 
-def gather(records: Records, names: Sequence[str]) -> Float32[np.ndarray, "n c"]:
+def gather(records: Records, names: Sequence[str]) -> FloatRows:
     """Return the columns `names` of a structured array side by side as float32, whatever their type.
 
     A value that float32 cannot hold becomes infinite: judging it is the caller's.

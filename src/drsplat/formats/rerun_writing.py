@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Float64
+from ..base.arrays import Points
 from ..errors import MissingExtraError, pip_install
 from ..scene.gaussians import SH_C0, Gaussians
 from ..scene.labelled import LabelledScene, Thing
@@ -75,7 +75,7 @@ def _log(rerun: Any, stream: Any, scene: LabelledScene) -> None:
 
 def _log_motion(rerun: Any, stream: Any, scene: LabelledScene, motion: Moving) -> None:
     """Log each time of a scene that moves: all of its splats, and boxes of objects that go along with their middles."""
-    tracks: list[Float64[np.ndarray, "t 3"]] = []
+    tracks: list[Points] = []
     for time in motion.times.tolist():
         stream.set_time(TIMELINE, duration=time)
         gaussians = motion.at(time)
@@ -92,7 +92,7 @@ def _log_motion(rerun: Any, stream: Any, scene: LabelledScene, motion: Moving) -
         stream.log("world/tracks", rerun.LineStrips3D(strips.swapaxes(0, 1), labels=names), static=True)
 
 
-def _middles(scene: LabelledScene, gaussians: Gaussians) -> Float64[np.ndarray, "k 3"]:
+def _middles(scene: LabelledScene, gaussians: Gaussians) -> Points:
     """Return the mean position of the Gaussians of each object; zero for those without."""
     owners = np.full(len(gaussians), -1) if scene.object_of is None else scene.object_of
     own, count = owners >= 0, len(scene.things)

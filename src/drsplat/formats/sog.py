@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Float32, Harmonics, Numbers, Quats, UInt8, Vector3, Vectors
+from ..base.arrays import Float32, FloatRows, Harmonics, Numbers, Quats, UInt8, Vector3, Vectors
 from ..base.contents import file_bytes, open_file
 from ..errors import FormatError
 from ..scene.gaussians import Gaussians, flat
@@ -282,7 +282,7 @@ class _Sog:
         refuse_implausible(4 * width * height, max(noise, len(data)))
         return webp_pixels(data, name).reshape(-1, 4)[: self.count]
 
-    def _between(self, part: str, steps: np.ndarray, most: int) -> Float32[np.ndarray, "n k"]:
+    def _between(self, part: str, steps: np.ndarray, most: int) -> FloatRows:
         """Return `most` steps from mins to maxs."""
         mins, maxs = (
             as_vector(_part(self.meta, part).get(end), steps.shape[1], f"{META}: {part}: {end}")
@@ -336,7 +336,7 @@ class _Sog:
             raise FormatError(f"row {int(chosen.argmax())} names entry {chosen.max()} of a palette of {len(palette)}")
         return np.asarray(palette[chosen])
 
-    def _palette(self) -> Float32[np.ndarray, "p k 3"]:
+    def _palette(self) -> Harmonics:
         name = _file(self.meta, "shN", 0)
         data = self.member(name)
         width, height = webp_size(data, name)

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Ids, Int32, Matrix4, Vector3
+from ..base.arrays import Ids, Matrix4, OtherIds, Vector3
 from ..scene.gaussians import Gaussians, concatenated
 from ..scene.geodesy import enu_axes, geocentric
 from ..scene.labelled import PLY_UP, LabelledScene, Thing, numbers_of
@@ -300,7 +300,7 @@ def _declared(gaussians: Gaussians, binary: Binary) -> dict[str, int]:
     return {name: number for number, name in enumerate(kinds)}
 
 
-def _table_of(objects: Ids, things: Sequence[Thing]) -> tuple[Int32[np.ndarray, " u"], Table]:
+def _table_of(objects: Ids, things: Sequence[Thing]) -> tuple[OtherIds, Table]:
     """Return the places of the objects that are in the tile, and their table."""
     used = np.unique(objects[objects >= 0])
     numbers = numbers_of(things)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Float32
+from ..base.arrays import Embeddings
 from ..errors import FormatError, InputError, did_you_mean
 from ..scene.encoders import EncoderIdentity
 from .checksums import check_checksums
@@ -23,12 +23,12 @@ class VocabularyEncoder:
     embeddings: one unit vector per text of `texts`.
     """
 
-    def __init__(self, identity: EncoderIdentity, texts: Sequence[str], embeddings: Float32[np.ndarray, "t d"]) -> None:
+    def __init__(self, identity: EncoderIdentity, texts: Sequence[str], embeddings: Embeddings) -> None:
         self.identity, self.texts, self.embeddings = identity, tuple(texts), embeddings
         self._rows = {text.lower(): row for row, text in reversed(list(enumerate(self.texts)))}
         self._rows |= {text: row for row, text in enumerate(self.texts)}
 
-    def encode_texts(self, texts: Sequence[str]) -> Float32[np.ndarray, "t d"]:
+    def encode_texts(self, texts: Sequence[str]) -> Embeddings:
         """Look the texts up, as they are or else as `spellings` of one that is there: "Mugs" is "mug".
 
         Raises: InputError: a text that is not in the vocabulary; the message has the closest ones.
@@ -126,7 +126,7 @@ def _read_safetensors(path: Path) -> tuple[list[str], np.ndarray, Mapping[str, s
     return texts, vectors, metadata
 
 
-def _unit(texts: Sequence[str], vectors: np.ndarray, path: Path) -> Float32[np.ndarray, "t d"]:
+def _unit(texts: Sequence[str], vectors: np.ndarray, path: Path) -> Embeddings:
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         wide = vectors.astype(np.float64)
         norms = np.sqrt((wide**2).sum(1))

@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from ..base.arrays import Embeddings, Float32, Float64, Int, Int64, UInt8, UInt64
+from ..base.arrays import ByteRows, ByteValues, Embeddings, Float32, Float64, Int, OtherIndices, UInt64
 from .algebra import CENTROIDS, code_sums, pq_encode
 
 KMEANS_STEPS = 12
@@ -78,10 +78,7 @@ def _starts(keys: UInt64[np.ndarray, " n"], rng: "np.random.Generator") -> Int[n
 
 
 def _update(
-    centroids: Float32[np.ndarray, "L c d"],
-    parts: Float32[np.ndarray, "n L d"],
-    codes: UInt8[np.ndarray, "n L"],
-    threads: int,
+    centroids: Float32[np.ndarray, "k c d"], parts: Float32[np.ndarray, "n k d"], codes: ByteRows, threads: int
 ) -> None:
     """Move each centroid to the mean of its points, in place."""
     sums, counts = code_sums(parts.reshape(len(parts), -1), codes, threads=threads)
@@ -93,10 +90,7 @@ def _update(
 
 
 def _move_idle(
-    centroids: Float32[np.ndarray, "c d"],
-    idle: Int64[np.ndarray, " i"],
-    columns: Float64[np.ndarray, "d n"],
-    codes: UInt8[np.ndarray, " n"],
+    centroids: Float32[np.ndarray, "c d"], idle: OtherIndices, columns: Float64[np.ndarray, "d n"], codes: ByteValues
 ) -> None:
     """Put centroids that serve no point on those that are served worst."""
     distances = ((columns - centroids[codes].T) ** 2).sum(axis=0)

@@ -8,7 +8,7 @@ set of `available_isas()`, "" the best (or what the variable DRSPLAT_ISA names).
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Float32, Harmonics, Ids, MaskIds, Vectors
+from ..base.arrays import Float32, FloatRows, Harmonics, Ids, MaskIds, Vectors
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 from ..scene.views import View
@@ -134,8 +134,8 @@ def heaviest_labels(seen: Contributions, labels: Ids, *, threads: int = 0) -> Ma
 def render_channels(
     splats: SplatArrays,
     view: View,
-    values: Float32[np.ndarray, "n c"],
-    background: Float32[np.ndarray, " c"] | None = None,
+    values: FloatRows,
+    background: Float32[np.ndarray, " k"] | None = None,
     *,
     threads: int = 0,
     isa: str = "",

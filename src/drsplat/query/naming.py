@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.arrays import Embedding, Embeddings, Float32
+from ..base.arrays import Embedding, Embeddings, OtherEmbeddings
 from ..errors import InputError
 from ..field import LanguageField
 from ..formats.vocabulary import VocabularyEncoder
@@ -96,8 +96,8 @@ def object_names(
 class _Seen:
     """Descriptors to be named. pictures: usual ones of the scene. rows: a descriptor for each node that `has` one."""
 
-    pictures: Float32[np.ndarray, "s D"]
-    rows: Float32[np.ndarray, "r D"]
+    pictures: OtherEmbeddings
+    rows: Embeddings
     has: list[bool]
 
 
@@ -126,7 +126,7 @@ def _sure_texts(
 
 
 def _sure(
-    seen: _Seen, texts: Sequence[str], vectors: Embeddings, every: Float32[np.ndarray, "m D"], least: float
+    seen: _Seen, texts: Sequence[str], vectors: Embeddings, every: OtherEmbeddings, least: float
 ) -> list[str | None]:
     """Return the text that each node is called by; see `_sure_words`."""
     sure = iter(_sure_words(seen, vectors, every, least))
@@ -134,7 +134,7 @@ def _sure(
     return [texts[word] if word >= 0 else None for word in chosen]
 
 
-def _sure_words(seen: _Seen, vectors: Embeddings, every: Float32[np.ndarray, "m D"], least: float) -> list[int]:
+def _sure_words(seen: _Seen, vectors: Embeddings, every: OtherEmbeddings, least: float) -> list[int]:
     """Return for each row the number of its best word, -1 where another fits nearly as well.
 
     vectors: of the words, with which `every` begins. least: by how much the best exceeds all that do not mean the same,

@@ -8,7 +8,19 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from ..base.arrays import Bool, Embedding, Float32, Ids, Int64, Integer, RowIds, Shaped, UInt8, Vector3
+from ..base.arrays import (
+    Embedding,
+    Flags,
+    Ids,
+    Indices,
+    Integer,
+    Numbers,
+    OtherPixels,
+    RowIds,
+    Shaped,
+    Vector3,
+    WholeNumbers,
+)
 from ..base.terminal import facts_html
 from ..errors import InputError, MissingExtraError
 from ..field import LanguageField
@@ -166,7 +178,7 @@ class Scene:
         ]
 
     @property
-    def agreed(self) -> Bool[np.ndarray, " o"]:
+    def agreed(self) -> Flags:
         """True for each object, by number, that photos agree on or people named: those that are shown first.
 
         Raises: InputError: the field has no objects.
@@ -449,7 +461,7 @@ class Scene:
         return Segmentation(names, labels, answers)
 
     @staticmethod
-    def _compared(answer: Answer) -> Float32[np.ndarray, " r"]:
+    def _compared(answer: Answer) -> Numbers:
         """Return values by which classes are compared where this one is selected, -inf elsewhere."""
         values = for_comparing(answer.field, answer.values, answer.vector if answer.measure == COSINE else None)
         return np.where(answer.values > answer.threshold, values, np.float32(-np.inf))
@@ -526,11 +538,11 @@ class Scene:
     def picture(
         self,
         view: View | str | None = None,
-        shown: Answer | RowIds | None = None,
+        shown: Answer | WholeNumbers | None = None,
         *,
         photo: bool = False,
         max_side: int | None = None,
-    ) -> UInt8[np.ndarray, "_ _ 3"]:
+    ) -> OtherPixels:
         """Return the RGB of the scene from a view: as it is, or with what was found in colour and the rest grey.
 
         view: a View, a name, or None for the one that shows most of what is shown. photo: the photo of
@@ -632,7 +644,7 @@ class Scene:
             return row_of(self.field, self.nearest(place))  # type: ignore[arg-type]
         return most_seen(objects, *self._weights_at(place))  # type: ignore[arg-type]
 
-    def _weights_at(self, click: tuple[str, float, float]) -> tuple[Int64[np.ndarray, " m"], Float32[np.ndarray, " m"]]:
+    def _weights_at(self, click: tuple[str, float, float]) -> tuple[Indices, Numbers]:
         """Return the rows of the field that a pixel of a photo shows, and their blending weights there."""
         view, xy = self.view(click[0]), (float(click[1]), float(click[2]))
         seen = self.seen_by(view).seen(view)

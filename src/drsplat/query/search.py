@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Embedding, Float32, Float64, Indices, Int64, MaskIds
+from ..base.arrays import DoubleRows, Embedding, FloatRows, IndexRows, Indices, MaskIds, Numbers, OtherIndices
 from ..errors import InputError
 from ..field import LanguageField, Negatives
 from ..kernels import SplatArrays, view_weights
@@ -20,8 +20,8 @@ NEGATIVES = ("object", "things", "stuff", "texture")
 class PixelWeights(NamedTuple):
     """The largest blending weights of some pixels, and the Gaussians' rows, descending; padded with -1 and 0."""
 
-    gaussian_ids: Int64[np.ndarray, "p k"]
-    weights: Float32[np.ndarray, "p k"]
+    gaussian_ids: IndexRows
+    weights: FloatRows
 
 
 UNSELECTED_COSINE = -1.0  # which no threshold selects
@@ -64,7 +64,7 @@ def split_negation(text: str) -> tuple[str, tuple[str, ...]]:
 
 def rival_scores(
     field: LanguageField, encoder: Encoder, text: str, unwanted: Sequence[str], *, threads: int = 0
-) -> Float32[np.ndarray, " r"]:
+) -> Numbers:
     """Return each row's best score for the text with an unwanted word before it: "red mug" for "mug, not red".
 
     Raises: InputError: nothing is unwanted. MismatchError: another encoder.
@@ -73,7 +73,7 @@ def rival_scores(
     return text_negatives(field, encoder, texts, threads=threads).maxima
 
 
-def without(scores: Float32[np.ndarray, " r"], rivals: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
+def without(scores: Numbers, rivals: Numbers) -> Numbers:
     """Return the scores, UNSELECTED_COSINE where a rival fits as well or better."""
     return np.asarray(np.where(rivals >= scores, np.float32(UNSELECTED_COSINE), scores))
 
@@ -95,12 +95,12 @@ def feature_of(field: LanguageField, gaussian_id: int) -> Embedding:
 def seen_among(
     field: LanguageField,
     splats: SplatArrays,
-    ids: Indices | None,
+    ids: OtherIndices | None,
     view: View,
     xy: tuple[float, float],
     *,
     threads: int = 0,
-) -> tuple[Int64[np.ndarray, " m"], Float32[np.ndarray, " m"]]:
+) -> tuple[Indices, Numbers]:
     """Return the rows of the field that a pixel of a view shows, one or more, and their blending weights there.
 
     splats, ids: of the Gaussians that the view may see, and their rows in the scene; None: they are all of it. xy:
@@ -119,13 +119,7 @@ def seen_among(
 
 
 def pixel_weights(
-    splats: SplatArrays,
-    ids: Indices | None,
-    view: View,
-    pixels: Float64[np.ndarray, "p xy"],
-    k: int,
-    *,
-    threads: int = 0,
+    splats: SplatArrays, ids: OtherIndices | None, view: View, pixels: DoubleRows, k: int, *, threads: int = 0
 ) -> PixelWeights:
     """Return the k largest blending weights of some pixels of a view. ids: as of `seen_among`.
 
@@ -143,7 +137,7 @@ def pixel_weights(
     return PixelWeights(found.gaussian_ids[order], found.weights[order])
 
 
-def _pixel_map(view: View, pixels: Float64[np.ndarray, "p xy"]) -> tuple[MaskIds, Int64[np.ndarray, " p"]]:
+def _pixel_map(view: View, pixels: DoubleRows) -> tuple[MaskIds, Indices]:
     """Return a map with a number for each of some pixels, -1 elsewhere, and the number of each.
 
     Raises: InputError: a pixel that is not finite, or outside of the view.

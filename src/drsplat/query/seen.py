@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Int64, Integer, RowIds, Vector3
+from ..base.arrays import Indices, RowIds, Vector3
 from ..errors import DrSplatWarning
 from ..field import LanguageField
 from ..field.tiles.seeing import seen_tiles
@@ -31,7 +31,7 @@ class Seen(NamedTuple):
 
     gaussians: Gaussians
     splats: SplatArrays
-    rows: Int64[np.ndarray, " m"] | None = None
+    rows: Indices | None = None
     num_left_out: int = 0
 
     def warn(self, view: View) -> None:
@@ -45,7 +45,7 @@ class Seen(NamedTuple):
                 stacklevel=3,
             )
 
-    def local(self, ids: Integer[np.ndarray, " k"]) -> Int64[np.ndarray, " l"]:
+    def local(self, ids: RowIds) -> Indices:
         """Return the places here of some rows of the scene, without those that are not here."""
         if self.rows is None:
             return ids.astype(np.int64)

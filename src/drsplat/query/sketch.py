@@ -7,7 +7,20 @@ from functools import cached_property
 
 import numpy as np
 
-from ..base.arrays import Bool, Embedding, Embeddings, Float32, Ids, Int8, Int32, Int64, Integer, Numbers, UInt8
+from ..base.arrays import (
+    ByteRows,
+    Embedding,
+    Embeddings,
+    Flags,
+    FloatRows,
+    Ids,
+    Indices,
+    Int8,
+    Numbers,
+    OtherIds,
+    OtherIndices,
+    WholeNumbers,
+)
 from ..errors import FormatError
 from ..field import LanguageField
 from ..field.codes.code import Best, Hits
@@ -45,7 +58,7 @@ class Packed:
     last quarter lie in the high bits, the lowest two in the first quarter. So whole runs of bytes are unpacked at once.
     """
 
-    data: UInt8[np.ndarray, "p b"]
+    data: ByteRows
     steps: Embedding
 
     @classmethod
@@ -63,7 +76,7 @@ class Packed:
         return cls(np.empty((0, 3 * _quarter(dim)), np.uint8), np.ones(dim, np.float32))
 
     @classmethod
-    def of(cls, vectors: Float32[np.ndarray, "p D"]) -> "Packed":
+    def of(cls, vectors: Embeddings) -> "Packed":
         """Return vectors rounded, the largest number of each dimension 31 or -31."""
         steps = np.maximum(np.abs(vectors).max(axis=0, initial=0) / LARGEST, 1e-12).astype(np.float32)
         return cls(_packed(np.round(vectors / steps).astype(np.int8)), steps)
@@ -76,10 +89,10 @@ class Packed:
         return len(self.steps)
 
     @property
-    def vectors(self) -> Float32[np.ndarray, "p D"]:
+    def vectors(self) -> Embeddings:
         return np.asarray(_unpacked(self.data, self.dim) * self.steps, np.float32)
 
-    def products(self, queries: Float32[np.ndarray, "q D"]) -> Float32[np.ndarray, "q p"]:
+    def products(self, queries: Embeddings) -> FloatRows:
         """Return the vectors' inner products with queries, without unpacking them."""
         weights = np.zeros((len(queries), 4 * _quarter(self.dim)), np.float32)
         weights[:, : self.dim] = queries * self.steps
@@ -95,13 +108,13 @@ def _quarter(dim: int) -> int:
     return -(-dim // 4)
 
 
-def _packed(numbers: Int8[np.ndarray, "p D"]) -> UInt8[np.ndarray, "p b"]:
+def _packed(numbers: Int8[np.ndarray, "n D"]) -> ByteRows:
     padded = np.pad(numbers + LARGEST, ((0, 0), (0, -numbers.shape[1] % 4))).astype(np.uint8)
     a, b, c, last = np.split(padded, 4, axis=1)
     return np.concatenate([a | last << 6, b | last >> 2 << 6, c | last >> 4 << 6], axis=1)
 
 
-def _unpacked(data: UInt8[np.ndarray, "p b"], dim: int) -> Int8[np.ndarray, "p D"]:
+def _unpacked(data: ByteRows, dim: int) -> Int8[np.ndarray, "n D"]:
     low, mid, high = np.split(data >> 6, 3, axis=1)
     numbers = np.concatenate([data & 63, low | mid << 2 | high << 4], axis=1)[:, :dim]
     return numbers.view(np.int8) - np.int8(LARGEST)
@@ -118,15 +131,15 @@ class Sketch:
     """
 
     features: Packed
-    counts: Int32[np.ndarray, " p"]
-    numbers: Int32[np.ndarray, " p"]
+    counts: Ids
+    numbers: Ids
     pictures: Packed
     words: Packed
-    solid: Int32[np.ndarray, " o"]
+    solid: OtherIds
     labels: Mapping[int, str]
 
     @cached_property
-    def firsts(self) -> Int64[np.ndarray, " p"]:
+    def firsts(self) -> Indices:
         """Per vector the first of the rows that it stands for, if all rows are in its order."""
         return np.asarray(np.cumsum(self.counts) - self.counts, np.int64)
 
@@ -179,9 +192,7 @@ def sketch_of(scene: Scene) -> Sketch:
     )  # fmt: skip
 
 
-def _summary(
-    field: LanguageField, rows: Int64[np.ndarray, " r"], number: int
-) -> tuple[Float32[np.ndarray, "p D"], Int32[np.ndarray, " p"], Int32[np.ndarray, " p"]]:
+def _summary(field: LanguageField, rows: OtherIndices, number: int) -> tuple[Embeddings, Ids, Ids]:
     """Return the means of some rows that are alike, how many rows each is of, and the number once for each."""
     most = MAX_LOOSE_VECTORS if number < 0 else MAX_VECTORS_OF_OBJECT
     count = int(np.clip(len(rows) // MIN_ROWS_PER_VECTOR, min(1, len(rows)), most))
@@ -196,7 +207,7 @@ def _summary(
     return vectors, np.array([len(group) for group in groups], np.int32), np.full(len(groups), number, np.int32)
 
 
-def _narrow(numbers: Int32[np.ndarray, " p"]) -> Integer[np.ndarray, " p"]:
+def _narrow(numbers: Ids) -> WholeNumbers:
     is_short = numbers.max(initial=0) <= np.iinfo(np.int16).max
     return numbers.astype(np.int16) if is_short else numbers
 
@@ -216,7 +227,7 @@ def _labels(document: bytes) -> dict[int, str]:
     return labels
 
 
-def unit(packed: Packed) -> Float32[np.ndarray, "p D"]:
+def unit(packed: Packed) -> Embeddings:
     """Return unit vectors that were rounded, of unit length. Raises: ValueError: they are far from unit."""
     vectors = packed.vectors
     lengths = np.sqrt(np.einsum("pd,pd->p", vectors, vectors))
@@ -257,7 +268,7 @@ class _Copies:
     def __len__(self) -> int:
         return len(self.of_row)
 
-    def scores(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Float32[np.ndarray, "q n"]:
+    def scores(self, queries: Embeddings, *, threads: int = 0) -> FloatRows:
         return np.asarray(self.packed.products(queries)[:, self.of_row])
 
     def select(
@@ -273,16 +284,16 @@ class _Copies:
         rows = np.argsort(-scores, kind="stable")[:count]
         return Hits(rows, scores[rows])
 
-    def best(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Best:
+    def best(self, queries: Embeddings, *, threads: int = 0) -> Best:
         scores = self.packed.products(queries)
         order = np.sort(np.concatenate([np.full_like(scores[:1], -np.inf), scores]), axis=0)
         index = scores.argmax(axis=0).astype(np.int32)
         return Best(index[self.of_row], order[-1][self.of_row], order[-2][self.of_row])
 
-    def decode(self, rows: Integer[np.ndarray, " b"]) -> Float32[np.ndarray, "b D"]:
+    def decode(self, rows: WholeNumbers) -> Embeddings:
         return np.asarray(self.packed.vectors[self.of_row[rows]])
 
-    def rows(self, index: Integer[np.ndarray, " b"]) -> "_Copies":
+    def rows(self, index: WholeNumbers) -> "_Copies":
         return _Copies(self.packed, self.of_row[index])
 
     def run(self, begin: int, end: int) -> "_Copies":
@@ -298,7 +309,7 @@ class _Sketched(Background):
 
     sketch: Sketch
 
-    def by_object(self, field: LanguageField, values: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
+    def by_object(self, field: LanguageField, values: Numbers) -> Numbers:
         """Return values as whole objects have them if the field is `field`, and themselves if it is `plain`."""
         if field is not self.field:
             return values
@@ -335,7 +346,7 @@ class SketchedScene:
         self._sketch = sketch
         self._background = _Sketched(_field_of(sketch, encoder), source, threads=1, sketch=sketch)
 
-    def answers(self, query: Query) -> Bool[np.ndarray, " o"]:
+    def answers(self, query: Query) -> Flags:
         """Return for each object whether the scene answers a text, a vector or a picture with it.
 
         Raises: as `Scene.ask`.

@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from ..base.arrays import Float64, Integer, Matrix3, RowIds, Vector3
+from ..base.arrays import Float64, Matrix3, RowIds, Vector3, WholeNumbers
 from ..errors import InputError
 from .parted import AnyGaussians
 from .views import View
@@ -68,7 +68,7 @@ def up_of(views: Sequence[View]) -> Vector3 | None:
         return None
 
 
-def solid(gaussians: AnyGaussians, ids: RowIds) -> Integer[np.ndarray, " s"]:
+def solid(gaussians: AnyGaussians, ids: RowIds) -> WholeNumbers:
     """Return the ids of the Gaussians opaque enough to be seen; all ids if none is."""
     visible: np.ndarray = ids[gaussians.opacities_of(ids) >= HAZE_OPACITY]
     return visible if len(visible) else ids

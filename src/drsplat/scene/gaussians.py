@@ -19,13 +19,14 @@ from ..base.arrays import (
     Float32,
     Float64,
     Harmonics,
-    Int64,
+    Indices,
     Numbers,
     Points,
     Quats,
     RowIds,
     Vector3,
     Vectors,
+    WholeNumbers,
 )
 from ..errors import InputError
 from .placing import MIN_SIZED_GAUSSIANS, local_origin, near_plane
@@ -163,7 +164,7 @@ class Gaussians:
             origin=self.origin, antialiased=self.antialiased,
         )  # fmt: skip
 
-    def opacities_of(self, index: RowIds) -> Float32[np.ndarray, " m"]:
+    def opacities_of(self, index: WholeNumbers) -> Numbers:
         """Return the opacities of some rows; `Parted` has the same method."""
         return np.asarray(self.opacities[index])
 
@@ -290,7 +291,7 @@ def significance(gaussians: Gaussians) -> Doubles:
     return np.asarray(gaussians.opacities * gaussians.scales.astype(np.float64).prod(1) ** VOLUME_POWER)
 
 
-def most_significant(gaussians: Gaussians, budget: int) -> Int64[np.ndarray, " m"]:
+def most_significant(gaussians: Gaussians, budget: int) -> Indices:
     """Return the ascending ids of the `budget` Gaussians of the largest `significance`."""
     if len(gaussians) <= budget:
         return np.arange(len(gaussians))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.arrays import Float32, Ids, Matrix3, Numbers, Vector3
+from ..base.arrays import Embedding, Ids, Matrix3, Numbers, Vector3
 from ..errors import InputError
 from .annotations import Annotation
 from .gaussians import Gaussians
@@ -34,7 +34,7 @@ class Thing:
     axes: Matrix3
     extent: Vector3
     parent: int = -1
-    embedding: Float32[np.ndarray, " d"] | None = None
+    embedding: Embedding | None = None
     number: int = -1
 
     def __post_init__(self) -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..base.arrays import Doubles, Float32, Float64, Indices, Int, Int64, Quats, Vectors
+from ..base.arrays import DoubleRows, Doubles, Float64, FloatRows, Indices, Int, OtherIndices, Quats, Vectors
 from ..errors import InputError
 from .gaussians import SH_C0, Gaussians
 
@@ -113,7 +113,7 @@ class _Sums:
         self.heaviest = self._order[self._starts]
         self._weights = masses[self._order] / np.bincount(group_of, masses)[group_of[self._order]]
 
-    def mean(self, values: Float64[np.ndarray, "n k"] | Float32[np.ndarray, "n k"]) -> Float64[np.ndarray, "g k"]:
+    def mean(self, values: DoubleRows | FloatRows) -> Float64[np.ndarray, "g k"]:
         return np.asarray(np.add.reduceat(values[self._order] * self._weights[:, None], self._starts, axis=0))
 
 
@@ -157,7 +157,7 @@ def _paired(gaussians: Gaussians, most: int, kinds: Int[np.ndarray, " n"]) -> In
     return np.asarray(numbers[leader])
 
 
-def _edges(means: Vectors) -> tuple[Int64[np.ndarray, " e"], Int64[np.ndarray, " e"]]:
+def _edges(means: Vectors) -> tuple[OtherIndices, OtherIndices]:
     """Return pairs of near rows, the lower one first, each pair once, in order."""
     from scipy.spatial import cKDTree
 
@@ -169,9 +169,7 @@ def _edges(means: Vectors) -> tuple[Int64[np.ndarray, " e"], Int64[np.ndarray, "
     return keys // len(means), keys % len(means)
 
 
-def costs(
-    gaussians: Gaussians, first: Int64[np.ndarray, " e"], second: Int64[np.ndarray, " e"]
-) -> Float64[np.ndarray, " e"]:
+def costs(gaussians: Gaussians, first: Indices, second: Indices) -> Doubles:
     """Return how much a picture changes where two Gaussians are merged: what each is away from the other, by mass."""
     masses = masses_of(gaussians)
     sizes = (gaussians.scales.astype(np.float64) ** 2).mean(1)
@@ -182,7 +180,7 @@ def costs(
     return np.asarray(a * b / (a + b) * (apart / (sizes[first] + sizes[second]) + COLOUR_WEIGHT * unlike))
 
 
-def _matched(count: int, first: Int64[np.ndarray, " e"], second: Int64[np.ndarray, " e"]) -> Int64[np.ndarray, " m"]:
+def _matched(count: int, first: Indices, second: Indices) -> OtherIndices:
     """Return edges that share no row, taken greedily in their order."""
     alive, chosen = np.arange(len(first)), []
     while len(alive):

@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64, Quats, Vector3
+from ..base.arrays import Doubles, Float32, Quats, Vector3
 from ..errors import InputError
 from .gaussians import Gaussians
 
@@ -34,7 +34,7 @@ class Moving:
     """
 
     canonical: Gaussians
-    times: Float64[np.ndarray, " t"]
+    times: Doubles
     motion: Motion
 
     def __post_init__(self) -> None:
@@ -96,7 +96,7 @@ class Frames:
     times: of the frames. read: reads a frame by number; all have the same number of rows and harmonics.
     """
 
-    times: Float64[np.ndarray, " t"]
+    times: Doubles
     read: Callable[[int], Gaussians]
     _cached: Callable[[int], Gaussians] = field(init=False, repr=False)
 
@@ -133,7 +133,7 @@ def counted_from(gaussians: Gaussians, origin: Vector3) -> Gaussians:
     return replace(gaussians, means=(gaussians.positions - origin).astype(np.float32), origin=origin)
 
 
-def check_times(times: Float64[np.ndarray, " t"]) -> None:
+def check_times(times: Doubles) -> None:
     """Check times. Raises: InputError: fewer than two, not finite, or not increasing."""
     if times.ndim != 1 or times.dtype != np.float64 or len(times) < 2:
         raise InputError(f"times: expected two or more float64 numbers, got {times.dtype} {times.shape}")

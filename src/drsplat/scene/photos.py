@@ -19,7 +19,7 @@ from PIL.BmpImagePlugin import BmpImageFile
 from PIL.JpegImagePlugin import JpegImageFile
 from PIL.TiffImagePlugin import TiffImageFile
 
-from ..base.arrays import Bool, Colors, Float64, Mask, MaskIds, Pixels
+from ..base.arrays import Bool, Colors, Float64, Mask, MaskIds, Pixels, PlanePoints
 from ..base.contents import open_file
 from ..errors import FormatError, InputError, placed
 from .lens import Points, distort_points, undistort_points
@@ -209,7 +209,7 @@ def _undistort_bilinear(view: View, photo: Pixels) -> Pixels:
     return undistorted
 
 
-def _bilinear(photo: Pixels, at: Float64[np.ndarray, "n 2"]) -> Colors:
+def _bilinear(photo: Pixels, at: PlanePoints) -> Colors:
     height, width = photo.shape[:2]
     corner = np.clip(at - 0.5, 0, (width - 1, height - 1))  # pixel centres are at half integers
     low = corner.astype(np.intp)

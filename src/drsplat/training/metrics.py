@@ -5,7 +5,7 @@ import math
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from ..base.arrays import Bool, Float64, Image, RowIds
+from ..base.arrays import Bool, Doubles, Float64, Image, RowIds
 
 WINDOW, SIGMA = 11, 1.5
 C1, C2 = 0.01**2, 0.03**2
@@ -40,7 +40,7 @@ def _blurred(values: Float64[np.ndarray, "h w 3"]) -> Float64[np.ndarray, "h w 3
     return blurred
 
 
-def _inside(values: Float64[np.ndarray, "h w"], outside: Flat | None) -> Float64[np.ndarray, " k"]:
+def _inside(values: Float64[np.ndarray, "h w"], outside: Flat | None) -> Doubles:
     flat = values.ravel()
     if outside is None or len(outside) == 0:
         return flat

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..base.arrays import Bool, Doubles, Flags, Float64, Points
+from ..base.arrays import Doubles, Flags, Float64, OtherDoubles, OtherPoints, PlanePoints, Points
 from ..errors import DrSplatWarning, InputError
 from ..formats.captures import SparsePoints
 from ..scene.views import View
@@ -85,7 +85,7 @@ def _triangulated_start(
 
 def _random_places(
     views: Sequence[View], known: Points, settings: TrainingSettings, rng: np.random.Generator
-) -> Float64[np.ndarray, "m 3"]:
+) -> OtherPoints:
     """Draw places in the space that several cameras see; where there is none, in the cube about the cameras."""
     count = settings.random_points
     if settings.max_gaussians is not None:
@@ -142,9 +142,7 @@ def _check_points(points: SparsePoints) -> None:
         )
 
 
-def fill(
-    views: Sequence[View], triangulated: Points, count: int, rng: np.random.Generator, size: float
-) -> Float64[np.ndarray, "m 3"]:
+def fill(views: Sequence[View], triangulated: Points, count: int, rng: np.random.Generator, size: float) -> OtherPoints:
     """Draw at most `count` points along random rays; fewer where cameras share little or no space.
 
     triangulated: points that random ones keep away from, and take their depths from. size: of the scene,
@@ -178,7 +176,7 @@ def depth_ranges(views: Sequence[View], triangulated: Points, size: float) -> Ra
     return ranges
 
 
-def _distances_to_focus(views: Sequence[View], size: float) -> Float64[np.ndarray, " v"]:
+def _distances_to_focus(views: Sequence[View], size: float) -> Doubles:
     """Return each camera's distance to the point nearest to all optical axes; `size` if it is not ahead."""
     centers = np.array([view.center for view in views])
     axes = np.array([view.cam_from_world[2, :3] for view in views])
@@ -191,13 +189,13 @@ def _distances_to_focus(views: Sequence[View], size: float) -> Float64[np.ndarra
     return distances
 
 
-def _depths_seen(view: View, points: Points) -> Float64[np.ndarray, " m"]:
+def _depths_seen(view: View, points: Points) -> OtherDoubles:
     pixels, depths = _projected(view, points)
     seen: np.ndarray = depths[_inside(view, pixels, depths)]
     return seen
 
 
-def _along_rays(views: Sequence[View], ranges: Ranges, rng: np.random.Generator) -> Float64[np.ndarray, "b 3"]:
+def _along_rays(views: Sequence[View], ranges: Ranges, rng: np.random.Generator) -> Points:
     """Draw points at random depths, in the view's range, through random pixels of random views."""
     chosen = rng.integers(len(views), size=BATCH_POINTS)
     shares = rng.random((BATCH_POINTS, 3))
@@ -212,9 +210,7 @@ def _along_rays(views: Sequence[View], ranges: Ranges, rng: np.random.Generator)
     return points
 
 
-def _seen_by_several(
-    views: Sequence[View], ranges: Ranges, points: Float64[np.ndarray, "b 3"]
-) -> Bool[np.ndarray, " b"]:
+def _seen_by_several(views: Sequence[View], ranges: Ranges, points: Points) -> Flags:
     """Return which points several views see in their range and no view sees right before it."""
     num_views = np.zeros(len(points), np.int32)
     is_close = np.zeros(len(points), bool)
@@ -226,7 +222,7 @@ def _seen_by_several(
     return (num_views >= min(MIN_CAMERAS, len(views))) & ~is_close
 
 
-def _projected(view: View, points: Points) -> tuple[Float64[np.ndarray, "n 2"], Doubles]:
+def _projected(view: View, points: Points) -> tuple[PlanePoints, Doubles]:
     """Return the pixels and depths (camera z) of points. Pixels of points behind the camera are meaningless."""
     in_camera = (points - view.center) @ view.cam_from_world[:3, :3].T
     depths = in_camera[:, 2]
@@ -234,7 +230,7 @@ def _projected(view: View, points: Points) -> tuple[Float64[np.ndarray, "n 2"], 
     return (in_camera @ view.K.T)[:, :2] / safe[:, None], depths
 
 
-def _inside(view: View, pixels: Float64[np.ndarray, "n 2"], depths: Doubles) -> Flags:
+def _inside(view: View, pixels: PlanePoints, depths: Doubles) -> Flags:
     inside = (pixels >= 0).all(axis=1) & (pixels < (view.width, view.height)).all(axis=1)
     return inside & (depths > 0)
 

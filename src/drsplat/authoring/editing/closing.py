@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
-from ...base.arrays import Float64, Int64, Mask, RowIds
+from ...base.arrays import Indices, Int64, Mask, Points, RowIds
 from ...errors import DrSplatWarning, InputError
 from ...formats.json_files import spans_of
 from ...scene.boxes import HAZE_OPACITY
@@ -56,7 +56,7 @@ def closing(draft: Draft, ids: RowIds) -> FillRecord:
     return FillRecord(spans_of(near[removed]), tuple(clones))
 
 
-def _near(draft: Draft, ids: RowIds, thing: Float64[np.ndarray, "t 3"]) -> Int64[np.ndarray, " k"]:
+def _near(draft: Draft, ids: RowIds, thing: Points) -> Int64[np.ndarray, " k"]:
     """Return the rows that are there around what stood there, without itself."""
     low, high = np.quantile(thing, (0.01, 0.99), axis=0)
     reach = SEARCH_MARGIN_SHARE * float(np.linalg.norm(high - low))
@@ -65,7 +65,7 @@ def _near(draft: Draft, ids: RowIds, thing: Float64[np.ndarray, "t 3"]) -> Int64
     return np.flatnonzero(near)
 
 
-def _closed(near: Int64[np.ndarray, " k"], ground: Ground) -> tuple[RowIds, list[Clones], float]:
+def _closed(near: Indices, ground: Ground) -> tuple[RowIds, list[Clones], float]:
     """Return which of the Gaussians near a thing go for a plane, what is cloned, and how much of the hole stays open.
 
     A hole that the plane is not around, or that hardly anything could close, stays as it is.
@@ -77,7 +77,7 @@ def _closed(near: Int64[np.ndarray, " k"], ground: Ground) -> tuple[RowIds, list
     return np.union1d(ground.standing, ground.guessed), clones, float(open_share)
 
 
-def _clones(near: Int64[np.ndarray, " k"], ground: Ground) -> tuple[list[Clones], Cells]:
+def _clones(near: Indices, ground: Ground) -> tuple[list[Clones], Cells]:
     """Return what is cloned, and the cells of the hole that this leaves open."""
     hole, scene, grid, surface = ground.hole, ground.scene, ground.grid, ground.surface
     good, missing, seen_through = ground.cloneable(surface.known), hole, np.ones(grid.shape)

@@ -10,7 +10,19 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...base.arrays import Flags, Float32, Float64, Harmonics, Matrix3, Numbers, Quats, RowIds, Vector3, Vectors
+from ...base.arrays import (
+    Doubles,
+    Flags,
+    Float64,
+    Harmonics,
+    Matrix3,
+    Numbers,
+    Quats,
+    RowIds,
+    Vector3,
+    Vectors,
+    WholeNumbers,
+)
 from ...drawing.heat import LUMA
 from ...errors import InputError
 from ...formats.scenes import read_gaussians
@@ -89,7 +101,7 @@ class Draft:
         self.means[ids] = self._means(part)
         self.quats[ids], self.scales[ids], self.sh[ids] = part.quats, part.scales, part.sh
 
-    def shift(self, ids: RowIds, by: Sequence[int | float] | Float64[np.ndarray, "*rows 3"]) -> None:
+    def shift(self, ids: WholeNumbers, by: Sequence[int | float] | Float64[np.ndarray, "*rows 3"]) -> None:
         """Move rows by the same vector, or each by its own."""
         self.means[ids] = (self.means[ids] + np.asarray(by, np.float64)).astype(np.float32)
 
@@ -129,7 +141,7 @@ class Draft:
         ids = self.extra.get(OBJECT_ID)
         return 0 if ids is None else int(ids.max(initial=-1)) + 1
 
-    def _means(self, part: Gaussians) -> Float32[np.ndarray, "m 3"]:
+    def _means(self, part: Gaussians) -> Vectors:
         """Return the centres of a part, counted from this draft's origin."""
         if (part.origin == self.origin).all():
             return part.means
@@ -375,7 +387,7 @@ def check_color(color: Triple) -> None:
         raise InputError(f"a colour: expected red, green and blue from 0 to 1, got {color}")
 
 
-def grouped(colors: Colors, weights: Float64[np.ndarray, " m"], count: int) -> RowIds:
+def grouped(colors: Colors, weights: Doubles, count: int) -> WholeNumbers:
     """Return up to `count` groups of like colours, hue before light, by k-means from quantiles of light."""
     total = colors.sum(axis=1, keepdims=True)
     light = np.einsum("nc,c->n", colors, LUMA)
@@ -392,7 +404,7 @@ def grouped(colors: Colors, weights: Float64[np.ndarray, " m"], count: int) -> R
     return groups
 
 
-def _colors(sh: Float32[np.ndarray, "m k 3"]) -> Colors:
+def _colors(sh: Harmonics) -> Colors:
     return np.asarray(np.clip(0.5 + SH_C0 * sh[:, 0].astype(np.float64), 0, 1))
 
 
@@ -403,7 +415,7 @@ def _map(draft: Draft, ids: RowIds, matrix: Matrix3, offset: Vector3) -> None:
     draft.sh[ids] = sh.astype(np.float32)
 
 
-def _statistics(colors: Colors, weights: Float64[np.ndarray, " m"]) -> tuple[Vector3, Matrix3]:
+def _statistics(colors: Colors, weights: Doubles) -> tuple[Vector3, Matrix3]:
     shares = weights / weights.sum()
     mean = np.einsum("n,nc->c", shares, colors)
     away = colors - mean

@@ -8,7 +8,19 @@ from scipy import ndimage
 from scipy.signal import fftconvolve
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from ...base.arrays import Bool, Doubles, Flags, Float64, Int64, Integer, Mask, Points, RowIds, Vector3
+from ...base.arrays import (
+    Doubles,
+    Flags,
+    Float64,
+    Int64,
+    Mask,
+    OtherPoints,
+    PlanePoints,
+    Points,
+    RowIds,
+    Vector3,
+    WholeNumbers,
+)
 from ...drawing.rendering import Picture, render
 from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import SH_C0, Gaussians
@@ -48,7 +60,7 @@ class Surface:
     colors: Colors
     known: Cells
 
-    def holds(self, colors: Float64[np.ndarray, "m 3"], cells: Shifts) -> Bool[np.ndarray, " m"]:
+    def holds(self, colors: Points, cells: Shifts) -> Flags:
         """Return which Gaussians, in some cells, are of the surface: not cutlery, crumbs, whatever lies on it.
 
         Neither they nor what is drawn in their cells stand out from the colour around.
@@ -109,13 +121,13 @@ class PlaneGrid:
         return np.asarray(cells[down, across])
 
     @property
-    def middles(self) -> Float64[np.ndarray, "c 3"]:
+    def middles(self) -> Points:
         """Middles of all cells, in the scene."""
         flat, plane = self._flat_middles, self.plane
         return np.asarray(flat @ plane.axes + plane.offset * plane.normal)
 
     @property
-    def _flat_middles(self) -> Float64[np.ndarray, "c 2"]:
+    def _flat_middles(self) -> PlanePoints:
         rows, columns = np.indices(self.shape)
         return np.asarray(self.low + (np.stack([rows.ravel(), columns.ravel()], axis=1) + 0.5) * self.step)
 
@@ -185,7 +197,7 @@ class Ground:
         return PlaneGrid.over(self.plane, self.places[self.rows])
 
     @cached_property
-    def owners(self) -> Integer[np.ndarray, " n"] | None:
+    def owners(self) -> WholeNumbers | None:
         """Objects of the Gaussians, -1 for none."""
         return self.scene.extra.get(OBJECT_ID)
 
@@ -225,7 +237,7 @@ class Ground:
         return np.asarray((self.shadow & (coverage < COVERED_OPACITY) | self.foot) & self.in_front)
 
     @cached_property
-    def main_owners(self) -> Integer[np.ndarray, " o"]:
+    def main_owners(self) -> WholeNumbers:
         """Objects, -1 for none, that have much of the plane, or of what of it is around the hole."""
         around = ndimage.binary_dilation(self.hole, iterations=RING_CELLS) & ~self.hole
         beside = self.rows[self.grid.among(around, self.places[self.rows])]
@@ -321,13 +333,13 @@ def is_flat(scene: Gaussians, plane: Plane) -> Flags:
     return np.asarray(flat & (sizes[:, 2] <= MAX_ELONGATION * sizes[:, 1]))
 
 
-def _is_of_surface(owners: Integer[np.ndarray, " l"], in_hole: Bool[np.ndarray, " l"]) -> Bool[np.ndarray, " l"]:
+def _is_of_surface(owners: WholeNumbers, in_hole: Flags) -> Flags:
     """Return which Gaussians about a plane are of no object, or of one that goes on beside the hole, like a floor."""
     _, which, counts = np.unique(owners, return_inverse=True, return_counts=True)
     return np.asarray((owners < 0) | (2 * np.bincount(which[in_hole], minlength=len(counts)) <= counts)[which])
 
 
-def _distances(places: Places, points: Float64[np.ndarray, "p 3"]) -> Doubles:
+def _distances(places: Places, points: OtherPoints) -> Doubles:
     """Return how far each place is from the nearest point; infinite without any."""
     return np.asarray(cKDTree(points).query(places)[0]) if len(points) else np.full(len(places), np.inf)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...base.arrays import Int64, Matrix4, RowIds, Vector3
+from ...base.arrays import Indices, Int64, Matrix4, RowIds, Vector3
 from ...errors import DrSplatWarning, InputError, MismatchError
 from ...formats.json_files import are_rows, ids_of, is_text, spans_of
 from ...formats.scenes import read_gaussians
@@ -85,7 +85,7 @@ def fitted(goes: Box, comes: Box) -> Matrix4:
 
 
 def placed_in(
-    scene: Gaussians, ids: RowIds, up: Vector3, other: Gaussians, others: Int64[np.ndarray, " k"], up_there: Vector3
+    scene: Gaussians, ids: RowIds, up: Vector3, other: Gaussians, others: Indices, up_there: Vector3
 ) -> Matrix4:  # fmt: skip
     """Return `fitted` for the boxes of rows of this scene and of another. up: unit directions in each of them."""
     goes, comes = box_of(scene, solid(scene, ids), up), box_of(other, solid(other, others), up_there)

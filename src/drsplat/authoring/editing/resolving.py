@@ -9,7 +9,18 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from ...base.arrays import Bool, Flags, Float64, Indices, Int64, Integer, RowIds
+from ...base.arrays import (
+    Bool,
+    Flags,
+    Float64,
+    IndexRows,
+    Indices,
+    Int64,
+    OtherFlags,
+    OtherIndices,
+    RowIds,
+    WholeNumbers,
+)
 from ...errors import InputError
 from ...field import LanguageField
 from ...query import Query, Scene
@@ -70,7 +81,7 @@ def query_rows(scene: Scene, query: Query | str, words: str = "") -> Rows:
     return Rows.of(rows, "query", words)
 
 
-def complete_rows(scene: Scene, ids: Integer[np.ndarray, " k"]) -> RowIds:
+def complete_rows(scene: Scene, ids: WholeNumbers) -> RowIds:
     """Return rows of a scene with what nobody can tell apart from them; see `completed`."""
     return completed(scene.gaussians, ids, *_objects(scene, scene.field), threads=scene.threads)
 
@@ -85,9 +96,7 @@ def _objects(scene: Scene, field: LanguageField) -> tuple[Owners, Agreed]:
     return scene.object_ids().astype(np.int64), scene.agreed
 
 
-def completed(
-    gaussians: Gaussians, ids: Integer[np.ndarray, " k"], owners: Owners, agreed: Agreed, *, threads: int = 0
-) -> RowIds:
+def completed(gaussians: Gaussians, ids: WholeNumbers, owners: Owners, agreed: Agreed, *, threads: int = 0) -> RowIds:
     """Return rows with what cannot be told apart from them.
 
     That is the rest of objects that they nearly are, what they enclose, loose Gaussians that hang on to them, and in a
@@ -135,10 +144,10 @@ def enclosed(gaussians: Gaussians, inside: Flags) -> Flags:
     return found
 
 
-def hanging(gaussians: Gaussians, inside: Flags, loose: Flags, threads: int = 0) -> Flags:
+def hanging(gaussians: Gaussians, inside: OtherFlags, loose: OtherFlags, threads: int = 0) -> OtherFlags:
     """Return a thing with the loose Gaussians most of whose neighbours belong to it, `VOTING_PASSES` times."""
     inside, tree = inside.copy(), None
-    neighbours: Int64[np.ndarray, "m k"] = np.empty((0, min(VOTING_NEIGHBOURS + 1, len(gaussians))), np.int64)
+    neighbours: IndexRows = np.empty((0, min(VOTING_NEIGHBOURS + 1, len(gaussians))), np.int64)
     place = np.full(len(gaussians), -1)  # of each Gaussian among them
     for _ in range(VOTING_PASSES):
         near = _in_box_of(gaussians, inside, np.flatnonzero(loose & ~inside))
@@ -154,7 +163,7 @@ def hanging(gaussians: Gaussians, inside: Flags, loose: Flags, threads: int = 0)
     return inside
 
 
-def _in_box_of(gaussians: Gaussians, inside: Flags, rows: Int64[np.ndarray, " r"]) -> Int64[np.ndarray, " s"]:
+def _in_box_of(gaussians: Gaussians, inside: Flags, rows: OtherIndices) -> Int64[np.ndarray, " s"]:
     """Return those of some rows whose centres are in the box of a thing's."""
     if not inside.any():
         return rows[:0]

@@ -6,7 +6,7 @@ minutes. Places of one box see most points in the same bins, so boxes are halved
 
 import numpy as np
 
-from ...base.arrays import Bool, Float64, Int64
+from ...base.arrays import Bool, Flags, Float64, Indices, Int64
 
 MAX_LEAF_PLACES = 4  # of a box in which each place is computed
 RELATIVE_ROUNDING = 1e-12  # more than what products of three numbers are off
@@ -16,7 +16,7 @@ Places = Float64[np.ndarray, "p 3"]
 Hit = Bool[np.ndarray, " d"]  # of each direction
 
 
-def surrounded(places: Places, points: Points, directions: Directions, min_bins: int) -> Bool[np.ndarray, " p"]:
+def surrounded(places: Places, points: Points, directions: Directions, min_bins: int) -> Flags:
     """Return the places from which points lie in at least `min_bins` of the bins.
 
     The bin of a point, seen from a place, is the nearest of `directions`, and the first of several. The result is the
@@ -61,7 +61,7 @@ def _in_box(
     return points[open_], hit, hit | possible[open_].any(axis=0)
 
 
-def _bins(places: Places, points: Points, directions: Directions, hit: Hit) -> Int64[np.ndarray, " p"]:
+def _bins(places: Places, points: Points, directions: Directions, hit: Hit) -> Indices:
     """Return how many bins each place hits, with those that it is known to hit."""
     away = points[None] - places[:, None]
     nearest = np.einsum("pti,di->ptd", away, directions).argmax(axis=2)
@@ -70,7 +70,7 @@ def _bins(places: Places, points: Points, directions: Directions, hit: Hit) -> I
     return np.asarray(hits.sum(axis=1))
 
 
-def _halves(rows: Int64[np.ndarray, " p"], places: Places) -> list[Int64[np.ndarray, " h"]]:
+def _halves(rows: Indices, places: Places) -> list[Int64[np.ndarray, " h"]]:
     """Return the rows of either half of a box, cut across its longest side."""
     order = np.argpartition(places[:, np.ptp(places, axis=0).argmax()], len(rows) // 2)
     return [rows[half] for half in np.array_split(order, [len(rows) // 2])]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...base.arrays import Bool, Float32, Ids, Int32, Integer, RowIds, Vector3
+from ...base.arrays import Embedding, Flags, Ids, RowIds, Vector3, WholeNumbers
 from ...field.forest import GROUP, Objects
 from ...formats.scenes import read_gaussians
 from ...kernels.boxes import box_of
@@ -32,7 +32,7 @@ class After:
     """
 
     everything: Gaussians
-    present: Bool[np.ndarray, " d"]
+    present: Flags
     copies: dict[int, int] = field(default_factory=dict)
 
 
@@ -73,7 +73,7 @@ class Placing:
         return replace(thing, center=box.center, axes=box.axes, extent=box.extent)
 
     @cached_property
-    def _moved(self) -> Bool[np.ndarray, " d"]:
+    def _moved(self) -> Flags:
         """True for each row that is elsewhere, or otherwise, than it was registered."""
         now, own = self.after.everything, len(self.registered)
         moved = np.ones(len(now), bool)
@@ -98,7 +98,7 @@ class Placing:
         return order, owners[order]
 
 
-def rows_of(things: Sequence[Thing], numbers: Integer[np.ndarray, " n"]) -> Ids:
+def rows_of(things: Sequence[Thing], numbers: WholeNumbers) -> Ids:
     """Return per Gaussian the place of its object in a list, from its number; -1 for none."""
     places = np.full(max((thing.number for thing in things), default=-1) + 2, -1, np.int32)
     for place, thing in enumerate(things):
@@ -136,14 +136,14 @@ def _above(scene: LabelledScene, used: Sequence[int]) -> list[int]:
     return sorted(found)
 
 
-def _renumbered(places: Sequence[int], count: int) -> Int32[np.ndarray, " c"]:
+def _renumbered(places: Sequence[int], count: int) -> Ids:
     """Return the new place of each of `count` old ones, -1 for those left out; the last one is that of -1."""
     new = np.full(count + 1, -1, np.int32)
     new[list(places)] = np.arange(len(places), dtype=np.int32)
     return new
 
 
-def _moved(thing: Thing, to_group: Int32[np.ndarray, " c"]) -> Thing:
+def _moved(thing: Thing, to_group: Ids) -> Thing:
     return replace(thing, parent=int(to_group[thing.parent]))
 
 
@@ -205,7 +205,7 @@ def _group_nodes(objects: Objects) -> Sequence[int]:
     return nodes
 
 
-def _embedding(objects: Objects, node: int) -> Float32[np.ndarray, " d"] | None:
+def _embedding(objects: Objects, node: int) -> Embedding | None:
     """Return the descriptor of most of an object's masks, None where it has none."""
     found = objects.descriptors_of(node)
     return found[0] if len(found) else None

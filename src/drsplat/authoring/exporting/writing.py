@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Bool, Flags
+from ...base.arrays import Flags
 from ...base.system import folder_bytes
 from ...errors import InputError
 from ...formats.annotations import AnnotationFile
@@ -234,7 +234,7 @@ def _columns(scene: Scene, found: _QueryMatches | None, chosen: Rows | None) -> 
     return columns
 
 
-def _kept_rows(after: After) -> Bool[np.ndarray, " d"]:
+def _kept_rows(after: After) -> Flags:
     """Return which rows are written. Raises: InputError: none is."""
     chosen = after.everything.extra.get(ONLY)
     kept = after.present if chosen is None else after.present & (chosen > 0)

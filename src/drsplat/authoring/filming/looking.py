@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Bool, Float64, Vector3
+from ...base.arrays import Flags, Float64, PlanePoints, Points, Vector3
 from ...errors import InputError
 from ...query import Match, Scene
 from ...scene.gaussians import Gaussians
@@ -66,10 +66,10 @@ def before(match: Match, gaussians: Gaussians, views: Sequence[View], up: Vector
 class Standpoints(NamedTuple):
     """Cameras as arrays, for many questions about them. sizes: width and height of their pictures."""
 
-    centers: Float64[np.ndarray, "v 3"]
-    poses: Float64[np.ndarray, "v 4 4"]
-    K: Float64[np.ndarray, "v 3 3"]
-    sizes: Float64[np.ndarray, "v 2"]
+    centers: Points
+    poses: Float64[np.ndarray, "n 4 4"]
+    K: Float64[np.ndarray, "n 3 3"]
+    sizes: PlanePoints
 
     @classmethod
     def of(cls, views: Sequence[View]) -> "Standpoints":
@@ -99,7 +99,7 @@ def beside(center: Vector3, size: float, views: Sequence[View] | Standpoints, up
     return np.asarray(center + ways[best] * min(1.0, distance / lengths[best]))
 
 
-def _showing(stands: Standpoints, point: Vector3) -> Bool[np.ndarray, " v"]:
+def _showing(stands: Standpoints, point: Vector3) -> Flags:
     """Return which views have a point in the inner part of their picture."""
     _, poses, K, sizes = stands
     x, y, z = (poses[:, :3, :3] @ point + poses[:, :3, 3]).T

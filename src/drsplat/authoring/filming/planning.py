@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Float64, Vector3
+from ...base.arrays import Points, Vector3
 from ...errors import InputError
 from ...query import Match
 from ...scene.boxes import up_of
@@ -218,6 +218,6 @@ def _extent_of(gaussians: Gaussians) -> tuple[Vector3, float]:
     return middle, reach if reach > 0 else 1.0
 
 
-def _looking(eyes: Float64[np.ndarray, "k 3"], around: Around, up: Vector3) -> list[KeyFrame]:
+def _looking(eyes: Points, around: Around, up: Vector3) -> list[KeyFrame]:
     """Return key frames at some places that look at the target."""
     return [KeyFrame.of(looking_at(eye, around.target, up, (64, 64), around.fov_degrees)) for eye in eyes]

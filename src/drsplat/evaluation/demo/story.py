@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Bool, Float32, Mask, OtherPixels, RowIds, Vector3
+from ...base.arrays import Bool, FloatRows, Mask, OtherPixels, RowIds, Vector3
 from ...base.progress import Stopwatch
 from ...base.terminal import counted
 from ...drawing.pictures import (
@@ -218,7 +218,7 @@ class _Judge:
             for column, verdict in enumerate(answers)
         ]
 
-    def _visible(self, view: View, chosen: Float32[np.ndarray, "n a"]) -> Bool[np.ndarray, "h w a"]:
+    def _visible(self, view: View, chosen: FloatRows) -> Bool[np.ndarray, "h w k"]:
         """Return where each answer's Gaussians have more than half of the weight."""
         drawn = render_channels(self.splats, view, chosen, threads=self.scene.threads)
         return np.asarray(drawn.channels > 0.5)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Embeddings, Float32, Numbers, RowIds, UInt8, UInt16
+from ...base.arrays import ByteRows, Embeddings, Float32, Numbers, RowIds, UInt16
 from ...errors import FormatError, InputError, MismatchError
 from ...formats.embedding_record import encoder_from_json
 from ...formats.faiss_index import is_faiss
@@ -31,7 +31,7 @@ CODEBOOK_FORMAT = "drsplat codebook 1"
 class Codes(NamedTuple):
     """Codes of rows: a centroid per sub-vector. coarse_ids: a coarse centroid per row, or None (plain)."""
 
-    codes: UInt8[np.ndarray, "n L"]
+    codes: ByteRows
     coarse_ids: UInt16[np.ndarray, " n"] | None = None
 
     def rows(self, index: slice | RowIds) -> "Codes":
@@ -48,7 +48,7 @@ class Codebook:
     """
 
     centroids: Float32[np.ndarray, "L c d"]
-    coarse: Float32[np.ndarray, "C D"] | None
+    coarse: Embeddings | None
     encoder: EncoderIdentity
 
     def __post_init__(self) -> None:
@@ -144,7 +144,7 @@ class Codebook:
         norms = np.sqrt(squared)
         return np.asarray(np.divide(1, norms, out=np.zeros_like(norms), where=norms > 0))
 
-    def tables(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> QueryTables:
+    def tables(self, queries: Embeddings, *, threads: int = 0) -> QueryTables:
         """Return each query's inner products with all centroids.
 
         Raises: InputError: queries of another dimension.

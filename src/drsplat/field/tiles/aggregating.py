@@ -14,7 +14,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from ...base.arrays import Bool, Doubles, Float32, Float64, Int64, Vectors
+from ...base.arrays import DoubleRows, Doubles, Embeddings, Flags, IndexRows, Indices, OtherIndices, Vectors
 from ...base.contents import pieces
 from ...formats.tensors import map_tensors
 from ...formats.tiles import Tile
@@ -75,7 +75,7 @@ class RowFiles:
         shape = (len(arrays["indptr"]) - 1, len(self.masks))
         return csr_array((arrays["data"], arrays["indices"], arrays["indptr"]), shape=shape)
 
-    def embeddings(self) -> Float32[np.ndarray, "m d"]:
+    def embeddings(self) -> Embeddings:
         return np.asarray(np.load(self.store.bring(EMBEDDINGS_FILE), mmap_mode="r"))
 
     def evidence(self, run: Run) -> Evidence:
@@ -119,7 +119,7 @@ class Weighing:
     """A `Making` of rows whose votes count otherwise. trust: in each mask, where masks are trusted."""
 
     step: MaskTrust | OutlierRejection
-    trust: Float64[np.ndarray, " m"] | None = None
+    trust: Doubles | None = None
 
     def __call__(self, rows: RowFiles, run: Run, threads: int) -> dict[str, np.ndarray]:
         evidence = rows.evidence(run)
@@ -163,15 +163,13 @@ class Voting:
         made = held.weights(donors)
         return _arrays(made) | {"donors": donors.astype(np.int32)}
 
-    def _trust(self, run: Run) -> Float64[np.ndarray, " r"]:
+    def _trust(self, run: Run) -> Doubles:
         return np.asarray(self.believed.arrays(run)["reliability"])
 
     def _shapes(self, tile: Tile) -> Gaussians:
         return self.gallery.shapes(tile)
 
-    def _nearest(
-        self, run: Run, points: Vectors, threads: int
-    ) -> tuple[Float64[np.ndarray, "n k"], Int64[np.ndarray, "n k"]]:
+    def _nearest(self, run: Run, points: Vectors, threads: int) -> tuple[DoubleRows, IndexRows]:
         """Return the nearest givers of points: those of the run, then those of all tiles that may hold nearer ones.
 
         The box of a tile bounds how near its rows are, so that none is missed.
@@ -208,9 +206,7 @@ class _Held:
         self.firsts = np.array([run.first for run in voting.runs])
         self.table = rows.embeddings()
 
-    def about(
-        self, numbers: Int64[np.ndarray, " p"], threads: int
-    ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, " p"], Float32[np.ndarray, "p d"]]:
+    def about(self, numbers: Indices, threads: int) -> tuple[Doubles, Doubles, Embeddings]:
         """Return how reliable rows are, their sizes, and features. numbers: ascending."""
         trust, sizes = [np.empty(0)], [np.empty(0)]
         for run, own in self._by_run(numbers):
@@ -223,7 +219,7 @@ class _Held:
         features = weighted_rows(w.indptr, w.indices, w.data, self.table, 0, len(numbers), threads=threads)
         return np.concatenate(trust), np.concatenate(sizes), features
 
-    def weights(self, numbers: Int64[np.ndarray, " p"]) -> csr_array:
+    def weights(self, numbers: Indices) -> csr_array:
         """Return some rows of W in their order; of -1 an empty one."""
         wanted, at = np.unique(numbers, return_inverse=True)
         lengths, indices, data = [np.zeros(0, np.int64)], [np.empty(0, np.int32)], [np.empty(0, np.float32)]
@@ -238,7 +234,7 @@ class _Held:
         shape = (len(wanted), len(self.table))
         return csr_array(csr_array((np.concatenate(data), np.concatenate(indices), starts), shape=shape)[at])
 
-    def _by_run(self, numbers: Int64[np.ndarray, " p"]) -> Iterator[tuple[Run, Int64[np.ndarray, " q"]]]:
+    def _by_run(self, numbers: OtherIndices) -> Iterator[tuple[Run, Indices]]:
         at = np.searchsorted(self.firsts, numbers, side="right") - 1
         for number in np.unique(at).tolist():
             yield self.voting.runs[number], numbers[at == number]
@@ -248,7 +244,7 @@ class _Held:
 class OfColumns:
     """A `Making` of the rows that some columns have weights in, and of these weights alone."""
 
-    kept: Bool[np.ndarray, " m"]
+    kept: Flags
 
     def __call__(self, rows: RowFiles, run: Run, threads: int) -> dict[str, np.ndarray]:
         w = rows.weights(run)
@@ -290,7 +286,7 @@ class TileAggregator(OnRuns):
         donors = np.concatenate([chosen.arrays(run)["donors"] for run in self.runs])
         return OfTiles(evidence, donors, how.record(), chosen.folder, key)
 
-    def of_columns(self, features: OfTiles, kept: Bool[np.ndarray, " m"], track: Track) -> Aggregated:
+    def of_columns(self, features: OfTiles, kept: Flags, track: Track) -> Aggregated:
         """Return the rows of features that some columns have weights in."""
         rows = RowFiles(self.store, self.evidence.masks, features.folder)
         some, _ = self._made(rows, features.key, OfColumns(kept), f"columns {_digest(kept.tobytes())}", track)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Int64
+from ...base.arrays import Indices
 from ...base.contents import pieces
 from ...formats.replacing import replacing
 from ...formats.tensors import map_tensors
@@ -28,7 +28,7 @@ class Run(NamedTuple):
     """Tiles, one after another, and the numbers of the views that have weights in them."""
 
     tiles: tuple[Tile, ...]
-    views: Int64[np.ndarray, " v"]
+    views: Indices
 
     @property
     def name(self) -> str:

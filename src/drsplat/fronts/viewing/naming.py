@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw
 
-from ...base.arrays import Flags, Float64, Int64, MaskIds, OtherPixels, RowIds, Vector3
+from ...base.arrays import Doubles, Flags, Float64, Int64, MaskIds, OtherPixels, PlanePoints, RowIds, Vector3
 from ...errors import DrSplatError
 from ...field.evidence.evidence import Explanation
 from ...kernels import SplatArrays, view_weights
@@ -94,7 +94,7 @@ def _near(gaussians: Gaussians, ray: Ray) -> RowIds:
     return np.flatnonzero((apart <= 1.01 * reach**2) & (along > -reach))
 
 
-def _met(part: Gaussians, ray: Ray) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
+def _met(part: Gaussians, ray: Ray) -> tuple[Doubles, Doubles]:
     """Return depth along the ray of the densest place, and the opacity there."""
     axes = part.whitening()
     start = np.einsum("nij,nj->ni", axes, ray.origin - part.means.astype(np.float64))
@@ -105,7 +105,7 @@ def _met(part: Gaussians, ray: Ray) -> tuple[Float64[np.ndarray, " m"], Float64[
     return depth, alpha
 
 
-def inside_outline(splats: SplatArrays, view: View, outline: Float64[np.ndarray, "p 2"], *, threads: int = 0) -> RowIds:
+def inside_outline(splats: SplatArrays, view: View, outline: PlanePoints, *, threads: int = 0) -> RowIds:
     """Return the Gaussians, ascending, of which most that a view shows lies inside an outline.
 
     outline: corners of a polygon, in pixels of the view.
@@ -118,7 +118,7 @@ def inside_outline(splats: SplatArrays, view: View, outline: Float64[np.ndarray,
     return np.flatnonzero((inside > MIN_INSIDE_SHARE * every) & (every >= MIN_WEIGHT_PIXELS))
 
 
-def _filled(view: View, outline: Float64[np.ndarray, "p 2"]) -> MaskIds:
+def _filled(view: View, outline: PlanePoints) -> MaskIds:
     """Return 1 for each pixel inside a polygon and 0 for the others."""
     picture = Image.new("L", (view.width, view.height))
     corners = np.clip(outline, -8 * max(view.width, view.height), 9 * max(view.width, view.height))

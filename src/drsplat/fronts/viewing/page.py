@@ -16,7 +16,21 @@ import numpy as np
 
 from ...authoring.filming.looking import FOV_DEGREES
 from ...authoring.filming.paths import CameraPath
-from ...base.arrays import Bool, Float16, Float32, Float64, RowIds, Shaped, UInt8, UInt16, Vector3
+from ...base.arrays import (
+    ByteRows,
+    ByteValues,
+    Doubles,
+    Flags,
+    Float16,
+    Float64,
+    Numbers,
+    RowIds,
+    Shaped,
+    UInt8,
+    UInt16,
+    Vector3,
+    Vectors,
+)
 from ...drawing.heat import HEAT
 from ...errors import InputError
 from ...formats.replacing import replacing
@@ -53,11 +67,11 @@ class PageTimes:
 
     times: Times
     order: RowIds
-    places: UInt16[np.ndarray, "t k 3"]
+    places: UInt16[np.ndarray, "n k 3"]
     low: Vector3
     step: Vector3
-    covariances: Float16[np.ndarray, "t k 6"]
-    opacities: UInt8[np.ndarray, "t k"]
+    covariances: Float16[np.ndarray, "n k 6"]
+    opacities: ByteRows
     seconds: float
     num_known: int
 
@@ -113,7 +127,7 @@ def playing_seconds(num_times: int) -> float:
     return float(np.clip(num_times / TIMES_PER_SECOND, MIN_PLAYING_S, MAX_PLAYING_S))
 
 
-def _moving(session: Session, times: Times) -> Bool[np.ndarray, " m"]:
+def _moving(session: Session, times: Times) -> Flags:
     """Return which of the shown rows are not at all times where they are at the first."""
     first = session.drawn
     spread = first.covariances[:, [0, 3, 5]].sum(1)
@@ -135,7 +149,7 @@ def _drawn(session: Session, times: Times) -> Iterator[Shown]:
     session.time = float(times[0])
 
 
-def _evenly(times: Times, most: int) -> Float64[np.ndarray, " s"]:
+def _evenly(times: Times, most: int) -> Doubles:
     return np.asarray(times[np.linspace(0, len(times) - 1, min(len(times), most)).round().astype(int)])
 
 
@@ -212,8 +226,8 @@ class PageAnswer:
     """
 
     text: str
-    heat: Float32[np.ndarray, " m"]
-    owners: UInt8[np.ndarray, " m"]
+    heat: Numbers
+    owners: ByteValues
     matches: Sequence[Match]
     eyes: Sequence[Vector3]
     boxes: Sequence[Sequence[Sequence[float] | None]] = ()
@@ -238,10 +252,10 @@ class Page:
     eye: Vector3
     target: Vector3
     up: Vector3
-    features: Float32[np.ndarray, "m 3"] | None = None
+    features: Vectors | None = None
     objects: Sequence[Mapping[str, Any]] = ()
     annotations: Sequence[Mapping[str, Any]] = ()
-    object_numbers: UInt16[np.ndarray, " m"] | None = None
+    object_numbers: UInt16[np.ndarray, " n"] | None = None
     path: CameraPath | None = None
     times: PageTimes | None = None
     num_edits: int = 0

@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 
 from ...authoring.filming import looking
-from ...base.arrays import Embedding, Float32
+from ...base.arrays import Embedding, Embeddings
 from ...errors import DrSplatError
 from ...field import LanguageField
 from ...kernels import boxes, pq_encode
@@ -184,7 +184,7 @@ def _sums_of_words(encoder: MiniEncoder, background: measuring.Background) -> Pa
     return PageSearch({}, tables, document, about)
 
 
-def _basis(field: LanguageField, rows: np.ndarray, vectors: np.ndarray) -> tuple[Float32[np.ndarray, "d D"], int]:
+def _basis(field: LanguageField, rows: np.ndarray, vectors: np.ndarray) -> tuple[Embeddings, int]:
     """Return unit directions along which features differ, most first, and how many of them are worth a code.
 
     They are of the space that the words span, where these are few.
@@ -203,9 +203,7 @@ def _spread(rows: np.ndarray) -> np.ndarray:
     return rows[np.linspace(0, len(rows) - 1, min(len(rows), MAX_TRAINING_ROWS)).astype(np.intp)]
 
 
-def _coded(
-    points: Float32[np.ndarray, "r d"], stages: int, threads: int
-) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
+def _coded(points: Embeddings, stages: int, threads: int) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
     """Yield stages of residual quantisation: a code per row, 256 centroids in steps from 128 on, and the step.
 
     Source: Chen, Guan & Wang 2010 (residual vector quantisation).

@@ -15,7 +15,7 @@ from ...authoring.editing.edits import Change
 from ...authoring.editing.resolving import complete_rows
 from ...authoring.editing.targets import MAX_NAME_CHARACTERS
 from ...authoring.filming.looking import radius_of
-from ...base.arrays import Flags, Float32, Float64, Ids, OtherPixels, RowIds, Shaped, Vector3, Vectors
+from ...base.arrays import Flags, Ids, OtherPixels, PlanePoints, RowIds, Shaped, Vector3, Vectors
 from ...base.terminal import counted
 from ...drawing.heat import class_colors, heat_colors
 from ...errors import InputError
@@ -215,7 +215,7 @@ class Session:
         """Show the scene as it is, with nothing found, clicked or selected."""
         self.results, self.asked, self.clicked, self.chosen, self.mode = (), (), None, None, Mode.SCENE
 
-    def lasso(self, view: View, outline: Float64[np.ndarray, "p 2"]) -> str:
+    def lasso(self, view: View, outline: PlanePoints) -> str:
         """Select what is mostly seen inside an outline in a picture from a camera in the world.
 
         outline: corners in pixels of the view. Raises: InputError: nothing is seen there.
@@ -226,7 +226,7 @@ class Session:
         self.clicked = None
         return self._answered([results.result_of_ids(self.scene, "outlined", ids)])
 
-    def _inside(self, view: View, outline: Float64[np.ndarray, "p 2"]) -> RowIds:
+    def _inside(self, view: View, outline: PlanePoints) -> RowIds:
         splats = self.edits.splats if self.edits.is_edited else self.here.splats
         ids = inside_outline(splats, view, outline, threads=self.scene.threads)
         return np.asarray(ids[ids < len(self.scene.gaussians)])  # what edits added answers nothing
@@ -381,7 +381,7 @@ class Session:
         return self.edits.shown(self.shown, self.budget)
 
     @property
-    def drawn_colors(self) -> Float32[np.ndarray, "d 3"]:
+    def drawn_colors(self) -> Vectors:
         """`colors`, with what edits added in its own."""
         return np.concatenate([self.colors, self.edits.added_colors])
 

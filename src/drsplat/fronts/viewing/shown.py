@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ...base.arrays import Float32, Float64, Matrix3, RowIds, Shaped, Vector3, Vectors
+from ...base.arrays import Float32, Float64, Matrix3, Numbers, Shaped, Vector3, Vectors, WholeNumbers
 from ...errors import InputError
 from ...query import Match, documents
 from ...scene.gaussians import SH_C0, Gaussians, most_significant
@@ -44,11 +44,11 @@ class Shown:
     num_left_out: Gaussians beyond the budget. antialiased: as of `Gaussians`.
     """
 
-    ids: RowIds
-    centers: Float32[np.ndarray, "m 3"]
-    covariances: Float32[np.ndarray, "m 6"]
-    rgb: Float32[np.ndarray, "m 3"]
-    opacities: Float32[np.ndarray, " m"]
+    ids: WholeNumbers
+    centers: Vectors
+    covariances: Float32[np.ndarray, "n 6"]
+    rgb: Vectors
+    opacities: Numbers
     frame: Frame
     num_left_out: int
     antialiased: bool = False

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from ...base.arrays import Float32, MaskIds
+from ...base.arrays import Float32, FloatRows, MaskIds
 from ...errors import DrSplatError
 from ...scene.views import View
 from ..splats import Contributions, Rendering, SplatArrays, Triples
@@ -62,7 +62,7 @@ def sent_splats(engine: Engine, splats: SplatArrays) -> SplatArrays:
 
 
 def render_channels(
-    splats: SplatArrays, view: View, values: Float32[np.ndarray, "n c"], background: Float32[np.ndarray, " c"]
+    splats: SplatArrays, view: View, values: FloatRows, background: Float32[np.ndarray, " k"]
 ) -> Rendering:
     """Composite per-Gaussian values as `kernels.splatting.render_channels`. Raises: DrSplatError: the GPU is full."""
     xp = splats.engine.xp

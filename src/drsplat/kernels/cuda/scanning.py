@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Float32, Ids, Int64, Numbers
+from ...base.arrays import Float32, FloatRows, Ids, Int64, Numbers
 from ...errors import InputError
 from ..scan import (
     GroupedRows,
@@ -69,7 +69,7 @@ def sent_rows(engine: Engine, rows: GroupedRows) -> DeviceRows:
     )
 
 
-def scan_scores(rows: DeviceRows, tables: QueryTables) -> Float32[np.ndarray, "q n"]:
+def scan_scores(rows: DeviceRows, tables: QueryTables) -> FloatRows:
     """Return each query's scores of each row as `kernels.scan.scan_scores`.
 
     Raises: InputError: arrays that do not fit each other.

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Doubles, Flags, Float64, Vector3
+from ...base.arrays import Doubles, Flags, PlanePoints, Vector3
 from ...errors import FormatError, InputError, did_you_mean
 from ...formats.captures import read_rows
 from ...formats.photo_files import listed
@@ -172,7 +172,7 @@ def _on_surface(place: Place, look: dict[str, Any]) -> Position:
     return np.array(look["center"]) + depth * np.array(look["ray"])
 
 
-def _depth(offsets: Float64[np.ndarray, "n 2"], depths: Doubles) -> float:
+def _depth(offsets: PlanePoints, depths: Doubles) -> float:
     """Return the depth at a pixel of the foremost surface through the points around it.
 
     On a plane the inverse of the depth is linear in the pixel; it is not extrapolated beyond the points' depths.

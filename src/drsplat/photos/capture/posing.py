@@ -22,7 +22,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from ...base.arrays import Float32, Float64, Points
+from ...base.arrays import Embedding, Embeddings, Float32, Float64, OtherEmbeddings, Points
 from ...errors import FormatError
 from ...formats.replacing import replacing
 from ...scene.geodesy import geocentric
@@ -306,7 +306,7 @@ def _largest_group(pairs: dict[tuple[str, str], int]) -> set[str]:
     return {file for file, label in zip(files, labels, strict=True) if label == largest}
 
 
-def looks_of(keys: Sequence[str], read: Callable[[str], Descriptors]) -> Float32[np.ndarray, "p d"]:
+def looks_of(keys: Sequence[str], read: Callable[[str], Descriptors]) -> Embeddings:
     """Return a unit vector for each photo, zeros for one without descriptors; one photo is in memory at a time.
 
     read: returns the descriptors of a photo by its key, of unit length.
@@ -333,7 +333,7 @@ def _vocabulary(keys: Sequence[str], read: Callable[[str], Descriptors]) -> Floa
     return centres
 
 
-def _look(descriptors: Descriptors, vocabulary: Float32[np.ndarray, "w 128"]) -> Float32[np.ndarray, " d"]:
+def _look(descriptors: Descriptors, vocabulary: Float32[np.ndarray, "w 128"]) -> Embedding:
     """Return the VLAD vector of a photo."""
     nearest = _nearest(descriptors, vocabulary)
     look = np.zeros_like(vocabulary)
@@ -377,7 +377,7 @@ def pairs_in_place(positions: Points) -> set[tuple[int, int]]:
     return _ordered(placed.repeat(count), placed[near].reshape(-1))
 
 
-def pairs_in_looks(looks: Float32[np.ndarray, "n d"], count: int = NEIGHBOURS_IN_LOOKS) -> set[tuple[int, int]]:
+def pairs_in_looks(looks: Embeddings, count: int = NEIGHBOURS_IN_LOOKS) -> set[tuple[int, int]]:
     """Return pairs of photos that look alike. looks: unit vectors; rows of zeros look like nothing."""
     count = min(count + 1, len(looks))
     pairs: set[tuple[int, int]] = set()
@@ -390,7 +390,7 @@ def pairs_in_looks(looks: Float32[np.ndarray, "n d"], count: int = NEIGHBOURS_IN
     return pairs
 
 
-def _blocks(looks: Float32[np.ndarray, "n d"]) -> Iterator[tuple[int, Float32[np.ndarray, "r d"]]]:
+def _blocks(looks: Embeddings) -> Iterator[tuple[int, OtherEmbeddings]]:
     for start in range(0, len(looks), _BLOCK_ROWS):
         yield start, looks[start : start + _BLOCK_ROWS]
 

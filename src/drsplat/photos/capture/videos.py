@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Doubles, Flags, Int64, UInt8
+from ...base.arrays import Doubles, Flags, Indices, OtherPixels, UInt8
 from ...base.contents import open_file
 from ...errors import InputError, MissingExtraError, pip_install
 from ...formats.replacing import replacing
@@ -46,7 +46,7 @@ class Film:
 class Choice:
     """Choice of frames. frames: indices of the chosen ones. num_blurred, num_still: of unusable ones."""
 
-    frames: Int64[np.ndarray, " k"]
+    frames: Indices
     num_blurred: int
     num_still: int
 
@@ -137,7 +137,7 @@ def _write(video: Path, choice: Choice, folder: Path, progress: Progress) -> Non
                 return
 
 
-def some_frames(video: Path, count: int) -> Iterator[UInt8[np.ndarray, "_ _ 3"]]:
+def some_frames(video: Path, count: int) -> Iterator[OtherPixels]:
     """Yield frames of a video, evenly spaced in time, as they are stored; fewer where it cannot be searched.
 
     Raises: InputError: no video, or no pictures in it. MissingExtraError: PyAV is missing.

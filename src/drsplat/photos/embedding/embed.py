@@ -16,7 +16,7 @@ from warnings import warn
 
 import numpy as np
 
-from ...base.arrays import Float32, Int32, Pixels
+from ...base.arrays import Embeddings, Int32, Pixels
 from ...errors import DrSplatWarning, InputError
 from ...field.codes import Track, encoder_from_json, untracked
 from ...formats.checksums import hash_file
@@ -246,7 +246,7 @@ class _Embedded(NamedTuple):
     """Masks and embeddings of one photo. counts: masks by level. empty: number of masks left out for lack of pixels."""
 
     mask_ids: Int32[np.ndarray, "*levels h w"]
-    embeddings: Float32[np.ndarray, "n d"]
+    embeddings: Embeddings
     counts: Mapping[str, int]
     empty: int
 
@@ -292,7 +292,7 @@ def finish_photo(
     stem: str,
     photo: str,
     mask_ids: Int32[np.ndarray, "*levels h w"],
-    rows: Float32[np.ndarray, "n d"],
+    rows: Embeddings,
     form: Form,
 ) -> None:
     """Write the features of a photo, and record them; of equal levels the masks count once.
@@ -317,7 +317,7 @@ def _rewrite(record: EmbeddingRecord, stem: str, form: Form) -> None:
         _store(record, stem, entry.photo, _Embedded(*stored, entry.masks, entry.empty_masks), form)
 
 
-def _embeddings(image: Pixels, masks: Masks, encoder: ImageEncoder, name: str) -> Float32[np.ndarray, "n d"]:
+def _embeddings(image: Pixels, masks: Masks, encoder: ImageEncoder, name: str) -> Embeddings:
     dim = encoder.identity.dim
     if len(masks) == 0:
         return np.zeros((0, dim), np.float32)

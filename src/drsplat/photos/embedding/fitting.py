@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import UInt8
+from ...base.arrays import OtherPixels
 from ...kernels.algebra import dense_rows
 from ...scene.masks.selection import mask_maps
 from ..models.graph import GraphSegmenter
@@ -15,7 +15,7 @@ from .keeping import mask_rows
 PICTURE_SIDE_PIXELS = 640
 
 
-def pixel_fit(pictures: Iterable[UInt8[np.ndarray, "_ _ 3"]], *, threads: int = 0) -> float:
+def pixel_fit(pictures: Iterable[OtherPixels], *, threads: int = 0) -> float:
     """Return the cosine of the best noun that half of the pixels' masks reach, 0 without pictures.
 
     Masks count by their pixels, as they do in the features of a field: eight photos then tell the rooms of the

@@ -15,7 +15,7 @@ from warnings import warn
 
 import numpy as np
 
-from ...base.arrays import Float32, Pixels
+from ...base.arrays import Embeddings, Pixels
 from ...errors import DrSplatWarning, InputError, MismatchError
 from ...field.codes import Track, untracked
 from ...formats.json_files import read_json
@@ -71,7 +71,7 @@ class Patches(NamedTuple):
 class EmbeddedPatches(NamedTuple):
     """Embedded patches. embeddings: a row each, on disk. too_small: instances whose mask is below MIN_AREA_PIXELS."""
 
-    embeddings: Float32[np.ndarray, "n d"]
+    embeddings: Embeddings
     too_small: int
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from scipy import ndimage
 
-from ...base.arrays import Bool, Flags, Float64, Indices, Int64, Mask, Numbers, Pixels, UInt8
+from ...base.arrays import Bool, ByteValues, Flags, Float64, Indices, Mask, Numbers, Pixels, PlanePoints
 from ...errors import InputError
 from ...scene.masks.masks import LEVELS, Masks, tight_box
 from ...scene.masks.selection import mask_nms
@@ -108,9 +108,7 @@ class PointPredictor(Protocol):
 
     identity: Mapping[str, object]
 
-    def find(
-        self, crop: Pixels, points: Float64[np.ndarray, "p 2"], settings: PointMaskSettings
-    ) -> Iterator[PointMasks]:
+    def find(self, crop: Pixels, points: PlanePoints, settings: PointMaskSettings) -> Iterator[PointMasks]:
         """Yield masks at points (x, y in pixels of the crop), by point, then by output, a few at a time.
 
         Masks of outputs outside settings.looked_at, with a predicted IoU not above min_predicted_iou or a stability
@@ -124,7 +122,7 @@ class _Candidate:
     """Mask that passed the thresholds. bits: its box's pixels, eight to a byte."""
 
     box: Box
-    bits: UInt8[np.ndarray, " b"]
+    bits: ByteValues
     predicted_iou: float
     stability: float
     output: int
@@ -190,7 +188,7 @@ class PointSegmenter:
                 middle.clear()
                 middle[int(batch.point[i])] = batch.masks[i]
 
-    def _rounds(self, layer: int, explained: Mask) -> Iterator[Float64[np.ndarray, "p 2"]]:
+    def _rounds(self, layer: int, explained: Mask) -> Iterator[PlanePoints]:
         """Yield the points of each round, from the pixels explained when it begins."""
         left = self.settings.most_points
         for side in self.settings.sides(layer):
@@ -262,13 +260,13 @@ def _distinct_in_crop(candidates: Sequence[_Candidate], outputs: tuple[int, ...]
     return [of_outputs[i] for i in chosen]
 
 
-def point_grid(side: int) -> Float64[np.ndarray, "p 2"]:
+def point_grid(side: int) -> PlanePoints:
     """Return side x side points (x, y) in the middles of equal cells of the unit square, row by row."""
     middles = (np.arange(side) + 0.5) / side
     return np.stack(np.meshgrid(middles, middles), -1).reshape(-1, 2)
 
 
-def open_points(side: int, explained: Mask) -> Float64[np.ndarray, "p 2"]:
+def open_points(side: int, explained: Mask) -> PlanePoints:
     """Return the grid points (x, y in pixels) outside `explained` whose cells are not more than half explained.
 
     Without any explained pixel that is the whole grid. Slivers between masks get no point.
@@ -285,7 +283,7 @@ def open_points(side: int, explained: Mask) -> Float64[np.ndarray, "p 2"]:
     return np.asarray(points[is_open])
 
 
-def spread(points: Float64[np.ndarray, "p 2"], most: int | None) -> Float64[np.ndarray, "q 2"]:
+def spread(points: PlanePoints, most: int | None) -> Float64[np.ndarray, "q 2"]:
     """Return all points, or `most` of them evenly spread over their order."""
     if most is None or len(points) <= most:
         return points
@@ -322,7 +320,7 @@ def cut_by_crop(box: Box, crop: Box, size: tuple[int, int]) -> bool:
     return bool((near_crop & ~near_image).any())
 
 
-def box_nms(boxes: Sequence[Box], scores: Sequence[float], max_iou: float) -> Int64[np.ndarray, " k"]:
+def box_nms(boxes: Sequence[Box], scores: Sequence[float], max_iou: float) -> Indices:
     """Return indices of boxes, best first, that overlap no kept box of a higher score by more than max_iou.
 
     Of equal scores the earlier goes first. Corners are pixels, both included, and the area is the

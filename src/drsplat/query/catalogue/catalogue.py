@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Float32
+from ...base.arrays import Embeddings
 from ...errors import DrSplatWarning, InputError
 from ...field.codes import Track, untracked
 from ...formats.claiming import claimed_output
@@ -312,7 +312,7 @@ class _Calibration(NamedTuple):
         return changes <= allowed and abs(snapshot.num_rows - self.num_rows) * MIN_ROWS_PER_CHANGED_ROW <= self.num_rows
 
 
-def _sample(snapshot: Snapshot) -> Float32[np.ndarray, "s D"]:
+def _sample(snapshot: Snapshot) -> Embeddings:
     """Return the first descriptors of objects spread over the table."""
     described = snapshot.spread(USUAL_SAMPLE)
     firsts = described.starts[:-1][np.diff(described.starts) > 0]

@@ -63,7 +63,7 @@ class Coded:
     parts: Mapping[Key, Part]
     without: tuple[Fragment, ...]
 
-    def nearest(self, query: Embedding, count: int, allowed: Int64[np.ndarray, " a"] | None, threads: int) -> Found:
+    def nearest(self, query: Embedding, count: int, allowed: Indices | None, threads: int) -> Found:
         """Return `count` rows of the highest codes; deleted ones may be among them. allowed: ids, ascending."""
         most = sum(len(part.row_ids) for part in self.parts.values())
         looked_at = DESCRIPTORS_PER_WANTED * count * (1 if allowed is None else most // max(len(allowed), 1) + 1)
@@ -88,7 +88,7 @@ class Coded:
         return ids
 
 
-def among(ids: Int64[np.ndarray, " h"], allowed: Int64[np.ndarray, " a"]) -> Bool[np.ndarray, " h"]:
+def among(ids: Int64[np.ndarray, " h"], allowed: Indices) -> Bool[np.ndarray, " h"]:
     if not len(allowed):
         return np.zeros(len(ids), np.bool_)
     return np.asarray(allowed[np.minimum(np.searchsorted(allowed, ids), len(allowed) - 1)] == ids)
@@ -239,7 +239,7 @@ def nearest_objects(snapshot: Snapshot, codes: Coded | None, search: Search) -> 
     return Nearest(rows, described, is_exact=False)
 
 
-def _by_codes(snapshot: Snapshot, codes: Coded, search: Search, allowed: Int64[np.ndarray, " a"] | None) -> Any:
+def _by_codes(snapshot: Snapshot, codes: Coded, search: Search, allowed: Indices | None) -> Any:
     """Return the rows of the best codes, several for each that is wanted; codes of deleted ones are passed over."""
     least = count = refine_factor(snapshot.num_rows) * search.wanted
     while True:

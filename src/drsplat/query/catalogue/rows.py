@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import OtherPixels, UInt8
+from ...base.arrays import OtherPixels
 from ...drawing.cards import Card, card_sheet
 from ...errors import InputError
 from ...field import LanguageField
@@ -137,7 +137,7 @@ def _positions(matches: Sequence[Match], georeference: Georeference | None) -> l
     return [Position(*row) for row in positions.tolist()]
 
 
-def thumbnail(pixels: UInt8[np.ndarray, "_ _ 3"]) -> bytes:
+def thumbnail(pixels: OtherPixels) -> bytes:
     """Return a JPEG of at most MAX_BYTES, of the best quality that fits; the size is halved until one does."""
     picture = Image.fromarray(pixels)
     while True:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.arrays import Flags, Float64, Indices, Int32, Int64, MaskIds
+from ...base.arrays import Flags, Float64, Indices, Int32, Int64, MaskIds, OtherIndices
 from ...errors import InputError
 from .masks import LEVELS, Masks
 
@@ -25,7 +25,7 @@ class MaskMaps:
     masks: Masks
 
 
-def mask_nms(masks: Masks, max_iou: float = 0.8, min_score: float = 0.7, inner: float = 0.5) -> Int64[np.ndarray, " k"]:
+def mask_nms(masks: Masks, max_iou: float = 0.8, min_score: float = 0.7, inner: float = 0.5) -> Indices:
     """Return the indices of the masks that stay, ascending.
 
     A mask goes if it has no pixels; if its score is not above min_score; if its IoU with one of a
@@ -85,7 +85,7 @@ def overlaps(masks: Masks) -> Int64[np.ndarray, "n n"]:
     return shared
 
 
-def _marked(masks: Masks, *places: Int64[np.ndarray, " r"]) -> Int64[np.ndarray, " c"]:
+def _marked(masks: Masks, *places: OtherIndices) -> Indices:
     """Return every place once, ascending: np.unique by a mark per pixel, several times as fast."""
     marks = np.zeros(masks.height * (masks.width + 1), bool)
     for some in places:
@@ -93,7 +93,7 @@ def _marked(masks: Masks, *places: Int64[np.ndarray, " r"]) -> Int64[np.ndarray,
     return np.flatnonzero(marks).astype(np.int64)
 
 
-def _runs(masks: Masks) -> tuple[Int64[np.ndarray, " r"], Int64[np.ndarray, " r"], Int64[np.ndarray, " r"]]:
+def _runs(masks: Masks) -> tuple[Indices, Indices, Indices]:
     """Return starts and ends of the runs of pixels, y * (width + 1) + x, and the mask of each run."""
     none = np.empty(0, np.int64)
     edges = [none] + [_edges(masks, i) for i in range(len(masks))]
@@ -102,13 +102,13 @@ def _runs(masks: Masks) -> tuple[Int64[np.ndarray, " r"], Int64[np.ndarray, " r"
     return joined[::2], joined[1::2], owners.astype(np.int64)
 
 
-def _edges(masks: Masks, index: int) -> Int64[np.ndarray, " r2"]:
+def _edges(masks: Masks, index: int) -> Indices:
     """Return start, end, start, end... of the runs of one mask, row by row."""
     part, (x0, y0, _, _) = masks.parts[index], masks.boxes[index].astype(np.int64)
     fenced = np.zeros((part.shape[0], part.shape[1] + 2), bool)
     fenced[:, 1:-1] = part
     y, x = np.divmod(np.flatnonzero(fenced[:, 1:] != fenced[:, :-1]), part.shape[1] + 1)
-    edges: Int64[np.ndarray, " r2"] = (y + y0) * (masks.width + 1) + x + x0
+    edges: Indices = (y + y0) * (masks.width + 1) + x + x0
     return edges
 
 

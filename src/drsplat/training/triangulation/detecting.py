@@ -18,7 +18,7 @@ import numpy as np
 from skimage.color import rgb2gray
 from skimage.feature import SIFT
 
-from ...base.arrays import Colors, Flags, Float64, Numbers, Pixels, UInt8
+from ...base.arrays import Colors, Flags, Numbers, Pixels, PlanePoints, UInt8
 from ...base.system import end_with
 from ...errors import InputError
 from ...scene.lens import undistort_points
@@ -36,7 +36,7 @@ MIN_CONTRAST = 0.005  # of differences of Gaussians; Lowe's 0.03 / 3 leaves a bl
 class Keypoints(NamedTuple):
     """Keypoints of a view: pixels on its pinhole (lens undone) at its own size, and SIFT descriptors."""
 
-    pixels: Float64[np.ndarray, "n 2"]
+    pixels: PlanePoints
     colors: Colors
     descriptors: UInt8[np.ndarray, "n 128"]
 
@@ -44,7 +44,7 @@ class Keypoints(NamedTuple):
 class Detection(NamedTuple):
     """Keypoints that SIFT detected. pixels: x and y on the raster that SIFT saw; sigmas: in its pixels."""
 
-    pixels: Float64[np.ndarray, "n 2"]
+    pixels: PlanePoints
     sigmas: Numbers
     colors: Colors
     descriptors: UInt8[np.ndarray, "n 128"]
@@ -143,7 +143,7 @@ def located(view: View, stored: View, detection: Detection) -> Keypoints:
     return Keypoints(pixels[chosen], detection.colors[chosen], detection.descriptors[chosen])
 
 
-def _inside_mask(stored: View, pixels: Float64[np.ndarray, "n 2"]) -> Flags:
+def _inside_mask(stored: View, pixels: PlanePoints) -> Flags:
     """Return which pixels of a stored photo lie inside its mask; all where it has none."""
     mask = load_mask(stored)
     if mask is None:

@@ -9,7 +9,22 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ...base.arrays import Bool, Colors, Doubles, Float64, Integer, Matrix3, RowIds, UInt8, Vector3
+from ...base.arrays import (
+    Colors,
+    DoubleRows,
+    Doubles,
+    Flags,
+    Float64,
+    Integer,
+    Matrix3,
+    OtherDoubles,
+    OtherFlags,
+    PlanePoints,
+    RowIds,
+    UInt8,
+    Vector3,
+    WholeNumbers,
+)
 from ...scene.views import View
 from .detecting import Keypoints, as_stored, detect_all, located
 
@@ -36,9 +51,9 @@ class Matches(NamedTuple):
 class Tracks(NamedTuple):
     """Observations sorted by track, then photo: keypoint `keypoints[i]` of photo `photos[i]` shows `tracks[i]`."""
 
-    tracks: Integer[np.ndarray, " o"]
-    photos: Integer[np.ndarray, " o"]
-    keypoints: Integer[np.ndarray, " o"]
+    tracks: WholeNumbers
+    photos: WholeNumbers
+    keypoints: WholeNumbers
 
 
 class Triangulation(NamedTuple):
@@ -100,14 +115,14 @@ def _points(
     return points.positions, _mean_colors(colors, tracks.tracks, points.used)[points.tracks]
 
 
-def _rows(keypoints: Sequence[Keypoints], tracks: Tracks) -> Integer[np.ndarray, " o"]:
+def _rows(keypoints: Sequence[Keypoints], tracks: Tracks) -> WholeNumbers:
     """Return the row of each observation among the concatenated keypoints of all photos."""
     starts = np.concatenate([[0], np.cumsum([len(k.pixels) for k in keypoints])])
     rows: np.ndarray = starts[tracks.photos] + tracks.keypoints
     return rows
 
 
-def _mean_colors(colors: UInt8[np.ndarray, "o 3"], tracks: Integer[np.ndarray, " o"], used: np.ndarray) -> Colors:
+def _mean_colors(colors: UInt8[np.ndarray, "m 3"], tracks: RowIds, used: np.ndarray) -> Colors:
     """Return the mean colour of each track over the observations that are used."""
     count = int(tracks.max(initial=-1)) + 1
     counts = np.maximum(np.bincount(tracks[used], minlength=count), 1)
@@ -163,7 +178,7 @@ def _distances2(a: Keypoints, b: Keypoints) -> np.ndarray:
     return squares
 
 
-def _nearest(distances2: np.ndarray) -> Integer[np.ndarray, " n"]:
+def _nearest(distances2: np.ndarray) -> WholeNumbers:
     """Return each row's nearest neighbour, or -1 where Lowe's ratio test fails."""
     rows, best = np.arange(len(distances2)), distances2.argmin(axis=1)
     others = distances2.copy()
@@ -171,9 +186,7 @@ def _nearest(distances2: np.ndarray) -> Integer[np.ndarray, " n"]:
     return np.where(distances2[rows, best] < MAX_DISTANCE_RATIO**2 * others.min(axis=1), best, -1)
 
 
-def _fits(
-    first: View, x: Float64[np.ndarray, "m 2"], second: View, y: Float64[np.ndarray, "m 2"]
-) -> Bool[np.ndarray, " m"]:
+def _fits(first: View, x: PlanePoints, second: View, y: PlanePoints) -> Flags:
     """Return which pairs lie on each other's epipolar lines, to `MAX_EPIPOLAR_SHARE` of the photo's longer side."""
     fundamental = fundamental_matrix(first, second)
     homogeneous = [np.concatenate([points, np.ones((len(points), 1))], axis=1) for points in (x, y)]
@@ -234,19 +247,19 @@ class Points(NamedTuple):
     """Triangulated points. tracks: the track of each. used: the observations that agree with their track's point."""
 
     positions: Float64[np.ndarray, "n 3"]
-    tracks: Integer[np.ndarray, " n"]
-    used: Bool[np.ndarray, " o"]
+    tracks: WholeNumbers
+    used: OtherFlags
 
 
 class _Rays(NamedTuple):
     """Rays by observation. centers: from the mean camera, so that a scene may lie far from its origin."""
 
-    centers: Float64[np.ndarray, "o 3"]
-    directions: Float64[np.ndarray, "o 3"]
-    pixel: Float64[np.ndarray, " o"]  # tolerance as a slope: tolerated pixels over the focal length
+    centers: Float64[np.ndarray, "n 3"]
+    directions: Float64[np.ndarray, "n 3"]
+    pixel: Doubles  # tolerance as a slope: tolerated pixels over the focal length
 
 
-def meet(views: Sequence[View], tracks: Tracks, pixels: Float64[np.ndarray, "o 2"], least: int) -> Points:
+def meet(views: Sequence[View], tracks: Tracks, pixels: PlanePoints, least: int) -> Points:
     """Triangulate each track, and return the points that at least `least` observations agree on.
 
     pixels: of each observation. In rounds of falling tolerance, observations that are off by more leave their track;
@@ -271,9 +284,7 @@ def meet(views: Sequence[View], tracks: Tracks, pixels: Float64[np.ndarray, "o 2
     return Points(positions[enough] + mean_center, np.flatnonzero(enough), used)
 
 
-def _rays(
-    views: Sequence[View], photos: Integer[np.ndarray, " o"], pixels: Float64[np.ndarray, "o 2"], mean_center: Vector3
-) -> _Rays:
+def _rays(views: Sequence[View], photos: WholeNumbers, pixels: PlanePoints, mean_center: Vector3) -> _Rays:
     homogeneous = np.concatenate([pixels, np.ones((len(pixels), 1))], axis=1)
     to_world = np.array([view.cam_from_world[:3, :3].T @ np.linalg.inv(view.K) for view in views])
     directions = np.einsum("oij,oj->oi", to_world[photos], homogeneous)
@@ -282,9 +293,7 @@ def _rays(
     return _Rays(centers[photos], directions / np.linalg.norm(directions, axis=1, keepdims=True), slopes[photos])
 
 
-def _nearest_to_rays(
-    rays: _Rays, tracks: Integer[np.ndarray, " o"], weights: Float64[np.ndarray, " o"], count: int
-) -> Float64[np.ndarray, "n 3"]:
+def _nearest_to_rays(rays: _Rays, tracks: RowIds, weights: OtherDoubles, count: int) -> Float64[np.ndarray, "n 3"]:
     """Return each track's point nearest to its rays; NaN where they are parallel or all weights are 0."""
     across = np.eye(3) - rays.directions[:, :, None] * rays.directions[:, None, :]
     across *= weights[:, None, None]
@@ -297,9 +306,7 @@ def _nearest_to_rays(
     return positions
 
 
-def _off(
-    rays: _Rays, positions: Float64[np.ndarray, "o 3"]
-) -> tuple[Float64[np.ndarray, " o"], Float64[np.ndarray, " o"]]:
+def _off(rays: _Rays, positions: Float64[np.ndarray, "n 3"]) -> tuple[Doubles, Doubles]:
     """Return the depth of each point along its ray, and its distance from the ray over the depth (NaN stays)."""
     to_point = positions - rays.centers
     depths = (to_point * rays.directions).sum(axis=1)
@@ -307,7 +314,7 @@ def _off(
     return depths, aside / np.maximum(depths, MIN_DETERMINANT)
 
 
-def _angles(rays: _Rays, tracks: Integer[np.ndarray, " o"], used: Bool[np.ndarray, " o"], count: int) -> Doubles:
+def _angles(rays: _Rays, tracks: WholeNumbers, used: Flags, count: int) -> OtherDoubles:
     """Return each track's largest angle between a ray and the mean of all, in radians."""
     means = _summed(rays.directions * used[:, None], tracks, count)
     means /= np.maximum(np.linalg.norm(means, axis=1, keepdims=True), MIN_DETERMINANT)
@@ -317,9 +324,7 @@ def _angles(rays: _Rays, tracks: Integer[np.ndarray, " o"], used: Bool[np.ndarra
     return largest
 
 
-def _summed(
-    values: Float64[np.ndarray, "o c"], tracks: Integer[np.ndarray, " o"], count: int
-) -> Float64[np.ndarray, "n c"]:
+def _summed(values: Float64[np.ndarray, "m k"], tracks: RowIds, count: int) -> DoubleRows:
     """Sum values by track, in the order of the observations."""
     columns = [np.bincount(tracks, column, minlength=count) for column in values.T]
     return np.stack(columns, axis=1)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....base.arrays import Embedding, Float32, Integer, Numbers, UInt8, UInt16
+from ....base.arrays import ByteRows, Embedding, Embeddings, FloatRows, Numbers, UInt16, WholeNumbers
 from ....errors import FormatError, InputError
 from ....formats.tensors import check_tensors
 from ....kernels.algebra import row_products
@@ -94,7 +94,7 @@ class MixtureCode:
         blocks = slice(begin // ROWS_PER_BLOCK, -(-end // ROWS_PER_BLOCK))
         return MixtureCode(Blocks(ids[blocks], weights[blocks], scales[begin:end]), self.atoms)
 
-    def scores(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Float32[np.ndarray, "q n"]:
+    def scores(self, queries: Embeddings, *, threads: int = 0) -> FloatRows:
         """See Code. Off by some 1e-5, and the same to the bit on any instruction set.
 
         Raises: InputError: queries of another dimension, or not finite.
@@ -110,14 +110,14 @@ class MixtureCode:
         """See Code. Raises: InputError: a query of another dimension, not finite, or a count below 1."""
         return Hits(*mixture_top(self.blocks, self.atoms.dictionary, query, count, threads=threads))
 
-    def best(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Best:
+    def best(self, queries: Embeddings, *, threads: int = 0) -> Best:
         """See Code. One scan for each 256 queries, 128 with AVX2.
 
         Raises: InputError: no query, one of another dimension, or not finite.
         """
         return Best(*mixture_best(self.blocks, self.atoms.dictionary, queries, threads=threads))
 
-    def decode(self, rows: slice | Integer[np.ndarray, " b"]) -> Float32[np.ndarray, "b D"]:
+    def decode(self, rows: slice | WholeNumbers) -> Embeddings:
         """See Code."""
         ids, weights, scales = self.unpacked(rows)
         features = np.zeros((len(ids), self.dim), np.float32)
@@ -125,16 +125,14 @@ class MixtureCode:
             features += self.atoms.vectors(ids[:, k]) * weights[:, k, None]
         return np.asarray(features * scales.astype(np.float32)[:, None])
 
-    def unpacked(
-        self, rows: slice | Integer[np.ndarray, " b"]
-    ) -> tuple[UInt16[np.ndarray, "b k"], UInt8[np.ndarray, "b k"], np.ndarray]:
+    def unpacked(self, rows: slice | WholeNumbers) -> tuple[UInt16[np.ndarray, "n k"], ByteRows, np.ndarray]:
         """Return ids, weights and scales of some rows, row by row."""
         index = np.arange(len(self))[rows]
         block, within = np.divmod(index, ROWS_PER_BLOCK)
         ids, weights, scales = self.blocks
         return ids[block, :, within], weights[block, :, within], scales[index]
 
-    def rows(self, index: slice | Integer[np.ndarray, " b"]) -> "MixtureCode":
+    def rows(self, index: slice | WholeNumbers) -> "MixtureCode":
         """See Code. The atoms stay as they are."""
         return MixtureCode(packed(*self.unpacked(index)), self.atoms)
 
@@ -159,7 +157,7 @@ class MixtureCode:
         return dict(zip(_ARRAYS, arrays, strict=True))
 
 
-def packed(ids: UInt16[np.ndarray, "n k"], weights: UInt8[np.ndarray, "n k"], scales: np.ndarray) -> Blocks:
+def packed(ids: UInt16[np.ndarray, "n k"], weights: ByteRows, scales: np.ndarray) -> Blocks:
     """Lay rows out for scans; the last block is padded with rows of weight 0."""
     count, per_row = ids.shape
     blocks = -(-count // ROWS_PER_BLOCK)
