@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..base.arrays import Doubles, Float32, Float64, Ids, Indices, Numbers, OtherIds, OtherIndices, Vector3, Vectors
+from ..base.arrays import Doubles, Float32, Float64, Ids, Indices, OtherIds, OtherIndices, Vector3, Vectors
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 
@@ -231,14 +231,8 @@ def _vote_batch(sources: _Sources, grid: _Grid, cut_off: float, winners: Ids, ru
     labels = grid.labels[points[near]]
     votes = np.exp(np.float32(-0.5) * squared[near])
     ids = sources.ids[first:last]
-    _write_winners(winners, ids, owner[near], labels, votes, grid.num_labels)
-
-
-def _write_winners(
-    winners: OtherIds, ids: OtherIndices, owner: Ids, labels: Indices, votes: Numbers, num_labels: int
-) -> None:
-    """Write the label with most votes for each Gaussian that has any."""
-    sums = np.bincount(owner * num_labels + labels, votes, len(ids) * num_labels)
-    sums = sums.reshape(len(ids), num_labels)
+    # write the label with most votes for each Gaussian that has any
+    sums = np.bincount(owner[near] * grid.num_labels + labels, votes, len(ids) * grid.num_labels)
+    sums = sums.reshape(len(ids), grid.num_labels)
     voted = sums.any(1)
     winners[ids[voted]] = sums[voted].argmax(1)

@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from scipy.sparse import csr_array
 
-from ..base.arrays import Embeddings, Flags, Indices, OtherIds, UnsignedIds, WholeNumbers
+from ..base.arrays import Embeddings, Flags, Indices, OtherIds, UnsignedIds
 from ..base.contents import release
 from ..errors import InputError, MismatchError
 from ..scene.encoders import EncoderIdentity
@@ -163,17 +163,13 @@ def grown_of(
     has_rest[gaussian_ids] = False
     rest_ids = np.flatnonzero(has_rest).astype(np.uint32)
     wish = None if isinstance(code, Codebook) else code
+    # some rows of W, with int32 columns
+    rows = evidence.weights[rest_ids]
+    arrays = (rows.data, rows.indices.astype(np.int32), rows.indptr.astype(np.int32))
     return Growth(
-        provenance, wish, rest_ids, _rows(evidence, rest_ids), learnt.views, learnt.atoms,
+        provenance, wish, rest_ids, csr_array(arrays, shape=rows.shape), learnt.views, learnt.atoms,
         None if learnt.atoms is None else scene_places,
     )  # fmt: skip
-
-
-def _rows(evidence: Evidence, index: WholeNumbers) -> csr_array:
-    """Return some rows of W, with int32 columns."""
-    rows = evidence.weights[index]
-    arrays = (rows.data, rows.indices.astype(np.int32), rows.indptr.astype(np.int32))
-    return csr_array(arrays, shape=rows.shape)
 
 
 def _coded(

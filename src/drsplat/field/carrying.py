@@ -60,7 +60,16 @@ def assign(old: Gaussians, new: Gaussians, *, threads: int = 0) -> Assignment:
     here, there = old.positions - old.origin, new.positions - old.origin
     reach = MAX_DISTANCE_SHARE * _spacing(here, threads)
     found, costs = _candidates(here, there, reach, _looks(old), _looks(new), threads)
-    rows = _objects_lost(found, costs, len(new))
+    # give each row of the new scene to one Gaussian: the most alike first, of equal ones the lower row
+    rows, taken = np.full(len(found), -1), np.zeros(len(new), bool)
+    for choice in range(found.shape[1]):
+        (waiting,) = np.nonzero((rows < 0) & np.isfinite(costs[:, choice]))
+        wanted = found[waiting, choice]
+        waiting, wanted = waiting[~taken[wanted]], wanted[~taken[wanted]]
+        best = np.lexsort((waiting, costs[waiting, choice], wanted))
+        first = best[np.append(True, np.diff(wanted[best]) > 0)] if len(best) else best
+        rows[waiting[first]] = wanted[first]
+        taken[wanted[first]] = True
     distances = np.linalg.norm(there[np.maximum(rows, 0)] - here, axis=1)
     return Assignment(rows, np.where(rows < 0, np.inf, distances), reach, new.fingerprint, len(new))
 
@@ -137,20 +146,6 @@ def _candidates(
         order = np.argsort(cost, axis=1, kind="stable")
         found[part], costs[part] = (np.take_along_axis(values, order, axis=1) for values in (rows, cost))
     return found, costs
-
-
-def _objects_lost(found: IndexRows, costs: FloatRows, count: int) -> Indices:
-    """Give each row of the new scene to one Gaussian: the most alike first, of equal ones the lower row."""
-    rows, taken = np.full(len(found), -1), np.zeros(count, bool)
-    for choice in range(found.shape[1]):
-        (waiting,) = np.nonzero((rows < 0) & np.isfinite(costs[:, choice]))
-        wanted = found[waiting, choice]
-        waiting, wanted = waiting[~taken[wanted]], wanted[~taken[wanted]]
-        best = np.lexsort((waiting, costs[waiting, choice], wanted))
-        first = best[np.append(True, np.diff(wanted[best]) > 0)] if len(best) else best
-        rows[waiting[first]] = wanted[first]
-        taken[wanted[first]] = True
-    return rows
 
 
 def _ascending(rows: OtherIndices) -> tuple[Indices, Indices]:

@@ -127,7 +127,18 @@ class LabelFile:
             labels = (*(label for label in self.read() if not is_replaced(label)), *more)
             if len(labels) > MAX_LABELS:
                 raise InputError(f"{self.path}: has {MAX_LABELS:,} labels, which is the most: remove some")
-            text = json.dumps(_document(labels), ensure_ascii=False, separators=(",", ":"))
+            entries = [
+                {
+                    "name": label.name,
+                    "scene": label.scene,
+                    "center": label.center.tolist(),
+                    "runs": runs_of(label.spans),
+                }
+                for label in labels
+            ]
+            text = json.dumps(
+                {"format": FORMAT, "version": VERSION, "labels": entries}, ensure_ascii=False, separators=(",", ":")
+            )
             with replacing(self.path, overwrite=True) as file:
                 file.write(f"{text}\n".encode())
         return labels
@@ -182,14 +193,6 @@ def _overlaps(label: Label, field: LanguageField) -> list[tuple[int, float, bool
 
 def _same(one: Label, other: Label) -> bool:
     return (one.name, one.scene) == (other.name, other.scene) and np.array_equal(one.spans, other.spans)
-
-
-def _document(labels: Sequence[Label]) -> dict[str, object]:
-    entries = [
-        {"name": label.name, "scene": label.scene, "center": label.center.tolist(), "runs": runs_of(label.spans)}
-        for label in labels
-    ]
-    return {"format": FORMAT, "version": VERSION, "labels": entries}
 
 
 def _label(entry: object, where: str) -> Label:

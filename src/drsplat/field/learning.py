@@ -48,7 +48,13 @@ def learn(
     some = sampler(features, np.isin(masks.view_names, views)[masks.views])
     if isinstance(code, Mixture):
         return Learnt(views, atoms=learn_scene_atoms(source_of(some), threads=threads))
-    return Learnt(views, codebook=_scene_codebook(some, encoder, code.parts(encoder.dim), threads, track))
+    count = min(len(some), MAX_TRAINING_POINTS)
+    spread = np.linspace(0, len(some) - 1, count).astype(np.int64)
+    points = some.rows(spread).features(0, count, threads=threads)
+    directed = points[points.any(axis=1)]
+    return Learnt(
+        views, codebook=train_codebook(directed, code.parts(encoder.dim), encoder=encoder, threads=threads, track=track)
+    )
 
 
 def learning_views(evidence: Evidence) -> tuple[str, ...]:
@@ -71,11 +77,3 @@ def source_of(features: Aggregated) -> Evidence:
 def drawn(name: str) -> bytes:
     """Return a view's sort key in an order that looks random, and that further views do not change."""
     return hashlib.blake2b(name.encode(), digest_size=8).digest()
-
-
-def _scene_codebook(features: Aggregated, encoder: EncoderIdentity, parts: int, threads: int, track: Track) -> Codebook:
-    count = min(len(features), MAX_TRAINING_POINTS)
-    spread = np.linspace(0, len(features) - 1, count).astype(np.int64)
-    points = features.rows(spread).features(0, count, threads=threads)
-    directed = points[points.any(axis=1)]
-    return train_codebook(directed, parts, encoder=encoder, threads=threads, track=track)

@@ -181,25 +181,22 @@ def gaussians_of(rows: Records, activated: frozenset[str] = frozenset()) -> Gaus
     means, origin = _means(rows)
     opacities = gather(rows, ["opacity"])[:, 0]
     harmonics = DC if set(DC) <= set(rows.dtype.names or ()) else RGB
+    # harmonics; the constant ones may be colours, whole numbers of any width or fractions
+    names = [*harmonics, *rest]
+    sh = gather(rows, names).reshape(len(rows), len(names) // 3, 3)
+    if harmonics == RGB or "f_dc" in activated:
+        code = rows.dtype[names[0]]
+        most = np.iinfo(code).max if code.kind in "iu" else 255 if sh[:, 0].max(initial=0) > 1 else 1
+        sh[:, 0] = (sh[:, 0] / np.float32(most) - np.float32(0.5)) / np.float32(SH_C0)
     gaussians = checked(
         means,
         gather(rows, QUATS),
         _scales(rows, "scale" in activated),
         opacities if "opacity" in activated else sigmoid(opacities),
-        _harmonics(rows, [*harmonics, *rest], are_colours=harmonics == RGB or "f_dc" in activated),
+        sh,
         extra_columns(rows, {*REQUIRED, *rest, *harmonics}),
     )
     return replace(gaussians, origin=origin)
-
-
-def _harmonics(rows: Records, names: list[str], are_colours: bool) -> Harmonics:
-    """Return harmonics; the constant ones may be colours, whole numbers of any width or fractions."""
-    sh = gather(rows, names).reshape(len(rows), len(names) // 3, 3)
-    if are_colours:
-        code = rows.dtype[names[0]]
-        most = np.iinfo(code).max if code.kind in "iu" else 255 if sh[:, 0].max(initial=0) > 1 else 1
-        sh[:, 0] = (sh[:, 0] / np.float32(most) - np.float32(0.5)) / np.float32(SH_C0)
-    return sh
 
 
 def _scales(rows: Records, activated: bool) -> Vectors:

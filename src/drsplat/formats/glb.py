@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Harmonics, Ids, Matrix3, Matrix4, Numbers, Quats, Vectors
+from ..base.arrays import Ids, Matrix3, Matrix4
 from ..base.contents import file_bytes
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians, concatenated
@@ -206,11 +206,7 @@ def _of_attributes(gltf: Gltf, attributes: Entry, budget: _Budget) -> Gaussians:
             sh[:, number] = values
     if len(lengths) > 1:
         raise FormatError(f"glTF: attributes of one primitive with {sorted(lengths)} rows: damaged")
-    return _checked(means, quats, scales, opacities, sh)
-
-
-def _checked(means: Vectors, quats: Quats, scales: Vectors, opacities: Numbers, sh: Harmonics) -> Gaussians:
-    """Return sound Gaussians; unit rotations stay as they are. Raises: FormatError: rows that are none."""
+    # sound Gaussians; unit rotations stay as they are. Raises: FormatError: rows that are none.
     negative = int((scales < 0).any(axis=1).sum())
     if negative:
         raise FormatError(

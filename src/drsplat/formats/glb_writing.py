@@ -164,7 +164,14 @@ def _document(scene: LabelledScene, binary: Binary) -> dict[str, Any]:
     from .. import __version__
 
     primitive = _primitive(scene, binary)
-    metadata = _metadata(scene, binary)
+    # the extension's object of the document, {} where there is nothing to say
+    metadata = tables_document(tables_of(scene), binary)
+    if scene.relevancy is not None:
+        query = f" to “{scene.query}”" if scene.query else ""
+        relevancy = {"type": "SCALAR", "componentType": "FLOAT32", "required": True}
+        schema = metadata.setdefault("schema", {"id": "drsplat", "classes": {}})
+        schema["classes"]["splat"] = {"properties": {"relevancy": relevancy | {"description": f"relevancy{query}"}}}
+        metadata["propertyAttributes"] = [{"class": "splat", "properties": {"relevancy": {"attribute": RELEVANCY}}}]
     extensions = [SPLATTING, *([FEATURES] if scene.things else []), *([METADATA] if metadata else [])]
     return {
         "asset": {"version": "2.0", "generator": f"drsplat {__version__}"},
@@ -251,18 +258,6 @@ def tables_document(tables: Sequence[Table], binary: Binary) -> dict[str, Any]:
     classes = {table.kind: {"properties": table.properties} for table in tables}
     rows = [_table(table, binary) for table in tables]
     return {"schema": {"id": "drsplat", "classes": classes}, "propertyTables": rows}
-
-
-def _metadata(scene: LabelledScene, binary: Binary) -> dict[str, Any]:
-    """Return the extension's object of the document, {} where there is nothing to say."""
-    metadata = tables_document(tables_of(scene), binary)
-    if scene.relevancy is not None:
-        query = f" to “{scene.query}”" if scene.query else ""
-        relevancy = {"type": "SCALAR", "componentType": "FLOAT32", "required": True}
-        schema = metadata.setdefault("schema", {"id": "drsplat", "classes": {}})
-        schema["classes"]["splat"] = {"properties": {"relevancy": relevancy | {"description": f"relevancy{query}"}}}
-        metadata["propertyAttributes"] = [{"class": "splat", "properties": {"relevancy": {"attribute": RELEVANCY}}}]
-    return metadata
 
 
 def _table(table: Table, binary: Binary) -> dict[str, Any]:

@@ -108,7 +108,13 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
         and row.
         """
         files = self._files(self._known(name))
-        features = _one_level(files, self.level)
+        rows, ids = files.embeddings, files.ids(self.level)
+        used = np.zeros(len(rows) + 1, bool)  # the last is that of -1
+        used[ids] = True
+        file_rows = np.flatnonzero(used[:-1])
+        compact = np.full(len(rows) + 1, -1, np.int32)
+        compact[file_rows] = np.arange(len(file_rows), dtype=np.int32)
+        features = LevelFeatures(compact[ids], unit_rows(rows, file_rows, files.path), file_rows)
         if features.embeddings.shape[1] != self.dim:
             raise FormatError(
                 f"{files.path}: has {features.embeddings.shape[1]} dimensions, the folder's first has {self.dim}"
@@ -279,16 +285,6 @@ FORMS: Mapping[Form, tuple[tuple[str, ...], Callable[[Path, str], FeatureFile]]]
     "compact": ((COMPACT,), lambda directory, stem: read_compact(directory / f"{stem}{COMPACT}")),
 }
 """Endings of a photo's files, of which the first holds its masks, and how they are opened."""
-
-
-def _one_level(files: FeatureFile, level: int) -> LevelFeatures:
-    rows, ids = files.embeddings, files.ids(level)
-    used = np.zeros(len(rows) + 1, bool)  # the last is that of -1
-    used[ids] = True
-    file_rows = np.flatnonzero(used[:-1])
-    compact = np.full(len(rows) + 1, -1, np.int32)
-    compact[file_rows] = np.arange(len(file_rows), dtype=np.int32)
-    return LevelFeatures(compact[ids], unit_rows(rows, file_rows, files.path), file_rows)
 
 
 def _level_ids(path: Path, level: int, num_rows: int) -> Int64[np.ndarray, "h w"]:

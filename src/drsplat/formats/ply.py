@@ -145,7 +145,16 @@ def read_elements(buffer: memoryview, header: Header, names: Collection[str]) ->
         if header.elements[name].has_lists or not header.elements[name].properties:
             raise FormatError(f"PLY element '{name}' must hold scalar properties, and only those")
     if header.order == "=":
-        return _read_ascii(io.BytesIO(buffer[header.body :]), header, names)
+        found: dict[str, np.ndarray] = {}
+        rows = (line for line in io.BytesIO(buffer[header.body :]) if not line.isspace())
+        for element in header.elements.values():
+            if len(found) == len(names):
+                break
+            if element.name in names:
+                found[element.name] = _ascii_rows(rows, element)
+            elif sum(1 for _ in islice(rows, element.count)) < element.count:
+                raise FormatError(f"PLY is truncated: fewer than {element.count} lines of '{element.name}'")
+        return found
     return _read_binary(buffer, header, names)
 
 
@@ -190,19 +199,6 @@ def _end_of_lists(buffer: memoryview, offset: int, element: Element, order: str)
         if offset > len(buffer):
             raise FormatError(f"PLY is truncated or damaged in the lists of '{element.name}'")
     return offset
-
-
-def _read_ascii(text: io.BytesIO, header: Header, names: Collection[str]) -> dict[str, Records]:
-    found: dict[str, np.ndarray] = {}
-    rows = (line for line in text if not line.isspace())
-    for element in header.elements.values():
-        if len(found) == len(names):
-            break
-        if element.name in names:
-            found[element.name] = _ascii_rows(rows, element)
-        elif sum(1 for _ in islice(rows, element.count)) < element.count:
-            raise FormatError(f"PLY is truncated: fewer than {element.count} lines of '{element.name}'")
-    return found
 
 
 def _ascii_rows(rows: Iterator[bytes], element: Element) -> Records:

@@ -224,7 +224,10 @@ def read_sog_labels(path: Path) -> Labels:
 class _Sog:
     def __init__(self, member: Member) -> None:
         self.member = member
-        self.meta = _document(member(META))
+        found = document_in(member(META), META)
+        if not is_sog_meta(found):
+            raise FormatError(f"{META}: expected that of a SOG, with means, scales, quats and sh0")
+        self.meta = as_object(found, META)
         self.own = _part(self.meta, OWN) if OWN in self.meta else {}
         version = self.meta.get("version")
         if version not in (None, 2) or isinstance(version, bool):
@@ -244,17 +247,7 @@ class _Sog:
         opacities, model = self._opacities(colours), self.meta.get("model")
         scales = flat(scales[:, :2]) if model == SURFELS else scales
         sh = self._harmonics(colours)
-        gaussians = checked(means, quats, scales, opacities, sh, self._own_columns(), model == ANTIALIASED)
-        origin = as_kind(self.own.get("origin"), Vector3 | None, f"{META}: origin")
-        return gaussians if origin is None else replace(gaussians, origin=origin)
-
-    def labels(self) -> Labels:
-        """Return the names and boxes of objects that drsplat wrote beside; none in files of other programs."""
-        name = as_kind(self.own.get("labels"), str | None, f"{META}: {OWN}: labels")
-        return Labels() if name is None else parse_labels(self.member(name), name)
-
-    def _own_columns(self) -> dict[str, np.ndarray]:
-        """Return the object of each Gaussian, -1 for none, and its relevancy, as far as they are there."""
+        # the object of each Gaussian, -1 for none, and its relevancy, as far as they are there
         own = self.own
         columns: dict[str, np.ndarray] = {}
         if "object_id" in own:
@@ -264,7 +257,14 @@ class _Sog:
             low, high = self._plane_of(own, "relevancy")[:, :2].T.astype(np.uint16)
             least, most = (as_number(own["relevancy"].get(end), f"{META}: relevancy: {end}") for end in ("min", "max"))
             columns["relevancy"] = (least + (most - least) * ((low | high << 8) / 65535)).astype(np.float32)
-        return columns
+        gaussians = checked(means, quats, scales, opacities, sh, columns, model == ANTIALIASED)
+        origin = as_kind(self.own.get("origin"), Vector3 | None, f"{META}: origin")
+        return gaussians if origin is None else replace(gaussians, origin=origin)
+
+    def labels(self) -> Labels:
+        """Return the names and boxes of objects that drsplat wrote beside; none in files of other programs."""
+        name = as_kind(self.own.get("labels"), str | None, f"{META}: {OWN}: labels")
+        return Labels() if name is None else parse_labels(self.member(name), name)
 
     def _plane(self, part: str, place: int = 0) -> Bytes:
         return self._plane_of(self.meta, part, place)
@@ -366,13 +366,6 @@ class _Sog:
         if not 1 <= size <= MAX_PALETTE_ENTRIES:
             raise FormatError(f"{META}: shN: expected 1 to {MAX_PALETTE_ENTRIES} entries, got {size}")
         return size, REST_COEFFICIENTS[bands]
-
-
-def _document(data: bytes) -> dict[str, Any]:
-    found = document_in(data, META)
-    if not is_sog_meta(found):
-        raise FormatError(f"{META}: expected that of a SOG, with means, scales, quats and sh0")
-    return as_object(found, META)
 
 
 def is_sog_meta(document: object) -> bool:

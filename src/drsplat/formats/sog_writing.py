@@ -28,13 +28,11 @@ from ..base.arrays import (
     Harmonics,
     Integer,
     Numbers,
-    OtherDoubles,
     OtherEmbeddings,
     Quats,
     UInt8,
     UInt16,
     Vectors,
-    WholeNumbers,
 )
 from ..errors import InputError
 from ..kernels import pq_encode
@@ -172,19 +170,14 @@ def codebook(values: Float32[np.ndarray, "..."], importance: Importance = np.one
         return np.pad(distinct, (0, CODEBOOK_ENTRIES - len(distinct)), mode="edge")
     weights = importance(ascending)
     masses, moments = (np.concatenate([[0.0], np.cumsum(part)]) for part in (weights, weights * ascending))
-    book = _spread(ascending, weights)
+    counted, edges = np.histogram(ascending, HISTOGRAM_BINS, weights=weights)
+    reached = np.concatenate([[0.0], np.cumsum(np.cbrt(counted))])
+    book: np.ndarray = np.interp((np.arange(CODEBOOK_ENTRIES) + 0.5) / CODEBOOK_ENTRIES * reached[-1], reached, edges)
     for _ in range(LLOYD_STEPS):
         ends = np.concatenate([[0], np.searchsorted(ascending, (book[1:] + book[:-1]) / 2), [len(ascending)]])
         mass, moment = (sums[ends[1:]] - sums[ends[:-1]] for sums in (masses, moments))
         book = np.where(mass > 0, moment / np.where(mass > 0, mass, 1), book)
     return np.sort(book)
-
-
-def _spread(ascending: Doubles, weights: Doubles) -> OtherDoubles:
-    counted, edges = np.histogram(ascending, HISTOGRAM_BINS, weights=weights)
-    reached = np.concatenate([[0.0], np.cumsum(np.cbrt(counted))])
-    book: np.ndarray = np.interp((np.arange(CODEBOOK_ENTRIES) + 0.5) / CODEBOOK_ENTRIES * reached[-1], reached, edges)
-    return book
 
 
 def sizes(logs: Doubles) -> Doubles:
@@ -280,19 +273,16 @@ def _own_parts(gaussians: Gaussians, labels: bytes) -> tuple[dict[str, object], 
     if labels:
         part["labels"], files[LABELS] = LABELS, labels
     if "object_id" in gaussians.extra:
-        part["object_id"], files[OBJECTS] = _object_ids(gaussians.extra["object_id"])
+        # encode numbers of objects, increased by 1, as three bytes, the lowest first
+        object_of = gaussians.extra["object_id"]
+        if object_of.max() > MAX_OBJECT_ID:
+            raise InputError(f"SOG: expected at most {MAX_OBJECT_ID + 1:,} objects, got the number {object_of.max():,}")
+        ids = object_of.astype(np.int64) + 1
+        rows = np.column_stack([low_bytes(ids >> shift) for shift in (0, 8, 16)])
+        part["object_id"], files[OBJECTS] = ({"files": [OBJECTS]}, picture(rows))
     if "relevancy" in gaussians.extra:
         part["relevancy"], files[RELEVANCIES] = _relevancy(gaussians.extra["relevancy"])
     return ({OWN: part} if len(part) > 1 else {}), files
-
-
-def _object_ids(object_of: WholeNumbers) -> tuple[Mapping[str, object], bytes]:
-    """Encode numbers of objects, increased by 1, as three bytes, the lowest first."""
-    if object_of.max() > MAX_OBJECT_ID:
-        raise InputError(f"SOG: expected at most {MAX_OBJECT_ID + 1:,} objects, got the number {object_of.max():,}")
-    ids = object_of.astype(np.int64) + 1
-    rows = np.column_stack([low_bytes(ids >> shift) for shift in (0, 8, 16)])
-    return {"files": [OBJECTS]}, picture(rows)
 
 
 def _relevancy(relevancy: Numbers) -> tuple[Mapping[str, object], bytes]:

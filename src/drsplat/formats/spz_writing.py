@@ -104,9 +104,10 @@ def _planes(gaussians: Gaussians, degree: int, version: int, flags: int, streams
         raise InputError(f"degree: expected 0 to {gaussians.sh_degree}, which the scene has, got {degree}")
     bits = _fractional_bits(gaussians.means)
     flags |= ANTIALIASED if gaussians.antialiased else 0
+    whole = np.rint((gaussians.means * TO_RUB).astype(np.float64) * 2.0**bits).astype("<i4")
     return (
         PREFIX.pack(MAGIC, version, len(gaussians), degree, bits, flags, streams),
-        _fixed(gaussians.means * TO_RUB, bits).tobytes(),
+        np.ascontiguousarray(whole.view(np.uint8).reshape(-1, 3, 4)[:, :, :3]).reshape(-1, 9).tobytes(),
         _byte(gaussians.opacities * 255).tobytes(),
         _byte((gaussians.sh[:, 0] * COLOUR_SCALE + 0.5) * 255).tobytes(),
         _byte((np.log(gaussians.scales) + 10) * 16).tobytes(),
@@ -125,11 +126,6 @@ def _fractional_bits(means: Vectors) -> int:
         )
     spare = np.log2(MAX_FIXED_POSITION / farthest) if farthest > 0 else MAX_FRACTIONAL_BITS
     return int(np.clip(np.floor(spare), 0, MAX_FRACTIONAL_BITS))
-
-
-def _fixed(values: Vectors, bits: int) -> UInt8[np.ndarray, "n 9"]:
-    whole = np.rint(values.astype(np.float64) * 2.0**bits).astype("<i4")
-    return np.ascontiguousarray(whole.view(np.uint8).reshape(-1, 3, 4)[:, :, :3]).reshape(-1, 9)
 
 
 def _smallest_three(quats: Quats) -> np.ndarray:

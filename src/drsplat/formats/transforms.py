@@ -99,7 +99,10 @@ def _document(path: Path) -> dict[str, Any]:
 def _view(entry: Entry, name: str, photo: Path, where: str) -> View:
     where = f"{where} ({name!a})"
     refuse_other_lenses(entry, where)
-    _refuse_moving(entry, where)
+    # refuse the pose at the end of an exposure (instant-ngp) where it is not that of the photo
+    ends = [key for key in ("transform_matrix_start", "transform_matrix_end") if key in entry]
+    if any(entry[key] != entry.get("transform_matrix") for key in ends):
+        raise FormatError(f"{where}: {' and '.join(ends)}: the camera moves while it looks; give one transform_matrix")
     width, height = _size(entry, photo, where)
     intrinsics = intrinsics_of(entry, width, height, where)
     cam_from_world = cam_from_transform(entry.get("transform_matrix"), f"{where}: transform_matrix")
@@ -118,13 +121,6 @@ def cam_from_transform(rows: object, where: str) -> Matrix4:
     matrix = as_matrix(rows, 3, 4, where)
     rotation = nearest_rotation(matrix[:, :3], where) * _OPENCV_FROM_OPENGL
     return inverse_pose(rotation, matrix[:, 3])
-
-
-def _refuse_moving(entry: Entry, where: str) -> None:
-    """Refuse the pose at the end of an exposure (instant-ngp) where it is not that of the photo."""
-    ends = [key for key in ("transform_matrix_start", "transform_matrix_end") if key in entry]
-    if any(entry[key] != entry.get("transform_matrix") for key in ends):
-        raise FormatError(f"{where}: {' and '.join(ends)}: the camera moves while it looks; give one transform_matrix")
 
 
 def _size(entry: Entry, photo: Path, where: str) -> tuple[int, int]:

@@ -114,18 +114,16 @@ def _library_layer_of(pxr: Any, scene: LabelledScene) -> Any:
     layer = pxr.Sdf.Layer.CreateAnonymous(".usda")
     layer.ImportFromString("".join(layer_text(scene, map(_declared, columns))))
     for column in columns:
-        layer.GetAttributeAtPath(f"/{ROOT}/{SPLAT}.{column.name}").default = _library_array(pxr, column)
+        rows = column.rows[:, _TO_XYZW] if column.kind == "quatf[]" else column.rows
+        layer.GetAttributeAtPath(f"/{ROOT}/{SPLAT}.{column.name}").default = getattr(
+            pxr.Vt, _ARRAYS[column.kind]
+        ).FromNumpy(np.ascontiguousarray(rows))
     return layer
 
 
 def _declared(column: Column) -> str:
     metadata = f" (\n            {column.metadata}\n        )" if column.metadata else ""
     return f"        {column.kind} {column.name}{metadata}\n"
-
-
-def _library_array(pxr: Any, column: Column) -> Any:
-    rows = column.rows[:, _TO_XYZW] if column.kind == "quatf[]" else column.rows
-    return getattr(pxr.Vt, _ARRAYS[column.kind]).FromNumpy(np.ascontiguousarray(rows))
 
 
 def _export(pxr: Any, layer: Any, path: Path) -> None:

@@ -78,7 +78,14 @@ def read_vocabulary(path: str | Path, name: str | None = None) -> VocabularyEnco
     else:
         texts, vectors, stored = *_read_json(path), {}
     identity = EncoderIdentity(name or stored.get("name") or path.stem, vectors.shape[1], stored.get("weights", ""))
-    return VocabularyEncoder(identity, texts, _unit(texts, vectors, path))
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+        wide = vectors.astype(np.float64)
+        norms = np.sqrt((wide**2).sum(1))
+    bad = np.flatnonzero(~(np.isfinite(norms) & (norms > 0)))
+    if len(bad):
+        raise FormatError(f"{path}: the vector of {excerpt(texts[bad[0]])} has no direction (zero or not finite)")
+    unit: np.ndarray = (wide / norms[:, None]).astype(np.float32)
+    return VocabularyEncoder(identity, texts, unit)
 
 
 def write_vocabulary(path: str | Path, encoder: VocabularyEncoder, overwrite: bool = False) -> None:
@@ -124,14 +131,3 @@ def _read_safetensors(path: Path) -> tuple[list[str], np.ndarray, Mapping[str, s
     if vectors.ndim != 2 or 0 in vectors.shape or vectors.dtype.kind != "f" or len(vectors) != len(texts):
         raise FormatError(f"{path}: expected floats ({len(texts)}, D), got {vectors.dtype} {vectors.shape}")
     return texts, vectors, metadata
-
-
-def _unit(texts: Sequence[str], vectors: np.ndarray, path: Path) -> Embeddings:
-    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-        wide = vectors.astype(np.float64)
-        norms = np.sqrt((wide**2).sum(1))
-    bad = np.flatnonzero(~(np.isfinite(norms) & (norms > 0)))
-    if len(bad):
-        raise FormatError(f"{path}: the vector of {excerpt(texts[bad[0]])} has no direction (zero or not finite)")
-    unit: np.ndarray = (wide / norms[:, None]).astype(np.float32)
-    return unit

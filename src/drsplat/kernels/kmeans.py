@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from ..base.arrays import ByteRows, ByteValues, Embeddings, Float32, Float64, Int, OtherIndices, UInt64
+from ..base.arrays import ByteValues, Embeddings, Float32, Float64, Int, OtherIndices, UInt64
 from .algebra import CENTROIDS, code_sums, pq_encode
 
 KMEANS_STEPS = 12
@@ -54,7 +54,13 @@ def train_centroids(
         codes = pq_encode(points, centroids, threads=threads)
         if previous is not None and np.array_equal(codes, previous):
             break
-        _update(centroids, parts, codes, threads)
+        # move each centroid to the mean of its points, in place
+        sums, counts = code_sums(parts.reshape(len(parts), -1), codes, threads=threads)
+        served = counts > 0
+        centroids[served] = sums[served] / counts[served][:, None]
+        for m in np.flatnonzero(~served.all(axis=1)):
+            columns = np.ascontiguousarray(parts[:, m].T, np.float64)
+            _move_idle(centroids[m], np.flatnonzero(~served[m]), columns, codes[:, m])
         previous = codes
     return centroids
 
@@ -75,18 +81,6 @@ def _starts(keys: UInt64[np.ndarray, " n"], rng: "np.random.Generator") -> Int[n
     if len(distinct) <= CENTROIDS:
         return np.pad(distinct, (0, CENTROIDS - len(distinct)), constant_values=distinct[0])
     return np.sort(rng.choice(distinct, CENTROIDS, replace=False))
-
-
-def _update(
-    centroids: Float32[np.ndarray, "k c d"], parts: Float32[np.ndarray, "n k d"], codes: ByteRows, threads: int
-) -> None:
-    """Move each centroid to the mean of its points, in place."""
-    sums, counts = code_sums(parts.reshape(len(parts), -1), codes, threads=threads)
-    served = counts > 0
-    centroids[served] = sums[served] / counts[served][:, None]
-    for m in np.flatnonzero(~served.all(axis=1)):
-        columns = np.ascontiguousarray(parts[:, m].T, np.float64)
-        _move_idle(centroids[m], np.flatnonzero(~served[m]), columns, codes[:, m])
 
 
 def _move_idle(

@@ -121,7 +121,13 @@ class Surroundings:
         values, measure, threshold, rule = self._measured(query, vector, objects, cosines)
         if query.threshold is not None and query.threshold != AUTO:
             threshold, rule = float(query.threshold), GIVEN
-        return Ranked(values, (values > threshold) & ~self._excluded(query, objects, cosines), measure, threshold, rule)
+        # objects that the text with an excluded word before it fits as well: "red mug", of "mug, not red"
+        out = np.zeros(len(cosines), np.bool_)
+        if query.text is not None:
+            wanted, unwanted = _said(query.text)
+            for word in (*unwanted, *query.exclude):
+                out |= objects.cosines(self._text(f"{word} {wanted}")) >= cosines
+        return Ranked(values, (values > threshold) & ~out, measure, threshold, rule)
 
     def _measured(
         self, query: Query, vector: Embedding, objects: Described, cosines: Numbers
@@ -186,15 +192,6 @@ class Surroundings:
         """Return a threshold between what objects usually reach and the best."""
         known = np.concatenate([row_products(self.usual, vector), cosines])
         return automatic_threshold(known, OBJECT_CUT_SHARE, peak=MIN_OBJECTS) if len(known) else 0.0
-
-    def _excluded(self, query: Query, objects: Described, cosines: Numbers) -> Flags:
-        """Return objects that the text with an excluded word before it fits as well: "red mug", of "mug, not red"."""
-        out = np.zeros(len(cosines), np.bool_)
-        if query.text is not None:
-            wanted, unwanted = _said(query.text)
-            for word in (*unwanted, *query.exclude):
-                out |= objects.cosines(self._text(f"{word} {wanted}")) >= cosines
-        return out
 
     def _negatives(self, query: Query) -> Embeddings:
         given = NEGATIVES if query.negatives is None else query.negatives

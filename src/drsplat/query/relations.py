@@ -153,11 +153,8 @@ def lies_between(gaussians: AnyGaussians, thing: Match, one: Match, other: Match
     half = thing.extent / 2
     if (np.abs(begin) <= half).all() or (np.abs(end) <= half).all():
         return False
-    return _meets(begin, end - begin, half)
-
-
-def _meets(begin: Up, way: Up, half: Up) -> bool:
-    """Return True if the line from `begin` by `way` meets a box around zero."""
+    # whether the line from `begin` by `way` meets a box around zero
+    way = end - begin
     still = way == 0
     if (np.abs(begin[still]) > half[still]).any():
         return False

@@ -317,7 +317,13 @@ class Scene:
             named = None if query.text is None else self._labelled(query)
             return (self._said(query) or measuring.of(query)) if named is None else named
         if query.is_default and self.field.objects is not None:
-            return self._thing_at(place, measuring)
+            # answer with the object at a place, or, where there is none, with what is like the place
+            objects = objects_of(self.field)
+            row = self._row_at(place, objects)
+            number = int(objects.thing_of()[row])
+            if number < 0:
+                return measuring.of_vector(self.field.feature(np.array([row]))[0])
+            return answer_of(self.field, [objects.thing(number)], OBJECT)
         return measuring.of_vector(self.feature_of(place))
 
     def _said(self, query: Query) -> Answer | None:
@@ -626,15 +632,6 @@ class Scene:
         nodes = self.labels.called(query.text or "")
         exact = bool(nodes) and query.is_default and not query.exclude
         return answer_of(self.field, nodes, LABEL) if exact else None
-
-    def _thing_at(self, place: Place, measuring: Measuring) -> Answer:
-        """Answer with the object at a place, or, where there is none, with what is like the place."""
-        objects = objects_of(self.field)
-        row = self._row_at(place, objects)
-        number = int(objects.thing_of()[row])
-        if number < 0:
-            return measuring.of_vector(self.field.feature(np.array([row]))[0])
-        return answer_of(self.field, [objects.thing(number)], OBJECT)
 
     def _row_at(self, place: Place, objects: Objects) -> int:
         """Return the row at a place; for a click, the heaviest Gaussian of the object that is seen most there."""

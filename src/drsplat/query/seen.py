@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Indices, RowIds, Vector3
+from ..base.arrays import Indices, RowIds
 from ..errors import DrSplatWarning
 from ..field import LanguageField
 from ..field.tiles.seeing import seen_tiles
@@ -116,7 +116,18 @@ def views_showing(field: LanguageField, rows: AnyGaussians, views: Sequence[View
     """
     own = field.rows_of(ids)
     if field.evidence is None or not (own >= 0).any():
-        return _near_views(views, rows.shapes_of(ids[:: len(ids) // SAMPLED_GAUSSIANS + 1]).positions.mean(axis=0))
+        # the views that are nearest to a place, of those that have it in their picture if there are any
+        poses, K = np.array([view.cam_from_world for view in views]), np.array([view.K for view in views])
+        local = (
+            poses[:, :3, :3] @ rows.shapes_of(ids[:: len(ids) // SAMPLED_GAUSSIANS + 1]).positions.mean(axis=0)
+            + poses[:, :3, 3]
+        )
+        depth = np.maximum(local[:, 2], 1e-9)
+        x, y = (K[:, k, k] * local[:, k] / depth + K[:, k, 2] for k in range(2))
+        wide, high = np.array([(view.width, view.height) for view in views]).T
+        inside = (local[:, 2] > 0) & (x >= 0) & (x <= wide) & (y >= 0) & (y <= high)
+        order = np.lexsort((np.linalg.norm(local, axis=1), ~inside))
+        return [views[number] for number in order[:MAX_VIEWS_COMPARED].tolist()]
     masks = field.evidence.masks
     weights = field.evidence.column_sums(np.unique(own[own >= 0]))
     shown = np.bincount(masks.views, weights, minlength=len(masks.view_names))
@@ -124,18 +135,6 @@ def views_showing(field: LanguageField, rows: AnyGaussians, views: Sequence[View
         masks.view_names[view] for view in np.argsort(-shown, kind="stable")[:MAX_VIEWS_COMPARED] if shown[view] > 0
     }
     return [view for view in views if view.name in names] or list(views[:MAX_VIEWS_COMPARED])
-
-
-def _near_views(views: Sequence[View], place: Vector3) -> list[View]:
-    """Return the views that are nearest to a place, of those that have it in their picture if there are any."""
-    poses, K = np.array([view.cam_from_world for view in views]), np.array([view.K for view in views])
-    local = poses[:, :3, :3] @ place + poses[:, :3, 3]
-    depth = np.maximum(local[:, 2], 1e-9)
-    x, y = (K[:, k, k] * local[:, k] / depth + K[:, k, 2] for k in range(2))
-    wide, high = np.array([(view.width, view.height) for view in views]).T
-    inside = (local[:, 2] > 0) & (x >= 0) & (x <= wide) & (y >= 0) & (y <= high)
-    order = np.lexsort((np.linalg.norm(local, axis=1), ~inside))
-    return [views[number] for number in order[:MAX_VIEWS_COMPARED].tolist()]
 
 
 _NO_GAUSSIANS = Gaussians(

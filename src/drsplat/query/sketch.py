@@ -90,7 +90,9 @@ class Packed:
 
     @property
     def vectors(self) -> Embeddings:
-        return np.asarray(_unpacked(self.data, self.dim) * self.steps, np.float32)
+        low, mid, high = np.split(self.data >> 6, 3, axis=1)
+        numbers = np.concatenate([self.data & 63, low | mid << 2 | high << 4], axis=1)[:, : self.dim]
+        return np.asarray((numbers.view(np.int8) - np.int8(LARGEST)) * self.steps, np.float32)
 
     def products(self, queries: Embeddings) -> FloatRows:
         """Return the vectors' inner products with queries, without unpacking them."""
@@ -112,12 +114,6 @@ def _packed(numbers: Int8[np.ndarray, "n D"]) -> ByteRows:
     padded = np.pad(numbers + LARGEST, ((0, 0), (0, -numbers.shape[1] % 4))).astype(np.uint8)
     a, b, c, last = np.split(padded, 4, axis=1)
     return np.concatenate([a | last << 6, b | last >> 2 << 6, c | last >> 4 << 6], axis=1)
-
-
-def _unpacked(data: ByteRows, dim: int) -> Int8[np.ndarray, "n D"]:
-    low, mid, high = np.split(data >> 6, 3, axis=1)
-    numbers = np.concatenate([data & 63, low | mid << 2 | high << 4], axis=1)[:, :dim]
-    return numbers.view(np.int8) - np.int8(LARGEST)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,10 +162,20 @@ class Sketch:
             features, pictures, words = (_read(arrays, name, dim) for name in VECTORS)
             for vectors in filter(len, (pictures, words)):
                 unit(vectors)
-            labels = _labels(arrays["labels"].tobytes())
+            # read labels by the numbers of objects. Raises: ValueError, AttributeError: something else.
+            labels = {int(key): label for key, label in json.loads(arrays["labels"].tobytes()).items()}
+            if not all(type(label) is str for label in labels.values()):
+                raise ValueError("expected labels that are texts")
         except (SafetensorError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
             raise FormatError(f"no sketch of a scene ({error!s:.200})") from error
-        _check(len(features), len(pictures), counts, numbers, solid, labels)
+        # check a sketch. Raises: FormatError: numbers that do not fit each other, or more rows than sketches have.
+        fits = counts.shape == numbers.shape == (len(features),) and solid.ndim == 1
+        most = MAX_ROWS + PEAK_ROWS * counts.size
+        if not fits or not len(pictures) or (counts < 1).any() or counts.sum(dtype=np.int64) > most:
+            raise FormatError("a sketch of a scene whose parts do not fit each other")
+        is_known = numbers.min(initial=-1) >= -1 and numbers.max(initial=-1) < len(solid)
+        if not is_known or not all(0 <= number < len(solid) for number in labels):
+            raise FormatError(f"a sketch of a scene with an object that is not among its {len(solid)}")
         return cls(features, counts, numbers, pictures, words, solid, labels)
 
 
@@ -219,14 +225,6 @@ def _read(arrays: Mapping[str, np.ndarray], name: str, dim: int) -> Packed:
     return Packed.checked(arrays[name], arrays[f"{name}_steps"], dim)
 
 
-def _labels(document: bytes) -> dict[int, str]:
-    """Read labels by the numbers of objects. Raises: ValueError, AttributeError: something else."""
-    labels = {int(key): label for key, label in json.loads(document).items()}
-    if not all(type(label) is str for label in labels.values()):
-        raise ValueError("expected labels that are texts")
-    return labels
-
-
 def unit(packed: Packed) -> Embeddings:
     """Return unit vectors that were rounded, of unit length. Raises: ValueError: they are far from unit."""
     vectors = packed.vectors
@@ -234,19 +232,6 @@ def unit(packed: Packed) -> Embeddings:
     if (np.abs(lengths - 1) > 0.5).any():
         raise ValueError("vectors that are not of unit length")
     return np.asarray(vectors / lengths[:, None], np.float32)
-
-
-def _check(
-    features: int, pictures: int, counts: np.ndarray, numbers: np.ndarray, solid: np.ndarray, labels: Mapping[int, str]
-) -> None:
-    """Check a sketch. Raises: FormatError: numbers that do not fit each other, or more rows than sketches have."""
-    fits = counts.shape == numbers.shape == (features,) and solid.ndim == 1
-    most = MAX_ROWS + PEAK_ROWS * counts.size
-    if not fits or not pictures or (counts < 1).any() or counts.sum(dtype=np.int64) > most:
-        raise FormatError("a sketch of a scene whose parts do not fit each other")
-    is_known = numbers.min(initial=-1) >= -1 and numbers.max(initial=-1) < len(solid)
-    if not is_known or not all(0 <= number < len(solid) for number in labels):
-        raise FormatError(f"a sketch of a scene with an object that is not among its {len(solid)}")
 
 
 @dataclass(frozen=True, eq=False)

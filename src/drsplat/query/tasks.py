@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from ..base.arrays import Float32, Indices, Numbers, OtherIds, Vector3
+from ..base.arrays import Indices, Numbers, OtherIds, Vector3
 from ..errors import InputError
 from ..field import LanguageField
 from ..kernels.boxes import box_of
@@ -135,7 +135,11 @@ def segment(
     best = np.full(len(field), -np.inf, np.float32)
     labels, count = np.full(len(field), NO_CLASS, np.int32), 0
     for scores in class_scores:
-        _check_rows(field, scores)
+        # check that there is one score per row of the field. Raises: InputError: there is not.
+        if scores.shape != (len(field.gaussian_ids),):
+            raise InputError(
+                f"expected {len(field.gaussian_ids)} scores, one per row of the field; got shape {scores.shape}"
+            )
         better = (scores > best) & (scores > _threshold(thresholds, count))
         labels[better], best[better] = count, scores[better]
         count += 1
@@ -150,14 +154,6 @@ def _threshold(thresholds: float | Sequence[float], label: int) -> float:
     if isinstance(thresholds, int | float):
         return thresholds
     return thresholds[label] if label < len(thresholds) else np.inf
-
-
-def _check_rows(field: LanguageField, scores: Float32[np.ndarray, " _"]) -> None:
-    """Check that there is one score per row of the field. Raises: InputError: there is not."""
-    if scores.shape != (len(field.gaussian_ids),):
-        raise InputError(
-            f"expected {len(field.gaussian_ids)} scores, one per row of the field; got shape {scores.shape}"
-        )
 
 
 def _match(gaussians: Gaussians, scores: Numbers, ids: Indices, up: Vector3 | None, place: int) -> Match:

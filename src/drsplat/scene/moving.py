@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from ..base.arrays import Doubles, Float32, Quats, Vector3
+from ..base.arrays import Doubles, Float32, Vector3
 from ..errors import InputError
 from .gaussians import Gaussians
 
@@ -116,10 +116,15 @@ def between(one: Gaussians, other: Gaussians, share: float) -> Gaussians:
 
     share: from 0 to 1. Both states must be counted from one origin.
     """
+    begin, target = one.quats.astype(np.float64), other.quats.astype(np.float64)
+    target = np.where((begin * target).sum(1, keepdims=True) < 0, -target, target)  # q and -q turn alike
+    way = target - begin
+    mixed = begin + way * share
+    mixed /= np.linalg.norm(mixed, axis=1, keepdims=True)
     return replace(
         one,
         means=_linear(one.means, other.means, share),
-        quats=_rotations_between(one.quats, other.quats, share),
+        quats=np.where(way.any(1, keepdims=True), mixed.astype(np.float32), one.quats),
         scales=_linear(one.scales, other.scales, share),
         opacities=_linear(one.opacities, other.opacities, share),
         sh=_linear(one.sh, other.sh, share),
@@ -147,12 +152,3 @@ def _linear(
 ) -> Float32[np.ndarray, "*n"]:
     wide = start.astype(np.float64)
     return np.asarray(wide + (end - wide) * share, np.float32)
-
-
-def _rotations_between(start: Quats, end: Quats, share: float) -> Quats:
-    begin, target = start.astype(np.float64), end.astype(np.float64)
-    target = np.where((begin * target).sum(1, keepdims=True) < 0, -target, target)  # q and -q turn alike
-    way = target - begin
-    mixed = begin + way * share
-    mixed /= np.linalg.norm(mixed, axis=1, keepdims=True)
-    return np.where(way.any(1, keepdims=True), mixed.astype(np.float32), start)

@@ -86,7 +86,13 @@ def load_mask(view: View) -> Mask | None:
     if view.mask_path is None:
         return None
     picture = read_mask(view.mask_path)
-    _check_shape(picture, view)
+    size = (view.width, view.height) if view.image_path is None else photo_size(view.image_path)
+    if not same_aspect(picture.size, size):
+        width, height = picture.size
+        raise MismatchError(
+            f"{view.mask_path}: the mask is {width}x{height}, its photo {size[0]}x{size[1]}: another aspect ratio. "
+            "Make the mask of the photo as it is stored (uncropped, not rotated by EXIF)"
+        )
     white = picture.point(lambda grey: _WHITE if (grey >= MIN_WHITE) != view.mask_inverted else 0)
     if white.size != (view.width, view.height):
         white = white.resize((view.width, view.height), Image.Resampling.BOX)
@@ -158,13 +164,3 @@ class _MaskedView:
 def _is_empty(masked: _MaskedView) -> bool:
     mask = load_mask(masked.view)
     return mask is not None and not mask.any()
-
-
-def _check_shape(picture: Image.Image, view: View) -> None:
-    size = (view.width, view.height) if view.image_path is None else photo_size(view.image_path)
-    if not same_aspect(picture.size, size):
-        width, height = picture.size
-        raise MismatchError(
-            f"{view.mask_path}: the mask is {width}x{height}, its photo {size[0]}x{size[1]}: another aspect ratio. "
-            "Make the mask of the photo as it is stored (uncropped, not rotated by EXIF)"
-        )

@@ -75,21 +75,6 @@ class AdaptiveDensity:
         optimizer.append(children)
         gone = self._zeros(len(optimizer), bool)
         gone[np.flatnonzero(large)] = True
-        gone |= self._is_useless(optimizer, radii, iteration)
-        optimizer.keep(~gone)
-        self._forget(len(optimizer))
-
-    def _chosen(self, optimizer: Optimizer) -> tuple[Bool[Anywhere, " n"], Bool[Anywhere, " n"]]:
-        """Return marks of those to clone and of those to split."""
-        mean_pull = self.pull / np.maximum(self.times_seen, 1)
-        chosen = mean_pull >= self.settings.gradient_threshold
-        if self.settings.max_gaussians is not None:
-            chosen &= _largest(mean_pull, self.settings.max_gaussians - len(optimizer))
-        largest = optimizer.parameters.log_scales.max(axis=1)
-        large = largest > math.log(self.settings.dense_scale * self.extent)
-        return chosen & ~large, chosen & large
-
-    def _is_useless(self, optimizer: Optimizer, radii: Float32[Anywhere, " m"], iteration: int) -> Bool[Anywhere, " m"]:
         s, parameters = self.settings, optimizer.parameters
         useless: Anywhere = parameters.logits < _logit(s.min_opacity)
         if iteration > s.reset_every:
@@ -99,7 +84,23 @@ class AdaptiveDensity:
                 useless |= radii > s.max_screen_px
         if useless.all():  # rather a poor scene than none
             useless[parameters.logits.argmax()] = False
-        return useless
+        gone |= useless
+        optimizer.keep(~gone)
+        self._forget(len(optimizer))
+
+    def _chosen(self, optimizer: Optimizer) -> tuple[Bool[Anywhere, " n"], Bool[Anywhere, " n"]]:
+        """Return marks of those to clone and of those to split."""
+        mean_pull = self.pull / np.maximum(self.times_seen, 1)
+        chosen = mean_pull >= self.settings.gradient_threshold
+        if self.settings.max_gaussians is not None:
+            # mark the `count` largest values, equal ones by index. Each clone or split adds one Gaussian.
+            marked = np.zeros_like(mean_pull, bool)
+            order: Integer[Anywhere, " n"] = np.argsort(-mean_pull, kind="stable")
+            marked[order[: max(self.settings.max_gaussians - len(optimizer), 0)]] = True
+            chosen &= marked
+        largest = optimizer.parameters.log_scales.max(axis=1)
+        large = largest > math.log(self.settings.dense_scale * self.extent)
+        return chosen & ~large, chosen & large
 
     def state(self) -> dict[str, np.ndarray]:
         return {f"density.{name}": on_host(getattr(self, name)) for name in OBSERVED}
@@ -138,14 +139,6 @@ def reset_opacity(optimizer: Optimizer, ceiling: float) -> None:
 
 def _logit(opacity: float) -> float:
     return math.log(opacity / (1 - opacity))
-
-
-def _largest(values: Float32[Anywhere, " n"], count: int) -> Bool[Anywhere, " n"]:
-    """Mark the `count` largest values, equal ones by index. Each clone or split adds one Gaussian."""
-    marked = np.zeros_like(values, bool)
-    order: Integer[Anywhere, " n"] = np.argsort(-values, kind="stable")
-    marked[order[: max(count, 0)]] = True
-    return marked
 
 
 def unit(quats: Float32[Anywhere, "n 4"]) -> Float32[Anywhere, "n 4"]:
@@ -201,10 +194,7 @@ class MonteCarlo:
             relocate(optimizer, rng, self.settings.min_opacity)
             limit = self.settings.max_gaussians or 0
             grow(optimizer, rng, self.settings.growth, limit, self.settings.min_opacity)
-        self._shake(optimizer, rng, rate)
-
-    def _shake(self, optimizer: Optimizer, rng: np.random.Generator, rate: float) -> None:
-        """Add noise in the shape of each Gaussian; none for those that are well visible (Eq. 8)."""
+        # add noise in the shape of each Gaussian; none for those that are well visible (Eq. 8).
         s, p = self.settings, optimizer.parameters
         distance = s.noise_opacity - sigmoid(p.logits)
         strength = sigmoid(np.float32(s.noise_steepness) * distance.astype(np.float32))
@@ -267,18 +257,12 @@ def shared_place(
     shrink = np.ones_like(opacities)
     for n in map(int, np.unique(sharing)):
         rows = sharing == n
-        shrink[rows] = opacities[rows] / _line_integral(each[rows], n)
+        # the integral of 1 - (1 - o g(x))^N along a line, in units of that of g, a Gaussian of unit height
+        opacity = each[rows]
+        terms = [comb(n, k) * (-1) ** (k - 1) / sqrt(k) * opacity**k for k in range(1, n + 1)]
+        total: Anywhere = sum(terms[1:], terms[0])
+        shrink[rows] = opacities[rows] / total
     return each, shrink
-
-
-def _line_integral(opacity: Float64[Anywhere, " n"], sharing: int) -> Float64[Anywhere, " n"]:
-    """Return the integral of 1 - (1 - o g(x))^N along a line, in units of that of g, a Gaussian of unit height.
-
-    Sum over i = 1..N, k = 0..i-1 of C(i-1, k) (-1)^k o^(k+1) / sqrt(k+1); over i first, that is C(N, k+1).
-    """
-    terms = [comb(sharing, k) * (-1) ** (k - 1) / sqrt(k) * opacity**k for k in range(1, sharing + 1)]
-    total: Anywhere = sum(terms[1:], terms[0])
-    return total
 
 
 def drawn(weights: Float32[Anywhere, " n"], count: int, rng: np.random.Generator) -> Integer[Anywhere, " count"]:

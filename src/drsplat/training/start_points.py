@@ -148,7 +148,14 @@ def fill(views: Sequence[View], triangulated: Points, count: int, rng: np.random
     triangulated: points that random ones keep away from, and take their depths from. size: of the scene,
     in its units, used where neither points nor crossing lines of sight give a depth.
     """
-    ranges = depth_ranges(views, triangulated, size)
+    # the depths between which each view is filled: about its points, else about the point all views look at
+    looked_at = _distances_to_focus(views, size)
+    ranges = looked_at[:, None] * DEPTHS_OVER_FOCUS_DISTANCE
+    for index, view in enumerate(views):
+        depths = _depths_seen(view, triangulated)
+        if len(depths) >= MIN_POINTS_IN_VIEW:
+            low, high = np.percentile(depths, (5, 95))
+            ranges[index] = low, high
     clearance = _clearance(triangulated)
     batches: list[np.ndarray] = []
     missing = count
@@ -162,18 +169,6 @@ def fill(views: Sequence[View], triangulated: Points, count: int, rng: np.random
         if missing == 0:
             break
     return np.concatenate(batches)
-
-
-def depth_ranges(views: Sequence[View], triangulated: Points, size: float) -> Ranges:
-    """Return the depths between which each view is filled: about its points, else about the point all views look at."""
-    looked_at = _distances_to_focus(views, size)
-    ranges = looked_at[:, None] * DEPTHS_OVER_FOCUS_DISTANCE
-    for index, view in enumerate(views):
-        depths = _depths_seen(view, triangulated)
-        if len(depths) >= MIN_POINTS_IN_VIEW:
-            low, high = np.percentile(depths, (5, 95))
-            ranges[index] = low, high
-    return ranges
 
 
 def _distances_to_focus(views: Sequence[View], size: float) -> Doubles:

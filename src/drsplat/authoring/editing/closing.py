@@ -84,7 +84,15 @@ def _clones(near: Indices, ground: Ground) -> tuple[list[Clones], Cells]:
     clones = []
     for _ in range(MAX_SHIFTS):
         shift, closed = best_shift(missing, good, surface)
-        rows = ground.own[grid.among(_margin(closed, shift), ground.places[ground.own])]
+        # the cells by a shift from those that it closes, and some around them
+        source = np.zeros_like(closed)
+        down, across = np.nonzero(closed)
+        source[down + shift[0], across + shift[1]] = True
+        rows = ground.own[
+            grid.among(
+                np.asarray(ndimage.binary_dilation(source, iterations=CLONE_MARGIN_CELLS)), ground.places[ground.own]
+            )
+        ]
         if not closed.any() or not len(rows):
             break
         clones.append(Clones(spans_of(near[rows]), -grid.shift(shift)))
@@ -93,14 +101,6 @@ def _clones(near: Indices, ground: Ground) -> tuple[list[Clones], Cells]:
         missing = hole & (seen_through > 1 - CLOSED_OPACITY)
         surface = surface.closed(closed, shift)
     return clones, missing
-
-
-def _margin(closed: Cells, shift: tuple[int, int]) -> Cells:
-    """Return the cells by a shift from those that it closes, and some around them."""
-    source = np.zeros_like(closed)
-    down, across = np.nonzero(closed)
-    source[down + shift[0], across + shift[1]] = True
-    return np.asarray(ndimage.binary_dilation(source, iterations=CLONE_MARGIN_CELLS))
 
 
 def _warn_if_open(open_share: float) -> None:

@@ -48,7 +48,14 @@ class Replace:
 
     def apply(self, draft: Draft, ids: RowIds) -> None:
         other = draft.read(self.scene)
-        _tell_of_another_drawing(draft, other)
+        if draft.antialiased != other.antialiased:
+            kinds = ("antialiased (mip)", "not") if other.antialiased else ("not antialiased", "antialiased (mip)")
+            warnings.warn(
+                f"replace: what comes was trained to be drawn {kinds[0]}, the scene {kinds[1]}: drawn as the scene is, "
+                "its small Gaussians look somewhat too solid or too faint from afar",
+                DrSplatWarning,
+                stacklevel=4,
+            )
         draft.most = max(draft.most, most_rows(len(other)))
         draft.present[ids] = False
         draft.add(similarity_of(self.matrix).moved(self._part(other)), _object_of(draft, ids))
@@ -90,17 +97,6 @@ def placed_in(
     """Return `fitted` for the boxes of rows of this scene and of another. up: unit directions in each of them."""
     goes, comes = box_of(scene, solid(scene, ids), up), box_of(other, solid(other, others), up_there)
     return fitted(goes, comes)
-
-
-def _tell_of_another_drawing(draft: Draft, other: Gaussians) -> None:
-    if draft.antialiased != other.antialiased:
-        kinds = ("antialiased (mip)", "not") if other.antialiased else ("not antialiased", "antialiased (mip)")
-        warnings.warn(
-            f"replace: what comes was trained to be drawn {kinds[0]}, the scene {kinds[1]}: drawn as the scene is, its "
-            "small Gaussians look somewhat too solid or too faint from afar",
-            DrSplatWarning,
-            stacklevel=4,
-        )
 
 
 def _foot(box: Box) -> Vector3:

@@ -140,7 +140,16 @@ def enclosed(gaussians: Gaussians, inside: Flags) -> Flags:
     low, high = np.quantile(thing, (0.01, 0.99), axis=0)
     near = np.flatnonzero(((gaussians.means > low) & (gaussians.means < high)).all(axis=1) & ~inside)
     places = gaussians.means[near].astype(np.float64)
-    found[near] = surrounded(places, thing, _sphere(DIRECTIONS), math.ceil(MIN_SURROUNDED_SHARE * DIRECTIONS))
+    # directions evenly spread, along a spiral
+    z = 1 - (2 * np.arange(DIRECTIONS) + 1) / DIRECTIONS
+    turn = np.pi * (1 + np.sqrt(5)) * np.arange(DIRECTIONS)
+    flat = np.sqrt(1 - z * z)
+    found[near] = surrounded(
+        places,
+        thing,
+        np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1),
+        math.ceil(MIN_SURROUNDED_SHARE * DIRECTIONS),
+    )
     return found
 
 
@@ -170,14 +179,6 @@ def _in_box_of(gaussians: Gaussians, inside: Flags, rows: OtherIndices) -> Int64
     low, high = gaussians.means[inside].min(axis=0), gaussians.means[inside].max(axis=0)
     within = ((gaussians.means[rows] >= low) & (gaussians.means[rows] <= high)).all(axis=1)
     return np.asarray(rows[within])
-
-
-def _sphere(count: int) -> Float64[np.ndarray, "d 3"]:
-    """Return directions evenly spread, along a spiral."""
-    z = 1 - (2 * np.arange(count) + 1) / count
-    turn = np.pi * (1 + np.sqrt(5)) * np.arange(count)
-    flat = np.sqrt(1 - z * z)
-    return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
 
 
 def loose_parts(gaussians: Gaussians, inside: Flags, owners: Owners, agreed: Agreed, threads: int = 0) -> Flags:

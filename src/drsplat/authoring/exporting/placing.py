@@ -16,8 +16,8 @@ from ...query.objects import object_of, objects_of
 from ...scene.boxes import solid
 from ...scene.gaussians import Gaussians
 from ...scene.labelled import LabelledScene, Thing
-from ..editing import Duplicate, Edit, EditFile, EditList
-from ..editing.draft import OBJECT_ID, Draft
+from ..editing import Duplicate, EditFile, EditList
+from ..editing.draft import OBJECT_ID
 from ..editing.edits import drafted
 
 
@@ -112,7 +112,15 @@ def only_used(scene: LabelledScene) -> LabelledScene:
     notes = tuple(one for one in scene.annotations if ((one.center >= low) & (one.center <= high)).all())
     owners = scene.object_of
     used = [] if owners is None else np.unique(owners[owners >= 0]).tolist()
-    groups = _above(scene, used)
+    # the groups that some objects are in, and those that these are in
+    found: set[int] = set()
+    waiting = [scene.things[place].parent for place in used]
+    while waiting:
+        group = waiting.pop()
+        if group >= 0 and group not in found:
+            found.add(group)
+            waiting.append(scene.groups[group].parent)
+    groups = sorted(found)
     object_of = None if owners is None else _renumbered(used, len(scene.things))[owners]
     to_group = _renumbered(groups, len(scene.groups))
     return replace(
@@ -122,18 +130,6 @@ def only_used(scene: LabelledScene) -> LabelledScene:
         object_of=object_of,
         annotations=notes,
     )
-
-
-def _above(scene: LabelledScene, used: Sequence[int]) -> list[int]:
-    """Return the groups that some objects are in, and those that these are in."""
-    found: set[int] = set()
-    waiting = [scene.things[place].parent for place in used]
-    while waiting:
-        group = waiting.pop()
-        if group >= 0 and group not in found:
-            found.add(group)
-            waiting.append(scene.groups[group].parent)
-    return sorted(found)
 
 
 def _renumbered(places: Sequence[int], count: int) -> Ids:
@@ -219,13 +215,9 @@ def after_edits(gaussians: Gaussians, path: Path | None, listed: EditList) -> Af
     if not listed.active:
         return After(gaussians, np.ones(len(gaussians), bool))
     draft = drafted(gaussians, listed.active, read_gaussians if path is None else EditFile.beside(path).other)
-    return After(draft.part(np.arange(len(draft))), draft.present, _copies(draft, listed.active))
-
-
-def _copies(draft: Draft, edits: Sequence[Edit]) -> dict[int, int]:
-    """Return whose copy each object is that an edit added."""
+    # whose copy each object is that an edit added
     owners, copies = draft.extra.get(OBJECT_ID), {}
-    for edit, (begin, end) in zip(edits, draft.added, strict=True):
+    for edit, (begin, end) in zip(listed.active, draft.added, strict=True):
         if owners is None or begin == end:
             continue
         source = -1
@@ -233,4 +225,4 @@ def _copies(draft: Draft, edits: Sequence[Edit]) -> dict[int, int]:
             own = owners[edit.target.ids(draft)]
             source = int(np.bincount(own[own >= 0], minlength=1).argmax()) if (own >= 0).any() else -1
         copies[int(owners[begin])] = source
-    return copies
+    return After(draft.part(np.arange(len(draft))), draft.present, copies)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Flags, Float64, PlanePoints, Points, Vector3
+from ...base.arrays import Float64, PlanePoints, Points, Vector3
 from ...errors import InputError
 from ...query import Match, Scene
 from ...scene.gaussians import Gaussians
@@ -93,20 +93,16 @@ def beside(center: Vector3, size: float, views: Sequence[View] | Standpoints, up
         return np.asarray(center + distance * side / np.linalg.norm(side))
     ways = stands.centers - center
     lengths = np.maximum(np.linalg.norm(ways, axis=1), 1e-9)
-    showing = _showing(stands, center)
-    unfit = np.abs(np.log(lengths / distance)) + np.where(showing | ~showing.any(), 0.0, np.inf)
-    best = int(unfit.argmin())
-    return np.asarray(center + ways[best] * min(1.0, distance / lengths[best]))
-
-
-def _showing(stands: Standpoints, point: Vector3) -> Flags:
-    """Return which views have a point in the inner part of their picture."""
+    # which views have a point in the inner part of their picture
     _, poses, K, sizes = stands
-    x, y, z = (poses[:, :3, :3] @ point + poses[:, :3, 3]).T
+    x, y, z = (poses[:, :3, :3] @ center + poses[:, :3, 3]).T
     z = np.where(z > 0, z, np.nan)
     u = (K[:, 0, 0] * x / z + K[:, 0, 2]) / sizes[:, 0]
     v = (K[:, 1, 1] * y / z + K[:, 1, 2]) / sizes[:, 1]
-    return np.asarray((np.minimum(u, v) >= MARGIN_SHARE) & (np.maximum(u, v) <= 1 - MARGIN_SHARE))
+    showing = np.asarray((np.minimum(u, v) >= MARGIN_SHARE) & (np.maximum(u, v) <= 1 - MARGIN_SHARE))
+    unfit = np.abs(np.log(lengths / distance)) + np.where(showing | ~showing.any(), 0.0, np.inf)
+    best = int(unfit.argmin())
+    return np.asarray(center + ways[best] * min(1.0, distance / lengths[best]))
 
 
 def size_of(match: Match, gaussians: Gaussians) -> float:

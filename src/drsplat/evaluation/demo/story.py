@@ -235,7 +235,13 @@ def unpack_household(folder: Path, *, overwrite: bool = False) -> Household:
     """
     refuse_full(folder, overwrite)
     with as_file(files(__package__) / "scene") as shipped:
-        _copy(shipped, folder)
+        for file in sorted(shipped.rglob("*")):
+            if file.is_file():
+                place = folder / file.relative_to(shipped)
+                with saying_what_is_full(place.parent):
+                    place.parent.mkdir(parents=True, exist_ok=True)
+                with file.open("rb") as source, replacing(place, overwrite=True) as target:
+                    shutil.copyfileobj(source, target)
     return read_household(folder)
 
 
@@ -258,16 +264,6 @@ def resumable(folder: Path, overwrite: bool) -> Iterator[None]:
         marker.write_text("drsplat demo was stopped here; the same command goes on.\n", encoding="utf-8")
     yield
     marker.unlink(missing_ok=True)
-
-
-def _copy(shipped: Path, folder: Path) -> None:
-    for file in sorted(shipped.rglob("*")):
-        if file.is_file():
-            place = folder / file.relative_to(shipped)
-            with saying_what_is_full(place.parent):
-                place.parent.mkdir(parents=True, exist_ok=True)
-            with file.open("rb") as source, replacing(place, overwrite=True) as target:
-                shutil.copyfileobj(source, target)
 
 
 def read_household(folder: Path) -> Household:

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Doubles, Flags, Ids, Indices, OtherFlags
+from ...base.arrays import Doubles, Flags, Ids, OtherFlags
 from ...errors import MismatchError
 from ...kernels.algebra import changed_columns as merged
 from .aggregation.entries import canonical
@@ -38,7 +38,19 @@ def with_views(evidence: Evidence, other: Evidence) -> Evidence:
     own, its = np.split(places, [len(evidence.masks)])
     new = other.weights
     added = csr_array((new.data, its[new.indices], new.indptr), shape=(len(other), len(order)))
-    embeddings = _interleaved(evidence.embeddings, other.embeddings, order)
+    # concatenate the rows of both and put them in an order, copying runs of consecutive rows at once
+    ends = np.append(np.flatnonzero((np.diff(order) != 1) | (order[1:] == len(evidence.embeddings))) + 1, len(order))
+    parts, begin = [evidence.embeddings[:0]], 0
+    for end in ends.tolist() if len(order) else []:
+        first = int(order[begin])
+        source, first = (
+            (evidence.embeddings, first)
+            if first < len(evidence.embeddings)
+            else (other.embeddings, first - len(evidence.embeddings))
+        )
+        parts.append(source[first : first + end - begin])
+        begin = end
+    embeddings = np.concatenate(parts)
     of_view = {name: source for masks in both for name, source in zip(masks.view_names, masks.sources, strict=True)}
     rendered = _rendered(tuple(of_view[name] for name in names))
     masks = MaskIds(tuple(names), views[order], ids[order], _times(both, rank), rendered)
@@ -84,18 +96,6 @@ def changed_columns(weights: csr_array, columns: Ids, added: csr_array) -> csr_a
     # SciPy gives both index arrays the wider type: int64 starts would make 12 bytes of the 8.
     indptr = starts.astype(np.int32 if starts[-1] < 1 << 31 else np.int64)
     return csr_array((data, indices, indptr), shape=added.shape)
-
-
-def _interleaved(own: np.ndarray, its: np.ndarray, order: Indices) -> np.ndarray:
-    """Concatenate the rows of both and put them in an order, copying runs of consecutive rows at once."""
-    ends = np.append(np.flatnonzero((np.diff(order) != 1) | (order[1:] == len(own))) + 1, len(order))
-    parts, begin = [own[:0]], 0
-    for end in ends.tolist() if len(order) else []:
-        first = int(order[begin])
-        source, first = (own, first) if first < len(own) else (its, first - len(own))
-        parts.append(source[first : first + end - begin])
-        begin = end
-    return np.concatenate(parts)
 
 
 def _ranked(masks: MaskIds, rank: dict[str, int]) -> Ids:

@@ -6,7 +6,7 @@ run -> whose features its rows have               of the rows around, in whateve
 """
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -181,7 +181,11 @@ class Voting:
             trust = self._trust(other)
             for tile in other.tiles:
                 givers = np.flatnonzero(trust[tile.first - other.first :][: tile.num_rows] > 0)
-                (asking,) = np.nonzero(_distances_to_box(points, tile) <= distances[:, -1])
+                # how far points are from the box of a tile, and a little less: of what is rounded none is missed
+                away = np.maximum(np.maximum(tile.low - points, points - tile.high), 0)
+                (asking,) = np.nonzero(
+                    np.asarray(np.sqrt(np.square(away).sum(axis=1)) * (1 - 1e-6)) <= distances[:, -1]
+                )
                 if len(givers) and len(asking):
                     tree = cKDTree(self._shapes(tile).means[givers])
                     further, which = nearest(tree, points[asking], count + SPARE_NEIGHBOURS, threads)
@@ -190,12 +194,6 @@ class Voting:
                     distances[asking], near[asking] = nearest_first(both, rows, count)
         some = np.isfinite(distances).all(axis=0)  # of fewer givers than are asked for
         return distances[:, some], near[:, some]
-
-
-def _distances_to_box(points: Vectors, tile: Tile) -> Doubles:
-    """Return how far points are from the box of a tile, and a little less: of what is rounded none is missed."""
-    away = np.maximum(np.maximum(tile.low - points, points - tile.high), 0)
-    return np.asarray(np.sqrt(np.square(away).sum(axis=1)) * (1 - 1e-6))
 
 
 class _Held:
@@ -303,7 +301,12 @@ class TileAggregator(OnRuns):
         if not isinstance(step, MaskTrust):
             return self._made(rows, key, Weighing(step), repr(step), track)
         counted, _ = self._made(rows, key, Tallying(), f"tally {step!r}", track)
-        trust = step.trust(_summed(map(counted.arrays, self.runs), len(self.evidence.masks)))
+        count = len(self.evidence.masks)
+        surpluses, weights = np.zeros(count), np.zeros(count)
+        for part in map(counted.arrays, self.runs):
+            surpluses[part["columns"]] += part["surpluses"]
+            weights[part["columns"]] += part["weights"]
+        trust = step.trust(Tally(surpluses, weights))
         return self._made(rows, key, Weighing(step, trust), repr(step), track)
 
     def _voted(self, rows: RowFiles, key: str, voting: ModeVoting, track: Track) -> tuple[RowFiles, str]:
@@ -331,14 +334,6 @@ class TileAggregator(OnRuns):
     def _joined(self, rows: RowFiles) -> Evidence:
         weights = joined_rows(self.runs, self.store, len(self.evidence.masks), rows.folder)
         return Evidence(weights, self.evidence.masks, self.evidence.embeddings)
-
-
-def _summed(parts: Iterable[Mapping[str, np.ndarray]], count: int) -> Tally:
-    surpluses, weights = np.zeros(count), np.zeros(count)
-    for part in parts:
-        surpluses[part["columns"]] += part["surpluses"]
-        weights[part["columns"]] += part["weights"]
-    return Tally(surpluses, weights)
 
 
 def _arrays(w: csr_array) -> dict[str, np.ndarray]:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw
 
-from ...base.arrays import Doubles, Flags, Float64, Int64, MaskIds, OtherPixels, PlanePoints, RowIds, Vector3
+from ...base.arrays import Doubles, Flags, Float64, Int64, OtherPixels, PlanePoints, RowIds, Vector3
 from ...errors import DrSplatError
 from ...field.evidence.evidence import Explanation
 from ...kernels import SplatArrays, view_weights
@@ -110,20 +110,16 @@ def inside_outline(splats: SplatArrays, view: View, outline: PlanePoints, *, thr
 
     outline: corners of a polygon, in pixels of the view.
     """
-    seen = view_weights(splats, view, _filled(view, outline), GAUSSIANS_PER_PIXEL, threads=threads)
+    # 1 for each pixel inside a polygon and 0 for the others
+    picture = Image.new("L", (view.width, view.height))
+    corners = np.clip(outline, -8 * max(view.width, view.height), 9 * max(view.width, view.height))
+    ImageDraw.Draw(picture).polygon([tuple(corner) for corner in corners.tolist()], fill=1)
+    seen = view_weights(splats, view, np.asarray(picture, np.int32), GAUSSIANS_PER_PIXEL, threads=threads)
     weights = seen.weights.astype(np.float64)
     count = len(splats.opacities)
     every = np.bincount(seen.gaussian_ids, weights, minlength=count)
     inside = np.bincount(seen.gaussian_ids, weights * (seen.mask_ids == 1), minlength=count)
     return np.flatnonzero((inside > MIN_INSIDE_SHARE * every) & (every >= MIN_WEIGHT_PIXELS))
-
-
-def _filled(view: View, outline: PlanePoints) -> MaskIds:
-    """Return 1 for each pixel inside a polygon and 0 for the others."""
-    picture = Image.new("L", (view.width, view.height))
-    corners = np.clip(outline, -8 * max(view.width, view.height), 9 * max(view.width, view.height))
-    ImageDraw.Draw(picture).polygon([tuple(corner) for corner in corners.tolist()], fill=1)
-    return np.asarray(picture, np.int32)
 
 
 MAX_EVIDENCE_MASKS, PICTURE_SIDE_PIXELS = 3, 480

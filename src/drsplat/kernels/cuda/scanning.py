@@ -58,7 +58,13 @@ def sent_rows(engine: Engine, rows: GroupedRows) -> DeviceRows:
         raise InputError(
             f"expected up to {MAX_KEYS:,} rows to search on a GPU, got {shapes.num_rows:,}: take device 'cpu'"
         )
-    _refuse_full_device(engine, rows)
+    needed = sum(part.nbytes for part in rows if part is not None) + WORKING_BYTES_PER_ROW * len(rows.inverse_norms)
+    free = engine.free_bytes()
+    if needed > free:
+        raise InputError(
+            f"search on the GPU needs {needed / 1e6:,.0f} MB of its memory for {len(rows.inverse_norms):,} rows, of "
+            f"which {free / 1e6:,.0f} MB are free: end other programs that use it, or take device 'cpu'"
+        )
     xp, ids = engine.xp, rows.coarse_ids
     return DeviceRows(
         engine,
@@ -164,13 +170,3 @@ def _falling_keys(xp: Any, scores: Any) -> Any:
     """Return whole numbers that ascend where scores descend; the two zeros are equal."""
     bits = (scores + np.float32(0)).view(xp.uint32)
     return xp.where(bits >> 31, bits, bits ^ np.uint32(0x7FFFFFFF))
-
-
-def _refuse_full_device(engine: Engine, rows: GroupedRows) -> None:
-    needed = sum(part.nbytes for part in rows if part is not None) + WORKING_BYTES_PER_ROW * len(rows.inverse_norms)
-    free = engine.free_bytes()
-    if needed > free:
-        raise InputError(
-            f"search on the GPU needs {needed / 1e6:,.0f} MB of its memory for {len(rows.inverse_norms):,} rows, of "
-            f"which {free / 1e6:,.0f} MB are free: end other programs that use it, or take device 'cpu'"
-        )

@@ -75,17 +75,13 @@ def exif_facts(photo: Image.Image) -> ExifFacts:
         _text(value)
         for value in (exif.get(MAKE_TAG), exif.get(MODEL_TAG), tags.get(LENS_MODEL_TAG), tags.get(FOCAL_MM_TAG))
     ]
+    share = _number(tags.get(FOCAL_35MM_TAG)) / DIAGONAL_35MM_FILM_MM
     return ExifFacts(
         camera=" ".join(part for part in camera if part),
-        focal_share=_focal_share(tags),
+        focal_share=(share if FOCAL_SHARE_BOUNDS[0] <= share <= FOCAL_SHARE_BOUNDS[1] else None),
         position=_position(gps),
         down=_apple_down(tags.get(MAKER_NOTE_TAG)),
     )
-
-
-def _focal_share(tags: dict[int, Any]) -> float | None:
-    share = _number(tags.get(FOCAL_35MM_TAG)) / DIAGONAL_35MM_FILM_MM
-    return share if FOCAL_SHARE_BOUNDS[0] <= share <= FOCAL_SHARE_BOUNDS[1] else None
 
 
 def _position(gps: dict[int, Any]) -> tuple[float, float, float | None] | None:

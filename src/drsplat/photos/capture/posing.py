@@ -48,12 +48,6 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
         ) from error
 
 
-def num_features(database: sqlite3.Connection) -> dict[str, int]:
-    """Return the number of features of each processed photo, by its name."""
-    query = "SELECT name, rows FROM images JOIN keypoints USING (image_id) JOIN descriptors USING (image_id, rows)"
-    return dict(database.execute(query))
-
-
 def verified_pairs(database: sqlite3.Connection) -> dict[tuple[str, str], int]:
     """Return the number of verified matches of each pair of names that has some."""
     names = dict(database.execute("SELECT image_id, name FROM images"))
@@ -137,14 +131,28 @@ class Posing:
         """Pose the photos. Raises: InputError: the camera only turned, a full disk. ColmapFailure: COLMAP failed."""
         self._extract()
         with reading(self._database) as database:
-            features = num_features(database)
+            # the number of features of each processed photo, by its name
+            query = (
+                "SELECT name, rows FROM images JOIN keypoints USING (image_id) JOIN descriptors USING (image_id, rows)"
+            )
+            features = dict(database.execute(query))
             chosen = self._pairs(database, features)
         self._match(chosen)
         with reading(self._database) as database:
             pairs = verified_pairs(database)
             files = {photo.file for photo in self.photos}
             pairs = {pair: count for pair, count in pairs.items() if set(pair) <= files}
-            self._check_moved(database, pairs)
+            # check a sample of pairs; files are named after their contents, so their order is as good as random
+            photos = {photo.file: photo for photo in self.photos}
+            many = sorted(pair for pair, count in pairs.items() if count >= MIN_MATCHES)
+            sample = []
+            for pair in many[:: len(many) // MAX_CHECKED_PAIRS + 1]:
+                sizes = np.array([[[photos[file].width, photos[file].height]] for file in pair])
+                diagonals = np.linalg.norm(sizes, axis=2, keepdims=True)
+                focals = np.array([[[camera_of(photos[file], self.lens)["params"][0]]] for file in pair])
+                pixels = matched_pixels(database, pair)
+                sample.append(((pixels - sizes / 2) / diagonals, focals / diagonals))
+            check_moved(sample, self.lens != "fisheye" and all(photo.exif.focal_share for photo in self.photos))
         return Posed(self._map(pairs), features, pairs)
 
     @property
@@ -158,7 +166,16 @@ class Posing:
         )  # fmt: skip
 
     def _extract(self) -> None:
-        ids = self._camera_ids()
+        # the database's camera of each group of photos; new ones are added
+        document = f"{self.lens}.json"
+        ids: dict[str, int] = self.work.remembered(document) or {}
+        if not ids:
+            self._database.unlink(missing_ok=True)
+        new = {camera_key(photo): photo for photo in self.photos if camera_key(photo) not in ids}
+        if new:
+            cameras = [camera_of(photo, self.lens) for photo in new.values()]
+            ids |= dict(zip(new, self._ask("add_cameras", cameras=cameras), strict=True))
+            self.work.remember(document, ids)
         groups: dict[tuple[int, str | None], list[str]] = {}
         for photo in self.photos:
             masked = mask_path(self.work.photos, photo.file).is_file()
@@ -169,19 +186,6 @@ class Posing:
             "extract", groups=listed, max_side=FEATURES_SIDE_PIXELS,
             report=lambda done: self.progress("features", done, len(self.photos)),
         )  # fmt: skip
-
-    def _camera_ids(self) -> dict[str, int]:
-        """Return the database's camera of each group of photos; new ones are added."""
-        document = f"{self.lens}.json"
-        ids: dict[str, int] = self.work.remembered(document) or {}
-        if not ids:
-            self._database.unlink(missing_ok=True)
-        new = {camera_key(photo): photo for photo in self.photos if camera_key(photo) not in ids}
-        if new:
-            cameras = [camera_of(photo, self.lens) for photo in new.values()]
-            ids |= dict(zip(new, self._ask("add_cameras", cameras=cameras), strict=True))
-            self.work.remember(document, ids)
-        return ids
 
     def _pairs(self, database: Any, features: dict[str, int]) -> list[tuple[str, str]]:
         """Return the pairs of files to match, in order."""
@@ -205,19 +209,6 @@ class Posing:
             "match", pairs=str(path), batch=str(self.work.folder / "batch.txt"),
             report=lambda done: self.progress("pairs", done, len(pairs)),
         )  # fmt: skip
-
-    def _check_moved(self, database: Any, pairs: dict[tuple[str, str], int]) -> None:
-        """Check a sample of pairs; files are named after their contents, so their order is as good as random."""
-        photos = {photo.file: photo for photo in self.photos}
-        many = sorted(pair for pair, count in pairs.items() if count >= MIN_MATCHES)
-        sample = []
-        for pair in many[:: len(many) // MAX_CHECKED_PAIRS + 1]:
-            sizes = np.array([[[photos[file].width, photos[file].height]] for file in pair])
-            diagonals = np.linalg.norm(sizes, axis=2, keepdims=True)
-            focals = np.array([[[camera_of(photos[file], self.lens)["params"][0]]] for file in pair])
-            pixels = matched_pixels(database, pair)
-            sample.append(((pixels - sizes / 2) / diagonals, focals / diagonals))
-        check_moved(sample, self.lens != "fisheye" and all(photo.exif.focal_share for photo in self.photos))
 
     def _map(self, pairs: dict[tuple[str, str], int]) -> list[Model]:
         most = len(_largest_group(pairs))

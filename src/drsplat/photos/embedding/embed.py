@@ -27,7 +27,7 @@ from ...formats.photo_files import listed
 from ...formats.vocabulary import VocabularyEncoder, read_vocabulary, write_vocabulary
 from ...scene.encoders import Encoder, EncoderIdentity, ImageEncoder, identity_json
 from ...scene.masks.masks import LEVELS, Masks, Segmenter, kept_masks
-from ...scene.masks.selection import MaskMaps, mask_maps
+from ...scene.masks.selection import mask_maps
 from ...scene.photo_masks import load_mask, views_with_something
 from ...scene.photos import load_image
 from ...scene.views import View, scenes_rendered
@@ -284,7 +284,14 @@ def _features(view: View, stem: str, segmenter: Segmenter | FeatureFolder, encod
         levels = kept_masks(levels, used)
     maps = mask_maps(levels)
     empty = sum(not part.any() for masks in levels.values() for part in masks.parts)
-    return _Embedded(maps.mask_ids, _embeddings(image, maps.masks, encoder, view.name), _counts(maps, levels), empty)
+    # count the masks of each level that the segmenter returned
+    ids = {level: maps.mask_ids[LEVELS.index(level)] for level in LEVELS if level in levels}
+    return _Embedded(
+        maps.mask_ids,
+        _embeddings(image, maps.masks, encoder, view.name),
+        {level: len(np.unique(level_ids[level_ids >= 0])) for level, level_ids in ids.items()},
+        empty,
+    )
 
 
 def finish_photo(
@@ -328,12 +335,6 @@ def _embeddings(image: Pixels, masks: Masks, encoder: ImageEncoder, name: str) -
             f"expected as many finite unit vectors of {dim} numbers"
         )
     return rows
-
-
-def _counts(maps: MaskMaps, levels: Mapping[str, Masks]) -> dict[str, int]:
-    """Count the masks of each level that the segmenter returned."""
-    ids = {level: maps.mask_ids[LEVELS.index(level)] for level in LEVELS if level in levels}
-    return {level: len(np.unique(level_ids[level_ids >= 0])) for level, level_ids in ids.items()}
 
 
 def _totals(record: EmbeddingRecord, stems: Sequence[str]) -> tuple[dict[str, int], int]:

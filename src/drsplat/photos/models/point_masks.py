@@ -154,7 +154,13 @@ class PointSegmenter:
         for layer, crop in crops:
             passing = self._in_crop(image, crop, layer)
             for level, candidates in by_level.items():
-                candidates += _distinct_in_crop(passing, _OUTPUTS[level], self.settings.max_box_iou)
+                # the candidates of these outputs that survive box NMS by predicted IoU
+                outputs = _OUTPUTS[level]
+                of_outputs = [candidate for candidate in passing if candidate.output in outputs]
+                chosen = box_nms(
+                    [c.box for c in of_outputs], [c.predicted_iou for c in of_outputs], self.settings.max_box_iou
+                )
+                candidates += [of_outputs[i] for i in chosen]
         cleaned: dict[int, tuple[Box, Bool[np.ndarray, "_ _"], bool]] = {}
         return {
             level: self._level(candidates, (height, width), len(crops) > 1, cleaned)
@@ -251,13 +257,6 @@ class PointSegmenter:
         if not s.mask_inner:
             stay = stay[np.argsort([-masks.parts[i].sum() for i in stay], kind="stable")]
         return masks.subset(stay)
-
-
-def _distinct_in_crop(candidates: Sequence[_Candidate], outputs: tuple[int, ...], max_iou: float) -> list[_Candidate]:
-    """Return the candidates of these outputs that survive box NMS by predicted IoU."""
-    of_outputs = [candidate for candidate in candidates if candidate.output in outputs]
-    chosen = box_nms([c.box for c in of_outputs], [c.predicted_iou for c in of_outputs], max_iou)
-    return [of_outputs[i] for i in chosen]
 
 
 def point_grid(side: int) -> PlanePoints:

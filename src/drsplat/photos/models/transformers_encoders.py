@@ -212,11 +212,25 @@ def load_open_clip(folder: Path) -> Any:
 
 def renamed(weights: dict[str, Any], config: Any, where: str) -> dict[str, Any]:
     """Rename tensors for transformers. Raises: FormatError: as `load_open_clip`."""
-    left = _without_prefix(weights)
+    # remove the prefix "text." of models whose text tower is a part of its own (custom_text)
+    plain = {name: name.removeprefix("text.") for name in weights}
+    left = {
+        name if plain[name] != name and plain[name] in weights else plain[name]: tensor
+        for name, tensor in weights.items()
+    }
     state: dict[str, Any] = {}
     for wanted in tensors(config):
         tensor = left.pop(wanted.name, None)
-        _check(tensor, wanted, where)
+        if tensor is None:
+            raise FormatError(
+                f"{where}: lacks the tensor '{wanted.name}' of a CLIP of these settings: the weights are of "
+                "another model than the settings say, or no CLIP with a ViT"
+            )
+        if tuple(tensor.shape) != wanted.shape or not tensor.is_floating_point():
+            raise FormatError(
+                f"{where}: '{wanted.name}': expected floats of shape {wanted.shape}, got {tensor.dtype} of "
+                f"shape {tuple(tensor.shape)}: the weights are of another model than the settings say"
+            )
         tensor = (tensor.T if wanted.transposed else tensor).float()
         parts = tensor.chunk(len(wanted.targets)) if len(wanted.targets) > 1 else [tensor]
         state.update(zip(wanted.targets, (part.contiguous() for part in parts), strict=True))
@@ -282,25 +296,3 @@ def _layers(ours: str, theirs: str, tower: Any) -> Iterator[Tensor]:
 def _linear(ours: str, theirs: str, *shape: int) -> Iterator[Tensor]:
     yield Tensor(ours + ".weight", shape, (theirs + ".weight",))
     yield Tensor(ours + ".bias", shape[:1], (theirs + ".bias",))
-
-
-def _without_prefix(weights: dict[str, Any]) -> dict[str, Any]:
-    """Remove the prefix "text." of models whose text tower is a part of its own (custom_text)."""
-    plain = {name: name.removeprefix("text.") for name in weights}
-    return {
-        name if plain[name] != name and plain[name] in weights else plain[name]: tensor
-        for name, tensor in weights.items()
-    }
-
-
-def _check(tensor: Any, wanted: Tensor, where: str) -> None:
-    if tensor is None:
-        raise FormatError(
-            f"{where}: lacks the tensor '{wanted.name}' of a CLIP of these settings: the weights are of "
-            "another model than the settings say, or no CLIP with a ViT"
-        )
-    if tuple(tensor.shape) != wanted.shape or not tensor.is_floating_point():
-        raise FormatError(
-            f"{where}: '{wanted.name}': expected floats of shape {wanted.shape}, got {tensor.dtype} of "
-            f"shape {tuple(tensor.shape)}: the weights are of another model than the settings say"
-        )

@@ -225,7 +225,10 @@ def write_record(catalogue: Path, table: Path, version: int, removed: Iterable[s
     """
     before = read_record(catalogue)
     recorded = {**before.older, **before.files} if before else {}
-    of_version = _named_by(_manifest(table, version))
+    path = manifest_of(table, version)
+    if path is None:
+        raise FormatError(f"{table}: the manifest of version {version} is missing. {CURE}")
+    of_version = _named_by(path)
     names = {*recorded, *of_version, *_finished(table)} - {HINT}
     for manifest in (table / "_versions").glob("*.manifest"):
         if manifest.relative_to(table).as_posix() not in recorded:
@@ -284,13 +287,6 @@ def _finished(table: Path) -> Iterator[str]:
             name = path.relative_to(table).as_posix()
             if path.is_file() and _NAME.fullmatch(name):
                 yield name
-
-
-def _manifest(table: Path, version: int) -> Path:
-    path = manifest_of(table, version)
-    if path is None:
-        raise FormatError(f"{table}: the manifest of version {version} is missing. {CURE}")
-    return path
 
 
 def _named_by(manifest: Path) -> set[str]:

@@ -142,16 +142,12 @@ def thumbnail(pixels: OtherPixels) -> bytes:
     picture = Image.fromarray(pixels)
     while True:
         for quality in QUALITIES:
-            data = _jpeg(picture, quality)
+            file = io.BytesIO()
+            picture.save(file, "JPEG", quality=quality, optimize=True)
+            data = file.getvalue()
             if len(data) <= MAX_BYTES:
                 return data
         picture = picture.resize((max(picture.width // 2, 1), max(picture.height // 2, 1)))
-
-
-def _jpeg(picture: Image.Image, quality: int) -> bytes:
-    file = io.BytesIO()
-    picture.save(file, "JPEG", quality=quality, optimize=True)
-    return file.getvalue()
 
 
 COLUMNS, MAX_CARDS = 5, 60

@@ -139,7 +139,11 @@ def located(view: View, stored: View, detection: Detection) -> Keypoints:
     """Return the detected keypoints on the pinhole of a view. stored: `as_stored(view)`."""
     scale = (view.width / stored.width, view.height / stored.height)
     pixels = undistort_points(view, detection.pixels * scale)
-    chosen = _largest(detection.sigmas, np.isfinite(pixels).all(axis=1) & _inside_mask(stored, detection.pixels))
+    # the ascending indices of the `MAX_KEYPOINTS` usable keypoints of largest scale: these reappear most
+    order = np.argsort(-detection.sigmas, kind="stable")
+    chosen = np.sort(
+        order[(np.isfinite(pixels).all(axis=1) & _inside_mask(stored, detection.pixels))[order]][:MAX_KEYPOINTS]
+    )
     return Keypoints(pixels[chosen], detection.colors[chosen], detection.descriptors[chosen])
 
 
@@ -194,9 +198,3 @@ def _detected(photo: Pixels) -> Any:
     except (RuntimeError, ValueError):  # how scikit-image says that there is none
         return None
     return sift
-
-
-def _largest(sigmas: np.ndarray, usable: np.ndarray) -> np.ndarray:
-    """Return the ascending indices of the `MAX_KEYPOINTS` usable keypoints of largest scale: these reappear most."""
-    order = np.argsort(-sigmas, kind="stable")
-    return np.sort(order[usable[order]][:MAX_KEYPOINTS])

@@ -151,22 +151,18 @@ def encode_rows(
     for begin in track(range(0, rows, BLOCK_ROWS), "coding Gaussians"):
         block = slice(begin, min(begin + BLOCK_ROWS, rows))
         features = source.features(block.start, block.stop, threads=threads)
-        candidates = _candidates(source, plan, features, block, threads)
+        indptr = source.weights.indptr[block.start : block.stop + 1].astype(np.int64)
+        atoms = plan.positions[source.weights.indices[indptr[0] : indptr[-1]]]
+        kept = np.concatenate([[0], np.cumsum(atoms >= 0)])
+        further = np.empty((len(features), 0), np.int32)
+        if plan.scene is not None:
+            further = plan.scene.near(features, threads=threads) + np.int32(plan.first_scene)
+        candidates = Candidates(kept[indptr - indptr[0]], atoms[atoms >= 0], further)
         ids[block], weights[block], scales[block] = mixture_encode(
             features, plan.dictionary, candidates, atoms_per_row, threads=threads
         )
         release(source.weights.indices, source.weights.data)
     return Encoded(ids, weights, scales)
-
-
-def _candidates(source: MixtureSource, plan: Plan, features: Embeddings, block: slice, threads: int) -> Candidates:
-    indptr = source.weights.indptr[block.start : block.stop + 1].astype(np.int64)
-    atoms = plan.positions[source.weights.indices[indptr[0] : indptr[-1]]]
-    kept = np.concatenate([[0], np.cumsum(atoms >= 0)])
-    further = np.empty((len(features), 0), np.int32)
-    if plan.scene is not None:
-        further = plan.scene.near(features, threads=threads) + np.int32(plan.first_scene)
-    return Candidates(kept[indptr - indptr[0]], atoms[atoms >= 0], further)
 
 
 def atoms_by_use(encoded: Encoded) -> Indices:
@@ -221,7 +217,12 @@ def regrown_mixture(
     """
     every = np.arange(len(source.embeddings), dtype=np.int32)
     plan = plan_of(source.embeddings, every, scene)
-    old = _planned(before, columns, kept, plan.first_scene)
+    # rows of an older code with the atoms' numbers of the new plan
+    masks = before.code.atoms.masks
+    atoms = columns[masks]
+    atoms[masks == SCENE_ATOM] = before.scene_places + np.int32(plan.first_scene)
+    ids, weights, scales = before.code.unpacked(kept)
+    old = Encoded(atoms[ids], weights, scales.astype(np.float32))
     new = encode_rows(source, plan, before.code.atoms_per_row, threads=threads, track=track)
     directed = new.scales.astype(np.float16) > 0
     rows = np.concatenate([np.ones(len(kept), np.bool_), directed])
@@ -229,12 +230,3 @@ def regrown_mixture(
     places = order[rows[order]]
     encoded = Encoded(*(np.concatenate(pair)[places] for pair in zip(old, new, strict=True)))
     return Regrown(assemble(encoded, plan, every, atoms_by_use(encoded)), directed)
-
-
-def _planned(before: Mixed, columns: OtherIds, kept: Indices, first_scene: int) -> Encoded:
-    """Return rows of an older code with the atoms' numbers of the new plan."""
-    masks = before.code.atoms.masks
-    atoms = columns[masks]
-    atoms[masks == SCENE_ATOM] = before.scene_places + np.int32(first_scene)
-    ids, weights, scales = before.code.unpacked(kept)
-    return Encoded(atoms[ids], weights, scales.astype(np.float32))

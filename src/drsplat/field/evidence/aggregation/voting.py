@@ -20,7 +20,6 @@ from ....base.arrays import (
     Int64,
     Integer,
     OtherDoubles,
-    OtherEmbeddings,
     OtherFlags,
     OtherIndices,
     WholeNumbers,
@@ -91,9 +90,15 @@ class ModeVoting:
         trust, sizes, features: of `voters.present`. A receiver's donor depends on its own candidates alone, to the bit.
         """
         rows, candidates = (np.searchsorted(voters.present, array) for array in (voters.rows, voters.candidates))
-        candidates = _with_self(candidates, rows, trust)
+        # put rows among their own candidates; one that many others coincide with may be missing there
+        absent = (trust[rows] > 0) & ~(candidates == rows[:, None]).any(axis=1)
+        candidates[absent, 0] = rows[absent]
         close = _closeness(voters.distances) * np.minimum(1, sizes[candidates] / sizes[rows, None])
-        best = self._best(trust, rows, candidates, close, _likeness(features, candidates, self.bandwidth))
+        # g of all pairs of candidates of each row, from one table of all pairs
+        whole = np.rint(features.astype(np.float64) * PARTS_PER_ONE)
+        cosines = (whole @ whole.T) / PARTS_PER_ONE**2
+        pairs = np.minimum(cosines[candidates[:, :, None], candidates[:, None, :]], 1)
+        best = self._best(trust, rows, candidates, close, np.asarray(np.exp((pairs - 1) / self.bandwidth)))
         return np.asarray(np.where(best >= 0, voters.present[best], -1))
 
     def _best(
@@ -157,27 +162,9 @@ def nearest_first(
     return np.take_along_axis(distances, order, 1), np.take_along_axis(near, order, 1)
 
 
-def _with_self(candidates: IndexRows, rows: Indices, trust: OtherDoubles) -> IndexRows:
-    """Put rows among their own candidates; one that many others coincide with may be missing there."""
-    absent = (trust[rows] > 0) & ~(candidates == rows[:, None]).any(axis=1)
-    candidates[absent, 0] = rows[absent]
-    return candidates
-
-
 def _closeness(distances: DoubleRows) -> DoubleRows:
     middle = distances[:, distances.shape[1] // 2, None]
     return np.exp(-0.5 * (distances / np.where(middle > 0, middle, 1.0)) ** 2)
-
-
-def _likeness(features: OtherEmbeddings, candidates: IndexRows, bandwidth: float) -> Float64[np.ndarray, "n k k"]:
-    """Return g of all pairs of candidates of each row, from one table of all pairs.
-
-    Features are whole numbers of 1 / PARTS_PER_ONE, so that no sum is rounded, in whatever order BLAS makes it.
-    """
-    whole = np.rint(features.astype(np.float64) * PARTS_PER_ONE)
-    cosines = (whole @ whole.T) / PARTS_PER_ONE**2
-    pairs = np.minimum(cosines[candidates[:, :, None], candidates[:, None, :]], 1)
-    return np.asarray(np.exp((pairs - 1) / bandwidth))
 
 
 def resultant_lengths(evidence: Evidence, threads: int = 0) -> Doubles:
