@@ -41,7 +41,7 @@ def heat_colors(heat: Values) -> Vectors:
     at = np.clip(heat, 0, 1) * (len(HEAT) - 1)
     low = np.minimum(at.astype(np.int64), len(HEAT) - 2)
     share = (at - low)[:, None].astype(np.float32)
-    return np.asarray(HEAT[low] * (1 - share) + HEAT[low + 1] * share)
+    return HEAT[low] * (1 - share) + HEAT[low + 1] * share
 
 
 def class_colors(count: int) -> Colors:

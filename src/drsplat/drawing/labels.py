@@ -47,7 +47,7 @@ class Mark:
         """Corners of the box; for a point, that point eight times."""
         extent = np.zeros(3) if self.extent is None else self.extent
         axes = np.eye(3) if self.axes is None else self.axes
-        return np.asarray(self.center + (CORNERS * extent) @ axes)
+        return self.center + (CORNERS * extent) @ axes
 
 
 def notes_of(annotations: Sequence[Annotation]) -> list[Mark]:
@@ -111,7 +111,7 @@ def _before(point: np.ndarray, other: np.ndarray, near: float) -> np.ndarray:
 
 
 def _pixel(point: np.ndarray, view: View) -> np.ndarray:
-    return np.asarray((view.K @ point)[:2] / point[2])
+    return (view.K @ point)[:2] / point[2]
 
 
 def _within(start: np.ndarray, end: np.ndarray, view: View) -> tuple[Spot, Spot] | None:

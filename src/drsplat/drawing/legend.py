@@ -44,8 +44,7 @@ def tinted(photo: Pixels, color: Float32[np.ndarray, "h w 3"], share: PixelNumbe
     grey = (photo @ LUMA)[..., None]
     covered = np.clip(share, 0, 1)[..., None]
     shade = 0.4 + 0.6 * grey / 255
-    picture: Pixels = np.clip(shade * color + (1 - covered) * (0.5 * grey + 90), 0, 255).astype(np.uint8)
-    return picture
+    return np.clip(shade * color + (1 - covered) * (0.5 * grey + 90), 0, 255).astype(np.uint8)
 
 
 def legend(width: int, names: list[str], colors: np.ndarray) -> OtherPixels:

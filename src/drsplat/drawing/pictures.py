@@ -33,8 +33,7 @@ def as_pixels(rgb: Float32[np.ndarray, "h w 3"]) -> Pixels:
     scaled = np.clip(rgb, 0, 1)
     scaled *= 255
     scaled += 0.5
-    pixels: Pixels = scaled.astype(np.uint8)
-    return pixels
+    return scaled.astype(np.uint8)
 
 
 def picture_html(picture: Image.Image) -> str:
@@ -93,8 +92,7 @@ def heated(photo: Pixels, heat: PixelNumbers) -> Pixels:
         raise InputError(f"the photo is {photo.shape[:2]}, the heat {heat.shape}: render the heat at the photo's size")
     warm = heat_colors(np.linspace(0, 1, 256, dtype=np.float32)) * np.float32(255)
     shade = MIN_LIGHT + (1 - MIN_LIGHT) / 255 * (photo @ LUMA.astype(np.float32))[..., None]
-    picture: Pixels = (warm[(np.clip(heat, 0, 1) * 255).astype(np.uint8)] * shade).astype(np.uint8)
-    return picture
+    return (warm[(np.clip(heat, 0, 1) * 255).astype(np.uint8)] * shade).astype(np.uint8)
 
 
 def border(inside: Mask, thickness: int) -> Mask:
@@ -149,7 +147,7 @@ def shown_areas(
     small = view.resized(160, max(1, round(160 * view.height / view.width)))
     share = render_channels(splats, small, chosen, threads=threads).channels
     cut = share[[0, -1]].sum((0, 1)) + share[:, [0, -1]].sum((0, 1))
-    return np.asarray(share.sum((0, 1)) / (1 + cut))
+    return share.sum((0, 1)) / (1 + cut)
 
 
 def zoomed(view: View, share: PixelNumbers, margin: float = 3.2, most: float = 3.0) -> View:

@@ -228,8 +228,7 @@ def _write_masks(splats: SplatArrays, view: View, cut: _Cut, path: Callable[...,
     whole = _whole_picture(splats, view, cut, threads)
     for column, share in zip(cut.at, whole[1:], strict=True):
         write_mask(path(column=seen_column(column)), share > MAJORITY_SHARE)
-    scores: PixelNumbers = whole[0]
-    return scores
+    return whole[0]
 
 
 def _masks(splats: SplatArrays, view: View, cut: _Cut, threads: int) -> Iterator[tuple[str, Mask]]:
@@ -248,8 +247,7 @@ def silhouette(splats: SplatArrays, view: View, selected: RowIds, threads: int =
         return np.zeros((view.height, view.width), bool)
     alone = splats.subset(selected)
     drawn = render_channels(alone, view, np.zeros((len(selected), 1), np.float32), threads=threads)
-    mask: np.ndarray = drawn.alpha > SILHOUETTE_ALPHA
-    return mask
+    return drawn.alpha > SILHOUETTE_ALPHA
 
 
 def _whole_picture(splats: SplatArrays, view: View, cut: _Cut, threads: int) -> Float32[np.ndarray, "c h w"]:

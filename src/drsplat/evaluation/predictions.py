@@ -140,8 +140,7 @@ def read_mask(path: Path, width: int, height: int) -> Mask | None:
         raise FormatError(f"{path}: cannot be read as a PNG: {error}") from error
     if size != (width, height):
         raise FormatError(f"{path}: expected {width}x{height} pixels as labelled, got {size[0]}x{size[1]}")
-    occupied: np.ndarray = pixels > MAX_OUTSIDE_GREY
-    return occupied
+    return pixels > MAX_OUTSIDE_GREY
 
 
 def read_array(path: Path, count: int, kinds: str) -> np.ndarray | None:
@@ -191,4 +190,4 @@ def sweep_weighted_ious(scores: Numbers, truth: Flags, weights: Doubles, thresho
     selected_other = np.cumsum(only[::-1])[::-1][1:]
     union = both.sum() + selected_other
     ious = np.divide(selected_true, union, out=np.zeros(len(edges)), where=union > 0)
-    return np.asarray(ious[np.searchsorted(edges, np.asarray(thresholds, np.float32))])
+    return ious[np.searchsorted(edges, np.asarray(thresholds, np.float32))]

@@ -138,7 +138,7 @@ class ScannetScene:
     def significance(self) -> Doubles:
         """Significance d_i = s_x s_y s_z alpha_i.  Source: Dr. Splat Sec. C."""
         volumes = self.gaussians.scales.astype(np.float64).prod(1)
-        return np.asarray(volumes * self.gaussians.opacities)
+        return volumes * self.gaussians.opacities
 
     @cached_property
     def pseudo_labels(self) -> Ids:

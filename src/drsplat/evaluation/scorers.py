@@ -173,8 +173,7 @@ def mean_interval(values: Numbers, level: float = 0.95) -> tuple[float, float]:
 
 
 def _ratio(part: PerClass, whole: PerClass, present: Flags) -> PerClass:
-    ratio: np.ndarray = np.divide(part, whole, out=np.full(len(part), np.nan), where=present)
-    return ratio
+    return np.divide(part, whole, out=np.full(len(part), np.nan), where=present)
 
 
 BLOCK_ROWS = 1 << 16
@@ -239,8 +238,7 @@ def cosine_scorer(source: LanguageField, encoder: Encoder, name: str = "cosine",
         return np.stack([source.dense(by_object(source, row), fill=float("nan")) for row in rows])
 
     def scores(text: str) -> Scores:
-        row: Scores = several([text])[0]
-        return row
+        return several([text])[0]
 
     def classes(texts: Sequence[str]) -> Iterator[Scores]:
         for text in texts:
@@ -304,7 +302,7 @@ def relevant(cosines: Scorer, name: str = "relevancy") -> Scorer:
 
     @cache
     def best_negative() -> Scores:
-        return np.asarray(np.max(list(cosines.each(NEGATIVES)), axis=0))
+        return np.max(list(cosines.each(NEGATIVES)), axis=0)
 
     def scores(text: str) -> Scores:
         return relevancy_from_scores(cosines.scores(text), best_negative())

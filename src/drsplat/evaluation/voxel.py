@@ -48,7 +48,7 @@ class VoxelGrid:
     def centers(self) -> Points:
         """Centres of the voxels, x slowest, in the order of `voxel_labels`."""
         at = np.stack(np.meshgrid(*map(np.arange, self.shape), indexing="ij"), -1).reshape(-1, 3)
-        return np.asarray(self.origin + (at + 0.5) * self.side)
+        return self.origin + (at + 0.5) * self.side
 
 
 def grid_over(positions: np.ndarray, side: float = VOXEL_SIDE) -> VoxelGrid:

@@ -198,7 +198,7 @@ def encode_features(rows: Features, codebook: Codebook, threads: int, track: Tra
     for begin in track(range(0, count, BLOCK_ROWS), "coding Gaussians"):
         block = slice(begin, min(begin + BLOCK_ROWS, count))
         features = rows.features(block.start, block.stop, threads=threads)
-        directed[block] = features.any(axis=1)
+        directed[block] = features.any(1)
         codes[block], nearest = codebook.encode(features, threads=threads)
         if coarse_ids is not None and nearest is not None:
             coarse_ids[block] = nearest

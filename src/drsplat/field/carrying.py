@@ -141,7 +141,7 @@ def _candidates(
     for begin in range(0, len(here), BLOCK_GAUSSIANS):
         part = slice(begin, begin + BLOCK_GAUSSIANS)
         far, rows = tree.query(here[part], np.arange(1, count + 1), workers=threads or -1)
-        unlike = np.abs(old[part, None] - new[rows]).sum(axis=2)
+        unlike = np.abs(old[part, None] - new[rows]).sum(2)
         cost = np.where(far <= reach, far / max(reach, np.finfo(np.float64).tiny) + unlike, np.inf)
         order = np.argsort(cost, axis=1, kind="stable")
         found[part], costs[part] = (np.take_along_axis(values, order, axis=1) for values in (rows, cost))

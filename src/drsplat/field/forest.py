@@ -117,7 +117,7 @@ class Objects:
     def things(self) -> Indices:
         """The nodes of things; object 0, 1, ... of people are these, the largest mass first."""
         nodes = np.flatnonzero(self.levels == THING)
-        return np.asarray(nodes[np.argsort(-self.masses[nodes], kind="stable")])
+        return nodes[np.argsort(-self.masses[nodes], kind="stable")]
 
     @cached_property
     def number_of(self) -> Ids:
@@ -128,7 +128,7 @@ class Objects:
 
     def thing_of(self, rows: WholeNumbers | slice = slice(None)) -> Ids:
         """Return per row of the field, or of some, the number of the thing that it belongs to, -1 for none."""
-        return np.asarray(np.append(self.number_of, np.int32(-1))[self.node_of[rows]])
+        return np.append(self.number_of, np.int32(-1))[self.node_of[rows]]
 
     def piece_of(self) -> Ids:
         """Return per row of the field the part right below a thing that it belongs to, -1 for none."""
@@ -145,7 +145,7 @@ class Objects:
     @property
     def _right_below(self) -> Flags:
         """Parts of a thing that are no parts of another part."""
-        return np.asarray((self.parents >= 0) & (self.levels == PART) & (self.levels[self.parents] == THING))
+        return (self.parents >= 0) & (self.levels == PART) & (self.levels[self.parents] == THING)
 
     def _belonging(self, chosen: OtherFlags) -> Ids:
         """Return per row the chosen node that it belongs to, -1 for none."""
@@ -197,8 +197,7 @@ class Objects:
 
     def below(self, node: int) -> list[int]:
         """Return the nodes that this one is made of, ascending. Raises: InputError: no such node."""
-        below: list[int] = np.flatnonzero(self.parents == self._checked(node)).tolist()
-        return below
+        return np.flatnonzero(self.parents == self._checked(node)).tolist()
 
     def path(self, row: int) -> list[int]:
         """Return the nodes that a row of the field belongs to, smallest first: parts, thing, groups; [] for none.
@@ -264,7 +263,7 @@ class Objects:
             above = np.where(missing, self.parents[above], -1)
 
     def _by_row(self, values: np.ndarray, none: Any) -> np.ndarray:
-        return np.asarray(np.append(values, none)[self.node_of])  # the last one is that of -1
+        return np.append(values, none)[self.node_of]  # the last one is that of -1
 
     def _check_shapes(self) -> None:
         known = {"T1": len(self.parents) + 1, "3": 3}
@@ -301,7 +300,7 @@ def check_forest(node_of: OtherIds, parents: Ids, levels: ByteValues) -> None:
 
 def _within(values: np.ndarray, low: float, high: float) -> Bool[np.ndarray, "..."]:
     """Mark values within a range, NaN not."""
-    return np.asarray((values >= low) & (values <= high))
+    return (values >= low) & (values <= high)
 
 
 def _check_all(fine: Bool[np.ndarray, "..."], message: str) -> None:

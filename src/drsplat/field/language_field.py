@@ -44,7 +44,7 @@ BATCH_NEGATIVES = 16  # scored at once, exactly
 
 def relevancy_from_scores(scores: Numbers, negative_maxima: Numbers) -> Numbers:
     """Return sigmoid(10 (s - max_n s_n)): equal to LERF's minimum over negatives of a two-way softmax."""
-    return np.asarray(1 / (1 + np.exp(np.float32(-TEMPERATURE) * (scores - negative_maxima))))
+    return 1 / (1 + np.exp(np.float32(-TEMPERATURE) * (scores - negative_maxima)))
 
 
 @dataclass(frozen=True, eq=False)

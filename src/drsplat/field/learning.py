@@ -51,7 +51,7 @@ def learn(
     count = min(len(some), MAX_TRAINING_POINTS)
     spread = np.linspace(0, len(some) - 1, count).astype(np.int64)
     points = some.rows(spread).features(0, count, threads=threads)
-    directed = points[points.any(axis=1)]
+    directed = points[points.any(1)]
     return Learnt(
         views, codebook=train_codebook(directed, code.parts(encoder.dim), encoder=encoder, threads=threads, track=track)
     )

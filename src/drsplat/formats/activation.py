@@ -96,7 +96,7 @@ def _require_finite(values: Float32[np.ndarray, "n ..."], what: str) -> None:
 def _require(good: Bool[np.ndarray, "n ..."], what: str) -> None:
     if np.all(good):
         return
-    bad = np.flatnonzero((~good).reshape(len(good), -1).any(axis=1))
+    bad = np.flatnonzero((~good).reshape(len(good), -1).any(1))
     cure = MEANT_OTHERWISE if 2 * len(bad) > len(good) > 1 else CURE
     raise FormatError(f"{len(bad)} of {len(good)} rows have {what}; the first is row {bad[0]}. {cure}")
 

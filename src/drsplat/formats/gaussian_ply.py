@@ -160,7 +160,7 @@ def activated_columns(rows: Records) -> frozenset[str]:
         found.append("opacity")
     tenth = 0.1 * float(np.ptp(np.quantile(gather(some, MEANS), (0.05, 0.95), axis=0), axis=0).max())
     small, large = np.quantile(scales, (0.05, 0.95))
-    middle = np.float64(np.median(scales.max(axis=1)))
+    middle = np.float64(np.median(scales.max(1)))
     if scales.min() > 0 and (small < MAX_SMALL_SHARE * large or middle < tenth < np.exp(middle)):
         found.append("scale")
     if set(DC) <= set(names) and not _rest_names(list(names)):

@@ -207,7 +207,7 @@ def _of_attributes(gltf: Gltf, attributes: Entry, budget: _Budget) -> Gaussians:
     if len(lengths) > 1:
         raise FormatError(f"glTF: attributes of one primitive with {sorted(lengths)} rows: damaged")
     # sound Gaussians; unit rotations stay as they are. Raises: FormatError: rows that are none.
-    negative = int((scales < 0).any(axis=1).sum())
+    negative = int((scales < 0).any(1).sum())
     if negative:
         raise FormatError(
             f"glTF: {negative:,} of {len(scales):,} rows have negative scales, and scales are lengths: some programs "
@@ -257,7 +257,7 @@ def _object_ids(gltf: Gltf, primitive: Entry, attributes: Entry) -> Ids:
         return ids
     if ids.max(initial=-1) >= len(numbers):
         raise FormatError(f"glTF: {FEATURE_ID} {ids.max():,} of a table of {len(numbers):,} rows: damaged")
-    return np.asarray(np.append(numbers, np.int32(-1))[ids])  # the last one is that of -1
+    return np.append(numbers, np.int32(-1))[ids]  # the last one is that of -1
 
 
 def _placed(gaussians: Gaussians, to_world: Matrix4) -> Gaussians:

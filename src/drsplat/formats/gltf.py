@@ -308,7 +308,7 @@ def local_matrix(node: Entry, number: int) -> Matrix:
 
 
 def _rotation(xyzw: Float64[np.ndarray, " 4"]) -> Matrix3:
-    return np.asarray(rotation_matrices(xyzw[None, [3, 0, 1, 2]] / np.linalg.norm(xyzw))[0])
+    return rotation_matrices(xyzw[None, [3, 0, 1, 2]] / np.linalg.norm(xyzw))[0]
 
 
 def _roots(gltf: Gltf) -> list[int]:

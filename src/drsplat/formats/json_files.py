@@ -254,13 +254,12 @@ def ids_of(spans: Spans) -> Indices:
     """Return the rows that spans stand for. The caller has checked the last one, which may be any number."""
     lengths = spans[:, 1] - spans[:, 0]
     ends = np.cumsum(lengths)
-    return np.asarray(np.arange(lengths.sum()) + np.repeat(spans[:, 1] - ends, lengths))
+    return np.arange(lengths.sum()) + np.repeat(spans[:, 1] - ends, lengths)
 
 
 def runs_of(spans: Spans) -> list[int]:
     """Return lengths in turns: rows that are left out, rows that are in it, and so on."""
-    runs: list[int] = np.diff(spans.ravel(), prepend=0).tolist()
-    return runs
+    return np.diff(spans.ravel(), prepend=0).tolist()
 
 
 def spans_of_runs(value: object, where: str) -> Spans:

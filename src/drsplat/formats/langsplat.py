@@ -322,5 +322,4 @@ def unit_rows(rows: np.ndarray, wanted: Indices, path: Path) -> Embeddings:
         raise FormatError(
             f"{path}: row {bad[0]} has no direction (zero or not finite); {len(bad)} such rows are in use"
         )
-    unit: np.ndarray = (taken / norms[:, None]).astype(np.float32)
-    return unit
+    return (taken / norms[:, None]).astype(np.float32)

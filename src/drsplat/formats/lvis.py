@@ -244,8 +244,7 @@ def decode_runs(counts: Indices, height: int, width: int, where: str) -> Mask:
     if total != pixels:
         raise FormatError(f"{where}: the runs add up to {total} pixels, the image {width}x{height} has {pixels}")
     inside = np.arange(len(counts)) % 2 == 1
-    mask: np.ndarray = np.ascontiguousarray(np.repeat(inside, counts).reshape(width, height).T)
-    return mask
+    return np.ascontiguousarray(np.repeat(inside, counts).reshape(width, height).T)
 
 
 def unpack_counts(text: str, where: str) -> Indices:
@@ -316,5 +315,4 @@ def _parity(
     column = np.ceil(crossing - 0.5).clip(0, width).astype(np.int64)
     shape = (rows.stop - rows.start, width + 1)
     flips = np.bincount((row - rows.start) * shape[1] + column, minlength=shape[0] * shape[1])
-    inside: np.ndarray = np.cumsum(flips.reshape(shape), axis=1)[:, :width] % 2 == 1
-    return inside
+    return np.cumsum(flips.reshape(shape), axis=1)[:, :width] % 2 == 1

@@ -316,7 +316,7 @@ def _points(rows: Records) -> tuple[np.ndarray, np.ndarray]:
     if missing:
         raise FormatError(f"no points: vertex has no {', '.join(missing)}")
     positions = np.stack([rows[name].astype(np.float64) for name in AXES], axis=1)
-    bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
+    bad = np.flatnonzero(~np.isfinite(positions).all(1))
     if len(bad):
         raise FormatError(f"{len(bad)} of {len(rows)} points are not finite, the first at index {bad[0]}")
     if not set(COLORS) <= set(names):

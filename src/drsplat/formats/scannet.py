@@ -135,8 +135,7 @@ def read_label_table(path: Path) -> dict[str, int]:
 def raw_category_labels(instances: Instances, table: Mapping[str, int]) -> Ids:
     """Return the category id of each vertex's object; 0 without one, or where the table has no such name."""
     ids = np.array([table.get(name, 0) for name in instances.names] + [0], np.int32)
-    labels: np.ndarray = ids[instances.objects]
-    return labels
+    return ids[instances.objects]
 
 
 def check_vertices(cloud: LabelledCloud, instances: Instances, where: str) -> None:

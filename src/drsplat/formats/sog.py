@@ -293,7 +293,7 @@ class _Sog:
 
     def _looked_up(self, part: str, codes: np.ndarray) -> Float32[np.ndarray, "*n"]:
         book = as_vector(_part(self.meta, part).get("codebook"), 256, f"{META}: {part}: codebook")
-        return np.asarray(book.astype(np.float32)[codes])
+        return book.astype(np.float32)[codes]
 
     def _means(self) -> Vectors:
         low, high = (self._plane("means", place)[:, :3].astype(np.uint16) for place in (0, 1))
@@ -319,7 +319,7 @@ class _Sog:
     def _opacities(self, colours: Bytes) -> Numbers:
         if self.legacy:
             return sigmoid(self._between("sh0", colours, 255)[:, 3])
-        return np.asarray(colours[:, 3] / np.float32(255))
+        return colours[:, 3] / np.float32(255)
 
     def _harmonics(self, colours: Bytes) -> Harmonics:
         if self.legacy:
@@ -334,7 +334,7 @@ class _Sog:
         chosen = labels[:, 0] | labels[:, 1] << 8
         if self.count and chosen.max() >= len(palette):
             raise FormatError(f"row {int(chosen.argmax())} names entry {chosen.max()} of a palette of {len(palette)}")
-        return np.asarray(palette[chosen])
+        return palette[chosen]
 
     def _palette(self) -> Harmonics:
         name = _file(self.meta, "shN", 0)

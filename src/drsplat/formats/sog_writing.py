@@ -186,8 +186,7 @@ def sizes(logs: Doubles) -> Doubles:
     It lies between the logarithm alone, which weighs 1, and what a picture sees: edges move by the error times the
     scale, squared, which would leave thin Gaussians with hardly a code.
     """
-    weights: np.ndarray = np.exp(logs)
-    return weights
+    return np.exp(logs)
 
 
 def _means(means: Vectors) -> tuple[dict[str, object], dict[str, bytes]]:
@@ -257,11 +256,11 @@ def harmonics_palette(rows: Embeddings) -> tuple[OtherEmbeddings, UInt16[np.ndar
 def _centroids(rows: Embeddings, most: int) -> OtherEmbeddings:
     """Return 256 k-means of at most so many of the rows, evenly chosen."""
     chosen = np.linspace(0, len(rows) - 1, min(len(rows), most)).round().astype(np.int64)
-    return np.asarray(train_centroids(np.ascontiguousarray(rows[chosen]), 1, SEED)[0])
+    return train_centroids(np.ascontiguousarray(rows[chosen]), 1, SEED)[0]
 
 
 def _nearest(rows: Embeddings, centroids: OtherEmbeddings) -> ByteValues:
-    return np.asarray(pq_encode(np.ascontiguousarray(rows), centroids[None])[:, 0])
+    return pq_encode(np.ascontiguousarray(rows), centroids[None])[:, 0]
 
 
 def _own_parts(gaussians: Gaussians, labels: bytes) -> tuple[dict[str, object], dict[str, bytes]]:

@@ -139,7 +139,7 @@ def _smallest_three(quats: Quats) -> np.ndarray:
     for component in range(4):
         written = (packed << 10) | (negative[:, component].astype(np.uint32) << 9) | sizes[:, component]
         packed = np.where(largest == component, packed, written)
-    return np.asarray(packed.astype("<u4"))
+    return packed.astype("<u4")
 
 
 def _harmonics(rest: Harmonics) -> UInt8[np.ndarray, "n k 3"]:

@@ -213,8 +213,8 @@ class _Writer:
             {
                 "name": name,
                 "count": len(part),
-                "low": part.means.min(axis=0).tolist(),
-                "high": part.means.max(axis=0).tolist(),
+                "low": part.means.min(0).tolist(),
+                "high": part.means.max(0).tolist(),
                 "largest": float(part.scales[part.opacities >= FAINTEST].max(initial=0.0)),
                 DOCUMENT: sums,
             }

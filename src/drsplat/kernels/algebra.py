@@ -82,7 +82,7 @@ def row_products(rows: Float[np.ndarray, "n d"], vector: Float[np.ndarray, " d"]
 
     A BLAS cuts long sums and many rows into a part for each of its threads, and each part ends in a sum of its own.
     """
-    return np.asarray(np.einsum("nd,d->n", rows, vector))
+    return np.einsum("nd,d->n", rows, vector)
 
 
 def convolve(

@@ -58,7 +58,7 @@ def train_centroids(
         sums, counts = code_sums(parts.reshape(len(parts), -1), codes, threads=threads)
         served = counts > 0
         centroids[served] = sums[served] / counts[served][:, None]
-        for m in np.flatnonzero(~served.all(axis=1)):
+        for m in np.flatnonzero(~served.all(1)):
             columns = np.ascontiguousarray(parts[:, m].T, np.float64)
             _move_idle(centroids[m], np.flatnonzero(~served[m]), columns, codes[:, m])
         previous = codes
@@ -87,7 +87,7 @@ def _move_idle(
     centroids: Float32[np.ndarray, "c d"], idle: OtherIndices, columns: Float64[np.ndarray, "d n"], codes: ByteValues
 ) -> None:
     """Put centroids that serve no point on those that are served worst."""
-    distances = ((columns - centroids[codes].T) ** 2).sum(axis=0)
+    distances = ((columns - centroids[codes].T) ** 2).sum(0)
     worst = np.argsort(-distances, kind="stable")[: len(idle)]
     worst = worst[distances[worst] > 0]  # nothing is gained by a copy of a centroid
     centroids[idle[: len(worst)]] = columns[:, worst].T

@@ -78,7 +78,7 @@ def group_codes(codes: ByteRows) -> UInt8[np.ndarray, "g k 256"]:
 
 def rows_of_groups(grouped: UInt8[np.ndarray, "g k 256"], rows: WholeNumbers) -> ByteRows:
     """Return the codes of some rows, one row after the other."""
-    return np.asarray(grouped[rows // GROUP_ROWS, :, rows % GROUP_ROWS])
+    return grouped[rows // GROUP_ROWS, :, rows % GROUP_ROWS]
 
 
 def lookup_tables(

@@ -217,8 +217,7 @@ class Segmentation:
     def counts(self) -> list[int]:
         """Gaussians of each class."""
         kept = self.labels[self.labels >= 0]
-        counts: list[int] = np.bincount(kept, minlength=len(self.names)).tolist()
-        return counts
+        return np.bincount(kept, minlength=len(self.names)).tolist()
 
 
 @dataclass(frozen=True, eq=False)

@@ -145,7 +145,7 @@ class Contrast:
         usual = row_products(vectors, self.usual) - np.float32(query @ self.usual)
         for begin in range(0, len(vectors), WORDS_AT_ONCE):
             some = slice(begin, begin + WORDS_AT_ONCE)
-            np.maximum(best, (score(vectors[some]) - usual[some, None]).max(axis=0), out=best)
+            np.maximum(best, (score(vectors[some]) - usual[some, None]).max(0), out=best)
         return best
 
     def rival(self, query: Embedding, values: Numbers, same: OtherFlags | None = None) -> int | None:
@@ -168,7 +168,7 @@ class Contrast:
         """Return per row of a run the score of the `rank`-th best word that is not near, or of the last one kept."""
         better = np.cumsum(np.take(~near, self.words[run].T), axis=0, dtype=np.uint16) < rank
         places = np.minimum(better.sum(0, dtype=np.uint16), len(better) - 1)
-        return np.asarray(self.scores[run][np.arange(len(places)), places])
+        return self.scores[run][np.arange(len(places)), places]
 
 
 def _near(vectors: Embeddings, query: Embedding) -> Flags:
@@ -197,7 +197,7 @@ def near_each(vectors: Embeddings, queries: OtherEmbeddings) -> Bool[np.ndarray,
     products, squares = words @ texts.T, (texts * texts).sum(1) / count
     lengths = (words * words).sum(1)[:, None] - 2 / count * products + squares / count
     cosines = (products - squares) / np.sqrt(np.maximum(lengths * squares * count, 1e-24))
-    return np.asarray((vectors @ queries.T > 1 - 1e-5) | (cosines > SAME_MEANING_COSINE))
+    return (vectors @ queries.T > 1 - 1e-5) | (cosines > SAME_MEANING_COSINE)
 
 
 def contrast(field: LanguageField, vectors: Embeddings, *, threads: int = 0) -> Contrast:
@@ -277,7 +277,7 @@ def own_level(relevancy: Numbers, peak: int = PEAK_ROWS) -> float:
 def _margin(relevancy: Float[np.ndarray, "*any"]) -> Float64[np.ndarray, "*any"]:
     """Return what `_sigmoid` makes relevancies of; it rises with them, so that quantiles may be taken before."""
     inside = np.clip(relevancy.astype(np.float64), 1e-12, 1 - 1e-12)
-    return np.asarray(np.log(inside / (1 - inside)))
+    return np.log(inside / (1 - inside))
 
 
 def usual_pictures(field: LanguageField, most: int = MAX_USUAL_PICTURES) -> Embeddings:

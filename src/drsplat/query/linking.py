@@ -24,7 +24,7 @@ def components(points: Points, link_distance: float | None) -> Indices:
     near = distances[:, 1:] <= reach
     source = np.broadcast_to(np.arange(len(points))[:, None], near.shape)[near]
     labels = _connected(len(points), source, neighbours[:, 1:][near])
-    return np.asarray(_join_near_parts(points, labels, reach)[labels])
+    return _join_near_parts(points, labels, reach)[labels]
 
 
 def join_to_held(
@@ -68,7 +68,7 @@ def _join_near_parts(points: Points, labels: Indices, reach: float) -> OtherIndi
     trees, edges = [cKDTree(part) for part in parts], []
     for i, part in enumerate(parts):
         gap = np.maximum(low[i + 1 :] - high[i], low[i] - high[i + 1 :])
-        for j in i + 1 + np.flatnonzero((gap <= reach).all(axis=1)):
+        for j in i + 1 + np.flatnonzero((gap <= reach).all(1)):
             small, large = (i, j) if len(part) < len(parts[j]) else (j, i)
             if trees[large].query(parts[small], distance_upper_bound=reach)[0].min() <= reach:
                 edges.append((i, int(j)))

@@ -256,7 +256,7 @@ class Measuring:
             return ""
         best = np.argpartition(-scores, min(PEAK_ROWS, len(scores)) - 1)[:PEAK_ROWS]
         shown = self._field.feature(np.sort(best))
-        own, *fits = dense_rows(shown, encoder.encode_texts([text, *others]).T, threads=1).mean(axis=0).tolist()
+        own, *fits = dense_rows(shown, encoder.encode_texts([text, *others]).T, threads=1).mean(0).tolist()
         return others[int(np.argmax(fits))] if max(fits) > own + SWAP_TOLERANCE else ""
 
     def _certainty(self, known: Contrast, scores: Numbers, values: Numbers, same: OtherFlags | None) -> str:
@@ -371,5 +371,4 @@ def embedded_image(encoder: Encoder, picture: Pixels) -> Embedding:
         )
     height, width = picture.shape[:2]
     square = crop(picture, np.ones((height, width), bool), (0, 0, width, height))
-    vector: np.ndarray = encoder.encode_images([square])[0]
-    return vector
+    return encoder.encode_images([square])[0]

@@ -37,7 +37,7 @@ def fit_of(encoder: MiniEncoder, field: LanguageField) -> float:
     """Return the cosine of the best noun that half of a field's features reach."""
     rows = np.unique(np.linspace(0, len(field) - 1, SAMPLED_ROWS).astype(np.intp))
     cosines = dense_rows(field.feature(rows), encoder.encode_texts(encoder.nouns).T, threads=1)
-    return float(np.median(cosines.max(axis=1)))
+    return float(np.median(cosines.max(1)))
 
 
 def doubt_of(encoder: Encoder, field: LanguageField, text: str | None = None) -> str:
@@ -150,8 +150,7 @@ def _sure_words(seen: _Seen, vectors: Embeddings, every: OtherEmbeddings, least:
     cosines -= cosines.mean(0)
     cosines -= cosines.mean(1, keepdims=True)
     margins = (scores[np.arange(len(best)), best] - others) / max(float(cosines.std()), MIN_SPREAD)
-    words: list[int] = np.where(margins >= least, best, -1).tolist()
-    return words
+    return np.where(margins >= least, best, -1).tolist()
 
 
 def best_names(

@@ -76,8 +76,7 @@ def _deviations(few: Gaussians, point: np.ndarray) -> np.ndarray:
     offsets = point - few.means.astype(np.float64)
     solved = np.linalg.solve(matrices, offsets[..., None])[..., 0]
     deviations = np.sqrt(np.maximum((offsets * solved).sum(1), 0))
-    known: np.ndarray = np.nan_to_num(deviations, nan=np.inf, posinf=np.inf)
-    return known
+    return np.nan_to_num(deviations, nan=np.inf, posinf=np.inf)
 
 
 def _size(gaussians: AnyGaussians, candidates: WholeNumbers) -> float:

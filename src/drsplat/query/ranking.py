@@ -133,7 +133,7 @@ class Surroundings:
         self, query: Query, vector: Embedding, objects: Described, cosines: Numbers
     ) -> tuple[Numbers, str, float, str]:
         if query.measures_relevancy:
-            rivals = dense_rows(objects.descriptors, self._negatives(query).T, threads=1).max(axis=1)
+            rivals = dense_rows(objects.descriptors, self._negatives(query).T, threads=1).max(1)
             values = objects.best(relevancy_from_scores(objects.products(vector), rivals))
             return values, RELEVANCY, RELEVANCY_THRESHOLD, DEFAULT
         own = own_threshold(self.encoder) if query.text is not None else None

@@ -495,7 +495,7 @@ class Scene:
             return feature_of(self.field, int(place))
         if isinstance(place[0], str):
             rows, weights = self._weights_at(place)  # type: ignore[arg-type]
-            return np.asarray(self.field.feature(rows[[weights.argmax()]])[0])
+            return self.field.feature(rows[[weights.argmax()]])[0]
         return feature_of(self.field, self.nearest(place))  # type: ignore[arg-type]
 
     def nearest(self, point: Point) -> int:
@@ -521,7 +521,7 @@ class Scene:
         """
         rows, weights = self._weights_at(click)
         ids = self.field.gaussian_ids[rows[[weights.argmax()]]]
-        return np.asarray(self.seen_by(self.view(click[0])).rows.shapes_of(ids).positions[0])
+        return self.seen_by(self.view(click[0])).rows.shapes_of(ids).positions[0]
 
     def weights_at(
         self, view: View | str, pixels: Sequence[tuple[float, float]] | Shaped[np.ndarray, "p xy"], k: int = 8

@@ -75,7 +75,7 @@ def rival_scores(
 
 def without(scores: Numbers, rivals: Numbers) -> Numbers:
     """Return the scores, UNSELECTED_COSINE where a rival fits as well or better."""
-    return np.asarray(np.where(rivals >= scores, np.float32(UNSELECTED_COSINE), scores))
+    return np.where(rivals >= scores, np.float32(UNSELECTED_COSINE), scores)
 
 
 def row_of(field: LanguageField, gaussian_id: int) -> int:
@@ -88,8 +88,7 @@ def row_of(field: LanguageField, gaussian_id: int) -> int:
 
 def feature_of(field: LanguageField, gaussian_id: int) -> Embedding:
     """Return the unit feature of a Gaussian of the scene. Raises: InputError: it has none."""
-    feature: np.ndarray = field.feature(np.array([row_of(field, gaussian_id)]))[0]
-    return feature
+    return field.feature(np.array([row_of(field, gaussian_id)]))[0]
 
 
 def seen_among(
@@ -144,7 +143,7 @@ def _pixel_map(view: View, pixels: DoubleRows) -> tuple[MaskIds, Indices]:
     """
     if not np.isfinite(pixels).all():
         raise InputError(f"expected pixels of two finite numbers, got {pixels.tolist()}")
-    outside = ((pixels < 0) | (pixels >= (view.width, view.height))).any(axis=1)
+    outside = ((pixels < 0) | (pixels >= (view.width, view.height))).any(1)
     if outside.any():
         x, y = pixels[outside][0]
         raise InputError(f"pixel {x:g},{y:g} is outside of view '{view.name}': it has {view.width}x{view.height}")

@@ -119,7 +119,7 @@ def views_showing(field: LanguageField, rows: AnyGaussians, views: Sequence[View
         # the views that are nearest to a place, of those that have it in their picture if there are any
         poses, K = np.array([view.cam_from_world for view in views]), np.array([view.K for view in views])
         local = (
-            poses[:, :3, :3] @ rows.shapes_of(ids[:: len(ids) // SAMPLED_GAUSSIANS + 1]).positions.mean(axis=0)
+            poses[:, :3, :3] @ rows.shapes_of(ids[:: len(ids) // SAMPLED_GAUSSIANS + 1]).positions.mean(0)
             + poses[:, :3, 3]
         )
         depth = np.maximum(local[:, 2], 1e-9)

@@ -78,7 +78,7 @@ class Packed:
     @classmethod
     def of(cls, vectors: Embeddings) -> "Packed":
         """Return vectors rounded, the largest number of each dimension 31 or -31."""
-        steps = np.maximum(np.abs(vectors).max(axis=0, initial=0) / LARGEST, 1e-12).astype(np.float32)
+        steps = np.maximum(np.abs(vectors).max(0, initial=0) / LARGEST, 1e-12).astype(np.float32)
         return cls(_packed(np.round(vectors / steps).astype(np.int8)), steps)
 
     def __len__(self) -> int:
@@ -103,7 +103,7 @@ class Packed:
         # Not by BLAS, whose threads would spin for longer than so few products take.
         sums = np.einsum("qb,pb->qp", low, (self.data & 63).astype(np.float32))
         sums += np.einsum("qb,pb->qp", high, (self.data >> 6).astype(np.float32))
-        return np.asarray(sums - LARGEST * weights.sum(axis=1, keepdims=True), np.float32)
+        return np.asarray(sums - LARGEST * weights.sum(1, keepdims=True), np.float32)
 
 
 def _quarter(dim: int) -> int:
@@ -208,7 +208,7 @@ def _summary(field: LanguageField, rows: OtherIndices, number: int) -> tuple[Emb
         spread = features[np.linspace(0, len(rows) - 1, min(len(rows), SAMPLED_ROWS)).astype(np.int64)]
         nearest = nearest_centres(features, spherical_kmeans(spread, count, SEED, threads=1), threads=1)
     groups = [features[nearest == group] for group in np.unique(nearest)]
-    means = [group.mean(axis=0, dtype=np.float64) for group in groups]
+    means = [group.mean(0, dtype=np.float64) for group in groups]
     vectors = np.array(means, np.float32).reshape(len(groups), field.encoder.dim)
     return vectors, np.array([len(group) for group in groups], np.int32), np.full(len(groups), number, np.int32)
 
@@ -254,7 +254,7 @@ class _Copies:
         return len(self.of_row)
 
     def scores(self, queries: Embeddings, *, threads: int = 0) -> FloatRows:
-        return np.asarray(self.packed.products(queries)[:, self.of_row])
+        return self.packed.products(queries)[:, self.of_row]
 
     def select(
         self, query: Embedding, threshold: float, floor: Numbers | None = None,
@@ -272,11 +272,11 @@ class _Copies:
     def best(self, queries: Embeddings, *, threads: int = 0) -> Best:
         scores = self.packed.products(queries)
         order = np.sort(np.concatenate([np.full_like(scores[:1], -np.inf), scores]), axis=0)
-        index = scores.argmax(axis=0).astype(np.int32)
+        index = scores.argmax(0).astype(np.int32)
         return Best(index[self.of_row], order[-1][self.of_row], order[-2][self.of_row])
 
     def decode(self, rows: WholeNumbers) -> Embeddings:
-        return np.asarray(self.packed.vectors[self.of_row[rows]])
+        return self.packed.vectors[self.of_row[rows]]
 
     def rows(self, index: WholeNumbers) -> "_Copies":
         return _Copies(self.packed, self.of_row[index])

@@ -47,8 +47,8 @@ def tracks(moving: Moving, field: LanguageField, matches: Sequence[Match], up: U
             ids = match.gaussian_ids
             counts[row, column] = np.count_nonzero(gaussians.opacities[ids] >= HAZE_OPACITY)
             boxes[row].append(tuple(box_of(gaussians, solid(gaussians, ids), up)))
-    there = counts >= MIN_PRESENT_SHARE * counts.max(axis=1, keepdims=True, initial=1)
-    there |= (counts.max(axis=1, initial=0) == 0)[:, None]  # haze at all times: it is what there is
+    there = counts >= MIN_PRESENT_SHARE * counts.max(1, keepdims=True, initial=1)
+    there |= (counts.max(1, initial=0) == 0)[:, None]  # haze at all times: it is what there is
     return [
         _track(match, moving.times, found, own, field) for match, found, own in zip(matches, boxes, there, strict=True)
     ]

@@ -108,7 +108,7 @@ class Gaussians:
     @property
     def positions(self) -> Points:
         """Positions in world coordinates: `means` plus `origin`."""
-        return np.asarray(self.means.astype(np.float64) + self.origin)
+        return self.means.astype(np.float64) + self.origin
 
     @property
     def narrow_positions(self) -> Vectors | Points:
@@ -146,7 +146,7 @@ class Gaussians:
     def whitening(self) -> Float64[np.ndarray, "n 3 3"]:
         """Return inv(S) R^T, which maps offsets from the mean to a space where the Gaussian is a unit sphere."""
         inverse = self.quats.astype(np.float64) * [1, -1, -1, -1]
-        return np.asarray(rotation_matrices(inverse) / self.scales.astype(np.float64)[:, :, None])
+        return rotation_matrices(inverse) / self.scales.astype(np.float64)[:, :, None]
 
     def subset(self, index: RowIds | Flags) -> "Gaussians":
         """Return the Gaussians at `index` (integers or a boolean mask), in that order."""
@@ -166,7 +166,7 @@ class Gaussians:
 
     def opacities_of(self, index: WholeNumbers) -> Numbers:
         """Return the opacities of some rows; `Parted` has the same method."""
-        return np.asarray(self.opacities[index])
+        return self.opacities[index]
 
     def parts_near(self, point: Vector3 | None = None) -> "Iterator[Part]":
         """Yield all Gaussians as one part; `Parted` has the same method."""
@@ -266,8 +266,7 @@ def filled(sh: Harmonics, coefficients: int) -> Float32[np.ndarray, "n c 3"]:
 
 def rotation_matrices(quats: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 3 3"]:
     """Return the matrices from local axes (their columns) to the world, in the precision of the input."""
-    matrices: np.ndarray = np.stack([np.stack(row, -1) for row in rotation_rows(quats.T)], -2)
-    return matrices
+    return np.stack([np.stack(row, -1) for row in rotation_rows(quats.T)], -2)
 
 
 def rotation_rows(quats: Float[Anywhere, "4 n"]) -> list[list[Float[Anywhere, " n"]]]:
@@ -288,7 +287,7 @@ def significance(gaussians: Gaussians) -> Doubles:
 
     Source: Fan et al. 2023 (LightGaussian) Eq. 2, without its count of rays: it needs no photos.
     """
-    return np.asarray(gaussians.opacities * gaussians.scales.astype(np.float64).prod(1) ** VOLUME_POWER)
+    return gaussians.opacities * gaussians.scales.astype(np.float64).prod(1) ** VOLUME_POWER
 
 
 def most_significant(gaussians: Gaussians, budget: int) -> Indices:

@@ -90,7 +90,7 @@ class LabelledScene:
         """The number of each Gaussian's object as `drsplat objects` counts, -1 for none; None without objects."""
         if self.object_of is None:
             return None
-        return np.asarray(np.array([*numbers_of(self.things), -1], np.int32)[self.object_of])
+        return np.array([*numbers_of(self.things), -1], np.int32)[self.object_of]
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
@@ -113,4 +113,4 @@ def places_of(numbers: np.ndarray, things: Sequence[Thing]) -> Ids | None:
     known, which = np.unique(numbers, return_inverse=True)
     if not {*known.tolist()} <= place_of.keys():
         return None
-    return np.asarray(np.array([place_of[number] for number in known.tolist()], np.int32)[which])
+    return np.array([place_of[number] for number in known.tolist()], np.int32)[which]

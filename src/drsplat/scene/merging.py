@@ -92,12 +92,12 @@ def merged(gaussians: Gaussians, group_of: Indices) -> Gaussians:
 def areas_of(scales: Vectors) -> Doubles:
     """Return the area of each Gaussian as seen from all sides, up to a common factor."""
     a, b, c = scales.T.astype(np.float64)
-    return np.asarray(a * b + b * c + c * a)
+    return a * b + b * c + c * a
 
 
 def masses_of(gaussians: Gaussians) -> Doubles:
     """Return how much each Gaussian covers, opacity times area, above 0."""
-    return np.asarray(np.maximum(gaussians.opacities, MIN_OPACITY) * areas_of(gaussians.scales))
+    return np.maximum(gaussians.opacities, MIN_OPACITY) * areas_of(gaussians.scales)
 
 
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
@@ -154,7 +154,7 @@ def _paired(gaussians: Gaussians, most: int, kinds: Int[np.ndarray, " n"]) -> In
     leader = np.arange(len(gaussians))
     leader[second[order][chosen]] = first[order][chosen]
     numbers = np.cumsum(leader == np.arange(len(leader))) - 1
-    return np.asarray(numbers[leader])
+    return numbers[leader]
 
 
 def _edges(means: Vectors) -> tuple[OtherIndices, OtherIndices]:
@@ -177,7 +177,7 @@ def costs(gaussians: Gaussians, first: Indices, second: Indices) -> Doubles:
     colours = SH_C0 * gaussians.sh[:, 0].astype(np.float64)
     unlike = ((colours[first] - colours[second]) ** 2).sum(1)
     a, b = masses[first], masses[second]
-    return np.asarray(a * b / (a + b) * (apart / (sizes[first] + sizes[second]) + COLOUR_WEIGHT * unlike))
+    return a * b / (a + b) * (apart / (sizes[first] + sizes[second]) + COLOUR_WEIGHT * unlike)
 
 
 def _matched(count: int, first: Indices, second: Indices) -> OtherIndices:

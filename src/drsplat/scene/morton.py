@@ -21,8 +21,8 @@ def morton_order(positions: Float[np.ndarray, "n 3"], bits: int = BITS_PER_AXIS)
 
 def morton_codes(positions: Float[np.ndarray, "n 3"], bits: int = BITS_PER_AXIS) -> UInt64[np.ndarray, " n"]:
     """Return each position's cell number along the curve; the box has 2^bits cells along its longest side."""
-    low = positions.min(axis=0, initial=np.inf)
-    side = float((positions.max(axis=0, initial=-np.inf) - low).max(initial=0.0))
+    low = positions.min(0, initial=np.inf)
+    side = float((positions.max(0, initial=-np.inf) - low).max(initial=0.0))
     scale = (2**bits - 1) / side if side > 0 else 0.0
     codes = np.zeros(len(positions), np.uint64)
     for axis in range(3):

@@ -63,7 +63,7 @@ class Parted:
         if point is not None:
             at = point - self.origin
             with np.errstate(over="ignore"):  # further away than can be squared
-                away2 = (np.maximum(np.maximum(self.low - at, at - self.high), 0) ** 2).sum(axis=1) * (1 - SPARE)
+                away2 = (np.maximum(np.maximum(self.low - at, at - self.high), 0) ** 2).sum(1) * (1 - SPARE)
         for number in np.argsort(away2, kind="stable").tolist():
             yield Part(int(self.starts[number]), float(away2[number]), self._shapes(number))
 

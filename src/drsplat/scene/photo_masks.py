@@ -44,7 +44,7 @@ def _kept(coded: Image.Image) -> UInt8[np.ndarray, "h w"]:
     if "transparency" in coded.info or "A" in coded.getbands():
         rgba = np.asarray(coded.convert("RGBA"))
         if (rgba[..., 3] < _WHITE).any():
-            return _of_alpha(rgba[..., :3].max(axis=2), rgba[..., 3])
+            return _of_alpha(rgba[..., :3].max(2), rgba[..., 3])
         coded = Image.fromarray(rgba[..., :3].copy())
     if coded.mode == "F" or coded.mode.startswith("I"):
         wide = np.nan_to_num(np.asarray(coded)).astype(np.float64)
@@ -67,8 +67,8 @@ def _of_alpha(grey: UInt8[np.ndarray, "h w"], alpha: UInt8[np.ndarray, "h w"]) -
 
 def _of_colours(rgb: Pixels, *, is_palette: bool, lossy: bool) -> UInt8[np.ndarray, "h w"]:
     """Return the mask of a coloured picture: colours are labels of what is kept, and black is none."""
-    brightest = rgb.max(axis=2)
-    if lossy or (brightest - rgb.min(axis=2) <= _NEARLY).all():
+    brightest = rgb.max(2)
+    if lossy or (brightest - rgb.min(2) <= _NEARLY).all():
         return np.asarray(Image.fromarray(rgb).convert("L"))
     if not is_palette and brightest.min() > _NEARLY:
         raise FormatError("it has colours and no black, no mask of two parts: paint what is kept white, the rest black")

@@ -236,8 +236,7 @@ def _source_blocks(view: View, way: Way = distort_points) -> Iterator[tuple[slic
 def _inside(points: Float64[np.ndarray, "r w 2"], width: int, height: int) -> Bool[np.ndarray, "r w"]:
     """Return which points lie on the photo; NaN does not."""
     x, y = points[..., 0], points[..., 1]
-    inside: np.ndarray = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    return inside
+    return (x >= 0) & (x < width) & (y >= 0) & (y < height)
 
 
 @contextmanager

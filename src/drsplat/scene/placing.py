@@ -67,7 +67,7 @@ def local_origin(positions: Float[np.ndarray, "n 3"]) -> Vector3:
 def _fits_float32(positions: Points) -> Bool[np.ndarray, " 3"]:
     """Return for each axis whether float32 holds all coordinates exactly."""
     with np.errstate(over="ignore"):
-        return np.asarray((positions.astype(np.float32) == positions).all(axis=0))
+        return (positions.astype(np.float32) == positions).all(0)
 
 
 def rounding(coordinates: Float[np.ndarray, "..."]) -> float:

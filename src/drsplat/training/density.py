@@ -78,7 +78,7 @@ class AdaptiveDensity:
         s, parameters = self.settings, optimizer.parameters
         useless: Anywhere = parameters.logits < _logit(s.min_opacity)
         if iteration > s.reset_every:
-            largest = parameters.log_scales.max(axis=1)
+            largest = parameters.log_scales.max(1)
             useless |= largest > math.log(s.max_scale * self.extent)
             if s.max_screen_px is not None:
                 useless |= radii > s.max_screen_px
@@ -98,7 +98,7 @@ class AdaptiveDensity:
             order: Integer[Anywhere, " n"] = np.argsort(-mean_pull, kind="stable")
             marked[order[: max(self.settings.max_gaussians - len(optimizer), 0)]] = True
             chosen &= marked
-        largest = optimizer.parameters.log_scales.max(axis=1)
+        largest = optimizer.parameters.log_scales.max(1)
         large = largest > math.log(self.settings.dense_scale * self.extent)
         return chosen & ~large, chosen & large
 
@@ -143,15 +143,13 @@ def _logit(opacity: float) -> float:
 
 def unit(quats: Float32[Anywhere, "n 4"]) -> Float32[Anywhere, "n 4"]:
     w, x, y, z = quats.T
-    unit: Anywhere = quats / np.sqrt(w * w + x * x + y * y + z * z)[:, None]
-    return unit
+    return quats / np.sqrt(w * w + x * x + y * y + z * z)[:, None]
 
 
 def rotated(quats: Float32[Anywhere, "n 4"], vectors: Float32[Anywhere, "n 3"]) -> Float32[Anywhere, "n 3"]:
     """Rotate vectors from the local axes of each row to the world."""
     x, y, z = vectors.T
-    turned: Anywhere = np.stack([a * x + b * y + c * z for a, b, c in rotation_rows(unit(quats).T)], -1)
-    return turned
+    return np.stack([a * x + b * y + c * z for a, b, c in rotation_rows(unit(quats).T)], -1)
 
 
 def spread(
@@ -161,8 +159,7 @@ def spread(
     rows = rotation_rows(unit(quats).T)
     x, y, z = vectors.T
     local = [(rows[0][k] * x + rows[1][k] * y + rows[2][k] * z) * scales[:, k] ** 2 for k in range(3)]
-    world: Anywhere = np.stack([a * local[0] + b * local[1] + c * local[2] for a, b, c in rows], -1)
-    return world
+    return np.stack([a * local[0] + b * local[1] + c * local[2] for a, b, c in rows], -1)
 
 
 MAX_SHARING = 51  # Gaussians in one place; beyond, the series of Eq. 9 loses its digits (the published constant)
@@ -269,5 +266,4 @@ def drawn(weights: Float32[Anywhere, " n"], count: int, rng: np.random.Generator
     """Draw indices with replacement, in proportion to the weights."""
     steps = np.cumsum(weights, dtype=np.float64)
     at = np.searchsorted(steps, placed(rng.random(count), steps) * steps[-1], side="right")
-    inside: Anywhere = np.minimum(at, len(weights) - 1)
-    return inside
+    return np.minimum(at, len(weights) - 1)

@@ -79,8 +79,7 @@ def rendered(
     drawn = forward(
         parameters, view, settings.sh_degree, backdrop, near=near, antialiased=settings.antialiased, threads=threads
     )
-    clipped: np.ndarray = np.clip(drawn.image, 0, 1)
-    return clipped
+    return np.clip(drawn.image, 0, 1)
 
 
 def _score(name: str, image: Image, photo: Photo) -> ViewScore:

@@ -19,7 +19,7 @@ def psnr(image: Image, photo: Image, outside: Flat | None = None) -> float:
     outside: flat indices of pixels that do not count, or a mark for each pixel.
     """
     error = (image.astype(np.float64) - photo) ** 2
-    mean = float(_inside(error.mean(axis=2), outside).mean())
+    mean = float(_inside(error.mean(2), outside).mean())
     return math.inf if mean == 0 else -10 * math.log10(mean)
 
 
@@ -32,12 +32,11 @@ def ssim(image: Image, photo: Image, outside: Flat | None = None) -> float:
     x, y, xx, yy, xy = map(_blurred, (a, b, a * a, b * b, a * b))
     luminance = (2 * x * y + C1) / (x * x + y * y + C1)
     structure = (2 * (xy - x * y) + C2) / (xx - x * x + yy - y * y + C2)
-    return float(_inside((luminance * structure).mean(axis=2), outside).mean())
+    return float(_inside((luminance * structure).mean(2), outside).mean())
 
 
 def _blurred(values: Float64[np.ndarray, "h w 3"]) -> Float64[np.ndarray, "h w 3"]:
-    blurred: np.ndarray = gaussian_filter(values, (SIGMA, SIGMA, 0), mode="constant", radius=WINDOW // 2)
-    return blurred
+    return gaussian_filter(values, (SIGMA, SIGMA, 0), mode="constant", radius=WINDOW // 2)
 
 
 def _inside(values: Float64[np.ndarray, "h w"], outside: Flat | None) -> Doubles:

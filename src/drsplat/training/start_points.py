@@ -96,8 +96,7 @@ def _random_places(
     if len(drawn) + len(known) >= least:
         return drawn
     middle: np.ndarray = np.mean([view.center for view in views], axis=0)
-    cube: np.ndarray = middle + rng.uniform(-extent, extent, (max(count, least), 3))
-    return cube
+    return middle + rng.uniform(-extent, extent, (max(count, least), 3))
 
 
 def _warn_of_wrong_poses(found: Triangulation) -> None:
@@ -129,7 +128,7 @@ def _check_points(points: SparsePoints) -> None:
         raise InputError(
             f"points: expected positions and colors (n, 3), got {points.positions.shape} and {points.colors.shape}"
         )
-    finite: Flags = np.isfinite(points.positions).all(axis=1)
+    finite: Flags = np.isfinite(points.positions).all(1)
     if not finite.all():
         raise InputError(
             f"{count - int(finite.sum())} of {count} points are not finite, the first at index "
@@ -175,19 +174,17 @@ def _distances_to_focus(views: Sequence[View], size: float) -> Doubles:
     """Return each camera's distance to the point nearest to all optical axes; `size` if it is not ahead."""
     centers = np.array([view.center for view in views])
     axes = np.array([view.cam_from_world[2, :3] for view in views])
-    mean_center = centers.mean(axis=0)
+    mean_center = centers.mean(0)
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     sides = np.einsum("vij,vj->i", across, centers - mean_center)
-    focus = np.linalg.lstsq(across.sum(axis=0), sides, rcond=1e-6)[0] + mean_center
-    ahead: np.ndarray = ((focus - centers) * axes).sum(axis=1)
-    distances: np.ndarray = np.where(ahead > 0.1 * size, ahead, size)
-    return distances
+    focus = np.linalg.lstsq(across.sum(0), sides, rcond=1e-6)[0] + mean_center
+    ahead: np.ndarray = ((focus - centers) * axes).sum(1)
+    return np.where(ahead > 0.1 * size, ahead, size)
 
 
 def _depths_seen(view: View, points: Points) -> OtherDoubles:
     pixels, depths = _projected(view, points)
-    seen: np.ndarray = depths[_inside(view, pixels, depths)]
-    return seen
+    return depths[_inside(view, pixels, depths)]
 
 
 def _along_rays(views: Sequence[View], ranges: Ranges, rng: np.random.Generator) -> Points:
@@ -226,7 +223,7 @@ def _projected(view: View, points: Points) -> tuple[PlanePoints, Doubles]:
 
 
 def _inside(view: View, pixels: PlanePoints, depths: Doubles) -> Flags:
-    inside = (pixels >= 0).all(axis=1) & (pixels < (view.width, view.height)).all(axis=1)
+    inside = (pixels >= 0).all(1) & (pixels < (view.width, view.height)).all(1)
     return inside & (depths > 0)
 
 

@@ -60,7 +60,7 @@ def _near(draft: Draft, ids: RowIds, thing: Points) -> Int64[np.ndarray, " k"]:
     """Return the rows that are there around what stood there, without itself."""
     low, high = np.quantile(thing, (0.01, 0.99), axis=0)
     reach = SEARCH_MARGIN_SHARE * float(np.linalg.norm(high - low))
-    near = ((draft.means >= low - reach) & (draft.means <= high + reach)).all(axis=1) & draft.present
+    near = ((draft.means >= low - reach) & (draft.means <= high + reach)).all(1) & draft.present
     near[ids] = False
     return np.flatnonzero(near)
 

@@ -37,14 +37,14 @@ class Plane:
     tolerance: float
 
     def heights(self, points: Points) -> Doubles:
-        return np.asarray(np.einsum("ni,i->n", points, self.normal) - self.offset)
+        return np.einsum("ni,i->n", points, self.normal) - self.offset
 
     def flat(self, points: Points) -> PlanePoints:
         """Return the places in the plane, in scene units."""
-        return np.asarray(np.einsum("ni,ai->na", points, self.axes))
+        return np.einsum("ni,ai->na", points, self.axes)
 
     def holds(self, points: Points) -> Flags:
-        return np.asarray(np.abs(self.heights(points)) <= self.tolerance)
+        return np.abs(self.heights(points)) <= self.tolerance
 
 
 def surfaces_around(thing: Thing, around: Points) -> list[Plane]:
@@ -101,7 +101,7 @@ def _largest(points: Points, thing: Thing, tolerance: float, rng: np.random.Gene
 
 
 def _fitted(points: Points, thing: Thing, tolerance: float) -> Plane:
-    middle = points.mean(axis=0)
+    middle = points.mean(0)
     away = points - middle
     axes = np.linalg.eigh(np.einsum("ni,nj->ij", away, away))[1].T
     normal = axes[0]

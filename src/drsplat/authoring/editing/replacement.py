@@ -100,7 +100,7 @@ def placed_in(
 
 
 def _foot(box: Box) -> Vector3:
-    return np.asarray(box.center - box.axes[2] * box.extent[2] / 2)
+    return box.center - box.axes[2] * box.extent[2] / 2
 
 
 def _object_of(draft: Draft, ids: RowIds) -> int:

@@ -127,7 +127,7 @@ def rests(
     """Return the Gaussians of objects that photos do not agree on and of which a thing has more than half."""
     owned = owners >= 0
     sizes, own = (np.bincount(owners[some], minlength=len(agreed)) for some in (owned, owned & inside))
-    return np.asarray(owned & ((2 * own > sizes) & ~agreed)[owners])
+    return owned & ((2 * own > sizes) & ~agreed)[owners]
 
 
 def enclosed(gaussians: Gaussians, inside: Flags) -> Flags:
@@ -138,18 +138,9 @@ def enclosed(gaussians: Gaussians, inside: Flags) -> Flags:
         return found
     thing = thing[:: -(-len(thing) // MAX_THING_POINTS)]
     low, high = np.quantile(thing, (0.01, 0.99), axis=0)
-    near = np.flatnonzero(((gaussians.means > low) & (gaussians.means < high)).all(axis=1) & ~inside)
+    near = np.flatnonzero(((gaussians.means > low) & (gaussians.means < high)).all(1) & ~inside)
     places = gaussians.means[near].astype(np.float64)
-    # directions evenly spread, along a spiral
-    z = 1 - (2 * np.arange(DIRECTIONS) + 1) / DIRECTIONS
-    turn = np.pi * (1 + np.sqrt(5)) * np.arange(DIRECTIONS)
-    flat = np.sqrt(1 - z * z)
-    found[near] = surrounded(
-        places,
-        thing,
-        np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1),
-        math.ceil(MIN_SURROUNDED_SHARE * DIRECTIONS),
-    )
+    found[near] = surrounded(places, thing, _sphere(DIRECTIONS), math.ceil(MIN_SURROUNDED_SHARE * DIRECTIONS))
     return found
 
 
@@ -168,7 +159,7 @@ def hanging(gaussians: Gaussians, inside: OtherFlags, loose: OtherFlags, threads
             ranks = range(1, neighbours.shape[1] + 1)
             found = tree.query(gaussians.means[new], ranks, workers=threads or -1)[1]
             neighbours = np.concatenate([neighbours, found])
-        inside[near] = inside[neighbours[place[near]]].sum(axis=1) >= MIN_VOTES
+        inside[near] = inside[neighbours[place[near]]].sum(1) >= MIN_VOTES
     return inside
 
 
@@ -176,9 +167,17 @@ def _in_box_of(gaussians: Gaussians, inside: Flags, rows: OtherIndices) -> Int64
     """Return those of some rows whose centres are in the box of a thing's."""
     if not inside.any():
         return rows[:0]
-    low, high = gaussians.means[inside].min(axis=0), gaussians.means[inside].max(axis=0)
-    within = ((gaussians.means[rows] >= low) & (gaussians.means[rows] <= high)).all(axis=1)
-    return np.asarray(rows[within])
+    low, high = gaussians.means[inside].min(0), gaussians.means[inside].max(0)
+    within = ((gaussians.means[rows] >= low) & (gaussians.means[rows] <= high)).all(1)
+    return rows[within]
+
+
+def _sphere(count: int) -> Points:
+    """Return directions evenly spread, along a spiral."""
+    z = 1 - (2 * np.arange(count) + 1) / count
+    turn = np.pi * (1 + np.sqrt(5)) * np.arange(count)
+    flat = np.sqrt(1 - z * z)
+    return np.stack([flat * np.cos(turn), flat * np.sin(turn), z], axis=1)
 
 
 def loose_parts(gaussians: Gaussians, inside: Flags, owners: Owners, agreed: Agreed, threads: int = 0) -> Flags:
@@ -202,14 +201,14 @@ def loose_parts(gaussians: Gaussians, inside: Flags, owners: Owners, agreed: Agr
     size = float(np.linalg.norm(high - low))
     near = (
         (gaussians.means >= low - SEARCH_MARGIN_SHARE * size) & (gaussians.means <= high + SEARCH_MARGIN_SHARE * size)
-    ).all(axis=1)
+    ).all(1)
     others = near & ~inside & (owners >= 0)
     others[others] = agreed[owners[others]]
     standing, places = near & ~inside, gaussians.means[near].astype(np.float64)
     for ground in _grounds(gaussians, owners, others, ~inside, thing, size):
         others &= owners != ground.number
         standing[near] &= ground.plane.heights(places) > MIN_LIFT_TOLERANCES * ground.plane.tolerance
-    sizes = gaussians.scales.max(axis=1)
+    sizes = gaussians.scales.max(1)
     small = sizes <= np.quantile(sizes[inside], MAX_SIZE_QUANTILE)
     return _nearest_along_paths(gaussians, inside & near, others & standing, standing & ~others & small, threads)
 
@@ -256,7 +255,7 @@ def _plane_of(
     plane = largest_plane(points, thing) if len(points) >= MIN_PLANE_GAUSSIANS else None
     if plane is None:
         return None
-    areas = np.sort(gaussians.scales[rows].astype(np.float64), axis=1)[:, 1:].prod(axis=1) * gaussians.opacities[rows]
+    areas = np.sort(gaussians.scales[rows].astype(np.float64), axis=1)[:, 1:].prod(1) * gaussians.opacities[rows]
     heights = plane.heights(points)
     is_flat = areas[plane.holds(points)].sum() >= MIN_FLAT_SHARE * areas[heights >= -plane.tolerance].sum()
     is_before = float((plane.heights(thing) < -plane.tolerance).mean()) <= MAX_THING_SHARE_BEHIND

@@ -46,28 +46,28 @@ def _in_box(
 
     hit: bins that all places are known to hit. apart: differences of all pairs of directions, without signs.
     """
-    low, high = places.min(axis=0), places.max(axis=0)
+    low, high = places.min(0), places.max(0)
     away = points - (low + high) / 2
     scores = away @ directions.T
-    nearest = scores.argmax(axis=1)
-    rounding = RELATIVE_ROUNDING * (np.abs(away).sum(axis=1) + np.abs(low).sum() + np.abs(high).sum())
+    nearest = scores.argmax(1)
+    rounding = RELATIVE_ROUNDING * (np.abs(away).sum(1) + np.abs(low).sum() + np.abs(high).sum())
     # from the middle of the box to a place, the score of a direction gains on another's at most what the box allows
     gains = (apart @ ((high - low) / 2))[nearest]
-    possible = scores + gains >= (scores.max(axis=1) - rounding)[:, None]
-    certain = possible.sum(axis=1) == 1
+    possible = scores + gains >= (scores.max(1) - rounding)[:, None]
+    certain = possible.sum(1) == 1
     hit = hit.copy()
     hit[nearest[certain]] = True
-    open_ = ~certain & possible[:, ~hit].any(axis=1)
-    return points[open_], hit, hit | possible[open_].any(axis=0)
+    open_ = ~certain & possible[:, ~hit].any(1)
+    return points[open_], hit, hit | possible[open_].any(0)
 
 
 def _bins(places: Places, points: Points, directions: Directions, hit: Hit) -> Indices:
     """Return how many bins each place hits, with those that it is known to hit."""
     away = points[None] - places[:, None]
-    nearest = np.einsum("pti,di->ptd", away, directions).argmax(axis=2)
+    nearest = np.einsum("pti,di->ptd", away, directions).argmax(2)
     hits = np.tile(hit, (len(places), 1))
     np.put_along_axis(hits, nearest, True, axis=1)
-    return np.asarray(hits.sum(axis=1))
+    return hits.sum(1)
 
 
 def _halves(rows: Indices, places: Places) -> list[Int64[np.ndarray, " h"]]:

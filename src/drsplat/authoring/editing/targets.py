@@ -82,7 +82,7 @@ class Box:
 
     def ids(self, draft: Draft) -> RowIds:
         away = draft.means.astype(np.float64) + (draft.origin - self.center)
-        inside = (np.abs(np.einsum("ni,ai->na", away, self.axes)) <= self.extent / 2).all(axis=1)
+        inside = (np.abs(np.einsum("ni,ai->na", away, self.axes)) <= self.extent / 2).all(1)
         return np.flatnonzero(inside & draft.present)
 
 

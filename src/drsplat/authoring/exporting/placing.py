@@ -80,7 +80,7 @@ class Placing:
         if now.means is self.registered.means:
             return ~moved
         pairs = [(getattr(now, name)[:own], getattr(self.registered, name)) for name in ("means", "quats", "scales")]
-        moved[:own] = np.any([(one != other).any(axis=1) for one, other in pairs], axis=0)
+        moved[:own] = np.any([(one != other).any(1) for one, other in pairs], axis=0)
         return moved
 
     def _owned(self, number: int) -> RowIds:
@@ -108,7 +108,7 @@ def rows_of(things: Sequence[Thing], numbers: WholeNumbers) -> Ids:
 
 def only_used(scene: LabelledScene) -> LabelledScene:
     """Return a scene without objects and groups that it has no Gaussians of, and without annotations outside of it."""
-    low, high = scene.gaussians.positions.min(axis=0), scene.gaussians.positions.max(axis=0)
+    low, high = scene.gaussians.positions.min(0), scene.gaussians.positions.max(0)
     notes = tuple(one for one in scene.annotations if ((one.center >= low) & (one.center <= high)).all())
     owners = scene.object_of
     used = [] if owners is None else np.unique(owners[owners >= 0]).tolist()
@@ -197,8 +197,7 @@ def match_thing(scene: Scene, number: int, match: Match) -> Thing:
 
 
 def _group_nodes(objects: Objects) -> Sequence[int]:
-    nodes: list[int] = np.flatnonzero(objects.levels == GROUP).tolist()
-    return nodes
+    return np.flatnonzero(objects.levels == GROUP).tolist()
 
 
 def _embedding(objects: Objects, node: int) -> Embedding | None:

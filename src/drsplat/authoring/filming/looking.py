@@ -29,7 +29,7 @@ def named_up(text: str) -> Vector3:
     sign, letter = (text[:1], text[1:]) if text[:1] in ("+", "-") else ("+", text)
     if letter not in ("x", "y", "z"):
         raise InputError(f"up: {text}: expected one of +x -x +y -y +z -z")
-    return np.asarray(np.eye(3)["xyz".index(letter)] * (1 if sign == "+" else -1))
+    return np.eye(3)["xyz".index(letter)] * (1 if sign == "+" else -1)
 
 
 def looking_at(
@@ -90,7 +90,7 @@ def beside(center: Vector3, size: float, views: Sequence[View] | Standpoints, up
         side = np.array([0.8, 0.5, 0.3])
         side = side - (side @ up) * up
         side = side / np.linalg.norm(side) + RISE * up
-        return np.asarray(center + distance * side / np.linalg.norm(side))
+        return center + distance * side / np.linalg.norm(side)
     ways = stands.centers - center
     lengths = np.maximum(np.linalg.norm(ways, axis=1), 1e-9)
     # which views have a point in the inner part of their picture
@@ -102,7 +102,7 @@ def beside(center: Vector3, size: float, views: Sequence[View] | Standpoints, up
     showing = np.asarray((np.minimum(u, v) >= MARGIN_SHARE) & (np.maximum(u, v) <= 1 - MARGIN_SHARE))
     unfit = np.abs(np.log(lengths / distance)) + np.where(showing | ~showing.any(), 0.0, np.inf)
     best = int(unfit.argmin())
-    return np.asarray(center + ways[best] * min(1.0, distance / lengths[best]))
+    return center + ways[best] * min(1.0, distance / lengths[best])
 
 
 def size_of(match: Match, gaussians: Gaussians) -> float:
@@ -135,4 +135,4 @@ def swing(eye: Vector3, target: Vector3, up: Vector3, frames: int, turn_degrees:
 def _turned(vector: Vector3, axis: Vector3, angle: float) -> Vector3:
     """Turn a vector around an axis of unit length, by Rodrigues' formula."""
     along = (axis @ vector) * axis
-    return np.asarray(along + np.cos(angle) * (vector - along) + np.sin(angle) * np.cross(axis, vector))
+    return along + np.cos(angle) * (vector - along) + np.sin(angle) * np.cross(axis, vector)

@@ -175,19 +175,17 @@ class CameraPath:
         """Return how far each is from the next: moving and turning count alike, in shares of all of each."""
         moved = np.linalg.norm(np.diff(eyes, axis=0), axis=1)
         turned = (rotations[:-1].inv() * rotations[1:]).magnitude()
-        return np.asarray(
-            sum(part / part.sum() for part in (moved, turned) if part.sum() > 1e-12) + np.zeros(len(moved))
-        )
+        return sum(part / part.sum() for part in (moved, turned) if part.sum() > 1e-12) + np.zeros(len(moved))
 
     def _knot_at(self, shares: Doubles) -> Doubles:
         """Return where on the curve the camera is; `even` and timed paths run as the knots do."""
         shown = self._knots[self._first : self._last + 1]
         if self.even or self.is_timed:
-            return np.asarray(shown[0] + np.clip(shares, 0, 1) * (shown[-1] - shown[0]))
+            return shown[0] + np.clip(shares, 0, 1) * (shown[-1] - shown[0])
         steps = np.arange((len(shown) - 1) * LENGTH_STEPS + 1) / LENGTH_STEPS
         fine = np.interp(steps, np.arange(len(shown)), shown)
         way = np.concatenate([[0], np.cumsum(self._gaps(self._curve(fine), self._turning(fine)))])
-        return np.asarray(np.interp(np.clip(shares, 0, 1) * way[-1], way, fine))
+        return np.interp(np.clip(shares, 0, 1) * way[-1], way, fine)
 
 
 def _tangents(knots: Doubles, points: Points) -> Points:

@@ -169,7 +169,7 @@ def _ring(up: Vector3, turns: int, pitch_degrees: float) -> Points:
     ahead, aside = _level(up)
     angles = np.arange(turns)[:, None] * 2 * np.pi / turns
     pitch = np.radians(pitch_degrees)
-    return np.asarray(np.cos(pitch) * (np.cos(angles) * ahead + np.sin(angles) * aside) + np.sin(pitch) * up)
+    return np.cos(pitch) * (np.cos(angles) * ahead + np.sin(angles) * aside) + np.sin(pitch) * up
 
 
 def _sphere(up: Vector3, count: int, first_turn: float = 0.0) -> Points:
@@ -180,7 +180,7 @@ def _sphere(up: Vector3, count: int, first_turn: float = 0.0) -> Points:
     ahead, aside = _level(up)
     heights = MIN_ELEVATION_SINE + (MAX_ELEVATION_SINE - MIN_ELEVATION_SINE) * (np.arange(count)[:, None] + 0.5) / count
     angles = first_turn + np.arange(count)[:, None] * GOLDEN_TURN_RADIANS
-    return np.asarray(np.sqrt(1 - heights**2) * (np.cos(angles) * ahead + np.sin(angles) * aside) + heights * up)
+    return np.sqrt(1 - heights**2) * (np.cos(angles) * ahead + np.sin(angles) * aside) + heights * up
 
 
 def _level(up: Vector3) -> tuple[Vector3, Vector3]:
@@ -323,4 +323,4 @@ def chosen_views(seen: Sights, number: int | None) -> list[int]:
 
 def _counts(seen: csc_array, chosen: Indices) -> OtherDoubles:
     """Return the number of pictures that show each Gaussian."""
-    return np.asarray(seen[:, chosen].sum(axis=1)).reshape(-1)
+    return np.asarray(seen[:, chosen].sum(1)).reshape(-1)

@@ -73,7 +73,7 @@ class Space:
     @cached_property
     def reaches(self) -> Numbers:
         """Distance from each centre up to which a place may be inside of the Gaussian, in scene units."""
-        return np.asarray(np.float32(INSIDE_SIGMAS) * self.gaussians.scales.max(1))
+        return np.float32(INSIDE_SIGMAS) * self.gaussians.scales.max(1)
 
     @cached_property
     def positions(self) -> Points:
@@ -111,7 +111,7 @@ class Space:
         away = ndimage.distance_transform_edt(~occupied, sampling=side)
         free = np.argwhere(away >= max(self.clearance, side))
         order = np.argsort(-away[tuple(free.T)], kind="stable")
-        return np.asarray(low + (free[order] + 0.5) * side)
+        return low + (free[order] + 0.5) * side
 
     @cached_property
     def _surface_points(self) -> Points:

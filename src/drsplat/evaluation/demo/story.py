@@ -96,7 +96,7 @@ class Household:
         """Return where a held-out photo shows one of these categories."""
         ids = np.asarray(Image.open(self.folder / "ids" / f"{Path(view_name).stem}.png"))
         numbers = [number for number, name in self.categories.items() if name in meant]
-        return np.asarray(np.isin(ids.astype(np.int32) - 1, numbers))
+        return np.isin(ids.astype(np.int32) - 1, numbers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +221,7 @@ class _Judge:
     def _visible(self, view: View, chosen: FloatRows) -> Bool[np.ndarray, "h w k"]:
         """Return where each answer's Gaussians have more than half of the weight."""
         drawn = render_channels(self.splats, view, chosen, threads=self.scene.threads)
-        return np.asarray(drawn.channels > 0.5)
+        return drawn.channels > 0.5
 
     def _true(self, meant: tuple[str, ...]) -> Mask:
         """Return where the held-out photos show these categories."""

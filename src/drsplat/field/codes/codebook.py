@@ -131,18 +131,18 @@ class Codebook:
     def inverse_norms(self, codes: Codes) -> Numbers:
         """Return 1 / norm of each decoded feature, 0 where it is zero; decodes a block at a time."""
         self.check(codes)
-        squares = (self.centroids.astype(np.float64) ** 2).sum(axis=2).astype(np.float32)
+        squares = (self.centroids.astype(np.float64) ** 2).sum(2).astype(np.float32)
         squared = np.empty(len(codes.codes), np.float32)
         for rows in _blocks(len(squared)):
             if self.coarse is None:  # squared norms add up over sub-vectors; even and odd ones apart, in one order
                 sums = np.zeros((2, len(squared[rows])), np.float32)
                 for part, column in enumerate(codes.codes[rows].T):
                     sums[part % 2] += squares[part, column]
-                squared[rows] = sums.sum(axis=0)
+                squared[rows] = sums.sum(0)
             else:
-                squared[rows] = (self.decode(codes.rows(rows)) ** 2).sum(axis=1)
+                squared[rows] = (self.decode(codes.rows(rows)) ** 2).sum(1)
         norms = np.sqrt(squared)
-        return np.asarray(np.divide(1, norms, out=np.zeros_like(norms), where=norms > 0))
+        return np.divide(1, norms, out=np.zeros_like(norms), where=norms > 0)
 
     def tables(self, queries: Embeddings, *, threads: int = 0) -> QueryTables:
         """Return each query's inner products with all centroids.

@@ -61,7 +61,7 @@ def from_official_bytes(rows: ByteRows, codebook: Codebook) -> OfficialRows:
         raise InputError("official codes are residuals: read the authors' .faiss file for their codebook")
     if rows.ndim != 2 or rows.shape[1] != 2 + codebook.num_subvectors:
         raise FormatError(f"expected rows of {2 + codebook.num_subvectors} bytes, got {rows.shape}")
-    ids = np.flatnonzero((rows != 255).any(axis=1)).astype(np.uint32)
+    ids = np.flatnonzero((rows != 255).any(1)).astype(np.uint32)
     coarse_ids = np.ascontiguousarray(rows[ids, :2]).view("<u2")[:, 0].astype(np.uint16)
     bad = np.flatnonzero(coarse_ids >= len(codebook.coarse))
     if len(bad):

@@ -107,7 +107,7 @@ class PQCode:
     def decode(self, rows: WholeNumbers) -> Embeddings:
         """See Code."""
         decoded = self.codebook.decode(self.codes(rows))
-        return np.asarray(decoded * self.inverse_norms[rows, None])
+        return decoded * self.inverse_norms[rows, None]
 
     def codes(self, rows: WholeNumbers | None = None) -> Codes:
         """Return plain codes of some rows or all, one row after the other, to export or decode them."""

@@ -20,7 +20,7 @@ def agreed(sure: Numbers, num_views: WholeNumbers) -> Flags:
 
     Source: chosen and measured by study_list.py, whose numbers are in docs/measured/objects.md.
     """
-    return np.asarray(agreement(sure, num_views) >= MIN_AGREEMENT)
+    return agreement(sure, num_views) >= MIN_AGREEMENT
 
 
 def agreement(sure: Numbers, num_views: WholeNumbers) -> Doubles:
@@ -29,4 +29,4 @@ def agreement(sure: Numbers, num_views: WholeNumbers) -> Doubles:
     The two are there because a photo alone only agrees with itself. Arguments are those of `agreed`.
     """
     photos = num_views.astype(np.float64)
-    return np.asarray(sure * photos / (photos + PRIOR_PHOTOS))
+    return sure * photos / (photos + PRIOR_PHOTOS)

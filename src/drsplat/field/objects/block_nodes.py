@@ -62,9 +62,9 @@ class Block(NamedTuple):
 
         In parts of `around`: surroundings reach up to 1.
         """
-        outside = np.maximum(np.maximum(self.low - points, points - self.high), 0).max(axis=1)
-        ends = (points >= self.high).any(axis=1) & (outside == 0)
-        return np.asarray(np.where(ends, np.finfo(np.float64).tiny, outside / self.around))
+        outside = np.maximum(np.maximum(self.low - points, points - self.high), 0).max(1)
+        ends = (points >= self.high).any(1) & (outside == 0)
+        return np.where(ends, np.finfo(np.float64).tiny, outside / self.around)
 
 
 class BlockRows(NamedTuple):
@@ -282,4 +282,4 @@ def _keys(found: Int32[np.ndarray, "n k"], distances: DoubleRows, reach: Doubles
     second = found[rows][near].astype(np.int64)
     other = first != second  # of points in one place, none may find itself first
     low, high = np.minimum(first, second)[other], np.maximum(first, second)[other]
-    return np.asarray(low * len(found) + high)
+    return low * len(found) + high

@@ -145,4 +145,4 @@ def _crossings(
 
 def _clear(shown: Labels, y: Indices, x: Indices) -> Flags:
     """Mark places where both pieces are two pixels wide or more: slivers between others say nothing."""
-    return np.asarray((shown[y, x - 1] == shown[y, x]) & (shown[y, x + 2] == shown[y, x + 1]))
+    return (shown[y, x - 1] == shown[y, x]) & (shown[y, x + 2] == shown[y, x + 1])

@@ -65,7 +65,7 @@ def _small_things(parents: Indices, sizes: Ids, fits: Doubles, things: Flags) ->
     best = best_nodes(parents, np.where(thing >= 0, sizes**SMALL_SIZE_POWER * np.sqrt(fits), NONE))
     small = best & (fits >= MIN_SMALL_FIT) & (sizes <= MAX_SMALL_SHARE * sizes[thing])
     taken = np.bincount(thing[small], sizes[small], minlength=len(parents))
-    return np.asarray(small & (taken <= sizes / 2)[thing])
+    return small & (taken <= sizes / 2)[thing]
 
 
 def _within(parents: OtherIds, nodes: Indices) -> Indices:
@@ -73,7 +73,7 @@ def _within(parents: OtherIds, nodes: Indices) -> Indices:
     among = np.zeros(len(parents), bool)
     among[nodes] = True
     number = np.append(np.cumsum(among) - 1, NONE)  # -1 stays -1
-    return np.asarray(number[_above(parents, among)[nodes]])
+    return number[_above(parents, among)[nodes]]
 
 
 def best_nodes(parents: WholeNumbers, worth: Doubles) -> Flags:
@@ -87,7 +87,7 @@ def best_nodes(parents: WholeNumbers, worth: Doubles) -> Flags:
         own[node] = value >= max(below[node], 0.0)
         if parent >= 0:
             below[parent] += max(value, below[node])
-    return np.asarray(own & (_above(parents, own) < 0))
+    return own & (_above(parents, own) < 0)
 
 
 def _owners(parents: WholeNumbers, nodes: Flags) -> Indices:
@@ -95,12 +95,12 @@ def _owners(parents: WholeNumbers, nodes: Flags) -> Indices:
     up = np.append(np.where(nodes, np.arange(len(parents)), parents), NONE)
     while (up != (further := up[up])).any():
         up = further
-    return np.asarray(up[:-1])
+    return up[:-1]
 
 
 def _above(parents: WholeNumbers, nodes: Flags) -> Indices:
     """Return for each node the lowest of `nodes` above it, -1 for none."""
-    return np.asarray(np.append(_owners(parents, nodes), NONE)[parents])
+    return np.append(_owners(parents, nodes), NONE)[parents]
 
 
 def pairs_above(parents: RowIds) -> tuple[Indices, Indices]:
@@ -120,7 +120,7 @@ def _parts(parents: Indices, worth: Doubles, things: Flags) -> Flags:
     thing = _above(parents, things)
     best = best_nodes(parents, np.where(thing >= 0, worth, NONE))
     several = np.bincount(thing[best], minlength=len(parents)) > 1
-    return np.asarray(best & several[thing])
+    return best & several[thing]
 
 
 def _holding(parents: Indices, nodes: Flags) -> Flags:

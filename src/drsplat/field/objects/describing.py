@@ -183,7 +183,7 @@ def _num_views(weights: csr_array, evidence: Evidence) -> Ids:
 def _masks(weights: csr_array) -> tuple[OtherIndices, Ids, Numbers]:
     """Return each node's masks of the largest shares of its weight, largest first, in CSR form."""
     kept = heaviest(weights, MAX_MASKS_PER_NODE)
-    totals: Float64[np.ndarray, " T"] = weights.sum(axis=1)
+    totals: Float64[np.ndarray, " T"] = weights.sum(1)
     shares = kept.data / np.repeat(totals, np.diff(kept.indptr))
     return kept.indptr.astype(np.int64), kept.indices.astype(np.int32), shares.astype(np.float32)
 
@@ -213,7 +213,7 @@ def descriptors(
     labels = np.zeros(clusters.weights.nnz, np.int64)
     part = np.arange(len(labels))  # entries of rows that may need more
     for count in range(1, MAX_DESCRIPTORS_PER_NODE):
-        far = part[clusters.worst_served(part, clusters.cosines(labels, part, count).max(axis=1, initial=-1))]
+        far = part[clusters.worst_served(part, clusters.cosines(labels, part, count).max(1, initial=-1))]
         needing = np.zeros(weights.shape[0], bool)
         needing[clusters.rows[far]] = True
         part = part[needing[clusters.rows[part]]]
@@ -240,7 +240,7 @@ class _Clusters:
     def settle(self, labels: OtherIndices, part: Indices, count: int) -> None:
         """Move the entries of `part` to the cluster of the nearest centre, the first of equal ones, in some rounds."""
         for _ in range(LLOYD_ROUNDS):
-            nearest = self.cosines(labels, part, count).argmax(axis=1)
+            nearest = self.cosines(labels, part, count).argmax(1)
             if (nearest == labels[part]).all():
                 break
             labels[part] = nearest
@@ -252,7 +252,7 @@ class _Clusters:
         most = np.zeros(self.weights.shape[0])
         np.maximum.at(most, rows, served)
         (worst,) = np.nonzero((served > 0) & (served == most[rows]))
-        return np.asarray(worst[np.diff(rows[worst], prepend=-1) > 0])
+        return worst[np.diff(rows[worst], prepend=-1) > 0]
 
     def means(self, labels: Indices) -> Float32[np.ndarray, "T k D"]:
         """Return the unit mean of each cluster, zero where it has no entries or they cancel out."""
@@ -272,7 +272,7 @@ class _Clusters:
         BLAS is avoided: its bits depend on the number of its threads.
         """
         means = self.means(labels)
-        filled = np.asarray(means.any(axis=2))
+        filled = np.asarray(means.any(2))
         cosines = np.empty((len(part), count), np.float32)
         for begin in range(0, len(part), ENTRIES_AT_ONCE):
             entries = part[begin : begin + ENTRIES_AT_ONCE]
@@ -288,11 +288,11 @@ class _Clusters:
         shape = means.shape[:2]
         clusters = self.rows * MAX_DESCRIPTORS_PER_NODE + labels
         mass = np.bincount(clusters, self.weights.data, shape[0] * shape[1]).reshape(shape)
-        mass[~means.any(axis=2) | (mass < MIN_CLUSTER_SHARE * mass.sum(axis=1, keepdims=True))] = 0
+        mass[~means.any(2) | (mass < MIN_CLUSTER_SHARE * mass.sum(1, keepdims=True))] = 0
         order = np.argsort(-mass, axis=1, kind="stable")
         sorted_means = np.take_along_axis(means, order[..., None], axis=1)
         filled = np.take_along_axis(mass, order, axis=1) > 0
-        return np.append(0, np.cumsum(filled.sum(axis=1))), np.asarray(sorted_means[filled])
+        return np.append(0, np.cumsum(filled.sum(1))), np.asarray(sorted_means[filled])
 
 
 def heaviest(matrix: csr_array, most: int) -> csr_array:

@@ -62,12 +62,12 @@ class Outlines:
     @cached_property
     def fronts(self) -> Doubles:
         """Pixels of its outline where each piece is in front."""
-        return np.asarray(self.front.sum(axis=1)).ravel()
+        return np.asarray(self.front.sum(1)).ravel()
 
     @cached_property
     def levels(self) -> Doubles:
         """Pixels of its outline where depth goes on, of each piece."""
-        return np.asarray(self.level.sum(axis=1)).ravel()
+        return np.asarray(self.level.sum(1)).ravel()
 
     @cached_property
     def reliefs(self) -> Doubles:
@@ -274,12 +274,12 @@ def _groups(parents: list[int], node: int) -> Iterator[int]:
 
 def relief(front: Float64[np.ndarray, " *s"], level: Float64[np.ndarray, " *s"]) -> Float64[np.ndarray, " *s"]:
     """Return the relief of an outline, from its pixels in front and those where depth goes on; near 0 for a few."""
-    return np.asarray(front / (front + level + RELIEF_PRIOR_PIXELS))
+    return front / (front + level + RELIEF_PRIOR_PIXELS)
 
 
 def goes_on(level: Float64[np.ndarray, " *s"], front: Float64[np.ndarray, " *s"]) -> Bool[np.ndarray, " *s"]:
     """Return whether borders hold a set together, from their pixels where depth goes on and where it jumps."""
-    return np.asarray(level >= MIN_LEVEL_SHARE * (level + front))
+    return level >= MIN_LEVEL_SHARE * (level + front)
 
 
 def grown(outlines: Outlines, seed: int, free: Flags) -> OtherIndices:

@@ -94,7 +94,7 @@ def _shared(one: BlockNodes, other: BlockNodes, first: int, second: int) -> Shar
     _, at, there = np.intersect1d(one.rows, other.rows, assume_unique=True, return_indices=True)
     sure = one.sure[at] & other.sure[there]
     nodes = np.stack([one.lowest[at[sure]], other.lowest[there[sure]]], axis=1).astype(np.int64)
-    pairs, counts = np.unique(nodes[(nodes >= 0).any(axis=1)], axis=0, return_counts=True)
+    pairs, counts = np.unique(nodes[(nodes >= 0).any(1)], axis=0, return_counts=True)
     a, b = (np.where(pairs[:, k] >= 0, pairs[:, k] + base, NONE) for k, base in enumerate((first, second)))
     return Shared(a, b, counts)
 
@@ -148,7 +148,7 @@ class _Classes:
         one, other = np.concatenate(edges, axis=1)
         count = len(self.parents)
         graph = csr_array((np.ones(len(one), bool), (one, other)), shape=(count, count))
-        return np.asarray(connected_components(graph, directed=False)[1])
+        return connected_components(graph, directed=False)[1]
 
 
 def _tops(parents: WholeNumbers, born: Flags) -> Indices:
@@ -168,7 +168,7 @@ def _matches(one: Indices, other: Indices, counts: Indices) -> Int64[np.ndarray,
     pairs, first, at = np.unique(np.stack([one, other]), axis=1, return_index=True, return_inverse=True)
     both = np.bincount(at.ravel(), counts, minlength=pairs.shape[1])
     alike = both > PARTNER_IOU * (sizes[0][first] + sizes[1][first] - both)
-    return np.asarray(pairs[:, alike & (pairs >= 0).all(axis=0)])
+    return pairs[:, alike & (pairs >= 0).all(0)]
 
 
 def _judged(

@@ -55,7 +55,7 @@ def with_voted(tree: Tree, votes: Votes) -> Tree:
     votes: yields the photos anew, each time that it is called.
     """
     (things,) = np.nonzero(tree.levels == THING)
-    seen = np.array([_seen(tree, things, vote).sum(axis=1) for vote in votes()])
+    seen = np.array([_seen(tree, things, vote).sum(1) for vote in votes()])
     sets = _proposed(tree, things, seen, votes)
     if not sets:
         return tree
@@ -91,11 +91,11 @@ def _seen(tree: Tree, things: Indices, vote: Vote) -> csr_array:
 
 def _said(own: csr_array, vote: Vote) -> tuple[np.ndarray, ...]:
     """Return of each set how much a photo sees of it, its best IoU with a candidate, its outline, its framed share."""
-    candidates, seen = vote.tree.candidates(), own.sum(axis=1)
+    candidates, seen = vote.tree.candidates(), own.sum(1)
     if not candidates.shape[0]:
         return seen, *np.zeros((3, len(seen)))
     shared = (own @ candidates.T).toarray()
-    fits = shared / np.maximum(seen[:, None] + candidates @ vote.weights.sum(axis=0) - shared, 1e-9)
+    fits = shared / np.maximum(seen[:, None] + candidates @ vote.weights.sum(0) - shared, 1e-9)
     best = fits.argmax(1)
     return seen, fits.max(1), vote.tree.outlines(candidates)[best], vote.tree.framed(candidates)[best]
 
@@ -113,7 +113,7 @@ def _proposals(own: csr_array, seen: Doubles, sees: Flags, vote: Vote) -> Iterat
     shared = (own @ candidates.T).toarray()
     within = (shared > INSIDE_SHARE * seen[:, None]) & sees[:, None]
     both = (shared * within).sum(0)
-    either = candidates @ vote.weights.sum(axis=0) + (seen[:, None] * within).sum(0) - both
+    either = candidates @ vote.weights.sum(0) + (seen[:, None] * within).sum(0) - both
     good = (both > MIN_FIT * either) & (within.sum(0) > 1) & (vote.tree.framed(candidates) <= MAX_FRAMED)
     for column in np.flatnonzero(good):
         yield tuple(np.flatnonzero(within[:, column]).tolist())

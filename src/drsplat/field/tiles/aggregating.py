@@ -164,7 +164,7 @@ class Voting:
         return _arrays(made) | {"donors": donors.astype(np.int32)}
 
     def _trust(self, run: Run) -> Doubles:
-        return np.asarray(self.believed.arrays(run)["reliability"])
+        return self.believed.arrays(run)["reliability"]
 
     def _shapes(self, tile: Tile) -> Gaussians:
         return self.gallery.shapes(tile)
@@ -183,16 +183,14 @@ class Voting:
                 givers = np.flatnonzero(trust[tile.first - other.first :][: tile.num_rows] > 0)
                 # how far points are from the box of a tile, and a little less: of what is rounded none is missed
                 away = np.maximum(np.maximum(tile.low - points, points - tile.high), 0)
-                (asking,) = np.nonzero(
-                    np.asarray(np.sqrt(np.square(away).sum(axis=1)) * (1 - 1e-6)) <= distances[:, -1]
-                )
+                (asking,) = np.nonzero(np.asarray(np.sqrt(np.square(away).sum(1)) * (1 - 1e-6)) <= distances[:, -1])
                 if len(givers) and len(asking):
                     tree = cKDTree(self._shapes(tile).means[givers])
                     further, which = nearest(tree, points[asking], count + SPARE_NEIGHBOURS, threads)
                     both = np.concatenate([distances[asking], further], axis=1)
                     rows = np.concatenate([near[asking], tile.first + givers[which]], axis=1)
                     distances[asking], near[asking] = nearest_first(both, rows, count)
-        some = np.isfinite(distances).all(axis=0)  # of fewer givers than are asked for
+        some = np.isfinite(distances).all(0)  # of fewer givers than are asked for
         return distances[:, some], near[:, some]
 
 

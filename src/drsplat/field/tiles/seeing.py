@@ -57,7 +57,7 @@ def _borders(view: View) -> list[tuple[Vector3, float]]:
 
 def _furthest(plane: Float64[np.ndarray, " 4"], low: Points, high: Points) -> Doubles:
     """Return the largest value of n x + d over each box."""
-    return np.asarray(np.where(plane[:3] > 0, high, low) @ plane[:3] + plane[3])
+    return np.where(plane[:3] > 0, high, low) @ plane[:3] + plane[3]
 
 
 @dataclass(eq=False)

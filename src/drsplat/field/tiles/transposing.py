@@ -90,7 +90,7 @@ def runs_of(tiles: Sequence[Tile], num_weights: int, held: Sequence[bytes]) -> l
         if not runs or tile.first + tile.num_rows - tiles[runs[-1][0]].first > most:
             runs.append([])
         runs[-1].append(number)
-    return [Run(tuple(tiles[n] for n in run), np.flatnonzero(has[:, run].any(axis=1))) for run in runs]
+    return [Run(tuple(tiles[n] for n in run), np.flatnonzero(has[:, run].any(1))) for run in runs]
 
 
 def rows_name(run: Run, folder: str = ROWS_FOLDER) -> str:

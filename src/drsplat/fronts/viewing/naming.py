@@ -90,7 +90,7 @@ def _near(gaussians: Gaussians, ray: Ray) -> RowIds:
     offsets = gaussians.means - ray.origin.astype(np.float32)
     along = offsets @ ray.direction.astype(np.float32)
     apart = np.einsum("ni,ni->n", offsets, offsets) - along**2
-    reach = REACH_DEVIATIONS * gaussians.scales.max(axis=1)
+    reach = REACH_DEVIATIONS * gaussians.scales.max(1)
     return np.flatnonzero((apart <= 1.01 * reach**2) & (along > -reach))
 
 

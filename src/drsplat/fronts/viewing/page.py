@@ -150,7 +150,7 @@ def _drawn(session: Session, times: Times) -> Iterator[Shown]:
 
 
 def _evenly(times: Times, most: int) -> Doubles:
-    return np.asarray(times[np.linspace(0, len(times) - 1, min(len(times), most)).round().astype(int)])
+    return times[np.linspace(0, len(times) - 1, min(len(times), most)).round().astype(int)]
 
 
 def boxes_of(session: Session, times: PageTimes | None, matches: Sequence[Match]) -> list[list[list[float] | None]]:

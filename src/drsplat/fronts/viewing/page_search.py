@@ -158,7 +158,7 @@ def _texts(background: measuring.Background, pairs: Mapping[str, Embedding], lea
         rivals = texts[: len(listed.vectors)]
         near = contrast.near_each(listed.vectors, vectors).T
         tables |= {"usual": listed.usual, "near": near.nonzero()[1].astype(np.uint16)}
-        tables["near_ends"] = near.sum(axis=1).cumsum().astype(np.uint32)
+        tables["near_ends"] = near.sum(1).cumsum().astype(np.uint32)
         kinds = {text: names for text in texts if (names := names_under(text))}
         document["kinds"] = {text: [at for at, one in enumerate(rivals) if one in kinds[text]] for text in kinds}
         document["lists"] = {"all": {"texts": rivals, "spread": listed.spread, "least": None}}

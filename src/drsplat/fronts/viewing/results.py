@@ -128,4 +128,4 @@ def relevancy(results: Sequence[Result], count: int) -> Numbers:
     """Return per Gaussian the highest value of any query, in its own measure."""
     if not results:
         return np.zeros(count, np.float32)
-    return np.asarray(np.max([result.answer.dense for result in results], axis=0))
+    return np.max([result.answer.dense for result in results], axis=0)

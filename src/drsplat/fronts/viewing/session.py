@@ -229,7 +229,7 @@ class Session:
     def _inside(self, view: View, outline: PlanePoints) -> RowIds:
         splats = self.edits.splats if self.edits.is_edited else self.here.splats
         ids = inside_outline(splats, view, outline, threads=self.scene.threads)
-        return np.asarray(ids[ids < len(self.scene.gaussians)])  # what edits added answers nothing
+        return ids[ids < len(self.scene.gaussians)]  # what edits added answers nothing
 
     # --- pointing ---
 
@@ -323,7 +323,7 @@ class Session:
     def selection(self) -> RowIds:
         """All that was found and is not hidden, ascending."""
         ids = results.joined([result.gaussian_ids for result in self.results])
-        return np.asarray(ids[~self.hidden[ids]])
+        return ids[~self.hidden[ids]]
 
     def edit(self, change: Change) -> None:
         """Change the selection, with what hangs on to it. Raises: InputError: nothing is selected, or it cannot be."""
@@ -396,12 +396,12 @@ class Session:
     @property
     def object_ids(self) -> Ids:
         """Per Gaussian of the scene its object's number, -1 for none; only of a field that has objects."""
-        return np.asarray(self._edits.gaussians.extra[OBJECT_ID])
+        return self._edits.gaussians.extra[OBJECT_ID]
 
     def of_drawn(self, values: Shaped[np.ndarray, " n"]) -> Shaped[np.ndarray, " m"]:
         """Return values of the scene's rows for those that are drawn; 0 for what edits added."""
         added = np.zeros(len(self.edits.opacities) - len(values), values.dtype)
-        return np.asarray(np.concatenate([values, added])[self.drawn.ids])
+        return np.concatenate([values, added])[self.drawn.ids]
 
     def edited(self, *, selected_only: bool = False) -> tuple[Gaussians, RowIds]:
         """Return the Gaussians after all edits, and their rows: the scene's own, then added ones.

@@ -30,10 +30,10 @@ class Frame:
     scale: float
 
     def shown(self, points: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
-        return np.asarray(self.scale * (points - self.center))
+        return self.scale * (points - self.center)
 
     def world(self, points: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
-        return np.asarray(points / self.scale + self.center)
+        return points / self.scale + self.center
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +121,7 @@ def frame_of(gaussians: Gaussians) -> Frame:
     """Return a frame in the middle of the solid Gaussians, `WITHIN_RADIUS_SHARE` of which are inside of `RADIUS`."""
     solid = gaussians.positions[gaussians.opacities >= 0.1]
     points = solid if len(solid) else gaussians.positions
-    center = np.quantile(points, MIDDLE_QUANTILES, axis=0).mean(axis=0)
+    center = np.quantile(points, MIDDLE_QUANTILES, axis=0).mean(0)
     reach = float(np.quantile(np.linalg.norm(points - center, axis=1), WITHIN_RADIUS_SHARE))
     return Frame(center, RADIUS / reach if reach > 0 else 1.0)
 

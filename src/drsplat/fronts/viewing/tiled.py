@@ -199,7 +199,7 @@ class TiledSession(Session):
     def _inside(self, view: View, outline: PlanePoints) -> RowIds:
         seen = self.scene.seen(view)
         assert seen.rows is not None
-        return np.asarray(seen.rows[inside_outline(seen.splats, view, outline, threads=self.scene.threads)])
+        return seen.rows[inside_outline(seen.splats, view, outline, threads=self.scene.threads)]
 
     def _hit(self, ray: Ray) -> Hit | None:
         """Return what a ray meets, read tile after tile until no light reaches the next one."""

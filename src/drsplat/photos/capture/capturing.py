@@ -79,8 +79,7 @@ def capture(
             else:
                 _make(sources, target, settings, threads, progress)
         publish(target, unchanged_parts)
-    record: dict[str, Any] = json.loads((target / RECORD).read_text(encoding="utf-8"))
-    return record
+    return json.loads((target / RECORD).read_text(encoding="utf-8"))
 
 
 def _make(sources: Sequence[Source], output: Path, settings: CaptureSettings, threads: int, progress: Progress) -> None:

@@ -139,15 +139,15 @@ def _meeting(name: str, looks: Sequence[dict[str, Any]]) -> Position:
     rays = np.array([look["ray"] for look in looks])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
-    if float(np.linalg.eigvalsh(across.sum(axis=0))[0]) < len(looks) * np.radians(MIN_ANGLE_DEGREES) ** 2 / 4:
+    if float(np.linalg.eigvalsh(across.sum(0))[0]) < len(looks) * np.radians(MIN_ANGLE_DEGREES) ** 2 / 4:
         raise InputError(
             f"known_distance: the photos of {name} were taken from nearly one direction, which tells no depth: give "
             "its pixel in a photo from the side, or in a single one"
         )
-    place: Position = np.linalg.solve(across.sum(axis=0), (across @ centers[..., None]).sum(axis=0))[:, 0]
+    place: Position = np.linalg.solve(across.sum(0), (across @ centers[..., None]).sum(0))[:, 0]
     to_place = place - centers
     distances = np.linalg.norm(to_place, axis=1)
-    along = (to_place * rays).sum(axis=1)
+    along = (to_place * rays).sum(1)
     errors = np.degrees(np.arctan2(np.linalg.norm(np.cross(rays, to_place), axis=1), along))
     if errors.max() > MAX_ERROR_DEGREES or not distances.min() > 0:
         raise InputError(
@@ -191,4 +191,4 @@ def _front(depths: Doubles) -> Flags:
     ascending = np.sort(depths)
     ends = np.flatnonzero(np.diff(ascending) > MIN_GAP_SHARE * ascending[:-1]) + 1
     end = next((int(end) for end in ends if end >= MIN_FRONT_POINTS), len(depths))
-    return np.asarray(depths <= ascending[end - 1])
+    return depths <= ascending[end - 1]

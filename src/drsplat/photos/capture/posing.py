@@ -70,7 +70,7 @@ def descriptors_of(database: sqlite3.Connection, name: str) -> Float32[np.ndarra
     query = "SELECT rows, cols, data FROM descriptors JOIN images USING (image_id) WHERE name = ?"
     rows, columns, data = database.execute(query, (name,)).fetchone() or (0, 128, b"")
     values = np.frombuffer(data, np.uint8).reshape(rows, columns).astype(np.float32)
-    return np.asarray(values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-9))
+    return values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-9)
 
 
 FEATURES_SIDE_PIXELS = 1200  # longer side of photos for finding features
@@ -320,7 +320,7 @@ def _vocabulary(keys: Sequence[str], read: Callable[[str], Descriptors]) -> Floa
         nearest = _nearest(sample, centres)
         for word in range(NUM_WORDS):
             if (nearest == word).any():
-                centres[word] = sample[nearest == word].mean(axis=0)
+                centres[word] = sample[nearest == word].mean(0)
     return centres
 
 
@@ -335,7 +335,7 @@ def _look(descriptors: Descriptors, vocabulary: Float32[np.ndarray, "w 128"]) ->
 
 
 def _nearest(descriptors: Descriptors, centres: Float32[np.ndarray, "w 128"]) -> np.ndarray:
-    return np.asarray(((centres**2).sum(1) - 2 * descriptors @ centres.T).argmin(axis=1))
+    return ((centres**2).sum(1) - 2 * descriptors @ centres.T).argmin(1)
 
 
 def _thinned(descriptors: Descriptors, most: int) -> Descriptors:

@@ -72,8 +72,7 @@ def take_frames(video: Source, work: Work, progress: Progress) -> dict[str, int]
     key = [video.name, video.num_bytes, video.changed_ns]
     earlier = work.remembered(RECORD)
     if earlier is not None and earlier["video"] == key:
-        counts: dict[str, int] = earlier["counts"]
-        return counts
+        return earlier["counts"]
     film = _measured(video.path, progress)
     choice = choose(film)
     if len(choice.frames) < 3:
@@ -207,9 +206,7 @@ def are_blurred(sharpness: Doubles) -> Flags:
     """Return which frames are much less sharp than the frames around them."""
     from scipy.ndimage import median_filter
 
-    return np.asarray(
-        sharpness < MAX_BLURRED_SHARE * median_filter(sharpness, size=2 * NEIGHBOURHOOD_FRAMES + 1, mode="nearest")
-    )
+    return sharpness < MAX_BLURRED_SHARE * median_filter(sharpness, size=2 * NEIGHBOURHOOD_FRAMES + 1, mode="nearest")
 
 
 def movement(before: UInt8[np.ndarray, "h w"], now: UInt8[np.ndarray, "h w"]) -> float:

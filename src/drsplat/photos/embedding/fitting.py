@@ -29,7 +29,7 @@ def pixel_fit(pictures: Iterable[OtherPixels], *, threads: int = 0) -> float:
         small.thumbnail((PICTURE_SIDE_PIXELS, PICTURE_SIDE_PIXELS))
         pixels = np.asarray(small)
         masks = mask_maps(segmenter.segment(pixels)).masks
-        fits.append(dense_rows(mask_rows(pixels, masks, encoder), nouns, threads=threads).max(axis=1))
+        fits.append(dense_rows(mask_rows(pixels, masks, encoder), nouns, threads=threads).max(1))
         areas.append(masks.areas)
     order, below = np.argsort(fit := np.concatenate(fits)), np.concatenate(areas)
     return float(fit[order][np.searchsorted(np.cumsum(below[order]), below.sum() / 2)])

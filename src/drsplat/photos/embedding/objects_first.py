@@ -245,7 +245,7 @@ def _camera_centers(evidence: Evidence, views: Sequence[View]) -> Points:
     """Return the centre of the camera of each column."""
     by_name = {view.name: view.center for view in views}
     centers = np.array([by_name[name] for name in evidence.masks.view_names], np.float64).reshape(-1, 3)
-    return np.asarray(centers[evidence.masks.views])
+    return centers[evidence.masks.views]
 
 
 def _best_nodes(fits: csr_array) -> tuple[Indices, Doubles]:

@@ -104,7 +104,7 @@ def greedy(sights: csc_array, enough: float, most: int) -> tuple[list[int], list
             (np.minimum(have[rows] + added, SIGHTS_PER_GAUSSIAN) - np.minimum(have[rows], SIGHTS_PER_GAUSSIAN)).sum()
         )
 
-    total = float(np.minimum(sights.sum(axis=1), SIGHTS_PER_GAUSSIAN).sum())
+    total = float(np.minimum(sights.sum(1), SIGHTS_PER_GAUSSIAN).sum())
     waiting = [(-gain(view), view) for view in range(sights.shape[1])]
     heapq.heapify(waiting)
     order: list[int] = []

@@ -35,8 +35,7 @@ class DensePatchEncoder(TransformersEncoder):
         return self._unit([share.reshape(1, -1) @ patches for share in shares], "mask")
 
     def _features(self, values: Any) -> np.ndarray:
-        mean: np.ndarray = self._patch_rows(values).mean(1)
-        return mean
+        return self._patch_rows(values).mean(1)
 
     def _image_patches(self, images: list[np.ndarray]) -> np.ndarray:
         from torch import inference_mode

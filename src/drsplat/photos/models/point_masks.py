@@ -205,7 +205,7 @@ class PointSegmenter:
 
     def _good(self, batch: PointMasks) -> Flags:
         s = self.settings
-        return np.asarray((batch.predicted_iou > s.min_predicted_iou) & (batch.stability >= s.min_stability))
+        return (batch.predicted_iou > s.min_predicted_iou) & (batch.stability >= s.min_stability)
 
     def _passing(self, batch: PointMasks, crop: Box, size: tuple[int, int]) -> Iterator[_Candidate]:
         left, top, right, bottom = crop
@@ -279,7 +279,7 @@ def open_points(side: int, explained: Mask) -> PlanePoints:
     sums = np.pad(explained.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
     covered = sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0]
     is_open = ~explained[row, column] & (2 * covered <= (x1 - x0) * (y1 - y0))
-    return np.asarray(points[is_open])
+    return points[is_open]
 
 
 def spread(points: PlanePoints, most: int | None) -> Float64[np.ndarray, "q 2"]:
@@ -375,13 +375,11 @@ def _regions_below(mask: Mask, limit: int) -> Mask:
     labels, _ = ndimage.label(mask, np.ones((3, 3), int))
     small = np.bincount(labels.ravel()) < limit
     small[0] = False
-    below: Mask = small[labels]
-    return below
+    return small[labels]
 
 
 def _largest(mask: Mask) -> Mask:
     labels, _ = ndimage.label(mask, np.ones((3, 3), int))
     sizes = np.bincount(labels.ravel())
     sizes[0] = 0
-    largest: Mask = labels == sizes.argmax()
-    return largest
+    return labels == sizes.argmax()

@@ -112,5 +112,4 @@ class TorchEncoder(ABC):
 
 def as_rows(tensor: Any) -> np.ndarray:
     """Return a tensor as float32 on the host."""
-    rows: np.ndarray = tensor.float().cpu().numpy()
-    return rows
+    return tensor.float().cpu().numpy()

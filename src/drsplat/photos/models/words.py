@@ -85,8 +85,7 @@ def _text_vector(text: str) -> Doubles:
     if not words:
         raise InputError(f"{text!r} has no word to look for: name an object, e.g. 'red mug'")
     total = np.sum([_word_vector(word) for word in words], axis=0)
-    vector: np.ndarray = total / np.linalg.norm(total)
-    return vector
+    return total / np.linalg.norm(total)
 
 
 @lru_cache(maxsize=4096)
@@ -97,12 +96,10 @@ def _word_vector(word: str) -> Doubles:
     near = _random_direction(SYNONYMS[word])
     own = own - (own @ near) * near
     own /= np.linalg.norm(own)
-    vector: np.ndarray = SYNONYM_COSINE * near + np.sqrt(1 - SYNONYM_COSINE**2) * own
-    return vector
+    return SYNONYM_COSINE * near + np.sqrt(1 - SYNONYM_COSINE**2) * own
 
 
 def _random_direction(word: str) -> Doubles:
     key = int.from_bytes(hashlib.blake2b(f"{VERSION} {word}".encode(), digest_size=16).digest(), "little")
     vector = np.random.Generator(np.random.Philox(key=key)).standard_normal(DIM)
-    unit: np.ndarray = vector / np.linalg.norm(vector)
-    return unit
+    return vector / np.linalg.norm(vector)

@@ -316,7 +316,7 @@ def _sample(snapshot: Snapshot) -> Embeddings:
     """Return the first descriptors of objects spread over the table."""
     described = snapshot.spread(USUAL_SAMPLE)
     firsts = described.starts[:-1][np.diff(described.starts) > 0]
-    return np.asarray(described.descriptors[firsts])
+    return described.descriptors[firsts]
 
 
 def _folder_of(files: SceneFiles) -> str:

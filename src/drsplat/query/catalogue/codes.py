@@ -91,7 +91,7 @@ class Coded:
 def among(ids: Int64[np.ndarray, " h"], allowed: Indices) -> Bool[np.ndarray, " h"]:
     if not len(allowed):
         return np.zeros(len(ids), np.bool_)
-    return np.asarray(allowed[np.minimum(np.searchsorted(allowed, ids), len(allowed) - 1)] == ids)
+    return allowed[np.minimum(np.searchsorted(allowed, ids), len(allowed) - 1)] == ids
 
 
 @dataclass(eq=False)

@@ -122,7 +122,7 @@ def _stored(vectors: Embeddings) -> Int8[np.ndarray, "n D"]:
 
     Raises: InputError: numbers that are not finite, or a vector without a direction.
     """
-    largest = np.abs(vectors).max(axis=1, initial=0, keepdims=True)
+    largest = np.abs(vectors).max(1, initial=0, keepdims=True)
     if not (np.isfinite(largest) & (largest > 0)).all():
         raise InputError("descriptors: expected finite vectors, none of them zero")
     return np.asarray(np.rint(vectors * (LARGEST / largest)), np.int8)

@@ -50,16 +50,14 @@ def _repeats_better(shared: Int64[np.ndarray, "n n"], areas: Indices, masks: Mas
     rank = np.empty(len(masks), np.int64)
     rank[np.argsort(-masks.scores, kind="stable")] = np.arange(len(masks))
     better = rank[:, None] < rank
-    gone: Flags = (better & (shared / union > max_iou)).any(0)
-    return gone
+    return (better & (shared / union > max_iou)).any(0)
 
 
 def _inside_larger(shared: Int64[np.ndarray, "n n"], areas: Indices, inner: float) -> Flags:
     of_outer: Float64[np.ndarray, "n n"] = shared / np.maximum(areas, 1)[:, None]
     of_inner = of_outer.T
     inside = (of_outer < _MAX_INNER_SHARE) & (of_inner >= _MIN_INSIDE_SHARE)
-    gone: Flags = (inside & (1 - of_inner * of_outer > 1 - inner)).any(0)
-    return gone
+    return (inside & (1 - of_inner * of_outer > 1 - inner)).any(0)
 
 
 def overlaps(masks: Masks) -> Int64[np.ndarray, "n n"]:
@@ -81,8 +79,7 @@ def overlaps(masks: Masks) -> Int64[np.ndarray, "n n"]:
     shape = (len(masks), max(len(cuts), 1))
     member = csr_array((np.ones(len(pieces), np.int32), *inside), shape=shape)
     sized = csr_array((np.diff(cuts).astype(np.int32)[pieces], *inside), shape=shape)
-    shared: Int64[np.ndarray, "n n"] = (member @ sized.T).toarray().astype(np.int64)
-    return shared
+    return (member @ sized.T).toarray().astype(np.int64)
 
 
 def _marked(masks: Masks, *places: OtherIndices) -> Indices:
@@ -108,8 +105,7 @@ def _edges(masks: Masks, index: int) -> Indices:
     fenced = np.zeros((part.shape[0], part.shape[1] + 2), bool)
     fenced[:, 1:-1] = part
     y, x = np.divmod(np.flatnonzero(fenced[:, 1:] != fenced[:, :-1]), part.shape[1] + 1)
-    edges: Indices = (y + y0) * (masks.width + 1) + x + x0
-    return edges
+    return (y + y0) * (masks.width + 1) + x + x0
 
 
 def paint(masks: Masks) -> MaskIds:

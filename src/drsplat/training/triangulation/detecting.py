@@ -142,7 +142,7 @@ def located(view: View, stored: View, detection: Detection) -> Keypoints:
     # the ascending indices of the `MAX_KEYPOINTS` usable keypoints of largest scale: these reappear most
     order = np.argsort(-detection.sigmas, kind="stable")
     chosen = np.sort(
-        order[(np.isfinite(pixels).all(axis=1) & _inside_mask(stored, detection.pixels))[order]][:MAX_KEYPOINTS]
+        order[(np.isfinite(pixels).all(1) & _inside_mask(stored, detection.pixels))[order]][:MAX_KEYPOINTS]
     )
     return Keypoints(pixels[chosen], detection.colors[chosen], detection.descriptors[chosen])
 
@@ -153,8 +153,7 @@ def _inside_mask(stored: View, pixels: PlanePoints) -> Flags:
     if mask is None:
         return np.ones(len(pixels), bool)
     x, y = np.clip(pixels.astype(np.intp), 0, (stored.width - 1, stored.height - 1)).T
-    inside: Flags = mask[y, x]
-    return inside
+    return mask[y, x]
 
 
 def detect(stored: View) -> Detection:

@@ -147,7 +147,7 @@ def matches(first: View, a: Keypoints, second: View, b: Keypoints) -> Matches:
     fundamental = fundamental_matrix(first, second)
     homogeneous = [np.concatenate([points, np.ones((len(points), 1))], axis=1) for points in (x, b.pixels[pairs[:, 1]])]
     in_second, in_first = homogeneous[0] @ fundamental.T, homogeneous[1] @ fundamental
-    residuals = np.abs((homogeneous[1] * in_second).sum(axis=1))
+    residuals = np.abs((homogeneous[1] * in_second).sum(1))
     fits = np.ones(len(x), bool)
     for lines, view in ((in_second, second), (in_first, first)):
         tolerance = MAX_EPIPOLAR_SHARE * max(view.width, view.height)
@@ -170,10 +170,10 @@ def _alike(a: Keypoints, b: Keypoints) -> Integer[np.ndarray, "m 2"]:
 
 def _nearest(distances2: np.ndarray) -> WholeNumbers:
     """Return each row's nearest neighbour, or -1 where Lowe's ratio test fails."""
-    rows, best = np.arange(len(distances2)), distances2.argmin(axis=1)
+    rows, best = np.arange(len(distances2)), distances2.argmin(1)
     others = distances2.copy()
     others[rows, best] = np.inf
-    return np.where(distances2[rows, best] < MAX_DISTANCE_RATIO**2 * others.min(axis=1), best, -1)
+    return np.where(distances2[rows, best] < MAX_DISTANCE_RATIO**2 * others.min(1), best, -1)
 
 
 def fundamental_matrix(first: View, second: View) -> Matrix3:
@@ -186,7 +186,7 @@ def fundamental_matrix(first: View, second: View) -> Matrix3:
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     essential = cross @ relative
     inverses = [np.linalg.inv(view.K) for view in (first, second)]
-    return np.asarray(inverses[1].T @ essential @ inverses[0])
+    return inverses[1].T @ essential @ inverses[0]
 
 
 def join(
@@ -288,7 +288,7 @@ def _nearest_to_rays(rays: _Rays, tracks: RowIds, weights: OtherDoubles, count: 
 def _off(rays: _Rays, positions: Float64[np.ndarray, "n 3"]) -> tuple[Doubles, Doubles]:
     """Return the depth of each point along its ray, and its distance from the ray over the depth (NaN stays)."""
     to_point = positions - rays.centers
-    depths = (to_point * rays.directions).sum(axis=1)
+    depths = (to_point * rays.directions).sum(1)
     aside = np.linalg.norm(to_point - depths[:, None] * rays.directions, axis=1)
     return depths, aside / np.maximum(depths, MIN_DETERMINANT)
 

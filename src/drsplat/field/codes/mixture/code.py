@@ -123,7 +123,7 @@ class MixtureCode:
         features = np.zeros((len(ids), self.dim), np.float32)
         for k in range(self.atoms_per_row):
             features += self.atoms.vectors(ids[:, k]) * weights[:, k, None]
-        return np.asarray(features * scales.astype(np.float32)[:, None])
+        return features * scales.astype(np.float32)[:, None]
 
     def unpacked(self, rows: slice | WholeNumbers) -> tuple[UInt16[np.ndarray, "n k"], ByteRows, np.ndarray]:
         """Return ids, weights and scales of some rows, row by row."""

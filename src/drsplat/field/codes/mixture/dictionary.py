@@ -29,7 +29,7 @@ def quantised(vectors: Embeddings) -> Dictionary:
 
 
 def _quantised(vectors: Embeddings) -> Dictionary:
-    largest = np.abs(vectors).max(axis=1, keepdims=True, initial=0)
+    largest = np.abs(vectors).max(1, keepdims=True, initial=0)
     steps = np.divide(127, largest, out=np.zeros_like(largest), where=largest > MIN_ENTRY)
     whole = np.rint(vectors * steps)
     squared = np.einsum("ad,ad->a", whole, whole, dtype=np.float64)
@@ -76,4 +76,4 @@ class AtomTable:
 
     def vectors(self, ids: WholeNumbers) -> Embeddings:
         """Return the unit vectors of some atoms."""
-        return np.asarray(self.dictionary.values[ids] * self.dictionary.scales[ids, None])
+        return self.dictionary.values[ids] * self.dictionary.scales[ids, None]

@@ -126,7 +126,7 @@ def learn_scene_atoms(
     count = min(len(source), POINTS_PER_ATOM * wanted)
     spread = np.linspace(0, len(source) - 1, count).astype(np.int64)
     points = source.rows(spread).features(0, count, threads=threads)
-    directed = np.ascontiguousarray(points[points.any(axis=1)])
+    directed = np.ascontiguousarray(points[points.any(1)])
     if not wanted or not len(directed):
         return None
     return train_scene_atoms(directed, wanted, seed=seed, threads=threads)
@@ -170,7 +170,7 @@ def atoms_by_use(encoded: Encoded) -> Indices:
     counts = (encoded.weights > 0) & (encoded.scales.astype(np.float16) > 0)[:, None]
     uses = np.bincount(encoded.ids[counts])
     order = np.argsort(-uses, kind="stable")
-    return np.asarray(order[uses[order] > 0])
+    return order[uses[order] > 0]
 
 
 def assemble(encoded: Encoded, plan: Plan, columns: OtherIds, used: Indices) -> Mixed:

@@ -97,7 +97,7 @@ def _means(points: Embeddings, nearest: Ids, centres: OtherEmbeddings, threads: 
     counts = np.bincount(nearest, minlength=len(centres))
     starts, order = np.append(0, np.cumsum(counts)), np.argsort(nearest, kind="stable").astype(np.int32)
     moved = weighted_rows(starts, order, np.ones(len(order), np.float32), points, 0, len(centres), threads=threads)
-    still = ~moved.any(axis=1)
+    still = ~moved.any(1)
     moved[still] = centres[still]
     idle = np.flatnonzero(counts == 0)
     if len(idle):

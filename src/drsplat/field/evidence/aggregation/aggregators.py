@@ -49,7 +49,7 @@ class Aggregated:
         has_votes: np.ndarray = np.diff(self.evidence.weights.indptr) > 0
         if self.donors is None:
             return has_votes
-        return np.asarray((self.donors >= 0) & has_votes[self.donors])
+        return (self.donors >= 0) & has_votes[self.donors]
 
     def features(self, begin: int, end: int, *, threads: int = 0) -> Embeddings:
         """Return the unit features of rows [begin, end); zero where there is none."""

@@ -66,7 +66,7 @@ def row_block(weights: csr_array, rows: Indices) -> RowBlock:
     filled = entries < lengths[:, None]
     positions = np.where(filled, starts[:, None] + entries, starts[0])
     values = np.where(filled, weights.data[positions].astype(np.float64), 0.0)
-    return RowBlock(positions, weights.indices[positions], values, filled.sum(axis=0))
+    return RowBlock(positions, weights.indices[positions], values, filled.sum(0))
 
 
 Rule = Callable[[RowBlock], Float64[np.ndarray, "n k"]]

@@ -40,8 +40,8 @@ class OutlierRejection:
         distance = np.abs(agreement - middle[:, None])
         spread = MAD_OF_NORMAL * weighted_medians(distance, block.weights)
         allowed = np.maximum(self.least, self.deviations * spread)
-        many = block.filled.sum(axis=1) > 2
-        return np.asarray((agreement < (middle - allowed)[:, None]) & many[:, None])
+        many = block.filled.sum(1) > 2
+        return (agreement < (middle - allowed)[:, None]) & many[:, None]
 
 
 def agreements(block: RowBlock, table: OtherEmbeddings) -> DoubleRows:
@@ -64,6 +64,6 @@ def weighted_medians(values: DoubleRows, weights: DoubleRows) -> Doubles:
     """Return each row's weighted median: the lowest value that, with all lower ones, has half the weight."""
     order = np.argsort(np.where(weights > 0, values, np.inf), axis=1, kind="stable")
     held = np.cumsum(np.take_along_axis(weights, order, 1), axis=1)
-    first = (held >= held[:, -1:] / 2).argmax(axis=1)
+    first = (held >= held[:, -1:] / 2).argmax(1)
     at = np.take_along_axis(order, first[:, None], 1)
-    return np.asarray(np.take_along_axis(values, at, 1)[:, 0])
+    return np.take_along_axis(values, at, 1)[:, 0]

@@ -34,7 +34,7 @@ class MaskTrust:
 
     def trust(self, counted: "Tally") -> Doubles:
         """Return the trust in each mask. counted: over all rows."""
-        return np.asarray(np.exp(self.sharpness * counted.means))
+        return np.exp(self.sharpness * counted.means)
 
     def weighed(self, evidence: Evidence, trust: Doubles) -> Evidence:
         """Return the evidence of some rows, weighed by the trust in masks; a row depends on itself alone."""
@@ -61,7 +61,7 @@ class Tally(NamedTuple):
     def means(self) -> Doubles:
         """How much better each mask agrees than the other votes of its Gaussians; 0 where there are none."""
         none = np.zeros(len(self.weights))
-        return np.asarray(np.divide(self.surpluses, self.weights, out=none, where=self.weights > 0))
+        return np.divide(self.surpluses, self.weights, out=none, where=self.weights > 0)
 
 
 def tally(evidence: Evidence, threads: int = 0) -> Tally:
@@ -70,7 +70,7 @@ def tally(evidence: Evidence, threads: int = 0) -> Tally:
     def surplus(block: RowBlock) -> DoubleRows:
         agreement = agreements(block, evidence.embeddings)
         level = _in_order(block.weights * agreement) / _in_order(block.weights)
-        return np.asarray(agreement - level[:, None])
+        return agreement - level[:, None]
 
     weights, entries = evidence.weights, entry_values(evidence, surplus, threads)
     count = weights.shape[1]
@@ -85,7 +85,7 @@ def tally(evidence: Evidence, threads: int = 0) -> Tally:
 
 def _in_order(values: DoubleRows) -> Doubles:
     """Return the sum of each row, added up from its beginning: zeros at its end change no bit."""
-    return np.asarray(np.cumsum(values, axis=1)[:, -1])
+    return np.cumsum(values, axis=1)[:, -1]
 
 
 def _runs(views: RowIds, starts: WholeNumbers) -> Integer[np.ndarray, " p"]:
@@ -104,4 +104,4 @@ def _by_photo(weights: Numbers, trust: Doubles, runs: RowIds) -> Doubles:
     trusted = np.add.reduceat(weights * trust, runs)
     mean = np.divide(trusted, held, out=np.zeros(len(runs)), where=held > 0)
     lengths = np.diff(np.append(runs, len(weights)))
-    return np.asarray(weights * np.repeat(mean, lengths))
+    return weights * np.repeat(mean, lengths)

@@ -79,7 +79,7 @@ class ModeVoting:
 
     def sizes(self, gaussians: Gaussians) -> Doubles:
         """Return what Gaussians count by where many small ones are beside a large one."""
-        return np.asarray(footprints(gaussians) ** self.footprint)
+        return footprints(gaussians) ** self.footprint
 
     def elected(
         self, voters: "Voters", trust: Doubles, sizes: Doubles,
@@ -91,7 +91,7 @@ class ModeVoting:
         """
         rows, candidates = (np.searchsorted(voters.present, array) for array in (voters.rows, voters.candidates))
         # put rows among their own candidates; one that many others coincide with may be missing there
-        absent = (trust[rows] > 0) & ~(candidates == rows[:, None]).any(axis=1)
+        absent = (trust[rows] > 0) & ~(candidates == rows[:, None]).any(1)
         candidates[absent, 0] = rows[absent]
         close = _closeness(voters.distances) * np.minimum(1, sizes[candidates] / sizes[rows, None])
         # g of all pairs of candidates of each row, from one table of all pairs
@@ -99,7 +99,7 @@ class ModeVoting:
         cosines = (whole @ whole.T) / PARTS_PER_ONE**2
         pairs = np.minimum(cosines[candidates[:, :, None], candidates[:, None, :]], 1)
         best = self._best(trust, rows, candidates, close, np.asarray(np.exp((pairs - 1) / self.bandwidth)))
-        return np.asarray(np.where(best >= 0, voters.present[best], -1))
+        return np.where(best >= 0, voters.present[best], -1)
 
     def _best(
         self,
@@ -110,9 +110,9 @@ class ModeVoting:
         alike: Float64[np.ndarray, "n k k"],
     ) -> Indices:
         believed = trust[candidates] * close
-        support = trust[candidates] * (alike * believed[:, None, :]).sum(axis=2)
-        own = np.where(candidates == rows[:, None], support, 0).max(axis=1)
-        best = support.argmax(axis=1)[:, None]
+        support = trust[candidates] * (alike * believed[:, None, :]).sum(2)
+        own = np.where(candidates == rows[:, None], support, 0).max(1)
+        best = support.argmax(1)[:, None]
         wins = np.take_along_axis(support, best, 1)[:, 0] > (1 + self.margin) * (1 + SUPPORT_TOLERANCE) * own
         taken = np.take_along_axis(candidates, best, 1)[:, 0]
         return np.where(wins, taken, np.where(trust[rows] > 0, rows, -1))
@@ -135,7 +135,7 @@ class Voters:
 def footprints(gaussians: Gaussians) -> Doubles:
     """Return the product of the two larger scales: the area that a Gaussian on a surface covers."""
     sides = np.sort(gaussians.scales.astype(np.float64), axis=1)
-    return np.asarray(np.maximum(sides[:, 1] * sides[:, 2], np.finfo(np.float64).tiny))
+    return np.maximum(sides[:, 1] * sides[:, 2], np.finfo(np.float64).tiny)
 
 
 def _near_each_other(tree: cKDTree, means: Points, receivers: OtherIndices, threads: int) -> Iterator[Indices]:
@@ -188,7 +188,7 @@ def resultant_lengths(evidence: Evidence, threads: int = 0) -> Doubles:
 def reliability(evidence: Evidence, threads: int = 0) -> Doubles:
     """Return |f| N_eff / (N_eff + 1), in [0, 1); 0 without evidence. Source: NormLift (2026), reliability."""
     views = effective_views(evidence)
-    return np.asarray(resultant_lengths(evidence, threads) * views / (views + 1))
+    return resultant_lengths(evidence, threads) * views / (views + 1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -135,4 +135,4 @@ def embed_images(pixels: Float32[np.ndarray, "n h w 3"], weights: Tensors, *, th
         x = convolve(x, weights[f"conv{layer}.weight"], weights[f"conv{layer}.bias"], stride, threads=threads)
     pooled = np.concatenate([x.mean((1, 2)), x.max((1, 2))], axis=1)
     out = dense_rows(pooled, weights["projection"], threads=threads)
-    return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
+    return out / np.linalg.norm(out, axis=1, keepdims=True)
