@@ -24,7 +24,6 @@ Source: PlayCanvas, "Compressed PLY format" (SuperSplat user manual).
 """
 
 import re
-import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from os import PathLike
@@ -33,7 +32,7 @@ from pathlib import Path
 import numpy as np
 
 from ..base.arrays import Float32, FloatRows, Harmonics, Quats, Shaped, UnsignedIds, Vector3, Vectors
-from ..errors import DrSplatWarning, FormatError, InputError
+from ..errors import FormatError, InputError, warn
 from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians, filled, flat
 from ..scene.placing import local_origin
 from .activation import checked, exp, from_smallest_three, logit, refuse_packed_name, refuse_unreadable, sigmoid
@@ -169,9 +168,7 @@ def activated_columns(rows: Records) -> frozenset[str]:
             found.append("f_dc")
     if found:
         text = f"{', '.join(found)}: values that are activated already, in place of logits, logarithms and harmonics"
-        warnings.warn(
-            f"{text}; they are read as such. Export the file again if it looks wrong", DrSplatWarning, stacklevel=4
-        )
+        warn(f"{text}; they are read as such. Export the file again if it looks wrong", 4)
     return frozenset(found)
 
 

@@ -4,7 +4,6 @@ Source: Greg Turk, "The PLY Polygon File Format" (1994). Little- and big-endian 
 """
 
 import io
-import warnings
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ import numpy as np
 
 from ..base.arrays import Colors, FloatRows, Points, Shaped
 from ..base.contents import file_bytes
-from ..errors import DrSplatWarning, FormatError, InputError, placed
+from ..errors import FormatError, InputError, placed, warn
 from .replacing import replacing
 
 AXES, COLORS = ("x", "y", "z"), ("red", "green", "blue")
@@ -179,7 +178,7 @@ def _read_binary(buffer: memoryview, header: Header, names: Collection[str]) -> 
         offset = end
     if offset < len(buffer):
         left_out = len(buffer) - offset
-        warnings.warn(f"{left_out} bytes after the last PLY element were left out", DrSplatWarning, stacklevel=3)
+        warn(f"{left_out} bytes after the last PLY element were left out", 3)
     return found
 
 

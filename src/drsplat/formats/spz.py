@@ -19,7 +19,6 @@ scene may be zero. Nothing is ever decompressed beyond that size. Source: RFC 19
 """
 
 import struct
-import warnings
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -29,7 +28,7 @@ import numpy as np
 
 from ..base.arrays import Float32, Harmonics, Quats, UInt8
 from ..base.contents import file_bytes
-from ..errors import DrSplatWarning, FormatError
+from ..errors import FormatError, warn
 from ..scene.gaussians import Gaussians
 from .activation import checked, exp, from_smallest_three
 from .labels import Labels, parse_labels
@@ -83,7 +82,7 @@ def parse_spz(buffer: memoryview) -> Gaussians:
     n = header.count
     signs = _signs(extensions)
     if header.degree > 3:
-        warnings.warn("SH coefficients of degree 4 (9 per channel) were left out", DrSplatWarning, stacklevel=3)
+        warn("SH coefficients of degree 4 (9 per channel) were left out", 3)
     log_scales = scales.reshape(n, 3).astype(np.float32) / 16 - 10
     turn = np.array([1, *(signs.prod() * signs)], np.float32)  # (w, x, y, z) of F R F for a diagonal F
     wide = np.zeros((len(positions) // 3, 4), np.uint8)

@@ -1,7 +1,6 @@
 """transforms.json of nerfstudio and instant-ngp -> views."""
 
 import os
-import warnings
 from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -11,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..base.arrays import Matrix4
-from ..errors import DrSplatWarning, FormatError, InputError
+from ..errors import FormatError, InputError, warn
 from ..scene.views import View
 from .dataparser import SceneFrame, scene_frame
 from .json_files import as_count, as_kind, as_list, as_matrix, as_object, as_text, read_json
@@ -189,4 +188,4 @@ def _report(path: Path, missing: list[str], num_found: int) -> None:
         )
     if missing:
         text = f"{path}: {len(missing)} of {len(missing) + num_found} frames left out, their photos are missing: "
-        warnings.warn(text + listed(missing), DrSplatWarning, stacklevel=6)
+        warn(text + listed(missing), 6)

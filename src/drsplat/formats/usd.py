@@ -7,7 +7,6 @@ Sources: openusd.org, UsdVol "ParticleField3DGaussianSplat" of OpenUSD 26.03.
 """
 
 import re
-import warnings
 import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,7 +16,7 @@ import numpy as np
 
 from ..base.arrays import Float64
 from ..base.contents import file_bytes, open_file
-from ..errors import DrSplatWarning, FormatError, InputError, placed
+from ..errors import FormatError, InputError, placed, warn
 from ..scene.annotations import Annotation
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenated
 from ..scene.labelled import PLY_UP, LabelledScene, Thing, places_of
@@ -180,7 +179,7 @@ def _harmonics(prim: UsdPrim, count: int) -> np.ndarray:
             f"{len(values):,}"
         )
     if degree > MAX_DEGREE:
-        warnings.warn(f"harmonics of degree {int(degree)} are cut to {MAX_DEGREE}", DrSplatWarning, stacklevel=2)
+        warn(f"harmonics of degree {int(degree)} are cut to {MAX_DEGREE}")
     kept = SH_COEFFICIENTS[min(int(degree), MAX_DEGREE)]
     return np.ascontiguousarray(values[: count * stored].reshape(count, stored, 3)[:, :kept])
 

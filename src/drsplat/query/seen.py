@@ -1,13 +1,12 @@
 """Gaussians that a view may see: all of a scene in memory, some tiles of one on disk."""
 
-import warnings
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from ..base.arrays import Indices, RowIds
-from ..errors import DrSplatWarning
+from ..errors import warn
 from ..field import LanguageField
 from ..field.tiles.seeing import seen_tiles
 from ..formats.tiles import Tile, Tiles
@@ -37,12 +36,11 @@ class Seen(NamedTuple):
     def warn(self, view: View) -> None:
         """Warn that a picture lacks something: DrSplatWarning."""
         if self.num_left_out:
-            warnings.warn(
+            warn(
                 f"view '{view.name}' may see {len(self.gaussians) + self.num_left_out:,} Gaussians, and a picture of "
                 f"tiles has room for {MAX_GAUSSIANS_SEEN:,}: of far tiles the most significant are drawn; look from "
                 "nearer",
-                DrSplatWarning,
-                stacklevel=3,
+                3,
             )
 
     def local(self, ids: RowIds) -> Indices:

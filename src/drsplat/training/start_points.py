@@ -1,6 +1,5 @@
 """Starting points of the Gaussians: given ones, else triangulated ones, else random ones."""
 
-import warnings
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -8,7 +7,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..base.arrays import Doubles, Flags, Float64, OtherDoubles, OtherPoints, PlanePoints, Points
-from ..errors import DrSplatWarning, InputError
+from ..errors import InputError, warn
 from ..formats.captures import SparsePoints
 from ..scene.views import View
 from .settings import TrainingSettings
@@ -71,12 +70,11 @@ def _triangulated_start(
     if count >= ENOUGH_POINTS:
         return Start(SparsePoints(found.positions, found.colors), count)
     drawn = _random_places(views, found.positions, settings, rng)
-    warnings.warn(
+    warn(
         f"triangulating {found.photos} photos gave {count:,} of the {ENOUGH_POINTS} points that would do (they show "
         f"little texture, or little of the same): training starts from {len(drawn):,} random points as well, where "
         "several cameras look, which takes longer and ends worse. Points of another tool can be given (points=FILE)",
-        DrSplatWarning,
-        stacklevel=5,
+        5,
     )
     positions = np.concatenate([found.positions, drawn])
     grey = np.full(drawn.shape, DEFAULT_GREY, np.uint8)
@@ -102,12 +100,11 @@ def _random_places(
 def _warn_of_wrong_poses(found: Triangulation) -> None:
     if found.alike < MIN_ALIKE_MATCHES or found.agreeing >= MIN_AGREEING_SHARE * found.alike:
         return
-    warnings.warn(
+    warn(
         f"only {found.agreeing:,} of {found.alike:,} matches between photos agree with their poses "
         f"({found.agreeing / found.alike:.1%}; of right poses, 40 % and more): check that the poses are of these "
         "photos, and the axes and lens of the file that they come from",
-        DrSplatWarning,
-        stacklevel=6,
+        6,
     )
 
 

@@ -1,13 +1,12 @@
 """How a hole that a removal leaves is closed: what is cloned from beside it, and what is left open."""
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
 from scipy import ndimage
 
 from ...base.arrays import Indices, Int64, Mask, Points, RowIds
-from ...errors import DrSplatWarning, InputError
+from ...errors import InputError, warn
 from ...formats.json_files import spans_of
 from ...scene.boxes import HAZE_OPACITY
 from .draft import Draft
@@ -107,4 +106,4 @@ def _warn_if_open(open_share: float) -> None:
     """Warn where much of a hole stays open."""
     if open_share > 1 - WARNED_CLOSED_SHARE:
         message = f"fill: of one plane {1 - open_share:.0%} of the hole could be closed"
-        warnings.warn(message, DrSplatWarning, stacklevel=5)
+        warn(message, 5)

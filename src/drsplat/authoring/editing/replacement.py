@@ -1,14 +1,13 @@
 """An object of another scene in the place of one, and changes that look at the scene once, when they are made."""
 
 import os
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ...base.arrays import Indices, Int64, Matrix4, RowIds, Vector3
-from ...errors import DrSplatWarning, InputError, MismatchError
+from ...errors import InputError, MismatchError, warn
 from ...formats.json_files import are_rows, ids_of, is_text, spans_of
 from ...formats.scenes import read_gaussians
 from ...kernels.boxes import box_of
@@ -50,11 +49,10 @@ class Replace:
         other = draft.read(self.scene)
         if draft.antialiased != other.antialiased:
             kinds = ("antialiased (mip)", "not") if other.antialiased else ("not antialiased", "antialiased (mip)")
-            warnings.warn(
+            warn(
                 f"replace: what comes was trained to be drawn {kinds[0]}, the scene {kinds[1]}: drawn as the scene is, "
                 "its small Gaussians look somewhat too solid or too faint from afar",
-                DrSplatWarning,
-                stacklevel=4,
+                3,
             )
         draft.most = max(draft.most, most_rows(len(other)))
         draft.present[ids] = False

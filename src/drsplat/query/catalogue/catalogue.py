@@ -1,7 +1,6 @@
 """Catalogue of many scenes, searched at once."""
 
 import os
-import warnings
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...base.arrays import Embeddings
-from ...errors import DrSplatWarning, InputError
+from ...errors import InputError, warn
 from ...field.codes import Track, untracked
 from ...formats.claiming import claimed_output
 from ...formats.georeference import read_georeference
@@ -131,9 +130,7 @@ class Catalogue:
         rows = rows_of(opened, called, folder, added, georeference, track)
         self._write(called, folder, rows, opened.field.encoder)
         if rows.pictured < len(rows):
-            warnings.warn(
-                f"{called}: no thumbnails: they need the scene's Gaussians and its photos", DrSplatWarning, stacklevel=2
-            )
+            warn(f"{called}: no thumbnails: they need the scene's Gaussians and its photos")
         return SceneEntry(
             called, len(rows), int(opened.agreed.sum()), added, opened.field.fingerprint, folder, "current"
         )
