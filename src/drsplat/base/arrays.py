@@ -7,6 +7,7 @@ are of their libraries only where jaxtyping is loaded already, as by the tests.
 """
 
 import sys
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -120,9 +121,15 @@ FloatRows = Float32[np.ndarray, "n k"]
 """Numbers in single precision, a row of each."""
 OtherEmbeddings = Float32[np.ndarray, "m D"]
 """Vectors of an encoder, of another number than `Embeddings` beside them."""
+Arrays: TypeAlias = dict[str, np.ndarray]
+"""Arrays by name, such as the columns of a file."""
+ArraysByName: TypeAlias = Mapping[str, np.ndarray]
+"""The same, to read only."""
 
 __all__ = [
     "Anywhere",
+    "Arrays",
+    "ArraysByName",
     "Bool",
     "ByteRows",
     "ByteValues",

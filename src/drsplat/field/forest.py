@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..base.arrays import (
+    Arrays,
     Bool,
     ByteValues,
     Embeddings,
@@ -231,7 +232,7 @@ class Objects:
         """Return the unit embeddings of a node. Raises: InputError: no such node."""
         return self.descriptors[slice(*self.descriptor_starts[self._checked(node) :][:2])]
 
-    def tensors(self) -> dict[str, np.ndarray]:
+    def tensors(self) -> Arrays:
         """Return its arrays by name, as they are written to files."""
         return {name: getattr(self, name) for name in ARRAYS}
 

@@ -31,7 +31,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Float32, FloatRows, Harmonics, Quats, Shaped, UnsignedIds, Vector3, Vectors
+from ..base.arrays import Arrays, Float32, FloatRows, Harmonics, Quats, Shaped, UnsignedIds, Vector3, Vectors
 from ..errors import FormatError, InputError, warn
 from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians, filled, flat
 from ..scene.placing import local_origin
@@ -224,7 +224,7 @@ def _rest_names(names: list[str], element: str = "vertex") -> list[str]:
     return rest
 
 
-def extra_columns(rows: Records, known: set[str]) -> dict[str, np.ndarray]:
+def extra_columns(rows: Records, known: set[str]) -> Arrays:
     """Return copies, in native byte order, of the columns that are not `known`."""
     names = [name for name in rows.dtype.names or () if name not in known]
     extra = {name: rows[name].astype(rows.dtype[name].newbyteorder("=")) for name in names}
@@ -233,7 +233,7 @@ def extra_columns(rows: Records, known: set[str]) -> dict[str, np.ndarray]:
     return extra
 
 
-def vertex_columns(gaussians: Gaussians) -> dict[str, np.ndarray]:
+def vertex_columns(gaussians: Gaussians) -> Arrays:
     """Return pre-activation columns in the published order, normals among them, without other extras.
 
     Normals are those of `extra`, or zero, as trainers write them: viewers of 3DGS read rows of a fixed length.

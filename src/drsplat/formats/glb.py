@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Ids, Matrix3, Matrix4
+from ..base.arrays import Arrays, Ids, Matrix3, Matrix4
 from ..base.contents import file_bytes
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians, concatenated
@@ -227,8 +227,8 @@ def _coefficients(attributes: Entry) -> tuple[str, ...]:
     return HARMONICS[:count]
 
 
-def _columns(gltf: Gltf, primitive: Entry, attributes: Entry, count: int) -> dict[str, np.ndarray]:
-    columns: dict[str, np.ndarray] = {}
+def _columns(gltf: Gltf, primitive: Entry, attributes: Entry, count: int) -> Arrays:
+    columns: Arrays = {}
     if FEATURE_ID in attributes:
         columns["object_id"] = _object_ids(gltf, primitive, attributes)
     if RELEVANCY in attributes:

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..base.arrays import Arrays
 from ..base.contents import open_file
 from ..errors import FormatError, InputError, MismatchError
 from ..scene.gaussians import Gaussians
@@ -99,7 +100,7 @@ def write_motion(folder: Path, moving: Moving, overwrite: bool = False) -> None:
         write_tensors(temporary / MOTION, {**stamps, **tensors}, metadata | sums)
 
 
-def _check(tensors: dict[str, np.ndarray], metadata: dict[str, str], canonical: Gaussians, where: str) -> None:
+def _check(tensors: Arrays, metadata: dict[str, str], canonical: Gaussians, where: str) -> None:
     scene = metadata.get("scene")
     if scene != canonical.fingerprint:
         raise MismatchError(
@@ -114,7 +115,7 @@ def _check(tensors: dict[str, np.ndarray], metadata: dict[str, str], canonical: 
 
 
 def _frames(
-    tensors: dict[str, np.ndarray], canonical: Gaussians, sums: dict[str, list[str]] | None, where: str
+    tensors: Arrays, canonical: Gaussians, sums: dict[str, list[str]] | None, where: str
 ) -> Callable[[int], Gaussians]:
     def value(name: str, number: int) -> np.ndarray:
         if name not in tensors:

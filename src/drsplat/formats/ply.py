@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Colors, FloatRows, Points, Shaped
+from ..base.arrays import Arrays, Colors, FloatRows, Points, Shaped
 from ..base.contents import file_bytes
 from ..errors import FormatError, InputError, placed, warn
 from .replacing import replacing
@@ -144,7 +144,7 @@ def read_elements(buffer: memoryview, header: Header, names: Collection[str]) ->
         if header.elements[name].has_lists or not header.elements[name].properties:
             raise FormatError(f"PLY element '{name}' must hold scalar properties, and only those")
     if header.order == "=":
-        found: dict[str, np.ndarray] = {}
+        found: Arrays = {}
         rows = (line for line in io.BytesIO(buffer[header.body :]) if not line.isspace())
         for element in header.elements.values():
             if len(found) == len(names):
@@ -158,7 +158,7 @@ def read_elements(buffer: memoryview, header: Header, names: Collection[str]) ->
 
 
 def _read_binary(buffer: memoryview, header: Header, names: Collection[str]) -> dict[str, Records]:
-    found: dict[str, np.ndarray] = {}
+    found: Arrays = {}
     offset = header.body
     for element in header.elements.values():
         if element.has_lists:

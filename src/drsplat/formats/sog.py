@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Float32, FloatRows, Harmonics, Numbers, Quats, UInt8, Vector3, Vectors
+from ..base.arrays import Arrays, Float32, FloatRows, Harmonics, Numbers, Quats, UInt8, Vector3, Vectors
 from ..base.contents import file_bytes, open_file
 from ..errors import FormatError
 from ..scene.gaussians import Gaussians, flat
@@ -249,7 +249,7 @@ class _Sog:
         sh = self._harmonics(colours)
         # the object of each Gaussian, -1 for none, and its relevancy, as far as they are there
         own = self.own
-        columns: dict[str, np.ndarray] = {}
+        columns: Arrays = {}
         if "object_id" in own:
             low, middle, high = self._plane_of(own, "object_id")[:, :3].T.astype(np.int32)
             columns["object_id"] = (low | middle << 8 | high << 16) - 1

@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Float32, Harmonics, Quats, UInt8
+from ..base.arrays import Arrays, Float32, Harmonics, Quats, UInt8
 from ..base.contents import file_bytes
 from ..errors import FormatError, warn
 from ..scene.gaussians import Gaussians
@@ -109,7 +109,7 @@ def read_spz_labels(path: Path) -> Labels:
     return parse_labels(content, f"{path}: extension") if content else Labels()
 
 
-def _objects(extensions: bytes, count: int) -> tuple[dict[str, np.ndarray], bytes]:
+def _objects(extensions: bytes, count: int) -> tuple[Arrays, bytes]:
     """Return the columns of drsplat's extension, and its labels as JSON; neither where there is none."""
     payload = next((content for kind, content in _records(extensions) if kind == OBJECTS), None)
     if payload is None:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Numbers, Vector3, Vectors
+from ..base.arrays import Arrays, Numbers, Vector3, Vectors
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians, ShapesDigest, drawn_alike, filled
 from ..scene.morton import morton_order
@@ -137,7 +137,7 @@ class Tiles:
                 self._read(tile, kind, expected)
         return [TILES, *(file_name(tile, kind) for tile in self.tiles for kind in _KINDS)]
 
-    def _read(self, tile: Tile, kind: str, expected: Mapping[str, tuple[str, str]]) -> dict[str, np.ndarray]:
+    def _read(self, tile: Tile, kind: str, expected: Mapping[str, tuple[str, str]]) -> Arrays:
         path = self.path / file_name(tile, kind)
         try:
             arrays, metadata = read_tensors(path)

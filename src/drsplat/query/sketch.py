@@ -8,6 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from ..base.arrays import (
+    Arrays,
+    ArraysByName,
     ByteRows,
     Embedding,
     Embeddings,
@@ -218,7 +220,7 @@ def _narrow(numbers: Ids) -> WholeNumbers:
     return numbers.astype(np.int16) if is_short else numbers
 
 
-def _read(arrays: Mapping[str, np.ndarray], name: str, dim: int) -> Packed:
+def _read(arrays: ArraysByName, name: str, dim: int) -> Packed:
     """Return vectors; none where the file has none. Raises: KeyError, ValueError: something else."""
     if name not in arrays:
         return Packed.none(dim)
@@ -284,7 +286,7 @@ class _Copies:
     def run(self, begin: int, end: int) -> "_Copies":
         return _Copies(self.packed, self.of_row[begin:end])
 
-    def tensors(self) -> dict[str, np.ndarray]:
+    def tensors(self) -> Arrays:
         return {"data": self.packed.data, "steps": self.packed.steps, "of_row": self.of_row}
 
 

@@ -4,7 +4,7 @@ Significance: which Gaussians a picture lacks most where there is no room for al
 """
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -13,6 +13,7 @@ import numpy as np
 
 from ..base.arrays import (
     Anywhere,
+    ArraysByName,
     Doubles,
     Flags,
     Float,
@@ -55,7 +56,7 @@ class Gaussians:
     scales: Vectors
     opacities: Numbers
     sh: Harmonics
-    extra: Mapping[str, np.ndarray] = field(default_factory=dict)
+    extra: ArraysByName = field(default_factory=dict)
     origin: Vector3 = field(default_factory=lambda: np.zeros(3))
     antialiased: bool = False
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.arrays import Embedding, Ids, Matrix3, Numbers, Vector3
+from ..base.arrays import Arrays, Embedding, Ids, Matrix3, Numbers, Vector3
 from ..errors import InputError
 from .annotations import Annotation
 from .gaussians import Gaussians
@@ -93,7 +93,7 @@ class LabelledScene:
         return np.array([*numbers_of(self.things), -1], np.int32)[self.object_of]
 
     @property
-    def columns(self) -> dict[str, np.ndarray]:
+    def columns(self) -> Arrays:
         """The number of each Gaussian's object and its relevancy, as far as they are known, as columns of a file."""
         columns = {"object_id": self.object_numbers, "relevancy": self.relevancy}
         return {name: column for name, column in columns.items() if column is not None}

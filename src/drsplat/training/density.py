@@ -10,12 +10,12 @@ covariance of Gaussians that share a place), Sec. 3 (relocation, growth by 5 %, 
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from math import comb, sqrt
 
 import numpy as np
 
-from ..base.arrays import Anywhere, Bool, Float32, Float64, Integer
+from ..base.arrays import Anywhere, Arrays, ArraysByName, Bool, Float32, Float64, Integer
 from ..formats.activation import sigmoid
 from ..kernels.cuda.devices import on_host, placed
 from ..kernels.training import SceneParameters
@@ -102,10 +102,10 @@ class AdaptiveDensity:
         large = largest > math.log(self.settings.dense_scale * self.extent)
         return chosen & ~large, chosen & large
 
-    def state(self) -> dict[str, np.ndarray]:
+    def state(self) -> Arrays:
         return {f"density.{name}": on_host(getattr(self, name)) for name in OBSERVED}
 
-    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+    def restore(self, state: ArraysByName) -> None:
         for name in OBSERVED:
             setattr(self, name, placed(np.array(state[f"density.{name}"], np.float32), getattr(self, name)))
 
@@ -200,10 +200,10 @@ class MonteCarlo:
         noise *= (strength[rows] * np.float32(s.noise_rate * rate))[:, None]
         p.means[rows] += spread(p.quats[rows], np.exp(p.log_scales[rows]), noise)
 
-    def state(self) -> dict[str, np.ndarray]:
+    def state(self) -> Arrays:
         return {}
 
-    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+    def restore(self, state: ArraysByName) -> None:
         """Restore nothing: the generator's state is all that there is, and the loop restores it."""
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Vector3
+from ..base.arrays import ArraysByName, Vector3
 from ..errors import FormatError, InputError, MismatchError, warn
 from ..formats.captures import SparsePoints
 from ..formats.checksums import hash_file
@@ -148,7 +148,7 @@ def _check_length(path: Path, run: Run, planned: int) -> None:
         )
 
 
-def _check_values(arrays: Mapping[str, np.ndarray], texts: Mapping[str, str], run: Run) -> None:
+def _check_values(arrays: ArraysByName, texts: Mapping[str, str], run: Run) -> None:
     """Check a checkpoint's values. Raises: ValueError: sizes or indices that a run of these settings cannot have."""
     for name, array in run.optimizer.state().items():
         if arrays[name].shape[1:] != array.shape[1:]:

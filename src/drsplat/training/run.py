@@ -14,7 +14,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ..base.arrays import Anywhere, Float32, Image, Vector3
+from ..base.arrays import Anywhere, Arrays, ArraysByName, Float32, Image, Vector3
 from ..errors import DrSplatError, InputError
 from ..formats.captures import SparsePoints
 from ..kernels.training import Rates, TrainingView, forward, photometric_loss
@@ -262,7 +262,7 @@ class Run:
         """Return the present scene in world coordinates. Raises: as `Optimizer.gaussians`."""
         return replace(self.optimizer.gaussians(), origin=self.origin, antialiased=self.settings.antialiased)
 
-    def state(self) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    def state(self) -> tuple[Arrays, dict[str, str]]:
         """Return the arrays and texts from which `restore` goes on."""
         arrays = self.optimizer.state() | self.density.state() | self.order.state()
         texts = {
@@ -275,7 +275,7 @@ class Run:
         }
         return arrays, texts
 
-    def restore(self, arrays: Mapping[str, np.ndarray], texts: Mapping[str, str]) -> None:
+    def restore(self, arrays: ArraysByName, texts: Mapping[str, str]) -> None:
         """Become the run that `state` was taken of."""
         self.optimizer = self._placed(Optimizer.from_state(arrays))
         self.density.restore(arrays)

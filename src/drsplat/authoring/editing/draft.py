@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...base.arrays import (
+    Arrays,
     Doubles,
     Flags,
     Float64,
@@ -50,7 +51,7 @@ class Draft:
     scales: Vectors
     opacities: Numbers
     sh: Harmonics
-    extra: dict[str, np.ndarray]
+    extra: Arrays
     origin: Vector3
     present: Flags
     homes: Vectors

@@ -4,7 +4,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from ...base.arrays import Embedding, Embeddings, Float32, FloatRows, Ids, Int64, Numbers, WholeNumbers
+from ...base.arrays import Arrays, Embedding, Embeddings, Float32, FloatRows, Ids, Int64, Numbers, WholeNumbers
 from ...errors import InputError
 
 
@@ -71,7 +71,7 @@ class Code(Protocol):
         Raises: InputError: a run that begins in the middle of rows that are scanned together.
         """
 
-    def tensors(self) -> dict[str, np.ndarray]:
+    def tensors(self) -> Arrays:
         """Return all arrays by name, as they are written to files."""
 
 

@@ -3,14 +3,14 @@
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import ByteRows, Embeddings, Float32, Numbers, RowIds, UInt16
+from ...base.arrays import Arrays, ArraysByName, ByteRows, Embeddings, Float32, Numbers, RowIds, UInt16
 from ...errors import FormatError, InputError, MismatchError
 from ...formats.embedding_record import encoder_from_json
 from ...formats.faiss_index import is_faiss
@@ -187,7 +187,7 @@ class Codebook:
             if largest >= len(self.coarse):
                 raise InputError(f"coarse id {largest}, but there are {len(self.coarse)} coarse centroids")
 
-    def tensors(self) -> dict[str, np.ndarray]:
+    def tensors(self) -> Arrays:
         """Return the arrays by name, as they are written to files."""
         return {"centroids": self.centroids} | ({} if self.coarse is None else {"coarse": self.coarse})
 
@@ -261,9 +261,7 @@ def load_codebook(path: str | os.PathLike[str]) -> Codebook:
     return codebook_from_tensors(tensors, identity, metadata.get("hash"), str(path))
 
 
-def codebook_from_tensors(
-    tensors: Mapping[str, np.ndarray], identity: object, expected_hash: object, where: str
-) -> Codebook:
+def codebook_from_tensors(tensors: ArraysByName, identity: object, expected_hash: object, where: str) -> Codebook:
     """Return the codebook of a file's arrays and the JSON identity of its encoder, checked by its hash.
 
     Raises: FormatError: something is missing or ill-formed, or the hash differs.

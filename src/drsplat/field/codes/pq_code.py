@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ...base.arrays import Embedding, Embeddings, FloatRows, Numbers, UInt8, UInt16, WholeNumbers
+from ...base.arrays import Arrays, Embedding, Embeddings, FloatRows, Numbers, UInt8, UInt16, WholeNumbers
 from ...errors import InputError
 from ...kernels import (
     GroupedRows,
@@ -127,7 +127,7 @@ class PQCode:
         part.__dict__["_scale"] = self._scale
         return part
 
-    def tensors(self) -> dict[str, np.ndarray]:
+    def tensors(self) -> Arrays:
         """See Code."""
         arrays = {"grouped_codes": self.grouped, "inverse_norms": self.inverse_norms}
         if self.coarse_ids is not None:

@@ -8,7 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Embedding, Embeddings, Ids, Numbers, OtherDoubles, RowIds, Sparse, WholeNumbers
+from ...base.arrays import (
+    Arrays,
+    ArraysByName,
+    Embedding,
+    Embeddings,
+    Ids,
+    Numbers,
+    OtherDoubles,
+    RowIds,
+    Sparse,
+    WholeNumbers,
+)
 from ...base.contents import release
 from ...errors import FormatError, InputError
 from ...formats.tensors import check_tensors
@@ -185,7 +196,7 @@ class Evidence:
         masks = self.masks
         return Explanation(masks.view_names[masks.views[column]], int(masks.ids[column]), share)
 
-    def tensors(self) -> dict[str, np.ndarray]:
+    def tensors(self) -> Arrays:
         """Return the arrays by name, as they are written to files; `metadata` holds the rest."""
         of_time = {} if self.masks.times is None else {"view_times": self.masks.times}
         return {
@@ -239,7 +250,7 @@ _ARRAYS = {
 _TIMES = {"view_times": ("float64", "v")}  # of scenes that move
 
 
-def evidence_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str], where: str) -> Evidence:
+def evidence_from_tensors(tensors: ArraysByName, metadata: Mapping[str, str], where: str) -> Evidence:
     """Return the evidence of a file's arrays without copying them: a memory map stays one.
 
     Raises: FormatError: an array is missing, of another type, or does not fit the others.

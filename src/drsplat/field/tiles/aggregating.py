@@ -6,7 +6,7 @@ run -> whose features its rows have               of the rows around, in whateve
 """
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,7 +14,18 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from ...base.arrays import DoubleRows, Doubles, Embeddings, Flags, IndexRows, Indices, OtherIndices, Vectors
+from ...base.arrays import (
+    Arrays,
+    ArraysByName,
+    DoubleRows,
+    Doubles,
+    Embeddings,
+    Flags,
+    IndexRows,
+    Indices,
+    OtherIndices,
+    Vectors,
+)
 from ...base.contents import pieces
 from ...formats.tensors import map_tensors
 from ...formats.tiles import Tile
@@ -67,7 +78,7 @@ class RowFiles:
     def name(self, run: Run) -> str:
         return rows_name(run, self.folder)
 
-    def arrays(self, run: Run) -> Mapping[str, np.ndarray]:
+    def arrays(self, run: Run) -> ArraysByName:
         return map_tensors(self.store.bring(self.name(run)))[0]
 
     def weights(self, run: Run) -> csr_array:
@@ -82,7 +93,7 @@ class RowFiles:
         return Evidence(self.weights(run), self.masks, self.embeddings())
 
 
-Making = Callable[[RowFiles, Run, int], dict[str, np.ndarray]]
+Making = Callable[[RowFiles, Run, int], Arrays]
 """(rows, run, threads) -> arrays of a file."""
 
 
@@ -108,7 +119,7 @@ class RowTask:
 class Tallying:
     """A `Making` of what a run adds to the trust in masks."""
 
-    def __call__(self, rows: RowFiles, run: Run, threads: int) -> dict[str, np.ndarray]:
+    def __call__(self, rows: RowFiles, run: Run, threads: int) -> Arrays:
         counted = tally(rows.evidence(run), threads)
         (columns,) = np.nonzero(counted.weights)
         return {"columns": columns, "surpluses": counted.surpluses[columns], "weights": counted.weights[columns]}
@@ -121,7 +132,7 @@ class Weighing:
     step: MaskTrust | OutlierRejection
     trust: Doubles | None = None
 
-    def __call__(self, rows: RowFiles, run: Run, threads: int) -> dict[str, np.ndarray]:
+    def __call__(self, rows: RowFiles, run: Run, threads: int) -> Arrays:
         evidence = rows.evidence(run)
         if isinstance(self.step, MaskTrust) and self.trust is not None:
             return _arrays(self.step.weighed(evidence, self.trust).weights)
@@ -132,7 +143,7 @@ class Weighing:
 class Believing:
     """A `Making` of how reliable rows are."""
 
-    def __call__(self, rows: RowFiles, run: Run, threads: int) -> dict[str, np.ndarray]:
+    def __call__(self, rows: RowFiles, run: Run, threads: int) -> Arrays:
         return {"reliability": reliability(rows.evidence(run), threads)}
 
 
@@ -149,7 +160,7 @@ class Voting:
     gallery: Gallery
     runs: Sequence[Run]
 
-    def __call__(self, rows: RowFiles, run: Run, threads: int) -> dict[str, np.ndarray]:
+    def __call__(self, rows: RowFiles, run: Run, threads: int) -> Arrays:
         own = self._trust(run)
         donors = np.where(own > 0, run.first + np.arange(len(own)), -1)
         receivers = run.first + np.flatnonzero(np.diff(self.registered.weights(run).indptr) > 0)
@@ -242,7 +253,7 @@ class OfColumns:
 
     kept: Flags
 
-    def __call__(self, rows: RowFiles, run: Run, threads: int) -> dict[str, np.ndarray]:
+    def __call__(self, rows: RowFiles, run: Run, threads: int) -> Arrays:
         w = rows.weights(run)
         held = self.kept[w.indices] & (w.data > 0)
         starts = np.append(0, np.cumsum(held))[w.indptr]
@@ -334,7 +345,7 @@ class TileAggregator(OnRuns):
         return Evidence(weights, self.evidence.masks, self.evidence.embeddings)
 
 
-def _arrays(w: csr_array) -> dict[str, np.ndarray]:
+def _arrays(w: csr_array) -> Arrays:
     return {"indptr": w.indptr.astype(np.int64), "indices": w.indices.astype(np.int32), "data": w.data}
 
 

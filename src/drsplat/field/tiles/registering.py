@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Embeddings, Flags, Ids, Indices, UnsignedIds
+from ...base.arrays import Arrays, ArraysByName, Embeddings, Flags, Ids, Indices, UnsignedIds
 from ...base.contents import pieces
 from ...formats.tensors import map_tensors, write_tensors
 from ...formats.tiles import Tiles
@@ -201,7 +201,7 @@ class Rows:
         return weighted_rows(w.indptr, w.indices, w.data, self.embeddings, begin, end, threads=threads)
 
 
-Coding = Callable[[Rows, int], dict[str, np.ndarray]]
+Coding = Callable[[Rows, int], Arrays]
 """(rows, threads) -> arrays with an item for each row."""
 
 
@@ -213,7 +213,7 @@ class Mixing:
     scene: SceneAtoms | None
     columns: Ids | None = None
 
-    def __call__(self, rows: Rows, threads: int) -> dict[str, np.ndarray]:
+    def __call__(self, rows: Rows, threads: int) -> Arrays:
         own = np.unique(rows.weights.indices)
         own = own if self.columns is None else np.intersect1d(own, self.columns, assume_unique=True)
         plan = plan_of(rows.embeddings, own, self.scene)
@@ -235,7 +235,7 @@ class Quantising:
 
     codebook: Codebook
 
-    def __call__(self, rows: Rows, threads: int) -> dict[str, np.ndarray]:
+    def __call__(self, rows: Rows, threads: int) -> Arrays:
         (codes, coarse_ids), directed = encode_features(rows, self.codebook, threads, untracked)
         return {"codes": codes, "directed": directed} | ({} if coarse_ids is None else {"coarse_ids": coarse_ids})
 
@@ -327,14 +327,14 @@ class TileCoder(OnRuns):
         arrays = self._coded(features, Quantising(codebook), track)
         return Codes(arrays["codes"], arrays.get("coarse_ids")), arrays["directed"]
 
-    def _coded(self, features: OfTiles, coding: Mixing | Quantising, track: Track) -> dict[str, np.ndarray]:
+    def _coded(self, features: OfTiles, coding: Mixing | Quantising, track: Track) -> Arrays:
         """Return the coded arrays of all rows that have weights, one after another."""
         task = CodeTask(self.store, coding, features.folder, self._key_of(features, coding), self.threads)
         self.store.send(EMBEDDINGS_FILE)
         names = [run.name for run in self.runs]
         for _ in followed(self.launcher.results(task, self.runs), track, names, "coding Gaussians"):
             pass
-        files: list[Mapping[str, np.ndarray]] = [map_tensors(self.store.bring(task.name(run)))[0] for run in self.runs]
+        files: list[ArraysByName] = [map_tensors(self.store.bring(task.name(run)))[0] for run in self.runs]
         return {name: np.concatenate([file[name] for file in files]) for name in files[0]}
 
     def _key_of(self, features: OfTiles, coding: Mixing | Quantising) -> str:

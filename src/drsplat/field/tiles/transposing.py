@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Indices
+from ...base.arrays import Arrays, Indices
 from ...base.contents import pieces
 from ...formats.replacing import replacing
 from ...formats.tensors import map_tensors
@@ -59,7 +59,7 @@ class RowMaker:
         """Make the rows of a run; return True if they were made, and not there already."""
         return make_once(self.store, rows_name(run), self.key, lambda: self._rows(run))
 
-    def _rows(self, run: Run) -> dict[str, np.ndarray]:
+    def _rows(self, run: Run) -> Arrays:
         parts = [_held(NO_TRIPLES)] * len(self.views)
         for view in run.views.tolist():
             parts[view] = _held(_part(self.store.bring(self.views[view]), run.first, run.num_rows))

@@ -17,6 +17,8 @@ import numpy as np
 from ...authoring.filming.looking import FOV_DEGREES
 from ...authoring.filming.paths import CameraPath
 from ...base.arrays import (
+    Arrays,
+    ArraysByName,
     ByteRows,
     ByteValues,
     Doubles,
@@ -188,7 +190,7 @@ class _Standing:
         return self.session.edits.standing
 
 
-def arrays_of(times: PageTimes) -> dict[str, np.ndarray]:
+def arrays_of(times: PageTimes) -> Arrays:
     """Return the arrays that a page unpacks: each time but the first as its difference, as much stays the same."""
     turns = times.covariances.view(np.uint16)
     return {"places": _steps(times.places), "turns": _steps(turns), "fades": _steps(times.opacities)}
@@ -276,7 +278,7 @@ def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False
         file.write(text.encode())
 
 
-def packed(arrays: Mapping[str, np.ndarray]) -> tuple[list[tuple[str, str, int, int]], bytes]:
+def packed(arrays: ArraysByName) -> tuple[list[tuple[str, str, int, int]], bytes]:
     """Return arrays one after the other, little endian: name, kind, offset in bytes and count of each."""
     layout, parts, offset = [], [], 0
     for name, array in arrays.items():
@@ -300,15 +302,15 @@ def _order(page: Page) -> RowIds:
     return np.concatenate([page.times.order[:count], still[np.argsort(-weight[still], kind="stable")]])
 
 
-def _arrays(page: Page, order: RowIds) -> dict[str, np.ndarray]:
-    arrays: dict[str, np.ndarray] = {}
+def _arrays(page: Page, order: RowIds) -> Arrays:
+    arrays: Arrays = {}
     if page.features is not None:
         arrays["features"] = as_bytes(page.features)
     if page.object_numbers is not None:
         arrays["objects"] = page.object_numbers
     for number, answer in enumerate(page.answers):
         arrays[f"heat{number}"], arrays[f"owner{number}"] = as_bytes(answer.heat), answer.owners
-    further: dict[str, np.ndarray] = {} if page.times is None else arrays_of(page.times)
+    further: Arrays = {} if page.times is None else arrays_of(page.times)
     if page.search is not None:
         arrays, further = {**arrays, **page.search.rows}, {**further, **page.search.tables}
     return {name: array[order] for name, array in arrays.items()} | further

@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 
 from ...authoring.filming import looking
-from ...base.arrays import Embedding, Embeddings
+from ...base.arrays import Arrays, ArraysByName, Embedding, Embeddings
 from ...errors import DrSplatError
 from ...field import LanguageField
 from ...kernels import boxes, pq_encode
@@ -64,8 +64,8 @@ class PageSearch:
     document: the numbers of the rules, and the words that are known. about: says which these are, for people.
     """
 
-    rows: Mapping[str, np.ndarray]
-    tables: Mapping[str, np.ndarray]
+    rows: ArraysByName
+    tables: ArraysByName
     document: Document
     about: str
 
@@ -114,7 +114,7 @@ def _numbers(session: Session) -> Document:
     }  # fmt: skip
 
 
-def _cameras(scene: Scene) -> dict[str, np.ndarray]:
+def _cameras(scene: Scene) -> Arrays:
     """Return the photos' cameras, from which matches are looked at."""
     stands = looking.Standpoints.of(scene.views)._asdict()
     return {f"camera_{name}": numbers.astype(np.float32) for name, numbers in stands.items()}
@@ -219,7 +219,7 @@ def _coded(points: Embeddings, stages: int, threads: int) -> Iterator[tuple[np.n
         yield codes, (steps[0] + 128).astype(np.uint8), step
 
 
-def _places(field: LanguageField, rows: np.ndarray) -> dict[str, np.ndarray]:
+def _places(field: LanguageField, rows: np.ndarray) -> Arrays:
     """Return per shown Gaussian 0 without a feature, 1 if it is loose, n + 2 of thing n; and 0 or its piece."""
     things, pieces = np.ones(len(rows), np.uint32), np.zeros(len(rows), np.uint32)
     if field.objects is not None:

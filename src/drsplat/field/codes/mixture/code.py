@@ -1,12 +1,21 @@
 """Features as mixtures of atoms, searched by looking up the score of each atom."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from ....base.arrays import ByteRows, Embedding, Embeddings, FloatRows, Numbers, UInt16, WholeNumbers
+from ....base.arrays import (
+    Arrays,
+    ArraysByName,
+    ByteRows,
+    Embedding,
+    Embeddings,
+    FloatRows,
+    Numbers,
+    UInt16,
+    WholeNumbers,
+)
 from ....errors import FormatError, InputError
 from ....formats.tensors import check_tensors
 from ....kernels.algebra import row_products
@@ -151,7 +160,7 @@ class MixtureCode:
         order = np.argsort(-sums, kind="stable")[:top]
         return [Part(int(masks[i]), float(sums[i] / sums.sum())) for i in order]
 
-    def tensors(self) -> dict[str, np.ndarray]:
+    def tensors(self) -> Arrays:
         """See Code, and `mixture_from_tensors`."""
         arrays = (*self.blocks, *self.atoms.dictionary, self.atoms.masks)
         return dict(zip(_ARRAYS, arrays, strict=True))
@@ -170,7 +179,7 @@ def packed(ids: UInt16[np.ndarray, "n k"], weights: ByteRows, scales: np.ndarray
     return Blocks(blocked(ids), blocked(weights), scales.astype(np.float16))
 
 
-def mixture_from_tensors(tensors: Mapping[str, np.ndarray], where: str) -> MixtureCode:
+def mixture_from_tensors(tensors: ArraysByName, where: str) -> MixtureCode:
     """Return the code of a file's arrays without copying them: a memory map stays one.
 
     Raises: FormatError: an array is missing, of another type, or does not fit the others.

@@ -1,12 +1,12 @@
 """Encoder of words and crops to unit vectors in one space."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from ....base.arrays import Embedding, Embeddings, Float32, OtherPixels, PilImage
+from ....base.arrays import ArraysByName, Embedding, Embeddings, Float32, OtherPixels, PilImage
 from ....errors import InputError, did_you_mean
 from ....formats.tensors import map_tensors
 from ....kernels.algebra import convolve, dense_rows
@@ -20,7 +20,7 @@ INPUT_SIDE_PIXELS = 64
 STRIDES = (2, 2, 1, 2, 1, 2, 1)
 """Strides of the convolutions conv0, conv1 ..., each with one pixel of zeros around its input."""
 
-Tensors = Mapping[str, np.ndarray]
+Tensors = ArraysByName
 
 
 class MiniEncoder:
