@@ -121,12 +121,25 @@ FloatRows = Float32[np.ndarray, "n k"]
 """Numbers in single precision, a row of each."""
 OtherEmbeddings = Float32[np.ndarray, "m D"]
 """Vectors of an encoder, of another number than `Embeddings` beside them."""
+AnyPoints = Float[np.ndarray, "n 3"]
+"""Places in three dimensions, in either precision."""
+Matrices = Float64[np.ndarray, "n 3 3"]
+"""Three rows of three numbers of each, such as the directions of boxes."""
+Spans = Int64[np.ndarray, "n 2"]
+"""Two whole numbers of each, such as first and end of a run."""
+GreyPixels = UInt8[np.ndarray, "h w"]
+"""A picture of one channel."""
+LevelMaskIds = Int32[np.ndarray, "*levels h w"]
+"""The mask of each level that each pixel of a picture is in; -1 for none."""
+SmallIds = UInt16[np.ndarray, " n"]
+"""A number of something of each, below 65,536."""
 Arrays: TypeAlias = dict[str, np.ndarray]
 """Arrays by name, such as the columns of a file."""
 ArraysByName: TypeAlias = Mapping[str, np.ndarray]
 """The same, to read only."""
 
 __all__ = [
+    "AnyPoints",
     "Anywhere",
     "Arrays",
     "ArraysByName",
@@ -144,6 +157,7 @@ __all__ = [
     "Float32",
     "Float64",
     "FloatRows",
+    "GreyPixels",
     "Harmonics",
     "Ids",
     "Image",
@@ -154,8 +168,10 @@ __all__ = [
     "Int32",
     "Int64",
     "Integer",
+    "LevelMaskIds",
     "Mask",
     "MaskIds",
+    "Matrices",
     "Matrix3",
     "Matrix4",
     "Num",
@@ -177,6 +193,8 @@ __all__ = [
     "Real",
     "RowIds",
     "Shaped",
+    "SmallIds",
+    "Spans",
     "Sparse",
     "UInt8",
     "UInt16",

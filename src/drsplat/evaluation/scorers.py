@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from ..base.arrays import Bool, Embedding, Flags, Float32, Float64, FloatRows, Integer, Real
+from ..base.arrays import Bool, Embedding, Float32, Float64, FloatRows, Integer, Real
 from ..errors import MismatchError
 from ..field import LanguageField, relevancy_from_scores
 from ..formats.peer_features import Rows
@@ -172,7 +172,7 @@ def mean_interval(values: Numbers, level: float = 0.95) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def _ratio(part: PerClass, whole: PerClass, present: Flags) -> PerClass:
+def _ratio(part: PerClass, whole: PerClass, present: Bool[np.ndarray, " c"]) -> PerClass:
     return np.divide(part, whole, out=np.full(len(part), np.nan), where=present)
 
 
@@ -206,7 +206,7 @@ class Scorer:
     about: Mapping[str, object] = field(default_factory=dict)
     views: tuple[str, ...] | None = None
     least: float | None = None
-    several: Callable[[Sequence[str]], FloatRows] | None = None
+    several: Callable[[Sequence[str]], Float32[np.ndarray, "q N"]] | None = None
     answer: Callable[[str], tuple[Scores, float]] | None = None
     classes: Callable[[Sequence[str]], Iterator[Scores]] | None = None
 

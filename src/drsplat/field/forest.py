@@ -13,10 +13,10 @@ from ..base.arrays import (
     Embeddings,
     Flags,
     Float32,
-    Float64,
     Ids,
     Indices,
     Int32,
+    Matrices,
     Numbers,
     OtherFlags,
     OtherIds,
@@ -66,7 +66,7 @@ class Objects:
     levels: ByteValues
     sure: Numbers
     centers: Points
-    axes: Float64[np.ndarray, "n 3 3"]
+    axes: Matrices
     extents: Points
     masses: Numbers
     num_views: Ids

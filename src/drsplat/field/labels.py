@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Indices, Int64, RowIds, Vector3
+from ..base.arrays import Indices, RowIds, Spans, Vector3
 from ..errors import FormatError, InputError
 from ..formats.claiming import claimed_output
 from ..formats.json_files import are_rows, as_vector, ids_of, is_text, read_json, runs_of, spans_of, spans_of_runs
@@ -37,7 +37,7 @@ class Label:
 
     name: str
     scene: str
-    spans: Int64[np.ndarray, "s 2"]
+    spans: Spans
     center: Vector3
 
     @classmethod

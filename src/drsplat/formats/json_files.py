@@ -14,7 +14,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import numpy as np
 
-from ..base.arrays import DoubleRows, Doubles, Indices, Int64, Matrix3, Matrix4, RowIds, Vector3
+from ..base.arrays import DoubleRows, Doubles, Matrix3, Matrix4, OtherIndices, RowIds, Spans, Vector3
 from ..base.contents import file_text
 from ..errors import FormatError, InputError
 from .replacing import replacing
@@ -233,7 +233,6 @@ def excerpt(value: object) -> str:
 
 
 MAX_GAUSSIANS = (1 << 31) - 1  # what the native core can count
-Spans = Int64[np.ndarray, "s 2"]
 
 
 def spans_of(ids: RowIds) -> Spans:
@@ -250,7 +249,7 @@ def are_rows(spans: Spans) -> bool:
     return bool(len(ends) and ends[0] >= 0 and (ends[1:] > ends[:-1]).all())
 
 
-def ids_of(spans: Spans) -> Indices:
+def ids_of(spans: Spans) -> OtherIndices:
     """Return the rows that spans stand for. The caller has checked the last one, which may be any number."""
     lengths = spans[:, 1] - spans[:, 0]
     ends = np.cumsum(lengths)

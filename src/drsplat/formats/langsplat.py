@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from ..base.arrays import Embeddings, Indices, Int32, Int64
+from ..base.arrays import Embeddings, Indices, Int64, LevelMaskIds
 from ..base.terminal import counted
 from ..errors import DrSplatError, FormatError, InputError, MismatchError
 from ..scene.encoders import EncoderIdentity
@@ -121,7 +121,7 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
             )
         return features
 
-    def stored(self, name: str) -> tuple[Int32[np.ndarray, "*levels h w"], Embeddings]:
+    def stored(self, name: str) -> tuple[LevelMaskIds, Embeddings]:
         """Return all levels of a photo and its embeddings as they are in its files: what `write_features` takes.
 
         Raises: as indexing does.
@@ -204,7 +204,7 @@ def level_index(level: str | int) -> int:
 def write_features(
     directory: str | Path,
     stem: str,
-    mask_ids: Int32[np.ndarray, "*levels h w"],
+    mask_ids: LevelMaskIds,
     embeddings: Embeddings,
     overwrite: bool = False,
     form: Form = "langsplat",
@@ -267,7 +267,7 @@ def _listed_keys(directory: Path) -> dict[str, Form]:
     return dict(sorted(forms.items()))
 
 
-def stored_features(directory: Path, stem: str, form: Form) -> tuple[Int32[np.ndarray, "*levels h w"], Embeddings]:
+def stored_features(directory: Path, stem: str, form: Form) -> tuple[LevelMaskIds, Embeddings]:
     """See `FeatureFolder.stored`."""
     files = FORMS[form][1](directory, stem)
     maps = np.stack([files.ids(level).astype(np.int32) for level in range(files.count_levels())])

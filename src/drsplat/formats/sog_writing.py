@@ -30,8 +30,8 @@ from ..base.arrays import (
     Numbers,
     OtherEmbeddings,
     Quats,
+    SmallIds,
     UInt8,
-    UInt16,
     Vectors,
 )
 from ..errors import InputError
@@ -228,7 +228,7 @@ def _further(rest: Harmonics) -> tuple[dict[str, object], dict[str, bytes]]:
     return {"shN": {"count": len(palette), "bands": bands, "codebook": book, "files": list(files)}}, files
 
 
-def harmonics_palette(rows: Embeddings) -> tuple[OtherEmbeddings, UInt16[np.ndarray, " n"]]:
+def harmonics_palette(rows: Embeddings) -> tuple[OtherEmbeddings, SmallIds]:
     """Return at most 65,536 entries and the entry of each row; the rows themselves where they are no more.
 
     Otherwise 256 cells of 256 entries, k-means of k-means, so that a row is compared with 512 centroids.

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Float64, Indices, OtherIndices, Points, RowIds, Vector3
+from ..base.arrays import Indices, Matrices, OtherIndices, Points, RowIds, Vector3
 from ..scene.boxes import Box
 from ..scene.gaussians import Gaussians
 from .splats import native
@@ -19,7 +19,7 @@ class Boxes(NamedTuple):
     """Boxes of several sets, one `Box` each."""
 
     center: Points
-    axes: Float64[np.ndarray, "n 3 3"]
+    axes: Matrices
     extent: Points
 
 

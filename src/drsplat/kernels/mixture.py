@@ -19,12 +19,13 @@ from ..base.arrays import (
     Float32,
     FloatRows,
     Ids,
+    Indices,
     Int8,
     Int32,
-    Int64,
     Numbers,
     OtherEmbeddings,
     OtherIds,
+    OtherIndices,
     RowIds,
     UInt8,
     UInt16,
@@ -141,7 +142,7 @@ def mixture_select(
     *,
     threads: int = 0,
     isa: str = "",
-) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
+) -> tuple[OtherIndices, Float32[np.ndarray, " m"]]:
     """Return the rows with score - floor > threshold, ascending, and their scores.
 
     Raises: InputError: shapes disagree, or a query that is not finite.
@@ -153,7 +154,7 @@ def mixture_select(
 
 def mixture_top(
     blocks: Blocks, dictionary: Dictionary, query: Embedding, count: int, *, threads: int = 0, isa: str = ""
-) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
+) -> tuple[Indices, Numbers]:
     """Return the `count` rows with the highest scores, best first, and these scores; the lower row wins ties.
 
     Raises: InputError: shapes disagree, a count below 1, or a query that is not finite.

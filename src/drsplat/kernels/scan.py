@@ -12,7 +12,20 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _native
-from ..base.arrays import ByteRows, Embeddings, Float32, FloatRows, Ids, Int64, Numbers, UInt8, UInt16, WholeNumbers
+from ..base.arrays import (
+    ByteRows,
+    Embeddings,
+    Float32,
+    FloatRows,
+    Ids,
+    Indices,
+    Numbers,
+    OtherIndices,
+    SmallIds,
+    UInt8,
+    UInt16,
+    WholeNumbers,
+)
 from ..errors import InputError
 from .algebra import CENTROIDS
 from .splats import checked_isa, native, native_array
@@ -28,7 +41,7 @@ class GroupedRows(NamedTuple):
 
     codes: UInt8[np.ndarray, "g L 256"]
     inverse_norms: Numbers
-    coarse_ids: UInt16[np.ndarray, " n"] | None = None
+    coarse_ids: SmallIds | None = None
 
 
 class RowShapes(NamedTuple):
@@ -110,7 +123,7 @@ def scan_scores(rows: GroupedRows, tables: QueryTables, how: Scanning = EXACT) -
 
 def scan_above(
     rows: GroupedRows, tables: QueryTables, threshold: float, floor: Numbers | None = None, how: Scanning = EXACT
-) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
+) -> tuple[OtherIndices, Float32[np.ndarray, " m"]]:
     """Return the rows whose score minus `floor` exceeds the threshold, ascending, and their scores; of one query.
 
     Raises: InputError: more than one query, or arrays that do not fit each other.
@@ -122,9 +135,7 @@ def scan_above(
     return matches.view(np.int64), scores  # else "long long"
 
 
-def scan_top(
-    rows: GroupedRows, tables: QueryTables, count: int, how: Scanning = EXACT
-) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
+def scan_top(rows: GroupedRows, tables: QueryTables, count: int, how: Scanning = EXACT) -> tuple[Indices, Numbers]:
     """Return the `count` best rows and their scores, best first, ties to the lower row; of one query.
 
     Raises: InputError: more than one query, a count below 1, or arrays that do not fit each other.

@@ -9,9 +9,9 @@ import numpy as np
 from ..base.arrays import (
     Doubles,
     Embedding,
-    Float64,
     Ids,
     Indices,
+    Matrices,
     Matrix3,
     Numbers,
     PilImage,
@@ -232,7 +232,7 @@ class MatchTrack:
     match: Match
     times: Doubles
     centers: Points
-    axes: Float64[np.ndarray, "n 3 3"]
+    axes: Matrices
     extents: Points
     spans: tuple[Span, ...] = ()
     views: tuple[str, ...] = ()

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..base.arrays import Float64, Integer, Vector3
+from ..base.arrays import Doubles, Float64, Integer, Vector3
 from ..errors import InputError
 from ..scene.boxes import solid
 from ..scene.parted import AnyGaussians
@@ -120,7 +120,7 @@ def lies_under(gaussians: AnyGaussians, thing: Match, other: Match, up: Up) -> b
     return int((_in_column(points, over, up) > top).sum()) >= MIN_OVER
 
 
-def _in_column(points: Points, others: Points, up: Up) -> Float64[np.ndarray, " _"]:
+def _in_column(points: Points, others: Points, up: Up) -> Doubles:
     """Return the heights of those others that are above or below the middle half of some points."""
     flat, middle = np.eye(3) - np.outer(up, up), points.mean(0)
     half = np.quantile(np.linalg.norm((points - middle) @ flat, axis=1), 0.5)
@@ -305,7 +305,7 @@ def _spacing(points: Points) -> float:
     return float(np.median(cKDTree(points).query(points, SPACING_NEIGHBOUR + 1)[0][:, -1]))
 
 
-def _deviations(gaussians: AnyGaussians, ids: Ids, directions: Points) -> Float64[np.ndarray, " _"]:
+def _deviations(gaussians: AnyGaussians, ids: Ids, directions: Points) -> Doubles:
     """Return the standard deviation of each Gaussian along a unit direction of its own."""
     covariances = gaussians.shapes_of(ids).covariances().astype(np.float64)
     a, b = np.triu_indices(3)

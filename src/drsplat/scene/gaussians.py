@@ -21,6 +21,7 @@ from ..base.arrays import (
     Float64,
     Harmonics,
     Indices,
+    Matrices,
     Numbers,
     Points,
     Quats,
@@ -144,7 +145,7 @@ class Gaussians:
         """Return the upper triangles (xx, xy, xz, yy, yz, zz) of R S S^T R^T, in scene units squared."""
         return covariances_of(self.quats, self.scales).T
 
-    def whitening(self) -> Float64[np.ndarray, "n 3 3"]:
+    def whitening(self) -> Matrices:
         """Return inv(S) R^T, which maps offsets from the mean to a space where the Gaussian is a unit sphere."""
         inverse = self.quats.astype(np.float64) * [1, -1, -1, -1]
         return rotation_matrices(inverse) / self.scales.astype(np.float64)[:, :, None]

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..base.arrays import DoubleRows, Doubles, Float64, FloatRows, Indices, Int, OtherIndices, Quats, Vectors
+from ..base.arrays import DoubleRows, Doubles, Float64, FloatRows, Indices, Int, Matrices, OtherIndices, Quats, Vectors
 from ..errors import InputError
 from .gaussians import SH_C0, Gaussians
 
@@ -128,7 +128,7 @@ def shapes_of(covariances: Float64[np.ndarray, "n 6"]) -> tuple[Quats, Vectors]:
     return quaternions_of(axes), scales
 
 
-def quaternions_of(rotations: Float64[np.ndarray, "n 3 3"]) -> Quats:
+def quaternions_of(rotations: Matrices) -> Quats:
     """Return the unit quaternions (w, x, y, z) of rotation matrices, from the largest component of each."""
     m = rotations.transpose(1, 2, 0)
     products = np.array(  # 4 q q^T

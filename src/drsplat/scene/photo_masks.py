@@ -9,7 +9,7 @@ from warnings import warn
 import numpy as np
 from PIL import Image
 
-from ..base.arrays import Mask, Pixels, UInt8
+from ..base.arrays import GreyPixels, Mask, Pixels
 from ..base.contents import open_file
 from ..errors import DrSplatWarning, FormatError, MismatchError
 from .photos import PHOTO_FORMATS, check_cost, photo_size, undistort_ids
@@ -39,7 +39,7 @@ def read_mask(path: Path) -> Image.Image:
         raise FormatError(f"{path}: cannot be read as a mask: {error}") from error
 
 
-def _kept(coded: Image.Image) -> UInt8[np.ndarray, "h w"]:
+def _kept(coded: Image.Image) -> GreyPixels:
     """Return how white a mask is, from 0 to 255."""
     if "transparency" in coded.info or "A" in coded.getbands():
         rgba = np.asarray(coded.convert("RGBA"))
@@ -58,14 +58,14 @@ def _kept(coded: Image.Image) -> UInt8[np.ndarray, "h w"]:
     return np.where(grey > 0, np.uint8(_WHITE), np.uint8(0)) if is_dark else grey
 
 
-def _of_alpha(grey: UInt8[np.ndarray, "h w"], alpha: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
+def _of_alpha(grey: GreyPixels, alpha: GreyPixels) -> GreyPixels:
     """Return a mask with transparency: a drawing of black and white on black, of anything else its alpha."""
     seen = grey[alpha >= MIN_WHITE]
     white, black = (seen >= _WHITE - _NEARLY).mean(), (seen <= _NEARLY).mean()
     return np.minimum(grey, alpha) if white and black and white + black == 1 else alpha
 
 
-def _of_colours(rgb: Pixels, *, is_palette: bool, lossy: bool) -> UInt8[np.ndarray, "h w"]:
+def _of_colours(rgb: Pixels, *, is_palette: bool, lossy: bool) -> GreyPixels:
     """Return the mask of a coloured picture: colours are labels of what is kept, and black is none."""
     brightest = rgb.max(2)
     if lossy or (brightest - rgb.min(2) <= _NEARLY).all():

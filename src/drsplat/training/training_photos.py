@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from ..base.arrays import Arrays, ArraysByName, Bool, Float32, Mask, Pixels, RowIds, WholeNumbers
+from ..base.arrays import Arrays, ArraysByName, Float32, Mask, OtherFlags, Pixels, RowIds, WholeNumbers
 from ..scene.photo_masks import load_mask
 from ..scene.photos import load_image, photo_coverage
 from ..scene.views import View
@@ -26,7 +26,7 @@ class Photo(NamedTuple):
     left_out: Mask | None = None
 
     @property
-    def unused(self) -> WholeNumbers | Bool[np.ndarray, " hw"]:
+    def unused(self) -> WholeNumbers | OtherFlags:
         """The flat pixels that take no part: their indices or, where there is a mask, a mark for each pixel."""
         if self.left_out is None:
             return self.outside

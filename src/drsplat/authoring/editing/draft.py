@@ -275,7 +275,7 @@ def middle_of(part: Gaussians) -> Vector3:
     return (positions.min(0) + positions.max(0)) / 2
 
 
-Colors = Float64[np.ndarray, "m 3"]
+Colors = Float64[np.ndarray, "n 3"]
 REFERENCE_LIGHT_QUANTILE = (
     0.9  # of an object's light: Gaussians at it get the colour itself, lighter ones a lighter one
 )

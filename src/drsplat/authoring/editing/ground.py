@@ -18,6 +18,7 @@ from ...base.arrays import (
     PlanePoints,
     Points,
     RowIds,
+    Spans,
     Vector3,
     WholeNumbers,
 )
@@ -110,7 +111,7 @@ class PlaneGrid:
         rows, columns = (np.floor(size / step).astype(int) + 1).tolist()
         return cls(plane, low, step, (rows, columns))
 
-    def cells(self, places: Points) -> Int64[np.ndarray, "n 2"]:
+    def cells(self, places: Points) -> Spans:
         """Return row and column of the cell below each place, of the nearest cell for places beside all."""
         steps = ((self.plane.flat(places) - self.low) / self.step).astype(np.int64)
         return np.clip(steps, 0, np.array(self.shape) - 1)
@@ -370,7 +371,7 @@ def best_shift(missing: Cells, good: Cells, surface: Surface) -> tuple[tuple[int
 
 def _within(
     cells: Shifts, shift: Int64[np.ndarray, " 2"] | tuple[int, int], shape: tuple[int, ...]
-) -> tuple[Int64[np.ndarray, "k 2"], Int64[np.ndarray, "k 2"]]:
+) -> tuple[Spans, Spans]:
     """Return the cells whose shifted ones are on the grid, and these."""
     there = cells + shift
     inside = ((there >= 0) & (there < np.array(shape))).all(1)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...base.arrays import Indices, Int64, Matrix4, RowIds, Vector3
+from ...base.arrays import Indices, Matrix4, RowIds, Spans, Vector3
 from ...errors import InputError, MismatchError, warn
 from ...formats.json_files import are_rows, ids_of, is_text, spans_of
 from ...formats.scenes import read_gaussians
@@ -19,7 +19,6 @@ from ...scene.moving import still
 from ...scene.similarity import similarity_of
 from .draft import OBJECT_ID, Draft, Scale, most_rows
 
-Spans = Int64[np.ndarray, "s 2"]
 MIN_BOX_LENGTH = 1e-9  # of a box that something can be fitted to
 
 

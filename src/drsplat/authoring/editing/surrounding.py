@@ -6,13 +6,13 @@ minutes. Places of one box see most points in the same bins, so boxes are halved
 
 import numpy as np
 
-from ...base.arrays import Bool, Flags, Float64, Indices, Int64
+from ...base.arrays import Bool, Flags, Float64, Indices, OtherIndices
 
 MAX_LEAF_PLACES = 4  # of a box in which each place is computed
 RELATIVE_ROUNDING = 1e-12  # more than what products of three numbers are off
 Points = Float64[np.ndarray, "t 3"]
 Directions = Float64[np.ndarray, "d 3"]
-Places = Float64[np.ndarray, "p 3"]
+Places = Float64[np.ndarray, "n 3"]
 Hit = Bool[np.ndarray, " d"]  # of each direction
 
 
@@ -70,7 +70,7 @@ def _bins(places: Places, points: Points, directions: Directions, hit: Hit) -> I
     return hits.sum(1)
 
 
-def _halves(rows: Indices, places: Places) -> list[Int64[np.ndarray, " h"]]:
+def _halves(rows: Indices, places: Places) -> list[OtherIndices]:
     """Return the rows of either half of a box, cut across its longest side."""
     order = np.argpartition(places[:, np.ptp(places, axis=0).argmax()], len(rows) // 2)
     return [rows[half] for half in np.array_split(order, [len(rows) // 2])]

@@ -9,7 +9,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ...base.arrays import Int64, Matrix3, RowIds, Vector3
+from ...base.arrays import Matrix3, RowIds, Spans, Vector3
 from ...errors import InputError
 from ...formats.json_files import are_rows, ids_of, is_text, spans_of
 from .draft import Draft
@@ -30,7 +30,7 @@ class Rows:
 
     kind: Named
     name: str
-    spans: Int64[np.ndarray, "s 2"]
+    spans: Spans
 
     @classmethod
     def of(cls, ids: RowIds, kind: Named = "rows", name: str = "") -> "Rows":

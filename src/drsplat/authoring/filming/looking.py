@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Float64, PlanePoints, Points, Vector3
+from ...base.arrays import Float64, Matrices, PlanePoints, Points, Vector3
 from ...errors import InputError
 from ...query import Match, Scene
 from ...scene.gaussians import Gaussians
@@ -68,7 +68,7 @@ class Standpoints(NamedTuple):
 
     centers: Points
     poses: Float64[np.ndarray, "n 4 4"]
-    K: Float64[np.ndarray, "n 3 3"]
+    K: Matrices
     sizes: PlanePoints
 
     @classmethod

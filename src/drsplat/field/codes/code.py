@@ -2,17 +2,15 @@
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
-import numpy as np
-
-from ...base.arrays import Arrays, Embedding, Embeddings, Float32, FloatRows, Ids, Int64, Numbers, WholeNumbers
+from ...base.arrays import Arrays, Embedding, Embeddings, FloatRows, Ids, Indices, Numbers, WholeNumbers
 from ...errors import InputError
 
 
 class Hits(NamedTuple):
     """Rows that a search returns, and their scores."""
 
-    rows: Int64[np.ndarray, " h"]
-    scores: Float32[np.ndarray, " h"]
+    rows: Indices
+    scores: Numbers
 
 
 class Best(NamedTuple):

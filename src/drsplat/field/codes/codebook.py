@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Arrays, ArraysByName, ByteRows, Embeddings, Float32, Numbers, RowIds, UInt16
+from ...base.arrays import Arrays, ArraysByName, ByteRows, Embeddings, Float32, Numbers, RowIds, SmallIds
 from ...errors import FormatError, InputError, MismatchError
 from ...formats.embedding_record import encoder_from_json
 from ...formats.faiss_index import is_faiss
@@ -32,7 +32,7 @@ class Codes(NamedTuple):
     """Codes of rows: a centroid per sub-vector. coarse_ids: a coarse centroid per row, or None (plain)."""
 
     codes: ByteRows
-    coarse_ids: UInt16[np.ndarray, " n"] | None = None
+    coarse_ids: SmallIds | None = None
 
     def rows(self, index: slice | RowIds) -> "Codes":
         return Codes(self.codes[index], None if self.coarse_ids is None else self.coarse_ids[index])
@@ -176,7 +176,7 @@ class Codebook:
             raise InputError(f"expected codes (n, {self.num_subvectors}), got {codes.codes.shape}")
         self.check_coarse_ids(codes.coarse_ids, len(codes.codes))
 
-    def check_coarse_ids(self, ids: UInt16[np.ndarray, " n"] | None, rows: int) -> None:
+    def check_coarse_ids(self, ids: SmallIds | None, rows: int) -> None:
         """Check coarse ids. Raises: InputError: ids missing, superfluous, out of range or not one per row."""
         if (ids is None) != (self.coarse is None):
             raise InputError("coarse ids belong with a residual codebook, and only with one")

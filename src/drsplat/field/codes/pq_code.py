@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ...base.arrays import Arrays, Embedding, Embeddings, FloatRows, Numbers, UInt8, UInt16, WholeNumbers
+from ...base.arrays import Arrays, Embedding, Embeddings, FloatRows, Numbers, SmallIds, UInt8, WholeNumbers
 from ...errors import InputError
 from ...kernels import (
     GroupedRows,
@@ -41,7 +41,7 @@ class PQCode:
 
     codebook: Codebook
     grouped: UInt8[np.ndarray, "g L k"]
-    coarse_ids: UInt16[np.ndarray, " n"] | None
+    coarse_ids: SmallIds | None
     inverse_norms: Numbers
 
     kind = "pq"

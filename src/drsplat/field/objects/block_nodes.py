@@ -10,10 +10,10 @@ from scipy.sparse import csr_array, vstack
 from scipy.spatial import cKDTree
 
 from ...base.arrays import (
+    AnyPoints,
     DoubleRows,
     Doubles,
     Flags,
-    Float,
     Float32,
     FloatRows,
     Ids,
@@ -237,7 +237,7 @@ def _sums(weights: csr_array, nodes: OtherIndices, parents: Indices, cut: Flags)
     return summed
 
 
-def along_a_curve(points: Float[np.ndarray, "n 3"]) -> Indices:
+def along_a_curve(points: AnyPoints) -> Indices:
     """Return the rows of points in Morton order: what is near in space then mostly lies near in memory too."""
     if not len(points):
         return np.zeros(0, np.int64)
@@ -245,7 +245,7 @@ def along_a_curve(points: Float[np.ndarray, "n 3"]) -> Indices:
     return morton_order(np.clip(points, low, high), CURVE_BITS)
 
 
-def neighbours(points: Float[np.ndarray, "n 3"], threads: int = 0) -> Int32[np.ndarray, "e 2"]:
+def neighbours(points: AnyPoints, threads: int = 0) -> Int32[np.ndarray, "e 2"]:
     """Return the pairs (a, b), a < b, of which one is among the nearest twelve of the other, and not far; ascending."""
     count = min(NUM_NEIGHBOURS, len(points) - 1)
     if count < 1:
@@ -263,7 +263,7 @@ def neighbours(points: Float[np.ndarray, "n 3"], threads: int = 0) -> Int32[np.n
     return edges
 
 
-def _nearest(points: Float[np.ndarray, "n 3"], count: int, threads: int) -> tuple[DoubleRows, Int32[np.ndarray, "n k"]]:
+def _nearest(points: AnyPoints, count: int, threads: int) -> tuple[DoubleRows, Int32[np.ndarray, "n k"]]:
     """Return distances and rows of each point's nearest but the first, which mostly is itself, in blocks."""
     tree = cKDTree(points)
     distances, found = np.empty((len(points), count)), np.empty((len(points), count), np.int32)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Flags, Ids, Indices, Int64, MaskIds, OtherIndices, PixelNumbers
+from ...base.arrays import Flags, Ids, Indices, MaskIds, OtherIndices, PixelNumbers, Spans
 from ...kernels import SplatArrays, heaviest_labels, render_channels, splat_arrays, topk_contributions
 from ...scene.gaussians import Gaussians
 from ...scene.views import View
@@ -99,7 +99,7 @@ def of_all_views(found: Iterable[ViewBorders], count: int) -> Borders:
     return Borders(front, back, counts[:, 0], counts[:, 1], areas)
 
 
-def _summed(keys: Indices, counts: Int64[np.ndarray, "n 2"]) -> tuple[np.ndarray, np.ndarray]:
+def _summed(keys: Indices, counts: Spans) -> tuple[np.ndarray, np.ndarray]:
     """Return each key once, its counts together."""
     once, places = np.unique(keys, return_inverse=True)
     total = np.zeros((len(once), counts.shape[1]), np.int64)

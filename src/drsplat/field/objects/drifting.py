@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Doubles, Indices, Int64, OtherIndices, WholeNumbers
+from ...base.arrays import Doubles, Indices, OtherIndices, WholeNumbers
 from ...errors import InputError
 from .. import LanguageField
 
@@ -66,7 +66,7 @@ def _owners(weights: csr_array, thing_of: WholeNumbers) -> OtherIndices:
     return best
 
 
-def _sums(at: Int64[np.ndarray, " w"], thing: Int64[np.ndarray, " w"], weight: np.ndarray) -> _Sums:
+def _sums(at: Indices, thing: Indices, weight: np.ndarray) -> _Sums:
     width = int(thing.max(initial=0)) + 1
     keys, place = np.unique(at * width + thing, return_inverse=True)
     return _Sums(keys // width, keys % width, np.bincount(place, weight))

@@ -14,7 +14,6 @@ from scipy.sparse.csgraph import connected_components
 from ...base.arrays import (
     Doubles,
     Flags,
-    Float64,
     Ids,
     Indices,
     Int64,
@@ -227,7 +226,7 @@ def fits_of(weights: csr_array, masses: Masses) -> Doubles:
     return np.minimum(1, np.divide(fits, whole, out=np.zeros(len(whole)), where=whole > 0))
 
 
-def _sums(parents: Ids, node_of: OtherIds, weights: Float64[np.ndarray, " w"]) -> tuple[Indices, Doubles]:
+def _sums(parents: Ids, node_of: OtherIds, weights: OtherDoubles) -> tuple[Indices, Doubles]:
     """Return how many rows each node has, and their weight; no weights: 0."""
     held = node_of >= 0
     sizes = np.bincount(node_of[held], minlength=len(parents))

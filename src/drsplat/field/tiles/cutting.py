@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Indices, Numbers, Points, UInt16, UnsignedIds, Vector3
+from ...base.arrays import Indices, Numbers, Points, SmallIds, UnsignedIds, Vector3
 from ...errors import InputError
 from ...formats.sources import Block
 from ...formats.tiles import Tiles, write_tiles
@@ -47,7 +47,7 @@ class _Placed(NamedTuple):
 
     positions: Points
     sizes: Numbers
-    blocks: UInt16[np.ndarray, " n"]
+    blocks: SmallIds
     rows: UnsignedIds
 
 
@@ -75,7 +75,7 @@ def _placed(blocks: Sequence[Block]) -> _Placed:
 
 
 def _tile(
-    blocks: Sequence[Block], block_of: UInt16[np.ndarray, " n"], row_of: UnsignedIds,
+    blocks: Sequence[Block], block_of: SmallIds, row_of: UnsignedIds,
     origin: Vector3,
 ) -> Gaussians:  # fmt: skip
     """Return some rows of some blocks, in the order given, with positions counted from the origin."""

@@ -13,7 +13,7 @@ from ...authoring.editing.edits import KeptEdits, without_kept
 from ...authoring.filming.looking import before, up_direction
 from ...authoring.filming.paths import CameraPath
 from ...authoring.filming.planning import ORBIT, path_named
-from ...base.arrays import OtherPixels, UInt16, Vector3
+from ...base.arrays import OtherPixels, SmallIds, Vector3
 from ...drawing.heat import heat_of
 from ...errors import InputError
 from ...kernels.boxes import box_of
@@ -232,7 +232,7 @@ def listed_numbers(session: Session) -> list[int]:
     return [*sure[:MAX_OBJECTS_LISTED], *unsure[:MAX_OBJECTS_LISTED]]
 
 
-def object_numbers(session: Session) -> UInt16[np.ndarray, " n"] | None:
+def object_numbers(session: Session) -> SmallIds | None:
     """Return per Gaussian of the scene 0, or 1 for the first object that is listed; None where there are none."""
     if not session.has_objects:
         return None

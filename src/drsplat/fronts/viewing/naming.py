@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw
 
-from ...base.arrays import Doubles, Flags, Float64, Int64, OtherPixels, PlanePoints, RowIds, Vector3
+from ...base.arrays import Doubles, Flags, Indices, OtherPixels, PlanePoints, RowIds, Vector3
 from ...errors import DrSplatError
 from ...field.evidence.evidence import Explanation
 from ...kernels import SplatArrays, view_weights
@@ -35,8 +35,8 @@ class Ray(NamedTuple):
 class Hit(NamedTuple):
     """gaussian_ids: met by a ray, by falling weight; point: where the first of them is met, in the world."""
 
-    gaussian_ids: Int64[np.ndarray, " h"]
-    weights: Float64[np.ndarray, " h"]
+    gaussian_ids: Indices
+    weights: Doubles
     point: Vector3
 
 
@@ -59,9 +59,9 @@ def hit_by_ray(gaussians: Gaussians, ray: Ray, visible: Flags | None = None) -> 
 class Met(NamedTuple):
     """Gaussians that a ray meets: their rows, depths along it, and opacities where they are densest on it."""
 
-    gaussian_ids: Int64[np.ndarray, " h"]
-    depths: Float64[np.ndarray, " h"]
-    alphas: Float64[np.ndarray, " h"]
+    gaussian_ids: Indices
+    depths: Doubles
+    alphas: Doubles
 
 
 def met_by_ray(gaussians: Gaussians, ray: Ray, visible: Flags | None = None) -> Met:

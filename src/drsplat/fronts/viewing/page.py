@@ -21,13 +21,13 @@ from ...base.arrays import (
     ArraysByName,
     ByteRows,
     ByteValues,
-    Doubles,
-    Flags,
     Float16,
-    Float64,
     Numbers,
+    OtherDoubles,
+    OtherFlags,
     RowIds,
     Shaped,
+    SmallIds,
     UInt8,
     UInt16,
     Vector3,
@@ -56,7 +56,7 @@ MAX_STILL_SPREAD_SHARE = 0.02  # what turns or grows by less of its spread does 
 MIN_SEEN_OPACITY = 1 / 255
 STEPS_PER_AXIS = 65_535  # that 16 bits count
 TIMES_PER_SECOND, MIN_PLAYING_S, MAX_PLAYING_S = 15, 2.0, 10.0
-Times = Float64[np.ndarray, " t"]
+Times = Float64[np.ndarray, " n"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +129,7 @@ def playing_seconds(num_times: int) -> float:
     return float(np.clip(num_times / TIMES_PER_SECOND, MIN_PLAYING_S, MAX_PLAYING_S))
 
 
-def _moving(session: Session, times: Times) -> Flags:
+def _moving(session: Session, times: Times) -> OtherFlags:
     """Return which of the shown rows are not at all times where they are at the first."""
     first = session.drawn
     spread = first.covariances[:, [0, 3, 5]].sum(1)
@@ -151,7 +151,7 @@ def _drawn(session: Session, times: Times) -> Iterator[Shown]:
     session.time = float(times[0])
 
 
-def _evenly(times: Times, most: int) -> Doubles:
+def _evenly(times: Times, most: int) -> OtherDoubles:
     return times[np.linspace(0, len(times) - 1, min(len(times), most)).round().astype(int)]
 
 
@@ -257,7 +257,7 @@ class Page:
     features: Vectors | None = None
     objects: Sequence[Mapping[str, Any]] = ()
     annotations: Sequence[Mapping[str, Any]] = ()
-    object_numbers: UInt16[np.ndarray, " n"] | None = None
+    object_numbers: SmallIds | None = None
     path: CameraPath | None = None
     times: PageTimes | None = None
     num_edits: int = 0

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Float32, FloatRows, Ids, Int64, Numbers
+from ...base.arrays import Float32, FloatRows, Ids, Indices, Numbers, OtherIndices
 from ...errors import InputError
 from ..scan import (
     GroupedRows,
@@ -88,7 +88,7 @@ def scan_scores(rows: DeviceRows, tables: QueryTables) -> FloatRows:
 
 def scan_above(
     rows: DeviceRows, tables: QueryTables, threshold: float, floor: Numbers | None = None
-) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
+) -> tuple[OtherIndices, Float32[np.ndarray, " m"]]:
     """Return the rows whose score minus `floor` exceeds the threshold as `kernels.scan.scan_above`.
 
     Raises: InputError: more than one query, or arrays that do not fit each other.
@@ -101,9 +101,7 @@ def scan_above(
     return on_host(matches), on_host(scores[matches])
 
 
-def scan_top(
-    rows: DeviceRows, tables: QueryTables, count: int
-) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
+def scan_top(rows: DeviceRows, tables: QueryTables, count: int) -> tuple[Indices, Numbers]:
     """Return the `count` best rows and their scores as `kernels.scan.scan_top`.
 
     Raises: InputError: more than one query, a count below 1, or arrays that do not fit each other.

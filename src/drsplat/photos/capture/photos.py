@@ -23,7 +23,7 @@ import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 from scipy import ndimage
 
-from ...base.arrays import UInt8
+from ...base.arrays import GreyPixels
 from ...base.contents import open_file
 from ...errors import FormatError, MismatchError, MissingExtraError, pip_install
 from ...formats.checksums import hash_file
@@ -248,7 +248,7 @@ def _digest(source: Source, invert: bool) -> str:
     return f"{photo[:DIGEST_LETTERS]}_{hash_file(source.mask)[:8]}{'_inverted' if invert else ''}"
 
 
-def sharpness(grey: UInt8[np.ndarray, "h w"]) -> float:
+def sharpness(grey: GreyPixels) -> float:
     """Return the standard deviation of the Laplacian of a picture of some 512 pixels, in grey levels."""
     laplacian = ndimage.laplace(grey.astype(np.float32))[1:-1, 1:-1]
     return float(laplacian.std()) if laplacian.size else 0.0

@@ -297,7 +297,7 @@ def _largest_group(pairs: dict[tuple[str, str], int]) -> set[str]:
     return {file for file, label in zip(files, labels, strict=True) if label == largest}
 
 
-def looks_of(keys: Sequence[str], read: Callable[[str], Descriptors]) -> Embeddings:
+def looks_of(keys: Sequence[str], read: Callable[[str], Descriptors]) -> OtherEmbeddings:
     """Return a unit vector for each photo, zeros for one without descriptors; one photo is in memory at a time.
 
     read: returns the descriptors of a photo by its key, of unit length.

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Doubles, Flags, Indices, OtherPixels, UInt8
+from ...base.arrays import Doubles, Flags, GreyPixels, Indices, OtherPixels
 from ...base.contents import open_file
 from ...errors import InputError, MissingExtraError, pip_install
 from ...formats.replacing import replacing
@@ -209,7 +209,7 @@ def are_blurred(sharpness: Doubles) -> Flags:
     return sharpness < MAX_BLURRED_SHARE * median_filter(sharpness, size=2 * NEIGHBOURHOOD_FRAMES + 1, mode="nearest")
 
 
-def movement(before: UInt8[np.ndarray, "h w"], now: UInt8[np.ndarray, "h w"]) -> float:
+def movement(before: GreyPixels, now: GreyPixels) -> float:
     """Return how far parts of a picture have moved, as the median share of its width.
 
     It is measured by blocks, because a camera that walks ahead or rolls moves them in different directions.
@@ -223,7 +223,7 @@ def movement(before: UInt8[np.ndarray, "h w"], now: UInt8[np.ndarray, "h w"]) ->
     return float(np.median(shifts)) / now.shape[1] if shifts else 0.0
 
 
-def shift_of(before: UInt8[np.ndarray, "h w"], now: UInt8[np.ndarray, "h w"]) -> float:
+def shift_of(before: GreyPixels, now: GreyPixels) -> float:
     """Return the length of a block's shift in pixels, by phase correlation; 0 if it has no texture.
 
     Source: Kuglin and Hines, The phase correlation image alignment method, 1975.

@@ -16,7 +16,7 @@ from warnings import warn
 
 import numpy as np
 
-from ...base.arrays import Embeddings, Int32, Pixels
+from ...base.arrays import Embeddings, LevelMaskIds, Pixels
 from ...errors import DrSplatWarning, InputError
 from ...field.codes import Track, encoder_from_json, untracked
 from ...formats.checksums import hash_file
@@ -245,7 +245,7 @@ def _mask_identity(view: View) -> str:
 class _Embedded(NamedTuple):
     """Masks and embeddings of one photo. counts: masks by level. empty: number of masks left out for lack of pixels."""
 
-    mask_ids: Int32[np.ndarray, "*levels h w"]
+    mask_ids: LevelMaskIds
     embeddings: Embeddings
     counts: Mapping[str, int]
     empty: int
@@ -295,12 +295,7 @@ def _features(view: View, stem: str, segmenter: Segmenter | FeatureFolder, encod
 
 
 def finish_photo(
-    record: EmbeddingRecord,
-    stem: str,
-    photo: str,
-    mask_ids: Int32[np.ndarray, "*levels h w"],
-    rows: Embeddings,
-    form: Form,
+    record: EmbeddingRecord, stem: str, photo: str, mask_ids: LevelMaskIds, rows: Embeddings, form: Form
 ) -> None:
     """Write the features of a photo, and record them; of equal levels the masks count once.
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Bool, Float32, Int64, Numbers, OtherFlags, Pixels, PlanePoints, Vectors
+from ...base.arrays import Bool, Float32, Numbers, OtherFlags, Pixels, PlanePoints, Spans, Vectors
 from ...errors import FormatError, InputError, MissingExtraError
 from ...formats.json_files import as_vector, excerpt, read_json
 from .devices import chosen_device, fitting
@@ -155,7 +155,7 @@ class SamPredictor:
         self,
         logits: Any,
         iou: Float32[np.ndarray, "p 3"],
-        wanted: Int64[np.ndarray, "n 2"],
+        wanted: Spans,
         size: tuple[int, ...],
         settings: PointMaskSettings,
     ) -> Iterator[PointMasks]:

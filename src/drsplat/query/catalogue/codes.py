@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Bool, Embedding, Indices, Int64
+from ...base.arrays import Embedding, Flags, Indices, OtherIndices
 from ...errors import FormatError, InputError
 from ...field.codes import Codebook, Codes, PQCode, load_codebook, pq_code
 from ...formats.checksums import check_checksums
@@ -48,7 +48,7 @@ class Part(NamedTuple):
 class Found(NamedTuple):
     """Rows of the best codes, best first. is_all: no others are left."""
 
-    row_ids: Int64[np.ndarray, " h"]
+    row_ids: Indices
     is_all: bool
 
 
@@ -75,7 +75,7 @@ class Coded:
                 return Found(distinct[:count], looked_at >= most and len(distinct) <= count)
             looked_at *= GROWTH
 
-    def _top(self, query: Embedding, count: int, threads: int) -> Int64[np.ndarray, " h"]:
+    def _top(self, query: Embedding, count: int, threads: int) -> Indices:
         """Return the rows of the `count` best descriptors, best first; the largest part sets what others must reach."""
         ids, scores = np.empty(0, np.int64), np.empty(0, np.float32)
         for code, row_ids in sorted(self.parts.values(), key=lambda part: -len(part.row_ids)):
@@ -88,7 +88,7 @@ class Coded:
         return ids
 
 
-def among(ids: Int64[np.ndarray, " h"], allowed: Indices) -> Bool[np.ndarray, " h"]:
+def among(ids: Indices, allowed: OtherIndices) -> Flags:
     if not len(allowed):
         return np.zeros(len(ids), np.bool_)
     return allowed[np.minimum(np.searchsorted(allowed, ids), len(allowed) - 1)] == ids
