@@ -56,7 +56,7 @@ MAX_STILL_SPREAD_SHARE = 0.02  # what turns or grows by less of its spread does 
 MIN_SEEN_OPACITY = 1 / 255
 STEPS_PER_AXIS = 65_535  # that 16 bits count
 TIMES_PER_SECOND, MIN_PLAYING_S, MAX_PLAYING_S = 15, 2.0, 10.0
-Times = Float64[np.ndarray, " n"]
+Times = Doubles
 
 
 @dataclass(frozen=True, eq=False)
