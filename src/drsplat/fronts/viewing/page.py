@@ -21,6 +21,7 @@ from ...base.arrays import (
     ArraysByName,
     ByteRows,
     ByteValues,
+    Doubles,
     Float16,
     Numbers,
     OtherDoubles,
