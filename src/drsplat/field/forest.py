@@ -79,7 +79,11 @@ class Objects:
     def __post_init__(self) -> None:
         self._check_shapes()
         check_forest(self.node_of, self.parents, self.levels)
-        self._check_boxes()
+        _check_all(_within(self.centers, -MAX_NUMBER, MAX_NUMBER), "centers: expected finite numbers")
+        _check_all(_within(self.extents, 0.0, MAX_NUMBER), "extents: expected finite lengths of 0 or more")
+        _check_all(_within(self.axes, -2.0, 2.0), "axes: expected unit vectors")
+        products = np.einsum("tik,tjk->tij", self.axes, self.axes)
+        _check_all(np.abs(products - np.eye(3)) < ORTHONORMAL_TOLERANCE, "axes: expected unit vectors at right angles")
         _check_all(_within(self.sure, 0.0, 1.0), "sure: expected numbers from 0 to 1")
         _check_all(_within(self.masses, 0.0, MAX_NUMBER), "masses: expected finite numbers of 0 or more")
         _check_all(self.num_views >= 0, "num_views: expected counts")
@@ -273,13 +277,6 @@ class Objects:
             lengths = [known.setdefault(*one) for one in zip(names, given.shape, strict=False)]
             if given.dtype != dtype or given.ndim != len(names) or list(given.shape) != lengths:
                 raise InputError(f"{name}: expected {dtype} ({dimensions}), got {given.dtype} {given.shape}")
-
-    def _check_boxes(self) -> None:
-        _check_all(_within(self.centers, -MAX_NUMBER, MAX_NUMBER), "centers: expected finite numbers")
-        _check_all(_within(self.extents, 0.0, MAX_NUMBER), "extents: expected finite lengths of 0 or more")
-        _check_all(_within(self.axes, -2.0, 2.0), "axes: expected unit vectors")
-        products = np.einsum("tik,tjk->tij", self.axes, self.axes)
-        _check_all(np.abs(products - np.eye(3)) < ORTHONORMAL_TOLERANCE, "axes: expected unit vectors at right angles")
 
 
 def check_forest(node_of: OtherIds, parents: Ids, levels: ByteValues) -> None:

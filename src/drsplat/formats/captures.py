@@ -177,7 +177,11 @@ def _points_of(source: _Source) -> tuple[np.ndarray, np.ndarray] | None:
 
 def _find_source(capture: Path) -> _Source:
     if capture.is_file():
-        return _file_source(capture)
+        if capture.suffix in (".bin", ".txt"):
+            return _Source("colmap", capture.parent)
+        if capture.suffix != ".json":
+            raise mistaken(capture, Kind.CAPTURE)
+        return _Source("cameras" if isinstance(read_json(capture), list) else "transforms", capture)
     if not capture.is_dir():
         raise mistaken(capture, Kind.CAPTURE)
     models = find_models(capture)
@@ -198,14 +202,6 @@ def _find_source(capture: Path) -> _Source:
         text = f"{capture}: cameras were read from {said[0]}, not from {listed(said[1:])}: name a file to choose it"
         warn(text, 4)
     return found[0]
-
-
-def _file_source(path: Path) -> _Source:
-    if path.suffix in (".bin", ".txt"):
-        return _Source("colmap", path.parent)
-    if path.suffix != ".json":
-        raise mistaken(path, Kind.CAPTURE)
-    return _Source("cameras" if isinstance(read_json(path), list) else "transforms", path)
 
 
 def _read(source: _Source, images: str | Path | None) -> list[View]:

@@ -31,7 +31,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Arrays, Float32, FloatRows, Harmonics, Quats, Shaped, UnsignedIds, Vector3, Vectors
+from ..base.arrays import Arrays, Float32, FloatRows, Harmonics, Shaped, UnsignedIds, Vector3, Vectors
 from ..errors import FormatError, InputError, warn
 from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians, filled, flat
 from ..scene.placing import local_origin
@@ -351,7 +351,12 @@ def parse_compressed_ply(buffer: memoryview, header: Header) -> Gaussians:
         _decode_rest(tables["sh"], rest, sh[:, 1:])
     extra = extra_columns(vertex, set(PACKED))
     scales = exp(log_scales)
-    return drawn_as_marked(checked(means, _rotations(vertex), scales, colour[:, 3].copy(), sh, extra), header)
+    packed = _packed(vertex, 1)
+    three = (_unpack(packed, (20, 10, 0), (10, 10, 10)) - np.float32(0.5)) * np.float32(np.sqrt(2))
+    return drawn_as_marked(
+        checked(means, from_smallest_three(three, packed >> np.uint32(30)), scales, colour[:, 3].copy(), sh, extra),
+        header,
+    )
 
 
 def _require(header: Header, element: str, names: tuple[str, ...], code: str) -> None:
@@ -395,12 +400,6 @@ def _within_chunks(fractions: Vectors, bounds: Float32[np.ndarray, "c 6"]) -> No
         block = fractions[start * CHUNK_ROWS : (start + BLOCK_CHUNKS) * CHUNK_ROWS]
         of_rows = np.repeat(bounds[start : start + BLOCK_CHUNKS], CHUNK_ROWS, axis=0)[: len(block)]
         block[:] = of_rows[:, :3] * (1 - block) + of_rows[:, 3:] * block
-
-
-def _rotations(vertex: Records) -> Quats:
-    packed = _packed(vertex, 1)
-    three = (_unpack(packed, (20, 10, 0), (10, 10, 10)) - np.float32(0.5)) * np.float32(np.sqrt(2))
-    return from_smallest_three(three, packed >> np.uint32(30))
 
 
 def _decode_rest(table: Records, names: list[str], into: Harmonics) -> None:

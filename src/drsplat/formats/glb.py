@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Arrays, Ids, Matrix3, Matrix4
+from ..base.arrays import Arrays, Ids, Matrix4
 from ..base.contents import file_bytes
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians, concatenated
@@ -98,7 +98,9 @@ def parse_glb(buffer: memoryview) -> Gaussians:
 
 @np.errstate(all="ignore")  # what damaged floats do on the way is judged at its end
 def _gaussians(gltf: Gltf) -> Gaussians:
-    _refuse_unknown(gltf)
+    unknown = [name for name in gltf.entries("extensionsRequired") if name not in UNDERSTOOD]
+    if unknown:
+        raise FormatError(f"glTF needs the extension {excerpt(unknown[0])}, which is not read: export it without")
     budget = _Budget(gltf.num_bytes)
     parts = [
         _placed(_of_primitive(gltf, primitive, budget), to_world)
@@ -112,12 +114,6 @@ def _gaussians(gltf: Gltf) -> Gaussians:
         return parts[0] if len(parts) == 1 else concatenated(parts)
     except InputError as error:
         raise FormatError(str(error)) from None
-
-
-def _refuse_unknown(gltf: Gltf) -> None:
-    unknown = [name for name in gltf.entries("extensionsRequired") if name not in UNDERSTOOD]
-    if unknown:
-        raise FormatError(f"glTF needs the extension {excerpt(unknown[0])}, which is not read: export it without")
 
 
 @dataclass
@@ -183,7 +179,9 @@ def _of_spz(gltf: Gltf, compressed: Entry, budget: _Budget) -> Gaussians:
     budget.use(view)
     gaussians = parse_spz(gltf.view(view))
     budget.add_unfolded(len(gaussians))
-    return similarity_of(_matrix(HALF_TURN)).moved(gaussians)  # the reader of SPZ turned it into a PLY's axes
+    matrix = np.eye(4)
+    matrix[:3, :3] = HALF_TURN
+    return similarity_of(matrix).moved(gaussians)  # the reader of SPZ turned it into a PLY's axes
 
 
 def _of_attributes(gltf: Gltf, attributes: Entry, budget: _Budget) -> Gaussians:
@@ -277,9 +275,3 @@ def _placed(gaussians: Gaussians, to_world: Matrix4) -> Gaussians:
     moved = similarity.moved(gaussians)
     checked(moved.means, moved.quats.copy(), moved.scales, moved.opacities, moved.sh)  # or the error that names a row
     return moved
-
-
-def _matrix(rotation: Matrix3) -> Matrix4:
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation
-    return matrix

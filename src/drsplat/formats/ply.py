@@ -320,12 +320,9 @@ def _points(rows: Records) -> tuple[np.ndarray, np.ndarray]:
         raise FormatError(f"{len(bad)} of {len(rows)} points are not finite, the first at index {bad[0]}")
     if not set(COLORS) <= set(names):
         return positions, np.full(positions.shape, DEFAULT_GREY, np.uint8)
-    return positions, _bytes(np.stack([rows[name] for name in COLORS], axis=1))
-
-
-def _bytes(colors: np.ndarray) -> Colors:
+    colors = np.stack([rows[name] for name in COLORS], axis=1)
     with np.errstate(all="ignore"):  # judged below
         scaled = colors * 255.0 if colors.dtype.kind == "f" else colors.astype(np.float64)
     if not ((scaled >= 0) & (scaled <= 255)).all():
         raise FormatError("expected colours of 0 to 255, or of 0 to 1 where they are fractions")
-    return np.rint(scaled).astype(np.uint8)
+    return positions, np.rint(scaled).astype(np.uint8)

@@ -15,7 +15,7 @@ import struct
 
 import numpy as np
 
-from ..base.arrays import Harmonics, Quats, UInt8, Vectors
+from ..base.arrays import Quats, UInt8, Vectors
 from ..errors import FormatError, InputError
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians
 from ..scene.labelled import LabelledScene
@@ -105,6 +105,9 @@ def _planes(gaussians: Gaussians, degree: int, version: int, flags: int, streams
     bits = _fractional_bits(gaussians.means)
     flags |= ANTIALIASED if gaussians.antialiased else 0
     whole = np.rint((gaussians.means * TO_RUB).astype(np.float64) * 2.0**bits).astype("<i4")
+    # quantise coefficients, with those negated that are odd in the axes which SPZ turns
+    rest = gaussians.sh[:, 1 : SH_COEFFICIENTS[degree]]
+    signs = np.array([(-1) ** (name.count("y") + name.count("z")) for name in PARITIES[: rest.shape[1]]], np.float32)
     return (
         PREFIX.pack(MAGIC, version, len(gaussians), degree, bits, flags, streams),
         np.ascontiguousarray(whole.view(np.uint8).reshape(-1, 3, 4)[:, :, :3]).reshape(-1, 9).tobytes(),
@@ -112,7 +115,7 @@ def _planes(gaussians: Gaussians, degree: int, version: int, flags: int, streams
         _byte((gaussians.sh[:, 0] * COLOUR_SCALE + 0.5) * 255).tobytes(),
         _byte((np.log(gaussians.scales) + 10) * 16).tobytes(),
         _smallest_three(gaussians.quats * np.array([1, *TO_RUB], np.float32)).tobytes(),
-        _harmonics(gaussians.sh[:, 1 : SH_COEFFICIENTS[degree]]).tobytes(),
+        _byte(rest * signs[None, :, None] * 128 + 128).tobytes(),
     )
 
 
@@ -140,12 +143,6 @@ def _smallest_three(quats: Quats) -> np.ndarray:
         written = (packed << 10) | (negative[:, component].astype(np.uint32) << 9) | sizes[:, component]
         packed = np.where(largest == component, packed, written)
     return packed.astype("<u4")
-
-
-def _harmonics(rest: Harmonics) -> UInt8[np.ndarray, "n k 3"]:
-    """Quantise coefficients, with those negated that are odd in the axes which SPZ turns."""
-    signs = np.array([(-1) ** (name.count("y") + name.count("z")) for name in PARITIES[: rest.shape[1]]], np.float32)
-    return _byte(rest * signs[None, :, None] * 128 + 128)
 
 
 def _byte(values: np.ndarray) -> UInt8[np.ndarray, "..."]:

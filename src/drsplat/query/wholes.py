@@ -6,7 +6,6 @@ import numpy as np
 
 from ..base.arrays import Embedding, Ids, Indices, Numbers, OtherIds, UnsignedIds, WholeNumbers
 from ..field import LanguageField
-from ..field.forest import Objects
 from ..kernels.algebra import row_products
 
 SPEAKING_SHARE = 0.25  # of an object's Gaussians
@@ -52,19 +51,15 @@ def for_comparing(field: LanguageField, values: Numbers, query: Embedding | None
     count = field.objects.num_nodes + 1
     means = np.bincount(numbers, values, minlength=count) / np.maximum(np.bincount(numbers, minlength=count), 1)
     if query is not None:
-        means[1:] = (means[1:] + _best_descriptors(field.objects, query)) / 2
+        # per node the highest cosine of a query with one of its descriptors
+        cosines = row_products(field.objects.descriptors, query / np.linalg.norm(query))
+        starts = field.objects.descriptor_starts
+        best = np.full(field.objects.num_nodes, -1, np.float32)
+        (some,) = np.nonzero(np.diff(starts))
+        if len(some):
+            best[some] = np.maximum.reduceat(cosines, starts[some])
+        means[1:] = (means[1:] + best) / 2
     return np.where(numbers > 0, means.astype(np.float32)[numbers], values)
-
-
-def _best_descriptors(objects: Objects, query: Embedding) -> Numbers:
-    """Return per node the highest cosine of a query with one of its descriptors."""
-    cosines = row_products(objects.descriptors, query / np.linalg.norm(query))
-    starts = objects.descriptor_starts
-    best = np.full(objects.num_nodes, -1, np.float32)
-    (some,) = np.nonzero(np.diff(starts))
-    if len(some):
-        best[some] = np.maximum.reduceat(cosines, starts[some])
-    return best
 
 
 def highest_share(values: Numbers, groups: Ids, counts: WholeNumbers | None = None) -> Numbers:

@@ -49,7 +49,13 @@ def check_cost(picture: Image.Image, file: BufferedIOBase, most_pixels: int | No
     if most_pixels is not None and pixels > most_pixels:
         raise InputError(f"a picture of {size} pixels: at most {most_pixels:,} are taken, make it smaller")
     if isinstance(picture, JpegImageFile):
-        scans, most = jpeg_scans(_content(file)), most_scans(pixels)
+        position = file.tell()
+        file.seek(0)
+        content = file.read(MAX_JPEG_BYTES + 1)
+        file.seek(position)
+        if len(content) > MAX_JPEG_BYTES:
+            raise InputError(f"a JPEG of more than {MAX_JPEG_BYTES:,} bytes")
+        scans, most = jpeg_scans(content), most_scans(pixels)
         if scans > most:
             raise InputError(f"a JPEG of {size} pixels in {scans} scans: at most {most} are taken, save it anew")
     if isinstance(picture, TiffImageFile) and _tile(picture) > 4 * max(pixels, SMALL_PIXELS):
@@ -74,16 +80,6 @@ def jpeg_scans(data: bytes) -> int:
         if marker != _START_MARKER:
             at += int.from_bytes(data[at : at + 2], "big")
     return scans
-
-
-def _content(file: BufferedIOBase) -> bytes:
-    position = file.tell()
-    file.seek(0)
-    content = file.read(MAX_JPEG_BYTES + 1)
-    file.seek(position)
-    if len(content) > MAX_JPEG_BYTES:
-        raise InputError(f"a JPEG of more than {MAX_JPEG_BYTES:,} bytes")
-    return content
 
 
 def _tile(picture: TiffImageFile) -> int:

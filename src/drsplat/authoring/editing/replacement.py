@@ -55,7 +55,13 @@ class Replace:
             )
         draft.most = max(draft.most, most_rows(len(other)))
         draft.present[ids] = False
-        draft.add(similarity_of(self.matrix).moved(self._part(other)), _object_of(draft, ids))
+        # the number of the object that most of some rows belong to, or a new number
+        of = draft.extra.get(OBJECT_ID)
+        known = np.empty(0, np.int64) if of is None else of[ids][of[ids] >= 0].astype(np.int64)
+        draft.add(
+            similarity_of(self.matrix).moved(self._part(other)),
+            (int(np.bincount(known).argmax()) if len(known) else draft.next_object()),
+        )
 
     def _part(self, other: Gaussians) -> Gaussians:
         if other.fingerprint != self.fingerprint:
@@ -98,13 +104,6 @@ def placed_in(
 
 def _foot(box: Box) -> Vector3:
     return box.center - box.axes[2] * box.extent[2] / 2
-
-
-def _object_of(draft: Draft, ids: RowIds) -> int:
-    """Return the number of the object that most of some rows belong to, or a new number."""
-    of = draft.extra.get(OBJECT_ID)
-    known = np.empty(0, np.int64) if of is None else of[ids][of[ids] >= 0].astype(np.int64)
-    return int(np.bincount(known).argmax()) if len(known) else draft.next_object()
 
 
 def scaled_on_its_foot(part: Gaussians, factor: float, up: Vector3 | None) -> Scale:

@@ -59,7 +59,10 @@ def path_named(
     if name == PHOTOS:
         return through_photos(views, seconds)
     if name not in (ORBIT, SWING):
-        return _from_file(name)
+        if not Path(name).is_file():
+            known = f"{ORBIT}, {SWING}, {PHOTOS} or a file of key frames"
+            raise InputError(f"path: expected {known}; got {name!a}, and there is no such file")
+        return read_path(name)
     upward = up_of(views) if up is None else up
     upward = np.array(UP_WITHOUT_VIEWS) if upward is None else upward
     if match is None:
@@ -104,13 +107,6 @@ def _wished(path: CameraPath, views: Sequence[View], sides: int) -> tuple[int, i
 def _first(*given: float | None) -> float:
     """Return the first value that is not None."""
     return next(one for one in given if one is not None)
-
-
-def _from_file(name: str) -> CameraPath:
-    if not Path(name).is_file():
-        known = f"{ORBIT}, {SWING}, {PHOTOS} or a file of key frames"
-        raise InputError(f"path: expected {known}; got {name!a}, and there is no such file")
-    return read_path(name)
 
 
 class Around(NamedTuple):

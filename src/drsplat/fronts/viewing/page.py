@@ -319,6 +319,11 @@ def _arrays(page: Page, order: RowIds) -> Arrays:
 
 def _header(page: Page) -> Document:
     frame = page.shown.frame
+    answers = ["answer", "heat map"] if _answers(page) else []
+    features = [] if page.features is None or not _answers(page) else ["features"]
+    # what the client offers: a page only answers what it was made with
+    never = ("ask_picture", "name", "edit", "time", "photos", "save_dir", "catalogue", "open")
+    offered = {"ask": _answers(page), "objects": bool(page.objects), "film_formats": []}
     return {
         "title": printable(page.title),
         "about": _about(page),
@@ -331,8 +336,8 @@ def _header(page: Page) -> Document:
         "look": painting.LOOK,
         "antialiased": page.shown.antialiased,
         "words": [printable(answer.text) for answer in page.answers],
-        "modes": _modes(page),
-        "can": _can(page),
+        "modes": [*answers, "as it is", *features, *(["objects"] if page.objects else [])],
+        "can": (dict.fromkeys(never, False) | offered),
         "objects": list(page.objects),
         "photos": [],
         "times": None,
@@ -346,21 +351,8 @@ def _header(page: Page) -> Document:
     }
 
 
-def _modes(page: Page) -> list[str]:
-    answers = ["answer", "heat map"] if _answers(page) else []
-    features = [] if page.features is None or not _answers(page) else ["features"]
-    return [*answers, "as it is", *features, *(["objects"] if page.objects else [])]
-
-
 def _answers(page: Page) -> bool:
     return bool(page.answers) or page.search is not None
-
-
-def _can(page: Page) -> Document:
-    """Return what the client offers: a page only answers what it was made with."""
-    never = ("ask_picture", "name", "edit", "time", "photos", "save_dir", "catalogue", "open")
-    offered = {"ask": _answers(page), "objects": bool(page.objects), "film_formats": []}
-    return dict.fromkeys(never, False) | offered
 
 
 def _about(page: Page) -> str:

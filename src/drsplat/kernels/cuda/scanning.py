@@ -108,7 +108,11 @@ def scan_top(rows: DeviceRows, tables: QueryTables, count: int) -> tuple[Indices
     """
     scores = _scores_of_one(rows, tables)
     check_count(count)
-    places = sorted_pairs(rows.engine, _falling_keys(rows.engine.xp, scores), None, 32).values[:count]
+    # whole numbers that ascend where scores descend; the two zeros are equal
+    bits = (scores + np.float32(0)).view(rows.engine.xp.uint32)
+    places = sorted_pairs(
+        rows.engine, rows.engine.xp.where(bits >> 31, bits, bits ^ np.uint32(0x7FFFFFFF)), None, 32
+    ).values[:count]
     return on_host(places).astype(np.int64), on_host(scores[places])
 
 
@@ -162,9 +166,3 @@ def _multiprocessors(engine: Engine) -> int:
     """Return how many blocks run at once."""
     cuda = getattr(engine.xp, "cuda", None)
     return EMULATED_BLOCKS if cuda is None else int(cuda.Device().attributes["MultiProcessorCount"])
-
-
-def _falling_keys(xp: Any, scores: Any) -> Any:
-    """Return whole numbers that ascend where scores descend; the two zeros are equal."""
-    bits = (scores + np.float32(0)).view(xp.uint32)
-    return xp.where(bits >> 31, bits, bits ^ np.uint32(0x7FFFFFFF))

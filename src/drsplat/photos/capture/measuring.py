@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Doubles, Flags, PlanePoints, Vector3
+from ...base.arrays import Doubles, PlanePoints, Vector3
 from ...errors import FormatError, InputError, did_you_mean
 from ...formats.captures import read_rows
 from ...formats.photo_files import listed
@@ -177,18 +177,14 @@ def _depth(offsets: PlanePoints, depths: Doubles) -> float:
 
     On a plane the inverse of the depth is linear in the pixel; it is not extrapolated beyond the points' depths.
     """
-    front = _front(depths)
+    # which depths are of the first surface: people point at objects, not at the wall behind
+    ascending = np.sort(depths)
+    ends = np.flatnonzero(np.diff(ascending) > MIN_GAP_SHARE * ascending[:-1]) + 1
+    end = next((int(end) for end in ends if end >= MIN_FRONT_POINTS), len(depths))
+    front = depths <= ascending[end - 1]
     inverse, offsets = 1 / depths[front], offsets[front]
     if len(inverse) < MIN_PLANE_POINTS:
         return float(1 / np.median(inverse))
     terms = np.column_stack([np.ones(len(offsets)), offsets])
     at_pixel = float(np.linalg.lstsq(terms, inverse, rcond=None)[0][0])
     return 1 / float(np.clip(at_pixel, inverse.min(), inverse.max()))
-
-
-def _front(depths: Doubles) -> Flags:
-    """Return which depths are of the first surface: people point at objects, not at the wall behind."""
-    ascending = np.sort(depths)
-    ends = np.flatnonzero(np.diff(ascending) > MIN_GAP_SHARE * ascending[:-1]) + 1
-    end = next((int(end) for end in ends if end >= MIN_FRONT_POINTS), len(depths))
-    return depths <= ascending[end - 1]

@@ -196,7 +196,14 @@ class Posing:
         else:
             looks = looks_of([photo.file for photo in photos], lambda file: descriptors_of(database, file))
             alike = NUMBERED_NEIGHBOURS_IN_LOOKS if numbered else NEIGHBOURS_IN_LOOKS
-            pairs = pairs_in_looks(looks, alike) | pairs_in_place(places_of(photos))
+            # positions of photos in metres from the centre of the Earth; rows of NaN where they have none
+            nowhere = (np.nan, np.nan, np.nan)
+            positions = [photo.exif.position or nowhere for photo in photos]
+            pairs = pairs_in_looks(looks, alike) | pairs_in_place(
+                geocentric(
+                    np.array([(x, y, 0.0 if z is None else z) for x, y, z in positions], np.float64).reshape(-1, 3)
+                )
+            )
             if numbered:
                 pairs |= pairs_in_order(len(photos))
         return [(photos[i].file, photos[j].file) for i, j in sorted(pairs)]
@@ -272,13 +279,6 @@ def camera_of(photo: Photo, lens: str) -> dict[str, Any]:
         "params": [*focals, photo.width / 2, photo.height / 2, *[0.0] * terms],
         "has_prior_focal_length": share is not None or lens == "fisheye",  # without it COLMAP assumes straight lines
     }  # fmt: skip
-
-
-def places_of(photos: Sequence[Photo]) -> Points:
-    """Return positions of photos in metres from the centre of the Earth; rows of NaN where they have none."""
-    nowhere = (np.nan, np.nan, np.nan)
-    positions = [photo.exif.position or nowhere for photo in photos]
-    return geocentric(np.array([(x, y, 0.0 if z is None else z) for x, y, z in positions], np.float64).reshape(-1, 3))
 
 
 def _largest_group(pairs: dict[tuple[str, str], int]) -> set[str]:

@@ -119,7 +119,15 @@ def _gps_fit(views: Sequence[View], facts: Mapping[str, ExifFacts], upright: Rot
         return None
     up_from = "GPS"
     if spread[1] < MIN_SPREAD_RESIDUALS * middle:  # a straight walk: the fit can turn about it
-        similarity, up_from = _level_similarity(centers, offsets, upright), ""
+        # the best similarity that keeps +z of `upright` up; it turns about that axis only
+        a = (centers - centers.mean(0)) @ upright.T
+        b = offsets - offsets.mean(0)
+        cosine, sine = (a[:, :2] * b[:, :2]).sum(), (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()
+        angle = np.arctan2(sine, cosine)
+        turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+        scale = float(np.hypot(cosine, sine) / max(float((a[:, :2] ** 2).sum()), 1e-30))
+        rotation = turn @ upright
+        similarity, up_from = Similarity(scale, rotation, offsets.mean(0) - scale * rotation @ centers.mean(0)), ""
         middle = float(np.median(_distances(similarity, centers, offsets)))
     georeference = Georeference(*origin, np.eye(3), 1.0)
     return World(similarity, "m", up_from, "GPS", georeference, middle)
@@ -155,16 +163,4 @@ def umeyama(source: Points, target: Points) -> Similarity:
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     rotation = u @ np.diag(signs) @ vt
     scale = float((stretch * signs).sum() / max(float((a**2).sum()), 1e-30))
-    return Similarity(scale, rotation, target.mean(0) - scale * rotation @ source.mean(0))
-
-
-def _level_similarity(source: Points, target: Points, upright: Rotation) -> Similarity:
-    """Return the best similarity that keeps +z of `upright` up; it turns about that axis only."""
-    a = (source - source.mean(0)) @ upright.T
-    b = target - target.mean(0)
-    cosine, sine = (a[:, :2] * b[:, :2]).sum(), (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()
-    angle = np.arctan2(sine, cosine)
-    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
-    scale = float(np.hypot(cosine, sine) / max(float((a[:, :2] ** 2).sum()), 1e-30))
-    rotation = turn @ upright
     return Similarity(scale, rotation, target.mean(0) - scale * rotation @ source.mean(0))

@@ -363,7 +363,10 @@ def without_small_regions(
     if not (holes.any() or islands.any()):
         return box, part, False
     if islands.sum() == canvas.sum():
-        islands &= ~_largest(canvas)
+        labels, _ = ndimage.label(canvas, np.ones((3, 3), int))
+        sizes = np.bincount(labels.ravel())
+        sizes[0] = 0
+        islands &= ~(labels == sizes.argmax())
     canvas &= ~islands
     left, top, right, bottom = tight_box(canvas) or (0, 0, 1, 1)
     shifted = (left + x0, top + y0, right + x0, bottom + y0)
@@ -376,10 +379,3 @@ def _regions_below(mask: Mask, limit: int) -> Mask:
     small = np.bincount(labels.ravel()) < limit
     small[0] = False
     return small[labels]
-
-
-def _largest(mask: Mask) -> Mask:
-    labels, _ = ndimage.label(mask, np.ones((3, 3), int))
-    sizes = np.bincount(labels.ravel())
-    sizes[0] = 0
-    return labels == sizes.argmax()

@@ -76,7 +76,11 @@ class TransformersEncoder(TorchEncoder):
         device = chosen_device(device)
         dtype = chosen_dtype(dtype, device)
         self._model = _model(self._family.class_name, folder, files).to(device)
-        self._cast_vision(dtype)
+        # cast the vision weights once: autocast would do it for every batch, a tenth of the time
+        parts = ("vision_model", "visual_projection") if self._family.texts else ()
+        for part in [getattr(self._model, name, None) for name in parts] or [self._model]:
+            if part is not None:
+                part.to(getattr(import_module("torch"), dtype))
         preprocessing = self._read_preprocessing()
         dim = getattr(self._model.config, "projection_dim", None) or self._vision.hidden_size
         super().__init__(
@@ -109,13 +113,6 @@ class TransformersEncoder(TorchEncoder):
         inputs = self._patches(values) if self._family.patches else {"pixel_values": values}
         output = (self._model.get_image_features if self._family.texts else self._model)(**inputs)
         return as_rows(output.pooler_output)
-
-    def _cast_vision(self, dtype: str) -> None:
-        """Cast the vision weights once: autocast would do it for every batch, a tenth of the time."""
-        parts = ("vision_model", "visual_projection") if self._family.texts else ()
-        for part in [getattr(self._model, name, None) for name in parts] or [self._model]:
-            if part is not None:
-                part.to(getattr(import_module("torch"), dtype))
 
     def _patches(self, values: Any) -> dict[str, Any]:
         """Cut (b, 3, s, s) into squares, row by row; within a square by row, column, channel."""

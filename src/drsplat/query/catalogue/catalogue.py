@@ -118,7 +118,9 @@ class Catalogue:
             opened, folder, georeference = scene, "", None
         else:
             files = scene if isinstance(scene, SceneFiles) else scene_files(scene)
-            opened, folder = self._opened(files), _folder_of(files)
+            # the folder that a scene was added from if it has the field and the scene, else the field's path
+            is_beside = any(path.parent == files.field.parent for path in files.scenes)
+            opened, folder = self._opened(files), str((files.field.parent if is_beside else files.field).resolve())
             georeference = read_georeference(files.field.parent, files.capture)
         called = checked_name(name or opened.name)
         refuse_missing_parent(self.path)
@@ -314,12 +316,6 @@ def _sample(snapshot: Snapshot) -> Embeddings:
     described = snapshot.spread(USUAL_SAMPLE)
     firsts = described.starts[:-1][np.diff(described.starts) > 0]
     return described.descriptors[firsts]
-
-
-def _folder_of(files: SceneFiles) -> str:
-    """Return the folder that a scene was added from if it has the field and the scene, else the field's path."""
-    is_beside = any(path.parent == files.field.parent for path in files.scenes)
-    return str((files.field.parent if is_beside else files.field).resolve())
 
 
 def _check_folder(snapshot: Snapshot, name: str, folder: str) -> None:

@@ -61,21 +61,17 @@ def fragments_of(manifest: Path) -> list[Fragment] | None:
     """
     content = manifest.read_bytes()
     try:
-        parts = list(_fields(_message(content)))
+        begin = int.from_bytes(content[-FOOTER_BYTES : 8 - FOOTER_BYTES], "little") + LENGTH_BYTES
+        length = int.from_bytes(content[begin - LENGTH_BYTES : begin], "little")
+        message = content[begin : begin + length]
+        if not content.endswith(MAGIC) or len(message) != length:
+            raise ValueError("cut short")
+        parts = list(_fields(message))
         if any(key == READER_FLAGS and int(value) & STABLE_ROW_IDS for key, value in parts):
             return None
         return [_fragment(value) for key, value in parts if key == FRAGMENTS and isinstance(value, bytes)]
     except (IndexError, ValueError, TypeError, KeyError) as error:
         raise FormatError(f"{manifest}: expected the fragments of a LanceDB table ({error!s:.80})") from error
-
-
-def _message(content: bytes) -> bytes:
-    begin = int.from_bytes(content[-FOOTER_BYTES : 8 - FOOTER_BYTES], "little") + LENGTH_BYTES
-    length = int.from_bytes(content[begin - LENGTH_BYTES : begin], "little")
-    message = content[begin : begin + length]
-    if not content.endswith(MAGIC) or len(message) != length:
-        raise ValueError("cut short")
-    return message
 
 
 def _fragment(message: bytes) -> Fragment:

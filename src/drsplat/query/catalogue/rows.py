@@ -76,7 +76,9 @@ def rows_of(
 def _row(
     field: LanguageField, match: Match, position: Position | None, word: str | None, picture: tuple[bytes | None, str]
 ) -> dict[str, Any]:
-    node = objects_of(field).thing(_number(match))
+    if match.object_id is None:
+        raise InputError("a catalogue keeps objects, and this match is none")
+    node = objects_of(field).thing(match.object_id)
     photo, mask = _best_mask(field, node, picture[1])
     x, y, z = match.center.tolist()
     return {
@@ -105,12 +107,6 @@ def _tiles(scene: Scene, matches: Sequence[Match]) -> list[int]:
     firsts = np.array([tile.first for tile in read_tiles(scene.path).tiles])
     tiles_of_match = (np.searchsorted(firsts, match.gaussian_ids, side="right") - 1 for match in matches)
     return [int(np.bincount(tiles).argmax()) for tiles in tiles_of_match]
-
-
-def _number(match: Match) -> int:
-    if match.object_id is None:
-        raise InputError("a catalogue keeps objects, and this match is none")
-    return match.object_id
 
 
 def _best_mask(field: LanguageField, node: int, photo: str) -> tuple[str | None, int | None]:

@@ -87,7 +87,11 @@ def _answer(process: "subprocess.Popen[bytes]", share: Sequence[View]) -> list[D
     output = process.stdout.read()
     if process.wait() != 0:
         return [detect(view) for view in share]
-    return _unpacked(output)
+    # the detections that `_packed` packed
+    with np.load(io.BytesIO(output), allow_pickle=False) as arrays:
+        counts, *columns = arrays.values()
+    ends = np.cumsum(counts)[:-1]
+    return [Detection(*photo) for photo in zip(*(np.split(column, ends) for column in columns), strict=True)]
 
 
 def _packed(detections: Sequence[Detection]) -> bytes:
@@ -96,14 +100,6 @@ def _packed(detections: Sequence[Detection]) -> bytes:
     counts = [len(detection.sigmas) for detection in detections]
     np.savez(buffer, counts, *(np.concatenate(columns) for columns in zip(*detections, strict=True)))
     return buffer.getvalue()
-
-
-def _unpacked(packed: bytes) -> list[Detection]:
-    """Return the detections that `_packed` packed."""
-    with np.load(io.BytesIO(packed), allow_pickle=False) as arrays:
-        counts, *columns = arrays.values()
-    ends = np.cumsum(counts)[:-1]
-    return [Detection(*photo) for photo in zip(*(np.split(column, ends) for column in columns), strict=True)]
 
 
 def _view(path: str, width: int, height: int) -> View:
