@@ -14,7 +14,17 @@ import numpy as np
 from ..base.arrays import Indices, RowIds, Spans, Vector3
 from ..errors import FormatError, InputError
 from ..formats.claiming import claimed_output
-from ..formats.json_files import are_rows, as_vector, ids_of, is_text, read_json, runs_of, spans_of, spans_of_runs
+from ..formats.json_files import (
+    are_rows,
+    as_vector,
+    count_in,
+    ids_of,
+    is_text,
+    read_json,
+    runs_of,
+    spans_of,
+    spans_of_runs,
+)
 from ..formats.replacing import replacing
 from .forest import THING
 from .language_field import LanguageField
@@ -53,7 +63,7 @@ class Label:
 
     def __len__(self) -> int:
         """Return how many Gaussians it names."""
-        return int((self.spans[:, 1] - self.spans[:, 0]).sum())
+        return count_in(self.spans)
 
     def is_of(self, field: LanguageField) -> bool:
         """Return True if the label names Gaussians of the field's scene."""

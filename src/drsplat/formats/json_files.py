@@ -243,6 +243,11 @@ def spans_of(ids: RowIds) -> Spans:
     return np.stack([rows[begins], rows[lasts] + 1], axis=1).reshape(-1, 2)
 
 
+def count_in(spans: Spans) -> int:
+    """Return how many rows spans stand for."""
+    return int((spans[:, 1] - spans[:, 0]).sum())
+
+
 def are_rows(spans: Spans) -> bool:
     """Return True if spans are those of one or more ascending rows."""
     ends = spans.ravel()

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...base.arrays import Spans, Vector3
 from ...errors import InputError
-from ...formats.json_files import are_rows, ids_of
+from ...formats.json_files import are_rows, count_in, ids_of
 from .draft import Draft
 
 
@@ -25,7 +25,7 @@ class Clones:
             raise InputError("fill: clones: expected ascending rows of the scene, one or more")
 
     def __len__(self) -> int:
-        return int((self.spans[:, 1] - self.spans[:, 0]).sum())
+        return count_in(self.spans)
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...base.arrays import Matrix3, RowIds, Spans, Vector3
 from ...errors import InputError
-from ...formats.json_files import are_rows, ids_of, is_text, spans_of
+from ...formats.json_files import are_rows, count_in, ids_of, is_text, spans_of
 from .draft import Draft
 
 Named = Literal["object", "label", "query", "rows"]
@@ -49,7 +49,7 @@ class Rows:
         return {"object": f"object {self.name}", "rows": f"{len(self):,} rows"}.get(self.kind, f"“{self.name}”")
 
     def __len__(self) -> int:
-        return int((self.spans[:, 1] - self.spans[:, 0]).sum())
+        return count_in(self.spans)
 
     def ids(self, draft: Draft) -> RowIds:
         """Return the rows that are there. Raises: InputError: numbers that no row has."""

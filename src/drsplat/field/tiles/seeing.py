@@ -32,7 +32,7 @@ def seen_tiles(tiles: Tiles, view: View, near: float) -> Flags:
     Source: 3DGS, "EWA" projection as in native/kernels/projection.h.
     """
     camera = view.relative_to(tiles.origin)
-    low, high = (np.array([getattr(tile, end) for tile in tiles.tiles]) for end in ("low", "high"))
+    low, high = tiles.corners
     reach = np.array([tile.largest for tile in tiles.tiles])
     seen = _furthest(camera.cam_from_world[2], low, high) > near * (1 - 1e-4)
     for row, offset in _borders(camera):

@@ -250,7 +250,7 @@ def session_of(scene: Scene, *given: Any, **named: Any) -> Session:
 
 def frame_of_tiles(tiles: Tiles) -> Frame:
     """Return a frame in the middle of all tiles in which a middling tile has the size that a room has."""
-    low, high = (np.array([getattr(tile, end) for tile in tiles.tiles]) for end in ("low", "high"))
+    low, high = tiles.corners
     sizes = np.array([tile.num_rows for tile in tiles.tiles])
     middles = (low + high) / 2
     center = np.average(middles, axis=0, weights=sizes)
