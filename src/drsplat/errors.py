@@ -3,6 +3,7 @@
 A message says what was given, what was expected and what to do; `did_you_mean` finds what was probably meant.
 """
 
+import warnings
 from collections.abc import Iterable
 
 _NEAR = 0.7  # share of letters in common: "vaze" is near "vase", "rote" is not near "carrot"
@@ -30,6 +31,11 @@ class MissingExtraError(DrSplatError, ImportError):
 
 class DrSplatWarning(UserWarning):
     """Something was left out and the caller should know which and how many."""
+
+
+def warn(message: str, level: int = 2) -> None:
+    """Warn of something that was left out. level: how many calls up the line stands that the warning names, from 1."""
+    warnings.warn(message, DrSplatWarning, stacklevel=level + 1)
 
 
 def placed(where: object, error: Exception) -> str:

@@ -7,6 +7,7 @@ are of their libraries only where jaxtyping is loaded already, as by the tests.
 """
 
 import sys
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -88,11 +89,65 @@ Embedding = Float32[np.ndarray, " D"]
 """A vector of an encoder."""
 Embeddings = Float32[np.ndarray, "n D"]
 """Vectors of an encoder, a row each."""
+OtherPoints = Float64[np.ndarray, "m 3"]
+"""Places in three dimensions, of another number than `Points` beside them."""
+PlanePoints = Float64[np.ndarray, "n 2"]
+"""Places in a plane, such as a picture, a row each."""
+OtherDoubles = Float64[np.ndarray, " m"]
+"""A number in double precision of each, of another number than `Doubles` beside them."""
+DoubleRows = Float64[np.ndarray, "n k"]
+"""Numbers in double precision, a row of each."""
+OtherFlags = Bool[np.ndarray, " m"]
+"""Answers of yes or no, of another number than `Flags` beside them."""
+OtherIds = Int32[np.ndarray, " k"]
+"""A number of something of each, of another number than `Ids` beside them."""
+UnsignedIds = UInt32[np.ndarray, " n"]
+"""A number of something of each, such as a Gaussian, that is never negative."""
+OtherIndices = Int64[np.ndarray, " m"]
+"""Places in another array, of another number than `Indices` beside them."""
+IndexRows = Int64[np.ndarray, "n k"]
+"""Places in another array, a row of them of each."""
+WholeNumbers = Integer[np.ndarray, " n"]
+"""A whole number of each."""
+ByteValues = UInt8[np.ndarray, " n"]
+"""A whole number below 256 of each."""
+ByteRows = UInt8[np.ndarray, "n k"]
+"""Whole numbers below 256, a row of each, such as a code."""
+PixelNumbers = Float32[np.ndarray, "h w"]
+"""A number of each pixel, such as a depth."""
+PixelRows = Float32[np.ndarray, "h w c"]
+"""Numbers of each pixel."""
+FloatRows = Float32[np.ndarray, "n k"]
+"""Numbers in single precision, a row of each."""
+OtherEmbeddings = Float32[np.ndarray, "m D"]
+"""Vectors of an encoder, of another number than `Embeddings` beside them."""
+AnyPoints = Float[np.ndarray, "n 3"]
+"""Places in three dimensions, in either precision."""
+Matrices = Float64[np.ndarray, "n 3 3"]
+"""Three rows of three numbers of each, such as the directions of boxes."""
+Spans = Int64[np.ndarray, "n 2"]
+"""Two whole numbers of each, such as first and end of a run."""
+GreyPixels = UInt8[np.ndarray, "h w"]
+"""A picture of one channel."""
+LevelMaskIds = Int32[np.ndarray, "*levels h w"]
+"""The mask of each level that each pixel of a picture is in; -1 for none."""
+SmallIds = UInt16[np.ndarray, " n"]
+"""A number of something of each, below 65,536."""
+Arrays: TypeAlias = dict[str, np.ndarray]
+"""Arrays by name, such as the columns of a file."""
+ArraysByName: TypeAlias = Mapping[str, np.ndarray]
+"""The same, to read only."""
 
 __all__ = [
+    "AnyPoints",
     "Anywhere",
+    "Arrays",
+    "ArraysByName",
     "Bool",
+    "ByteRows",
+    "ByteValues",
     "Colors",
+    "DoubleRows",
     "Doubles",
     "Embedding",
     "Embeddings",
@@ -101,34 +156,52 @@ __all__ = [
     "Float16",
     "Float32",
     "Float64",
+    "FloatRows",
+    "GreyPixels",
     "Harmonics",
     "Ids",
     "Image",
+    "IndexRows",
     "Indices",
     "Int",
     "Int8",
     "Int32",
     "Int64",
     "Integer",
+    "LevelMaskIds",
     "Mask",
     "MaskIds",
+    "Matrices",
     "Matrix3",
     "Matrix4",
     "Num",
     "Numbers",
+    "OtherDoubles",
+    "OtherEmbeddings",
+    "OtherFlags",
+    "OtherIds",
+    "OtherIndices",
     "OtherPixels",
+    "OtherPoints",
     "PilImage",
+    "PixelNumbers",
+    "PixelRows",
     "Pixels",
+    "PlanePoints",
     "Points",
     "Quats",
     "Real",
     "RowIds",
     "Shaped",
+    "SmallIds",
+    "Spans",
     "Sparse",
     "UInt8",
     "UInt16",
     "UInt32",
     "UInt64",
+    "UnsignedIds",
     "Vector3",
     "Vectors",
+    "WholeNumbers",
 ]  # fmt: skip

@@ -77,7 +77,17 @@ class Meter:
             return
         facts = f"{done}/{self._total}", f"{1 / max(per_item, 1e-9):.1f}/s", f"{duration(left)} left"
         if self._bar is not None or sys.stderr.isatty():  # which the bar replaces, by what says it is no terminal
-            self._show(done, "  ".join(filter(None, (*facts, plain(text)))))
+            # draw the bar and a line beside it, which is cut at its end where the terminal is narrow
+            if self._bar is None:
+                self._bar = _job_bar()
+                self._bar.add_task(self._description, total=self._total, line="")
+            room = self._bar.console.width - len(self._description) - BAR_COLUMNS - 3
+            self._bar.update(
+                self._bar.task_ids[0],
+                completed=done,
+                line="  ".join(filter(None, (*facts, plain(text))))[: max(room, 0)],
+            )
+            self._bar.start()  # which does nothing the second time
         elif time.monotonic() - self._last_line > LINE_EVERY_S:
             self._last_line = time.monotonic()
             parts = facts[0], plain(text), *facts[1:]
@@ -94,15 +104,6 @@ class Meter:
         if len(self._marks) > MAX_MARKS:
             del self._marks[1::2]
         return seconds_left([*self._marks, now], self._total)
-
-    def _show(self, done: int, line: str) -> None:
-        """Draw the bar and a line beside it, which is cut at its end where the terminal is narrow."""
-        if self._bar is None:
-            self._bar = _job_bar()
-            self._bar.add_task(self._description, total=self._total, line="")
-        room = self._bar.console.width - len(self._description) - BAR_COLUMNS - 3
-        self._bar.update(self._bar.task_ids[0], completed=done, line=line[: max(room, 0)])
-        self._bar.start()  # which does nothing the second time
 
 
 def seconds_left(marks: Sequence[tuple[int, float]], total: int) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ..base.arrays import Float32, Indices, OtherPixels, Pixels
+from ..base.arrays import Indices, OtherPixels, PixelNumbers, Pixels
 from .heat import LUMA
 from .pictures import FAINT, INK, PAPER, border, fitting
 
@@ -74,12 +74,22 @@ def _write(picture: Image.Image, left: int, top: int, lines: Sequence[tuple[str,
         top += line
 
 
-def cut_out(photo: Pixels, share: Float32[np.ndarray, "h w"], size: tuple[int, int] = TILE_PIXELS) -> OtherPixels:
+def cut_out(photo: Pixels, share: PixelNumbers, size: tuple[int, int] = TILE_PIXELS) -> OtherPixels:
     """Return a tile of the part of a photo where `share` is above a half, outlined; all of it if there is none.
 
     share: as of `visible_share`, at the photo's size. size: width and height of the tile, of 4 to 3.
     """
-    window, fine = _window(share), (OVERSAMPLING * size[0], OVERSAMPLING * size[1])
+    # left, top, right and bottom around the object: in a tile's proportions, in the photo where it fits
+    rows, columns = np.nonzero(share > 0.5 * min(1.0, float(share.max(initial=0))))
+    if not len(rows):
+        rows, columns = (np.array([0, side - 1]) for side in share.shape)
+    high, wide = ((1 + 2 * MARGIN_SHARE) * (np.ptp(np.percentile(at, (1, 99))) + 1) for at in (rows, columns))
+    aspect = TILE_PIXELS[0] / TILE_PIXELS[1]
+    whole = max(float(share.shape[1]), share.shape[0] * aspect)
+    width = min(max(wide, high * aspect, MIN_WIDTH_PIXELS), whole)
+    left, right = _placed(columns, width, share.shape[1])
+    top, bottom = _placed(rows, width / aspect, share.shape[0])
+    window, fine = (left, top, right, bottom), (OVERSAMPLING * size[0], OVERSAMPLING * size[1])
     part = np.asarray(_cropped(Image.fromarray(photo), window, fine), np.float32)
     visible = np.asarray(_cropped(Image.fromarray(np.clip(share, 0, 1)), window, fine))
     ghost = 255 - GHOST_SHARE * (255 - part @ LUMA.astype(np.float32))[..., None]
@@ -94,20 +104,6 @@ def _cropped(picture: Image.Image, window: tuple[int, int, int, int], size: tupl
     canvas = Image.new(picture.mode, (right - left, bottom - top), PAPER if picture.mode == "RGB" else 0)
     canvas.paste(picture, (-left, -top))
     return canvas.resize(size, Image.Resampling.BICUBIC)
-
-
-def _window(share: Float32[np.ndarray, "h w"]) -> tuple[int, int, int, int]:
-    """Return left, top, right and bottom around the object: in a tile's proportions, in the photo where it fits."""
-    rows, columns = np.nonzero(share > 0.5 * min(1.0, float(share.max(initial=0))))
-    if not len(rows):
-        rows, columns = (np.array([0, side - 1]) for side in share.shape)
-    high, wide = ((1 + 2 * MARGIN_SHARE) * (np.ptp(np.percentile(at, (1, 99))) + 1) for at in (rows, columns))
-    aspect = TILE_PIXELS[0] / TILE_PIXELS[1]
-    whole = max(float(share.shape[1]), share.shape[0] * aspect)
-    width = min(max(wide, high * aspect, MIN_WIDTH_PIXELS), whole)
-    left, right = _placed(columns, width, share.shape[1])
-    top, bottom = _placed(rows, width / aspect, share.shape[0])
-    return left, top, right, bottom
 
 
 def _placed(at: Indices, length: float, side: int) -> tuple[int, int]:

@@ -4,7 +4,7 @@ import colorsys
 
 import numpy as np
 
-from ..base.arrays import Numbers, UInt8, Vectors
+from ..base.arrays import Colors, Numbers, Vectors
 
 LUMA = np.array([0.299, 0.587, 0.114])  # of red, green and blue: how light a colour looks
 GOLDEN_TURN_SHARE = 0.6180339887498949  # between hues, which keeps any number of them apart
@@ -41,10 +41,10 @@ def heat_colors(heat: Values) -> Vectors:
     at = np.clip(heat, 0, 1) * (len(HEAT) - 1)
     low = np.minimum(at.astype(np.int64), len(HEAT) - 2)
     share = (at - low)[:, None].astype(np.float32)
-    return np.asarray(HEAT[low] * (1 - share) + HEAT[low + 1] * share)
+    return HEAT[low] * (1 - share) + HEAT[low + 1] * share
 
 
-def class_colors(count: int) -> UInt8[np.ndarray, "c 3"]:
+def class_colors(count: int) -> Colors:
     """Return a colour per class: distinct hues, and neighbours in the list of different light."""
     hsv = [((0.02 + GOLDEN_TURN_SHARE * i) % 1, (0.85, 0.6)[i % 2], (0.95, 0.75)[i // 2 % 2]) for i in range(count)]
     rgb = np.array([colorsys.hsv_to_rgb(*color) for color in hsv]).reshape(count, 3)

@@ -47,7 +47,7 @@ class Mark:
         """Corners of the box; for a point, that point eight times."""
         extent = np.zeros(3) if self.extent is None else self.extent
         axes = np.eye(3) if self.axes is None else self.axes
-        return np.asarray(self.center + (CORNERS * extent) @ axes)
+        return self.center + (CORNERS * extent) @ axes
 
 
 def notes_of(annotations: Sequence[Annotation]) -> list[Mark]:
@@ -73,7 +73,14 @@ def marked(picture: Pixels, view: View, marks: Sequence[Mark], share: float = 1.
     order = np.argsort([-float(np.linalg.norm(mark.center - view.center)) for mark in marks], kind="stable").tolist()
     for number in order:
         _draw_lines(pen, marks[number], lines[number], max(1, round(view.height / 240)))
-    plates = _plates(pen, marks, lines, letters, (view.width, view.height))
+    # the places of names by mark number, for marks in the picture that have a name
+    named = [number for number, mark in enumerate(marks) if mark.text.strip() and lines[number]]
+    spots = [np.array(lines[number]).reshape(-1, 2) for number in named]
+    things = [np.concatenate([spot.min(0), spot.max(0)]) for spot in spots]
+    texts = [pen.textbbox((0, 0), _in_a_line(marks[number].text), letters) for number in named]
+    border = max((bottom - top for _, top, _, bottom in texts), default=0) / 3
+    sizes = [(right - left + 2 * border, bottom - top + 2 * border) for left, top, right, bottom in texts]
+    plates = dict(zip(named, plates_of(things, sizes, border, (view.width, view.height)), strict=True))
     for number in _in_sight([number for number in order if number in plates], plates, view):
         _draw_name(pen, marks[number], plates[number], letters)
     result: Pixels = np.asarray(drawn)
@@ -104,7 +111,7 @@ def _before(point: np.ndarray, other: np.ndarray, near: float) -> np.ndarray:
 
 
 def _pixel(point: np.ndarray, view: View) -> np.ndarray:
-    return np.asarray((view.K @ point)[:2] / point[2])
+    return (view.K @ point)[:2] / point[2]
 
 
 def _within(start: np.ndarray, end: np.ndarray, view: View) -> tuple[Spot, Spot] | None:
@@ -132,22 +139,6 @@ def _draw_lines(pen: ImageDraw.ImageDraw, mark: Mark, spots: Sequence[tuple[Spot
     for thick, color in ((width + 2, SHADE_COLOR), (width, mark.color)):
         for line in spots:
             pen.line(line, fill=color, width=thick)
-
-
-def _plates(
-    pen: ImageDraw.ImageDraw, marks: Sequence[Mark], lines: Sequence[Lines], letters: Letters, size: tuple[int, int]
-) -> dict[int, Box]:
-    """Return the places of names by mark number, for marks in the picture that have a name.
-
-    They are placed in the marks' order, so that names of a film do not jump when their objects pass each other.
-    """
-    named = [number for number, mark in enumerate(marks) if mark.text.strip() and lines[number]]
-    spots = [np.array(lines[number]).reshape(-1, 2) for number in named]
-    things = [np.concatenate([spot.min(0), spot.max(0)]) for spot in spots]
-    texts = [pen.textbbox((0, 0), _in_a_line(marks[number].text), letters) for number in named]
-    border = max((bottom - top for _, top, _, bottom in texts), default=0) / 3
-    sizes = [(right - left + 2 * border, bottom - top + 2 * border) for left, top, right, bottom in texts]
-    return dict(zip(named, plates_of(things, sizes, border, size), strict=True))
 
 
 def _in_sight(far_first: Sequence[int], plates: dict[int, Box], view: View) -> list[int]:
@@ -187,28 +178,20 @@ def plates_of(
     """
     taken = np.empty((0, 4))
     for number, (thing, size) in enumerate(zip(things, sizes, strict=True)):
-        places = _places(thing, size, margin, picture)
-        hidden = _shared(places, taken if number < MAX_DODGING_NAMES else taken[:0]).sum(1)
+        # all candidate places, nearest first, within the picture
+        (wide, high), (left, top, right, bottom) = size, thing.tolist()
+        rows = [(float(step), top - margin - (step + 1) * high) for step in PLATE_HEIGHTS]
+        rows += [(step + 0.5, bottom + margin + step * high) for step in PLATE_HEIGHTS]
+        ways = sorted(
+            ((step + abs(aside), aside, y) for step, y in rows for aside in PLATE_WIDTHS), key=lambda way: way[0]
+        )
+        x = np.array([(left + right - wide) / 2 + aside * wide for _, aside, _ in ways])
+        y = np.array([y for *_, y in ways])
+        x, y = x.clip(0, max(picture[0] - wide, 0)), y.clip(0, max(picture[1] - high, 0))
+        places = np.stack([x, y, x + wide, y + high], axis=1)
+        # the number of pixels that each place shares with each taken plate
+        a, b = places[:, None], (taken if number < MAX_DODGING_NAMES else taken[:0])[None]
+        sides = np.minimum(a[..., 2:], b[..., 2:]) - np.maximum(a[..., :2], b[..., :2])
+        hidden = np.asarray(sides.clip(0).prod(-1)).sum(1)
         taken = np.concatenate([taken, places[[int(np.argmin(hidden))]]])
     return list(taken)
-
-
-def _places(
-    thing: Box, size: tuple[float, float], margin: float, picture: tuple[int, int]
-) -> Float64[np.ndarray, "c 4"]:
-    """Return all candidate places, nearest first, within the picture."""
-    (wide, high), (left, top, right, bottom) = size, thing.tolist()
-    rows = [(float(step), top - margin - (step + 1) * high) for step in PLATE_HEIGHTS]
-    rows += [(step + 0.5, bottom + margin + step * high) for step in PLATE_HEIGHTS]
-    ways = sorted(((step + abs(aside), aside, y) for step, y in rows for aside in PLATE_WIDTHS), key=lambda way: way[0])
-    x = np.array([(left + right - wide) / 2 + aside * wide for _, aside, _ in ways])
-    y = np.array([y for *_, y in ways])
-    x, y = x.clip(0, max(picture[0] - wide, 0)), y.clip(0, max(picture[1] - high, 0))
-    return np.stack([x, y, x + wide, y + high], axis=1)
-
-
-def _shared(places: Float64[np.ndarray, "c 4"], taken: Float64[np.ndarray, "t 4"]) -> Float64[np.ndarray, "c t"]:
-    """Return the number of pixels that each place shares with each taken plate."""
-    a, b = places[:, None], taken[None]
-    sides = np.minimum(a[..., 2:], b[..., 2:]) - np.maximum(a[..., :2], b[..., :2])
-    return np.asarray(sides.clip(0).prod(-1))

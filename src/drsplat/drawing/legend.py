@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ..base.arrays import Float32, Ids, OtherPixels, Pixels
+from ..base.arrays import Float32, Ids, OtherPixels, PixelNumbers, Pixels
 from ..kernels import render_channels, splat_arrays
 from ..scene.gaussians import SH_C0, Gaussians
 from ..scene.views import View
@@ -39,13 +39,12 @@ def class_picture(
     return np.concatenate([picture, legend(picture.shape[1], [names[i] for i in present], colors[present])])
 
 
-def tinted(photo: Pixels, color: Float32[np.ndarray, "h w 3"], share: Float32[np.ndarray, "h w"]) -> Pixels:
+def tinted(photo: Pixels, color: Float32[np.ndarray, "h w 3"], share: PixelNumbers) -> Pixels:
     """Put colour over the photo's grey; `color` must be weighted by `share` already."""
     grey = (photo @ LUMA)[..., None]
     covered = np.clip(share, 0, 1)[..., None]
     shade = 0.4 + 0.6 * grey / 255
-    picture: Pixels = np.clip(shade * color + (1 - covered) * (0.5 * grey + 90), 0, 255).astype(np.uint8)
-    return picture
+    return np.clip(shade * color + (1 - covered) * (0.5 * grey + 90), 0, 255).astype(np.uint8)
 
 
 def legend(width: int, names: list[str], colors: np.ndarray) -> OtherPixels:

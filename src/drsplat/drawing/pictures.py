@@ -9,7 +9,7 @@ from os import PathLike
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from ..base.arrays import Float32, Integer, Mask, OtherPixels, Pixels, RowIds, UInt8
+from ..base.arrays import Float32, Integer, Mask, Numbers, OtherPixels, PixelNumbers, Pixels, UInt8, WholeNumbers
 from ..errors import InputError
 from ..formats.replacing import replacing
 from ..kernels import SplatArrays, render_channels, splat_arrays
@@ -33,8 +33,7 @@ def as_pixels(rgb: Float32[np.ndarray, "h w 3"]) -> Pixels:
     scaled = np.clip(rgb, 0, 1)
     scaled *= 255
     scaled += 0.5
-    pixels: Pixels = scaled.astype(np.uint8)
-    return pixels
+    return scaled.astype(np.uint8)
 
 
 def picture_html(picture: Image.Image) -> str:
@@ -54,8 +53,8 @@ def photo_or_rendering(
 
 
 def visible_share(
-    gaussians: Gaussians, view: View, ids: RowIds, *, splats: SplatArrays | None = None, threads: int = 0
-) -> Float32[np.ndarray, "h w"]:
+    gaussians: Gaussians, view: View, ids: WholeNumbers, *, splats: SplatArrays | None = None, threads: int = 0
+) -> PixelNumbers:
     """Return, per pixel, the summed blending weight of the Gaussians at `ids`, as far as nothing hides them."""
     if not len(ids):
         return np.zeros((view.height, view.width), np.float32)
@@ -65,7 +64,7 @@ def visible_share(
     return drawn.channels[..., 0]
 
 
-def highlighted(photo: Pixels, share: Float32[np.ndarray, "h w"], outline_px: int = 0) -> Pixels:
+def highlighted(photo: Pixels, share: PixelNumbers, outline_px: int = 0) -> Pixels:
     """Draw the photo grey and pale where `share` is 0, with a line around where it is above a half.
 
     outline_px: thickness of the line in pixels; 0 takes one in 240 of the width.
@@ -84,7 +83,7 @@ def highlighted(photo: Pixels, share: Float32[np.ndarray, "h w"], outline_px: in
     return picture
 
 
-def heated(photo: Pixels, heat: Float32[np.ndarray, "h w"]) -> Pixels:
+def heated(photo: Pixels, heat: PixelNumbers) -> Pixels:
     """Draw heat in [0, 1] as colours over the photo, which keeps its light and shade.
 
     Raises: InputError: photo and heat differ in size.
@@ -93,8 +92,7 @@ def heated(photo: Pixels, heat: Float32[np.ndarray, "h w"]) -> Pixels:
         raise InputError(f"the photo is {photo.shape[:2]}, the heat {heat.shape}: render the heat at the photo's size")
     warm = heat_colors(np.linspace(0, 1, 256, dtype=np.float32)) * np.float32(255)
     shade = MIN_LIGHT + (1 - MIN_LIGHT) / 255 * (photo @ LUMA.astype(np.float32))[..., None]
-    picture: Pixels = (warm[(np.clip(heat, 0, 1) * 255).astype(np.uint8)] * shade).astype(np.uint8)
-    return picture
+    return (warm[(np.clip(heat, 0, 1) * 255).astype(np.uint8)] * shade).astype(np.uint8)
 
 
 def border(inside: Mask, thickness: int) -> Mask:
@@ -141,7 +139,7 @@ def best_views(
 
 def shown_areas(
     splats: SplatArrays, view: View, selections: Sequence[Integer[np.ndarray, " _"]], *, threads: int = 0
-) -> Float32[np.ndarray, " s"]:
+) -> Numbers:
     """Return how many pixels of a small picture each selection has, divided by those at its borders."""
     chosen = np.zeros((splats.means.shape[1], len(selections)), np.float32)
     for column, ids in enumerate(selections):
@@ -149,10 +147,10 @@ def shown_areas(
     small = view.resized(160, max(1, round(160 * view.height / view.width)))
     share = render_channels(splats, small, chosen, threads=threads).channels
     cut = share[[0, -1]].sum((0, 1)) + share[:, [0, -1]].sum((0, 1))
-    return np.asarray(share.sum((0, 1)) / (1 + cut))
+    return share.sum((0, 1)) / (1 + cut)
 
 
-def zoomed(view: View, share: Float32[np.ndarray, "h w"], margin: float = 3.2, most: float = 3.0) -> View:
+def zoomed(view: View, share: PixelNumbers, margin: float = 3.2, most: float = 3.0) -> View:
     """Return the camera with a longer lens, on the region where `share` is above a half.
 
     margin: sides of the picture over sides of that region, at least. most: largest magnification.

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Flags, Float32, Image, RowIds
+from ..base.arrays import Flags, FloatRows, Image, PixelNumbers, PixelRows, RowIds
 from ..errors import InputError
 from ..kernels import SplatArrays, render_channels, sh_colors, splat_arrays
 from ..kernels.cuda.devices import on_host
@@ -24,9 +24,9 @@ class Picture(NamedTuple):
     """
 
     rgb: Image
-    alpha: Float32[np.ndarray, "h w"]
-    depth: Float32[np.ndarray, "h w"]
-    channels: Float32[np.ndarray, "h w c"]
+    alpha: PixelNumbers
+    depth: PixelNumbers
+    channels: PixelRows
 
 
 def render(
@@ -34,7 +34,7 @@ def render(
     view: View,
     *,
     select: Index | None = None,
-    values: Float32[np.ndarray, "n c"] | None = None,
+    values: FloatRows | None = None,
     background: Sequence[float] = (0.0, 0.0, 0.0),
     threads: int = 0,
     splats: SplatArrays | None = None,

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.ndimage import uniform_filter
 
-from ..base.arrays import Float32, Mask, RowIds
+from ..base.arrays import Float32, Mask, PixelNumbers, RowIds
 from ..errors import FormatError, InputError, MismatchError
 from ..field.codes import Track, untracked
 from ..formats.captures import read_views
@@ -221,17 +221,14 @@ def _cuts(scorer: Scorer, category: str, scores: Scores, chosen: Mapping[str, tu
     return [_Cut(scores, at)] + ([] if answer is None else [_Cut(answer[0], {AUTOMATIC: answer[1]})])
 
 
-def _write_masks(
-    splats: SplatArrays, view: View, cut: _Cut, path: Callable[..., Path], threads: int
-) -> Float32[np.ndarray, "h w"]:
+def _write_masks(splats: SplatArrays, view: View, cut: _Cut, path: Callable[..., Path], threads: int) -> PixelNumbers:
     """Write the masks of a selection, alone and within the scene, by column; return the scores' picture."""
     for column, mask in _masks(splats, view, cut, threads):
         write_mask(path(column=column), mask)
     whole = _whole_picture(splats, view, cut, threads)
     for column, share in zip(cut.at, whole[1:], strict=True):
         write_mask(path(column=seen_column(column)), share > MAJORITY_SHARE)
-    scores: Float32[np.ndarray, "h w"] = whole[0]
-    return scores
+    return whole[0]
 
 
 def _masks(splats: SplatArrays, view: View, cut: _Cut, threads: int) -> Iterator[tuple[str, Mask]]:
@@ -250,8 +247,7 @@ def silhouette(splats: SplatArrays, view: View, selected: RowIds, threads: int =
         return np.zeros((view.height, view.width), bool)
     alone = splats.subset(selected)
     drawn = render_channels(alone, view, np.zeros((len(selected), 1), np.float32), threads=threads)
-    mask: np.ndarray = drawn.alpha > SILHOUETTE_ALPHA
-    return mask
+    return drawn.alpha > SILHOUETTE_ALPHA
 
 
 def _whole_picture(splats: SplatArrays, view: View, cut: _Cut, threads: int) -> Float32[np.ndarray, "c h w"]:
@@ -262,7 +258,7 @@ def _whole_picture(splats: SplatArrays, view: View, cut: _Cut, threads: int) -> 
     return np.moveaxis(render_channels(splats, view, values, threads=threads).channels, 2, 0)
 
 
-def peak(drawn: Float32[np.ndarray, "h w"]) -> list[float] | None:
+def peak(drawn: PixelNumbers) -> list[float] | None:
     """Return (x, y) of the maximum of the smoothed score map; None where nothing scores above 0.
 
     The map is of the whole scene: 0 where no Gaussian covers it, and outside the frame. LangSplat's window of 30

@@ -16,7 +16,7 @@ from urllib.parse import quote
 import numpy as np
 from PIL import Image
 
-from ..base.arrays import Doubles, Flags, Float32, Float64, Mask, Numbers
+from ..base.arrays import Doubles, Flags, Float32, Mask, Numbers, OtherDoubles
 from ..errors import FormatError, InputError, MismatchError
 from ..formats.json_files import excerpt, read_json
 from ..formats.replacing import replacing
@@ -140,8 +140,7 @@ def read_mask(path: Path, width: int, height: int) -> Mask | None:
         raise FormatError(f"{path}: cannot be read as a PNG: {error}") from error
     if size != (width, height):
         raise FormatError(f"{path}: expected {width}x{height} pixels as labelled, got {size[0]}x{size[1]}")
-    occupied: np.ndarray = pixels > MAX_OUTSIDE_GREY
-    return occupied
+    return pixels > MAX_OUTSIDE_GREY
 
 
 def read_array(path: Path, count: int, kinds: str) -> np.ndarray | None:
@@ -172,9 +171,7 @@ def best_sweep(means: Mapping[str, float]) -> str | None:
     return best
 
 
-def sweep_weighted_ious(
-    scores: Numbers, truth: Flags, weights: Doubles, thresholds: Sequence[float]
-) -> Float64[np.ndarray, " t"]:
+def sweep_weighted_ious(scores: Numbers, truth: Flags, weights: Doubles, thresholds: Sequence[float]) -> OtherDoubles:
     """Return Eq. 3's IoU of {score > t} for each threshold t, in one pass over the Gaussians.
 
     A score of NaN is above no threshold.
@@ -193,4 +190,4 @@ def sweep_weighted_ious(
     selected_other = np.cumsum(only[::-1])[::-1][1:]
     union = both.sum() + selected_other
     ious = np.divide(selected_true, union, out=np.zeros(len(edges)), where=union > 0)
-    return np.asarray(ious[np.searchsorted(edges, np.asarray(thresholds, np.float32))])
+    return ious[np.searchsorted(edges, np.asarray(thresholds, np.float32))]

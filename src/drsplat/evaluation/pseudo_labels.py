@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..base.arrays import Doubles, Float32, Float64, Ids, Indices, Int32, Int64, Vector3, Vectors
+from ..base.arrays import Doubles, Float32, Float64, Ids, Indices, OtherIds, OtherIndices, Vector3, Vectors
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 
@@ -33,8 +33,8 @@ MAX_CELLS_PER_EXTENT = 1024  # boxes smaller than the extent over this are looke
 class LabelledPoints(NamedTuple):
     """World positions with a label >= 0 each; 0 is a label like the others here."""
 
-    positions: Float32[np.ndarray, "m 3"]
-    labels: Int32[np.ndarray, " m"]
+    positions: Vectors
+    labels: Ids
 
     def relative_to(self, origin: Vector3) -> "LabelledPoints":
         """Return the points counted from `origin`."""
@@ -62,9 +62,9 @@ class _Sources(NamedTuple):
 class _Runs(NamedTuple):
     """Slices of the sorted points, by source."""
 
-    owner: Int64[np.ndarray, " k"]
-    starts: Int64[np.ndarray, " k"]
-    counts: Int64[np.ndarray, " k"]
+    owner: Indices
+    starts: Indices
+    counts: Indices
 
 
 def pseudo_labels(gaussians: Gaussians, points: LabelledPoints, *, threads: int = 0) -> Ids:
@@ -194,9 +194,7 @@ def _vote_round(sources: _Sources, points: LabelledPoints, cut_off: float, winne
     return sources.rows(np.concatenate(crowded))
 
 
-def _vote_block(
-    sources: _Sources, grid: _Grid, cut_off: float, winners: Ids, block: Int64[np.ndarray, " b"]
-) -> Int64[np.ndarray, " c"]:
+def _vote_block(sources: _Sources, grid: _Grid, cut_off: float, winners: OtherIds, block: OtherIndices) -> Indices:
     """Write the labels of a block; return its rows with too many candidates."""
     inside = sources.rows(slice(block[0], block[-1] + 1))
     runs = grid.runs(inside)
@@ -233,19 +231,8 @@ def _vote_batch(sources: _Sources, grid: _Grid, cut_off: float, winners: Ids, ru
     labels = grid.labels[points[near]]
     votes = np.exp(np.float32(-0.5) * squared[near])
     ids = sources.ids[first:last]
-    _write_winners(winners, ids, owner[near], labels, votes, grid.num_labels)
-
-
-def _write_winners(
-    winners: Ids,
-    ids: Int64[np.ndarray, " b"],
-    owner: Int32[np.ndarray, " e"],
-    labels: Int64[np.ndarray, " e"],
-    votes: Float32[np.ndarray, " e"],
-    num_labels: int,
-) -> None:
-    """Write the label with most votes for each Gaussian that has any."""
-    sums = np.bincount(owner * num_labels + labels, votes, len(ids) * num_labels)
-    sums = sums.reshape(len(ids), num_labels)
+    # write the label with most votes for each Gaussian that has any
+    sums = np.bincount(owner[near] * grid.num_labels + labels, votes, len(ids) * grid.num_labels)
+    sums = sums.reshape(len(ids), grid.num_labels)
     voted = sums.any(1)
     winners[ids[voted]] = sums[voted].argmax(1)

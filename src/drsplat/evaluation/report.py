@@ -222,7 +222,18 @@ def html_page(
 ) -> str:
     title = f"{results[0]['protocol']}: {', '.join(str(r['method']) for r in results)}"
     notes = [note for note in map(pictures_note, results) if note]
-    parts = [f"<h1>{escape(title)}</h1>", *(f'<p class="note">{escape(note)}</p>' for note in notes), _tiles(results)]
+    # tiles of the first method's means over scenes, with a threshold chosen without the truth
+    first = results[0]
+    columns = first.get("columns", {})
+    chosen = next((name for name in COLUMNS if name in columns), None)
+    means = columns[chosen]["scene_macro"] if chosen else first.get("segmentation", {}).get("scene_macro", {})
+    source = f"{first['method']}, {chosen} threshold" if chosen else str(first["method"])
+    tiles = "".join(f"<div><dt>{escape(key)}</dt><dd>{100 * means[key]:.1f} %</dd></div>" for key in means)
+    parts = [
+        f"<h1>{escape(title)}</h1>",
+        *(f'<p class="note">{escape(note)}</p>' for note in notes),
+        (f'<p class="note">{escape(source)}: means over scenes</p>\n<dl class="tiles">{tiles}</dl>' if tiles else ""),
+    ]
     if charts:
         drawn = "".join(f"<figure>{chart}</figure>\n" for chart in charts)
         parts.append(f'<h2>Charts</h2>\n<div class="charts">{drawn}</div>')
@@ -237,17 +248,6 @@ def html_page(
         f'<meta name="viewport" content="width=device-width, initial-scale=1"><title>{escape(title)}</title>'
         f"<style>{_STYLE}</style></head>\n<body>\n{body}\n</body></html>\n"
     )
-
-
-def _tiles(results: Sequence[Mapping[str, Any]]) -> str:
-    """Return tiles of the first method's means over scenes, with a threshold chosen without the truth."""
-    first = results[0]
-    columns = first.get("columns", {})
-    chosen = next((name for name in COLUMNS if name in columns), None)
-    means = columns[chosen]["scene_macro"] if chosen else first.get("segmentation", {}).get("scene_macro", {})
-    source = f"{first['method']}, {chosen} threshold" if chosen else str(first["method"])
-    tiles = "".join(f"<div><dt>{escape(key)}</dt><dd>{100 * means[key]:.1f} %</dd></div>" for key in means)
-    return f'<p class="note">{escape(source)}: means over scenes</p>\n<dl class="tiles">{tiles}</dl>' if tiles else ""
 
 
 def _table(table: Table) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ..base.arrays import Float32, Pixels
+from ..base.arrays import Pixels, Vectors
 from ..drawing.pictures import as_pixels, best_views, highlighted, photo_or_rendering, visible_share
 from ..errors import InputError
 from ..field.codes import Track, untracked
@@ -109,7 +109,7 @@ def selection(splats: SplatArrays, view: View, scores: Scores, threshold: float,
     return _drawn(splats, view, np.where(chosen, SELECTED, OTHERS).astype(np.float32), threads)
 
 
-def _drawn(splats: SplatArrays, view: View, colors: Float32[np.ndarray, "N 3"], threads: int) -> Pixels:
+def _drawn(splats: SplatArrays, view: View, colors: Vectors, threads: int) -> Pixels:
     return as_pixels(render_channels(splats, view, colors, threads=threads).channels)
 
 

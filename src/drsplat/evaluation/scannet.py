@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Doubles, Ids, Int32, Integer, Numbers
+from ..base.arrays import Doubles, Ids, Numbers, WholeNumbers
 from ..base.contents import file_text
 from ..errors import FormatError, InputError, MismatchError
 from ..field.codes import Track, untracked
@@ -61,12 +61,12 @@ class LabelSet:
         return len(self.ids)
 
     @cached_property
-    def _class_of(self) -> Int32[np.ndarray, " i"]:
+    def _class_of(self) -> Ids:
         table = np.zeros(max(self.ids) + 1, np.int32)
         table[list(self.ids)] = np.arange(1, len(self) + 1)
         return table
 
-    def classes(self, ids: Integer[np.ndarray, " n"]) -> Ids:
+    def classes(self, ids: WholeNumbers) -> Ids:
         """Return 1 to C for the ids of the set, 0 for all others."""
         in_table = (ids >= 0) & (ids < len(self._class_of))
         return np.where(in_table, self._class_of[np.where(in_table, ids, 0)], 0).astype(np.int32)
@@ -138,7 +138,7 @@ class ScannetScene:
     def significance(self) -> Doubles:
         """Significance d_i = s_x s_y s_z alpha_i.  Source: Dr. Splat Sec. C."""
         volumes = self.gaussians.scales.astype(np.float64).prod(1)
-        return np.asarray(volumes * self.gaussians.opacities)
+        return volumes * self.gaussians.opacities
 
     @cached_property
     def pseudo_labels(self) -> Ids:

@@ -10,7 +10,7 @@ from functools import cache
 
 import numpy as np
 
-from ..base.arrays import Bool, Embedding, Float32, Float64, Integer, Real
+from ..base.arrays import Bool, Embedding, Float32, Float64, FloatRows, Integer, Real
 from ..errors import MismatchError
 from ..field import LanguageField, relevancy_from_scores
 from ..formats.peer_features import Rows
@@ -173,8 +173,7 @@ def mean_interval(values: Numbers, level: float = 0.95) -> tuple[float, float]:
 
 
 def _ratio(part: PerClass, whole: PerClass, present: Bool[np.ndarray, " c"]) -> PerClass:
-    ratio: np.ndarray = np.divide(part, whole, out=np.full(len(part), np.nan), where=present)
-    return ratio
+    return np.divide(part, whole, out=np.full(len(part), np.nan), where=present)
 
 
 BLOCK_ROWS = 1 << 16
@@ -233,14 +232,13 @@ def cosine_scorer(source: LanguageField, encoder: Encoder, name: str = "cosine",
     """
     source.check_encoder(encoder.identity)
 
-    def several(texts: Sequence[str]) -> Float32[np.ndarray, "q N"]:
+    def several(texts: Sequence[str]) -> FloatRows:
         queries = np.stack([embed_query(encoder, source, text) for text in texts])
         rows = source.scores(queries, threads=threads)
         return np.stack([source.dense(by_object(source, row), fill=float("nan")) for row in rows])
 
     def scores(text: str) -> Scores:
-        row: Scores = several([text])[0]
-        return row
+        return several([text])[0]
 
     def classes(texts: Sequence[str]) -> Iterator[Scores]:
         for text in texts:
@@ -304,12 +302,12 @@ def relevant(cosines: Scorer, name: str = "relevancy") -> Scorer:
 
     @cache
     def best_negative() -> Scores:
-        return np.asarray(np.max(list(cosines.each(NEGATIVES)), axis=0))
+        return np.max(list(cosines.each(NEGATIVES)), axis=0)
 
     def scores(text: str) -> Scores:
         return relevancy_from_scores(cosines.scores(text), best_negative())
 
-    def several(texts: Sequence[str]) -> Float32[np.ndarray, "q N"]:
+    def several(texts: Sequence[str]) -> FloatRows:
         rows = cosines.each(texts)
         return np.stack([relevancy_from_scores(row, best_negative()) for row in rows])
 

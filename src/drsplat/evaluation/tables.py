@@ -72,8 +72,7 @@ def tables_of(results: Sequence[Mapping[str, Any]]) -> list[Table]:
 
 
 def _selection(result: Mapping[str, Any]) -> Mapping[str, Any]:
-    columns: Mapping[str, Any] = result.get("columns", {})
-    return columns
+    return result.get("columns", {})
 
 
 def _by_column(task: str, blocks: Sequence[tuple[Mapping[str, Any], Mapping[str, Any]]]) -> Table:

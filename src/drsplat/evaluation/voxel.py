@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Float64, Ids, Int32, Int64, Vector3
+from ..base.arrays import DoubleRows, Doubles, Ids, Indices, Int64, OtherIds, OtherIndices, Points, Vector3
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 from . import scannet_volume, scorers
@@ -45,10 +45,10 @@ class VoxelGrid:
     shape: tuple[int, int, int]
 
     @property
-    def centers(self) -> Float64[np.ndarray, "v 3"]:
+    def centers(self) -> Points:
         """Centres of the voxels, x slowest, in the order of `voxel_labels`."""
         at = np.stack(np.meshgrid(*map(np.arange, self.shape), indexing="ij"), -1).reshape(-1, 3)
-        return np.asarray(self.origin + (at + 0.5) * self.side)
+        return self.origin + (at + 0.5) * self.side
 
 
 def grid_over(positions: np.ndarray, side: float = VOXEL_SIDE) -> VoxelGrid:
@@ -67,7 +67,7 @@ def grid_over(positions: np.ndarray, side: float = VOXEL_SIDE) -> VoxelGrid:
 
 def voxel_labels(
     gaussians: Gaussians, labellings: Sequence[Ids], num_labels: int, grid: VoxelGrid, *, threads: int = 0
-) -> list[Int32[np.ndarray, " v"]]:
+) -> list[OtherIds]:
     """Return, for each labelling, the label of every voxel, 0 to num_labels - 1; -1 where it is empty.
 
     Ties go to the lowest label. Each Gaussian counts within three standard deviations. Slabs of voxels are processed in
@@ -166,9 +166,7 @@ class _Sources:
         self.high = np.minimum(np.floor(high), np.array(grid.shape) - 1).astype(np.int64)
 
 
-def _slab(
-    sources: _Sources, labellings: Sequence[Ids], num_labels: int, slab: tuple[int, int]
-) -> list[Int32[np.ndarray, " v"]]:
+def _slab(sources: _Sources, labellings: Sequence[Ids], num_labels: int, slab: tuple[int, int]) -> list[OtherIds]:
     """Return the labels of the voxels with x in [slab[0], slab[1])."""
     low, high = sources.low.copy(), sources.high.copy()
     low[:, 0], high[:, 0] = np.maximum(low[:, 0], slab[0]), np.minimum(high[:, 0], slab[1] - 1)
@@ -193,8 +191,8 @@ def _slab(
 
 
 def _pairs(
-    sources: _Sources, ids: Int64[np.ndarray, " b"], low: Int64[np.ndarray, "b 3"], spans: Int64[np.ndarray, "b 3"]
-) -> tuple[Int64[np.ndarray, " p"], Int64[np.ndarray, "p 3"], Float64[np.ndarray, " p"]]:
+    sources: _Sources, ids: OtherIndices, low: Int64[np.ndarray, "m 3"], spans: Int64[np.ndarray, "m 3"]
+) -> tuple[Indices, Int64[np.ndarray, "n 3"], Doubles]:
     """Return Gaussian, voxel and alpha N(v) of all pairs within the cut-off."""
     counts = spans.prod(1)
     row = np.repeat(np.arange(len(ids)), counts)
@@ -210,6 +208,6 @@ def _pairs(
     return owner, at[near], sources.peaks[owner] * np.exp(-squared[near] / 2)
 
 
-def _winners(scores: Float64[np.ndarray, "v s"], least: float) -> Int32[np.ndarray, " v"]:
+def _winners(scores: DoubleRows, least: float) -> Ids:
     filled = scores.sum(1) > least
     return np.where(filled, scores.argmax(1), -1).astype(np.int32)

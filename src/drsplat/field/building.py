@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from scipy.sparse import csr_array
 
-from ..base.arrays import Bool, Float32, Int32, Int64, Integer, UInt32
+from ..base.arrays import Embeddings, Flags, Indices, OtherIds, UnsignedIds
 from ..base.contents import release
 from ..errors import InputError, MismatchError
 from ..scene.encoders import EncoderIdentity
@@ -30,7 +30,7 @@ class Features(Protocol):
     @property
     def weights(self) -> csr_array: ...
     def __len__(self) -> int: ...
-    def features(self, begin: int, end: int, *, threads: int = 0) -> Float32[np.ndarray, "n d"]: ...
+    def features(self, begin: int, end: int, *, threads: int = 0) -> Embeddings: ...
 
 
 @runtime_checkable
@@ -45,18 +45,18 @@ class RowCoder(Protocol):
     ) -> Aggregated:
         """Make features of votes; see `Aggregator` for the arguments."""
 
-    def of_columns(self, features: Aggregated, kept: Bool[np.ndarray, " m"]) -> Aggregated:
+    def of_columns(self, features: Aggregated, kept: Flags) -> Aggregated:
         """Return rows to learn a code from: a `Sampler`."""
 
     def mixed(
-        self, features: Aggregated, seen: Int64[np.ndarray, " s"], atoms_per_row: int, scene: SceneAtoms | None,
+        self, features: Aggregated, seen: Indices, atoms_per_row: int, scene: SceneAtoms | None,
         threads: int, track: Track,
     ) -> Mixed:  # fmt: skip
         """Code rows as mixtures of atoms; see `encode_with` for the arguments."""
 
     def quantised(
-        self, features: Aggregated, seen: Int64[np.ndarray, " s"], codebook: Codebook, threads: int, track: Track
-    ) -> tuple[Codes, Bool[np.ndarray, " s"]]:
+        self, features: Aggregated, seen: Indices, codebook: Codebook, threads: int, track: Track
+    ) -> tuple[Codes, Flags]:
         """Code rows by a codebook; see `encode_features` for the arguments."""
 
 
@@ -70,20 +70,20 @@ class AtOnce:
         """See RowCoder."""
         return how(evidence, gaussians, threads=threads)
 
-    def of_columns(self, features: Aggregated, kept: Bool[np.ndarray, " m"]) -> Aggregated:
+    def of_columns(self, features: Aggregated, kept: Flags) -> Aggregated:
         """See RowCoder."""
         return rows_of_columns(features, kept)
 
     def mixed(
-        self, features: Aggregated, seen: Int64[np.ndarray, " s"], atoms_per_row: int, scene: SceneAtoms | None,
+        self, features: Aggregated, seen: Indices, atoms_per_row: int, scene: SceneAtoms | None,
         threads: int, track: Track,
     ) -> Mixed:  # fmt: skip
         """See RowCoder."""
         return encode_with(source_of(features.rows(seen)), atoms_per_row, scene, threads=threads, track=track)
 
     def quantised(
-        self, features: Aggregated, seen: Int64[np.ndarray, " s"], codebook: Codebook, threads: int, track: Track
-    ) -> tuple[Codes, Bool[np.ndarray, " s"]]:
+        self, features: Aggregated, seen: Indices, codebook: Codebook, threads: int, track: Track
+    ) -> tuple[Codes, Flags]:
         """See RowCoder."""
         return encode_features(features.rows(seen), codebook, threads, track)
 
@@ -95,8 +95,8 @@ class Coded(NamedTuple):
     """directed: of the rows, which have a direction and so a code. scene_places: of a mixture, as of `Growth`."""
 
     code: Code
-    directed: Bool[np.ndarray, " r"]
-    scene_places: Int32[np.ndarray, " p"] | None = None
+    directed: Flags
+    scene_places: OtherIds | None = None
 
 
 def build_field(
@@ -154,30 +154,26 @@ def grown_of(
     provenance: Provenance,
     code: CodeSpecification,
     evidence: Evidence,
-    gaussian_ids: UInt32[np.ndarray, " r"],
+    gaussian_ids: UnsignedIds,
     learnt: Learnt,
-    scene_places: Int32[np.ndarray, " p"] | None,
+    scene_places: OtherIds | None,
 ) -> Growth:
     """Return what a field of these Gaussians has to keep beside its rows of the evidence."""
     has_rest = np.diff(evidence.weights.indptr) > 0
     has_rest[gaussian_ids] = False
     rest_ids = np.flatnonzero(has_rest).astype(np.uint32)
     wish = None if isinstance(code, Codebook) else code
+    # some rows of W, with int32 columns
+    rows = evidence.weights[rest_ids]
+    arrays = (rows.data, rows.indices.astype(np.int32), rows.indptr.astype(np.int32))
     return Growth(
-        provenance, wish, rest_ids, _rows(evidence, rest_ids), learnt.views, learnt.atoms,
+        provenance, wish, rest_ids, csr_array(arrays, shape=rows.shape), learnt.views, learnt.atoms,
         None if learnt.atoms is None else scene_places,
     )  # fmt: skip
 
 
-def _rows(evidence: Evidence, index: Integer[np.ndarray, " q"]) -> csr_array:
-    """Return some rows of W, with int32 columns."""
-    rows = evidence.weights[index]
-    arrays = (rows.data, rows.indices.astype(np.int32), rows.indptr.astype(np.int32))
-    return csr_array(arrays, shape=rows.shape)
-
-
 def _coded(
-    coder: RowCoder, features: Aggregated, seen: Int64[np.ndarray, " s"], code: PQ | Mixture | Codebook,
+    coder: RowCoder, features: Aggregated, seen: Indices, code: PQ | Mixture | Codebook,
     learnt: Learnt, threads: int, track: Track,
 ) -> Coded:  # fmt: skip
     """Code the rows that have a direction, and mark them among those seen: embeddings can cancel out."""
@@ -193,9 +189,7 @@ def _coded(
     return Coded(pq_code(learnt.codebook, codes), directed)
 
 
-def encode_features(
-    rows: Features, codebook: Codebook, threads: int, track: Track
-) -> tuple[Codes, Bool[np.ndarray, " r"]]:
+def encode_features(rows: Features, codebook: Codebook, threads: int, track: Track) -> tuple[Codes, Flags]:
     """Return the codes of all rows, and which of them have a direction."""
     count = len(rows)
     codes = np.empty((count, codebook.num_subvectors), np.uint8)
@@ -204,7 +198,7 @@ def encode_features(
     for begin in track(range(0, count, BLOCK_ROWS), "coding Gaussians"):
         block = slice(begin, min(begin + BLOCK_ROWS, count))
         features = rows.features(block.start, block.stop, threads=threads)
-        directed[block] = features.any(axis=1)
+        directed[block] = features.any(1)
         codes[block], nearest = codebook.encode(features, threads=threads)
         if coarse_ids is not None and nearest is not None:
             coarse_ids[block] = nearest

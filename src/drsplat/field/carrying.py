@@ -6,7 +6,18 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from ..base.arrays import Bool, Doubles, Float32, Float64, Indices, Int64, Points, Quats
+from ..base.arrays import (
+    Doubles,
+    Flags,
+    Float32,
+    FloatRows,
+    IndexRows,
+    Indices,
+    OtherIndices,
+    OtherPoints,
+    Points,
+    Quats,
+)
 from ..errors import InputError, MismatchError
 from ..formats.json_files import ids_of
 from ..scene.gaussians import SH_C0, Gaussians
@@ -49,7 +60,16 @@ def assign(old: Gaussians, new: Gaussians, *, threads: int = 0) -> Assignment:
     here, there = old.positions - old.origin, new.positions - old.origin
     reach = MAX_DISTANCE_SHARE * _spacing(here, threads)
     found, costs = _candidates(here, there, reach, _looks(old), _looks(new), threads)
-    rows = _objects_lost(found, costs, len(new))
+    # give each row of the new scene to one Gaussian: the most alike first, of equal ones the lower row
+    rows, taken = np.full(len(found), -1), np.zeros(len(new), bool)
+    for choice in range(found.shape[1]):
+        (waiting,) = np.nonzero((rows < 0) & np.isfinite(costs[:, choice]))
+        wanted = found[waiting, choice]
+        waiting, wanted = waiting[~taken[wanted]], wanted[~taken[wanted]]
+        best = np.lexsort((waiting, costs[waiting, choice], wanted))
+        first = best[np.append(True, np.diff(wanted[best]) > 0)] if len(best) else best
+        rows[waiting[first]] = wanted[first]
+        taken[wanted[first]] = True
     distances = np.linalg.norm(there[np.maximum(rows, 0)] - here, axis=1)
     return Assignment(rows, np.where(rows < 0, np.inf, distances), reach, new.fingerprint, len(new))
 
@@ -79,7 +99,7 @@ def carry_field(field: LanguageField, assignment: Assignment) -> LanguageField:
     )  # fmt: skip
 
 
-def check_found(found: Bool[np.ndarray, " r"], reach: float) -> None:
+def check_found(found: Flags, reach: float) -> None:
     """Refuse to go on where too many are lost. Raises: MismatchError."""
     lost = int(np.count_nonzero(~found))
     if lost > MAX_LOST_SHARE * len(found):
@@ -113,41 +133,22 @@ def _looks(gaussians: Gaussians) -> Quats:
 
 
 def _candidates(
-    here: Points,
-    there: Float64[np.ndarray, "m 3"],
-    reach: float,
-    old: Quats,
-    new: Float32[np.ndarray, "m 4"],
-    threads: int,
-) -> tuple[Int64[np.ndarray, "n k"], Float32[np.ndarray, "n k"]]:
+    here: Points, there: OtherPoints, reach: float, old: Quats, new: Float32[np.ndarray, "m 4"], threads: int
+) -> tuple[IndexRows, FloatRows]:
     """Return rows of the new scene near each Gaussian, the most alike first, and how unlike: infinite out of reach."""
     tree, count = cKDTree(there), min(CANDIDATE_NEIGHBOURS, len(there))
     found, costs = np.empty((len(here), count), np.int64), np.empty((len(here), count), np.float32)
     for begin in range(0, len(here), BLOCK_GAUSSIANS):
         part = slice(begin, begin + BLOCK_GAUSSIANS)
         far, rows = tree.query(here[part], np.arange(1, count + 1), workers=threads or -1)
-        unlike = np.abs(old[part, None] - new[rows]).sum(axis=2)
+        unlike = np.abs(old[part, None] - new[rows]).sum(2)
         cost = np.where(far <= reach, far / max(reach, np.finfo(np.float64).tiny) + unlike, np.inf)
         order = np.argsort(cost, axis=1, kind="stable")
         found[part], costs[part] = (np.take_along_axis(values, order, axis=1) for values in (rows, cost))
     return found, costs
 
 
-def _objects_lost(found: Int64[np.ndarray, "n k"], costs: Float32[np.ndarray, "n k"], count: int) -> Indices:
-    """Give each row of the new scene to one Gaussian: the most alike first, of equal ones the lower row."""
-    rows, taken = np.full(len(found), -1), np.zeros(count, bool)
-    for choice in range(found.shape[1]):
-        (waiting,) = np.nonzero((rows < 0) & np.isfinite(costs[:, choice]))
-        wanted = found[waiting, choice]
-        waiting, wanted = waiting[~taken[wanted]], wanted[~taken[wanted]]
-        best = np.lexsort((waiting, costs[waiting, choice], wanted))
-        first = best[np.append(True, np.diff(wanted[best]) > 0)] if len(best) else best
-        rows[waiting[first]] = wanted[first]
-        taken[wanted[first]] = True
-    return rows
-
-
-def _ascending(rows: Int64[np.ndarray, " r"]) -> tuple[Int64[np.ndarray, " s"], Int64[np.ndarray, " s"]]:
+def _ascending(rows: OtherIndices) -> tuple[Indices, Indices]:
     """Return which rows are found again, in the order of their new ones, and these."""
     (kept,) = np.nonzero(rows >= 0)
     order = kept[np.argsort(rows[kept])]

@@ -6,7 +6,25 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Bool, Float32, Float64, Int32, Int64, Integer, UInt8
+from ..base.arrays import (
+    Arrays,
+    Bool,
+    ByteValues,
+    Embeddings,
+    Flags,
+    Float32,
+    Ids,
+    Indices,
+    Int32,
+    Matrices,
+    Numbers,
+    OtherFlags,
+    OtherIds,
+    OtherIndices,
+    Points,
+    RowIds,
+    WholeNumbers,
+)
 from ..base.terminal import counted, numbers_text, rows_html
 from ..errors import InputError
 
@@ -44,24 +62,28 @@ class Objects:
     """
 
     node_of: Int32[np.ndarray, " R"]
-    parents: Int32[np.ndarray, " T"]
-    levels: UInt8[np.ndarray, " T"]
-    sure: Float32[np.ndarray, " T"]
-    centers: Float64[np.ndarray, "T 3"]
-    axes: Float64[np.ndarray, "T 3 3"]
-    extents: Float64[np.ndarray, "T 3"]
-    masses: Float32[np.ndarray, " T"]
-    num_views: Int32[np.ndarray, " T"]
-    mask_starts: Int64[np.ndarray, " T1"]
-    masks: Int32[np.ndarray, " E"]
-    shares: Float32[np.ndarray, " E"]
-    descriptor_starts: Int64[np.ndarray, " T1"]
+    parents: Ids
+    levels: ByteValues
+    sure: Numbers
+    centers: Points
+    axes: Matrices
+    extents: Points
+    masses: Numbers
+    num_views: Ids
+    mask_starts: OtherIndices
+    masks: OtherIds
+    shares: Float32[np.ndarray, " k"]
+    descriptor_starts: OtherIndices
     descriptors: Float32[np.ndarray, "P D"]
 
     def __post_init__(self) -> None:
         self._check_shapes()
         check_forest(self.node_of, self.parents, self.levels)
-        self._check_boxes()
+        _check_all(_within(self.centers, -MAX_NUMBER, MAX_NUMBER), "centers: expected finite numbers")
+        _check_all(_within(self.extents, 0.0, MAX_NUMBER), "extents: expected finite lengths of 0 or more")
+        _check_all(_within(self.axes, -2.0, 2.0), "axes: expected unit vectors")
+        products = np.einsum("tik,tjk->tij", self.axes, self.axes)
+        _check_all(np.abs(products - np.eye(3)) < ORTHONORMAL_TOLERANCE, "axes: expected unit vectors at right angles")
         _check_all(_within(self.sure, 0.0, 1.0), "sure: expected numbers from 0 to 1")
         _check_all(_within(self.masses, 0.0, MAX_NUMBER), "masses: expected finite numbers of 0 or more")
         _check_all(self.num_views >= 0, "num_views: expected counts")
@@ -97,27 +119,27 @@ class Objects:
         return len(self.parents)
 
     @cached_property
-    def things(self) -> Int64[np.ndarray, " o"]:
+    def things(self) -> Indices:
         """The nodes of things; object 0, 1, ... of people are these, the largest mass first."""
         nodes = np.flatnonzero(self.levels == THING)
-        return np.asarray(nodes[np.argsort(-self.masses[nodes], kind="stable")])
+        return nodes[np.argsort(-self.masses[nodes], kind="stable")]
 
     @cached_property
-    def number_of(self) -> Int32[np.ndarray, " T"]:
+    def number_of(self) -> Ids:
         """Per node the number of the thing that it is, or is a part of; -1 for none."""
         numbers = np.full(self.num_nodes, -1, np.int32)
         numbers[self.things] = np.arange(len(self.things), dtype=np.int32)
         return self._handed_down(numbers)
 
-    def thing_of(self, rows: Integer[np.ndarray, " r"] | slice = slice(None)) -> Int32[np.ndarray, " r"]:
+    def thing_of(self, rows: WholeNumbers | slice = slice(None)) -> Ids:
         """Return per row of the field, or of some, the number of the thing that it belongs to, -1 for none."""
-        return np.asarray(np.append(self.number_of, np.int32(-1))[self.node_of[rows]])
+        return np.append(self.number_of, np.int32(-1))[self.node_of[rows]]
 
-    def piece_of(self) -> Int32[np.ndarray, " R"]:
+    def piece_of(self) -> Ids:
         """Return per row of the field the part right below a thing that it belongs to, -1 for none."""
         return self._belonging(self._right_below)
 
-    def single_of(self) -> Int32[np.ndarray, " R"]:
+    def single_of(self) -> Ids:
         """Return per row of the field the node that answers as a whole, -1 for loose rows.
 
         That is its thing, or the part right below a thing that is nothing but its parts, as one joined from pieces is.
@@ -126,16 +148,16 @@ class Objects:
         return self._belonging((self.levels == THING) & has_own | self._right_below & ~has_own[self.parents])
 
     @property
-    def _right_below(self) -> Bool[np.ndarray, " T"]:
+    def _right_below(self) -> Flags:
         """Parts of a thing that are no parts of another part."""
-        return np.asarray((self.parents >= 0) & (self.levels == PART) & (self.levels[self.parents] == THING))
+        return (self.parents >= 0) & (self.levels == PART) & (self.levels[self.parents] == THING)
 
-    def _belonging(self, chosen: Bool[np.ndarray, " T"]) -> Int32[np.ndarray, " R"]:
+    def _belonging(self, chosen: OtherFlags) -> Ids:
         """Return per row the chosen node that it belongs to, -1 for none."""
         nodes = np.where(chosen, np.arange(self.num_nodes, dtype=np.int32), np.int32(-1))
         return self._by_row(self._handed_down(nodes), np.int32(-1))
 
-    def rows(self, node: int) -> Int64[np.ndarray, " r"]:
+    def rows(self, node: int) -> Indices:
         """Return the rows of the field in a node and in all below it, ascending.
 
         Raises: InputError: no such node.
@@ -148,18 +170,18 @@ class Objects:
         return np.sort(np.concatenate([order[starts[one] : starts[one + 1]] for one in within]))
 
     @cached_property
-    def _by_parent(self) -> tuple[Int64[np.ndarray, " T"], Int64[np.ndarray, " T1"]]:
+    def _by_parent(self) -> tuple[OtherIndices, Indices]:
         """The nodes in the order of their parents, and where those of each parent begin."""
         order = np.argsort(self.parents, kind="stable")
         return order, np.searchsorted(self.parents[order], np.arange(self.num_nodes + 1))
 
     @cached_property
-    def _by_node(self) -> tuple[Int64[np.ndarray, " R"], Int64[np.ndarray, " T1"]]:
+    def _by_node(self) -> tuple[OtherIndices, Indices]:
         """The rows in the order of their nodes, and where those of each node begin."""
         order = np.argsort(self.node_of, kind="stable")
         return order, np.searchsorted(self.node_of[order], np.arange(self.num_nodes + 1))
 
-    def counts(self, rows: Integer[np.ndarray, " r"]) -> Int64[np.ndarray, " T"]:
+    def counts(self, rows: RowIds) -> Indices:
         """Return per node how many of some rows belong to it or to a node below it."""
         nodes = self.node_of[rows]
         counts: list[int] = np.bincount(nodes[nodes >= 0], minlength=self.num_nodes).tolist()
@@ -169,7 +191,7 @@ class Objects:
         return np.array(counts, np.int64)
 
     @cached_property
-    def sizes(self) -> Int64[np.ndarray, " T"]:
+    def sizes(self) -> Indices:
         """Rows of each node."""
         return self.counts(np.arange(len(self.node_of)))
 
@@ -180,8 +202,7 @@ class Objects:
 
     def below(self, node: int) -> list[int]:
         """Return the nodes that this one is made of, ascending. Raises: InputError: no such node."""
-        below: list[int] = np.flatnonzero(self.parents == self._checked(node)).tolist()
-        return below
+        return np.flatnonzero(self.parents == self._checked(node)).tolist()
 
     def path(self, row: int) -> list[int]:
         """Return the nodes that a row of the field belongs to, smallest first: parts, thing, groups; [] for none.
@@ -206,16 +227,16 @@ class Objects:
             raise InputError(f"there is no object {number}: {known}")
         return int(self.things[number])
 
-    def masks_of(self, node: int) -> tuple[Int32[np.ndarray, " m"], Float32[np.ndarray, " m"]]:
+    def masks_of(self, node: int) -> tuple[Ids, Numbers]:
         """Return the evidence's columns that speak for a node, with their shares. Raises: InputError: no such node."""
         part = slice(*self.mask_starts[self._checked(node) :][:2])
         return self.masks[part], self.shares[part]
 
-    def descriptors_of(self, node: int) -> Float32[np.ndarray, "p D"]:
+    def descriptors_of(self, node: int) -> Embeddings:
         """Return the unit embeddings of a node. Raises: InputError: no such node."""
         return self.descriptors[slice(*self.descriptor_starts[self._checked(node) :][:2])]
 
-    def tensors(self) -> dict[str, np.ndarray]:
+    def tensors(self) -> Arrays:
         """Return its arrays by name, as they are written to files."""
         return {name: getattr(self, name) for name in ARRAYS}
 
@@ -236,7 +257,7 @@ class Objects:
             raise InputError(f"node {node} of {self.num_nodes}")
         return node
 
-    def _handed_down(self, values: Int32[np.ndarray, " T"]) -> Int32[np.ndarray, " T"]:
+    def _handed_down(self, values: Ids) -> Ids:
         """Return the values of nodes, -1 replaced by that of the nearest node above that has one."""
         values, above = values.copy(), self.parents
         while True:
@@ -247,7 +268,7 @@ class Objects:
             above = np.where(missing, self.parents[above], -1)
 
     def _by_row(self, values: np.ndarray, none: Any) -> np.ndarray:
-        return np.asarray(np.append(values, none)[self.node_of])  # the last one is that of -1
+        return np.append(values, none)[self.node_of]  # the last one is that of -1
 
     def _check_shapes(self) -> None:
         known = {"T1": len(self.parents) + 1, "3": 3}
@@ -257,17 +278,8 @@ class Objects:
             if given.dtype != dtype or given.ndim != len(names) or list(given.shape) != lengths:
                 raise InputError(f"{name}: expected {dtype} ({dimensions}), got {given.dtype} {given.shape}")
 
-    def _check_boxes(self) -> None:
-        _check_all(_within(self.centers, -MAX_NUMBER, MAX_NUMBER), "centers: expected finite numbers")
-        _check_all(_within(self.extents, 0.0, MAX_NUMBER), "extents: expected finite lengths of 0 or more")
-        _check_all(_within(self.axes, -2.0, 2.0), "axes: expected unit vectors")
-        products = np.einsum("tik,tjk->tij", self.axes, self.axes)
-        _check_all(np.abs(products - np.eye(3)) < ORTHONORMAL_TOLERANCE, "axes: expected unit vectors at right angles")
 
-
-def check_forest(
-    node_of: Int32[np.ndarray, " R"], parents: Int32[np.ndarray, " T"], levels: UInt8[np.ndarray, " T"]
-) -> None:
+def check_forest(node_of: OtherIds, parents: Ids, levels: ByteValues) -> None:
     """Check that nodes stand after all that is in them, and that levels grow on the way up.
 
     Raises: InputError.
@@ -286,7 +298,7 @@ def check_forest(
 
 def _within(values: np.ndarray, low: float, high: float) -> Bool[np.ndarray, "..."]:
     """Mark values within a range, NaN not."""
-    return np.asarray((values >= low) & (values <= high))
+    return (values >= low) & (values <= high)
 
 
 def _check_all(fine: Bool[np.ndarray, "..."], message: str) -> None:
@@ -294,7 +306,7 @@ def _check_all(fine: Bool[np.ndarray, "..."], message: str) -> None:
         raise InputError(f"{message}; not so at {np.argwhere(~fine)[0].tolist()}")
 
 
-def _check_starts(name: str, starts: Int64[np.ndarray, " T1"], total: int, most: int) -> None:
+def _check_starts(name: str, starts: Indices, total: int, most: int) -> None:
     ends = len(starts) and starts[0] == 0 and starts[-1] == total
     lengths = np.diff(starts)
     if not ends or not ((lengths >= 0) & (lengths <= most)).all():

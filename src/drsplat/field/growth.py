@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.arrays import Int32, Sparse, UInt32
+from ..base.arrays import Arrays, ArraysByName, OtherIds, Sparse, UnsignedIds
 from ..errors import FormatError, InputError
 from ..formats.json_files import excerpt, is_text
 from ..formats.tensors import check_tensors
@@ -42,11 +42,11 @@ class Growth:
 
     provenance: Provenance
     code: PQ | Mixture | Smaller | None
-    rest_ids: UInt32[np.ndarray, " q"]
+    rest_ids: UnsignedIds
     rest: Sparse
     learnt_from: tuple[str, ...] = ()
     scene_atoms: SceneAtoms | None = None
-    scene_places: Int32[np.ndarray, " p"] | None = None
+    scene_places: OtherIds | None = None
     removed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -90,7 +90,7 @@ class Growth:
         if self.scene_atoms is not None and self.scene_atoms.vectors.shape[1] != code.dim:
             raise InputError(f"growth: scene atoms of {self.scene_atoms.vectors.shape[1]} numbers, not {code.dim}")
 
-    def tensors(self) -> dict[str, np.ndarray]:
+    def tensors(self) -> Arrays:
         """Return its arrays by name, as they are written to files; `json` and `metadata` hold the rest."""
         come, rest = self.provenance, self.rest
         arrays = {
@@ -115,7 +115,7 @@ class Growth:
 
 
 def growth_from_tensors(
-    tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str], document: object, masks: int, where: str
+    tensors: ArraysByName, metadata: Mapping[str, str], document: object, masks: int, where: str
 ) -> Growth:
     """Read what `Growth.tensors`, `metadata` and `json` wrote. masks: number of masks of the field's evidence.
 
@@ -143,7 +143,7 @@ def growth_from_tensors(
         raise FormatError(f"{where}: {error}") from error
 
 
-def _rest(tensors: Mapping[str, np.ndarray], masks: int) -> Sparse:
+def _rest(tensors: ArraysByName, masks: int) -> Sparse:
     from scipy.sparse import csr_array
 
     indptr, indices, data = (tensors[f"rest_{name}"] for name in ("indptr", "indices", "data"))
@@ -154,7 +154,7 @@ def _rest(tensors: Mapping[str, np.ndarray], masks: int) -> Sparse:
     return csr_array((data, indices, indptr), shape=(len(indptr) - 1, masks))
 
 
-def _scene(tensors: Mapping[str, np.ndarray]) -> tuple[SceneAtoms, np.ndarray]:
+def _scene(tensors: ArraysByName) -> tuple[SceneAtoms, np.ndarray]:
     vectors, centres, members, places = (tensors[name] for name in _SCENE_ARRAYS)
     for name, numbers in (("members", members), ("places", places)):
         if numbers.size and not 0 <= numbers.min() <= numbers.max() < len(vectors):

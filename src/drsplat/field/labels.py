@@ -11,10 +11,20 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Int64, RowIds, Vector3
+from ..base.arrays import Indices, RowIds, Spans, Vector3
 from ..errors import FormatError, InputError
 from ..formats.claiming import claimed_output
-from ..formats.json_files import are_rows, as_vector, ids_of, is_text, read_json, runs_of, spans_of, spans_of_runs
+from ..formats.json_files import (
+    are_rows,
+    as_vector,
+    count_in,
+    ids_of,
+    is_text,
+    read_json,
+    runs_of,
+    spans_of,
+    spans_of_runs,
+)
 from ..formats.replacing import replacing
 from .forest import THING
 from .language_field import LanguageField
@@ -37,7 +47,7 @@ class Label:
 
     name: str
     scene: str
-    spans: Int64[np.ndarray, "s 2"]
+    spans: Spans
     center: Vector3
 
     @classmethod
@@ -53,13 +63,13 @@ class Label:
 
     def __len__(self) -> int:
         """Return how many Gaussians it names."""
-        return int((self.spans[:, 1] - self.spans[:, 0]).sum())
+        return count_in(self.spans)
 
     def is_of(self, field: LanguageField) -> bool:
         """Return True if the label names Gaussians of the field's scene."""
         return self.scene == field.scene and int(self.spans[-1, 1]) <= field.num_gaussians
 
-    def gaussian_ids(self, field: LanguageField) -> Int64[np.ndarray, " m"]:
+    def gaussian_ids(self, field: LanguageField) -> Indices:
         """Return the rows of the field's scene, ascending; none where it is of another one."""
         if not self.is_of(field):
             return np.empty(0, np.int64)
@@ -127,7 +137,18 @@ class LabelFile:
             labels = (*(label for label in self.read() if not is_replaced(label)), *more)
             if len(labels) > MAX_LABELS:
                 raise InputError(f"{self.path}: has {MAX_LABELS:,} labels, which is the most: remove some")
-            text = json.dumps(_document(labels), ensure_ascii=False, separators=(",", ":"))
+            entries = [
+                {
+                    "name": label.name,
+                    "scene": label.scene,
+                    "center": label.center.tolist(),
+                    "runs": runs_of(label.spans),
+                }
+                for label in labels
+            ]
+            text = json.dumps(
+                {"format": FORMAT, "version": VERSION, "labels": entries}, ensure_ascii=False, separators=(",", ":")
+            )
             with replacing(self.path, overwrite=True) as file:
                 file.write(f"{text}\n".encode())
         return labels
@@ -182,14 +203,6 @@ def _overlaps(label: Label, field: LanguageField) -> list[tuple[int, float, bool
 
 def _same(one: Label, other: Label) -> bool:
     return (one.name, one.scene) == (other.name, other.scene) and np.array_equal(one.spans, other.spans)
-
-
-def _document(labels: Sequence[Label]) -> dict[str, object]:
-    entries = [
-        {"name": label.name, "scene": label.scene, "center": label.center.tolist(), "runs": runs_of(label.spans)}
-        for label in labels
-    ]
-    return {"format": FORMAT, "version": VERSION, "labels": entries}
 
 
 def _label(entry: object, where: str) -> Label:

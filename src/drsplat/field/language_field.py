@@ -9,7 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Embedding, Embeddings, Float32, Float64, Int64, Integer, RowIds, UInt32, Vector3
+from ..base.arrays import (
+    Doubles,
+    Embedding,
+    Embeddings,
+    Float32,
+    Indices,
+    Numbers,
+    OtherEmbeddings,
+    UnsignedIds,
+    Vector3,
+    WholeNumbers,
+)
 from ..base.terminal import counted, facts_html
 from ..errors import InputError, MismatchError
 from ..formats.field_folder import TensorFile, write_folder
@@ -31,11 +42,9 @@ RUN_ROWS = 1 << 18  # a multiple of any code's groups
 BATCH_NEGATIVES = 16  # scored at once, exactly
 
 
-def relevancy_from_scores(
-    scores: Float32[np.ndarray, " r"], negative_maxima: Float32[np.ndarray, " r"]
-) -> Float32[np.ndarray, " r"]:
+def relevancy_from_scores(scores: Numbers, negative_maxima: Numbers) -> Numbers:
     """Return sigmoid(10 (s - max_n s_n)): equal to LERF's minimum over negatives of a two-way softmax."""
-    return np.asarray(1 / (1 + np.exp(np.float32(-TEMPERATURE) * (scores - negative_maxima))))
+    return 1 / (1 + np.exp(np.float32(-TEMPERATURE) * (scores - negative_maxima)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +55,8 @@ class Negatives:
     """
 
     texts: tuple[str, ...]
-    embeddings: Embeddings
-    maxima: Float32[np.ndarray, " r"]
+    embeddings: OtherEmbeddings
+    maxima: Numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +90,7 @@ class LanguageField:
     encoder.
     """
 
-    gaussian_ids: UInt32[np.ndarray, " r"]
+    gaussian_ids: UnsignedIds
     code: Code
     encoder: EncoderIdentity
     scene: str
@@ -146,7 +155,7 @@ class LanguageField:
     def __len__(self) -> int:
         return len(self.gaussian_ids)
 
-    def rows_of(self, gaussian_ids: RowIds) -> Int64[np.ndarray, " m"]:
+    def rows_of(self, gaussian_ids: WholeNumbers) -> Indices:
         """Return the row of each Gaussian of the scene, -1 where it has no feature, or there is no such Gaussian."""
         if not len(self):
             return np.full(len(gaussian_ids), -1)
@@ -226,7 +235,7 @@ class LanguageField:
         """Return the `count` rows of the highest cosine, best first. Raises: as `scores`; InputError: count < 1."""
         return self.code.top(self._unit(query), count, threads=threads)
 
-    def best(self, queries: Float32[np.ndarray, "c D"], *, threads: int = 0) -> Best:
+    def best(self, queries: Embeddings, *, threads: int = 0) -> Best:
         """Return which of several queries fits each row best, and how well; one scan for all of them.
 
         Raises: as `scores`; InputError: no queries.
@@ -234,9 +243,7 @@ class LanguageField:
         """
         return self.code.best(self._unit(queries), threads=threads)
 
-    def relevancy(
-        self, query: Embedding, negatives: Embeddings | None = None, *, threads: int = 0
-    ) -> Float32[np.ndarray, " r"]:
+    def relevancy(self, query: Embedding, negatives: OtherEmbeddings | None = None, *, threads: int = 0) -> Numbers:
         """Return how much better the query fits than any negative, in (0, 1); one scan if they are cached.
 
         min over n of softmax(10 [<q, f>, <n, f>])_0, which is sigmoid(10 (<q, f> - max_n <n, f>)).
@@ -261,7 +268,7 @@ class LanguageField:
         unit = _unit(embeddings)
         return Negatives(texts, unit, self._maxima(unit, threads))
 
-    def _maxima(self, unit: Embeddings, threads: int) -> Float32[np.ndarray, " r"]:
+    def _maxima(self, unit: OtherEmbeddings, threads: int) -> Numbers:
         maxima = self.code.best(unit[:BATCH_NEGATIVES], threads=threads).scores
         for begin in range(BATCH_NEGATIVES, len(unit), BATCH_NEGATIVES):
             more = self.code.best(unit[begin : begin + BATCH_NEGATIVES], threads=threads).scores
@@ -295,13 +302,13 @@ class LanguageField:
         """Return the field with objects; `save` keeps them. Raises: InputError: objects of another field."""
         return replace(self, objects=objects)
 
-    def dense(self, scores: Float32[np.ndarray, " r"], fill: float | int = -1.0) -> Float32[np.ndarray, " N"]:
+    def dense(self, scores: Numbers, fill: float | int = -1.0) -> Float32[np.ndarray, " N"]:
         """Return per-row values as one per Gaussian of the scene; `fill` where it has no feature."""
         values = np.full(self.num_gaussians, fill, np.float32)
         values[self.gaussian_ids] = scores
         return values
 
-    def feature(self, rows: Integer[np.ndarray, " b"] | slice) -> Float32[np.ndarray, "b D"]:
+    def feature(self, rows: WholeNumbers | slice) -> Embeddings:
         """Return decoded unit features of some rows."""
         return self.code.decode(np.arange(len(self))[rows])
 
@@ -331,7 +338,7 @@ class LanguageField:
             )
 
     @property
-    def times(self) -> Float64[np.ndarray, " v"] | None:
+    def times(self) -> Doubles | None:
         """Capture times of the views, or None for a still scene or a field without evidence."""
         return None if self.evidence is None else self.evidence.masks.times
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Bool
+from ..base.arrays import Bool, Flags
 from ..scene.encoders import EncoderIdentity
 from .codes import PQ, Codebook, Mixture, Track, train_codebook
 from .codes.codebook import MAX_TRAINING_POINTS
@@ -30,7 +30,7 @@ Sampler = Callable[[Aggregated, Bool[np.ndarray, " m"]], Aggregated]
 """The rows of features that some columns alone have any for. Columns: True for those."""
 
 
-def rows_of_columns(features: Aggregated, kept: Bool[np.ndarray, " m"]) -> Aggregated:
+def rows_of_columns(features: Aggregated, kept: Flags) -> Aggregated:
     """Return the rows of features that some columns alone have any for: a `Sampler` of this process."""
     if not kept.all():
         features = Aggregated(of_columns(features.evidence, kept), features.donors, features.record)
@@ -48,7 +48,13 @@ def learn(
     some = sampler(features, np.isin(masks.view_names, views)[masks.views])
     if isinstance(code, Mixture):
         return Learnt(views, atoms=learn_scene_atoms(source_of(some), threads=threads))
-    return Learnt(views, codebook=_scene_codebook(some, encoder, code.parts(encoder.dim), threads, track))
+    count = min(len(some), MAX_TRAINING_POINTS)
+    spread = np.linspace(0, len(some) - 1, count).astype(np.int64)
+    points = some.rows(spread).features(0, count, threads=threads)
+    directed = points[points.any(1)]
+    return Learnt(
+        views, codebook=train_codebook(directed, code.parts(encoder.dim), encoder=encoder, threads=threads, track=track)
+    )
 
 
 def learning_views(evidence: Evidence) -> tuple[str, ...]:
@@ -71,11 +77,3 @@ def source_of(features: Aggregated) -> Evidence:
 def drawn(name: str) -> bytes:
     """Return a view's sort key in an order that looks random, and that further views do not change."""
     return hashlib.blake2b(name.encode(), digest_size=8).digest()
-
-
-def _scene_codebook(features: Aggregated, encoder: EncoderIdentity, parts: int, threads: int, track: Track) -> Codebook:
-    count = min(len(features), MAX_TRAINING_POINTS)
-    spread = np.linspace(0, len(features) - 1, count).astype(np.int64)
-    points = features.rows(spread).features(0, count, threads=threads)
-    directed = points[points.any(axis=1)]
-    return train_codebook(directed, parts, encoder=encoder, threads=threads, track=track)

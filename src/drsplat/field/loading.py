@@ -302,7 +302,8 @@ def _read_objects(path: Path, manifest: dict[str, object], field: StoredField) -
     check_tensors(file.tensors, ARRAYS, str(file.path))
     try:
         objects = Objects(**{name: file.tensors[name] for name in ARRAYS})
-        objects.check_field(len(field), field.encoder.dim, _num_masks(field))
+        evidence = field.__dict__["evidence"]
+        objects.check_field(len(field), field.encoder.dim, (None if evidence is None else len(evidence.masks)))
     except InputError as error:
         raise FormatError(f"{file.path}: {error}. {CURE}") from error
     _compare(file, None)
@@ -323,11 +324,6 @@ def _read_growth(path: Path, manifest: dict[str, object], field: StoredField) ->
         raise FormatError(f"{file.path}: {error}. {CURE}") from error
     _compare(file, None)
     field.__dict__["growth"] = growth
-
-
-def _num_masks(field: StoredField) -> int | None:
-    evidence = field.__dict__["evidence"]
-    return None if evidence is None else len(evidence.masks)
 
 
 _LATER_READ = {OBJECTS: _read_objects, GROWTH: _read_growth}

@@ -56,5 +56,4 @@ def coded_features(
 
 def cosines(code: PQCode, query: Embedding) -> Float32[np.ndarray, " r"]:
     """Return <q, c_i> / |c_i|, q the vector of a text or a picture: L look-ups of <q_l, centroid> (Sec. B)."""
-    scores: np.ndarray = code.scores((query / np.linalg.norm(query))[None])[0]
-    return scores
+    return code.scores((query / np.linalg.norm(query))[None])[0]

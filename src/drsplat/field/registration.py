@@ -15,7 +15,7 @@ from warnings import warn
 import numpy as np
 from scipy.sparse import csr_array
 
-from ..base.arrays import Float32, Float64, Vector3
+from ..base.arrays import Doubles, Embeddings, FloatRows, Vector3
 from ..base.terminal import counted, facts_html
 from ..errors import DrSplatWarning, InputError, MismatchError, did_you_mean
 from ..kernels import default_isa
@@ -103,7 +103,7 @@ class Registration:
         return self.evidence.masks
 
     @property
-    def embeddings(self) -> Float32[np.ndarray, "m d"]:
+    def embeddings(self) -> Embeddings:
         return self.evidence.embeddings
 
     @property
@@ -154,7 +154,7 @@ class Registration:
                 f"these Gaussians are {gaussians.fingerprint}, registered was {self.scene}: pass those registered"
             )
 
-    def with_embeddings(self, embeddings: Float32[np.ndarray, "m e"], encoder: EncoderIdentity) -> "Registration":
+    def with_embeddings(self, embeddings: FloatRows, encoder: EncoderIdentity) -> "Registration":
         """Return the same weights with another encoder's embeddings; no photo is read again.
 
         Raises: InputError: not one unit vector per mask.
@@ -256,7 +256,7 @@ def register(
     )  # fmt: skip
 
 
-def times_of(scene: Gaussians | Moving, views: Sequence[View]) -> Float64[np.ndarray, " v"] | None:
+def times_of(scene: Gaussians | Moving, views: Sequence[View]) -> Doubles | None:
     """Return the times of a moving scene's views; None for a still scene.
 
     Warns: DrSplatWarning: times of a scene that stands still, or that fill little of the scene's.

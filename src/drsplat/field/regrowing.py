@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.sparse import csr_array, vstack
 
-from ..base.arrays import Bool, Flags, Indices, Int32, Int64
+from ..base.arrays import Flags, Ids, Indices, OtherIds, OtherIndices
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 from ..scene.moving import Span
@@ -82,7 +82,7 @@ def regrown_field(
     )  # fmt: skip
 
 
-def _neighbours(evidence: Evidence, rows: Int64[np.ndarray, " s"]) -> Int64[np.ndarray, " s"]:
+def _neighbours(evidence: Evidence, rows: Indices) -> Indices:
     """Sort rows by their first masks: rows under one mask share their others, which then stay in caches."""
     weights = evidence.weights
     return rows[np.argsort(weights.indices[weights.indptr[rows]], kind="stable")]
@@ -109,7 +109,7 @@ def _all_addressable(field: LanguageField, growth: Growth, evidence: Evidence) -
     return all(fits_at_once(len(one.masks), growth.scene_atoms) for one in (field.evidence, evidence))
 
 
-def _columns(before: MaskIds, now: MaskIds, changed: Collection[str]) -> Int32[np.ndarray, " m"]:
+def _columns(before: MaskIds, now: MaskIds, changed: Collection[str]) -> Ids:
     """Return the new number of each old column, GONE for those of views that have changed."""
     number = {name: place for place, name in enumerate(now.view_names)}
     views = np.array([REMOVED_COLUMN if name in changed else number[name] for name in before.view_names], np.int32)
@@ -122,10 +122,10 @@ def _columns(before: MaskIds, now: MaskIds, changed: Collection[str]) -> Int32[n
 
 def _coded_again(
     field: LanguageField,
-    rows: Int64[np.ndarray, " k"],
-    columns: Int32[np.ndarray, " m"],
+    rows: OtherIndices,
+    columns: OtherIds,
     some: Evidence,
-    ids: Int64[np.ndarray, " r"],
+    ids: Indices,
     *,
     threads: int,
     track: Track,
@@ -181,7 +181,7 @@ def field_during(
     return replace(made, up=field.up, left_out=field.left_out).with_words_of(field, threads=threads)
 
 
-def views_during(field: LanguageField, during: Span) -> Bool[np.ndarray, " v"]:
+def views_during(field: LanguageField, during: Span) -> Flags:
     """Return which views of a field were taken in a span of time. Raises: InputError: as `field_during`."""
     if field.evidence is None:
         raise InputError("during: this field holds no evidence of what the photos of that time have shown")

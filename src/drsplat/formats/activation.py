@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Anywhere, Bool, Float32, Harmonics, Integer, Numbers, Quats, Vectors
+from ..base.arrays import Anywhere, Bool, Float32, FloatRows, Harmonics, Numbers, Quats, Vectors, WholeNumbers
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians
 
@@ -44,7 +44,7 @@ def logit(opacities: Numbers) -> Numbers:
     return finite.astype(np.float32)
 
 
-def exp(log_scales: Float32[np.ndarray, "n k"]) -> Float32[np.ndarray, "n k"]:
+def exp(log_scales: FloatRows) -> FloatRows:
     """Take the natural exponential in place; what overflows is left infinite for `checked` to report."""
     np.exp(log_scales, out=log_scales)
     return log_scales
@@ -56,7 +56,7 @@ def unit_quats(quats: Quats) -> Quats:
     return quats
 
 
-def from_smallest_three(three: Vectors, largest: Integer[np.ndarray, " n"]) -> Quats:
+def from_smallest_three(three: Vectors, largest: WholeNumbers) -> Quats:
     """Return unit quaternions from all components but the one at index `largest`, which is positive."""
     rest = 1 - np.einsum("ni,ni->n", three, three)
     four = np.column_stack([three, np.sqrt(np.maximum(rest, 0))])
@@ -96,7 +96,7 @@ def _require_finite(values: Float32[np.ndarray, "n ..."], what: str) -> None:
 def _require(good: Bool[np.ndarray, "n ..."], what: str) -> None:
     if np.all(good):
         return
-    bad = np.flatnonzero((~good).reshape(len(good), -1).any(axis=1))
+    bad = np.flatnonzero((~good).reshape(len(good), -1).any(1))
     cure = MEANT_OTHERWISE if 2 * len(bad) > len(good) > 1 else CURE
     raise FormatError(f"{len(bad)} of {len(good)} rows have {what}; the first is row {bad[0]}. {cure}")
 

@@ -55,7 +55,21 @@ class AnnotationFile:
             raise InputError(
                 f"{self.path}: would have {len(annotations):,} annotations, the most are {MAX_ANNOTATIONS:,}"
             )
-        write_json(self.path, document_of(annotations), overwrite=True, ensure_ascii=False)
+        # the annotations as the GeoJSON document that is stored on disk
+        features = [
+            {
+                "type": "Feature",
+                "geometry": {"type": "Point", "coordinates": one.center.tolist()},
+                "properties": {"text": one.text} | _outline_json(one.outline),
+            }
+            for one in annotations
+        ]
+        write_json(
+            self.path,
+            {"type": KIND, "format": FORMAT, "version": VERSION, "features": features},
+            overwrite=True,
+            ensure_ascii=False,
+        )
 
     def drop(self, number: int) -> Annotations:
         """Drop one, counted from 1; returns the others. Raises: as `read`; InputError: no such annotation."""
@@ -73,19 +87,6 @@ def without(known: Annotations, number: int) -> Annotations:
     if not 1 <= number <= len(known):
         raise InputError(f"there is no annotation {number} of {len(known)}")
     return (*known[: number - 1], *known[number:])
-
-
-def document_of(annotations: Sequence[Annotation]) -> dict[str, Any]:
-    """Return the annotations as the GeoJSON document that is stored on disk."""
-    features = [
-        {
-            "type": "Feature",
-            "geometry": {"type": "Point", "coordinates": one.center.tolist()},
-            "properties": {"text": one.text} | _outline_json(one.outline),
-        }
-        for one in annotations
-    ]
-    return {"type": KIND, "format": FORMAT, "version": VERSION, "features": features}
 
 
 class _Geometry(NamedTuple):

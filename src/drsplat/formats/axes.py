@@ -18,7 +18,7 @@ def standing_up(up: Vector3) -> Matrix3:
     It turns `up` to the up of a PLY, and then by a half turn about x; so a scene of COLMAP's poses is turned by that
     alone.
     """
-    return np.asarray(HALF_TURN @ standing_as_ply(up))
+    return HALF_TURN @ standing_as_ply(up)
 
 
 def standing_as_ply(up: Vector3) -> Matrix3:
@@ -31,4 +31,4 @@ def standing_as_ply(up: Vector3) -> Matrix3:
         return HALF_TURN.copy()
     x, y, z = np.cross(source, target)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(np.eye(3) + cross + cross @ cross / (1 + cosine))
+    return np.eye(3) + cross + cross @ cross / (1 + cosine)

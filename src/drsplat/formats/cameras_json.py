@@ -1,6 +1,5 @@
 """cameras.json, which 3DGS training leaves beside its scene -> views, and back."""
 
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -8,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..base.arrays import Matrix3, Vector3
-from ..errors import DrSplatWarning, FormatError
+from ..errors import FormatError, warn
 from ..scene.views import View
 from .json_files import as_kind, as_list, read_json, write_json
 from .photo_files import listed, relative_names, safe_name
@@ -62,7 +61,7 @@ def write_cameras_json(path: str | Path, views: Sequence[View], overwrite: bool 
     inexact = [view.name for view in views if _is_inexact(view)]
     if inexact:
         text = f"{path}: cameras.json holds neither principal point nor distortion; lost for {len(inexact)} views: "
-        warnings.warn(text + listed(inexact), DrSplatWarning, stacklevel=3)
+        warn(text + listed(inexact), 3)
     entries = [
         {
             "id": index,

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..base.arrays import Colors, Points, Vector3
 from ..base.contents import file_text
-from ..errors import DrSplatWarning, FormatError, InputError
+from ..errors import DrSplatWarning, FormatError, InputError, warn
 from ..scene.views import View
 from .cameras_json import read_cameras_json
 from .colmap import find_models, has_points, incomplete_model, num_images, num_unread_images, read_colmap, read_points
@@ -170,14 +170,18 @@ def _points_of(source: _Source) -> tuple[np.ndarray, np.ndarray] | None:
         return None
     if not named.is_file():
         text = f"{source.path}: its ply_file_path, {named}, is missing: name one with points=FILE"
-        warnings.warn(text, DrSplatWarning, stacklevel=3)
+        warn(text, 3)
         return None
     return read_point_ply(named)
 
 
 def _find_source(capture: Path) -> _Source:
     if capture.is_file():
-        return _file_source(capture)
+        if capture.suffix in (".bin", ".txt"):
+            return _Source("colmap", capture.parent)
+        if capture.suffix != ".json":
+            raise mistaken(capture, Kind.CAPTURE)
+        return _Source("cameras" if isinstance(read_json(capture), list) else "transforms", capture)
     if not capture.is_dir():
         raise mistaken(capture, Kind.CAPTURE)
     models = find_models(capture)
@@ -190,22 +194,14 @@ def _find_source(capture: Path) -> _Source:
     unread = num_unread_images(models[0]) if models else 0
     if unread:
         text = f"{models[0]}: images.bin was read, not images.txt, with {unread} photos: take away the one that is old"
-        warnings.warn(text, DrSplatWarning, stacklevel=4)
+        warn(text, 4)
     if len(found) > 1:  # their frames do not agree
         counts = dict(zip(models, map(num_images, models), strict=True)) if len(models) > 1 else {}
         sizes = {path: f" ({count} photos)" for path, count in counts.items()}
         said = [f"{source.path}{sizes.get(source.path, '')}" for source in found]
         text = f"{capture}: cameras were read from {said[0]}, not from {listed(said[1:])}: name a file to choose it"
-        warnings.warn(text, DrSplatWarning, stacklevel=4)
+        warn(text, 4)
     return found[0]
-
-
-def _file_source(path: Path) -> _Source:
-    if path.suffix in (".bin", ".txt"):
-        return _Source("colmap", path.parent)
-    if path.suffix != ".json":
-        raise mistaken(path, Kind.CAPTURE)
-    return _Source("cameras" if isinstance(read_json(path), list) else "transforms", path)
 
 
 def _read(source: _Source, images: str | Path | None) -> list[View]:
@@ -228,7 +224,7 @@ def _with_photos(views: list[View], path: Path, images: str | Path | None) -> li
     missing = [view.name for view, photo in zip(views, found, strict=True) if photo is None]
     if missing:
         text = f"{path}: {len(missing)} of {len(views)} views have no photo in {folder}: {listed(missing)}"
-        warnings.warn(text, DrSplatWarning, stacklevel=5)
+        warn(text, 5)
     return [
         view if photo is None else on_photo(replace(view, name=view_name(view.name, photo)), photo)
         for view, photo in zip(views, found, strict=True)

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from .. import _native
+from ..base.arrays import ArraysByName
 from ..base.contents import open_file, pieces
 from ..errors import FormatError
 from .json_files import document_in
@@ -36,7 +37,7 @@ def file_checksum(path: Path) -> str:
         return _hex(iter(partial(file.read, READ_BYTES), b""))
 
 
-def with_checksums(header: Mapping[str, object], tensors: Mapping[str, np.ndarray]) -> dict[str, object]:
+def with_checksums(header: Mapping[str, object], tensors: ArraysByName) -> dict[str, object]:
     """Return a safetensors header with the checksum of each tensor, and of the header itself, in its metadata."""
     metadata = {**_metadata(header), TENSORS: json.dumps(_sums(tensors))}
     metadata.pop(HEADER, None)
@@ -58,7 +59,7 @@ def check_header(header: Mapping[str, object], where: str) -> None:
 
 
 def check_checksums(
-    tensors: Mapping[str, np.ndarray],
+    tensors: ArraysByName,
     metadata: Mapping[str, str],
     where: str,
     required: bool = True,
@@ -81,14 +82,12 @@ def check_checksums(
             raise FormatError(f"{where}: damaged: tensor {name!a} is not what was written")
 
 
-def row_checksums(tensors: Mapping[str, np.ndarray]) -> dict[str, str]:
+def row_checksums(tensors: ArraysByName) -> dict[str, str]:
     """Return metadata with the checksum of each row of some tensors, for files of which few rows are read at a time."""
     return {ROWS: json.dumps({name: [_hex(pieces(row)) for row in array] for name, array in tensors.items()})}
 
 
-def written_rows(
-    tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str], where: str
-) -> dict[str, list[str]] | None:
+def written_rows(tensors: ArraysByName, metadata: Mapping[str, str], where: str) -> dict[str, list[str]] | None:
     """Return the checksums of `row_checksums` by tensor; None in files of older versions, which have none.
 
     Raises: FormatError: not a checksum for every row.
@@ -160,7 +159,7 @@ def _of_json(document: object) -> str:
     return _hex([json.dumps(document, sort_keys=True, separators=(",", ":")).encode()])
 
 
-def _sums(tensors: Mapping[str, np.ndarray]) -> dict[str, str]:
+def _sums(tensors: ArraysByName) -> dict[str, str]:
     """Return the checksum of each tensor; large ones are hashed in parallel."""
     if max((array.nbytes for array in tensors.values()), default=0) < MIN_THREADED_BYTES:
         return {name: _hex(pieces(array)) for name, array in tensors.items()}

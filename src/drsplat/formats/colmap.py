@@ -9,7 +9,7 @@ from ..base.arrays import Colors, Points
 from ..errors import FormatError, InputError
 from ..scene.views import View
 from . import colmap_binary, colmap_text
-from .colmap_binary import CameraRecord, ImageRecord, PointRecord, parameter_names
+from .colmap_binary import CameraRecord, ImageRecord, parameter_names
 from .photo_files import relative_names, safe_name
 from .poses import pinhole, pose, posed_view, rotation_from_quaternion
 
@@ -93,10 +93,7 @@ def read_points(capture: str | Path) -> tuple[Points, Colors]:
         raise InputError(f"{capture}: expected points3D.bin or points3D.txt in it, in sparse/0 or in sparse")
     parser, suffix = _parser(folder, "points3D")
     path = folder / f"points3D{suffix}"
-    return _point_arrays(list(parser.points(path)), path)
-
-
-def _point_arrays(records: list[PointRecord], path: Path) -> tuple[Points, Colors]:
+    records = list(parser.points(path))
     positions = np.array([record[:3] for record in records], np.float64).reshape(-1, 3)
     bad = np.flatnonzero(~np.isfinite(positions).all(1))
     if len(bad):

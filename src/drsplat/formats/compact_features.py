@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import zstandard
 
-from ..base.arrays import Float32, Int32, Int64
+from ..base.arrays import Embeddings, Int64, LevelMaskIds
 from ..errors import FormatError, InputError
 from .json_files import as_kind, document_in
 from .tensors import check_tensors, read_tensors, write_tensors
@@ -32,7 +32,7 @@ class CompactFile:
     """
 
     path: Path
-    embeddings: Float32[np.ndarray, "n d"]
+    embeddings: Embeddings
     size: tuple[int, int]
     levels: tuple[int, ...]
     maps: tuple[np.ndarray, ...]
@@ -53,12 +53,7 @@ class CompactFile:
         return ids
 
 
-def write_compact(
-    path: Path,
-    mask_ids: Int32[np.ndarray, "*levels h w"],
-    embeddings: Float32[np.ndarray, "n d"],
-    overwrite: bool = False,
-) -> None:
+def write_compact(path: Path, mask_ids: LevelMaskIds, embeddings: Embeddings, overwrite: bool = False) -> None:
     """Write one photo's features; maps that are alike are kept once.
 
     Raises: InputError: `path` exists and `overwrite` is false; a map of no or too many pixels.

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Float32, Numbers
+from ..base.arrays import Embeddings, Float32, Numbers
 from ..base.contents import file_bytes, open_file
 from ..errors import FormatError, InputError
 
@@ -25,7 +25,7 @@ class FaissQuantizer(NamedTuple):
     """coarse: None, or the centroids whose residuals are coded."""
 
     centroids: Float32[np.ndarray, "L c d"]
-    coarse: Float32[np.ndarray, "C D"] | None
+    coarse: Embeddings | None
 
 
 class _Bytes:
@@ -77,7 +77,14 @@ def read_faiss_quantizer(path: str | os.PathLike[str]) -> FaissQuantizer:
         dim, coarse = _inverted_file(source, path)
     else:
         raise FormatError(f"{path}: expected a FAISS IndexPQ or IndexIVFPQ, got the mark {kind!r}")
-    centroids = _product_quantizer(source, dim, path)
+    given, subvectors, bits, count = (source.number(8) for _ in range(4))
+    if given != dim or not 1 <= subvectors <= dim or dim % subvectors:
+        raise FormatError(f"{path}: {subvectors} sub-vectors of {given} numbers in an index of {dim}")
+    if bits != 8:
+        raise FormatError(f"{path}: expected 8 bits per sub-vector, got {bits}")
+    if count != 256 * dim:
+        raise FormatError(f"{path}: expected {256 * dim} centroid numbers, got {count}")
+    centroids = source.floats(count).reshape(subvectors, 256, dim // subvectors)
     for values in (centroids, coarse):
         if values is not None and not np.isfinite(values).all():
             raise FormatError(f"{path}: centroids must be finite")
@@ -92,7 +99,7 @@ def _index_header(source: _Bytes) -> int:
     return dim
 
 
-def _inverted_file(source: _Bytes, path: Path) -> tuple[int, Float32[np.ndarray, "C D"] | None]:
+def _inverted_file(source: _Bytes, path: Path) -> tuple[int, Embeddings | None]:
     """Return the dimension and coarse centroids; None where codes are of the vectors themselves."""
     dim = _index_header(source)
     lists = source.number(8)
@@ -113,14 +120,3 @@ def _inverted_file(source: _Bytes, path: Path) -> tuple[int, Float32[np.ndarray,
     by_residual = source.number(1)
     source.take(8)  # code size
     return dim, coarse if by_residual else None
-
-
-def _product_quantizer(source: _Bytes, dim: int, path: Path) -> Float32[np.ndarray, "L c d"]:
-    given, subvectors, bits, count = (source.number(8) for _ in range(4))
-    if given != dim or not 1 <= subvectors <= dim or dim % subvectors:
-        raise FormatError(f"{path}: {subvectors} sub-vectors of {given} numbers in an index of {dim}")
-    if bits != 8:
-        raise FormatError(f"{path}: expected 8 bits per sub-vector, got {bits}")
-    if count != 256 * dim:
-        raise FormatError(f"{path}: expected {256 * dim} centroid numbers, got {count}")
-    return source.floats(count).reshape(subvectors, 256, dim // subvectors)

@@ -24,7 +24,6 @@ Source: PlayCanvas, "Compressed PLY format" (SuperSplat user manual).
 """
 
 import re
-import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from os import PathLike
@@ -32,8 +31,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Float32, Harmonics, Quats, Shaped, UInt32, Vector3, Vectors
-from ..errors import DrSplatWarning, FormatError, InputError
+from ..base.arrays import Arrays, Float32, FloatRows, Harmonics, Shaped, UnsignedIds, Vector3, Vectors
+from ..errors import FormatError, InputError, warn
 from ..scene.gaussians import SH_C0, SH_COEFFICIENTS, Gaussians, filled, flat
 from ..scene.placing import local_origin
 from .activation import checked, exp, from_smallest_three, logit, refuse_packed_name, refuse_unreadable, sigmoid
@@ -160,7 +159,7 @@ def activated_columns(rows: Records) -> frozenset[str]:
         found.append("opacity")
     tenth = 0.1 * float(np.ptp(np.quantile(gather(some, MEANS), (0.05, 0.95), axis=0), axis=0).max())
     small, large = np.quantile(scales, (0.05, 0.95))
-    middle = np.float64(np.median(scales.max(axis=1)))
+    middle = np.float64(np.median(scales.max(1)))
     if scales.min() > 0 and (small < MAX_SMALL_SHARE * large or middle < tenth < np.exp(middle)):
         found.append("scale")
     if set(DC) <= set(names) and not _rest_names(list(names)):
@@ -169,9 +168,7 @@ def activated_columns(rows: Records) -> frozenset[str]:
             found.append("f_dc")
     if found:
         text = f"{', '.join(found)}: values that are activated already, in place of logits, logarithms and harmonics"
-        warnings.warn(
-            f"{text}; they are read as such. Export the file again if it looks wrong", DrSplatWarning, stacklevel=4
-        )
+        warn(f"{text}; they are read as such. Export the file again if it looks wrong", 4)
     return frozenset(found)
 
 
@@ -181,25 +178,22 @@ def gaussians_of(rows: Records, activated: frozenset[str] = frozenset()) -> Gaus
     means, origin = _means(rows)
     opacities = gather(rows, ["opacity"])[:, 0]
     harmonics = DC if set(DC) <= set(rows.dtype.names or ()) else RGB
+    # harmonics; the constant ones may be colours, whole numbers of any width or fractions
+    names = [*harmonics, *rest]
+    sh = gather(rows, names).reshape(len(rows), len(names) // 3, 3)
+    if harmonics == RGB or "f_dc" in activated:
+        code = rows.dtype[names[0]]
+        most = np.iinfo(code).max if code.kind in "iu" else 255 if sh[:, 0].max(initial=0) > 1 else 1
+        sh[:, 0] = (sh[:, 0] / np.float32(most) - np.float32(0.5)) / np.float32(SH_C0)
     gaussians = checked(
         means,
         gather(rows, QUATS),
         _scales(rows, "scale" in activated),
         opacities if "opacity" in activated else sigmoid(opacities),
-        _harmonics(rows, [*harmonics, *rest], are_colours=harmonics == RGB or "f_dc" in activated),
+        sh,
         extra_columns(rows, {*REQUIRED, *rest, *harmonics}),
     )
     return replace(gaussians, origin=origin)
-
-
-def _harmonics(rows: Records, names: list[str], are_colours: bool) -> Harmonics:
-    """Return harmonics; the constant ones may be colours, whole numbers of any width or fractions."""
-    sh = gather(rows, names).reshape(len(rows), len(names) // 3, 3)
-    if are_colours:
-        code = rows.dtype[names[0]]
-        most = np.iinfo(code).max if code.kind in "iu" else 255 if sh[:, 0].max(initial=0) > 1 else 1
-        sh[:, 0] = (sh[:, 0] / np.float32(most) - np.float32(0.5)) / np.float32(SH_C0)
-    return sh
 
 
 def _scales(rows: Records, activated: bool) -> Vectors:
@@ -230,7 +224,7 @@ def _rest_names(names: list[str], element: str = "vertex") -> list[str]:
     return rest
 
 
-def extra_columns(rows: Records, known: set[str]) -> dict[str, np.ndarray]:
+def extra_columns(rows: Records, known: set[str]) -> Arrays:
     """Return copies, in native byte order, of the columns that are not `known`."""
     names = [name for name in rows.dtype.names or () if name not in known]
     extra = {name: rows[name].astype(rows.dtype[name].newbyteorder("=")) for name in names}
@@ -239,7 +233,7 @@ def extra_columns(rows: Records, known: set[str]) -> dict[str, np.ndarray]:
     return extra
 
 
-def vertex_columns(gaussians: Gaussians) -> dict[str, np.ndarray]:
+def vertex_columns(gaussians: Gaussians) -> Arrays:
     """Return pre-activation columns in the published order, normals among them, without other extras.
 
     Normals are those of `extra`, or zero, as trainers write them: viewers of 3DGS read rows of a fixed length.
@@ -357,7 +351,12 @@ def parse_compressed_ply(buffer: memoryview, header: Header) -> Gaussians:
         _decode_rest(tables["sh"], rest, sh[:, 1:])
     extra = extra_columns(vertex, set(PACKED))
     scales = exp(log_scales)
-    return drawn_as_marked(checked(means, _rotations(vertex), scales, colour[:, 3].copy(), sh, extra), header)
+    packed = _packed(vertex, 1)
+    three = (_unpack(packed, (20, 10, 0), (10, 10, 10)) - np.float32(0.5)) * np.float32(np.sqrt(2))
+    return drawn_as_marked(
+        checked(means, from_smallest_three(three, packed >> np.uint32(30)), scales, colour[:, 3].copy(), sh, extra),
+        header,
+    )
 
 
 def _require(header: Header, element: str, names: tuple[str, ...], code: str) -> None:
@@ -382,13 +381,11 @@ def _packed_rest_names(header: Header) -> list[str]:
     return names
 
 
-def _packed(vertex: Records, which: int) -> UInt32[np.ndarray, " n"]:
+def _packed(vertex: Records, which: int) -> UnsignedIds:
     return vertex[PACKED[which]].astype(np.uint32)
 
 
-def _unpack(
-    packed: UInt32[np.ndarray, " n"], shifts: tuple[int, ...], bits: tuple[int, ...]
-) -> Float32[np.ndarray, "n c"]:
+def _unpack(packed: UnsignedIds, shifts: tuple[int, ...], bits: tuple[int, ...]) -> FloatRows:
     """Return bit fields as fractions of their range."""
     result = np.empty((len(packed), len(shifts)), np.float32)
     for column, (shift, width) in enumerate(zip(shifts, bits, strict=True)):
@@ -403,12 +400,6 @@ def _within_chunks(fractions: Vectors, bounds: Float32[np.ndarray, "c 6"]) -> No
         block = fractions[start * CHUNK_ROWS : (start + BLOCK_CHUNKS) * CHUNK_ROWS]
         of_rows = np.repeat(bounds[start : start + BLOCK_CHUNKS], CHUNK_ROWS, axis=0)[: len(block)]
         block[:] = of_rows[:, :3] * (1 - block) + of_rows[:, 3:] * block
-
-
-def _rotations(vertex: Records) -> Quats:
-    packed = _packed(vertex, 1)
-    three = (_unpack(packed, (20, 10, 0), (10, 10, 10)) - np.float32(0.5)) * np.float32(np.sqrt(2))
-    return from_smallest_three(three, packed >> np.uint32(30))
 
 
 def _decode_rest(table: Records, names: list[str], into: Harmonics) -> None:

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Harmonics, Ids, Matrix3, Matrix4, Numbers, Quats, Vectors
+from ..base.arrays import Arrays, Ids, Matrix4
 from ..base.contents import file_bytes
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians, concatenated
@@ -98,7 +98,9 @@ def parse_glb(buffer: memoryview) -> Gaussians:
 
 @np.errstate(all="ignore")  # what damaged floats do on the way is judged at its end
 def _gaussians(gltf: Gltf) -> Gaussians:
-    _refuse_unknown(gltf)
+    unknown = [name for name in gltf.entries("extensionsRequired") if name not in UNDERSTOOD]
+    if unknown:
+        raise FormatError(f"glTF needs the extension {excerpt(unknown[0])}, which is not read: export it without")
     budget = _Budget(gltf.num_bytes)
     parts = [
         _placed(_of_primitive(gltf, primitive, budget), to_world)
@@ -112,12 +114,6 @@ def _gaussians(gltf: Gltf) -> Gaussians:
         return parts[0] if len(parts) == 1 else concatenated(parts)
     except InputError as error:
         raise FormatError(str(error)) from None
-
-
-def _refuse_unknown(gltf: Gltf) -> None:
-    unknown = [name for name in gltf.entries("extensionsRequired") if name not in UNDERSTOOD]
-    if unknown:
-        raise FormatError(f"glTF needs the extension {excerpt(unknown[0])}, which is not read: export it without")
 
 
 @dataclass
@@ -183,7 +179,9 @@ def _of_spz(gltf: Gltf, compressed: Entry, budget: _Budget) -> Gaussians:
     budget.use(view)
     gaussians = parse_spz(gltf.view(view))
     budget.add_unfolded(len(gaussians))
-    return similarity_of(_matrix(HALF_TURN)).moved(gaussians)  # the reader of SPZ turned it into a PLY's axes
+    matrix = np.eye(4)
+    matrix[:3, :3] = HALF_TURN
+    return similarity_of(matrix).moved(gaussians)  # the reader of SPZ turned it into a PLY's axes
 
 
 def _of_attributes(gltf: Gltf, attributes: Entry, budget: _Budget) -> Gaussians:
@@ -206,12 +204,8 @@ def _of_attributes(gltf: Gltf, attributes: Entry, budget: _Budget) -> Gaussians:
             sh[:, number] = values
     if len(lengths) > 1:
         raise FormatError(f"glTF: attributes of one primitive with {sorted(lengths)} rows: damaged")
-    return _checked(means, quats, scales, opacities, sh)
-
-
-def _checked(means: Vectors, quats: Quats, scales: Vectors, opacities: Numbers, sh: Harmonics) -> Gaussians:
-    """Return sound Gaussians; unit rotations stay as they are. Raises: FormatError: rows that are none."""
-    negative = int((scales < 0).any(axis=1).sum())
+    # sound Gaussians; unit rotations stay as they are. Raises: FormatError: rows that are none.
+    negative = int((scales < 0).any(1).sum())
     if negative:
         raise FormatError(
             f"glTF: {negative:,} of {len(scales):,} rows have negative scales, and scales are lengths: some programs "
@@ -231,8 +225,8 @@ def _coefficients(attributes: Entry) -> tuple[str, ...]:
     return HARMONICS[:count]
 
 
-def _columns(gltf: Gltf, primitive: Entry, attributes: Entry, count: int) -> dict[str, np.ndarray]:
-    columns: dict[str, np.ndarray] = {}
+def _columns(gltf: Gltf, primitive: Entry, attributes: Entry, count: int) -> Arrays:
+    columns: Arrays = {}
     if FEATURE_ID in attributes:
         columns["object_id"] = _object_ids(gltf, primitive, attributes)
     if RELEVANCY in attributes:
@@ -261,7 +255,7 @@ def _object_ids(gltf: Gltf, primitive: Entry, attributes: Entry) -> Ids:
         return ids
     if ids.max(initial=-1) >= len(numbers):
         raise FormatError(f"glTF: {FEATURE_ID} {ids.max():,} of a table of {len(numbers):,} rows: damaged")
-    return np.asarray(np.append(numbers, np.int32(-1))[ids])  # the last one is that of -1
+    return np.append(numbers, np.int32(-1))[ids]  # the last one is that of -1
 
 
 def _placed(gaussians: Gaussians, to_world: Matrix4) -> Gaussians:
@@ -281,9 +275,3 @@ def _placed(gaussians: Gaussians, to_world: Matrix4) -> Gaussians:
     moved = similarity.moved(gaussians)
     checked(moved.means, moved.quats.copy(), moved.scales, moved.opacities, moved.sh)  # or the error that names a row
     return moved
-
-
-def _matrix(rotation: Matrix3) -> Matrix4:
-    matrix = np.eye(4)
-    matrix[:3, :3] = rotation
-    return matrix

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Int32
+from ..base.arrays import Ids
 from ..errors import FormatError, InputError
 from ..scene.labelled import LabelledScene, Thing, numbers_of
 from .gltf import METADATA, Entry, Gltf, inner, listed, whole_number
@@ -137,7 +137,7 @@ def object_names(gltf: Gltf) -> list[ObjectName]:
     return [ObjectName(row if numbers is None else int(numbers[row]), name) for row, name in enumerate(names)]
 
 
-def object_numbers(gltf: Gltf) -> Int32[np.ndarray, " t"] | None:
+def object_numbers(gltf: Gltf) -> Ids | None:
     """Return the column "number" of the first table, None where there is none. Raises: FormatError: it is damaged."""
     table = _table(gltf)
     column, described = inner(table, "properties", NUMBER), inner(_class(gltf, table), NUMBER)

@@ -110,7 +110,7 @@ class Binary:
         def padded(block: slice) -> np.ndarray:
             values = rows(block).reshape(-1, width)
             whole = values if words == width else np.pad(values, ((0, 0), (0, words - width)))
-            return np.asarray(whole.astype(dtype, copy=False))
+            return whole.astype(dtype, copy=False)
 
         row_bytes = words * dtype.itemsize
         view = self.view(Part(count, row_bytes, padded), byteStride=row_bytes, target=ARRAY_BUFFER)
@@ -164,7 +164,14 @@ def _document(scene: LabelledScene, binary: Binary) -> dict[str, Any]:
     from .. import __version__
 
     primitive = _primitive(scene, binary)
-    metadata = _metadata(scene, binary)
+    # the extension's object of the document, {} where there is nothing to say
+    metadata = tables_document(tables_of(scene), binary)
+    if scene.relevancy is not None:
+        query = f" to “{scene.query}”" if scene.query else ""
+        relevancy = {"type": "SCALAR", "componentType": "FLOAT32", "required": True}
+        schema = metadata.setdefault("schema", {"id": "drsplat", "classes": {}})
+        schema["classes"]["splat"] = {"properties": {"relevancy": relevancy | {"description": f"relevancy{query}"}}}
+        metadata["propertyAttributes"] = [{"class": "splat", "properties": {"relevancy": {"attribute": RELEVANCY}}}]
     extensions = [SPLATTING, *([FEATURES] if scene.things else []), *([METADATA] if metadata else [])]
     return {
         "asset": {"version": "2.0", "generator": f"drsplat {__version__}"},
@@ -202,7 +209,7 @@ def _primitive(scene: LabelledScene, binary: Binary) -> dict[str, Any]:
 def _splat_attributes(gaussians: Gaussians, binary: Binary) -> dict[str, int]:
     """Lay out what KHR_gaussian_splatting asks for, and the colours of points for programs that do not know it."""
     g, count = gaussians, len(gaussians)
-    bounds = {"min": g.means.min(axis=0).tolist(), "max": g.means.max(axis=0).tolist()}
+    bounds = {"min": g.means.min(0).tolist(), "max": g.means.max(0).tolist()}
     attributes = {
         POSITION: binary.attribute(count, "VEC3", FLOAT, lambda rows: g.means[rows], **bounds),
         COLOR: binary.attribute(count, "VEC4", UNSIGNED_BYTE, lambda rows: _point_colors(g, rows), normalized=True),
@@ -237,7 +244,7 @@ def features_of(objects: Ids, count: int, binary: Binary) -> tuple[int, dict[str
         raise InputError(f"a GLB holds up to {none:,} objects, got {count:,}: export a part of the scene")
 
     def ids(rows: slice) -> np.ndarray:
-        return np.asarray(np.where(objects[rows] < 0, none, objects[rows]))
+        return np.where(objects[rows] < 0, none, objects[rows])
 
     accessor = binary.attribute(len(objects), "SCALAR", UNSIGNED_SHORT if is_short else FLOAT, ids)
     described = {"featureCount": count, "nullFeatureId": none, "attribute": 0, "propertyTable": 0, "label": "objects"}
@@ -251,18 +258,6 @@ def tables_document(tables: Sequence[Table], binary: Binary) -> dict[str, Any]:
     classes = {table.kind: {"properties": table.properties} for table in tables}
     rows = [_table(table, binary) for table in tables]
     return {"schema": {"id": "drsplat", "classes": classes}, "propertyTables": rows}
-
-
-def _metadata(scene: LabelledScene, binary: Binary) -> dict[str, Any]:
-    """Return the extension's object of the document, {} where there is nothing to say."""
-    metadata = tables_document(tables_of(scene), binary)
-    if scene.relevancy is not None:
-        query = f" to “{scene.query}”" if scene.query else ""
-        relevancy = {"type": "SCALAR", "componentType": "FLOAT32", "required": True}
-        schema = metadata.setdefault("schema", {"id": "drsplat", "classes": {}})
-        schema["classes"]["splat"] = {"properties": {"relevancy": relevancy | {"description": f"relevancy{query}"}}}
-        metadata["propertyAttributes"] = [{"class": "splat", "properties": {"relevancy": {"attribute": RELEVANCY}}}]
-    return metadata
 
 
 def _table(table: Table, binary: Binary) -> dict[str, Any]:

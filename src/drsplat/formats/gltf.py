@@ -175,7 +175,13 @@ class Gltf:
         if not isinstance(uri, str):
             raise FormatError(f"buffers[{place}]: expected the binary chunk of a GLB or a uri, got {excerpt(uri)}")
         if uri.startswith(DATA_URI):
-            return _base64(uri, place)
+            head, _, body = uri.partition(",")
+            if not head.endswith(";base64"):
+                raise FormatError(f"buffers[{place}]: expected a data uri in base64, got {excerpt(head)}")
+            try:
+                return memoryview(base64.b64decode(body, validate=True))
+            except (binascii.Error, ValueError) as error:
+                raise FormatError(f"buffers[{place}]: base64 is damaged: {error}") from None
         name = unquote(uri)
         if self.folder is None or ":" in name or "/" in name or "\\" in name:
             raise FormatError(
@@ -224,16 +230,6 @@ def _chunks(buffer: memoryview) -> tuple[memoryview, memoryview | None]:
     if JSON_CHUNK not in found:
         raise FormatError("GLB has no chunk of JSON: it is damaged")
     return found[JSON_CHUNK], found.get(BINARY_CHUNK)
-
-
-def _base64(uri: str, place: int) -> memoryview:
-    head, _, body = uri.partition(",")
-    if not head.endswith(";base64"):
-        raise FormatError(f"buffers[{place}]: expected a data uri in base64, got {excerpt(head)}")
-    try:
-        return memoryview(base64.b64decode(body, validate=True))
-    except (binascii.Error, ValueError) as error:
-        raise FormatError(f"buffers[{place}]: base64 is damaged: {error}") from None
 
 
 def listed(entry: object, name: str, where: str) -> list[Any]:
@@ -312,7 +308,7 @@ def local_matrix(node: Entry, number: int) -> Matrix:
 
 
 def _rotation(xyzw: Float64[np.ndarray, " 4"]) -> Matrix3:
-    return np.asarray(rotation_matrices(xyzw[None, [3, 0, 1, 2]] / np.linalg.norm(xyzw))[0])
+    return rotation_matrices(xyzw[None, [3, 0, 1, 2]] / np.linalg.norm(xyzw))[0]
 
 
 def _roots(gltf: Gltf) -> list[int]:

@@ -14,7 +14,7 @@ from typing import Any, Literal, TypeVar, get_args, get_origin
 
 import numpy as np
 
-from ..base.arrays import Doubles, Float64, Int64, Matrix3, Matrix4, RowIds, Vector3
+from ..base.arrays import DoubleRows, Doubles, Matrix3, Matrix4, OtherIndices, RowIds, Spans, Vector3
 from ..base.contents import file_text
 from ..errors import FormatError, InputError
 from .replacing import replacing
@@ -124,7 +124,7 @@ def as_vector(value: object, length: int, where: str) -> Doubles:
     return np.array([as_number(item, where) for item in value])
 
 
-def as_matrix(value: object, rows: int, columns: int, where: str) -> Float64[np.ndarray, "r c"]:
+def as_matrix(value: object, rows: int, columns: int, where: str) -> DoubleRows:
     """Return `rows` lists of `columns` finite numbers."""
     if not isinstance(value, list) or len(value) != rows:
         raise FormatError(f"{where}: expected {rows} rows of {columns} numbers, got {excerpt(value)}")
@@ -233,7 +233,6 @@ def excerpt(value: object) -> str:
 
 
 MAX_GAUSSIANS = (1 << 31) - 1  # what the native core can count
-Spans = Int64[np.ndarray, "s 2"]
 
 
 def spans_of(ids: RowIds) -> Spans:
@@ -244,23 +243,27 @@ def spans_of(ids: RowIds) -> Spans:
     return np.stack([rows[begins], rows[lasts] + 1], axis=1).reshape(-1, 2)
 
 
+def count_in(spans: Spans) -> int:
+    """Return how many rows spans stand for."""
+    return int((spans[:, 1] - spans[:, 0]).sum())
+
+
 def are_rows(spans: Spans) -> bool:
     """Return True if spans are those of one or more ascending rows."""
     ends = spans.ravel()
     return bool(len(ends) and ends[0] >= 0 and (ends[1:] > ends[:-1]).all())
 
 
-def ids_of(spans: Spans) -> Int64[np.ndarray, " m"]:
+def ids_of(spans: Spans) -> OtherIndices:
     """Return the rows that spans stand for. The caller has checked the last one, which may be any number."""
     lengths = spans[:, 1] - spans[:, 0]
     ends = np.cumsum(lengths)
-    return np.asarray(np.arange(lengths.sum()) + np.repeat(spans[:, 1] - ends, lengths))
+    return np.arange(lengths.sum()) + np.repeat(spans[:, 1] - ends, lengths)
 
 
 def runs_of(spans: Spans) -> list[int]:
     """Return lengths in turns: rows that are left out, rows that are in it, and so on."""
-    runs: list[int] = np.diff(spans.ravel(), prepend=0).tolist()
-    return runs
+    return np.diff(spans.ravel(), prepend=0).tolist()
 
 
 def spans_of_runs(value: object, where: str) -> Spans:

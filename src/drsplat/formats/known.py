@@ -256,7 +256,11 @@ def write_scene(
     """
     path = Path(path)
     writer_of(path)  # or the error that says what can be written
-    _refuse_unwritable(scene)
+    # check a scene. Raises: InputError: what `refuse_unwritable` refuses, or relevancies that are not finite.
+    refuse_unwritable(scene.gaussians)
+    if scene.relevancy is not None and not np.isfinite(scene.relevancy).all():
+        row = int(np.flatnonzero(~np.isfinite(scene.relevancy))[0])
+        raise InputError(f"relevancies: expected finite numbers, got {scene.relevancy[row]} in row {row}: ask anew")
     WRITERS[format_of(path, spz_version)](path, scene, overwrite)
 
 
@@ -279,14 +283,6 @@ def format_of(path: Path, spz_version: int = 3) -> str:
         raise InputError(f"spz_version: expected 3 or 4, got {spz_version}")
     kind = _kind(path)
     return SPZ_4 if kind == ".spz" and spz_version == 4 else kind
-
-
-def _refuse_unwritable(scene: LabelledScene) -> None:
-    """Check a scene. Raises: InputError: what `refuse_unwritable` refuses, or relevancies that are not finite."""
-    refuse_unwritable(scene.gaussians)
-    if scene.relevancy is not None and not np.isfinite(scene.relevancy).all():
-        row = int(np.flatnonzero(~np.isfinite(scene.relevancy))[0])
-        raise InputError(f"relevancies: expected finite numbers, got {scene.relevancy[row]} in row {row}: ask anew")
 
 
 def lacks(kind: str, scene: LabelledScene) -> tuple[str, ...]:

@@ -189,7 +189,7 @@ def _positions(buffer: memoryview, place: _Place, table: np.ndarray) -> Points:
     counts = np.concatenate([full, _lengths(buffer, section, at)])
     half = section.half_steps or DEFAULT_HALF_STEPS
     steps = table["means"].astype(np.float64) - half
-    return np.asarray(steps * (section.block / 2 / half) + centres.reshape(-1, 3).repeat(counts, axis=0))
+    return steps * (section.block / 2 / half) + centres.reshape(-1, 3).repeat(counts, axis=0)
 
 
 def _fill_further(sh: Harmonics, rest: np.ndarray, header: _Header) -> None:

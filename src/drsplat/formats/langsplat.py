@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from ..base.arrays import Float32, Int32, Int64
+from ..base.arrays import Embeddings, Indices, Int64, LevelMaskIds
 from ..base.terminal import counted
 from ..errors import DrSplatError, FormatError, InputError, MismatchError
 from ..scene.encoders import EncoderIdentity
@@ -61,7 +61,7 @@ class LevelFeatures(ViewFeatures):
     file_rows: the row of `_f.npy` that each mask has, ascending; its id in `_s.npy`.
     """
 
-    file_rows: Int64[np.ndarray, " s"]
+    file_rows: Indices
 
 
 class FeatureFolder(Mapping[str, ViewFeatures]):
@@ -108,14 +108,20 @@ class FeatureFolder(Mapping[str, ViewFeatures]):
         and row.
         """
         files = self._files(self._known(name))
-        features = _one_level(files, self.level)
+        rows, ids = files.embeddings, files.ids(self.level)
+        used = np.zeros(len(rows) + 1, bool)  # the last is that of -1
+        used[ids] = True
+        file_rows = np.flatnonzero(used[:-1])
+        compact = np.full(len(rows) + 1, -1, np.int32)
+        compact[file_rows] = np.arange(len(file_rows), dtype=np.int32)
+        features = LevelFeatures(compact[ids], unit_rows(rows, file_rows, files.path), file_rows)
         if features.embeddings.shape[1] != self.dim:
             raise FormatError(
                 f"{files.path}: has {features.embeddings.shape[1]} dimensions, the folder's first has {self.dim}"
             )
         return features
 
-    def stored(self, name: str) -> tuple[Int32[np.ndarray, "*levels h w"], Float32[np.ndarray, "n d"]]:
+    def stored(self, name: str) -> tuple[LevelMaskIds, Embeddings]:
         """Return all levels of a photo and its embeddings as they are in its files: what `write_features` takes.
 
         Raises: as indexing does.
@@ -198,8 +204,8 @@ def level_index(level: str | int) -> int:
 def write_features(
     directory: str | Path,
     stem: str,
-    mask_ids: Int32[np.ndarray, "*levels h w"],
-    embeddings: Float32[np.ndarray, "n d"],
+    mask_ids: LevelMaskIds,
+    embeddings: Embeddings,
     overwrite: bool = False,
     form: Form = "langsplat",
 ) -> None:
@@ -261,9 +267,7 @@ def _listed_keys(directory: Path) -> dict[str, Form]:
     return dict(sorted(forms.items()))
 
 
-def stored_features(
-    directory: Path, stem: str, form: Form
-) -> tuple[Int32[np.ndarray, "*levels h w"], Float32[np.ndarray, "n d"]]:
+def stored_features(directory: Path, stem: str, form: Form) -> tuple[LevelMaskIds, Embeddings]:
     """See `FeatureFolder.stored`."""
     files = FORMS[form][1](directory, stem)
     maps = np.stack([files.ids(level).astype(np.int32) for level in range(files.count_levels())])
@@ -281,16 +285,6 @@ FORMS: Mapping[Form, tuple[tuple[str, ...], Callable[[Path, str], FeatureFile]]]
     "compact": ((COMPACT,), lambda directory, stem: read_compact(directory / f"{stem}{COMPACT}")),
 }
 """Endings of a photo's files, of which the first holds its masks, and how they are opened."""
-
-
-def _one_level(files: FeatureFile, level: int) -> LevelFeatures:
-    rows, ids = files.embeddings, files.ids(level)
-    used = np.zeros(len(rows) + 1, bool)  # the last is that of -1
-    used[ids] = True
-    file_rows = np.flatnonzero(used[:-1])
-    compact = np.full(len(rows) + 1, -1, np.int32)
-    compact[file_rows] = np.arange(len(file_rows), dtype=np.int32)
-    return LevelFeatures(compact[ids], unit_rows(rows, file_rows, files.path), file_rows)
 
 
 def _level_ids(path: Path, level: int, num_rows: int) -> Int64[np.ndarray, "h w"]:
@@ -318,7 +312,7 @@ def _map_embeddings(path: Path) -> np.ndarray:
     return rows
 
 
-def unit_rows(rows: np.ndarray, wanted: Int64[np.ndarray, " s"], path: Path) -> Float32[np.ndarray, "s d"]:
+def unit_rows(rows: np.ndarray, wanted: Indices, path: Path) -> Embeddings:
     """Return some rows of a file, brought to unit length. Raises: FormatError: one has no direction."""
     with np.errstate(over="ignore", invalid="ignore", under="ignore"):
         taken = rows[wanted].astype(np.float64)
@@ -328,5 +322,4 @@ def unit_rows(rows: np.ndarray, wanted: Int64[np.ndarray, " s"], path: Path) -> 
         raise FormatError(
             f"{path}: row {bad[0]} has no direction (zero or not finite); {len(bad)} such rows are in use"
         )
-    unit: np.ndarray = (taken / norms[:, None]).astype(np.float32)
-    return unit
+    return (taken / norms[:, None]).astype(np.float32)

@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ..base.arrays import Bool, Float64, Int64, Mask
+from ..base.arrays import Flags, Float64, Int64, Mask
 from ..errors import FormatError, InputError
 from .json_files import as_fields, as_object, as_text, as_vector, excerpt, read_json
 from .photo_files import safe_name
@@ -109,7 +109,7 @@ def fill_polygon(polygon: Polygon, width: int, height: int) -> Mask:
     return filled
 
 
-def _fill_row(line: Bool[np.ndarray, " w"], row: int, starts: Polygon, ends: Polygon) -> None:
+def _fill_row(line: Flags, row: int, starts: Polygon, ends: Polygon) -> None:
     """Fill between each two crossings; an edge has its upper end and not its lower one."""
     low, high = np.minimum(starts[:, 1], ends[:, 1]), np.maximum(starts[:, 1], ends[:, 1])
     crossed = (low <= row) & (row < high)

@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 
-from ..base.arrays import Bool, Float, Float64, Indices, Int64, Mask, UInt8
+from ..base.arrays import Bool, Float, Float64, Indices, Mask
 from ..base.contents import file_text
 from ..errors import FormatError, InputError
 from .json_files import as_count, as_number, as_object, as_text, excerpt
@@ -114,7 +114,18 @@ def read_annotations(path: str | Path) -> Annotations:
     categories = _by_id(document["categories"], f"{path}, category", _category)
     instances = _by_id(document["annotations"], f"{path}, annotation", _instance)
     for instance in instances.values():
-        _check_links(instance, photos, categories, f"{path}, annotation {instance.id}")
+        where = f"{path}, annotation {instance.id}"
+        photo = photos.get(instance.photo)
+        if photo is None:
+            raise FormatError(f"{where}: image_id: there is no image {instance.photo}")
+        if instance.category not in categories:
+            raise FormatError(f"{where}: category_id: there is no category {instance.category}")
+        runs = instance.segmentation
+        if isinstance(runs, Runs) and (runs.height, runs.width) != (photo.height, photo.width):
+            raise FormatError(
+                f"{where}: segmentation: size: {runs.width}x{runs.height}, but its image has "
+                f"{photo.width}x{photo.height}"
+            )
     return Annotations(path, photos, categories, tuple(instances.values()))
 
 
@@ -202,7 +213,13 @@ def _instance(entry: dict[str, object], number: int, where: str) -> Instance:
 
 def _segmentation(value: object, where: str) -> Polygons | Runs:
     if isinstance(value, dict):
-        return _runs(value, where)
+        counts, size = value.get("counts"), value.get("size")
+        if not isinstance(size, list) or len(size) != 2:
+            raise FormatError(f"{where}: size: expected [height, width], got {excerpt(size)}")
+        height, width = (as_count(side, f"{where}: size") for side in size)
+        if not isinstance(counts, str | np.ndarray):
+            raise FormatError(f"{where}: counts: expected whole numbers or compressed text, got {excerpt(counts)}")
+        return Runs(counts, height, width)
     if not isinstance(value, list):
         raise FormatError(f"{where}: expected polygons or run lengths, got {excerpt(value)}")
     for polygon in value:
@@ -211,31 +228,6 @@ def _segmentation(value: object, where: str) -> Polygons | Runs:
         if not (np.abs(polygon) <= _MAX_COORDINATE).all():  # false for NaN
             raise FormatError(f"{where}: a polygon has a coordinate that no photo has")
     return tuple(value)
-
-
-def _runs(value: dict[str, object], where: str) -> Runs:
-    counts, size = value.get("counts"), value.get("size")
-    if not isinstance(size, list) or len(size) != 2:
-        raise FormatError(f"{where}: size: expected [height, width], got {excerpt(size)}")
-    height, width = (as_count(side, f"{where}: size") for side in size)
-    if not isinstance(counts, str | np.ndarray):
-        raise FormatError(f"{where}: counts: expected whole numbers or compressed text, got {excerpt(counts)}")
-    return Runs(counts, height, width)
-
-
-def _check_links(
-    instance: Instance, photos: Mapping[int, AnnotatedPhoto], categories: Mapping[int, str], where: str
-) -> None:
-    photo = photos.get(instance.photo)
-    if photo is None:
-        raise FormatError(f"{where}: image_id: there is no image {instance.photo}")
-    if instance.category not in categories:
-        raise FormatError(f"{where}: category_id: there is no category {instance.category}")
-    runs = instance.segmentation
-    if isinstance(runs, Runs) and (runs.height, runs.width) != (photo.height, photo.width):
-        raise FormatError(
-            f"{where}: segmentation: size: {runs.width}x{runs.height}, but its image has {photo.width}x{photo.height}"
-        )
 
 
 def decode_runs(counts: Indices, height: int, width: int, where: str) -> Mask:
@@ -252,8 +244,7 @@ def decode_runs(counts: Indices, height: int, width: int, where: str) -> Mask:
     if total != pixels:
         raise FormatError(f"{where}: the runs add up to {total} pixels, the image {width}x{height} has {pixels}")
     inside = np.arange(len(counts)) % 2 == 1
-    mask: np.ndarray = np.ascontiguousarray(np.repeat(inside, counts).reshape(width, height).T)
-    return mask
+    return np.ascontiguousarray(np.repeat(inside, counts).reshape(width, height).T)
 
 
 def unpack_counts(text: str, where: str) -> Indices:
@@ -264,7 +255,13 @@ def unpack_counts(text: str, where: str) -> Indices:
 
     Raises: FormatError: other characters, a number that does not end or is too long.
     """
-    codes = _codes(text, where)
+    raw = np.frombuffer(text.encode("utf-8", "replace"), np.uint8)
+    codes: np.ndarray = raw - np.uint8(_FIRST_CODE)  # below 48 wraps to above 63
+    bad = np.flatnonzero(codes > _DIGIT_MASK + _CONTINUATION_BIT)
+    if len(bad):
+        raise FormatError(
+            f"{where}: expected compressed run lengths, characters '0' to 'o'; got byte {raw[bad[0]]} at {bad[0]}"
+        )
     if len(codes) == 0:
         return np.zeros(0, np.int64)
     last = (codes & _CONTINUATION_BIT) == 0
@@ -279,17 +276,6 @@ def unpack_counts(text: str, where: str) -> Indices:
     numbers[1::2] = np.cumsum(numbers[1::2])
     numbers[2::2] = np.cumsum(numbers[2::2])
     return np.asarray(numbers)
-
-
-def _codes(text: str, where: str) -> UInt8[np.ndarray, " c"]:
-    raw = np.frombuffer(text.encode("utf-8", "replace"), np.uint8)
-    codes: np.ndarray = raw - np.uint8(_FIRST_CODE)  # below 48 wraps to above 63
-    bad = np.flatnonzero(codes > _DIGIT_MASK + _CONTINUATION_BIT)
-    if len(bad):
-        raise FormatError(
-            f"{where}: expected compressed run lengths, characters '0' to 'o'; got byte {raw[bad[0]]} at {bad[0]}"
-        )
-    return codes
 
 
 def fill_polygon(points: Float[np.ndarray, "v 2"], height: int, width: int) -> Mask:
@@ -313,10 +299,10 @@ def fill_polygon(points: Float[np.ndarray, "v 2"], height: int, width: int) -> M
 
 
 def _parity(
-    begins: Float[np.ndarray, "v 2"],
-    ends: Float[np.ndarray, "v 2"],
-    top: Int64[np.ndarray, " v"],
-    bottom: Int64[np.ndarray, " v"],
+    begins: Float[np.ndarray, "n 2"],
+    ends: Float[np.ndarray, "n 2"],
+    top: Indices,
+    bottom: Indices,
     rows: slice,
     width: int,
 ) -> Bool[np.ndarray, "r w"]:
@@ -329,5 +315,4 @@ def _parity(
     column = np.ceil(crossing - 0.5).clip(0, width).astype(np.int64)
     shape = (rows.stop - rows.start, width + 1)
     flips = np.bincount((row - rows.start) * shape[1] + column, minlength=shape[0] * shape[1])
-    inside: np.ndarray = np.cumsum(flips.reshape(shape), axis=1)[:, :width] % 2 == 1
-    return inside
+    return np.cumsum(flips.reshape(shape), axis=1)[:, :width] % 2 == 1

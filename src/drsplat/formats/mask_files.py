@@ -7,12 +7,11 @@ instant-ngp (dynamic_mask_a.png, in which white is left out).
 
 import os
 import re
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 
-from ..errors import DrSplatWarning, InputError
+from ..errors import InputError, warn
 from ..scene.views import View
 from .photo_files import find_files, folded
 
@@ -88,7 +87,7 @@ def with_masks(views: Sequence[View], invert: bool) -> list[View]:
     if invert:
         raise InputError("invert_masks: these photos have no masks: put them into masks/ beside images/, or drop it")
     for folder in dict.fromkeys(folder for photos in by_folder for folder in mask_folders(photos)):
-        warnings.warn(f"{folder}: {NO_NAME}; photos are used whole", DrSplatWarning, stacklevel=4)
+        warn(f"{folder}: {NO_NAME}; photos are used whole", 4)
     return list(views)
 
 

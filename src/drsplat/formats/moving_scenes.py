@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..base.arrays import Arrays
 from ..base.contents import open_file
 from ..errors import FormatError, InputError, MismatchError
 from ..scene.gaussians import Gaussians
@@ -54,7 +55,9 @@ def read_motion(folder: Path) -> Moving:
     check_tensors(tensors, _ARRAYS | {name: how for name, how in _FURTHER.items() if name in tensors}, where)
     canonical = read_gaussians(folder / SCENE)
     _check(tensors, metadata, canonical, where)
-    _check_scene_file(folder, metadata)
+    # compare scene.ply with its checksum, which folders of older versions lack
+    if metadata.get(SCENE_SUM, "") not in ("", file_checksum(folder / SCENE)):
+        raise FormatError(f"{folder / SCENE}: damaged or edited: it is not what was written. {CURE}")
     shapes = {name: tensors[name] for name in SHAPES if name in tensors}
     sums = written_rows(shapes, metadata, where)
     check_checksums(tensors, metadata, where, names=None if sums is None else tensors.keys() - shapes.keys())
@@ -97,7 +100,7 @@ def write_motion(folder: Path, moving: Moving, overwrite: bool = False) -> None:
         write_tensors(temporary / MOTION, {**stamps, **tensors}, metadata | sums)
 
 
-def _check(tensors: dict[str, np.ndarray], metadata: dict[str, str], canonical: Gaussians, where: str) -> None:
+def _check(tensors: Arrays, metadata: dict[str, str], canonical: Gaussians, where: str) -> None:
     scene = metadata.get("scene")
     if scene != canonical.fingerprint:
         raise MismatchError(
@@ -111,14 +114,8 @@ def _check(tensors: dict[str, np.ndarray], metadata: dict[str, str], canonical: 
         raise FormatError(f"{where}: origin: expected three finite numbers")
 
 
-def _check_scene_file(folder: Path, metadata: dict[str, str]) -> None:
-    """Compare scene.ply with its checksum, which folders of older versions lack."""
-    if metadata.get(SCENE_SUM, "") not in ("", file_checksum(folder / SCENE)):
-        raise FormatError(f"{folder / SCENE}: damaged or edited: it is not what was written. {CURE}")
-
-
 def _frames(
-    tensors: dict[str, np.ndarray], canonical: Gaussians, sums: dict[str, list[str]] | None, where: str
+    tensors: Arrays, canonical: Gaussians, sums: dict[str, list[str]] | None, where: str
 ) -> Callable[[int], Gaussians]:
     def value(name: str, number: int) -> np.ndarray:
         if name not in tensors:
@@ -249,7 +246,13 @@ def read_ply_sequence(folder: Path, times: tuple[float, float] | None = None) ->
     canonical = read_gaussians(paths[0])
 
     def frame(number: int) -> Gaussians:
-        return _same_rows(read_gaussians(paths[number]), canonical, paths[number])
+        gaussians = read_gaussians(paths[number])
+        path = paths[number]
+        if gaussians.sh.shape != canonical.sh.shape:
+            raise FormatError(f"{path}: harmonics {gaussians.sh.shape}, those of the first frame {canonical.sh.shape}")
+        if gaussians.antialiased != canonical.antialiased:
+            raise FormatError(f"{path}: marked antialiased {gaussians.antialiased}, the first frame is the other way")
+        return counted_from(gaussians, canonical.origin)
 
     stamps = np.array(list(found), np.float64) if times is None else np.linspace(*times, len(paths))
     return Moving(canonical, stamps, Frames(stamps, frame))
@@ -264,14 +267,6 @@ def write_ply_sequence(folder: Path, moving: Moving, overwrite: bool = False) ->
     with replacing_folder(folder, overwrite, f"frame{0:0{digits}d}.ply") as temporary:
         for number, time in enumerate(moving.times.tolist()):
             write_gaussians(temporary / f"frame{number:0{digits}d}.ply", moving.at(time))
-
-
-def _same_rows(gaussians: Gaussians, canonical: Gaussians, path: Path) -> Gaussians:
-    if gaussians.sh.shape != canonical.sh.shape:
-        raise FormatError(f"{path}: harmonics {gaussians.sh.shape}, those of the first frame {canonical.sh.shape}")
-    if gaussians.antialiased != canonical.antialiased:
-        raise FormatError(f"{path}: marked antialiased {gaussians.antialiased}, the first frame is the other way")
-    return counted_from(gaussians, canonical.origin)
 
 
 def _check_counts(paths: list[Path]) -> None:

@@ -32,7 +32,13 @@ def map_npy(path: Path) -> np.ndarray:
     """
     try:
         with open_file(path) as file:
-            return _mapped(file, path)
+            dtype, shape, order = _header(file, path)
+            size, expected = (os.fstat(file.fileno()).st_size, file.tell() + math.prod(shape) * dtype.itemsize)
+            if size < expected:
+                raise FormatError(f"{path}: truncated: {dtype} {shape} needs {expected} bytes, the file has {size}")
+            if 0 in shape:  # nothing to map
+                return np.zeros(shape, dtype)
+            return np.memmap(file, dtype, "r", file.tell(), shape, order)
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file") from None
 
@@ -51,16 +57,6 @@ def write_npy(path: Path, array: np.ndarray, overwrite: bool = False) -> None:
     """Write `array`, whole or not at all."""
     with replacing(path, overwrite) as file:
         np.save(file, array, allow_pickle=False)
-
-
-def _mapped(file: BinaryIO, path: Path) -> np.ndarray:
-    dtype, shape, order = _header(file, path)
-    size, expected = (os.fstat(file.fileno()).st_size, file.tell() + math.prod(shape) * dtype.itemsize)
-    if size < expected:
-        raise FormatError(f"{path}: truncated: {dtype} {shape} needs {expected} bytes, the file has {size}")
-    if 0 in shape:  # nothing to map
-        return np.zeros(shape, dtype)
-    return np.memmap(file, dtype, "r", file.tell(), shape, order)
 
 
 def _header(file: BinaryIO | BytesIO, path: Path | str) -> tuple[np.dtype[Any], tuple[int, ...], Literal["C", "F"]]:

@@ -19,7 +19,7 @@ from typing import Any, BinaryIO, Protocol, runtime_checkable
 
 import numpy as np
 
-from ..base.arrays import Float32, Integer, Num
+from ..base.arrays import ArraysByName, Float32, Num, WholeNumbers
 from ..base.contents import open_file
 from ..errors import FormatError, InputError, MissingExtraError
 from .npy import map_npy, read_npy
@@ -52,7 +52,7 @@ class ByLeaf:
     """A feature of each leaf, and the leaf of each row; -1: none."""
 
     features: Num[np.ndarray, "l d"]
-    leaves: Integer[np.ndarray, " n"]
+    leaves: WholeNumbers
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -152,7 +152,7 @@ def _leaves(path: Path) -> Rows:
     return ByLeaf(features, leaves.astype(np.int64))
 
 
-def _torch(path: Path) -> Mapping[str, np.ndarray]:
+def _torch(path: Path) -> ArraysByName:
     """Return the tensors of a PyTorch file, by their place in it."""
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
@@ -160,7 +160,7 @@ def _torch(path: Path) -> Mapping[str, np.ndarray]:
         return _loaded(file, path)
 
 
-def _loaded(file: BinaryIO, path: Path) -> Mapping[str, np.ndarray]:
+def _loaded(file: BinaryIO, path: Path) -> ArraysByName:
     try:
         import torch
     except ImportError:
@@ -187,7 +187,7 @@ def _tensors(value: Any, name: str, tensor: type, depth: int = 0) -> Iterator[tu
             yield from _tensors(part, f"{name}.{number}".lstrip("."), tensor, depth + 1)
 
 
-def _only(arrays: Mapping[str, np.ndarray], path: Path) -> np.ndarray:
+def _only(arrays: ArraysByName, path: Path) -> np.ndarray:
     """Return the only array that can be features; in LangSplat's checkpoints that is the last of its width."""
     wide = {name: array for name, array in arrays.items() if array.ndim == 2 and array.dtype in FLOATS}
     named = [array for name, array in wide.items() if "feature" in name.lower()]

@@ -6,7 +6,6 @@ Mac keeps "ä" as two characters), or before the photos were converted to anothe
 
 import re
 import unicodedata
-import warnings
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
@@ -14,7 +13,7 @@ from functools import cache
 from itertools import takewhile
 from pathlib import Path, PurePosixPath
 
-from ..errors import DrSplatWarning, FormatError, InputError, MismatchError
+from ..errors import FormatError, InputError, MismatchError, warn
 from ..scene.views import View, same_aspect
 
 PHOTO_SUFFIXES = (".jpg", ".jpeg", ".png", ".JPG", ".JPEG", ".PNG", ".webp", ".tif", ".tiff", ".bmp")
@@ -105,10 +104,10 @@ def find_files(places: Sequence[Sequence[Path]]) -> list[Path | None]:
     ]
     if several:
         text = f"{len(several)} of {len(places)} names without suffix fit several files: {listed(several, 3)} is taken"
-        warnings.warn(text, DrSplatWarning, stacklevel=3)
+        warn(text, 3)
     if converted:
         text = f"{len(converted)} of {len(places)} files have another suffix on disk: {listed(converted, 3)} is taken"
-        warnings.warn(text, DrSplatWarning, stacklevel=3)
+        warn(text, 3)
     return [unique[tuple(paths)] for paths in places]
 
 

@@ -4,7 +4,6 @@ Source: Greg Turk, "The PLY Polygon File Format" (1994). Little- and big-endian 
 """
 
 import io
-import warnings
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,9 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Colors, Float32, Points, Shaped
+from ..base.arrays import Arrays, Colors, FloatRows, Points, Shaped
 from ..base.contents import file_bytes
-from ..errors import DrSplatWarning, FormatError, InputError, placed
+from ..errors import FormatError, InputError, placed, warn
 from .replacing import replacing
 
 AXES, COLORS = ("x", "y", "z"), ("red", "green", "blue")
@@ -145,12 +144,21 @@ def read_elements(buffer: memoryview, header: Header, names: Collection[str]) ->
         if header.elements[name].has_lists or not header.elements[name].properties:
             raise FormatError(f"PLY element '{name}' must hold scalar properties, and only those")
     if header.order == "=":
-        return _read_ascii(io.BytesIO(buffer[header.body :]), header, names)
+        found: Arrays = {}
+        rows = (line for line in io.BytesIO(buffer[header.body :]) if not line.isspace())
+        for element in header.elements.values():
+            if len(found) == len(names):
+                break
+            if element.name in names:
+                found[element.name] = _ascii_rows(rows, element)
+            elif sum(1 for _ in islice(rows, element.count)) < element.count:
+                raise FormatError(f"PLY is truncated: fewer than {element.count} lines of '{element.name}'")
+        return found
     return _read_binary(buffer, header, names)
 
 
 def _read_binary(buffer: memoryview, header: Header, names: Collection[str]) -> dict[str, Records]:
-    found: dict[str, np.ndarray] = {}
+    found: Arrays = {}
     offset = header.body
     for element in header.elements.values():
         if element.has_lists:
@@ -170,7 +178,7 @@ def _read_binary(buffer: memoryview, header: Header, names: Collection[str]) -> 
         offset = end
     if offset < len(buffer):
         left_out = len(buffer) - offset
-        warnings.warn(f"{left_out} bytes after the last PLY element were left out", DrSplatWarning, stacklevel=3)
+        warn(f"{left_out} bytes after the last PLY element were left out", 3)
     return found
 
 
@@ -190,19 +198,6 @@ def _end_of_lists(buffer: memoryview, offset: int, element: Element, order: str)
         if offset > len(buffer):
             raise FormatError(f"PLY is truncated or damaged in the lists of '{element.name}'")
     return offset
-
-
-def _read_ascii(text: io.BytesIO, header: Header, names: Collection[str]) -> dict[str, Records]:
-    found: dict[str, np.ndarray] = {}
-    rows = (line for line in text if not line.isspace())
-    for element in header.elements.values():
-        if len(found) == len(names):
-            break
-        if element.name in names:
-            found[element.name] = _ascii_rows(rows, element)
-        elif sum(1 for _ in islice(rows, element.count)) < element.count:
-            raise FormatError(f"PLY is truncated: fewer than {element.count} lines of '{element.name}'")
-    return found
 
 
 def _ascii_rows(rows: Iterator[bytes], element: Element) -> Records:
@@ -228,7 +223,7 @@ def _ascii_rows(rows: Iterator[bytes], element: Element) -> Records:
     return result
 
 
-def gather(records: Records, names: Sequence[str]) -> Float32[np.ndarray, "n c"]:
+def gather(records: Records, names: Sequence[str]) -> FloatRows:
     """Return the columns `names` of a structured array side by side as float32, whatever their type.
 
     A value that float32 cannot hold becomes infinite: judging it is the caller's.
@@ -320,17 +315,14 @@ def _points(rows: Records) -> tuple[np.ndarray, np.ndarray]:
     if missing:
         raise FormatError(f"no points: vertex has no {', '.join(missing)}")
     positions = np.stack([rows[name].astype(np.float64) for name in AXES], axis=1)
-    bad = np.flatnonzero(~np.isfinite(positions).all(axis=1))
+    bad = np.flatnonzero(~np.isfinite(positions).all(1))
     if len(bad):
         raise FormatError(f"{len(bad)} of {len(rows)} points are not finite, the first at index {bad[0]}")
     if not set(COLORS) <= set(names):
         return positions, np.full(positions.shape, DEFAULT_GREY, np.uint8)
-    return positions, _bytes(np.stack([rows[name] for name in COLORS], axis=1))
-
-
-def _bytes(colors: np.ndarray) -> Colors:
+    colors = np.stack([rows[name] for name in COLORS], axis=1)
     with np.errstate(all="ignore"):  # judged below
         scaled = colors * 255.0 if colors.dtype.kind == "f" else colors.astype(np.float64)
     if not ((scaled >= 0) & (scaled <= 255)).all():
         raise FormatError("expected colours of 0 to 255, or of 0 to 1 where they are fractions")
-    return np.rint(scaled).astype(np.uint8)
+    return positions, np.rint(scaled).astype(np.uint8)

@@ -50,7 +50,7 @@ def rotation_from_quaternion(quaternion: tuple[float, ...], where: str) -> Matri
     if not (math.isfinite(norm) and norm > 1e-12):
         raise FormatError(f"{where}: expected a rotation quaternion, got {quaternion}")
     unit = np.array([[part / norm for part in quaternion]])
-    return np.asarray(rotation_matrices(unit)[0])
+    return rotation_matrices(unit)[0]
 
 
 def nearest_rotation(matrix: Matrix3, where: str) -> Matrix3:
@@ -62,8 +62,7 @@ def nearest_rotation(matrix: Matrix3, where: str) -> Matrix3:
     if max(abs(length - 1) for length in lengths) < RIGID_TOLERANCE:
         u, stretch, vt = np.linalg.svd(matrix)
         if np.abs(stretch - 1).max() < RIGID_TOLERANCE and np.linalg.det(matrix) > 0:
-            rotation: Matrix3 = u @ vt
-            return rotation
+            return u @ vt
     raise FormatError(
         f"{where}: expected a rotation (orthonormal columns, determinant +1), got columns of lengths "
         f"{', '.join(f'{length:.6g}' for length in lengths)}: remove scale, shear or mirroring from the pose"

@@ -12,13 +12,12 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Float64
+from ..base.arrays import Points
 from ..errors import MissingExtraError, pip_install
 from ..scene.gaussians import SH_C0, Gaussians
 from ..scene.labelled import LabelledScene, Thing
 from ..scene.moving import Moving
 from ..scene.similarity import quaternion_of
-from ..scene.views import View
 from .activation import refuse_unwritable
 from .replacing import take_over
 
@@ -70,18 +69,30 @@ def _log(rerun: Any, stream: Any, scene: LabelledScene) -> None:
         places = rerun.Points3D([note.center for note in notes], labels=[note.text for note in notes])
         stream.log("world/annotations", places, static=True)
     for number, view in enumerate(scene.views):
-        _log_view(rerun, stream, f"world/photos/{number}", view)
+        entity = f"world/photos/{number}"
+        world_from_cam = np.linalg.inv(view.cam_from_world)
+        place = rerun.Transform3D(translation=world_from_cam[:3, 3], mat3x3=world_from_cam[:3, :3])
+        stream.log(
+            entity, place, rerun.Pinhole(image_from_camera=view.K, resolution=[view.width, view.height]), static=True
+        )
+        if view.image_path is not None and view.distortion is None:
+            stream.log(entity, rerun.EncodedImage(path=view.image_path), static=True)
 
 
 def _log_motion(rerun: Any, stream: Any, scene: LabelledScene, motion: Moving) -> None:
     """Log each time of a scene that moves: all of its splats, and boxes of objects that go along with their middles."""
-    tracks: list[Float64[np.ndarray, "t 3"]] = []
+    tracks: list[Points] = []
     for time in motion.times.tolist():
         stream.set_time(TIMELINE, duration=time)
         gaussians = motion.at(time)
         stream.log("world/splats", _splats(rerun, gaussians))
         if scene.things:
-            tracks.append(_middles(scene, gaussians))
+            # the mean position of the Gaussians of each object; zero for those without
+            owners = np.full(len(gaussians), -1) if scene.object_of is None else scene.object_of
+            own, count = owners >= 0, len(scene.things)
+            sizes = np.maximum(np.bincount(owners[own], minlength=count), 1)
+            sums = [np.bincount(owners[own], column, count) for column in gaussians.positions[own].T]
+            tracks.append(np.asarray(np.stack(sums, axis=1) / sizes[:, None]))
             moved = zip(scene.things, tracks[-1] - tracks[0], strict=True)
             boxes = [replace(thing, center=thing.center + by) for thing, by in moved]
             stream.log("world/things", _boxes(rerun, boxes))
@@ -90,15 +101,6 @@ def _log_motion(rerun: Any, stream: Any, scene: LabelledScene, motion: Moving) -
         strips = np.array([thing.center for thing in scene.things]) + np.stack(tracks) - tracks[0]
         names = [thing.name for thing in scene.things]
         stream.log("world/tracks", rerun.LineStrips3D(strips.swapaxes(0, 1), labels=names), static=True)
-
-
-def _middles(scene: LabelledScene, gaussians: Gaussians) -> Float64[np.ndarray, "k 3"]:
-    """Return the mean position of the Gaussians of each object; zero for those without."""
-    owners = np.full(len(gaussians), -1) if scene.object_of is None else scene.object_of
-    own, count = owners >= 0, len(scene.things)
-    sizes = np.maximum(np.bincount(owners[own], minlength=count), 1)
-    sums = [np.bincount(owners[own], column, count) for column in gaussians.positions[own].T]
-    return np.asarray(np.stack(sums, axis=1) / sizes[:, None])
 
 
 def _splats(rerun: Any, gaussians: Gaussians) -> Any:
@@ -118,13 +120,3 @@ def _boxes(rerun: Any, things: Sequence[Thing]) -> Any:
         centers=[thing.center for thing in things], half_sizes=[thing.extent / 2 for thing in things],
         quaternions=turns[:, [1, 2, 3, 0]], labels=[thing.name for thing in things],
     )  # fmt: skip
-
-
-def _log_view(rerun: Any, stream: Any, entity: str, view: View) -> None:
-    world_from_cam = np.linalg.inv(view.cam_from_world)
-    place = rerun.Transform3D(translation=world_from_cam[:3, 3], mat3x3=world_from_cam[:3, :3])
-    stream.log(
-        entity, place, rerun.Pinhole(image_from_camera=view.K, resolution=[view.width, view.height]), static=True
-    )
-    if view.image_path is not None and view.distortion is None:
-        stream.log(entity, rerun.EncodedImage(path=view.image_path), static=True)

@@ -78,7 +78,15 @@ def read_scannet_labels(path: Path) -> LabelledCloud:
     labels = rows["label"].astype(np.int64)
     if len(labels) and not 0 <= labels.min() <= labels.max() <= MAX_LABEL:
         raise FormatError(f"{path}: label: expected 0 to {MAX_LABEL}, got {labels.min()} to {labels.max()}")
-    return LabelledCloud(_positions(rows, path), labels.astype(np.int32))
+    missing = [name for name in "xyz" if name not in (rows.dtype.names or ())]
+    if missing:
+        raise FormatError(f"{path}: vertex has no {', '.join(missing)}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        positions = gather(rows, ["x", "y", "z"])
+    bad = np.flatnonzero(~np.isfinite(positions).all(1))
+    if len(bad):
+        raise FormatError(f"{path}: vertex {bad[0]}: expected a finite position")
+    return LabelledCloud(positions, labels.astype(np.int32))
 
 
 def read_scannet_instances(segments: Path, aggregation: Path) -> Instances:
@@ -127,8 +135,7 @@ def read_label_table(path: Path) -> dict[str, int]:
 def raw_category_labels(instances: Instances, table: Mapping[str, int]) -> Ids:
     """Return the category id of each vertex's object; 0 without one, or where the table has no such name."""
     ids = np.array([table.get(name, 0) for name in instances.names] + [0], np.int32)
-    labels: np.ndarray = ids[instances.objects]
-    return labels
+    return ids[instances.objects]
 
 
 def check_vertices(cloud: LabelledCloud, instances: Instances, where: str) -> None:
@@ -148,18 +155,6 @@ def _vertices(path: Path) -> np.ndarray:
         return read_elements(data, read_header(data), {"vertex"})["vertex"]
     except FormatError as error:
         raise FormatError(f"{path}: {error}") from error
-
-
-def _positions(rows: np.ndarray, path: Path) -> Vectors:
-    missing = [name for name in "xyz" if name not in (rows.dtype.names or ())]
-    if missing:
-        raise FormatError(f"{path}: vertex has no {', '.join(missing)}")
-    with np.errstate(over="ignore", invalid="ignore"):
-        positions = gather(rows, ["x", "y", "z"])
-    bad = np.flatnonzero(~np.isfinite(positions).all(1))
-    if len(bad):
-        raise FormatError(f"{path}: vertex {bad[0]}: expected a finite position")
-    return positions
 
 
 def _segment_ids(path: Path) -> np.ndarray:

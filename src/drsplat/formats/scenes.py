@@ -1,12 +1,11 @@
 """`read_gaussians`: any scene file in, by the table of `known`."""
 
 import re
-import warnings
 from os import PathLike
 from pathlib import Path
 
 from ..base.contents import file_bytes
-from ..errors import DrSplatWarning, FormatError, placed
+from ..errors import FormatError, placed, warn
 from ..scene.gaussians import Gaussians
 from ..scene.units import lost_precision
 from .known import format_at, parse_gaussians
@@ -51,7 +50,7 @@ def read_gaussians(path: str | PathLike[str]) -> Gaussians:
 def local(gaussians: Gaussians, where: str) -> Gaussians:
     """Move Gaussians far from zero to a local origin, and warn of what float32 has lost by then."""
     for loss in lost_precision(gaussians):
-        warnings.warn(f"{where}: {loss}", DrSplatWarning, stacklevel=3)
+        warn(f"{where}: {loss}", 3)
     return gaussians.localized()
 
 

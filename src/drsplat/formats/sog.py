@@ -31,7 +31,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Float32, Harmonics, Numbers, Quats, UInt8, Vector3, Vectors
+from ..base.arrays import Arrays, Float32, FloatRows, Harmonics, Numbers, Quats, UInt8, Vector3, Vectors
 from ..base.contents import file_bytes, open_file
 from ..errors import FormatError
 from ..scene.gaussians import Gaussians, flat
@@ -224,7 +224,10 @@ def read_sog_labels(path: Path) -> Labels:
 class _Sog:
     def __init__(self, member: Member) -> None:
         self.member = member
-        self.meta = _document(member(META))
+        found = document_in(member(META), META)
+        if not is_sog_meta(found):
+            raise FormatError(f"{META}: expected that of a SOG, with means, scales, quats and sh0")
+        self.meta = as_object(found, META)
         self.own = _part(self.meta, OWN) if OWN in self.meta else {}
         version = self.meta.get("version")
         if version not in (None, 2) or isinstance(version, bool):
@@ -244,19 +247,9 @@ class _Sog:
         opacities, model = self._opacities(colours), self.meta.get("model")
         scales = flat(scales[:, :2]) if model == SURFELS else scales
         sh = self._harmonics(colours)
-        gaussians = checked(means, quats, scales, opacities, sh, self._own_columns(), model == ANTIALIASED)
-        origin = as_kind(self.own.get("origin"), Vector3 | None, f"{META}: origin")
-        return gaussians if origin is None else replace(gaussians, origin=origin)
-
-    def labels(self) -> Labels:
-        """Return the names and boxes of objects that drsplat wrote beside; none in files of other programs."""
-        name = as_kind(self.own.get("labels"), str | None, f"{META}: {OWN}: labels")
-        return Labels() if name is None else parse_labels(self.member(name), name)
-
-    def _own_columns(self) -> dict[str, np.ndarray]:
-        """Return the object of each Gaussian, -1 for none, and its relevancy, as far as they are there."""
+        # the object of each Gaussian, -1 for none, and its relevancy, as far as they are there
         own = self.own
-        columns: dict[str, np.ndarray] = {}
+        columns: Arrays = {}
         if "object_id" in own:
             low, middle, high = self._plane_of(own, "object_id")[:, :3].T.astype(np.int32)
             columns["object_id"] = (low | middle << 8 | high << 16) - 1
@@ -264,7 +257,14 @@ class _Sog:
             low, high = self._plane_of(own, "relevancy")[:, :2].T.astype(np.uint16)
             least, most = (as_number(own["relevancy"].get(end), f"{META}: relevancy: {end}") for end in ("min", "max"))
             columns["relevancy"] = (least + (most - least) * ((low | high << 8) / 65535)).astype(np.float32)
-        return columns
+        gaussians = checked(means, quats, scales, opacities, sh, columns, model == ANTIALIASED)
+        origin = as_kind(self.own.get("origin"), Vector3 | None, f"{META}: origin")
+        return gaussians if origin is None else replace(gaussians, origin=origin)
+
+    def labels(self) -> Labels:
+        """Return the names and boxes of objects that drsplat wrote beside; none in files of other programs."""
+        name = as_kind(self.own.get("labels"), str | None, f"{META}: {OWN}: labels")
+        return Labels() if name is None else parse_labels(self.member(name), name)
 
     def _plane(self, part: str, place: int = 0) -> Bytes:
         return self._plane_of(self.meta, part, place)
@@ -282,7 +282,7 @@ class _Sog:
         refuse_implausible(4 * width * height, max(noise, len(data)))
         return webp_pixels(data, name).reshape(-1, 4)[: self.count]
 
-    def _between(self, part: str, steps: np.ndarray, most: int) -> Float32[np.ndarray, "n k"]:
+    def _between(self, part: str, steps: np.ndarray, most: int) -> FloatRows:
         """Return `most` steps from mins to maxs."""
         mins, maxs = (
             as_vector(_part(self.meta, part).get(end), steps.shape[1], f"{META}: {part}: {end}")
@@ -293,7 +293,7 @@ class _Sog:
 
     def _looked_up(self, part: str, codes: np.ndarray) -> Float32[np.ndarray, "*n"]:
         book = as_vector(_part(self.meta, part).get("codebook"), 256, f"{META}: {part}: codebook")
-        return np.asarray(book.astype(np.float32)[codes])
+        return book.astype(np.float32)[codes]
 
     def _means(self) -> Vectors:
         low, high = (self._plane("means", place)[:, :3].astype(np.uint16) for place in (0, 1))
@@ -319,7 +319,7 @@ class _Sog:
     def _opacities(self, colours: Bytes) -> Numbers:
         if self.legacy:
             return sigmoid(self._between("sh0", colours, 255)[:, 3])
-        return np.asarray(colours[:, 3] / np.float32(255))
+        return colours[:, 3] / np.float32(255)
 
     def _harmonics(self, colours: Bytes) -> Harmonics:
         if self.legacy:
@@ -334,9 +334,9 @@ class _Sog:
         chosen = labels[:, 0] | labels[:, 1] << 8
         if self.count and chosen.max() >= len(palette):
             raise FormatError(f"row {int(chosen.argmax())} names entry {chosen.max()} of a palette of {len(palette)}")
-        return np.asarray(palette[chosen])
+        return palette[chosen]
 
-    def _palette(self) -> Float32[np.ndarray, "p k 3"]:
+    def _palette(self) -> Harmonics:
         name = _file(self.meta, "shN", 0)
         data = self.member(name)
         width, height = webp_size(data, name)
@@ -366,13 +366,6 @@ class _Sog:
         if not 1 <= size <= MAX_PALETTE_ENTRIES:
             raise FormatError(f"{META}: shN: expected 1 to {MAX_PALETTE_ENTRIES} entries, got {size}")
         return size, REST_COEFFICIENTS[bands]
-
-
-def _document(data: bytes) -> dict[str, Any]:
-    found = document_in(data, META)
-    if not is_sog_meta(found):
-        raise FormatError(f"{META}: expected that of a SOG, with means, scales, quats and sh0")
-    return as_object(found, META)
 
 
 def is_sog_meta(document: object) -> bool:

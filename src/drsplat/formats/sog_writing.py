@@ -19,7 +19,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..base.arrays import Doubles, Float32, Float64, Harmonics, Integer, Numbers, Quats, UInt8, UInt16, Vectors
+from ..base.arrays import (
+    ByteRows,
+    ByteValues,
+    Doubles,
+    Embeddings,
+    Float32,
+    Harmonics,
+    Integer,
+    Numbers,
+    OtherEmbeddings,
+    Quats,
+    SmallIds,
+    UInt8,
+    Vectors,
+)
 from ..errors import InputError
 from ..kernels import pq_encode
 from ..kernels.kmeans import train_centroids
@@ -117,7 +131,7 @@ def _model(gaussians: Gaussians) -> dict[str, object]:
     return {"model": ANTIALIASED} if gaussians.antialiased else {}
 
 
-def picture(rows: UInt8[np.ndarray, "n c"], width: int = 0) -> bytes:
+def picture(rows: ByteRows, width: int = 0) -> bytes:
     """Encode rows of up to four bytes as the pixels of a lossless WebP; missing bytes are 0, and alpha 255."""
     from PIL import Image
 
@@ -141,7 +155,7 @@ def coded(
     return [float(number) for number in book.astype(np.float32)], codes
 
 
-def codebook(values: Float32[np.ndarray, "..."], importance: Importance = np.ones_like) -> Float64[np.ndarray, " c"]:
+def codebook(values: Float32[np.ndarray, "..."], importance: Importance = np.ones_like) -> Doubles:
     """Return the weighted k-means of single numbers, by Lloyd's algorithm on the sorted values.
 
     At most 256 distinct values are kept exactly. Cells of sorted numbers are runs, so a step costs 256 look-ups. The
@@ -156,19 +170,14 @@ def codebook(values: Float32[np.ndarray, "..."], importance: Importance = np.one
         return np.pad(distinct, (0, CODEBOOK_ENTRIES - len(distinct)), mode="edge")
     weights = importance(ascending)
     masses, moments = (np.concatenate([[0.0], np.cumsum(part)]) for part in (weights, weights * ascending))
-    book = _spread(ascending, weights)
+    counted, edges = np.histogram(ascending, HISTOGRAM_BINS, weights=weights)
+    reached = np.concatenate([[0.0], np.cumsum(np.cbrt(counted))])
+    book: np.ndarray = np.interp((np.arange(CODEBOOK_ENTRIES) + 0.5) / CODEBOOK_ENTRIES * reached[-1], reached, edges)
     for _ in range(LLOYD_STEPS):
         ends = np.concatenate([[0], np.searchsorted(ascending, (book[1:] + book[:-1]) / 2), [len(ascending)]])
         mass, moment = (sums[ends[1:]] - sums[ends[:-1]] for sums in (masses, moments))
         book = np.where(mass > 0, moment / np.where(mass > 0, mass, 1), book)
     return np.sort(book)
-
-
-def _spread(ascending: Doubles, weights: Doubles) -> Float64[np.ndarray, " c"]:
-    counted, edges = np.histogram(ascending, HISTOGRAM_BINS, weights=weights)
-    reached = np.concatenate([[0.0], np.cumsum(np.cbrt(counted))])
-    book: np.ndarray = np.interp((np.arange(CODEBOOK_ENTRIES) + 0.5) / CODEBOOK_ENTRIES * reached[-1], reached, edges)
-    return book
 
 
 def sizes(logs: Doubles) -> Doubles:
@@ -177,8 +186,7 @@ def sizes(logs: Doubles) -> Doubles:
     It lies between the logarithm alone, which weighs 1, and what a picture sees: edges move by the error times the
     scale, squared, which would leave thin Gaussians with hardly a code.
     """
-    weights: np.ndarray = np.exp(logs)
-    return weights
+    return np.exp(logs)
 
 
 def _means(means: Vectors) -> tuple[dict[str, object], dict[str, bytes]]:
@@ -220,7 +228,7 @@ def _further(rest: Harmonics) -> tuple[dict[str, object], dict[str, bytes]]:
     return {"shN": {"count": len(palette), "bands": bands, "codebook": book, "files": list(files)}}, files
 
 
-def harmonics_palette(rows: Float32[np.ndarray, "n d"]) -> tuple[Float32[np.ndarray, "p d"], UInt16[np.ndarray, " n"]]:
+def harmonics_palette(rows: Embeddings) -> tuple[OtherEmbeddings, SmallIds]:
     """Return at most 65,536 entries and the entry of each row; the rows themselves where they are no more.
 
     Otherwise 256 cells of 256 entries, k-means of k-means, so that a row is compared with 512 centroids.
@@ -245,14 +253,14 @@ def harmonics_palette(rows: Float32[np.ndarray, "n d"]) -> tuple[Float32[np.ndar
     return palette, labels.astype(np.uint16)
 
 
-def _centroids(rows: Float32[np.ndarray, "n d"], most: int) -> Float32[np.ndarray, "c d"]:
+def _centroids(rows: Embeddings, most: int) -> OtherEmbeddings:
     """Return 256 k-means of at most so many of the rows, evenly chosen."""
     chosen = np.linspace(0, len(rows) - 1, min(len(rows), most)).round().astype(np.int64)
-    return np.asarray(train_centroids(np.ascontiguousarray(rows[chosen]), 1, SEED)[0])
+    return train_centroids(np.ascontiguousarray(rows[chosen]), 1, SEED)[0]
 
 
-def _nearest(rows: Float32[np.ndarray, "n d"], centroids: Float32[np.ndarray, "c d"]) -> UInt8[np.ndarray, " n"]:
-    return np.asarray(pq_encode(np.ascontiguousarray(rows), centroids[None])[:, 0])
+def _nearest(rows: Embeddings, centroids: OtherEmbeddings) -> ByteValues:
+    return pq_encode(np.ascontiguousarray(rows), centroids[None])[:, 0]
 
 
 def _own_parts(gaussians: Gaussians, labels: bytes) -> tuple[dict[str, object], dict[str, bytes]]:
@@ -264,19 +272,16 @@ def _own_parts(gaussians: Gaussians, labels: bytes) -> tuple[dict[str, object], 
     if labels:
         part["labels"], files[LABELS] = LABELS, labels
     if "object_id" in gaussians.extra:
-        part["object_id"], files[OBJECTS] = _object_ids(gaussians.extra["object_id"])
+        # encode numbers of objects, increased by 1, as three bytes, the lowest first
+        object_of = gaussians.extra["object_id"]
+        if object_of.max() > MAX_OBJECT_ID:
+            raise InputError(f"SOG: expected at most {MAX_OBJECT_ID + 1:,} objects, got the number {object_of.max():,}")
+        ids = object_of.astype(np.int64) + 1
+        rows = np.column_stack([low_bytes(ids >> shift) for shift in (0, 8, 16)])
+        part["object_id"], files[OBJECTS] = ({"files": [OBJECTS]}, picture(rows))
     if "relevancy" in gaussians.extra:
         part["relevancy"], files[RELEVANCIES] = _relevancy(gaussians.extra["relevancy"])
     return ({OWN: part} if len(part) > 1 else {}), files
-
-
-def _object_ids(object_of: Integer[np.ndarray, " n"]) -> tuple[Mapping[str, object], bytes]:
-    """Encode numbers of objects, increased by 1, as three bytes, the lowest first."""
-    if object_of.max() > MAX_OBJECT_ID:
-        raise InputError(f"SOG: expected at most {MAX_OBJECT_ID + 1:,} objects, got the number {object_of.max():,}")
-    ids = object_of.astype(np.int64) + 1
-    rows = np.column_stack([low_bytes(ids >> shift) for shift in (0, 8, 16)])
-    return {"files": [OBJECTS]}, picture(rows)
 
 
 def _relevancy(relevancy: Numbers) -> tuple[Mapping[str, object], bytes]:

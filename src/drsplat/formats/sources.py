@@ -41,7 +41,7 @@ class Keep(NamedTuple):
     high: Vector3
 
     def holds(self, positions: Points) -> Flags:
-        return np.asarray(((positions >= self.low) & (positions < self.high)).all(axis=1))
+        return ((positions >= self.low) & (positions < self.high)).all(1)
 
 
 class _Entry(NamedTuple):
@@ -103,7 +103,7 @@ class _Whole:
         return self._gaussians.positions
 
     def sizes(self) -> Numbers:
-        return np.asarray(self._gaussians.scales.max(axis=1))
+        return self._gaussians.scales.max(1)
 
     def gaussians(self, rows: RowIds) -> Gaussians:
         return self._gaussians.subset(rows)

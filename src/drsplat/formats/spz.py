@@ -19,7 +19,6 @@ scene may be zero. Nothing is ever decompressed beyond that size. Source: RFC 19
 """
 
 import struct
-import warnings
 import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -27,9 +26,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Float32, Harmonics, Quats, UInt8, Vectors
+from ..base.arrays import Arrays, Float32, Harmonics, Quats, UInt8
 from ..base.contents import file_bytes
-from ..errors import DrSplatWarning, FormatError
+from ..errors import FormatError, warn
 from ..scene.gaussians import Gaussians
 from .activation import checked, exp, from_smallest_three
 from .labels import Labels, parse_labels
@@ -83,11 +82,14 @@ def parse_spz(buffer: memoryview) -> Gaussians:
     n = header.count
     signs = _signs(extensions)
     if header.degree > 3:
-        warnings.warn("SH coefficients of degree 4 (9 per channel) were left out", DrSplatWarning, stacklevel=3)
+        warn("SH coefficients of degree 4 (9 per channel) were left out", 3)
     log_scales = scales.reshape(n, 3).astype(np.float32) / 16 - 10
     turn = np.array([1, *(signs.prod() * signs)], np.float32)  # (w, x, y, z) of F R F for a diagonal F
+    wide = np.zeros((len(positions) // 3, 4), np.uint8)
+    wide[:, 1:] = positions.reshape(-1, 3)  # the upper 24 bits, so that shifting down extends the sign
+    fixed = wide.view("<i4").reshape(-1, 3) >> 8
     return checked(
-        _positions(positions, header.fractional_bits) * signs,
+        np.ldexp(fixed.astype(np.float32), -header.fractional_bits) * signs,
         (_first_three(rotations) if header.version == 2 else _smallest_three(rotations)) * turn,
         exp(log_scales),
         alphas.astype(np.float32) / 255,
@@ -107,7 +109,7 @@ def read_spz_labels(path: Path) -> Labels:
     return parse_labels(content, f"{path}: extension") if content else Labels()
 
 
-def _objects(extensions: bytes, count: int) -> tuple[dict[str, np.ndarray], bytes]:
+def _objects(extensions: bytes, count: int) -> tuple[Arrays, bytes]:
     """Return the columns of drsplat's extension, and its labels as JSON; neither where there is none."""
     payload = next((content for kind, content in _records(extensions) if kind == OBJECTS), None)
     if payload is None:
@@ -216,13 +218,6 @@ def _signs(extensions: bytes) -> Float32[np.ndarray, "3"]:
     # Bits of system - 1: right, up, front. RDF is right, not up, front.
     stored = [(system - 1) >> bit & 1 for bit in range(3)]
     return np.where(np.array(stored) == (1, 0, 1), 1, -1).astype(np.float32)
-
-
-def _positions(plane: UInt8[np.ndarray, " _"], fractional_bits: int) -> Vectors:
-    wide = np.zeros((len(plane) // 3, 4), np.uint8)
-    wide[:, 1:] = plane.reshape(-1, 3)  # the upper 24 bits, so that shifting down extends the sign
-    fixed = wide.view("<i4").reshape(-1, 3) >> 8
-    return np.ldexp(fixed.astype(np.float32), -fractional_bits)
 
 
 def _first_three(plane: UInt8[np.ndarray, " _"]) -> Quats:

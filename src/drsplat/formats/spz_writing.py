@@ -15,7 +15,7 @@ import struct
 
 import numpy as np
 
-from ..base.arrays import Harmonics, Quats, UInt8, Vectors
+from ..base.arrays import Quats, UInt8, Vectors
 from ..errors import FormatError, InputError
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians
 from ..scene.labelled import LabelledScene
@@ -104,14 +104,18 @@ def _planes(gaussians: Gaussians, degree: int, version: int, flags: int, streams
         raise InputError(f"degree: expected 0 to {gaussians.sh_degree}, which the scene has, got {degree}")
     bits = _fractional_bits(gaussians.means)
     flags |= ANTIALIASED if gaussians.antialiased else 0
+    whole = np.rint((gaussians.means * TO_RUB).astype(np.float64) * 2.0**bits).astype("<i4")
+    # quantise coefficients, with those negated that are odd in the axes which SPZ turns
+    rest = gaussians.sh[:, 1 : SH_COEFFICIENTS[degree]]
+    signs = np.array([(-1) ** (name.count("y") + name.count("z")) for name in PARITIES[: rest.shape[1]]], np.float32)
     return (
         PREFIX.pack(MAGIC, version, len(gaussians), degree, bits, flags, streams),
-        _fixed(gaussians.means * TO_RUB, bits).tobytes(),
+        np.ascontiguousarray(whole.view(np.uint8).reshape(-1, 3, 4)[:, :, :3]).reshape(-1, 9).tobytes(),
         _byte(gaussians.opacities * 255).tobytes(),
         _byte((gaussians.sh[:, 0] * COLOUR_SCALE + 0.5) * 255).tobytes(),
         _byte((np.log(gaussians.scales) + 10) * 16).tobytes(),
         _smallest_three(gaussians.quats * np.array([1, *TO_RUB], np.float32)).tobytes(),
-        _harmonics(gaussians.sh[:, 1 : SH_COEFFICIENTS[degree]]).tobytes(),
+        _byte(rest * signs[None, :, None] * 128 + 128).tobytes(),
     )
 
 
@@ -127,11 +131,6 @@ def _fractional_bits(means: Vectors) -> int:
     return int(np.clip(np.floor(spare), 0, MAX_FRACTIONAL_BITS))
 
 
-def _fixed(values: Vectors, bits: int) -> UInt8[np.ndarray, "n 9"]:
-    whole = np.rint(values.astype(np.float64) * 2.0**bits).astype("<i4")
-    return np.ascontiguousarray(whole.view(np.uint8).reshape(-1, 3, 4)[:, :, :3]).reshape(-1, 9)
-
-
 def _smallest_three(quats: Quats) -> np.ndarray:
     """Pack (w, x, y, z): sign and 9 bits of each but the largest, whose index among (x, y, z, w) is on top."""
     xyzw = quats[:, [1, 2, 3, 0]]
@@ -143,13 +142,7 @@ def _smallest_three(quats: Quats) -> np.ndarray:
     for component in range(4):
         written = (packed << 10) | (negative[:, component].astype(np.uint32) << 9) | sizes[:, component]
         packed = np.where(largest == component, packed, written)
-    return np.asarray(packed.astype("<u4"))
-
-
-def _harmonics(rest: Harmonics) -> UInt8[np.ndarray, "n k 3"]:
-    """Quantise coefficients, with those negated that are odd in the axes which SPZ turns."""
-    signs = np.array([(-1) ** (name.count("y") + name.count("z")) for name in PARITIES[: rest.shape[1]]], np.float32)
-    return _byte(rest * signs[None, :, None] * 128 + 128)
+    return packed.astype("<u4")
 
 
 def _byte(values: np.ndarray) -> UInt8[np.ndarray, "..."]:

@@ -25,7 +25,6 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Float32
 from ..errors import FormatError
 from ..scene.gaussians import Gaussians, concatenated
 from ..scene.labelled import LabelledScene
@@ -77,7 +76,11 @@ def counts_of_levels(lod_meta: Path) -> list[int]:
     counts: Counter[int] = Counter()
     for levels in _leaves(_document(lod_meta).get("tree"), str(lod_meta)):
         for name, run in levels.items():
-            counts[_level(name, lod_meta)] += run.count
+            if not name.isdecimal() or len(name) > 3 or int(name) >= MAX_LEVELS:
+                raise FormatError(
+                    f"{lod_meta}: tree: lods: expected levels from 0 to {MAX_LEVELS - 1}, got {excerpt(name)}"
+                )
+            counts[int(name)] += run.count
     return [counts[level] for level in range(max(counts, default=-1) + 1)]
 
 
@@ -123,12 +126,6 @@ def _leaves(root: object, where: str) -> Iterator[dict[str, _Run]]:
             raise FormatError(f"{where}: tree: expected nodes, at most {MAX_TREE_DEPTH} deep, of 0 or more Gaussians")
         yield levels
         waiting += [(child, depth + 1) for child in reversed(inner["children"] or ())]
-
-
-def _level(name: str, lod_meta: Path) -> int:
-    if not name.isdecimal() or len(name) > 3 or int(name) >= MAX_LEVELS:
-        raise FormatError(f"{lod_meta}: tree: lods: expected levels from 0 to {MAX_LEVELS - 1}, got {excerpt(name)}")
-    return int(name)
 
 
 def _inside(lod_meta: Path, name: object) -> Path:
@@ -222,7 +219,15 @@ class _Writer:
             boxes.append(extent_of(run))
             levels[str(level)] = self._placed(run, level)
         low, high = np.min(boxes, axis=0)[0], np.max(boxes, axis=0)[1]
-        self.leaves.append({"bound": _bound(low, high), "lods": levels})
+        ends = {"min": low, "max": high}
+        self.leaves.append(
+            {
+                "bound": {
+                    name: [float(f"{number:.{INDEX_DIGITS}g}") for number in corner] for name, corner in ends.items()
+                },
+                "lods": levels,
+            }
+        )
 
     def finish(self, labels: bytes) -> None:
         """Write what is left, the index, and the names of the objects beside it."""
@@ -284,8 +289,3 @@ def _tree(leaves: Sequence[dict[str, Any]]) -> dict[str, Any]:
         for end, pick in (("min", min), ("max", max))
     }
     return {"bound": corners, "children": children}
-
-
-def _bound(low: Float32[np.ndarray, " 3"], high: Float32[np.ndarray, " 3"]) -> dict[str, list[float]]:
-    ends = {"min": low, "max": high}
-    return {name: [float(f"{number:.{INDEX_DIGITS}g}") for number in corner] for name, corner in ends.items()}

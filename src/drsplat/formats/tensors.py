@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ..base.arrays import Arrays, ArraysByName
 from ..base.contents import file_bytes, pieces
 from ..errors import FormatError, InputError
 from .checksums import check_checksums, check_header, header_checksum, with_checksums
@@ -31,7 +32,7 @@ CACHE_LINE_BYTES = 64
 
 def write_tensors(
     path: str | os.PathLike[str],
-    tensors: Mapping[str, np.ndarray],
+    tensors: ArraysByName,
     metadata: Mapping[str, str] | None = None,
     overwrite: bool = False,
 ) -> str:
@@ -65,7 +66,7 @@ def write_tensors(
     return header_checksum(summed["__metadata__"])
 
 
-def map_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+def map_tensors(path: str | os.PathLike[str]) -> tuple[Arrays, dict[str, str]]:
     """Return the arrays of a file, read-only, and its metadata; small files are read, others mapped (`file_bytes`).
 
     The header is compared with its checksum where it has one, the arrays are not: see `read_tensors`.
@@ -92,7 +93,7 @@ def map_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], di
     return tensors, metadata
 
 
-def read_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+def read_tensors(path: str | os.PathLike[str]) -> tuple[Arrays, dict[str, str]]:
     """Read a file of ours, each array compared with its checksum; see `map_tensors`.
 
     Raises: as `map_tensors`; FormatError: an array is not what was written, or has no checksum.
@@ -102,7 +103,7 @@ def read_tensors(path: str | os.PathLike[str]) -> tuple[dict[str, np.ndarray], d
     return tensors, metadata
 
 
-def check_tensors(tensors: Mapping[str, np.ndarray], expected: Mapping[str, tuple[str, str]], where: str) -> None:
+def check_tensors(tensors: ArraysByName, expected: Mapping[str, tuple[str, str]], where: str) -> None:
     """Refuse a file whose arrays are not as expected: name -> (dtypes, dimensions).
 
     Dimensions are named, one letter or word each; those of one name must be of one length.

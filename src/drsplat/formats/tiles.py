@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Numbers, Vector3, Vectors
+from ..base.arrays import Arrays, Numbers, Points, Vector3, Vectors
 from ..errors import FormatError, InputError
 from ..scene.gaussians import Gaussians, ShapesDigest, drawn_alike, filled
 from ..scene.morton import morton_order
@@ -93,6 +93,12 @@ class Tiles:
     def __len__(self) -> int:
         return self.tiles[-1].first + self.tiles[-1].num_rows
 
+    @property
+    def corners(self) -> tuple[Points, Points]:
+        """The lowest and the highest corner of each tile's box, counted from `origin`."""
+        low, high = (np.array([getattr(tile, end) for tile in self.tiles]) for end in ("low", "high"))
+        return low, high
+
     def shapes(self, tile: Tile) -> Gaussians:
         """Return a tile without its colours, which registration does not need. Raises: FormatError: damaged."""
         arrays = self._read(tile, SHAPES, _SHAPES)
@@ -109,7 +115,7 @@ class Tiles:
     def parted(self) -> Parted:
         """Return the Gaussians for queries, which read the tiles that have their rows."""
         firsts = [tile.first for tile in self.tiles]
-        low, high = (np.array([getattr(tile, end) for tile in self.tiles]) for end in ("low", "high"))
+        low, high = self.corners
         return Parted(
             np.array([*firsts, len(self)], np.int64), low, high, self.origin, self.fingerprint, self.near,
             self.antialiased, lambda number: self.tile(self.tiles[number]),
@@ -137,7 +143,7 @@ class Tiles:
                 self._read(tile, kind, expected)
         return [TILES, *(file_name(tile, kind) for tile in self.tiles for kind in _KINDS)]
 
-    def _read(self, tile: Tile, kind: str, expected: Mapping[str, tuple[str, str]]) -> dict[str, np.ndarray]:
+    def _read(self, tile: Tile, kind: str, expected: Mapping[str, tuple[str, str]]) -> Arrays:
         path = self.path / file_name(tile, kind)
         try:
             arrays, metadata = read_tensors(path)
@@ -213,8 +219,8 @@ class _Writer:
             {
                 "name": name,
                 "count": len(part),
-                "low": part.means.min(axis=0).tolist(),
-                "high": part.means.max(axis=0).tolist(),
+                "low": part.means.min(0).tolist(),
+                "high": part.means.max(0).tolist(),
                 "largest": float(part.scales[part.opacities >= FAINTEST].max(initial=0.0)),
                 DOCUMENT: sums,
             }

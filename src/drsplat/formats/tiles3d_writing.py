@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Ids, Int32, Matrix4, Vector3
+from ..base.arrays import Ids, Matrix4, OtherIds, Vector3
 from ..scene.gaussians import Gaussians, concatenated
 from ..scene.geodesy import enu_axes, geocentric
 from ..scene.labelled import PLY_UP, LabelledScene, Thing, numbers_of
@@ -182,8 +182,10 @@ class _Writer:
         low, high = extent_of(centred).astype(np.float64) + offset
         low = np.min([low, *(child.low for child in children)], axis=0)
         high = np.max([high, *(child.high for child in children)], axis=0)
+        # the middle of a box and its three half axes, in the axes of a tileset
+        half = np.diag((high - low) / 2) @ Z_UP_FROM_PLY.T
         tile: dict[str, Any] = {
-            "boundingVolume": {"box": _box(low, high)},
+            "boundingVolume": {"box": [*(Z_UP_FROM_PLY @ (low + high) / 2).tolist(), *half.ravel().tolist()]},
             "geometricError": error,
             "content": {"uri": name},
         }
@@ -206,12 +208,6 @@ def _read_aside(path: Path) -> Gaussians:
     means, quats, scales, opacities, sh = (arrays[name] for name in ARRAYS)
     objects = {OBJECT: arrays[OBJECT]} if OBJECT in arrays else {}
     return Gaussians(means, quats, scales, opacities, sh, objects, arrays["origin"], bool(arrays["antialiased"]))
-
-
-def _box(low: Vector3, high: Vector3) -> list[float]:
-    """Return the middle of a box and its three half axes, in the axes of a tileset."""
-    half = np.diag((high - low) / 2) @ Z_UP_FROM_PLY.T
-    return [*(Z_UP_FROM_PLY @ (low + high) / 2).tolist(), *half.ravel().tolist()]
 
 
 def _tileset(root: _Node, transform: Matrix4) -> dict[str, Any]:
@@ -300,7 +296,7 @@ def _declared(gaussians: Gaussians, binary: Binary) -> dict[str, int]:
     return {name: number for number, name in enumerate(kinds)}
 
 
-def _table_of(objects: Ids, things: Sequence[Thing]) -> tuple[Int32[np.ndarray, " u"], Table]:
+def _table_of(objects: Ids, things: Sequence[Thing]) -> tuple[OtherIds, Table]:
     """Return the places of the objects that are in the tile, and their table."""
     used = np.unique(objects[objects >= 0])
     numbers = numbers_of(things)

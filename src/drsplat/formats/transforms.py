@@ -1,7 +1,6 @@
 """transforms.json of nerfstudio and instant-ngp -> views."""
 
 import os
-import warnings
 from collections import ChainMap
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -11,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..base.arrays import Matrix4
-from ..errors import DrSplatWarning, FormatError, InputError
+from ..errors import FormatError, InputError, warn
 from ..scene.views import View
 from .dataparser import SceneFrame, scene_frame
 from .json_files import as_count, as_kind, as_list, as_matrix, as_object, as_text, read_json
@@ -99,7 +98,10 @@ def _document(path: Path) -> dict[str, Any]:
 def _view(entry: Entry, name: str, photo: Path, where: str) -> View:
     where = f"{where} ({name!a})"
     refuse_other_lenses(entry, where)
-    _refuse_moving(entry, where)
+    # refuse the pose at the end of an exposure (instant-ngp) where it is not that of the photo
+    ends = [key for key in ("transform_matrix_start", "transform_matrix_end") if key in entry]
+    if any(entry[key] != entry.get("transform_matrix") for key in ends):
+        raise FormatError(f"{where}: {' and '.join(ends)}: the camera moves while it looks; give one transform_matrix")
     width, height = _size(entry, photo, where)
     intrinsics = intrinsics_of(entry, width, height, where)
     cam_from_world = cam_from_transform(entry.get("transform_matrix"), f"{where}: transform_matrix")
@@ -118,13 +120,6 @@ def cam_from_transform(rows: object, where: str) -> Matrix4:
     matrix = as_matrix(rows, 3, 4, where)
     rotation = nearest_rotation(matrix[:, :3], where) * _OPENCV_FROM_OPENGL
     return inverse_pose(rotation, matrix[:, 3])
-
-
-def _refuse_moving(entry: Entry, where: str) -> None:
-    """Refuse the pose at the end of an exposure (instant-ngp) where it is not that of the photo."""
-    ends = [key for key in ("transform_matrix_start", "transform_matrix_end") if key in entry]
-    if any(entry[key] != entry.get("transform_matrix") for key in ends):
-        raise FormatError(f"{where}: {' and '.join(ends)}: the camera moves while it looks; give one transform_matrix")
 
 
 def _size(entry: Entry, photo: Path, where: str) -> tuple[int, int]:
@@ -193,4 +188,4 @@ def _report(path: Path, missing: list[str], num_found: int) -> None:
         )
     if missing:
         text = f"{path}: {len(missing)} of {len(missing) + num_found} frames left out, their photos are missing: "
-        warnings.warn(text + listed(missing), DrSplatWarning, stacklevel=6)
+        warn(text + listed(missing), 6)

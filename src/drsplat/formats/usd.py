@@ -7,7 +7,6 @@ Sources: openusd.org, UsdVol "ParticleField3DGaussianSplat" of OpenUSD 26.03.
 """
 
 import re
-import warnings
 import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,7 +16,7 @@ import numpy as np
 
 from ..base.arrays import Float64
 from ..base.contents import file_bytes, open_file
-from ..errors import DrSplatWarning, FormatError, InputError, placed
+from ..errors import FormatError, InputError, placed, warn
 from ..scene.annotations import Annotation
 from ..scene.gaussians import SH_COEFFICIENTS, Gaussians, concatenated
 from ..scene.labelled import PLY_UP, LabelledScene, Thing, places_of
@@ -87,10 +86,11 @@ def scene_of(layer: UsdPrim) -> LabelledScene:
     things = {kind: tuple(_thing(prim) for prim in prims if prim.text("drsplat:kind") == kind) for kind in KINDS}
     notes = tuple(_annotation(prim) for prim in prims if prim.text("drsplat:kind") == "annotation")
     numbers = gaussians.extra.get("object_id")
+    x, y, z = _numbers(root, "drsplat:up", np.array(PLY_UP)).tolist()
     return LabelledScene(
         gaussians, root.text("displayName") or "scene", things["object"], things["group"],
         None if numbers is None else places_of(numbers, things["object"]), root.text("drsplat:query"),
-        gaussians.extra.get("relevancy"), things["match"], notes, _up(root), root.text("drsplat:encoder"),
+        gaussians.extra.get("relevancy"), things["match"], notes, (x, y, z), root.text("drsplat:encoder"),
     )  # fmt: skip
 
 
@@ -141,9 +141,17 @@ def _splat(prim: UsdPrim) -> Gaussians:
             raise FormatError(f"prim '{prim.name}': {count:,} positions, but {len(array):,} {name}")
     if not count:
         raise FormatError(f"prim '{prim.name}' has no Gaussians")
+    # the primvars that have a number for each Gaussian
+    columns = {
+        name.removeprefix("primvars:"): value
+        for name, value in prim.attributes.items()
+        if name.startswith("primvars:") and isinstance(value, np.ndarray) and value.shape == (count,)
+    }
+    whole = {"object_id": np.int32}
+    extra = {name: _column(value, whole.get(name, np.float32)) for name, value in columns.items()}
     gaussians = checked(
         arrays["positions"], arrays["orientations"], arrays["scales"], arrays["opacities"][:, 0],
-        _harmonics(prim, count), _extra(prim, count), bool(_number(prim, "drsplat:antialiased", 0)),
+        _harmonics(prim, count), extra, bool(_number(prim, "drsplat:antialiased", 0)),
     )  # fmt: skip
     return replace(gaussians, origin=_numbers(prim, "drsplat:origin", np.zeros(3)))
 
@@ -171,20 +179,9 @@ def _harmonics(prim: UsdPrim, count: int) -> np.ndarray:
             f"{len(values):,}"
         )
     if degree > MAX_DEGREE:
-        warnings.warn(f"harmonics of degree {int(degree)} are cut to {MAX_DEGREE}", DrSplatWarning, stacklevel=2)
+        warn(f"harmonics of degree {int(degree)} are cut to {MAX_DEGREE}")
     kept = SH_COEFFICIENTS[min(int(degree), MAX_DEGREE)]
     return np.ascontiguousarray(values[: count * stored].reshape(count, stored, 3)[:, :kept])
-
-
-def _extra(prim: UsdPrim, count: int) -> dict[str, np.ndarray]:
-    """Return the primvars that have a number for each Gaussian."""
-    columns = {
-        name.removeprefix("primvars:"): value
-        for name, value in prim.attributes.items()
-        if name.startswith("primvars:") and isinstance(value, np.ndarray) and value.shape == (count,)
-    }
-    whole = {"object_id": np.int32}
-    return {name: _column(value, whole.get(name, np.float32)) for name, value in columns.items()}
 
 
 @np.errstate(all="ignore")
@@ -230,8 +227,3 @@ def _annotation(prim: UsdPrim) -> Annotation:
         return Annotation.box(thing.name, thing.center, thing.axes, thing.extent)
     except InputError as error:
         raise FormatError(f"prim '{prim.name}': {error}") from None
-
-
-def _up(root: UsdPrim) -> tuple[float, float, float]:
-    x, y, z = _numbers(root, "drsplat:up", np.array(PLY_UP)).tolist()
-    return x, y, z

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import UInt8
+from ..base.arrays import ByteValues
 from ..errors import FormatError, MissingExtraError, pip_install
 from ..scene.labelled import LabelledScene
 from .replacing import take_over
@@ -69,7 +69,7 @@ def write_usdz(path: Path, scene: LabelledScene, overwrite: bool = False) -> Non
         take_over(package, path, overwrite)
 
 
-def library_layer(path: Path, content: UInt8[np.ndarray, " n"]) -> UsdPrim:
+def library_layer(path: Path, content: ByteValues) -> UsdPrim:
     """Return the layer of a binary file or a package, as `parse_usda` does that of a text. content: of the layer.
 
     Raises: MissingExtraError: no library. FormatError: damaged.
@@ -114,18 +114,16 @@ def _library_layer_of(pxr: Any, scene: LabelledScene) -> Any:
     layer = pxr.Sdf.Layer.CreateAnonymous(".usda")
     layer.ImportFromString("".join(layer_text(scene, map(_declared, columns))))
     for column in columns:
-        layer.GetAttributeAtPath(f"/{ROOT}/{SPLAT}.{column.name}").default = _library_array(pxr, column)
+        rows = column.rows[:, _TO_XYZW] if column.kind == "quatf[]" else column.rows
+        layer.GetAttributeAtPath(f"/{ROOT}/{SPLAT}.{column.name}").default = getattr(
+            pxr.Vt, _ARRAYS[column.kind]
+        ).FromNumpy(np.ascontiguousarray(rows))
     return layer
 
 
 def _declared(column: Column) -> str:
     metadata = f" (\n            {column.metadata}\n        )" if column.metadata else ""
     return f"        {column.kind} {column.name}{metadata}\n"
-
-
-def _library_array(pxr: Any, column: Column) -> Any:
-    rows = column.rows[:, _TO_XYZW] if column.kind == "quatf[]" else column.rows
-    return getattr(pxr.Vt, _ARRAYS[column.kind]).FromNumpy(np.ascontiguousarray(rows))
 
 
 def _export(pxr: Any, layer: Any, path: Path) -> None:
@@ -163,7 +161,7 @@ def _value(value: Any) -> Value | None:
     return numbers.reshape(-1) if numbers.dtype.kind in "fiub" else None
 
 
-def refuse_false_counts(content: UInt8[np.ndarray, " n"]) -> None:
+def refuse_false_counts(content: ByteValues) -> None:
     """Check the counts of a file. Raises: FormatError: one that its bytes have no room for, or a section elsewhere."""
     view = content.data
     if len(view) < HEAD_BYTES:

@@ -119,7 +119,11 @@ class _Parser:
             return
         word = self._word()
         if word in SPECIFIERS:
-            prim = self._prim_head(word)
+            schema = self._word().decode(errors="replace") if self._after_space() not in (b'"', b"'") else ""
+            prim = UsdPrim(schema, self._string(), is_defined=word == b"def")
+            if self._after_space() == b"(":
+                self._metadata(prim)
+            self._expect(b"{")
             inside[-1].children.append(prim)
             inside.append(prim)
             if len(inside) > MAX_NESTING:
@@ -133,14 +137,6 @@ class _Parser:
         elif word not in (b"custom", b"uniform", b"varying", b"config", b"reorder", b"prepend", b"append", b"add",
                           b"delete"):  # fmt: skip
             self._property(inside[-1], word.decode(errors="replace"))
-
-    def _prim_head(self, specifier: bytes) -> UsdPrim:
-        schema = self._word().decode(errors="replace") if self._after_space() not in (b'"', b"'") else ""
-        prim = UsdPrim(schema, self._string(), is_defined=specifier == b"def")
-        if self._after_space() == b"(":
-            self._metadata(prim)
-        self._expect(b"{")
-        return prim
 
     def _property(self, prim: UsdPrim, kind: str) -> None:
         name = kind if self._after_space() == b"=" else self._word().decode(errors="replace")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Float32
+from ..base.arrays import Embeddings
 from ..errors import FormatError, InputError, did_you_mean
 from ..scene.encoders import EncoderIdentity
 from .checksums import check_checksums
@@ -23,12 +23,12 @@ class VocabularyEncoder:
     embeddings: one unit vector per text of `texts`.
     """
 
-    def __init__(self, identity: EncoderIdentity, texts: Sequence[str], embeddings: Float32[np.ndarray, "t d"]) -> None:
+    def __init__(self, identity: EncoderIdentity, texts: Sequence[str], embeddings: Embeddings) -> None:
         self.identity, self.texts, self.embeddings = identity, tuple(texts), embeddings
         self._rows = {text.lower(): row for row, text in reversed(list(enumerate(self.texts)))}
         self._rows |= {text: row for row, text in enumerate(self.texts)}
 
-    def encode_texts(self, texts: Sequence[str]) -> Float32[np.ndarray, "t d"]:
+    def encode_texts(self, texts: Sequence[str]) -> Embeddings:
         """Look the texts up, as they are or else as `spellings` of one that is there: "Mugs" is "mug".
 
         Raises: InputError: a text that is not in the vocabulary; the message has the closest ones.
@@ -78,7 +78,14 @@ def read_vocabulary(path: str | Path, name: str | None = None) -> VocabularyEnco
     else:
         texts, vectors, stored = *_read_json(path), {}
     identity = EncoderIdentity(name or stored.get("name") or path.stem, vectors.shape[1], stored.get("weights", ""))
-    return VocabularyEncoder(identity, texts, _unit(texts, vectors, path))
+    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
+        wide = vectors.astype(np.float64)
+        norms = np.sqrt((wide**2).sum(1))
+    bad = np.flatnonzero(~(np.isfinite(norms) & (norms > 0)))
+    if len(bad):
+        raise FormatError(f"{path}: the vector of {excerpt(texts[bad[0]])} has no direction (zero or not finite)")
+    unit: np.ndarray = (wide / norms[:, None]).astype(np.float32)
+    return VocabularyEncoder(identity, texts, unit)
 
 
 def write_vocabulary(path: str | Path, encoder: VocabularyEncoder, overwrite: bool = False) -> None:
@@ -124,14 +131,3 @@ def _read_safetensors(path: Path) -> tuple[list[str], np.ndarray, Mapping[str, s
     if vectors.ndim != 2 or 0 in vectors.shape or vectors.dtype.kind != "f" or len(vectors) != len(texts):
         raise FormatError(f"{path}: expected floats ({len(texts)}, D), got {vectors.dtype} {vectors.shape}")
     return texts, vectors, metadata
-
-
-def _unit(texts: Sequence[str], vectors: np.ndarray, path: Path) -> Float32[np.ndarray, "t d"]:
-    with np.errstate(over="ignore", invalid="ignore", under="ignore"):
-        wide = vectors.astype(np.float64)
-        norms = np.sqrt((wide**2).sum(1))
-    bad = np.flatnonzero(~(np.isfinite(norms) & (norms > 0)))
-    if len(bad):
-        raise FormatError(f"{path}: the vector of {excerpt(texts[bad[0]])} has no direction (zero or not finite)")
-    unit: np.ndarray = (wide / norms[:, None]).astype(np.float32)
-    return unit

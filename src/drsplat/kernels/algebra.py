@@ -7,7 +7,22 @@ Every function is the same to the bit for any number of threads; `threads=0` tak
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Embeddings, Float, Float32, Float64, Int32, Int64, Integer, UInt8
+from ..base.arrays import (
+    ByteRows,
+    Embeddings,
+    Float,
+    Float32,
+    Float64,
+    FloatRows,
+    Ids,
+    Int64,
+    Integer,
+    Numbers,
+    OtherEmbeddings,
+    OtherIds,
+    OtherIndices,
+    WholeNumbers,
+)
 from ..errors import InputError
 from .splats import checked_isa, native, native_array
 
@@ -18,15 +33,15 @@ Entries = tuple[np.ndarray, np.ndarray, np.ndarray]  # row starts, columns and f
 
 def weighted_rows(
     indptr: Integer[np.ndarray, " n1"],
-    indices: Integer[np.ndarray, " e"],
-    data: Float32[np.ndarray, " e"],
-    embeddings: Float32[np.ndarray, "m d"],
+    indices: WholeNumbers,
+    data: Numbers,
+    embeddings: OtherEmbeddings,
     begin: int,
     end: int,
     *,
     threads: int = 0,
     isa: str = "",
-) -> Float32[np.ndarray, "b d"]:
+) -> Float32[np.ndarray, "b D"]:
     """Return rows [begin, end) of W @ E, each divided by its L2 norm; a row of zero norm stays zero.
 
     W is CSR (indptr, indices, data). Nothing but the result is allocated: `embeddings` may be a
@@ -47,7 +62,7 @@ def weighted_rows(
 
 
 def dense_rows(
-    a: Float32[np.ndarray, "n k"], b: Float32[np.ndarray, "k m"], *, threads: int = 0, isa: str = ""
+    a: FloatRows, b: Float32[np.ndarray, "k m"], *, threads: int = 0, isa: str = ""
 ) -> Float32[np.ndarray, "n m"]:
     """Return A @ B, to the same bits for any number of threads or rows, unlike a BLAS.
 
@@ -67,7 +82,7 @@ def row_products(rows: Float[np.ndarray, "n d"], vector: Float[np.ndarray, " d"]
 
     A BLAS cuts long sums and many rows into a part for each of its threads, and each part ends in a sum of its own.
     """
-    return np.asarray(np.einsum("nd,d->n", rows, vector))
+    return np.einsum("nd,d->n", rows, vector)
 
 
 def convolve(
@@ -94,8 +109,8 @@ def convolve(
 
 
 def changed_columns(
-    weights: Entries, numbers: Int32[np.ndarray, " m"], added: Entries, *, threads: int = 0
-) -> tuple[Int64[np.ndarray, " n1"], Int32[np.ndarray, " f"], Float32[np.ndarray, " f"]]:
+    weights: Entries, numbers: OtherIds, added: Entries, *, threads: int = 0
+) -> tuple[OtherIndices, Ids, Numbers]:
     """Renumber a CSR matrix's columns and add another's entries; return row starts, columns, numbers.
 
     numbers: the new number of each column, ascending, or below 0: its entries are left out. Columns of a row ascend
@@ -114,8 +129,8 @@ def _csr(entries: Entries) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def code_sums(
-    points: Embeddings, codes: UInt8[np.ndarray, "n L"], *, threads: int = 0
-) -> tuple[Float64[np.ndarray, "L c d"], Int64[np.ndarray, "L c"]]:
+    points: Embeddings, codes: ByteRows, *, threads: int = 0
+) -> tuple[Float64[np.ndarray, "k c d"], Int64[np.ndarray, "k c"]]:
     """Return the sum of the sub-vectors of each code, in the order of points, and how many they are.
 
     Raises: InputError: not one code per sub-vector.
@@ -126,8 +141,8 @@ def code_sums(
 
 
 def pq_encode(
-    features: Embeddings, centroids: Float32[np.ndarray, "L c d"], *, threads: int = 0, isa: str = ""
-) -> UInt8[np.ndarray, "n L"]:
+    features: Embeddings, centroids: Float32[np.ndarray, "k c d"], *, threads: int = 0, isa: str = ""
+) -> ByteRows:
     """Return the nearest of 256 centroids (L2) for each of L sub-vectors, ties to the lowest index.
 
     Raises: InputError: centroids are not (L, 256, D / L), or features are not finite.

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Float64, Int64, RowIds, Vector3
+from ..base.arrays import Indices, Matrices, OtherIndices, Points, RowIds, Vector3
 from ..scene.boxes import Box
 from ..scene.gaussians import Gaussians
 from .splats import native
@@ -18,9 +18,9 @@ MIN_TAIL_SPARSENESS = 8.0  # density of the set over that of a tail, in mass per
 class Boxes(NamedTuple):
     """Boxes of several sets, one `Box` each."""
 
-    center: Float64[np.ndarray, "s 3"]
-    axes: Float64[np.ndarray, "s 3 3"]
-    extent: Float64[np.ndarray, "s 3"]
+    center: Points
+    axes: Matrices
+    extent: Points
 
 
 def box_of(gaussians: Gaussians, ids: RowIds, up: Vector3 | None = None) -> Box:
@@ -40,12 +40,7 @@ def box_of(gaussians: Gaussians, ids: RowIds, up: Vector3 | None = None) -> Box:
 
 
 def boxes_of(
-    gaussians: Gaussians,
-    starts: Int64[np.ndarray, " s1"],
-    ids: Int64[np.ndarray, " e"],
-    up: Vector3 | None = None,
-    *,
-    threads: int = 0,
+    gaussians: Gaussians, starts: OtherIndices, ids: Indices, up: Vector3 | None = None, *, threads: int = 0
 ) -> Boxes:
     """Return the box of each set ids[starts[s]:starts[s + 1]]; the same bits for any number of threads."""
     directions = None if up is None else np.asarray(up, np.float64)

@@ -8,7 +8,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from ..base.arrays import Embeddings, Float32, Float64, Int, Int64, UInt8, UInt64
+from ..base.arrays import ByteValues, Embeddings, Float32, Float64, Int, OtherIndices, UInt64
 from .algebra import CENTROIDS, code_sums, pq_encode
 
 KMEANS_STEPS = 12
@@ -54,7 +54,13 @@ def train_centroids(
         codes = pq_encode(points, centroids, threads=threads)
         if previous is not None and np.array_equal(codes, previous):
             break
-        _update(centroids, parts, codes, threads)
+        # move each centroid to the mean of its points, in place
+        sums, counts = code_sums(parts.reshape(len(parts), -1), codes, threads=threads)
+        served = counts > 0
+        centroids[served] = sums[served] / counts[served][:, None]
+        for m in np.flatnonzero(~served.all(1)):
+            columns = np.ascontiguousarray(parts[:, m].T, np.float64)
+            _move_idle(centroids[m], np.flatnonzero(~served[m]), columns, codes[:, m])
         previous = codes
     return centroids
 
@@ -77,29 +83,11 @@ def _starts(keys: UInt64[np.ndarray, " n"], rng: "np.random.Generator") -> Int[n
     return np.sort(rng.choice(distinct, CENTROIDS, replace=False))
 
 
-def _update(
-    centroids: Float32[np.ndarray, "L c d"],
-    parts: Float32[np.ndarray, "n L d"],
-    codes: UInt8[np.ndarray, "n L"],
-    threads: int,
-) -> None:
-    """Move each centroid to the mean of its points, in place."""
-    sums, counts = code_sums(parts.reshape(len(parts), -1), codes, threads=threads)
-    served = counts > 0
-    centroids[served] = sums[served] / counts[served][:, None]
-    for m in np.flatnonzero(~served.all(axis=1)):
-        columns = np.ascontiguousarray(parts[:, m].T, np.float64)
-        _move_idle(centroids[m], np.flatnonzero(~served[m]), columns, codes[:, m])
-
-
 def _move_idle(
-    centroids: Float32[np.ndarray, "c d"],
-    idle: Int64[np.ndarray, " i"],
-    columns: Float64[np.ndarray, "d n"],
-    codes: UInt8[np.ndarray, " n"],
+    centroids: Float32[np.ndarray, "c d"], idle: OtherIndices, columns: Float64[np.ndarray, "d n"], codes: ByteValues
 ) -> None:
     """Put centroids that serve no point on those that are served worst."""
-    distances = ((columns - centroids[codes].T) ** 2).sum(axis=0)
+    distances = ((columns - centroids[codes].T) ** 2).sum(0)
     worst = np.argsort(-distances, kind="stable")[: len(idle)]
     worst = worst[distances[worst] > 0]  # nothing is gained by a copy of a centroid
     centroids[idle[: len(worst)]] = columns[:, worst].T

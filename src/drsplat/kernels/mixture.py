@@ -12,16 +12,21 @@ import numpy as np
 
 from .. import _native
 from ..base.arrays import (
+    ByteRows,
     Embedding,
     Embeddings,
     Float16,
     Float32,
+    FloatRows,
     Ids,
+    Indices,
     Int8,
     Int32,
-    Int64,
-    Integer,
     Numbers,
+    OtherEmbeddings,
+    OtherIds,
+    OtherIndices,
+    RowIds,
     UInt8,
     UInt16,
 )
@@ -36,15 +41,15 @@ MAX_ATOMS = 1 << 16  # that a 16-bit id can name
 class Dictionary(NamedTuple):
     """Unit vectors as signed bytes: atom = scale * values."""
 
-    values: Int8[np.ndarray, "a D"]
-    scales: Float32[np.ndarray, " a"]
+    values: Int8[np.ndarray, "n D"]
+    scales: Numbers
 
 
 class Encoded(NamedTuple):
     """Encoded rows, heaviest atom first; scale * sum of weight * atom is a unit vector."""
 
     ids: Int32[np.ndarray, "n k"]
-    weights: UInt8[np.ndarray, "n k"]
+    weights: ByteRows
     scales: Numbers
 
 
@@ -62,8 +67,8 @@ class Candidates(NamedTuple):
     indptr, columns: atoms of each row, in CSR form. further: more atoms, equally many for each row.
     """
 
-    indptr: Integer[np.ndarray, " n1"]
-    columns: Int32[np.ndarray, " e"]
+    indptr: RowIds
+    columns: OtherIds
     further: Int32[np.ndarray, "n f"]
 
 
@@ -91,7 +96,7 @@ def mixture_encode(
     return Encoded(*native("mixture_encode", _native.mixture_encode, *arrays, atoms_per_row, threads, checked_isa(isa)))
 
 
-def nearest_centres(points: Embeddings, centres: Float32[np.ndarray, "c D"], *, threads: int = 0, isa: str = "") -> Ids:
+def nearest_centres(points: Embeddings, centres: OtherEmbeddings, *, threads: int = 0, isa: str = "") -> Ids:
     """Return the centre that has the largest inner product with each point; the lowest index wins ties.
 
     Raises: InputError: no centres, or of another dimension.
@@ -118,8 +123,8 @@ def nearest_members(
 
 
 def mixture_scores(
-    blocks: Blocks, dictionary: Dictionary, queries: Float32[np.ndarray, "q D"], *, threads: int = 0, isa: str = ""
-) -> Float32[np.ndarray, "q n"]:
+    blocks: Blocks, dictionary: Dictionary, queries: Embeddings, *, threads: int = 0, isa: str = ""
+) -> FloatRows:
     """Return scale_i * sum_k weight_ik * <query, atom of id_ik>, with <query, atom> rounded to steps of 1 / 32767.
 
     Raises: InputError: shapes disagree, or a query that is not finite.
@@ -137,7 +142,7 @@ def mixture_select(
     *,
     threads: int = 0,
     isa: str = "",
-) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
+) -> tuple[OtherIndices, Float32[np.ndarray, " m"]]:
     """Return the rows with score - floor > threshold, ascending, and their scores.
 
     Raises: InputError: shapes disagree, or a query that is not finite.
@@ -149,7 +154,7 @@ def mixture_select(
 
 def mixture_top(
     blocks: Blocks, dictionary: Dictionary, query: Embedding, count: int, *, threads: int = 0, isa: str = ""
-) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
+) -> tuple[Indices, Numbers]:
     """Return the `count` rows with the highest scores, best first, and these scores; the lower row wins ties.
 
     Raises: InputError: shapes disagree, a count below 1, or a query that is not finite.
@@ -162,7 +167,7 @@ def mixture_top(
 
 
 def mixture_best(
-    blocks: Blocks, dictionary: Dictionary, queries: Float32[np.ndarray, "c D"], *, threads: int = 0, isa: str = ""
+    blocks: Blocks, dictionary: Dictionary, queries: OtherEmbeddings, *, threads: int = 0, isa: str = ""
 ) -> tuple[Ids, Numbers, Numbers]:
     """Return for each row the query with the highest score (the first wins ties), that score, and the next highest.
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Float32, Float64, Ids, Int32, MaskIds, Pixels
+from ..base.arrays import DoubleRows, Doubles, Float32, Float64, Ids, Int32, MaskIds, PixelNumbers, Pixels
 from .splats import checked_isa, native, native_array
 
 LAB_STEPS = 16
@@ -52,7 +52,7 @@ class RegionGraph:
     """
 
     pixels: int
-    sums: Float64[np.ndarray, "n c"]
+    sums: DoubleRows
     boxes: Float64[np.ndarray, "n 4"]
     pairs: Int32[np.ndarray, "e 2"]
     borders: Float64[np.ndarray, "e 5"]
@@ -91,7 +91,7 @@ def look(image: Pixels, layers: Layers, *, threads: int = 0, isa: str = "") -> S
     return Sight(*native("network", _native.look, image, layers, threads, checked_isa(isa)))
 
 
-def people(image: Pixels, layers: Layers, *, threads: int = 0, isa: str = "") -> Float32[np.ndarray, "h w"]:
+def people(image: Pixels, layers: Layers, *, threads: int = 0, isa: str = "") -> PixelNumbers:
     """Return how likely each pixel shows a person, 0 to 1; the same bits at any `threads`.
 
     image: of sides that are a multiple of 16, and 1 more. layers: weights and bias of each in turn, of MobileNetV2 and
@@ -120,7 +120,7 @@ def region_graph(labels: MaskIds, lab: Int32[np.ndarray, "h w 3"], sight: Sight)
     )
 
 
-def pair_likelihoods(graph: RegionGraph, rule: PairRule, *, isa: str = "") -> Float64[np.ndarray, " e"]:
+def pair_likelihoods(graph: RegionGraph, rule: PairRule, *, isa: str = "") -> Doubles:
     """Return how likely the regions of each pair belong to one thing, 0 to 1, rounded to six digits.
 
     Raises: InputError: a graph or rule of other shapes, pairs that are not in order.

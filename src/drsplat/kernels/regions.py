@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Float32, Int32, Integer, Sparse
+from ..base.arrays import Ids, Integer, Numbers, OtherEmbeddings, Sparse
 from .splats import native
 
 
@@ -45,18 +45,18 @@ class Forest(NamedTuple):
     spreads are 0 for regions below `smallest`.
     """
 
-    parents: Int32[np.ndarray, " T"]
-    agreements: Float32[np.ndarray, " T"]
-    sizes: Int32[np.ndarray, " T"]
-    masses: Float32[np.ndarray, " T"]
-    fits: Float32[np.ndarray, " T"]
-    spreads: Float32[np.ndarray, " T"]
+    parents: Ids
+    agreements: Numbers
+    sizes: Ids
+    masses: Numbers
+    fits: Numbers
+    spreads: Numbers
 
 
 def agglomerate(
     weights: Sparse,
-    views: Int32[np.ndarray, " v"],
-    embeddings: Float32[np.ndarray, "m d"],
+    views: Ids,
+    embeddings: OtherEmbeddings,
     edges: Integer[np.ndarray, "e 2"],
     thresholds: tuple[float, ...],
     rule: MergeRule,

@@ -12,7 +12,20 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Float32, Ids, Int64, Integer, Numbers, UInt8, UInt16
+from ..base.arrays import (
+    ByteRows,
+    Embeddings,
+    Float32,
+    FloatRows,
+    Ids,
+    Indices,
+    Numbers,
+    OtherIndices,
+    SmallIds,
+    UInt8,
+    UInt16,
+    WholeNumbers,
+)
 from ..errors import InputError
 from .algebra import CENTROIDS
 from .splats import checked_isa, native, native_array
@@ -28,7 +41,7 @@ class GroupedRows(NamedTuple):
 
     codes: UInt8[np.ndarray, "g L 256"]
     inverse_norms: Numbers
-    coarse_ids: UInt16[np.ndarray, " n"] | None = None
+    coarse_ids: SmallIds | None = None
 
 
 class RowShapes(NamedTuple):
@@ -43,8 +56,8 @@ class RowShapes(NamedTuple):
 class QueryTables(NamedTuple):
     """Inner products of queries with each code's centroid, and with each coarse centroid or None."""
 
-    luts: Float32[np.ndarray, "q L 256"]
-    coarse: Float32[np.ndarray, "q C"] | None = None
+    luts: Float32[np.ndarray, "n L 256"]
+    coarse: FloatRows | None = None
 
 
 class Scanning(NamedTuple):
@@ -64,7 +77,7 @@ class Scanning(NamedTuple):
 EXACT = Scanning()
 
 
-def group_codes(codes: UInt8[np.ndarray, "n L"]) -> UInt8[np.ndarray, "g L 256"]:
+def group_codes(codes: ByteRows) -> UInt8[np.ndarray, "g k 256"]:
     """Arrange codes in groups of 256 rows, sub-vector by sub-vector; the last group is padded with zeros."""
     count, subvectors = codes.shape
     grouped = np.empty((-(-count // GROUP_ROWS), subvectors, GROUP_ROWS), np.uint8)
@@ -76,14 +89,14 @@ def group_codes(codes: UInt8[np.ndarray, "n L"]) -> UInt8[np.ndarray, "g L 256"]
     return grouped
 
 
-def rows_of_groups(grouped: UInt8[np.ndarray, "g L 256"], rows: Integer[np.ndarray, " b"]) -> UInt8[np.ndarray, "b L"]:
+def rows_of_groups(grouped: UInt8[np.ndarray, "g k 256"], rows: WholeNumbers) -> ByteRows:
     """Return the codes of some rows, one row after the other."""
-    return np.asarray(grouped[rows // GROUP_ROWS, :, rows % GROUP_ROWS])
+    return grouped[rows // GROUP_ROWS, :, rows % GROUP_ROWS]
 
 
 def lookup_tables(
-    centroids: Float32[np.ndarray, "L d c"], queries: Float32[np.ndarray, "q D"], *, threads: int = 0, isa: str = ""
-) -> Float32[np.ndarray, "q L c"]:
+    centroids: Float32[np.ndarray, "L d c"], queries: Embeddings, *, threads: int = 0, isa: str = ""
+) -> Float32[np.ndarray, "n L c"]:
     """Return the inner product of each part of each query with each centroid of that part.
 
     centroids: number by number, (L, D / L, 256).
@@ -99,7 +112,7 @@ def lookup_tables(
     return native_array("tables", _native.lookup_tables, centroids, queries, threads, checked_isa(isa))
 
 
-def scan_scores(rows: GroupedRows, tables: QueryTables, how: Scanning = EXACT) -> Float32[np.ndarray, "q n"]:
+def scan_scores(rows: GroupedRows, tables: QueryTables, how: Scanning = EXACT) -> FloatRows:
     """Return (sum_m lut[m, codes[i, m]] + coarse[coarse_ids[i]]) * inverse_norms[i], for each query and row i.
 
     Raises: InputError: arrays that do not fit each other.
@@ -110,7 +123,7 @@ def scan_scores(rows: GroupedRows, tables: QueryTables, how: Scanning = EXACT) -
 
 def scan_above(
     rows: GroupedRows, tables: QueryTables, threshold: float, floor: Numbers | None = None, how: Scanning = EXACT
-) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
+) -> tuple[OtherIndices, Float32[np.ndarray, " m"]]:
     """Return the rows whose score minus `floor` exceeds the threshold, ascending, and their scores; of one query.
 
     Raises: InputError: more than one query, or arrays that do not fit each other.
@@ -122,9 +135,7 @@ def scan_above(
     return matches.view(np.int64), scores  # else "long long"
 
 
-def scan_top(
-    rows: GroupedRows, tables: QueryTables, count: int, how: Scanning = EXACT
-) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
+def scan_top(rows: GroupedRows, tables: QueryTables, count: int, how: Scanning = EXACT) -> tuple[Indices, Numbers]:
     """Return the `count` best rows and their scores, best first, ties to the lower row; of one query.
 
     Raises: InputError: more than one query, a count below 1, or arrays that do not fit each other.
@@ -210,9 +221,9 @@ def refuse_several_queries(tables: QueryTables) -> None:
 
 
 def keep_best(
-    scores: Float32[np.ndarray, "t r"],
-    names: UInt16[np.ndarray, "t r"],
-    more: Float32[np.ndarray, "c r"],
+    scores: FloatRows,
+    names: UInt16[np.ndarray, "n k"],
+    more: Float32[np.ndarray, "c k"],
     first: int,
     *,
     threads: int = 0,

@@ -7,7 +7,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Anywhere, Flags, Float32, Int32, RowIds, UInt32, Vector3
+from ..base.arrays import (
+    Anywhere,
+    Flags,
+    Float32,
+    Ids,
+    Int32,
+    Numbers,
+    PixelNumbers,
+    PixelRows,
+    RowIds,
+    UnsignedIds,
+    Vector3,
+)
 from ..errors import InputError
 from ..scene.gaussians import Gaussians, covariances_of
 from ..scene.placing import PUBLISHED_NEAR
@@ -46,16 +58,16 @@ class SplatArrays(NamedTuple):
 class Triples(NamedTuple):
     """Non-zero entries of one view's columns of W, sorted by (Gaussian, mask); weights > 0."""
 
-    gaussian_ids: UInt32[np.ndarray, " t"]
-    mask_ids: Int32[np.ndarray, " t"]
-    weights: Float32[np.ndarray, " t"]
+    gaussian_ids: UnsignedIds
+    mask_ids: Ids
+    weights: Numbers
 
 
 class Contributions(NamedTuple):
     """The largest blending weights of each pixel, descending; padded with id -1, weight 0."""
 
-    ids: Int32[np.ndarray, "h w k"]
-    weights: Float32[np.ndarray, "h w k"]
+    ids: Int32[np.ndarray, "h w c"]
+    weights: PixelRows
 
 
 class Rendering(NamedTuple):
@@ -64,9 +76,9 @@ class Rendering(NamedTuple):
     channels: sum of weight * value. depth: weighted mean of camera z, 0 where nothing is.
     """
 
-    channels: Float32[np.ndarray, "h w c"]
-    alpha: Float32[np.ndarray, "h w"]
-    depth: Float32[np.ndarray, "h w"]
+    channels: PixelRows
+    alpha: PixelNumbers
+    depth: PixelNumbers
 
 
 def available_isas() -> list[str]:

@@ -8,7 +8,7 @@ set of `available_isas()`, "" the best (or what the variable DRSPLAT_ISA names).
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Float32, Harmonics, Ids, MaskIds, Vectors
+from ..base.arrays import Float32, FloatRows, Harmonics, Ids, MaskIds, Vectors
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 from ..scene.views import View
@@ -93,8 +93,7 @@ def view_weights(
     if splats.engine is not None:
         from .cuda import drawing
 
-        there: Triples = drawing.view_weights(splats, view, pixels, *limits)
-        return there
+        return drawing.view_weights(splats, view, pixels, *limits)
     triples = _native.view_weights(*_scene_and_camera(splats, view), pixels, *limits, threads, checked_isa(isa))
     return Triples(*triples[:3])
 
@@ -114,8 +113,7 @@ def topk_contributions(
     if splats.engine is not None:
         from .cuda import drawing
 
-        there: Contributions = drawing.topk_contributions(splats, view, *limits)
-        return there
+        return drawing.topk_contributions(splats, view, *limits)
     arrays = _scene_and_camera(splats, view)
     return Contributions(*_native.topk_contributions(*arrays, *size, *limits, threads, checked_isa(isa)))
 
@@ -134,8 +132,8 @@ def heaviest_labels(seen: Contributions, labels: Ids, *, threads: int = 0) -> Ma
 def render_channels(
     splats: SplatArrays,
     view: View,
-    values: Float32[np.ndarray, "n c"],
-    background: Float32[np.ndarray, " c"] | None = None,
+    values: FloatRows,
+    background: Float32[np.ndarray, " k"] | None = None,
     *,
     threads: int = 0,
     isa: str = "",
@@ -153,10 +151,7 @@ def render_channels(
     if splats.engine is not None:
         from .cuda import drawing
 
-        there: Rendering = drawing.render_channels(
-            splats, view, np.ascontiguousarray(values), np.ascontiguousarray(behind)
-        )
-        return there
+        return drawing.render_channels(splats, view, np.ascontiguousarray(values), np.ascontiguousarray(behind))
     canvas = view.width, view.height, np.ascontiguousarray(values), np.ascontiguousarray(behind)
     return Rendering(*_native.render(*_scene_and_camera(splats, view), *canvas, threads, checked_isa(isa)))
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .. import _native
-from ..base.arrays import Float32, Harmonics, Image, Numbers, Quats, Vectors
+from ..base.arrays import Float32, Harmonics, Image, Numbers, PixelNumbers, Quats, Vectors
 from ..errors import InputError
 from ..scene.placing import PUBLISHED_NEAR
 from ..scene.views import View
@@ -73,7 +73,7 @@ class TrainingView:
     """
 
     image: Image
-    alpha: Float32[np.ndarray, "h w"]
+    alpha: PixelNumbers
 
     def __init__(self, native: _native.TrainingPass) -> None:
         self._native, self._done = native, False

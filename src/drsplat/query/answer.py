@@ -6,7 +6,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Embedding, Float32, Float64, Ids, Int64, Integer, Matrix3, Numbers, PilImage, Vector3
+from ..base.arrays import (
+    Doubles,
+    Embedding,
+    Ids,
+    Indices,
+    Matrices,
+    Matrix3,
+    Numbers,
+    PilImage,
+    Points,
+    Vector3,
+    WholeNumbers,
+)
 from ..base.terminal import counted, facts_html
 from ..errors import InputError
 from ..field import LanguageField
@@ -32,18 +44,18 @@ class Answer:
 
     field: LanguageField
     vector: Embedding | None
-    values: Float32[np.ndarray, " r"]
+    values: Numbers
     measure: str
     threshold: float
     rule: str
-    scores: Float32[np.ndarray, " r"]
+    scores: Numbers
     drawn: Callable[..., np.ndarray] | None = None
     doubt: str = ""
     sure: bool = True
     seen_from: str = ""
 
     @classmethod
-    def of(cls, field: LanguageField, values: Float32[np.ndarray, " r"], threshold: float) -> "Answer":
+    def of(cls, field: LanguageField, values: Numbers, threshold: float) -> "Answer":
         """Return an answer of values computed elsewhere. Raises: InputError: not one per row of the field.
 
         >>> ds.Answer.of(scene.field, np.ones(len(scene.field), np.float32), 0.5).certainty
@@ -54,7 +66,7 @@ class Answer:
         return cls(field, None, values, COSINE, threshold, GIVEN, values)
 
     @classmethod
-    def of_rows(cls, field: LanguageField, rows: Integer[np.ndarray, " s"], rule: str) -> "Answer":
+    def of_rows(cls, field: LanguageField, rows: WholeNumbers, rule: str) -> "Answer":
         """Return exactly some rows of the field: 1 there, 0 elsewhere.
 
         >>> ds.Answer.of_rows(scene.field, np.arange(3), "object").gaussian_ids.shape
@@ -115,7 +127,7 @@ class Answer:
         return self.field.dense(self.values, fill=self.lowest)
 
     @property
-    def gaussian_ids(self) -> Int64[np.ndarray, " m"]:
+    def gaussian_ids(self) -> Indices:
         """Rows in the scene of the Gaussians above the threshold, ascending.
 
         Source: Dr. Splat Sec. B "3D object selection".
@@ -164,7 +176,7 @@ class Match:
     axes: Matrix3
     extent: Vector3
     score: float
-    gaussian_ids: Int64[np.ndarray, " m"]
+    gaussian_ids: Indices
     support: tuple[Explanation, ...] = ()
     object_id: int | None = None
     label: str | None = None
@@ -205,8 +217,7 @@ class Segmentation:
     def counts(self) -> list[int]:
         """Gaussians of each class."""
         kept = self.labels[self.labels >= 0]
-        counts: list[int] = np.bincount(kept, minlength=len(self.names)).tolist()
-        return counts
+        return np.bincount(kept, minlength=len(self.names)).tolist()
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,10 +230,10 @@ class MatchTrack:
     """
 
     match: Match
-    times: Float64[np.ndarray, " t"]
-    centers: Float64[np.ndarray, "t 3"]
-    axes: Float64[np.ndarray, "t 3 3"]
-    extents: Float64[np.ndarray, "t 3"]
+    times: Doubles
+    centers: Points
+    axes: Matrices
+    extents: Points
     spans: tuple[Span, ...] = ()
     views: tuple[str, ...] = ()
 

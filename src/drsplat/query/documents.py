@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Float64, Matrix3, Shaped, Vector3
+from ..base.arrays import Matrix3, PlanePoints, Shaped, Vector3
 from ..field.evidence.evidence import Explanation
 from ..field.objects.agreed import FEW_PHOTOS
 from ..formats.georeference import Georeference
@@ -155,7 +155,7 @@ def earth_document(
     }
 
 
-def hull(points: Float64[np.ndarray, "n 2"]) -> list[int]:
+def hull(points: PlanePoints) -> list[int]:
     """Return the points at the corners of their convex hull, anticlockwise.
 
     Source: Andrew 1979, monotone chain.
@@ -164,7 +164,7 @@ def hull(points: Float64[np.ndarray, "n 2"]) -> list[int]:
     return _chain(points, order)[:-1] + _chain(points, order[::-1])[:-1]
 
 
-def _chain(points: Float64[np.ndarray, "n 2"], order: list[int]) -> list[int]:
+def _chain(points: PlanePoints, order: list[int]) -> list[int]:
     chain: list[int] = []
     for number in order:
         while len(chain) > 1 and _turn(points[chain[-2]], points[chain[-1]], points[number]) <= 0:

@@ -5,7 +5,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from ..base.arrays import Float64, Indices, Int64, Integer, Points
+from ..base.arrays import DoubleRows, Indices, Int64, OtherIndices, Points, WholeNumbers
 from ..scene.boxes import solid
 from ..scene.parted import AnyGaussians
 from .answer import Match
@@ -24,11 +24,11 @@ def components(points: Points, link_distance: float | None) -> Indices:
     near = distances[:, 1:] <= reach
     source = np.broadcast_to(np.arange(len(points))[:, None], near.shape)[near]
     labels = _connected(len(points), source, neighbours[:, 1:][near])
-    return np.asarray(_join_near_parts(points, labels, reach)[labels])
+    return _join_near_parts(points, labels, reach)[labels]
 
 
 def join_to_held(
-    places: Int64[np.ndarray, " m"], points: Float64[np.ndarray, "m 3"], loose: Int64[np.ndarray, " l"],
+    places: Indices, points: Points, loose: OtherIndices,
     held: Int64[np.ndarray, " h"], link_distance: float | None,
 ) -> None:  # fmt: skip
     """Give loose places of which half lies at an object that was selected as well its number: they are its border."""
@@ -60,7 +60,7 @@ def touch(one: Seen, other: Seen) -> bool:
     return bool((large.query(small.data)[0] <= max(reach, far)).mean() >= MIN_TOUCHING_SHARE)
 
 
-def _join_near_parts(points: Points, labels: Indices, reach: float) -> Int64[np.ndarray, " p"]:
+def _join_near_parts(points: Points, labels: Indices, reach: float) -> OtherIndices:
     """Return a new label for each part; nearest neighbours alone can leave gaps narrower than the reach."""
     order = np.argsort(labels, kind="stable")
     parts = np.split(points[order], np.flatnonzero(np.diff(labels[order])) + 1)
@@ -68,7 +68,7 @@ def _join_near_parts(points: Points, labels: Indices, reach: float) -> Int64[np.
     trees, edges = [cKDTree(part) for part in parts], []
     for i, part in enumerate(parts):
         gap = np.maximum(low[i + 1 :] - high[i], low[i] - high[i + 1 :])
-        for j in i + 1 + np.flatnonzero((gap <= reach).all(axis=1)):
+        for j in i + 1 + np.flatnonzero((gap <= reach).all(1)):
             small, large = (i, j) if len(part) < len(parts[j]) else (j, i)
             if trees[large].query(parts[small], distance_upper_bound=reach)[0].min() <= reach:
                 edges.append((i, int(j)))
@@ -76,11 +76,11 @@ def _join_near_parts(points: Points, labels: Indices, reach: float) -> Int64[np.
     return _connected(len(parts), ends[:, 0], ends[:, 1])
 
 
-def _connected(count: int, source: Int64[np.ndarray, " e"], target: Integer[np.ndarray, " e"]) -> Indices:
+def _connected(count: int, source: Indices, target: WholeNumbers) -> OtherIndices:
     edges = coo_array((np.ones(len(source), bool), (source, target)), shape=(count, count))
     return np.asarray(connected_components(edges, directed=False)[1], np.int64)
 
 
-def _reach(distances: Float64[np.ndarray, "n k"]) -> float:
+def _reach(distances: DoubleRows) -> float:
     """Return the linking distance: a multiple of the median distance to the last neighbour."""
     return LINK_FACTOR * float(np.median(distances[:, -1]))

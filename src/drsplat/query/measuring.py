@@ -6,7 +6,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from ..base.arrays import Embedding, Embeddings, Flags, Float32, Pixels, UInt8
+from ..base.arrays import Embedding, Embeddings, Flags, Numbers, OtherFlags, OtherPixels, Pixels
 from ..errors import InputError
 from ..field import LanguageField, Negatives, relevancy_from_scores
 from ..kernels.algebra import dense_rows
@@ -123,7 +123,7 @@ class Background:
         is_taught = np.isfinite(self.least_peak)  # an encoder of few words was taught what they stand for
         return None if text is None or is_taught else same_kind(self.texts_of(known), text)
 
-    def by_object(self, field: LanguageField, values: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
+    def by_object(self, field: LanguageField, values: Numbers) -> Numbers:
         """Return values per row of the field, with or without objects, as whole objects have them."""
         return by_object(field, values)
 
@@ -188,7 +188,7 @@ class Measuring:
                 )
                 yield self._without(answer, own, wanted, (*unwanted, *self.exclude))
 
-    def of_image(self, picture: UInt8[np.ndarray, "_ _ 3"]) -> Answer:
+    def of_image(self, picture: OtherPixels) -> Answer:
         """Answer a picture of a thing. Raises: InputError: an encoder of words only. MismatchError: another encoder."""
         return self.of_vector(embedded_image(self.background.encoder, picture))
 
@@ -208,9 +208,7 @@ class Measuring:
         """The field that is measured and answers, with objects only where the cut asks them."""
         return self.background.field if self.cut.asks_objects else self.background.plain
 
-    def _without(
-        self, answer: Answer, scores: Float32[np.ndarray, " r"], wanted: str, unwanted: tuple[str, ...]
-    ) -> Answer:
+    def _without(self, answer: Answer, scores: Numbers, wanted: str, unwanted: tuple[str, ...]) -> Answer:
         if not unwanted:
             return answer
         background = self.background
@@ -220,7 +218,7 @@ class Measuring:
         values = np.where(left, np.float32(answer.lowest), answer.values)
         return replace(answer, values=values, scores=np.where(left, np.float32(UNSELECTED_COSINE), scores))
 
-    def _of_words(self, query: Embedding, scores: Float32[np.ndarray, " r"], text: str | None) -> Answer:
+    def _of_words(self, query: Embedding, scores: Numbers, text: str | None) -> Answer:
         kept = self.background.kept_contrast
         own = self.background.own_threshold if kept is None else None
         if own is not None:
@@ -246,7 +244,7 @@ class Measuring:
         fits = f"'{better}' fits" if better else "other words fit"
         return replace(answer, sure=False, doubt=f"only maybe: {fits} as well or better")
 
-    def _better_swap(self, scores: Float32[np.ndarray, " r"], text: str | None) -> str:
+    def _better_swap(self, scores: Numbers, text: str | None) -> str:
         """Return the text that fits what a text fits best better, though it has another colour or names another thing.
 
         "" if there is none, and of encoders that have no such texts: of those whose texts are sums of words, "yellow
@@ -258,12 +256,10 @@ class Measuring:
             return ""
         best = np.argpartition(-scores, min(PEAK_ROWS, len(scores)) - 1)[:PEAK_ROWS]
         shown = self._field.feature(np.sort(best))
-        own, *fits = dense_rows(shown, encoder.encode_texts([text, *others]).T, threads=1).mean(axis=0).tolist()
+        own, *fits = dense_rows(shown, encoder.encode_texts([text, *others]).T, threads=1).mean(0).tolist()
         return others[int(np.argmax(fits))] if max(fits) > own + SWAP_TOLERANCE else ""
 
-    def _certainty(
-        self, known: Contrast, scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"], same: Flags | None
-    ) -> str:
+    def _certainty(self, known: Contrast, scores: Numbers, values: Numbers, same: OtherFlags | None) -> str:
         """Return whether a text is found for sure, maybe, or not.
 
         An encoder with a least peak knows few words, which lie far apart: maybe is what fits better than all others,
@@ -278,7 +274,7 @@ class Measuring:
         is_maybe = height > MAYBE_LEAST_SHARE * least and not known.of_kind
         return SURE if height > least else MAYBE if is_maybe else NOTHING
 
-    def _list_threshold(self, known: Contrast, values: Float32[np.ndarray, " r"], certainty: str) -> float:
+    def _list_threshold(self, known: Contrast, values: Numbers, certainty: str) -> float:
         """Return the threshold of values that were compared with a list; the highest where nothing is found.
 
         What fits better than all words of an encoder that knows few of them is meant.
@@ -292,8 +288,8 @@ class Measuring:
         return own_level(values, known.peak)
 
     def _contrasted(
-        self, known: Contrast, query: Embedding, scores: Float32[np.ndarray, " r"], same: Flags | None
-    ) -> Float32[np.ndarray, " r"] | None:
+        self, known: Contrast, query: Embedding, scores: Numbers, same: OtherFlags | None
+    ) -> Numbers | None:
         """Return relevancies, None where there is nothing to compare with.
 
         They are those of `lower_partial_fits` where the texts of an encoder are sums of words. A colour has no halves.
@@ -303,28 +299,19 @@ class Measuring:
         is_sum = np.isfinite(self.background.least_peak) and not known.of_kind
         return lower_partial_fits(scores, values) if values is not None and is_sum else values
 
-    def _measured(self, query: Embedding, scores: Float32[np.ndarray, " r"], default: _Default) -> Answer:
+    def _measured(self, query: Embedding, scores: Numbers, default: _Default) -> Answer:
         if not self.cut.measures_relevancy:
             return self._cut(query, scores, scores, COSINE, default)
         values = relevancy_from_scores(scores, self._negatives.maxima)
         return self._cut(query, scores, values, RELEVANCY, (RELEVANCY_THRESHOLD, DEFAULT))
 
-    def _cut(
-        self,
-        query: Embedding,
-        scores: Float32[np.ndarray, " r"],
-        values: Float32[np.ndarray, " r"],
-        measure: str,
-        default: _Default,
-    ) -> Answer:
+    def _cut(self, query: Embedding, scores: Numbers, values: Numbers, measure: str, default: _Default) -> Answer:
         """Choose the threshold by values of single Gaussians; what objects make of them is compared with it."""
         answered = self.background.by_object(self._field, values)
         threshold, rule = self._threshold(values, answered, default)
         return Answer(self._field, query, answered, measure, threshold, rule, scores)
 
-    def _threshold(
-        self, values: Float32[np.ndarray, " r"], answered: Float32[np.ndarray, " r"], default: _Default
-    ) -> tuple[float, str]:
+    def _threshold(self, values: Numbers, answered: Numbers, default: _Default) -> tuple[float, str]:
         given = self.cut
         if given.top_share is not None:
             return share_threshold(answered, given.top_share), SHARE
@@ -362,9 +349,7 @@ def least_peak(encoder: Encoder, known: Contrast | None, peak: int = PEAK_ROWS) 
     return -np.inf if share is None or known is None else float(share * known.height(peak))
 
 
-def lower_partial_fits(
-    scores: Float32[np.ndarray, " r"], values: Float32[np.ndarray, " r"], peak: int = PEAK_ROWS
-) -> Float32[np.ndarray, " r"]:
+def lower_partial_fits(scores: Numbers, values: Numbers, peak: int = PEAK_ROWS) -> Numbers:
     """Return relevancies, those of rows that fit half of the query lowered where others fit all of it.
 
     "Red vase" is not asking for a red shelf.
@@ -386,5 +371,4 @@ def embedded_image(encoder: Encoder, picture: Pixels) -> Embedding:
         )
     height, width = picture.shape[:2]
     square = crop(picture, np.ones((height, width), bool), (0, 0, width, height))
-    vector: np.ndarray = encoder.encode_images([square])[0]
-    return vector
+    return encoder.encode_images([square])[0]

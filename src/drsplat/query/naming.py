@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.arrays import Embedding, Embeddings, Float32
+from ..base.arrays import Embedding, Embeddings, OtherEmbeddings
 from ..errors import InputError
 from ..field import LanguageField
 from ..formats.vocabulary import VocabularyEncoder
@@ -37,7 +37,7 @@ def fit_of(encoder: MiniEncoder, field: LanguageField) -> float:
     """Return the cosine of the best noun that half of a field's features reach."""
     rows = np.unique(np.linspace(0, len(field) - 1, SAMPLED_ROWS).astype(np.intp))
     cosines = dense_rows(field.feature(rows), encoder.encode_texts(encoder.nouns).T, threads=1)
-    return float(np.median(cosines.max(axis=1)))
+    return float(np.median(cosines.max(1)))
 
 
 def doubt_of(encoder: Encoder, field: LanguageField, text: str | None = None) -> str:
@@ -96,8 +96,8 @@ def object_names(
 class _Seen:
     """Descriptors to be named. pictures: usual ones of the scene. rows: a descriptor for each node that `has` one."""
 
-    pictures: Float32[np.ndarray, "s D"]
-    rows: Float32[np.ndarray, "r D"]
+    pictures: OtherEmbeddings
+    rows: Embeddings
     has: list[bool]
 
 
@@ -126,7 +126,7 @@ def _sure_texts(
 
 
 def _sure(
-    seen: _Seen, texts: Sequence[str], vectors: Embeddings, every: Float32[np.ndarray, "m D"], least: float
+    seen: _Seen, texts: Sequence[str], vectors: Embeddings, every: OtherEmbeddings, least: float
 ) -> list[str | None]:
     """Return the text that each node is called by; see `_sure_words`."""
     sure = iter(_sure_words(seen, vectors, every, least))
@@ -134,7 +134,7 @@ def _sure(
     return [texts[word] if word >= 0 else None for word in chosen]
 
 
-def _sure_words(seen: _Seen, vectors: Embeddings, every: Float32[np.ndarray, "m D"], least: float) -> list[int]:
+def _sure_words(seen: _Seen, vectors: Embeddings, every: OtherEmbeddings, least: float) -> list[int]:
     """Return for each row the number of its best word, -1 where another fits nearly as well.
 
     vectors: of the words, with which `every` begins. least: by how much the best exceeds all that do not mean the same,
@@ -150,8 +150,7 @@ def _sure_words(seen: _Seen, vectors: Embeddings, every: Float32[np.ndarray, "m 
     cosines -= cosines.mean(0)
     cosines -= cosines.mean(1, keepdims=True)
     margins = (scores[np.arange(len(best)), best] - others) / max(float(cosines.std()), MIN_SPREAD)
-    words: list[int] = np.where(margins >= least, best, -1).tolist()
-    return words
+    return np.where(margins >= least, best, -1).tolist()
 
 
 def best_names(

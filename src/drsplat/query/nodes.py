@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..base.arrays import Float, Integer
+from ..base.arrays import Float, WholeNumbers
 from ..base.terminal import counted
 from ..field.forest import GROUP, THING, Objects
 from .objects import most_seen, objects_of
@@ -36,7 +36,7 @@ class Chosen:
         return Chosen((max(parts, key=lambda part: objects.masses[part]), *self.path), 0) if parts else None
 
 
-def chosen_at(scene: Scene, gaussian_ids: Integer[np.ndarray, " h"], weights: Float[np.ndarray, " h"]) -> Chosen | None:
+def chosen_at(scene: Scene, gaussian_ids: WholeNumbers, weights: Float[np.ndarray, " n"]) -> Chosen | None:
     """Return the object that is seen most where some Gaussians are met, None where that belongs to no object.
 
     weights: the blending weight of each Gaussian there. Raises: InputError: the field has no objects.

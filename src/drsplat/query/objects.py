@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from ..base.arrays import Float, Integer
+from ..base.arrays import Float, WholeNumbers
 from ..errors import InputError
 from ..field import LanguageField
 from ..field.evidence.evidence import Explanation
@@ -21,7 +21,7 @@ def objects_of(field: LanguageField) -> Objects:
     return field.objects
 
 
-def most_seen(objects: Objects, rows: Integer[np.ndarray, " h"], weights: Float[np.ndarray, " h"]) -> int:
+def most_seen(objects: Objects, rows: WholeNumbers, weights: Float[np.ndarray, " n"]) -> int:
     """Return the row of the largest weight among those of the object that is seen most at a place."""
     numbers = objects.thing_of(rows)
     most = np.bincount(numbers + 1, weights).argmax() - 1

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..base.arrays import Float64, Int64, Integer, Vector3
+from ..base.arrays import Doubles, Indices, RowIds, Vector3, WholeNumbers
 from ..errors import InputError
 from ..scene.gaussians import Gaussians
 from ..scene.parted import AnyGaussians, middle
@@ -15,7 +15,7 @@ MAX_CANDIDATES = 64  # by the distance of centres
 
 
 @np.errstate(over="ignore", invalid="ignore")  # points beyond all that can be squared
-def nearest_gaussian(gaussians: AnyGaussians, candidates: Integer[np.ndarray, " r"], point: Point) -> int:
+def nearest_gaussian(gaussians: AnyGaussians, candidates: WholeNumbers, point: Point) -> int:
     """Return the row of the candidate that covers a point of the world best.
 
     Of the 64 candidates with the nearest centres, the one of highest density at the point (opacity times
@@ -44,9 +44,7 @@ def nearest_gaussian(gaussians: AnyGaussians, candidates: Integer[np.ndarray, " 
     return int(ids[density.argmax()] if deviations.min() <= MAX_DEVIATIONS else ids[0])
 
 
-def _nearest(
-    gaussians: AnyGaussians, candidates: Integer[np.ndarray, " r"], at: Vector3
-) -> tuple[Int64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
+def _nearest(gaussians: AnyGaussians, candidates: RowIds, at: Vector3) -> tuple[Indices, Doubles]:
     """Return the rows of up to MAX_CANDIDATES, the nearest centre first, and the squares of their distances.
 
     Candidates ascend; of equal distances the first come first. Parts that are further away than all of these are
@@ -78,11 +76,10 @@ def _deviations(few: Gaussians, point: np.ndarray) -> np.ndarray:
     offsets = point - few.means.astype(np.float64)
     solved = np.linalg.solve(matrices, offsets[..., None])[..., 0]
     deviations = np.sqrt(np.maximum((offsets * solved).sum(1), 0))
-    known: np.ndarray = np.nan_to_num(deviations, nan=np.inf, posinf=np.inf)
-    return known
+    return np.nan_to_num(deviations, nan=np.inf, posinf=np.inf)
 
 
-def _size(gaussians: AnyGaussians, candidates: Integer[np.ndarray, " r"]) -> float:
+def _size(gaussians: AnyGaussians, candidates: WholeNumbers) -> float:
     """Return the diagonal of the box of the middle 98 %: stray Gaussians do not count."""
     low, high = middle(gaussians, (0.01, 0.99), candidates)
     return float(np.linalg.norm(high - low))

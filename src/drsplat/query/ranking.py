@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Bool, Embedding, Embeddings, Flags, Float32, Int64
+from ..base.arrays import Embedding, Embeddings, Flags, Float32, Numbers, OtherFlags, OtherIndices
 from ..errors import InputError, MismatchError
 from ..field import relevancy_from_scores
 from ..kernels.algebra import dense_rows, row_products
@@ -35,8 +35,8 @@ MIN_OBJECT_RELEVANCY = 0.35  # some of its Gaussians fit no better than any word
 class Described:
     """Objects by what they look like: object i has the unit rows starts[i] to starts[i + 1], one or more."""
 
-    descriptors: Float32[np.ndarray, "P D"]
-    starts: Int64[np.ndarray, " o1"]
+    descriptors: Embeddings
+    starts: OtherIndices
 
     @classmethod
     def of(cls, parts: Sequence[Float32[np.ndarray, "_ D"]], dim: int) -> "Described":
@@ -44,16 +44,16 @@ class Described:
         rows = np.concatenate([np.empty((0, dim), np.float32), *parts])
         return cls(rows, np.append(0, np.cumsum([len(part) for part in parts], dtype=np.int64)))
 
-    def best(self, values: Float32[np.ndarray, " P"]) -> Float32[np.ndarray, " o"]:
+    def best(self, values: Numbers) -> Float32[np.ndarray, " o"]:
         """Return the highest of each object's values of descriptors."""
         if len(self.starts) < 2:
             return np.empty(0, np.float32)
         return np.asarray(np.maximum.reduceat(values, self.starts[:-1]), np.float32)
 
-    def cosines(self, vector: Embedding) -> Float32[np.ndarray, " o"]:
+    def cosines(self, vector: Embedding) -> Numbers:
         return self.best(self.products(vector))
 
-    def products(self, vector: Embedding) -> Float32[np.ndarray, " P"]:
+    def products(self, vector: Embedding) -> Numbers:
         """Return each descriptor's inner product with a vector."""
         return row_products(self.descriptors, vector)
 
@@ -61,8 +61,8 @@ class Described:
 class Ranked(NamedTuple):
     """values: per object. selected: those that the query means: above the threshold, and not excluded."""
 
-    values: Float32[np.ndarray, " o"]
-    selected: Bool[np.ndarray, " o"]
+    values: Numbers
+    selected: Flags
     measure: str
     threshold: float
     rule: str
@@ -77,7 +77,7 @@ class Surroundings:
 
     embedded: Embedded
     source: Callable[[], Encoder]
-    usual: Float32[np.ndarray, "s D"]
+    usual: Embeddings
 
     @cached_property
     def encoder(self) -> Encoder:
@@ -121,13 +121,19 @@ class Surroundings:
         values, measure, threshold, rule = self._measured(query, vector, objects, cosines)
         if query.threshold is not None and query.threshold != AUTO:
             threshold, rule = float(query.threshold), GIVEN
-        return Ranked(values, (values > threshold) & ~self._excluded(query, objects, cosines), measure, threshold, rule)
+        # objects that the text with an excluded word before it fits as well: "red mug", of "mug, not red"
+        out = np.zeros(len(cosines), np.bool_)
+        if query.text is not None:
+            wanted, unwanted = _said(query.text)
+            for word in (*unwanted, *query.exclude):
+                out |= objects.cosines(self._text(f"{word} {wanted}")) >= cosines
+        return Ranked(values, (values > threshold) & ~out, measure, threshold, rule)
 
     def _measured(
-        self, query: Query, vector: Embedding, objects: Described, cosines: Float32[np.ndarray, " o"]
-    ) -> tuple[Float32[np.ndarray, " o"], str, float, str]:
+        self, query: Query, vector: Embedding, objects: Described, cosines: Numbers
+    ) -> tuple[Numbers, str, float, str]:
         if query.measures_relevancy:
-            rivals = dense_rows(objects.descriptors, self._negatives(query).T, threads=1).max(axis=1)
+            rivals = dense_rows(objects.descriptors, self._negatives(query).T, threads=1).max(1)
             values = objects.best(relevancy_from_scores(objects.products(vector), rivals))
             return values, RELEVANCY, RELEVANCY_THRESHOLD, DEFAULT
         own = own_threshold(self.encoder) if query.text is not None else None
@@ -158,8 +164,8 @@ class Surroundings:
 
     def _contrasted(
         self, known: Contrast, vector: Embedding, objects: Described,
-        cosines: Float32[np.ndarray, " o"], same: Flags | None,
-    ) -> Float32[np.ndarray, " o"] | None:  # fmt: skip
+        cosines: Numbers, same: OtherFlags | None,
+    ) -> Numbers | None:  # fmt: skip
         fits = known.raised(
             vector, objects.products(vector), same, lambda some: dense_rows(objects.descriptors, some.T, threads=1).T
         )
@@ -170,9 +176,7 @@ class Surroundings:
         is_sum = np.isfinite(least_peak(self.encoder, known, MIN_OBJECTS)) and not known.of_kind
         return lower_partial_fits(cosines, values, MIN_OBJECTS) if is_sum else values
 
-    def _list_threshold(
-        self, known: Contrast, cosines: Float32[np.ndarray, " o"], values: Float32[np.ndarray, " o"], names: int
-    ) -> float:
+    def _list_threshold(self, known: Contrast, cosines: Numbers, values: Numbers, names: int) -> float:
         """Return the threshold; the highest value where nothing stands out, or no cosine is high enough.
 
         names: that answer the query.
@@ -184,19 +188,10 @@ class Surroundings:
             return float(values.max())
         return threshold_above(values, MIN_OBJECT_RELEVANCY, OBJECT_CUT_SHARE, peak=MIN_OBJECTS)
 
-    def _automatic(self, vector: Embedding, cosines: Float32[np.ndarray, " o"]) -> float:
+    def _automatic(self, vector: Embedding, cosines: Numbers) -> float:
         """Return a threshold between what objects usually reach and the best."""
         known = np.concatenate([row_products(self.usual, vector), cosines])
         return automatic_threshold(known, OBJECT_CUT_SHARE, peak=MIN_OBJECTS) if len(known) else 0.0
-
-    def _excluded(self, query: Query, objects: Described, cosines: Float32[np.ndarray, " o"]) -> Bool[np.ndarray, " o"]:
-        """Return objects that the text with an excluded word before it fits as well: "red mug", of "mug, not red"."""
-        out = np.zeros(len(cosines), np.bool_)
-        if query.text is not None:
-            wanted, unwanted = _said(query.text)
-            for word in (*unwanted, *query.exclude):
-                out |= objects.cosines(self._text(f"{word} {wanted}")) >= cosines
-        return out
 
     def _negatives(self, query: Query) -> Embeddings:
         given = NEGATIVES if query.negatives is None else query.negatives

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Int64, Vector3
+from ..base.arrays import Indices, Vector3
 from ..errors import InputError
 from ..kernels.algebra import dense_rows
 from .defaults import MIN_GAUSSIANS
@@ -55,7 +55,7 @@ def region(
     return sorted(kept, key=lambda one: -one.num_gaussians)
 
 
-def _within(scene: Scene, at: Vector3, radius: float) -> Int64[np.ndarray, " s"]:
+def _within(scene: Scene, at: Vector3, radius: float) -> Indices:
     """Return the rows of the field whose Gaussians have their centres within a radius of a point, ascending."""
     rows, ids = [np.empty(0, np.int64)], scene.field.gaussian_ids
     for first, away2, part in scene.rows.parts_near(at):

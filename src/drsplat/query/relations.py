@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..base.arrays import Float64, Integer, Vector3
+from ..base.arrays import Doubles, Float64, Integer, Vector3
 from ..errors import InputError
 from ..scene.boxes import solid
 from ..scene.parted import AnyGaussians
@@ -95,11 +95,11 @@ def lies_in(gaussians: AnyGaussians, thing: Match, container: Match, up: Up) -> 
     if np.linalg.norm(thing.extent) >= np.linalg.norm(container.extent):
         return False
     local = (points - container.center) @ container.axes.T
-    if (np.abs(local) <= container.extent / 2).all(axis=1).mean() < MIN_INSIDE_SHARE:
+    if (np.abs(local) <= container.extent / 2).all(1).mean() < MIN_INSIDE_SHARE:
         return False
     foot, head = np.quantile(points @ up, (0.02, 0.98))
     heights = walls @ up
-    around = (walls - points.mean(axis=0))[(heights >= foot) & (heights <= head)]
+    around = (walls - points.mean(0))[(heights >= foot) & (heights <= head)]
     east = np.cross(up, np.eye(3)[np.abs(up).argmin()])
     angles = np.arctan2(around @ np.cross(up, east), around @ east)
     sectors = np.floor((angles / (2 * np.pi) + 0.5) * NUM_SECTORS).astype(int) % NUM_SECTORS
@@ -120,11 +120,11 @@ def lies_under(gaussians: AnyGaussians, thing: Match, other: Match, up: Up) -> b
     return int((_in_column(points, over, up) > top).sum()) >= MIN_OVER
 
 
-def _in_column(points: Points, others: Points, up: Up) -> Float64[np.ndarray, " _"]:
+def _in_column(points: Points, others: Points, up: Up) -> Doubles:
     """Return the heights of those others that are above or below the middle half of some points."""
-    flat, middle = np.eye(3) - np.outer(up, up), points.mean(axis=0)
+    flat, middle = np.eye(3) - np.outer(up, up), points.mean(0)
     half = np.quantile(np.linalg.norm((points - middle) @ flat, axis=1), 0.5)
-    return np.asarray(others[np.linalg.norm((others - middle) @ flat, axis=1) <= half] @ up)
+    return others[np.linalg.norm((others - middle) @ flat, axis=1) <= half] @ up
 
 
 def lies_next_to(gaussians: AnyGaussians, thing: Match, other: Match, up: Up) -> bool:
@@ -153,17 +153,14 @@ def lies_between(gaussians: AnyGaussians, thing: Match, one: Match, other: Match
     half = thing.extent / 2
     if (np.abs(begin) <= half).all() or (np.abs(end) <= half).all():
         return False
-    return _meets(begin, end - begin, half)
-
-
-def _meets(begin: Up, way: Up, half: Up) -> bool:
-    """Return True if the line from `begin` by `way` meets a box around zero."""
+    # whether the line from `begin` by `way` meets a box around zero
+    way = end - begin
     still = way == 0
     if (np.abs(begin[still]) > half[still]).any():
         return False
     with np.errstate(over="ignore"):
         hits = np.stack([(side * half[~still] - begin[~still]) / way[~still] for side in (-1, 1)])
-    entered, left = hits.min(axis=0).max(initial=0), hits.max(axis=0).min(initial=1)
+    entered, left = hits.min(0).max(initial=0), hits.max(0).min(initial=1)
     return bool(entered <= left)
 
 
@@ -253,7 +250,7 @@ def rests_on(gaussians: AnyGaussians, thing: Ids, support: Ids, up: Up, inside: 
         below = _in_column(_centers(gaussians, own), _centers(gaussians, others), up)
         if ((below <= ankle) & (below >= low - DEEPEST_SHARE * (high - low))).sum() >= MIN_BELOW:
             return True
-    gap = widest_gap(places, _centers(gaussians, foot).mean(axis=0), up)
+    gap = widest_gap(places, _centers(gaussians, foot).mean(0), up)
     if MAX_ENCLOSED_GAP_RADIANS < gap <= MAX_ONE_SIDED_GAP_RADIANS:
         beside = contacts(gaussians, own, rest, others)[1]
         return not len(beside) or bool((_centers(gaussians, beside) @ up).mean() <= ankle)
@@ -286,9 +283,9 @@ def _near(gaussians: AnyGaussians, part: Ids, others: Ids) -> Ids:
     here, there = (_centers(gaussians, ids) for ids in (part, others))
     if not len(here):
         return others[:0]
-    low, high = here.min(axis=0), here.max(axis=0)
+    low, high = here.min(0), here.max(0)
     margin = float(np.linalg.norm(high - low)) / 2
-    return np.asarray(others[((there >= low - margin) & (there <= high + margin)).all(axis=1)])
+    return others[((there >= low - margin) & (there <= high + margin)).all(1)]
 
 
 def widest_gap(places: Points, middle: Up, up: Up) -> float:
@@ -308,12 +305,12 @@ def _spacing(points: Points) -> float:
     return float(np.median(cKDTree(points).query(points, SPACING_NEIGHBOUR + 1)[0][:, -1]))
 
 
-def _deviations(gaussians: AnyGaussians, ids: Ids, directions: Points) -> Float64[np.ndarray, " _"]:
+def _deviations(gaussians: AnyGaussians, ids: Ids, directions: Points) -> Doubles:
     """Return the standard deviation of each Gaussian along a unit direction of its own."""
     covariances = gaussians.shapes_of(ids).covariances().astype(np.float64)
     a, b = np.triu_indices(3)
     factors = np.where(a == b, 1.0, 2.0) * directions[:, a] * directions[:, b]
-    return np.asarray(np.sqrt(np.maximum((covariances * factors).sum(axis=1), 0)))
+    return np.sqrt(np.maximum((covariances * factors).sum(1), 0))
 
 
 _HOLDS: dict[Relation, _Holds] = {

@@ -8,7 +8,19 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from ..base.arrays import Bool, Embedding, Float32, Ids, Int64, Integer, RowIds, Shaped, UInt8, Vector3
+from ..base.arrays import (
+    Embedding,
+    Flags,
+    Ids,
+    Indices,
+    Integer,
+    Numbers,
+    OtherPixels,
+    RowIds,
+    Shaped,
+    Vector3,
+    WholeNumbers,
+)
 from ..base.terminal import facts_html
 from ..errors import InputError, MissingExtraError
 from ..field import LanguageField
@@ -166,7 +178,7 @@ class Scene:
         ]
 
     @property
-    def agreed(self) -> Bool[np.ndarray, " o"]:
+    def agreed(self) -> Flags:
         """True for each object, by number, that photos agree on or people named: those that are shown first.
 
         Raises: InputError: the field has no objects.
@@ -305,7 +317,13 @@ class Scene:
             named = None if query.text is None else self._labelled(query)
             return (self._said(query) or measuring.of(query)) if named is None else named
         if query.is_default and self.field.objects is not None:
-            return self._thing_at(place, measuring)
+            # answer with the object at a place, or, where there is none, with what is like the place
+            objects = objects_of(self.field)
+            row = self._row_at(place, objects)
+            number = int(objects.thing_of()[row])
+            if number < 0:
+                return measuring.of_vector(self.field.feature(np.array([row]))[0])
+            return answer_of(self.field, [objects.thing(number)], OBJECT)
         return measuring.of_vector(self.feature_of(place))
 
     def _said(self, query: Query) -> Answer | None:
@@ -449,7 +467,7 @@ class Scene:
         return Segmentation(names, labels, answers)
 
     @staticmethod
-    def _compared(answer: Answer) -> Float32[np.ndarray, " r"]:
+    def _compared(answer: Answer) -> Numbers:
         """Return values by which classes are compared where this one is selected, -inf elsewhere."""
         values = for_comparing(answer.field, answer.values, answer.vector if answer.measure == COSINE else None)
         return np.where(answer.values > answer.threshold, values, np.float32(-np.inf))
@@ -477,7 +495,7 @@ class Scene:
             return feature_of(self.field, int(place))
         if isinstance(place[0], str):
             rows, weights = self._weights_at(place)  # type: ignore[arg-type]
-            return np.asarray(self.field.feature(rows[[weights.argmax()]])[0])
+            return self.field.feature(rows[[weights.argmax()]])[0]
         return feature_of(self.field, self.nearest(place))  # type: ignore[arg-type]
 
     def nearest(self, point: Point) -> int:
@@ -503,7 +521,7 @@ class Scene:
         """
         rows, weights = self._weights_at(click)
         ids = self.field.gaussian_ids[rows[[weights.argmax()]]]
-        return np.asarray(self.seen_by(self.view(click[0])).rows.shapes_of(ids).positions[0])
+        return self.seen_by(self.view(click[0])).rows.shapes_of(ids).positions[0]
 
     def weights_at(
         self, view: View | str, pixels: Sequence[tuple[float, float]] | Shaped[np.ndarray, "p xy"], k: int = 8
@@ -526,11 +544,11 @@ class Scene:
     def picture(
         self,
         view: View | str | None = None,
-        shown: Answer | RowIds | None = None,
+        shown: Answer | WholeNumbers | None = None,
         *,
         photo: bool = False,
         max_side: int | None = None,
-    ) -> UInt8[np.ndarray, "_ _ 3"]:
+    ) -> OtherPixels:
         """Return the RGB of the scene from a view: as it is, or with what was found in colour and the rest grey.
 
         view: a View, a name, or None for the one that shows most of what is shown. photo: the photo of
@@ -615,15 +633,6 @@ class Scene:
         exact = bool(nodes) and query.is_default and not query.exclude
         return answer_of(self.field, nodes, LABEL) if exact else None
 
-    def _thing_at(self, place: Place, measuring: Measuring) -> Answer:
-        """Answer with the object at a place, or, where there is none, with what is like the place."""
-        objects = objects_of(self.field)
-        row = self._row_at(place, objects)
-        number = int(objects.thing_of()[row])
-        if number < 0:
-            return measuring.of_vector(self.field.feature(np.array([row]))[0])
-        return answer_of(self.field, [objects.thing(number)], OBJECT)
-
     def _row_at(self, place: Place, objects: Objects) -> int:
         """Return the row at a place; for a click, the heaviest Gaussian of the object that is seen most there."""
         if isinstance(place, int | np.integer):
@@ -632,7 +641,7 @@ class Scene:
             return row_of(self.field, self.nearest(place))  # type: ignore[arg-type]
         return most_seen(objects, *self._weights_at(place))  # type: ignore[arg-type]
 
-    def _weights_at(self, click: tuple[str, float, float]) -> tuple[Int64[np.ndarray, " m"], Float32[np.ndarray, " m"]]:
+    def _weights_at(self, click: tuple[str, float, float]) -> tuple[Indices, Numbers]:
         """Return the rows of the field that a pixel of a photo shows, and their blending weights there."""
         view, xy = self.view(click[0]), (float(click[1]), float(click[2]))
         seen = self.seen_by(view).seen(view)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Embedding, Float32, Float64, Indices, Int64, MaskIds
+from ..base.arrays import DoubleRows, Embedding, FloatRows, IndexRows, Indices, MaskIds, Numbers, OtherIndices
 from ..errors import InputError
 from ..field import LanguageField, Negatives
 from ..kernels import SplatArrays, view_weights
@@ -20,8 +20,8 @@ NEGATIVES = ("object", "things", "stuff", "texture")
 class PixelWeights(NamedTuple):
     """The largest blending weights of some pixels, and the Gaussians' rows, descending; padded with -1 and 0."""
 
-    gaussian_ids: Int64[np.ndarray, "p k"]
-    weights: Float32[np.ndarray, "p k"]
+    gaussian_ids: IndexRows
+    weights: FloatRows
 
 
 UNSELECTED_COSINE = -1.0  # which no threshold selects
@@ -64,7 +64,7 @@ def split_negation(text: str) -> tuple[str, tuple[str, ...]]:
 
 def rival_scores(
     field: LanguageField, encoder: Encoder, text: str, unwanted: Sequence[str], *, threads: int = 0
-) -> Float32[np.ndarray, " r"]:
+) -> Numbers:
     """Return each row's best score for the text with an unwanted word before it: "red mug" for "mug, not red".
 
     Raises: InputError: nothing is unwanted. MismatchError: another encoder.
@@ -73,9 +73,9 @@ def rival_scores(
     return text_negatives(field, encoder, texts, threads=threads).maxima
 
 
-def without(scores: Float32[np.ndarray, " r"], rivals: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
+def without(scores: Numbers, rivals: Numbers) -> Numbers:
     """Return the scores, UNSELECTED_COSINE where a rival fits as well or better."""
-    return np.asarray(np.where(rivals >= scores, np.float32(UNSELECTED_COSINE), scores))
+    return np.where(rivals >= scores, np.float32(UNSELECTED_COSINE), scores)
 
 
 def row_of(field: LanguageField, gaussian_id: int) -> int:
@@ -88,19 +88,18 @@ def row_of(field: LanguageField, gaussian_id: int) -> int:
 
 def feature_of(field: LanguageField, gaussian_id: int) -> Embedding:
     """Return the unit feature of a Gaussian of the scene. Raises: InputError: it has none."""
-    feature: np.ndarray = field.feature(np.array([row_of(field, gaussian_id)]))[0]
-    return feature
+    return field.feature(np.array([row_of(field, gaussian_id)]))[0]
 
 
 def seen_among(
     field: LanguageField,
     splats: SplatArrays,
-    ids: Indices | None,
+    ids: OtherIndices | None,
     view: View,
     xy: tuple[float, float],
     *,
     threads: int = 0,
-) -> tuple[Int64[np.ndarray, " m"], Float32[np.ndarray, " m"]]:
+) -> tuple[Indices, Numbers]:
     """Return the rows of the field that a pixel of a view shows, one or more, and their blending weights there.
 
     splats, ids: of the Gaussians that the view may see, and their rows in the scene; None: they are all of it. xy:
@@ -119,13 +118,7 @@ def seen_among(
 
 
 def pixel_weights(
-    splats: SplatArrays,
-    ids: Indices | None,
-    view: View,
-    pixels: Float64[np.ndarray, "p xy"],
-    k: int,
-    *,
-    threads: int = 0,
+    splats: SplatArrays, ids: OtherIndices | None, view: View, pixels: DoubleRows, k: int, *, threads: int = 0
 ) -> PixelWeights:
     """Return the k largest blending weights of some pixels of a view. ids: as of `seen_among`.
 
@@ -143,14 +136,14 @@ def pixel_weights(
     return PixelWeights(found.gaussian_ids[order], found.weights[order])
 
 
-def _pixel_map(view: View, pixels: Float64[np.ndarray, "p xy"]) -> tuple[MaskIds, Int64[np.ndarray, " p"]]:
+def _pixel_map(view: View, pixels: DoubleRows) -> tuple[MaskIds, Indices]:
     """Return a map with a number for each of some pixels, -1 elsewhere, and the number of each.
 
     Raises: InputError: a pixel that is not finite, or outside of the view.
     """
     if not np.isfinite(pixels).all():
         raise InputError(f"expected pixels of two finite numbers, got {pixels.tolist()}")
-    outside = ((pixels < 0) | (pixels >= (view.width, view.height))).any(axis=1)
+    outside = ((pixels < 0) | (pixels >= (view.width, view.height))).any(1)
     if outside.any():
         x, y = pixels[outside][0]
         raise InputError(f"pixel {x:g},{y:g} is outside of view '{view.name}': it has {view.width}x{view.height}")

@@ -1,13 +1,12 @@
 """Gaussians that a view may see: all of a scene in memory, some tiles of one on disk."""
 
-import warnings
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from ..base.arrays import Int64, Integer, RowIds, Vector3
-from ..errors import DrSplatWarning
+from ..base.arrays import Indices, RowIds
+from ..errors import warn
 from ..field import LanguageField
 from ..field.tiles.seeing import seen_tiles
 from ..formats.tiles import Tile, Tiles
@@ -31,21 +30,20 @@ class Seen(NamedTuple):
 
     gaussians: Gaussians
     splats: SplatArrays
-    rows: Int64[np.ndarray, " m"] | None = None
+    rows: Indices | None = None
     num_left_out: int = 0
 
     def warn(self, view: View) -> None:
         """Warn that a picture lacks something: DrSplatWarning."""
         if self.num_left_out:
-            warnings.warn(
+            warn(
                 f"view '{view.name}' may see {len(self.gaussians) + self.num_left_out:,} Gaussians, and a picture of "
                 f"tiles has room for {MAX_GAUSSIANS_SEEN:,}: of far tiles the most significant are drawn; look from "
                 "nearer",
-                DrSplatWarning,
-                stacklevel=3,
+                3,
             )
 
-    def local(self, ids: Integer[np.ndarray, " k"]) -> Int64[np.ndarray, " l"]:
+    def local(self, ids: RowIds) -> Indices:
         """Return the places here of some rows of the scene, without those that are not here."""
         if self.rows is None:
             return ids.astype(np.int64)
@@ -116,7 +114,18 @@ def views_showing(field: LanguageField, rows: AnyGaussians, views: Sequence[View
     """
     own = field.rows_of(ids)
     if field.evidence is None or not (own >= 0).any():
-        return _near_views(views, rows.shapes_of(ids[:: len(ids) // SAMPLED_GAUSSIANS + 1]).positions.mean(axis=0))
+        # the views that are nearest to a place, of those that have it in their picture if there are any
+        poses, K = np.array([view.cam_from_world for view in views]), np.array([view.K for view in views])
+        local = (
+            poses[:, :3, :3] @ rows.shapes_of(ids[:: len(ids) // SAMPLED_GAUSSIANS + 1]).positions.mean(0)
+            + poses[:, :3, 3]
+        )
+        depth = np.maximum(local[:, 2], 1e-9)
+        x, y = (K[:, k, k] * local[:, k] / depth + K[:, k, 2] for k in range(2))
+        wide, high = np.array([(view.width, view.height) for view in views]).T
+        inside = (local[:, 2] > 0) & (x >= 0) & (x <= wide) & (y >= 0) & (y <= high)
+        order = np.lexsort((np.linalg.norm(local, axis=1), ~inside))
+        return [views[number] for number in order[:MAX_VIEWS_COMPARED].tolist()]
     masks = field.evidence.masks
     weights = field.evidence.column_sums(np.unique(own[own >= 0]))
     shown = np.bincount(masks.views, weights, minlength=len(masks.view_names))
@@ -124,18 +133,6 @@ def views_showing(field: LanguageField, rows: AnyGaussians, views: Sequence[View
         masks.view_names[view] for view in np.argsort(-shown, kind="stable")[:MAX_VIEWS_COMPARED] if shown[view] > 0
     }
     return [view for view in views if view.name in names] or list(views[:MAX_VIEWS_COMPARED])
-
-
-def _near_views(views: Sequence[View], place: Vector3) -> list[View]:
-    """Return the views that are nearest to a place, of those that have it in their picture if there are any."""
-    poses, K = np.array([view.cam_from_world for view in views]), np.array([view.K for view in views])
-    local = poses[:, :3, :3] @ place + poses[:, :3, 3]
-    depth = np.maximum(local[:, 2], 1e-9)
-    x, y = (K[:, k, k] * local[:, k] / depth + K[:, k, 2] for k in range(2))
-    wide, high = np.array([(view.width, view.height) for view in views]).T
-    inside = (local[:, 2] > 0) & (x >= 0) & (x <= wide) & (y >= 0) & (y <= high)
-    order = np.lexsort((np.linalg.norm(local, axis=1), ~inside))
-    return [views[number] for number in order[:MAX_VIEWS_COMPARED].tolist()]
 
 
 _NO_GAUSSIANS = Gaussians(

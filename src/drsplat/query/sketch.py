@@ -7,7 +7,22 @@ from functools import cached_property
 
 import numpy as np
 
-from ..base.arrays import Bool, Embedding, Embeddings, Float32, Ids, Int8, Int32, Int64, Integer, Numbers, UInt8
+from ..base.arrays import (
+    Arrays,
+    ArraysByName,
+    ByteRows,
+    Embedding,
+    Embeddings,
+    Flags,
+    FloatRows,
+    Ids,
+    Indices,
+    Int8,
+    Numbers,
+    OtherIds,
+    OtherIndices,
+    WholeNumbers,
+)
 from ..errors import FormatError
 from ..field import LanguageField
 from ..field.codes.code import Best, Hits
@@ -45,7 +60,7 @@ class Packed:
     last quarter lie in the high bits, the lowest two in the first quarter. So whole runs of bytes are unpacked at once.
     """
 
-    data: UInt8[np.ndarray, "p b"]
+    data: ByteRows
     steps: Embedding
 
     @classmethod
@@ -63,9 +78,9 @@ class Packed:
         return cls(np.empty((0, 3 * _quarter(dim)), np.uint8), np.ones(dim, np.float32))
 
     @classmethod
-    def of(cls, vectors: Float32[np.ndarray, "p D"]) -> "Packed":
+    def of(cls, vectors: Embeddings) -> "Packed":
         """Return vectors rounded, the largest number of each dimension 31 or -31."""
-        steps = np.maximum(np.abs(vectors).max(axis=0, initial=0) / LARGEST, 1e-12).astype(np.float32)
+        steps = np.maximum(np.abs(vectors).max(0, initial=0) / LARGEST, 1e-12).astype(np.float32)
         return cls(_packed(np.round(vectors / steps).astype(np.int8)), steps)
 
     def __len__(self) -> int:
@@ -76,10 +91,12 @@ class Packed:
         return len(self.steps)
 
     @property
-    def vectors(self) -> Float32[np.ndarray, "p D"]:
-        return np.asarray(_unpacked(self.data, self.dim) * self.steps, np.float32)
+    def vectors(self) -> Embeddings:
+        low, mid, high = np.split(self.data >> 6, 3, axis=1)
+        numbers = np.concatenate([self.data & 63, low | mid << 2 | high << 4], axis=1)[:, : self.dim]
+        return np.asarray((numbers.view(np.int8) - np.int8(LARGEST)) * self.steps, np.float32)
 
-    def products(self, queries: Float32[np.ndarray, "q D"]) -> Float32[np.ndarray, "q p"]:
+    def products(self, queries: Embeddings) -> FloatRows:
         """Return the vectors' inner products with queries, without unpacking them."""
         weights = np.zeros((len(queries), 4 * _quarter(self.dim)), np.float32)
         weights[:, : self.dim] = queries * self.steps
@@ -88,23 +105,17 @@ class Packed:
         # Not by BLAS, whose threads would spin for longer than so few products take.
         sums = np.einsum("qb,pb->qp", low, (self.data & 63).astype(np.float32))
         sums += np.einsum("qb,pb->qp", high, (self.data >> 6).astype(np.float32))
-        return np.asarray(sums - LARGEST * weights.sum(axis=1, keepdims=True), np.float32)
+        return np.asarray(sums - LARGEST * weights.sum(1, keepdims=True), np.float32)
 
 
 def _quarter(dim: int) -> int:
     return -(-dim // 4)
 
 
-def _packed(numbers: Int8[np.ndarray, "p D"]) -> UInt8[np.ndarray, "p b"]:
+def _packed(numbers: Int8[np.ndarray, "n D"]) -> ByteRows:
     padded = np.pad(numbers + LARGEST, ((0, 0), (0, -numbers.shape[1] % 4))).astype(np.uint8)
     a, b, c, last = np.split(padded, 4, axis=1)
     return np.concatenate([a | last << 6, b | last >> 2 << 6, c | last >> 4 << 6], axis=1)
-
-
-def _unpacked(data: UInt8[np.ndarray, "p b"], dim: int) -> Int8[np.ndarray, "p D"]:
-    low, mid, high = np.split(data >> 6, 3, axis=1)
-    numbers = np.concatenate([data & 63, low | mid << 2 | high << 4], axis=1)[:, :dim]
-    return numbers.view(np.int8) - np.int8(LARGEST)
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,15 +129,15 @@ class Sketch:
     """
 
     features: Packed
-    counts: Int32[np.ndarray, " p"]
-    numbers: Int32[np.ndarray, " p"]
+    counts: Ids
+    numbers: Ids
     pictures: Packed
     words: Packed
-    solid: Int32[np.ndarray, " o"]
+    solid: OtherIds
     labels: Mapping[int, str]
 
     @cached_property
-    def firsts(self) -> Int64[np.ndarray, " p"]:
+    def firsts(self) -> Indices:
         """Per vector the first of the rows that it stands for, if all rows are in its order."""
         return np.asarray(np.cumsum(self.counts) - self.counts, np.int64)
 
@@ -153,10 +164,20 @@ class Sketch:
             features, pictures, words = (_read(arrays, name, dim) for name in VECTORS)
             for vectors in filter(len, (pictures, words)):
                 unit(vectors)
-            labels = _labels(arrays["labels"].tobytes())
+            # read labels by the numbers of objects. Raises: ValueError, AttributeError: something else.
+            labels = {int(key): label for key, label in json.loads(arrays["labels"].tobytes()).items()}
+            if not all(type(label) is str for label in labels.values()):
+                raise ValueError("expected labels that are texts")
         except (SafetensorError, KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
             raise FormatError(f"no sketch of a scene ({error!s:.200})") from error
-        _check(len(features), len(pictures), counts, numbers, solid, labels)
+        # check a sketch. Raises: FormatError: numbers that do not fit each other, or more rows than sketches have.
+        fits = counts.shape == numbers.shape == (len(features),) and solid.ndim == 1
+        most = MAX_ROWS + PEAK_ROWS * counts.size
+        if not fits or not len(pictures) or (counts < 1).any() or counts.sum(dtype=np.int64) > most:
+            raise FormatError("a sketch of a scene whose parts do not fit each other")
+        is_known = numbers.min(initial=-1) >= -1 and numbers.max(initial=-1) < len(solid)
+        if not is_known or not all(0 <= number < len(solid) for number in labels):
+            raise FormatError(f"a sketch of a scene with an object that is not among its {len(solid)}")
         return cls(features, counts, numbers, pictures, words, solid, labels)
 
 
@@ -179,9 +200,7 @@ def sketch_of(scene: Scene) -> Sketch:
     )  # fmt: skip
 
 
-def _summary(
-    field: LanguageField, rows: Int64[np.ndarray, " r"], number: int
-) -> tuple[Float32[np.ndarray, "p D"], Int32[np.ndarray, " p"], Int32[np.ndarray, " p"]]:
+def _summary(field: LanguageField, rows: OtherIndices, number: int) -> tuple[Embeddings, Ids, Ids]:
     """Return the means of some rows that are alike, how many rows each is of, and the number once for each."""
     most = MAX_LOOSE_VECTORS if number < 0 else MAX_VECTORS_OF_OBJECT
     count = int(np.clip(len(rows) // MIN_ROWS_PER_VECTOR, min(1, len(rows)), most))
@@ -191,51 +210,30 @@ def _summary(
         spread = features[np.linspace(0, len(rows) - 1, min(len(rows), SAMPLED_ROWS)).astype(np.int64)]
         nearest = nearest_centres(features, spherical_kmeans(spread, count, SEED, threads=1), threads=1)
     groups = [features[nearest == group] for group in np.unique(nearest)]
-    means = [group.mean(axis=0, dtype=np.float64) for group in groups]
+    means = [group.mean(0, dtype=np.float64) for group in groups]
     vectors = np.array(means, np.float32).reshape(len(groups), field.encoder.dim)
     return vectors, np.array([len(group) for group in groups], np.int32), np.full(len(groups), number, np.int32)
 
 
-def _narrow(numbers: Int32[np.ndarray, " p"]) -> Integer[np.ndarray, " p"]:
+def _narrow(numbers: Ids) -> WholeNumbers:
     is_short = numbers.max(initial=0) <= np.iinfo(np.int16).max
     return numbers.astype(np.int16) if is_short else numbers
 
 
-def _read(arrays: Mapping[str, np.ndarray], name: str, dim: int) -> Packed:
+def _read(arrays: ArraysByName, name: str, dim: int) -> Packed:
     """Return vectors; none where the file has none. Raises: KeyError, ValueError: something else."""
     if name not in arrays:
         return Packed.none(dim)
     return Packed.checked(arrays[name], arrays[f"{name}_steps"], dim)
 
 
-def _labels(document: bytes) -> dict[int, str]:
-    """Read labels by the numbers of objects. Raises: ValueError, AttributeError: something else."""
-    labels = {int(key): label for key, label in json.loads(document).items()}
-    if not all(type(label) is str for label in labels.values()):
-        raise ValueError("expected labels that are texts")
-    return labels
-
-
-def unit(packed: Packed) -> Float32[np.ndarray, "p D"]:
+def unit(packed: Packed) -> Embeddings:
     """Return unit vectors that were rounded, of unit length. Raises: ValueError: they are far from unit."""
     vectors = packed.vectors
     lengths = np.sqrt(np.einsum("pd,pd->p", vectors, vectors))
     if (np.abs(lengths - 1) > 0.5).any():
         raise ValueError("vectors that are not of unit length")
     return np.asarray(vectors / lengths[:, None], np.float32)
-
-
-def _check(
-    features: int, pictures: int, counts: np.ndarray, numbers: np.ndarray, solid: np.ndarray, labels: Mapping[int, str]
-) -> None:
-    """Check a sketch. Raises: FormatError: numbers that do not fit each other, or more rows than sketches have."""
-    fits = counts.shape == numbers.shape == (features,) and solid.ndim == 1
-    most = MAX_ROWS + PEAK_ROWS * counts.size
-    if not fits or not pictures or (counts < 1).any() or counts.sum(dtype=np.int64) > most:
-        raise FormatError("a sketch of a scene whose parts do not fit each other")
-    is_known = numbers.min(initial=-1) >= -1 and numbers.max(initial=-1) < len(solid)
-    if not is_known or not all(0 <= number < len(solid) for number in labels):
-        raise FormatError(f"a sketch of a scene with an object that is not among its {len(solid)}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,8 +255,8 @@ class _Copies:
     def __len__(self) -> int:
         return len(self.of_row)
 
-    def scores(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Float32[np.ndarray, "q n"]:
-        return np.asarray(self.packed.products(queries)[:, self.of_row])
+    def scores(self, queries: Embeddings, *, threads: int = 0) -> FloatRows:
+        return self.packed.products(queries)[:, self.of_row]
 
     def select(
         self, query: Embedding, threshold: float, floor: Numbers | None = None,
@@ -273,22 +271,22 @@ class _Copies:
         rows = np.argsort(-scores, kind="stable")[:count]
         return Hits(rows, scores[rows])
 
-    def best(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Best:
+    def best(self, queries: Embeddings, *, threads: int = 0) -> Best:
         scores = self.packed.products(queries)
         order = np.sort(np.concatenate([np.full_like(scores[:1], -np.inf), scores]), axis=0)
-        index = scores.argmax(axis=0).astype(np.int32)
+        index = scores.argmax(0).astype(np.int32)
         return Best(index[self.of_row], order[-1][self.of_row], order[-2][self.of_row])
 
-    def decode(self, rows: Integer[np.ndarray, " b"]) -> Float32[np.ndarray, "b D"]:
-        return np.asarray(self.packed.vectors[self.of_row[rows]])
+    def decode(self, rows: WholeNumbers) -> Embeddings:
+        return self.packed.vectors[self.of_row[rows]]
 
-    def rows(self, index: Integer[np.ndarray, " b"]) -> "_Copies":
+    def rows(self, index: WholeNumbers) -> "_Copies":
         return _Copies(self.packed, self.of_row[index])
 
     def run(self, begin: int, end: int) -> "_Copies":
         return _Copies(self.packed, self.of_row[begin:end])
 
-    def tensors(self) -> dict[str, np.ndarray]:
+    def tensors(self) -> Arrays:
         return {"data": self.packed.data, "steps": self.packed.steps, "of_row": self.of_row}
 
 
@@ -298,7 +296,7 @@ class _Sketched(Background):
 
     sketch: Sketch
 
-    def by_object(self, field: LanguageField, values: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
+    def by_object(self, field: LanguageField, values: Numbers) -> Numbers:
         """Return values as whole objects have them if the field is `field`, and themselves if it is `plain`."""
         if field is not self.field:
             return values
@@ -335,7 +333,7 @@ class SketchedScene:
         self._sketch = sketch
         self._background = _Sketched(_field_of(sketch, encoder), source, threads=1, sketch=sketch)
 
-    def answers(self, query: Query) -> Bool[np.ndarray, " o"]:
+    def answers(self, query: Query) -> Flags:
         """Return for each object whether the scene answers a text, a vector or a picture with it.
 
         Raises: as `Scene.ask`.

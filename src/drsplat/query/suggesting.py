@@ -63,7 +63,7 @@ def _likely(scene: Scene, words: Sequence[str], near: Embedding | None) -> list[
         return []
     chosen = np.sort(np.random.default_rng(0).permutation(rows)[:SAMPLED_GAUSSIANS])
     vectors = np.asarray(scene.encoder.encode_texts(words), np.float32)
-    best = (scene.field.feature(chosen) @ vectors.T).argmax(axis=1)
+    best = (scene.field.feature(chosen) @ vectors.T).argmax(1)
     share = np.bincount(best, minlength=len(words)) / len(chosen)
     order = np.lexsort((-share, share > LARGE_SHARE) if near is None else (-vectors @ near,))
     return [words[at] for at in order if share[at]][:MAX_WORDS_TRIED]

@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from ..base.arrays import Float32, Int32, Int64, Vector3
+from ..base.arrays import Indices, Numbers, OtherIds, Vector3
 from ..errors import InputError
 from ..field import LanguageField
 from ..kernels.boxes import box_of
@@ -102,7 +102,7 @@ def meant_of(matches: Sequence[Match], gaussians: AnyGaussians) -> list[Match]:
     return [match for match, whole in zip(matches, wholes, strict=True) if whole >= 0]
 
 
-def _places(answer: Answer, selected: Gaussians, link_distance: float | None) -> Int64[np.ndarray, " m"]:
+def _places(answer: Answer, selected: Gaussians, link_distance: float | None) -> Indices:
     """Return the object's number of each selected Gaussian; loose ones that hang together share one below 0."""
     objects = answer.field.objects
     places = np.full(len(selected), -1, np.int64)
@@ -121,10 +121,8 @@ def _places(answer: Answer, selected: Gaussians, link_distance: float | None) ->
 
 
 def segment(
-    field: LanguageField,
-    class_scores: Iterable[Float32[np.ndarray, " r"]],
-    thresholds: float | Sequence[float] = -np.inf,
-) -> Int32[np.ndarray, " N"]:
+    field: LanguageField, class_scores: Iterable[Numbers], thresholds: float | Sequence[float] = -np.inf
+) -> OtherIds:
     """Return the class of the highest score for each Gaussian of the scene, NO_CLASS where there is none.
 
     class_scores: per class one score per row of the field, taken one class at a time. thresholds: one for
@@ -137,7 +135,11 @@ def segment(
     best = np.full(len(field), -np.inf, np.float32)
     labels, count = np.full(len(field), NO_CLASS, np.int32), 0
     for scores in class_scores:
-        _check_rows(field, scores)
+        # check that there is one score per row of the field. Raises: InputError: there is not.
+        if scores.shape != (len(field.gaussian_ids),):
+            raise InputError(
+                f"expected {len(field.gaussian_ids)} scores, one per row of the field; got shape {scores.shape}"
+            )
         better = (scores > best) & (scores > _threshold(thresholds, count))
         labels[better], best[better] = count, scores[better]
         count += 1
@@ -154,21 +156,7 @@ def _threshold(thresholds: float | Sequence[float], label: int) -> float:
     return thresholds[label] if label < len(thresholds) else np.inf
 
 
-def _check_rows(field: LanguageField, scores: Float32[np.ndarray, " _"]) -> None:
-    """Check that there is one score per row of the field. Raises: InputError: there is not."""
-    if scores.shape != (len(field.gaussian_ids),):
-        raise InputError(
-            f"expected {len(field.gaussian_ids)} scores, one per row of the field; got shape {scores.shape}"
-        )
-
-
-def _match(
-    gaussians: Gaussians,
-    scores: Float32[np.ndarray, " m"],
-    ids: Int64[np.ndarray, " m"],
-    up: Vector3 | None,
-    place: int,
-) -> Match:
+def _match(gaussians: Gaussians, scores: Numbers, ids: Indices, up: Vector3 | None, place: int) -> Match:
     """Return the match that some Gaussians make. ids: their rows in the scene."""
     mass = gaussians.opacities.astype(np.float64)
     mass = mass / mass.sum() if mass.sum() > 0 else np.full(len(ids), 1 / len(ids))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from ..base.arrays import Bool, Float64
+from ..base.arrays import Doubles, Flags
 from ..errors import InputError
 from ..field import LanguageField
 from ..field.objects.describing import objects_during
@@ -47,19 +47,15 @@ def tracks(moving: Moving, field: LanguageField, matches: Sequence[Match], up: U
             ids = match.gaussian_ids
             counts[row, column] = np.count_nonzero(gaussians.opacities[ids] >= HAZE_OPACITY)
             boxes[row].append(tuple(box_of(gaussians, solid(gaussians, ids), up)))
-    there = counts >= MIN_PRESENT_SHARE * counts.max(axis=1, keepdims=True, initial=1)
-    there |= (counts.max(axis=1, initial=0) == 0)[:, None]  # haze at all times: it is what there is
+    there = counts >= MIN_PRESENT_SHARE * counts.max(1, keepdims=True, initial=1)
+    there |= (counts.max(1, initial=0) == 0)[:, None]  # haze at all times: it is what there is
     return [
         _track(match, moving.times, found, own, field) for match, found, own in zip(matches, boxes, there, strict=True)
     ]
 
 
 def _track(
-    match: Match,
-    times: Float64[np.ndarray, " t"],
-    boxes: Sequence[tuple[np.ndarray, ...]],
-    there: Bool[np.ndarray, " t"],
-    field: LanguageField,
+    match: Match, times: Doubles, boxes: Sequence[tuple[np.ndarray, ...]], there: Flags, field: LanguageField
 ) -> MatchTrack:
     center, axes, extent = (np.array([box[part] for box in boxes])[there] for part in range(3))
     spans, names = seen_during(field, match)
@@ -82,7 +78,7 @@ def seen_during(field: LanguageField, match: Match) -> tuple[tuple[Span, ...], t
     return runs(stamps, seen), tuple(np.array(masks.view_names, object)[sees].tolist())
 
 
-def runs(times: Float64[np.ndarray, " t"], holds: Bool[np.ndarray, " t"]) -> tuple[Span, ...]:
+def runs(times: Doubles, holds: Flags) -> tuple[Span, ...]:
     """Return the first and last of times that follow each other where something holds."""
     steps = np.diff(np.concatenate([[0], holds.astype(np.int8), [0]]))
     starts, ends = np.flatnonzero(steps == 1), np.flatnonzero(steps == -1) - 1

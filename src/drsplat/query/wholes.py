@@ -4,9 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..base.arrays import Embedding, Float32, Int32, Int64, Integer, UInt32
+from ..base.arrays import Embedding, Ids, Indices, Numbers, OtherIds, UnsignedIds, WholeNumbers
 from ..field import LanguageField
-from ..field.forest import Objects
 from ..kernels.algebra import row_products
 
 SPEAKING_SHARE = 0.25  # of an object's Gaussians
@@ -14,19 +13,14 @@ ROWS_AT_ONCE = 1 << 18
 OBJECT_TRUST = 0.5  # in what an object says against what a Gaussian of it says
 
 
-def by_object(field: LanguageField, values: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
+def by_object(field: LanguageField, values: Numbers) -> Numbers:
     """Return values per row of a field `with_objects`; one that has none gives the values themselves."""
     if field.objects is None:
         return values
     return with_objects(values, field.objects.thing_of(), field.objects.piece_of())
 
 
-def with_objects(
-    values: Float32[np.ndarray, " r"],
-    things: Int32[np.ndarray, " r"],
-    pieces: Int32[np.ndarray, " r"],
-    counts: Integer[np.ndarray, " r"] | None = None,
-) -> Float32[np.ndarray, " r"]:
+def with_objects(values: Numbers, things: Ids, pieces: Ids, counts: WholeNumbers | None = None) -> Numbers:
     """Return per row the mean of its own value and its object's; loose rows, of thing -1, keep their own.
 
     counts: rows that each stands for, None for one.
@@ -44,9 +38,7 @@ def with_objects(
     return np.where(things >= 0, whole, values)
 
 
-def for_comparing(
-    field: LanguageField, values: Float32[np.ndarray, " r"], query: Embedding | None = None
-) -> Float32[np.ndarray, " r"]:
+def for_comparing(field: LanguageField, values: Numbers, query: Embedding | None = None) -> Numbers:
     """Return values per row by which classes are compared, of which one has to be the best: an object has its mean.
 
     Of cosines, with their unit query, it is the mean of that and of the cosine with the object's best descriptor, which
@@ -59,24 +51,18 @@ def for_comparing(
     count = field.objects.num_nodes + 1
     means = np.bincount(numbers, values, minlength=count) / np.maximum(np.bincount(numbers, minlength=count), 1)
     if query is not None:
-        means[1:] = (means[1:] + _best_descriptors(field.objects, query)) / 2
+        # per node the highest cosine of a query with one of its descriptors
+        cosines = row_products(field.objects.descriptors, query / np.linalg.norm(query))
+        starts = field.objects.descriptor_starts
+        best = np.full(field.objects.num_nodes, -1, np.float32)
+        (some,) = np.nonzero(np.diff(starts))
+        if len(some):
+            best[some] = np.maximum.reduceat(cosines, starts[some])
+        means[1:] = (means[1:] + best) / 2
     return np.where(numbers > 0, means.astype(np.float32)[numbers], values)
 
 
-def _best_descriptors(objects: Objects, query: Embedding) -> Float32[np.ndarray, " T"]:
-    """Return per node the highest cosine of a query with one of its descriptors."""
-    cosines = row_products(objects.descriptors, query / np.linalg.norm(query))
-    starts = objects.descriptor_starts
-    best = np.full(objects.num_nodes, -1, np.float32)
-    (some,) = np.nonzero(np.diff(starts))
-    if len(some):
-        best[some] = np.maximum.reduceat(cosines, starts[some])
-    return best
-
-
-def highest_share(
-    values: Float32[np.ndarray, " r"], groups: Int32[np.ndarray, " r"], counts: Integer[np.ndarray, " r"] | None = None
-) -> Float32[np.ndarray, " r"]:
+def highest_share(values: Numbers, groups: Ids, counts: WholeNumbers | None = None) -> Numbers:
     """Return per row the value that `SPEAKING_SHARE` of the rows of its group reach; rows of group -1 keep their own.
 
     counts: rows that each stands for, None for one. Linear but for one sort. Values have to be finite. Twin:
@@ -102,7 +88,7 @@ def highest_share(
     return result
 
 
-def _lengths(groups: Int32[np.ndarray, " r"]) -> Int64[np.ndarray, " g"]:
+def _lengths(groups: OtherIds) -> Indices:
     """Return how many rows each group has."""
     lengths = np.zeros(int(groups.max(initial=-1)) + 1, np.int64)
     for begin in range(0, len(groups), ROWS_AT_ONCE):
@@ -111,7 +97,7 @@ def _lengths(groups: Int32[np.ndarray, " r"]) -> Int64[np.ndarray, " g"]:
     return lengths
 
 
-def _runs(lengths: Int64[np.ndarray, " g"]) -> Iterator[tuple[int, int]]:
+def _runs(lengths: Indices) -> Iterator[tuple[int, int]]:
     """Yield groups that follow each other and have ROWS_AT_ONCE rows together, or one that has more."""
     ends = np.cumsum(lengths)
     first = 0
@@ -125,12 +111,12 @@ def _runs(lengths: Int64[np.ndarray, " g"]) -> Iterator[tuple[int, int]]:
 _SIGN_BIT = np.uint32(1 << 31)
 
 
-def _descending(values: Float32[np.ndarray, " r"]) -> UInt32[np.ndarray, " r"]:
+def _descending(values: Numbers) -> UnsignedIds:
     """Return numbers that fall as values rise. Floats are sign and magnitude: their bits rise with the magnitude."""
     bits = values.view(np.uint32)
     return np.where(bits & _SIGN_BIT, bits, ~(bits | _SIGN_BIT))
 
 
-def _from_descending(numbers: UInt32[np.ndarray, " r"]) -> Float32[np.ndarray, " r"]:
+def _from_descending(numbers: UnsignedIds) -> Numbers:
     """Return the values of which `_descending` made numbers."""
     return np.where(numbers & _SIGN_BIT, numbers, ~numbers & ~_SIGN_BIT).view(np.float32)

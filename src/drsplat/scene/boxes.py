@@ -5,7 +5,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from ..base.arrays import Float64, Integer, Matrix3, RowIds, Vector3
+from ..base.arrays import Float64, Matrix3, RowIds, Vector3, WholeNumbers
 from ..errors import InputError
 from .parted import AnyGaussians
 from .views import View
@@ -48,7 +48,7 @@ def upward_of(axes: Float64[np.ndarray, "v 2 3"]) -> Vector3:
     """Return the upward direction from `camera_axes`; see `upward`. Raises: InputError: as `upward`."""
     if not len(axes):
         raise InputError("which way is up is told by the photos, and this scene has none")
-    total = -axes[:, 1].sum(axis=0)
+    total = -axes[:, 1].sum(0)
     length = float(np.linalg.norm(total))
     if length < 0.1 * len(axes):
         raise InputError("the photos of this scene do not agree on which way is up")
@@ -56,7 +56,7 @@ def upward_of(axes: Float64[np.ndarray, "v 2 3"]) -> Vector3:
     spread, directions = np.linalg.eigh(level.T @ level / len(axes))
     square = directions[:, 0] * np.sign(directions[:, 0] @ total)
     if spread[1] < MIN_LEVEL_SPREAD or square @ total < 0.5 * length:
-        return np.asarray(total / length)
+        return total / length
     return np.asarray(square)
 
 
@@ -68,7 +68,7 @@ def up_of(views: Sequence[View]) -> Vector3 | None:
         return None
 
 
-def solid(gaussians: AnyGaussians, ids: RowIds) -> Integer[np.ndarray, " s"]:
+def solid(gaussians: AnyGaussians, ids: RowIds) -> WholeNumbers:
     """Return the ids of the Gaussians opaque enough to be seen; all ids if none is."""
     visible: np.ndarray = ids[gaussians.opacities_of(ids) >= HAZE_OPACITY]
     return visible if len(visible) else ids

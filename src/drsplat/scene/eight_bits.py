@@ -19,7 +19,7 @@ BYTE_ROUNDING = 0.5 / 255  # of a colour
 
 def clamped_in_bytes(gaussians: Gaussians) -> Flags:
     """Return which Gaussians have a constant colour that a byte for each channel does not hold."""
-    return np.asarray((np.abs(SH_C0 * gaussians.sh[:, 0]) > 0.5 + BYTE_ROUNDING).any(axis=1))
+    return np.any(np.abs(SH_C0 * gaussians.sh[:, 0]) > 0.5 + BYTE_ROUNDING, 1)
 
 
 def fitted_to_8_bits(gaussians: Gaussians) -> Gaussians:

@@ -4,9 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-import numpy as np
-
-from ..base.arrays import Float32, UInt8
+from ..base.arrays import Embeddings, OtherPixels
 from ..errors import InputError
 
 
@@ -62,7 +60,7 @@ class Encoder(Protocol):
 
     identity: EncoderIdentity
 
-    def encode_texts(self, texts: Sequence[str]) -> Float32[np.ndarray, "t d"]: ...
+    def encode_texts(self, texts: Sequence[str]) -> Embeddings: ...
 
 
 @runtime_checkable
@@ -74,4 +72,4 @@ class ImageEncoder(Protocol):
 
     identity: EncoderIdentity
 
-    def encode_images(self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "n d"]: ...
+    def encode_images(self, images: Sequence[OtherPixels]) -> Embeddings: ...

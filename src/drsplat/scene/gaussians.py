@@ -4,7 +4,7 @@ Significance: which Gaussians a picture lacks most where there is no room for al
 """
 
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -13,19 +13,22 @@ import numpy as np
 
 from ..base.arrays import (
     Anywhere,
+    ArraysByName,
     Doubles,
     Flags,
     Float,
     Float32,
     Float64,
     Harmonics,
-    Int64,
+    Indices,
+    Matrices,
     Numbers,
     Points,
     Quats,
     RowIds,
     Vector3,
     Vectors,
+    WholeNumbers,
 )
 from ..errors import InputError
 from .placing import MIN_SIZED_GAUSSIANS, local_origin, near_plane
@@ -54,7 +57,7 @@ class Gaussians:
     scales: Vectors
     opacities: Numbers
     sh: Harmonics
-    extra: Mapping[str, np.ndarray] = field(default_factory=dict)
+    extra: ArraysByName = field(default_factory=dict)
     origin: Vector3 = field(default_factory=lambda: np.zeros(3))
     antialiased: bool = False
 
@@ -107,7 +110,7 @@ class Gaussians:
     @property
     def positions(self) -> Points:
         """Positions in world coordinates: `means` plus `origin`."""
-        return np.asarray(self.means.astype(np.float64) + self.origin)
+        return self.means.astype(np.float64) + self.origin
 
     @property
     def narrow_positions(self) -> Vectors | Points:
@@ -142,10 +145,10 @@ class Gaussians:
         """Return the upper triangles (xx, xy, xz, yy, yz, zz) of R S S^T R^T, in scene units squared."""
         return covariances_of(self.quats, self.scales).T
 
-    def whitening(self) -> Float64[np.ndarray, "n 3 3"]:
+    def whitening(self) -> Matrices:
         """Return inv(S) R^T, which maps offsets from the mean to a space where the Gaussian is a unit sphere."""
         inverse = self.quats.astype(np.float64) * [1, -1, -1, -1]
-        return np.asarray(rotation_matrices(inverse) / self.scales.astype(np.float64)[:, :, None])
+        return rotation_matrices(inverse) / self.scales.astype(np.float64)[:, :, None]
 
     def subset(self, index: RowIds | Flags) -> "Gaussians":
         """Return the Gaussians at `index` (integers or a boolean mask), in that order."""
@@ -163,9 +166,9 @@ class Gaussians:
             origin=self.origin, antialiased=self.antialiased,
         )  # fmt: skip
 
-    def opacities_of(self, index: RowIds) -> Float32[np.ndarray, " m"]:
+    def opacities_of(self, index: WholeNumbers) -> Numbers:
         """Return the opacities of some rows; `Parted` has the same method."""
-        return np.asarray(self.opacities[index])
+        return self.opacities[index]
 
     def parts_near(self, point: Vector3 | None = None) -> "Iterator[Part]":
         """Yield all Gaussians as one part; `Parted` has the same method."""
@@ -265,8 +268,7 @@ def filled(sh: Harmonics, coefficients: int) -> Float32[np.ndarray, "n c 3"]:
 
 def rotation_matrices(quats: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n 3 3"]:
     """Return the matrices from local axes (their columns) to the world, in the precision of the input."""
-    matrices: np.ndarray = np.stack([np.stack(row, -1) for row in rotation_rows(quats.T)], -2)
-    return matrices
+    return np.stack([np.stack(row, -1) for row in rotation_rows(quats.T)], -2)
 
 
 def rotation_rows(quats: Float[Anywhere, "4 n"]) -> list[list[Float[Anywhere, " n"]]]:
@@ -287,10 +289,10 @@ def significance(gaussians: Gaussians) -> Doubles:
 
     Source: Fan et al. 2023 (LightGaussian) Eq. 2, without its count of rays: it needs no photos.
     """
-    return np.asarray(gaussians.opacities * gaussians.scales.astype(np.float64).prod(1) ** VOLUME_POWER)
+    return gaussians.opacities * gaussians.scales.astype(np.float64).prod(1) ** VOLUME_POWER
 
 
-def most_significant(gaussians: Gaussians, budget: int) -> Int64[np.ndarray, " m"]:
+def most_significant(gaussians: Gaussians, budget: int) -> Indices:
     """Return the ascending ids of the `budget` Gaussians of the largest `significance`."""
     if len(gaussians) <= budget:
         return np.arange(len(gaussians))

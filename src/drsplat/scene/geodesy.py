@@ -53,4 +53,4 @@ def _from_geocentric(points: Points) -> Points:
 
 def local_offsets(origin: tuple[float, float, float], positions: Points) -> Points:
     """Return metres east, north and up of an origin for longitudes, latitudes and heights; see `geodetic`."""
-    return np.asarray((geocentric(positions) - geocentric(np.array([origin]))[0]) @ enu_axes(origin).T)
+    return (geocentric(positions) - geocentric(np.array([origin]))[0]) @ enu_axes(origin).T

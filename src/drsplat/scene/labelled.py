@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..base.arrays import Float32, Ids, Matrix3, Numbers, Vector3
+from ..base.arrays import Arrays, Embedding, Ids, Matrix3, Numbers, Vector3
 from ..errors import InputError
 from .annotations import Annotation
 from .gaussians import Gaussians
@@ -34,7 +34,7 @@ class Thing:
     axes: Matrix3
     extent: Vector3
     parent: int = -1
-    embedding: Float32[np.ndarray, " d"] | None = None
+    embedding: Embedding | None = None
     number: int = -1
 
     def __post_init__(self) -> None:
@@ -90,10 +90,10 @@ class LabelledScene:
         """The number of each Gaussian's object as `drsplat objects` counts, -1 for none; None without objects."""
         if self.object_of is None:
             return None
-        return np.asarray(np.array([*numbers_of(self.things), -1], np.int32)[self.object_of])
+        return np.array([*numbers_of(self.things), -1], np.int32)[self.object_of]
 
     @property
-    def columns(self) -> dict[str, np.ndarray]:
+    def columns(self) -> Arrays:
         """The number of each Gaussian's object and its relevancy, as far as they are known, as columns of a file."""
         columns = {"object_id": self.object_numbers, "relevancy": self.relevancy}
         return {name: column for name, column in columns.items() if column is not None}
@@ -113,4 +113,4 @@ def places_of(numbers: np.ndarray, things: Sequence[Thing]) -> Ids | None:
     known, which = np.unique(numbers, return_inverse=True)
     if not {*known.tolist()} <= place_of.keys():
         return None
-    return np.asarray(np.array([place_of[number] for number in known.tolist()], np.int32)[which])
+    return np.array([place_of[number] for number in known.tolist()], np.int32)[which]

@@ -88,13 +88,11 @@ def _newton_step(points: Points, target: Points, coefficients: Coefficients) -> 
 
 
 def _normalised(view: View, pixels: Points) -> Points:
-    normalised: Points = (pixels - view.K[:2, 2]) @ np.linalg.inv(view.K[:2, :2]).T
-    return normalised
+    return (pixels - view.K[:2, 2]) @ np.linalg.inv(view.K[:2, :2]).T
 
 
 def _pixels(view: View, points: Points) -> Points:
-    pixels: Points = points @ view.K[:2, :2].T + view.K[:2, 2]
-    return pixels
+    return points @ view.K[:2, :2].T + view.K[:2, 2]
 
 
 def _checked(pixels: Points) -> Points:

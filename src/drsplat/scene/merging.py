@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..base.arrays import Doubles, Float32, Float64, Indices, Int, Int64, Quats, Vectors
+from ..base.arrays import DoubleRows, Doubles, Float64, FloatRows, Indices, Int, Matrices, OtherIndices, Quats, Vectors
 from ..errors import InputError
 from .gaussians import SH_C0, Gaussians
 
@@ -92,12 +92,12 @@ def merged(gaussians: Gaussians, group_of: Indices) -> Gaussians:
 def areas_of(scales: Vectors) -> Doubles:
     """Return the area of each Gaussian as seen from all sides, up to a common factor."""
     a, b, c = scales.T.astype(np.float64)
-    return np.asarray(a * b + b * c + c * a)
+    return a * b + b * c + c * a
 
 
 def masses_of(gaussians: Gaussians) -> Doubles:
     """Return how much each Gaussian covers, opacity times area, above 0."""
-    return np.asarray(np.maximum(gaussians.opacities, MIN_OPACITY) * areas_of(gaussians.scales))
+    return np.maximum(gaussians.opacities, MIN_OPACITY) * areas_of(gaussians.scales)
 
 
 _UPPER = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
@@ -113,7 +113,7 @@ class _Sums:
         self.heaviest = self._order[self._starts]
         self._weights = masses[self._order] / np.bincount(group_of, masses)[group_of[self._order]]
 
-    def mean(self, values: Float64[np.ndarray, "n k"] | Float32[np.ndarray, "n k"]) -> Float64[np.ndarray, "g k"]:
+    def mean(self, values: DoubleRows | FloatRows) -> Float64[np.ndarray, "g k"]:
         return np.asarray(np.add.reduceat(values[self._order] * self._weights[:, None], self._starts, axis=0))
 
 
@@ -128,7 +128,7 @@ def shapes_of(covariances: Float64[np.ndarray, "n 6"]) -> tuple[Quats, Vectors]:
     return quaternions_of(axes), scales
 
 
-def quaternions_of(rotations: Float64[np.ndarray, "n 3 3"]) -> Quats:
+def quaternions_of(rotations: Matrices) -> Quats:
     """Return the unit quaternions (w, x, y, z) of rotation matrices, from the largest component of each."""
     m = rotations.transpose(1, 2, 0)
     products = np.array(  # 4 q q^T
@@ -154,10 +154,10 @@ def _paired(gaussians: Gaussians, most: int, kinds: Int[np.ndarray, " n"]) -> In
     leader = np.arange(len(gaussians))
     leader[second[order][chosen]] = first[order][chosen]
     numbers = np.cumsum(leader == np.arange(len(leader))) - 1
-    return np.asarray(numbers[leader])
+    return numbers[leader]
 
 
-def _edges(means: Vectors) -> tuple[Int64[np.ndarray, " e"], Int64[np.ndarray, " e"]]:
+def _edges(means: Vectors) -> tuple[OtherIndices, OtherIndices]:
     """Return pairs of near rows, the lower one first, each pair once, in order."""
     from scipy.spatial import cKDTree
 
@@ -169,9 +169,7 @@ def _edges(means: Vectors) -> tuple[Int64[np.ndarray, " e"], Int64[np.ndarray, "
     return keys // len(means), keys % len(means)
 
 
-def costs(
-    gaussians: Gaussians, first: Int64[np.ndarray, " e"], second: Int64[np.ndarray, " e"]
-) -> Float64[np.ndarray, " e"]:
+def costs(gaussians: Gaussians, first: Indices, second: Indices) -> Doubles:
     """Return how much a picture changes where two Gaussians are merged: what each is away from the other, by mass."""
     masses = masses_of(gaussians)
     sizes = (gaussians.scales.astype(np.float64) ** 2).mean(1)
@@ -179,10 +177,10 @@ def costs(
     colours = SH_C0 * gaussians.sh[:, 0].astype(np.float64)
     unlike = ((colours[first] - colours[second]) ** 2).sum(1)
     a, b = masses[first], masses[second]
-    return np.asarray(a * b / (a + b) * (apart / (sizes[first] + sizes[second]) + COLOUR_WEIGHT * unlike))
+    return a * b / (a + b) * (apart / (sizes[first] + sizes[second]) + COLOUR_WEIGHT * unlike)
 
 
-def _matched(count: int, first: Int64[np.ndarray, " e"], second: Int64[np.ndarray, " e"]) -> Int64[np.ndarray, " m"]:
+def _matched(count: int, first: Indices, second: Indices) -> OtherIndices:
     """Return edges that share no row, taken greedily in their order."""
     alive, chosen = np.arange(len(first)), []
     while len(alive):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..base.arrays import Float, Indices, UInt64
+from ..base.arrays import AnyPoints, Indices, UInt64
 
 BITS_PER_AXIS = 21  # three times 21 fill 63
 _SPREAD = (  # shift, mask: each bit of 21 to every third place
@@ -14,15 +14,15 @@ _SPREAD = (  # shift, mask: each bit of 21 to every third place
 )
 
 
-def morton_order(positions: Float[np.ndarray, "n 3"], bits: int = BITS_PER_AXIS) -> Indices:
+def morton_order(positions: AnyPoints, bits: int = BITS_PER_AXIS) -> Indices:
     """Return the order of rows along the curve through their box; rows of one cell stay in order."""
     return np.argsort(morton_codes(positions, bits), kind="stable")
 
 
-def morton_codes(positions: Float[np.ndarray, "n 3"], bits: int = BITS_PER_AXIS) -> UInt64[np.ndarray, " n"]:
+def morton_codes(positions: AnyPoints, bits: int = BITS_PER_AXIS) -> UInt64[np.ndarray, " n"]:
     """Return each position's cell number along the curve; the box has 2^bits cells along its longest side."""
-    low = positions.min(axis=0, initial=np.inf)
-    side = float((positions.max(axis=0, initial=-np.inf) - low).max(initial=0.0))
+    low = positions.min(0, initial=np.inf)
+    side = float((positions.max(0, initial=-np.inf) - low).max(initial=0.0))
     scale = (2**bits - 1) / side if side > 0 else 0.0
     codes = np.zeros(len(positions), np.uint64)
     for axis in range(3):

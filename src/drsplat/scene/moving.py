@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64, Quats, Vector3
+from ..base.arrays import Doubles, Float32, Vector3
 from ..errors import InputError
 from .gaussians import Gaussians
 
@@ -34,7 +34,7 @@ class Moving:
     """
 
     canonical: Gaussians
-    times: Float64[np.ndarray, " t"]
+    times: Doubles
     motion: Motion
 
     def __post_init__(self) -> None:
@@ -96,7 +96,7 @@ class Frames:
     times: of the frames. read: reads a frame by number; all have the same number of rows and harmonics.
     """
 
-    times: Float64[np.ndarray, " t"]
+    times: Doubles
     read: Callable[[int], Gaussians]
     _cached: Callable[[int], Gaussians] = field(init=False, repr=False)
 
@@ -116,10 +116,15 @@ def between(one: Gaussians, other: Gaussians, share: float) -> Gaussians:
 
     share: from 0 to 1. Both states must be counted from one origin.
     """
+    begin, target = one.quats.astype(np.float64), other.quats.astype(np.float64)
+    target = np.where((begin * target).sum(1, keepdims=True) < 0, -target, target)  # q and -q turn alike
+    way = target - begin
+    mixed = begin + way * share
+    mixed /= np.linalg.norm(mixed, axis=1, keepdims=True)
     return replace(
         one,
         means=_linear(one.means, other.means, share),
-        quats=_rotations_between(one.quats, other.quats, share),
+        quats=np.where(way.any(1, keepdims=True), mixed.astype(np.float32), one.quats),
         scales=_linear(one.scales, other.scales, share),
         opacities=_linear(one.opacities, other.opacities, share),
         sh=_linear(one.sh, other.sh, share),
@@ -133,7 +138,7 @@ def counted_from(gaussians: Gaussians, origin: Vector3) -> Gaussians:
     return replace(gaussians, means=(gaussians.positions - origin).astype(np.float32), origin=origin)
 
 
-def check_times(times: Float64[np.ndarray, " t"]) -> None:
+def check_times(times: Doubles) -> None:
     """Check times. Raises: InputError: fewer than two, not finite, or not increasing."""
     if times.ndim != 1 or times.dtype != np.float64 or len(times) < 2:
         raise InputError(f"times: expected two or more float64 numbers, got {times.dtype} {times.shape}")
@@ -147,12 +152,3 @@ def _linear(
 ) -> Float32[np.ndarray, "*n"]:
     wide = start.astype(np.float64)
     return np.asarray(wide + (end - wide) * share, np.float32)
-
-
-def _rotations_between(start: Quats, end: Quats, share: float) -> Quats:
-    begin, target = start.astype(np.float64), end.astype(np.float64)
-    target = np.where((begin * target).sum(1, keepdims=True) < 0, -target, target)  # q and -q turn alike
-    way = target - begin
-    mixed = begin + way * share
-    mixed /= np.linalg.norm(mixed, axis=1, keepdims=True)
-    return np.where(way.any(1, keepdims=True), mixed.astype(np.float32), start)

@@ -7,7 +7,7 @@ from threading import Lock
 
 import numpy as np
 
-from ..base.arrays import Float32, Float64, Int64, Integer, RowIds, Vector3
+from ..base.arrays import Doubles, Float64, Numbers, OtherIndices, Points, RowIds, Vector3, WholeNumbers
 from .gaussians import Gaussians, Part
 
 HELD_BYTES = 64 << 20  # of shapes, of the parts looked at last
@@ -23,9 +23,9 @@ class Parted:
     Held are the shapes of the parts looked at last, up to HELD_BYTES.
     """
 
-    starts: Int64[np.ndarray, " p1"]
-    low: Float64[np.ndarray, "p 3"]
-    high: Float64[np.ndarray, "p 3"]
+    starts: OtherIndices
+    low: Points
+    high: Points
     origin: Vector3
     fingerprint: str
     near: float
@@ -49,7 +49,7 @@ class Parted:
         """Return the Gaussians at some rows, in that order, without colours. Raises: as `read_shapes`."""
         return self._gathered(index, self._shapes)
 
-    def opacities_of(self, index: RowIds) -> Float32[np.ndarray, " m"]:
+    def opacities_of(self, index: WholeNumbers) -> Numbers:
         """Return the opacities of some rows. Raises: as `read_shapes`."""
         values = np.empty(len(index), np.float32)
         for number, at, rows in self._places(index):
@@ -63,7 +63,7 @@ class Parted:
         if point is not None:
             at = point - self.origin
             with np.errstate(over="ignore"):  # further away than can be squared
-                away2 = (np.maximum(np.maximum(self.low - at, at - self.high), 0) ** 2).sum(axis=1) * (1 - SPARE)
+                away2 = (np.maximum(np.maximum(self.low - at, at - self.high), 0) ** 2).sum(1) * (1 - SPARE)
         for number in np.argsort(away2, kind="stable").tolist():
             yield Part(int(self.starts[number]), float(away2[number]), self._shapes(number))
 
@@ -82,7 +82,7 @@ class Parted:
             sh[at, : part.sh.shape[1]] = part.sh[rows]
         return Gaussians(means, quats, scales, opacities, sh, {}, self.origin, self.antialiased)
 
-    def _places(self, index: RowIds) -> Iterator[tuple[int, Integer[np.ndarray, " k"], Integer[np.ndarray, " k"]]]:
+    def _places(self, index: RowIds) -> Iterator[tuple[int, WholeNumbers, WholeNumbers]]:
         """Yield each part that has some of the rows: its number, their places among the rows, and their rows in it."""
         part = np.searchsorted(self.starts, index, "right") - 1
         order = np.argsort(part, kind="stable")
@@ -112,9 +112,7 @@ AnyGaussians = Gaussians | Parted
 """A scene in memory, or in parts on disk, of which queries ask for rows."""
 
 
-def coordinates(
-    gaussians: AnyGaussians, axis: int, among: Integer[np.ndarray, " r"] | None = None
-) -> Float64[np.ndarray, " r"]:
+def coordinates(gaussians: AnyGaussians, axis: int, among: WholeNumbers | None = None) -> Doubles:
     """Return one coordinate of all centres, or of some ascending rows, counted from the scene's origin."""
     values = np.empty(len(gaussians) if among is None else len(among))
     for part in gaussians.parts_near():
@@ -130,7 +128,7 @@ def coordinates(
 def middle(
     gaussians: AnyGaussians,
     shares: tuple[float, float],
-    among: Integer[np.ndarray, " r"] | None = None,
+    among: WholeNumbers | None = None,
     origin: Vector3 | None = None,
 ) -> Float64[np.ndarray, "2 3"]:
     """Return two quantiles of the centres along each axis, one axis after another: 8 bytes for each row.

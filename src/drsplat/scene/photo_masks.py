@@ -9,7 +9,7 @@ from warnings import warn
 import numpy as np
 from PIL import Image
 
-from ..base.arrays import Mask, Pixels, UInt8
+from ..base.arrays import GreyPixels, Mask, Pixels
 from ..base.contents import open_file
 from ..errors import DrSplatWarning, FormatError, MismatchError
 from .photos import PHOTO_FORMATS, check_cost, photo_size, undistort_ids
@@ -39,12 +39,12 @@ def read_mask(path: Path) -> Image.Image:
         raise FormatError(f"{path}: cannot be read as a mask: {error}") from error
 
 
-def _kept(coded: Image.Image) -> UInt8[np.ndarray, "h w"]:
+def _kept(coded: Image.Image) -> GreyPixels:
     """Return how white a mask is, from 0 to 255."""
     if "transparency" in coded.info or "A" in coded.getbands():
         rgba = np.asarray(coded.convert("RGBA"))
         if (rgba[..., 3] < _WHITE).any():
-            return _of_alpha(rgba[..., :3].max(axis=2), rgba[..., 3])
+            return _of_alpha(rgba[..., :3].max(2), rgba[..., 3])
         coded = Image.fromarray(rgba[..., :3].copy())
     if coded.mode == "F" or coded.mode.startswith("I"):
         wide = np.nan_to_num(np.asarray(coded)).astype(np.float64)
@@ -58,17 +58,17 @@ def _kept(coded: Image.Image) -> UInt8[np.ndarray, "h w"]:
     return np.where(grey > 0, np.uint8(_WHITE), np.uint8(0)) if is_dark else grey
 
 
-def _of_alpha(grey: UInt8[np.ndarray, "h w"], alpha: UInt8[np.ndarray, "h w"]) -> UInt8[np.ndarray, "h w"]:
+def _of_alpha(grey: GreyPixels, alpha: GreyPixels) -> GreyPixels:
     """Return a mask with transparency: a drawing of black and white on black, of anything else its alpha."""
     seen = grey[alpha >= MIN_WHITE]
     white, black = (seen >= _WHITE - _NEARLY).mean(), (seen <= _NEARLY).mean()
     return np.minimum(grey, alpha) if white and black and white + black == 1 else alpha
 
 
-def _of_colours(rgb: Pixels, *, is_palette: bool, lossy: bool) -> UInt8[np.ndarray, "h w"]:
+def _of_colours(rgb: Pixels, *, is_palette: bool, lossy: bool) -> GreyPixels:
     """Return the mask of a coloured picture: colours are labels of what is kept, and black is none."""
-    brightest = rgb.max(axis=2)
-    if lossy or (brightest - rgb.min(axis=2) <= _NEARLY).all():
+    brightest = rgb.max(2)
+    if lossy or (brightest - rgb.min(2) <= _NEARLY).all():
         return np.asarray(Image.fromarray(rgb).convert("L"))
     if not is_palette and brightest.min() > _NEARLY:
         raise FormatError("it has colours and no black, no mask of two parts: paint what is kept white, the rest black")
@@ -86,7 +86,13 @@ def load_mask(view: View) -> Mask | None:
     if view.mask_path is None:
         return None
     picture = read_mask(view.mask_path)
-    _check_shape(picture, view)
+    size = (view.width, view.height) if view.image_path is None else photo_size(view.image_path)
+    if not same_aspect(picture.size, size):
+        width, height = picture.size
+        raise MismatchError(
+            f"{view.mask_path}: the mask is {width}x{height}, its photo {size[0]}x{size[1]}: another aspect ratio. "
+            "Make the mask of the photo as it is stored (uncropped, not rotated by EXIF)"
+        )
     white = picture.point(lambda grey: _WHITE if (grey >= MIN_WHITE) != view.mask_inverted else 0)
     if white.size != (view.width, view.height):
         white = white.resize((view.width, view.height), Image.Resampling.BOX)
@@ -158,13 +164,3 @@ class _MaskedView:
 def _is_empty(masked: _MaskedView) -> bool:
     mask = load_mask(masked.view)
     return mask is not None and not mask.any()
-
-
-def _check_shape(picture: Image.Image, view: View) -> None:
-    size = (view.width, view.height) if view.image_path is None else photo_size(view.image_path)
-    if not same_aspect(picture.size, size):
-        width, height = picture.size
-        raise MismatchError(
-            f"{view.mask_path}: the mask is {width}x{height}, its photo {size[0]}x{size[1]}: another aspect ratio. "
-            "Make the mask of the photo as it is stored (uncropped, not rotated by EXIF)"
-        )

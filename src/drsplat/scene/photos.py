@@ -19,7 +19,7 @@ from PIL.BmpImagePlugin import BmpImageFile
 from PIL.JpegImagePlugin import JpegImageFile
 from PIL.TiffImagePlugin import TiffImageFile
 
-from ..base.arrays import Bool, Colors, Float64, Mask, MaskIds, Pixels
+from ..base.arrays import Bool, Colors, Float64, Mask, MaskIds, Pixels, PlanePoints
 from ..base.contents import open_file
 from ..errors import FormatError, InputError, placed
 from .lens import Points, distort_points, undistort_points
@@ -49,7 +49,13 @@ def check_cost(picture: Image.Image, file: BufferedIOBase, most_pixels: int | No
     if most_pixels is not None and pixels > most_pixels:
         raise InputError(f"a picture of {size} pixels: at most {most_pixels:,} are taken, make it smaller")
     if isinstance(picture, JpegImageFile):
-        scans, most = jpeg_scans(_content(file)), most_scans(pixels)
+        position = file.tell()
+        file.seek(0)
+        content = file.read(MAX_JPEG_BYTES + 1)
+        file.seek(position)
+        if len(content) > MAX_JPEG_BYTES:
+            raise InputError(f"a JPEG of more than {MAX_JPEG_BYTES:,} bytes")
+        scans, most = jpeg_scans(content), most_scans(pixels)
         if scans > most:
             raise InputError(f"a JPEG of {size} pixels in {scans} scans: at most {most} are taken, save it anew")
     if isinstance(picture, TiffImageFile) and _tile(picture) > 4 * max(pixels, SMALL_PIXELS):
@@ -74,16 +80,6 @@ def jpeg_scans(data: bytes) -> int:
         if marker != _START_MARKER:
             at += int.from_bytes(data[at : at + 2], "big")
     return scans
-
-
-def _content(file: BufferedIOBase) -> bytes:
-    position = file.tell()
-    file.seek(0)
-    content = file.read(MAX_JPEG_BYTES + 1)
-    file.seek(position)
-    if len(content) > MAX_JPEG_BYTES:
-        raise InputError(f"a JPEG of more than {MAX_JPEG_BYTES:,} bytes")
-    return content
 
 
 def _tile(picture: TiffImageFile) -> int:
@@ -209,7 +205,7 @@ def _undistort_bilinear(view: View, photo: Pixels) -> Pixels:
     return undistorted
 
 
-def _bilinear(photo: Pixels, at: Float64[np.ndarray, "n 2"]) -> Colors:
+def _bilinear(photo: Pixels, at: PlanePoints) -> Colors:
     height, width = photo.shape[:2]
     corner = np.clip(at - 0.5, 0, (width - 1, height - 1))  # pixel centres are at half integers
     low = corner.astype(np.intp)
@@ -236,8 +232,7 @@ def _source_blocks(view: View, way: Way = distort_points) -> Iterator[tuple[slic
 def _inside(points: Float64[np.ndarray, "r w 2"], width: int, height: int) -> Bool[np.ndarray, "r w"]:
     """Return which points lie on the photo; NaN does not."""
     x, y = points[..., 0], points[..., 1]
-    inside: np.ndarray = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    return inside
+    return (x >= 0) & (x < width) & (y >= 0) & (y < height)
 
 
 @contextmanager

@@ -6,7 +6,7 @@ exact as one about zero. Poses, boxes and whatever else is reported stay in the 
 
 import numpy as np
 
-from ..base.arrays import Bool, Float, Points, Vector3
+from ..base.arrays import AnyPoints, Bool, Float, Points, Vector3
 
 PUBLISHED_NEAR = 0.2  # scene units: 3DGS draws nothing nearer to a camera
 NEAR_SHARE = 0.05  # of the scene's size, where that is less: in scenes smaller than four units
@@ -17,7 +17,7 @@ SOLID_OPACITY = 0.1  # fainter Gaussians may float anywhere
 MIDDLE_QUANTILES = (0.05, 0.95)
 
 
-def size_of(positions: Float[np.ndarray, "n 3"]) -> float:
+def size_of(positions: AnyPoints) -> float:
     """Return the diagonal of the box about the middle nine tenths along each axis; 0 for no positions."""
     if not len(positions):
         return 0.0
@@ -25,12 +25,12 @@ def size_of(positions: Float[np.ndarray, "n 3"]) -> float:
     return float(np.linalg.norm(high.astype(np.float64) - low.astype(np.float64)))
 
 
-def middle_of(positions: Float[np.ndarray, "n 3"]) -> Vector3:
+def middle_of(positions: AnyPoints) -> Vector3:
     """Return the median along each axis, in float64: the sum of two float32 may overflow float32."""
     return np.asarray(np.median(positions.astype(np.float64), axis=0))
 
 
-def near_plane(means: Float[np.ndarray, "n 3"], opacities: Float[np.ndarray, " n"] | None = None) -> float:
+def near_plane(means: AnyPoints, opacities: Float[np.ndarray, " n"] | None = None) -> float:
     """Return the camera z, in scene units, up to which Gaussians are not drawn.
 
     It is the published 0.2 for a scene four units large or more (the diagonal of the box about the middle nine tenths
@@ -42,7 +42,7 @@ def near_plane(means: Float[np.ndarray, "n 3"], opacities: Float[np.ndarray, " n
     return min(PUBLISHED_NEAR, share) if share > 0 else PUBLISHED_NEAR
 
 
-def local_origin(positions: Float[np.ndarray, "n 3"]) -> Vector3:
+def local_origin(positions: AnyPoints) -> Vector3:
     """Return the point that positions are counted from: zero unless the scene is far from zero along some axis.
 
     Far is more than twice the scene's size; 256 times where float32 holds all positions as they are, since nothing is
@@ -67,7 +67,7 @@ def local_origin(positions: Float[np.ndarray, "n 3"]) -> Vector3:
 def _fits_float32(positions: Points) -> Bool[np.ndarray, " 3"]:
     """Return for each axis whether float32 holds all coordinates exactly."""
     with np.errstate(over="ignore"):
-        return np.asarray((positions.astype(np.float32) == positions).all(axis=0))
+        return (positions.astype(np.float32) == positions).all(0)
 
 
 def rounding(coordinates: Float[np.ndarray, "..."]) -> float:

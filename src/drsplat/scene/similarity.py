@@ -25,7 +25,7 @@ class Similarity:
 
     def positions(self, points: Points) -> Points:
         """Transform points."""
-        return np.asarray(self.scale * points @ self.rotation.T + self.translation)
+        return self.scale * points @ self.rotation.T + self.translation
 
     def moved(self, gaussians: Gaussians) -> Gaussians:
         """Return the Gaussians after the transform, in the same rows.

@@ -74,7 +74,7 @@ class View:
     @property
     def center(self) -> Vector3:
         """Camera centre in world coordinates."""
-        return np.asarray(-self.cam_from_world[:3, :3].T @ self.cam_from_world[:3, 3])
+        return -self.cam_from_world[:3, :3].T @ self.cam_from_world[:3, 3]
 
     def relative_to(self, origin: Vector3) -> "View":
         """Return the camera in a world whose zero is at `origin`; the same object if `origin` is zero."""

@@ -10,12 +10,12 @@ covariance of Gaussians that share a place), Sec. 3 (relocation, growth by 5 %, 
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from math import comb, sqrt
 
 import numpy as np
 
-from ..base.arrays import Anywhere, Bool, Float32, Float64, Integer
+from ..base.arrays import Anywhere, Arrays, ArraysByName, Bool, Float32, Float64, Integer
 from ..formats.activation import sigmoid
 from ..kernels.cuda.devices import on_host, placed
 from ..kernels.training import SceneParameters
@@ -75,7 +75,16 @@ class AdaptiveDensity:
         optimizer.append(children)
         gone = self._zeros(len(optimizer), bool)
         gone[np.flatnonzero(large)] = True
-        gone |= self._is_useless(optimizer, radii, iteration)
+        s, parameters = self.settings, optimizer.parameters
+        useless: Anywhere = parameters.logits < _logit(s.min_opacity)
+        if iteration > s.reset_every:
+            largest = parameters.log_scales.max(1)
+            useless |= largest > math.log(s.max_scale * self.extent)
+            if s.max_screen_px is not None:
+                useless |= radii > s.max_screen_px
+        if useless.all():  # rather a poor scene than none
+            useless[parameters.logits.argmax()] = False
+        gone |= useless
         optimizer.keep(~gone)
         self._forget(len(optimizer))
 
@@ -84,27 +93,19 @@ class AdaptiveDensity:
         mean_pull = self.pull / np.maximum(self.times_seen, 1)
         chosen = mean_pull >= self.settings.gradient_threshold
         if self.settings.max_gaussians is not None:
-            chosen &= _largest(mean_pull, self.settings.max_gaussians - len(optimizer))
-        largest = optimizer.parameters.log_scales.max(axis=1)
+            # mark the `count` largest values, equal ones by index. Each clone or split adds one Gaussian.
+            marked = np.zeros_like(mean_pull, bool)
+            order: Integer[Anywhere, " n"] = np.argsort(-mean_pull, kind="stable")
+            marked[order[: max(self.settings.max_gaussians - len(optimizer), 0)]] = True
+            chosen &= marked
+        largest = optimizer.parameters.log_scales.max(1)
         large = largest > math.log(self.settings.dense_scale * self.extent)
         return chosen & ~large, chosen & large
 
-    def _is_useless(self, optimizer: Optimizer, radii: Float32[Anywhere, " m"], iteration: int) -> Bool[Anywhere, " m"]:
-        s, parameters = self.settings, optimizer.parameters
-        useless: Anywhere = parameters.logits < _logit(s.min_opacity)
-        if iteration > s.reset_every:
-            largest = parameters.log_scales.max(axis=1)
-            useless |= largest > math.log(s.max_scale * self.extent)
-            if s.max_screen_px is not None:
-                useless |= radii > s.max_screen_px
-        if useless.all():  # rather a poor scene than none
-            useless[parameters.logits.argmax()] = False
-        return useless
-
-    def state(self) -> dict[str, np.ndarray]:
+    def state(self) -> Arrays:
         return {f"density.{name}": on_host(getattr(self, name)) for name in OBSERVED}
 
-    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+    def restore(self, state: ArraysByName) -> None:
         for name in OBSERVED:
             setattr(self, name, placed(np.array(state[f"density.{name}"], np.float32), getattr(self, name)))
 
@@ -140,25 +141,15 @@ def _logit(opacity: float) -> float:
     return math.log(opacity / (1 - opacity))
 
 
-def _largest(values: Float32[Anywhere, " n"], count: int) -> Bool[Anywhere, " n"]:
-    """Mark the `count` largest values, equal ones by index. Each clone or split adds one Gaussian."""
-    marked = np.zeros_like(values, bool)
-    order: Integer[Anywhere, " n"] = np.argsort(-values, kind="stable")
-    marked[order[: max(count, 0)]] = True
-    return marked
-
-
 def unit(quats: Float32[Anywhere, "n 4"]) -> Float32[Anywhere, "n 4"]:
     w, x, y, z = quats.T
-    unit: Anywhere = quats / np.sqrt(w * w + x * x + y * y + z * z)[:, None]
-    return unit
+    return quats / np.sqrt(w * w + x * x + y * y + z * z)[:, None]
 
 
 def rotated(quats: Float32[Anywhere, "n 4"], vectors: Float32[Anywhere, "n 3"]) -> Float32[Anywhere, "n 3"]:
     """Rotate vectors from the local axes of each row to the world."""
     x, y, z = vectors.T
-    turned: Anywhere = np.stack([a * x + b * y + c * z for a, b, c in rotation_rows(unit(quats).T)], -1)
-    return turned
+    return np.stack([a * x + b * y + c * z for a, b, c in rotation_rows(unit(quats).T)], -1)
 
 
 def spread(
@@ -168,8 +159,7 @@ def spread(
     rows = rotation_rows(unit(quats).T)
     x, y, z = vectors.T
     local = [(rows[0][k] * x + rows[1][k] * y + rows[2][k] * z) * scales[:, k] ** 2 for k in range(3)]
-    world: Anywhere = np.stack([a * local[0] + b * local[1] + c * local[2] for a, b, c in rows], -1)
-    return world
+    return np.stack([a * local[0] + b * local[1] + c * local[2] for a, b, c in rows], -1)
 
 
 MAX_SHARING = 51  # Gaussians in one place; beyond, the series of Eq. 9 loses its digits (the published constant)
@@ -201,10 +191,7 @@ class MonteCarlo:
             relocate(optimizer, rng, self.settings.min_opacity)
             limit = self.settings.max_gaussians or 0
             grow(optimizer, rng, self.settings.growth, limit, self.settings.min_opacity)
-        self._shake(optimizer, rng, rate)
-
-    def _shake(self, optimizer: Optimizer, rng: np.random.Generator, rate: float) -> None:
-        """Add noise in the shape of each Gaussian; none for those that are well visible (Eq. 8)."""
+        # add noise in the shape of each Gaussian; none for those that are well visible (Eq. 8).
         s, p = self.settings, optimizer.parameters
         distance = s.noise_opacity - sigmoid(p.logits)
         strength = sigmoid(np.float32(s.noise_steepness) * distance.astype(np.float32))
@@ -213,10 +200,10 @@ class MonteCarlo:
         noise *= (strength[rows] * np.float32(s.noise_rate * rate))[:, None]
         p.means[rows] += spread(p.quats[rows], np.exp(p.log_scales[rows]), noise)
 
-    def state(self) -> dict[str, np.ndarray]:
+    def state(self) -> Arrays:
         return {}
 
-    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+    def restore(self, state: ArraysByName) -> None:
         """Restore nothing: the generator's state is all that there is, and the loop restores it."""
 
 
@@ -267,23 +254,16 @@ def shared_place(
     shrink = np.ones_like(opacities)
     for n in map(int, np.unique(sharing)):
         rows = sharing == n
-        shrink[rows] = opacities[rows] / _line_integral(each[rows], n)
+        # the integral of 1 - (1 - o g(x))^N along a line, in units of that of g, a Gaussian of unit height
+        opacity = each[rows]
+        terms = [comb(n, k) * (-1) ** (k - 1) / sqrt(k) * opacity**k for k in range(1, n + 1)]
+        total: Anywhere = sum(terms[1:], terms[0])
+        shrink[rows] = opacities[rows] / total
     return each, shrink
-
-
-def _line_integral(opacity: Float64[Anywhere, " n"], sharing: int) -> Float64[Anywhere, " n"]:
-    """Return the integral of 1 - (1 - o g(x))^N along a line, in units of that of g, a Gaussian of unit height.
-
-    Sum over i = 1..N, k = 0..i-1 of C(i-1, k) (-1)^k o^(k+1) / sqrt(k+1); over i first, that is C(N, k+1).
-    """
-    terms = [comb(sharing, k) * (-1) ** (k - 1) / sqrt(k) * opacity**k for k in range(1, sharing + 1)]
-    total: Anywhere = sum(terms[1:], terms[0])
-    return total
 
 
 def drawn(weights: Float32[Anywhere, " n"], count: int, rng: np.random.Generator) -> Integer[Anywhere, " count"]:
     """Draw indices with replacement, in proportion to the weights."""
     steps = np.cumsum(weights, dtype=np.float64)
     at = np.searchsorted(steps, placed(rng.random(count), steps) * steps[-1], side="right")
-    inside: Anywhere = np.minimum(at, len(weights) - 1)
-    return inside
+    return np.minimum(at, len(weights) - 1)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Image, Pixels, UInt8
+from ..base.arrays import Image, UInt8
 from ..drawing.pictures import as_pixels, write_picture
 from ..kernels.training import SceneParameters, forward
 from ..scene.placing import PUBLISHED_NEAR
@@ -63,7 +63,9 @@ def evaluate(
         photo = photos[index]
         scores.append(_score(view.name, image, photo))
         if pictures is not None:
-            _write(pictures / Path(view.name).with_suffix(".png"), side_by_side(image, photo))
+            path = pictures / Path(view.name).with_suffix(".png")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_picture(path, side_by_side(image, photo), overwrite=True)
     return Evaluation(
         float(np.mean([score.psnr for score in scores])),
         float(np.mean([score.ssim for score in scores])),
@@ -79,8 +81,7 @@ def rendered(
     drawn = forward(
         parameters, view, settings.sh_degree, backdrop, near=near, antialiased=settings.antialiased, threads=threads
     )
-    clipped: np.ndarray = np.clip(drawn.image, 0, 1)
-    return clipped
+    return np.clip(drawn.image, 0, 1)
 
 
 def _score(name: str, image: Image, photo: Photo) -> ViewScore:
@@ -97,8 +98,3 @@ def side_by_side(image: Image, photo: Photo) -> UInt8[np.ndarray, "h w3 3"]:
     error = np.abs(image - photo.colors()) * np.float32(ERROR_GAIN)
     error.reshape(-1, 3)[photo.unused] = 0
     return np.concatenate([photo.pixels, as_pixels(image), as_pixels(error)], axis=1)
-
-
-def _write(path: Path, picture: Pixels) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_picture(path, picture, overwrite=True)

@@ -6,15 +6,14 @@ A run that was killed and goes on ends with the same bits as one that was not.
 import hashlib
 import json
 import time
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from ..base.arrays import Vector3
-from ..errors import DrSplatWarning, FormatError, InputError, MismatchError
+from ..base.arrays import ArraysByName, Vector3
+from ..errors import FormatError, InputError, MismatchError, warn
 from ..formats.captures import SparsePoints
 from ..formats.checksums import hash_file
 from ..formats.ply import read_point_ply
@@ -142,16 +141,15 @@ def _check_length(path: Path, run: Run, planned: int) -> None:
             "for: ask for more, or start anew with overwrite=True"
         )
     if not same_until(replace(run.settings, iterations=planned), run.settings, run.iteration):
-        warnings.warn(
+        warn(
             f"{path}: the run was planned for {planned:,} iterations and left out an opacity reset near its end: the "
             f"scene will not be the one of a run planned for {run.settings.iterations:,}; overwrite=True makes that "
             "one",
-            DrSplatWarning,
-            stacklevel=4,
+            4,
         )
 
 
-def _check_values(arrays: Mapping[str, np.ndarray], texts: Mapping[str, str], run: Run) -> None:
+def _check_values(arrays: ArraysByName, texts: Mapping[str, str], run: Run) -> None:
     """Check a checkpoint's values. Raises: ValueError: sizes or indices that a run of these settings cannot have."""
     for name, array in run.optimizer.state().items():
         if arrays[name].shape[1:] != array.shape[1:]:
@@ -323,10 +321,9 @@ def _warn_of_fog(training: Training) -> None:
     test = training.evaluation
     if test is None or not training.held_out_far_below:
         return
-    warnings.warn(
+    warn(
         f"held-out photos are rendered at {test.psnr:.1f} dB, those trained on at {training.psnr_train:.1f}: the scene "
         "looks right only from where it was photographed, as fog does, and searching it will disappoint. More photos "
         "from places in between help, as do sharper ones, right poses, and points to start from (points=FILE)",
-        DrSplatWarning,
-        stacklevel=4,
+        4,
     )

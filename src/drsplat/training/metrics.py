@@ -5,7 +5,7 @@ import math
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from ..base.arrays import Bool, Float64, Image, RowIds
+from ..base.arrays import Bool, Doubles, Float64, Image, RowIds
 
 WINDOW, SIGMA = 11, 1.5
 C1, C2 = 0.01**2, 0.03**2
@@ -19,7 +19,7 @@ def psnr(image: Image, photo: Image, outside: Flat | None = None) -> float:
     outside: flat indices of pixels that do not count, or a mark for each pixel.
     """
     error = (image.astype(np.float64) - photo) ** 2
-    mean = float(_inside(error.mean(axis=2), outside).mean())
+    mean = float(_inside(error.mean(2), outside).mean())
     return math.inf if mean == 0 else -10 * math.log10(mean)
 
 
@@ -32,15 +32,14 @@ def ssim(image: Image, photo: Image, outside: Flat | None = None) -> float:
     x, y, xx, yy, xy = map(_blurred, (a, b, a * a, b * b, a * b))
     luminance = (2 * x * y + C1) / (x * x + y * y + C1)
     structure = (2 * (xy - x * y) + C2) / (xx - x * x + yy - y * y + C2)
-    return float(_inside((luminance * structure).mean(axis=2), outside).mean())
+    return float(_inside((luminance * structure).mean(2), outside).mean())
 
 
 def _blurred(values: Float64[np.ndarray, "h w 3"]) -> Float64[np.ndarray, "h w 3"]:
-    blurred: np.ndarray = gaussian_filter(values, (SIGMA, SIGMA, 0), mode="constant", radius=WINDOW // 2)
-    return blurred
+    return gaussian_filter(values, (SIGMA, SIGMA, 0), mode="constant", radius=WINDOW // 2)
 
 
-def _inside(values: Float64[np.ndarray, "h w"], outside: Flat | None) -> Float64[np.ndarray, " k"]:
+def _inside(values: Float64[np.ndarray, "h w"], outside: Flat | None) -> Doubles:
     flat = values.ravel()
     if outside is None or len(outside) == 0:
         return flat

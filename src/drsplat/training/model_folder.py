@@ -109,7 +109,13 @@ class ModelFolder:
         # trained on photos whose lens was undone, so the cameras have none
         undistorted = [replace(view, distortion=None) for view in views]
         write_cameras_json(self.path / "cameras.json", undistorted, overwrite=True)
-        write_vertices(self.start, _point_columns(points), overwrite=True)
+        zeros = np.zeros(len(points.positions), np.float32)
+        kept = np.float64 if local_origin(points.positions).any() else np.float32
+        columns = dict(zip("xyz", points.positions.astype(kept).T, strict=True))
+        columns |= dict.fromkeys(("nx", "ny", "nz"), zeros)
+        write_vertices(
+            self.start, (columns | dict(zip(("red", "green", "blue"), points.colors.T, strict=True))), overwrite=True
+        )
 
     def write_settings(self, views: Sequence[View], settings: TrainingSettings) -> None:
         """Write settings.json, and cfg_args: the arguments of 3DGS that other tools read back, as it writes them."""
@@ -140,11 +146,3 @@ def _source_and_images(view: View) -> tuple[Path, str]:
     if folder.name.startswith("images"):
         return folder.parent, folder.name
     return folder, "."
-
-
-def _point_columns(points: SparsePoints) -> dict[str, np.ndarray]:
-    zeros = np.zeros(len(points.positions), np.float32)
-    kept = np.float64 if local_origin(points.positions).any() else np.float32
-    columns = dict(zip("xyz", points.positions.astype(kept).T, strict=True))
-    columns |= dict.fromkeys(("nx", "ny", "nz"), zeros)
-    return columns | dict(zip(("red", "green", "blue"), points.colors.T, strict=True))

@@ -1,10 +1,8 @@
 """The optimised parameters, with Adam's moments row by row beside them."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from ..base.arrays import Anywhere, Bool, Float32, Integer
+from ..base.arrays import Anywhere, Arrays, ArraysByName, Bool, Float32, Integer
 from ..errors import FormatError
 from ..formats.activation import checked, sigmoid
 from ..kernels.cuda.devices import contiguous, on_host
@@ -103,7 +101,7 @@ class Optimizer:
         except FormatError as error:
             raise FormatError(f"the optimisation left the finite numbers: {error}") from None
 
-    def state(self) -> dict[str, np.ndarray]:
+    def state(self) -> Arrays:
         """Return all arrays by name, for a checkpoint."""
         groups = {"parameters": self.parameters, "first": self.first, "second": self.second}
         return {
@@ -111,7 +109,7 @@ class Optimizer:
         }
 
     @classmethod
-    def from_state(cls, state: Mapping[str, np.ndarray]) -> "Optimizer":
+    def from_state(cls, state: ArraysByName) -> "Optimizer":
         """Return the optimizer of what `state` returned; arrays are copied."""
         groups = [
             SceneParameters(*(np.array(state[f"{group}.{name}"], np.float32) for name in FLOATING))

@@ -14,10 +14,10 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ..base.arrays import Anywhere, Float32, Image, Vector3
+from ..base.arrays import Anywhere, Arrays, ArraysByName, Float32, Image, Vector3
 from ..errors import DrSplatError, InputError
 from ..formats.captures import SparsePoints
-from ..kernels.training import Loss, Rates, TrainingView, forward, photometric_loss
+from ..kernels.training import Rates, TrainingView, forward, photometric_loss
 from ..scene.gaussians import Gaussians
 from ..scene.placing import near_plane
 from ..scene.views import View
@@ -192,7 +192,16 @@ class Run:
         target = photo.colors()
         self._lap("photo")
         drawn = self._drawn(view, threads)
-        loss = self._loss(drawn, target, photo, threads)
+        # the loss; where the photo is masked, the rendering is its own target and nothing is learnt
+        unused = photo.unused
+        if len(unused):
+            target.reshape(-1, 3)[unused] = drawn.image.reshape(-1, 3)[unused]
+        loss = photometric_loss(drawn.image, target, self.settings.dssim_weight, threads=threads)
+        if not math.isfinite(loss.value):
+            raise self._diverged()
+        if len(unused):
+            loss.gradient.reshape(-1, 3)[unused] = 0
+        self._lap("loss")
         gradients = drawn.backward(loss.gradient)
         if photo.left_out is not None:
             # Gaussians that only left-out pixels show are unseen: density control counts who is seen
@@ -225,19 +234,6 @@ class Run:
         if self.settings.background == "random":
             return self.rng.random(3, np.float32)
         return np.array(self.settings.backdrop, np.float32)
-
-    def _loss(self, drawn: TrainingView, target: Image, photo: Photo, threads: int) -> Loss:
-        """Return the loss; where the photo is masked, the rendering is its own target and nothing is learnt."""
-        unused = photo.unused
-        if len(unused):
-            target.reshape(-1, 3)[unused] = drawn.image.reshape(-1, 3)[unused]
-        loss = photometric_loss(drawn.image, target, self.settings.dssim_weight, threads=threads)
-        if not math.isfinite(loss.value):
-            raise self._diverged()
-        if len(unused):
-            loss.gradient.reshape(-1, 3)[unused] = 0
-        self._lap("loss")
-        return loss
 
     def _learn(self, gradients: Slopes, threads: int) -> None:
         rates = self._rates()
@@ -274,7 +270,7 @@ class Run:
         """Return the present scene in world coordinates. Raises: as `Optimizer.gaussians`."""
         return replace(self.optimizer.gaussians(), origin=self.origin, antialiased=self.settings.antialiased)
 
-    def state(self) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    def state(self) -> tuple[Arrays, dict[str, str]]:
         """Return the arrays and texts from which `restore` goes on."""
         arrays = self.optimizer.state() | self.density.state() | self.order.state()
         texts = {
@@ -287,7 +283,7 @@ class Run:
         }
         return arrays, texts
 
-    def restore(self, arrays: Mapping[str, np.ndarray], texts: Mapping[str, str]) -> None:
+    def restore(self, arrays: ArraysByName, texts: Mapping[str, str]) -> None:
         """Become the run that `state` was taken of."""
         self.optimizer = self._placed(Optimizer.from_state(arrays))
         self.density.restore(arrays)

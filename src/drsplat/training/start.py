@@ -118,7 +118,7 @@ def scene_extent(views: Sequence[View]) -> float:
     Source: the published defaults of 3DGS ("cameras_extent").
     """
     centers = np.array([view.center for view in views])
-    mean = centers.mean(axis=0)
+    mean = centers.mean(0)
     farthest = float(np.linalg.norm(centers - mean, axis=1).max())
     if not farthest > SAME_PLACE_SHARE * (1 + float(np.linalg.norm(mean))):
         raise InputError(
@@ -138,7 +138,7 @@ def first_gaussians(points: SparsePoints, settings: TrainingSettings) -> ScenePa
     tree = cKDTree(points.positions)
     distances = tree.query(points.positions, k=min(NEIGHBOURS + 1, count), workers=1)[0]
     least = min(MIN_DISTANCE2, (MIN_DISTANCE_SHARE * size_of(points.positions)) ** 2)
-    mean2 = np.maximum((distances[:, 1:] ** 2).mean(axis=1), least or MIN_DISTANCE2)
+    mean2 = np.maximum((distances[:, 1:] ** 2).mean(1), least or MIN_DISTANCE2)
     log_scales = np.log(settings.first_scale * np.sqrt(mean2))
     sh = np.zeros((count, SH_COEFFICIENTS[settings.sh_degree], 3), np.float32)
     sh[:, 0] = (points.colors / 255 - 0.5) / SH_C0

@@ -1,14 +1,13 @@
 """Starting points of the Gaussians: given ones, else triangulated ones, else random ones."""
 
-import warnings
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..base.arrays import Bool, Doubles, Flags, Float64, Points
-from ..errors import DrSplatWarning, InputError
+from ..base.arrays import Doubles, Flags, Float64, OtherDoubles, OtherPoints, PlanePoints, Points
+from ..errors import InputError, warn
 from ..formats.captures import SparsePoints
 from ..scene.views import View
 from .settings import TrainingSettings
@@ -71,12 +70,11 @@ def _triangulated_start(
     if count >= ENOUGH_POINTS:
         return Start(SparsePoints(found.positions, found.colors), count)
     drawn = _random_places(views, found.positions, settings, rng)
-    warnings.warn(
+    warn(
         f"triangulating {found.photos} photos gave {count:,} of the {ENOUGH_POINTS} points that would do (they show "
         f"little texture, or little of the same): training starts from {len(drawn):,} random points as well, where "
         "several cameras look, which takes longer and ends worse. Points of another tool can be given (points=FILE)",
-        DrSplatWarning,
-        stacklevel=5,
+        5,
     )
     positions = np.concatenate([found.positions, drawn])
     grey = np.full(drawn.shape, DEFAULT_GREY, np.uint8)
@@ -85,7 +83,7 @@ def _triangulated_start(
 
 def _random_places(
     views: Sequence[View], known: Points, settings: TrainingSettings, rng: np.random.Generator
-) -> Float64[np.ndarray, "m 3"]:
+) -> OtherPoints:
     """Draw places in the space that several cameras see; where there is none, in the cube about the cameras."""
     count = settings.random_points
     if settings.max_gaussians is not None:
@@ -96,19 +94,17 @@ def _random_places(
     if len(drawn) + len(known) >= least:
         return drawn
     middle: np.ndarray = np.mean([view.center for view in views], axis=0)
-    cube: np.ndarray = middle + rng.uniform(-extent, extent, (max(count, least), 3))
-    return cube
+    return middle + rng.uniform(-extent, extent, (max(count, least), 3))
 
 
 def _warn_of_wrong_poses(found: Triangulation) -> None:
     if found.alike < MIN_ALIKE_MATCHES or found.agreeing >= MIN_AGREEING_SHARE * found.alike:
         return
-    warnings.warn(
+    warn(
         f"only {found.agreeing:,} of {found.alike:,} matches between photos agree with their poses "
         f"({found.agreeing / found.alike:.1%}; of right poses, 40 % and more): check that the poses are of these "
         "photos, and the axes and lens of the file that they come from",
-        DrSplatWarning,
-        stacklevel=6,
+        6,
     )
 
 
@@ -129,7 +125,7 @@ def _check_points(points: SparsePoints) -> None:
         raise InputError(
             f"points: expected positions and colors (n, 3), got {points.positions.shape} and {points.colors.shape}"
         )
-    finite: Flags = np.isfinite(points.positions).all(axis=1)
+    finite: Flags = np.isfinite(points.positions).all(1)
     if not finite.all():
         raise InputError(
             f"{count - int(finite.sum())} of {count} points are not finite, the first at index "
@@ -142,15 +138,20 @@ def _check_points(points: SparsePoints) -> None:
         )
 
 
-def fill(
-    views: Sequence[View], triangulated: Points, count: int, rng: np.random.Generator, size: float
-) -> Float64[np.ndarray, "m 3"]:
+def fill(views: Sequence[View], triangulated: Points, count: int, rng: np.random.Generator, size: float) -> OtherPoints:
     """Draw at most `count` points along random rays; fewer where cameras share little or no space.
 
     triangulated: points that random ones keep away from, and take their depths from. size: of the scene,
     in its units, used where neither points nor crossing lines of sight give a depth.
     """
-    ranges = depth_ranges(views, triangulated, size)
+    # the depths between which each view is filled: about its points, else about the point all views look at
+    looked_at = _distances_to_focus(views, size)
+    ranges = looked_at[:, None] * DEPTHS_OVER_FOCUS_DISTANCE
+    for index, view in enumerate(views):
+        depths = _depths_seen(view, triangulated)
+        if len(depths) >= MIN_POINTS_IN_VIEW:
+            low, high = np.percentile(depths, (5, 95))
+            ranges[index] = low, high
     clearance = _clearance(triangulated)
     batches: list[np.ndarray] = []
     missing = count
@@ -166,38 +167,24 @@ def fill(
     return np.concatenate(batches)
 
 
-def depth_ranges(views: Sequence[View], triangulated: Points, size: float) -> Ranges:
-    """Return the depths between which each view is filled: about its points, else about the point all views look at."""
-    looked_at = _distances_to_focus(views, size)
-    ranges = looked_at[:, None] * DEPTHS_OVER_FOCUS_DISTANCE
-    for index, view in enumerate(views):
-        depths = _depths_seen(view, triangulated)
-        if len(depths) >= MIN_POINTS_IN_VIEW:
-            low, high = np.percentile(depths, (5, 95))
-            ranges[index] = low, high
-    return ranges
-
-
-def _distances_to_focus(views: Sequence[View], size: float) -> Float64[np.ndarray, " v"]:
+def _distances_to_focus(views: Sequence[View], size: float) -> Doubles:
     """Return each camera's distance to the point nearest to all optical axes; `size` if it is not ahead."""
     centers = np.array([view.center for view in views])
     axes = np.array([view.cam_from_world[2, :3] for view in views])
-    mean_center = centers.mean(axis=0)
+    mean_center = centers.mean(0)
     across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     sides = np.einsum("vij,vj->i", across, centers - mean_center)
-    focus = np.linalg.lstsq(across.sum(axis=0), sides, rcond=1e-6)[0] + mean_center
-    ahead: np.ndarray = ((focus - centers) * axes).sum(axis=1)
-    distances: np.ndarray = np.where(ahead > 0.1 * size, ahead, size)
-    return distances
+    focus = np.linalg.lstsq(across.sum(0), sides, rcond=1e-6)[0] + mean_center
+    ahead: np.ndarray = ((focus - centers) * axes).sum(1)
+    return np.where(ahead > 0.1 * size, ahead, size)
 
 
-def _depths_seen(view: View, points: Points) -> Float64[np.ndarray, " m"]:
+def _depths_seen(view: View, points: Points) -> OtherDoubles:
     pixels, depths = _projected(view, points)
-    seen: np.ndarray = depths[_inside(view, pixels, depths)]
-    return seen
+    return depths[_inside(view, pixels, depths)]
 
 
-def _along_rays(views: Sequence[View], ranges: Ranges, rng: np.random.Generator) -> Float64[np.ndarray, "b 3"]:
+def _along_rays(views: Sequence[View], ranges: Ranges, rng: np.random.Generator) -> Points:
     """Draw points at random depths, in the view's range, through random pixels of random views."""
     chosen = rng.integers(len(views), size=BATCH_POINTS)
     shares = rng.random((BATCH_POINTS, 3))
@@ -212,9 +199,7 @@ def _along_rays(views: Sequence[View], ranges: Ranges, rng: np.random.Generator)
     return points
 
 
-def _seen_by_several(
-    views: Sequence[View], ranges: Ranges, points: Float64[np.ndarray, "b 3"]
-) -> Bool[np.ndarray, " b"]:
+def _seen_by_several(views: Sequence[View], ranges: Ranges, points: Points) -> Flags:
     """Return which points several views see in their range and no view sees right before it."""
     num_views = np.zeros(len(points), np.int32)
     is_close = np.zeros(len(points), bool)
@@ -226,7 +211,7 @@ def _seen_by_several(
     return (num_views >= min(MIN_CAMERAS, len(views))) & ~is_close
 
 
-def _projected(view: View, points: Points) -> tuple[Float64[np.ndarray, "n 2"], Doubles]:
+def _projected(view: View, points: Points) -> tuple[PlanePoints, Doubles]:
     """Return the pixels and depths (camera z) of points. Pixels of points behind the camera are meaningless."""
     in_camera = (points - view.center) @ view.cam_from_world[:3, :3].T
     depths = in_camera[:, 2]
@@ -234,8 +219,8 @@ def _projected(view: View, points: Points) -> tuple[Float64[np.ndarray, "n 2"], 
     return (in_camera @ view.K.T)[:, :2] / safe[:, None], depths
 
 
-def _inside(view: View, pixels: Float64[np.ndarray, "n 2"], depths: Doubles) -> Flags:
-    inside = (pixels >= 0).all(axis=1) & (pixels < (view.width, view.height)).all(axis=1)
+def _inside(view: View, pixels: PlanePoints, depths: Doubles) -> Flags:
+    inside = (pixels >= 0).all(1) & (pixels < (view.width, view.height)).all(1)
     return inside & (depths > 0)
 
 

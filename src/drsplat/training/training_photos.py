@@ -1,6 +1,6 @@
 """The photos of a run: decoded, undistorted and resized once, kept as bytes; and their order."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from threading import Lock
 from typing import NamedTuple
@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from ..base.arrays import Bool, Float32, Mask, Pixels, RowIds
+from ..base.arrays import Arrays, ArraysByName, Float32, Mask, OtherFlags, Pixels, RowIds, WholeNumbers
 from ..scene.photo_masks import load_mask
 from ..scene.photos import load_image, photo_coverage
 from ..scene.views import View
@@ -26,7 +26,7 @@ class Photo(NamedTuple):
     left_out: Mask | None = None
 
     @property
-    def unused(self) -> RowIds | Bool[np.ndarray, " hw"]:
+    def unused(self) -> WholeNumbers | OtherFlags:
         """The flat pixels that take no part: their indices or, where there is a mask, a mark for each pixel."""
         if self.left_out is None:
             return self.outside
@@ -119,8 +119,8 @@ class ViewOrder:
         following, self.pending = int(self.pending[0]), self.pending[1:]
         return following
 
-    def state(self) -> dict[str, np.ndarray]:
+    def state(self) -> Arrays:
         return {"order.pending": self.pending}
 
-    def restore(self, state: Mapping[str, np.ndarray]) -> None:
+    def restore(self, state: ArraysByName) -> None:
         self.pending = np.array(state["order.pending"], np.int64)

@@ -1,13 +1,12 @@
 """How a hole that a removal leaves is closed: what is cloned from beside it, and what is left open."""
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
 from scipy import ndimage
 
-from ...base.arrays import Float64, Int64, Mask, RowIds
-from ...errors import DrSplatWarning, InputError
+from ...base.arrays import Indices, Int64, Mask, Points, RowIds
+from ...errors import InputError, warn
 from ...formats.json_files import spans_of
 from ...scene.boxes import HAZE_OPACITY
 from .draft import Draft
@@ -56,16 +55,16 @@ def closing(draft: Draft, ids: RowIds) -> FillRecord:
     return FillRecord(spans_of(near[removed]), tuple(clones))
 
 
-def _near(draft: Draft, ids: RowIds, thing: Float64[np.ndarray, "t 3"]) -> Int64[np.ndarray, " k"]:
+def _near(draft: Draft, ids: RowIds, thing: Points) -> Int64[np.ndarray, " k"]:
     """Return the rows that are there around what stood there, without itself."""
     low, high = np.quantile(thing, (0.01, 0.99), axis=0)
     reach = SEARCH_MARGIN_SHARE * float(np.linalg.norm(high - low))
-    near = ((draft.means >= low - reach) & (draft.means <= high + reach)).all(axis=1) & draft.present
+    near = ((draft.means >= low - reach) & (draft.means <= high + reach)).all(1) & draft.present
     near[ids] = False
     return np.flatnonzero(near)
 
 
-def _closed(near: Int64[np.ndarray, " k"], ground: Ground) -> tuple[RowIds, list[Clones], float]:
+def _closed(near: Indices, ground: Ground) -> tuple[RowIds, list[Clones], float]:
     """Return which of the Gaussians near a thing go for a plane, what is cloned, and how much of the hole stays open.
 
     A hole that the plane is not around, or that hardly anything could close, stays as it is.
@@ -77,14 +76,22 @@ def _closed(near: Int64[np.ndarray, " k"], ground: Ground) -> tuple[RowIds, list
     return np.union1d(ground.standing, ground.guessed), clones, float(open_share)
 
 
-def _clones(near: Int64[np.ndarray, " k"], ground: Ground) -> tuple[list[Clones], Cells]:
+def _clones(near: Indices, ground: Ground) -> tuple[list[Clones], Cells]:
     """Return what is cloned, and the cells of the hole that this leaves open."""
     hole, scene, grid, surface = ground.hole, ground.scene, ground.grid, ground.surface
     good, missing, seen_through = ground.cloneable(surface.known), hole, np.ones(grid.shape)
     clones = []
     for _ in range(MAX_SHIFTS):
         shift, closed = best_shift(missing, good, surface)
-        rows = ground.own[grid.among(_margin(closed, shift), ground.places[ground.own])]
+        # the cells by a shift from those that it closes, and some around them
+        source = np.zeros_like(closed)
+        down, across = np.nonzero(closed)
+        source[down + shift[0], across + shift[1]] = True
+        rows = ground.own[
+            grid.among(
+                np.asarray(ndimage.binary_dilation(source, iterations=CLONE_MARGIN_CELLS)), ground.places[ground.own]
+            )
+        ]
         if not closed.any() or not len(rows):
             break
         clones.append(Clones(spans_of(near[rows]), -grid.shift(shift)))
@@ -95,16 +102,8 @@ def _clones(near: Int64[np.ndarray, " k"], ground: Ground) -> tuple[list[Clones]
     return clones, missing
 
 
-def _margin(closed: Cells, shift: tuple[int, int]) -> Cells:
-    """Return the cells by a shift from those that it closes, and some around them."""
-    source = np.zeros_like(closed)
-    down, across = np.nonzero(closed)
-    source[down + shift[0], across + shift[1]] = True
-    return np.asarray(ndimage.binary_dilation(source, iterations=CLONE_MARGIN_CELLS))
-
-
 def _warn_if_open(open_share: float) -> None:
     """Warn where much of a hole stays open."""
     if open_share > 1 - WARNED_CLOSED_SHARE:
         message = f"fill: of one plane {1 - open_share:.0%} of the hole could be closed"
-        warnings.warn(message, DrSplatWarning, stacklevel=5)
+        warn(message, 5)

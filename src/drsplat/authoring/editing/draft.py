@@ -10,7 +10,20 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...base.arrays import Flags, Float32, Float64, Harmonics, Matrix3, Numbers, Quats, RowIds, Vector3, Vectors
+from ...base.arrays import (
+    Arrays,
+    Doubles,
+    Flags,
+    Float64,
+    Harmonics,
+    Matrix3,
+    Numbers,
+    Quats,
+    RowIds,
+    Vector3,
+    Vectors,
+    WholeNumbers,
+)
 from ...drawing.heat import LUMA
 from ...errors import InputError
 from ...formats.scenes import read_gaussians
@@ -38,7 +51,7 @@ class Draft:
     scales: Vectors
     opacities: Numbers
     sh: Harmonics
-    extra: dict[str, np.ndarray]
+    extra: Arrays
     origin: Vector3
     present: Flags
     homes: Vectors
@@ -89,7 +102,7 @@ class Draft:
         self.means[ids] = self._means(part)
         self.quats[ids], self.scales[ids], self.sh[ids] = part.quats, part.scales, part.sh
 
-    def shift(self, ids: RowIds, by: Sequence[int | float] | Float64[np.ndarray, "*rows 3"]) -> None:
+    def shift(self, ids: WholeNumbers, by: Sequence[int | float] | Float64[np.ndarray, "*rows 3"]) -> None:
         """Move rows by the same vector, or each by its own."""
         self.means[ids] = (self.means[ids] + np.asarray(by, np.float64)).astype(np.float32)
 
@@ -129,11 +142,11 @@ class Draft:
         ids = self.extra.get(OBJECT_ID)
         return 0 if ids is None else int(ids.max(initial=-1)) + 1
 
-    def _means(self, part: Gaussians) -> Float32[np.ndarray, "m 3"]:
+    def _means(self, part: Gaussians) -> Vectors:
         """Return the centres of a part, counted from this draft's origin."""
         if (part.origin == self.origin).all():
             return part.means
-        return np.asarray((part.positions - self.origin).astype(np.float32))
+        return (part.positions - self.origin).astype(np.float32)
 
 
 def most_rows(rows: int) -> int:
@@ -259,10 +272,10 @@ def middle_of(part: Gaussians) -> Vector3:
     if not len(part):
         return np.zeros(3)
     positions = part.positions[solid(part, np.arange(len(part)))]
-    return np.asarray((positions.min(axis=0) + positions.max(axis=0)) / 2)
+    return (positions.min(0) + positions.max(0)) / 2
 
 
-Colors = Float64[np.ndarray, "m 3"]
+Colors = Float64[np.ndarray, "n 3"]
 REFERENCE_LIGHT_QUANTILE = (
     0.9  # of an object's light: Gaussians at it get the colour itself, lighter ones a lighter one
 )
@@ -341,7 +354,7 @@ class MatchPhoto:
     def of(cls, photo: np.ndarray) -> "MatchPhoto":
         """Return the change to the statistics of a picture, uint8 (H, W, 3); black pixels lie outside of a cut-out."""
         pixels = photo.reshape(-1, 3)
-        pixels = pixels[pixels.any(axis=1)] / 255.0
+        pixels = pixels[pixels.any(1)] / 255.0
         if len(pixels) < 2:
             raise InputError("the photo is black: expected a picture with colours to take over")
         mean, covariance = _statistics(pixels, np.ones(len(pixels)))
@@ -375,16 +388,16 @@ def check_color(color: Triple) -> None:
         raise InputError(f"a colour: expected red, green and blue from 0 to 1, got {color}")
 
 
-def grouped(colors: Colors, weights: Float64[np.ndarray, " m"], count: int) -> RowIds:
+def grouped(colors: Colors, weights: Doubles, count: int) -> WholeNumbers:
     """Return up to `count` groups of like colours, hue before light, by k-means from quantiles of light."""
-    total = colors.sum(axis=1, keepdims=True)
+    total = colors.sum(1, keepdims=True)
     light = np.einsum("nc,c->n", colors, LUMA)
     features = np.column_stack([colors / np.maximum(total, 3 * MIN_CLUSTER_LIGHT), LUMA_WEIGHT * light])
     order = np.argsort(light, kind="stable")
     starts = order[((np.arange(count) + 0.5) / count * len(order)).astype(int)] if len(order) else order
     centers, groups = features[starts], np.zeros(len(colors), np.int64)
     for _ in range(KMEANS_STEPS):
-        groups = ((features[:, None] - centers[None]) ** 2).sum(axis=2).argmin(axis=1)
+        groups = ((features[:, None] - centers[None]) ** 2).sum(2).argmin(1)
         for k in range(len(centers)):
             mine = groups == k
             if weights[mine].sum() > 0:
@@ -392,18 +405,18 @@ def grouped(colors: Colors, weights: Float64[np.ndarray, " m"], count: int) -> R
     return groups
 
 
-def _colors(sh: Float32[np.ndarray, "m k 3"]) -> Colors:
-    return np.asarray(np.clip(0.5 + SH_C0 * sh[:, 0].astype(np.float64), 0, 1))
+def _colors(sh: Harmonics) -> Colors:
+    return np.clip(0.5 + SH_C0 * sh[:, 0].astype(np.float64), 0, 1)
 
 
 def _map(draft: Draft, ids: RowIds, matrix: Matrix3, offset: Vector3) -> None:
     """Apply c -> matrix c + offset, for the colour in every direction."""
     sh = np.einsum("rc,nkc->nkr", matrix, draft.sh[ids].astype(np.float64))
-    sh[:, 0] += (matrix.sum(axis=1) * 0.5 + offset - 0.5) / SH_C0
+    sh[:, 0] += (matrix.sum(1) * 0.5 + offset - 0.5) / SH_C0
     draft.sh[ids] = sh.astype(np.float32)
 
 
-def _statistics(colors: Colors, weights: Float64[np.ndarray, " m"]) -> tuple[Vector3, Matrix3]:
+def _statistics(colors: Colors, weights: Doubles) -> tuple[Vector3, Matrix3]:
     shares = weights / weights.sum()
     mean = np.einsum("n,nc->c", shares, colors)
     away = colors - mean
@@ -413,4 +426,4 @@ def _statistics(colors: Colors, weights: Float64[np.ndarray, " m"]) -> tuple[Vec
 def _power(matrix: Matrix3, exponent: float) -> Matrix3:
     """Return a power of a symmetric matrix without negative eigenvalues."""
     values, vectors = np.linalg.eigh((matrix + matrix.T) / 2)
-    return np.asarray(vectors * np.maximum(values, 1e-12) ** exponent @ vectors.T)
+    return vectors * np.maximum(values, 1e-12) ** exponent @ vectors.T

@@ -359,11 +359,6 @@ def _clones(entry: object, where: str) -> Clones:
     return Clones(spans_of_runs(entry.get("runs"), f"{where}: runs"), _point(entry.get("by"), f"{where}: by"))
 
 
-def _record_json(record: FillRecord) -> dict[str, object]:
-    clones = [{"by": one.by.tolist(), "runs": runs_of(one.spans)} for one in record.clones]
-    return {"removed": runs_of(record.removed), "clones": clones}
-
-
 _CHANGES: dict[str, tuple[type[Change], dict[str, Read]]] = {
     "remove": (Remove, {}),
     "isolate": (Isolate, {}),
@@ -389,7 +384,8 @@ def _change_json(change: Change) -> dict[str, object]:
     if isinstance(change, Fill):
         if change.record is None:
             raise InputError("fill: its record is missing: store the list with EditFile.change, which makes it")
-        values["record"] = _record_json(change.record)
+        clones = [{"by": one.by.tolist(), "runs": runs_of(one.spans)} for one in change.record.clones]
+        values["record"] = {"removed": runs_of(change.record.removed), "clones": clones}
     plain = {key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in values.items()}
     return {"do": name} | {key: value for key, value in plain.items() if value is not None}
 

@@ -4,12 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.arrays import Int64, Vector3
+from ...base.arrays import Spans, Vector3
 from ...errors import InputError
-from ...formats.json_files import are_rows, ids_of
+from ...formats.json_files import are_rows, count_in, ids_of
 from .draft import Draft
-
-Spans = Int64[np.ndarray, "s 2"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +25,7 @@ class Clones:
             raise InputError("fill: clones: expected ascending rows of the scene, one or more")
 
     def __len__(self) -> int:
-        return int((self.spans[:, 1] - self.spans[:, 0]).sum())
+        return count_in(self.spans)
 
 
 @dataclass(frozen=True, eq=False)

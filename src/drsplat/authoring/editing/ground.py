@@ -8,7 +8,20 @@ from scipy import ndimage
 from scipy.signal import fftconvolve
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
-from ...base.arrays import Bool, Doubles, Flags, Float64, Int64, Integer, Mask, Points, RowIds, Vector3
+from ...base.arrays import (
+    Doubles,
+    Flags,
+    Float64,
+    Int64,
+    Mask,
+    OtherPoints,
+    PlanePoints,
+    Points,
+    RowIds,
+    Spans,
+    Vector3,
+    WholeNumbers,
+)
 from ...drawing.rendering import Picture, render
 from ...scene.boxes import HAZE_OPACITY
 from ...scene.gaussians import SH_C0, Gaussians
@@ -48,7 +61,7 @@ class Surface:
     colors: Colors
     known: Cells
 
-    def holds(self, colors: Float64[np.ndarray, "m 3"], cells: Shifts) -> Bool[np.ndarray, " m"]:
+    def holds(self, colors: Points, cells: Shifts) -> Flags:
         """Return which Gaussians, in some cells, are of the surface: not cutlery, crumbs, whatever lies on it.
 
         Neither they nor what is drawn in their cells stand out from the colour around.
@@ -57,10 +70,10 @@ class Surface:
             return np.ones(len(colors), bool)
         drawn = np.where(self.known[..., None], self.colors, np.median(self.colors[self.known], axis=0))
         middle = ndimage.median_filter(drawn, (MEDIAN_WINDOW_CELLS, MEDIAN_WINDOW_CELLS, 1))
-        off = np.abs(drawn - middle).max(axis=2)
+        off = np.abs(drawn - middle).max(2)
         plain = ~ndimage.binary_dilation(self.known & (off > _limit(off[self.known])))[cells[:, 0], cells[:, 1]]
-        off = np.abs(colors - middle[cells[:, 0], cells[:, 1]]).max(axis=1)
-        return np.asarray(plain & (off <= _limit(off)))
+        off = np.abs(colors - middle[cells[:, 0], cells[:, 1]]).max(1)
+        return plain & (off <= _limit(off))
 
     def seam(self, missing: Cells, shift: Int64[np.ndarray, " 2"]) -> float:
         """Return how far the colours that a shift brings are from those around a hole; infinite where few are known."""
@@ -93,35 +106,35 @@ class PlaneGrid:
     def over(cls, plane: Plane, places: Points) -> "PlaneGrid":
         """Return cells below all of some places."""
         points = plane.flat(places)
-        low, size = points.min(axis=0), np.ptp(points, axis=0)
+        low, size = points.min(0), np.ptp(points, axis=0)
         step = float(size.max()) / GRID_CELLS
         rows, columns = (np.floor(size / step).astype(int) + 1).tolist()
         return cls(plane, low, step, (rows, columns))
 
-    def cells(self, places: Points) -> Int64[np.ndarray, "n 2"]:
+    def cells(self, places: Points) -> Spans:
         """Return row and column of the cell below each place, of the nearest cell for places beside all."""
         steps = ((self.plane.flat(places) - self.low) / self.step).astype(np.int64)
-        return np.asarray(np.clip(steps, 0, np.array(self.shape) - 1))
+        return np.clip(steps, 0, np.array(self.shape) - 1)
 
     def among(self, cells: Cells, places: Points) -> Flags:
         """Return which places are over some cells."""
         down, across = self.cells(places).T
-        return np.asarray(cells[down, across])
+        return cells[down, across]
 
     @property
-    def middles(self) -> Float64[np.ndarray, "c 3"]:
+    def middles(self) -> Points:
         """Middles of all cells, in the scene."""
         flat, plane = self._flat_middles, self.plane
-        return np.asarray(flat @ plane.axes + plane.offset * plane.normal)
+        return flat @ plane.axes + plane.offset * plane.normal
 
     @property
-    def _flat_middles(self) -> Float64[np.ndarray, "c 2"]:
+    def _flat_middles(self) -> PlanePoints:
         rows, columns = np.indices(self.shape)
-        return np.asarray(self.low + (np.stack([rows.ravel(), columns.ravel()], axis=1) + 0.5) * self.step)
+        return self.low + (np.stack([rows.ravel(), columns.ravel()], axis=1) + 0.5) * self.step
 
     def shift(self, by: tuple[int, int]) -> Vector3:
         """Return by how far so many cells are, in the scene."""
-        return np.asarray(self.step * (np.array(by, np.float64) @ self.plane.axes))
+        return self.step * (np.array(by, np.float64) @ self.plane.axes)
 
     def shadow(self, places: Points) -> Cells:
         """Return the cells below some places, and what they close in."""
@@ -185,7 +198,7 @@ class Ground:
         return PlaneGrid.over(self.plane, self.places[self.rows])
 
     @cached_property
-    def owners(self) -> Integer[np.ndarray, " n"] | None:
+    def owners(self) -> WholeNumbers | None:
         """Objects of the Gaussians, -1 for none."""
         return self.scene.extra.get(OBJECT_ID)
 
@@ -193,7 +206,7 @@ class Ground:
     def bare(self) -> Cells:
         """Cells that nothing stands on."""
         above = np.flatnonzero(self.heights > MIN_STANDING_TOLERANCES * self.plane.tolerance)
-        return np.asarray(self.grid.coverage(self.scene.subset(above)) < MAX_BARE_OPACITY)
+        return self.grid.coverage(self.scene.subset(above)) < MAX_BARE_OPACITY
 
     @cached_property
     def in_front(self) -> Cells:
@@ -222,10 +235,10 @@ class Ground:
         if owners is not None and np.mean(owners[some] < 0) < MIN_OWNER_SHARE:
             some = some[owners[some] >= 0]
         coverage = self.grid.coverage(self.scene.subset(some))
-        return np.asarray((self.shadow & (coverage < COVERED_OPACITY) | self.foot) & self.in_front)
+        return (self.shadow & (coverage < COVERED_OPACITY) | self.foot) & self.in_front
 
     @cached_property
-    def main_owners(self) -> Integer[np.ndarray, " o"]:
+    def main_owners(self) -> WholeNumbers:
         """Objects, -1 for none, that have much of the plane, or of what of it is around the hole."""
         around = ndimage.binary_dilation(self.hole, iterations=RING_CELLS) & ~self.hole
         beside = self.rows[self.grid.among(around, self.places[self.rows])]
@@ -245,7 +258,7 @@ class Ground:
         own = drawn.holds(0.5 + SH_C0 * part.sh[:, 0].astype(np.float64), cells)
         if self.owners is not None:
             own &= np.isin(self.owners[self.rows], self.main_owners)
-        return np.asarray(self.rows[own])
+        return self.rows[own]
 
     @cached_property
     def own_coverage(self) -> Float64[np.ndarray, "h w"]:
@@ -259,7 +272,7 @@ class Ground:
 
     def cloneable(self, known: Cells) -> Cells:
         """Return known cells that nothing stands on or beside."""
-        return np.asarray(known & ndimage.binary_erosion(self.bare, iterations=FOOT_CELLS, border_value=1))
+        return known & ndimage.binary_erosion(self.bare, iterations=FOOT_CELLS, border_value=1)
 
     @cached_property
     def is_around_hole(self) -> bool:
@@ -269,7 +282,7 @@ class Ground:
             sides = ConvexHull(np.argwhere(self.own_coverage >= HINT_OPACITY)).equations
         except (QhullError, ValueError):  # fewer than three cells, or all in a row
             return False
-        within = (np.einsum("ci,si->cs", cells, sides[:, :2]) + sides[:, 2] <= 0).all(axis=1)
+        within = (np.einsum("ci,si->cs", cells, sides[:, :2]) + sides[:, 2] <= 0).all(1)
         return bool(len(cells) and within.mean() >= MIN_SURROUNDED_SHARE)
 
     @property
@@ -279,7 +292,7 @@ class Ground:
         goes = self.grid.among(self.hole, self.places[low])
         if self.owners is not None:
             goes &= _is_of_surface(self.owners[low], goes)
-        return np.asarray(low[goes])
+        return low[goes]
 
     @cached_property
     def standing(self) -> RowIds:
@@ -301,7 +314,7 @@ class Ground:
         rows = rows[self.grid.among(self.shadow, self.places[rows])]
         others = self.places[(self.owners >= 0) & ~np.isin(self.owners, flat) & (self.scene.opacities >= HAZE_OPACITY)]
         places = self.places[rows]
-        return np.asarray(rows[_distances(places, self.thing) < _distances(places, others)])
+        return rows[_distances(places, self.thing) < _distances(places, others)]
 
 
 def before(planes: list[Plane], places: Places) -> Flags:
@@ -318,16 +331,16 @@ def is_flat(scene: Gaussians, plane: Plane) -> Flags:
     full = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], axis=1).reshape(-1, 3, 3)
     flat = np.einsum("i,nij,j->n", plane.normal, full, plane.normal) <= plane.tolerance**2
     sizes = np.sort(scene.scales, axis=1)
-    return np.asarray(flat & (sizes[:, 2] <= MAX_ELONGATION * sizes[:, 1]))
+    return flat & (sizes[:, 2] <= MAX_ELONGATION * sizes[:, 1])
 
 
-def _is_of_surface(owners: Integer[np.ndarray, " l"], in_hole: Bool[np.ndarray, " l"]) -> Bool[np.ndarray, " l"]:
+def _is_of_surface(owners: WholeNumbers, in_hole: Flags) -> Flags:
     """Return which Gaussians about a plane are of no object, or of one that goes on beside the hole, like a floor."""
     _, which, counts = np.unique(owners, return_inverse=True, return_counts=True)
-    return np.asarray((owners < 0) | (2 * np.bincount(which[in_hole], minlength=len(counts)) <= counts)[which])
+    return (owners < 0) | (2 * np.bincount(which[in_hole], minlength=len(counts)) <= counts)[which]
 
 
-def _distances(places: Places, points: Float64[np.ndarray, "p 3"]) -> Doubles:
+def _distances(places: Places, points: OtherPoints) -> Doubles:
     """Return how far each place is from the nearest point; infinite without any."""
     return np.asarray(cKDTree(points).query(places)[0]) if len(points) else np.full(len(places), np.inf)
 
@@ -358,8 +371,8 @@ def best_shift(missing: Cells, good: Cells, surface: Surface) -> tuple[tuple[int
 
 def _within(
     cells: Shifts, shift: Int64[np.ndarray, " 2"] | tuple[int, int], shape: tuple[int, ...]
-) -> tuple[Int64[np.ndarray, "k 2"], Int64[np.ndarray, "k 2"]]:
+) -> tuple[Spans, Spans]:
     """Return the cells whose shifted ones are on the grid, and these."""
     there = cells + shift
-    inside = ((there >= 0) & (there < np.array(shape))).all(axis=1)
+    inside = ((there >= 0) & (there < np.array(shape))).all(1)
     return cells[inside], there[inside]

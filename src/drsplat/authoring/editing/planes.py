@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.arrays import Doubles, Flags, Float64, Indices, Points, Vector3
+from ...base.arrays import Doubles, Flags, Float64, Indices, PlanePoints, Points, Vector3
 
 RANSAC_TRIES = 300
 MAX_RANSAC_POINTS = 4000
@@ -37,14 +37,14 @@ class Plane:
     tolerance: float
 
     def heights(self, points: Points) -> Doubles:
-        return np.asarray(np.einsum("ni,i->n", points, self.normal) - self.offset)
+        return np.einsum("ni,i->n", points, self.normal) - self.offset
 
-    def flat(self, points: Points) -> Float64[np.ndarray, "n 2"]:
+    def flat(self, points: Points) -> PlanePoints:
         """Return the places in the plane, in scene units."""
-        return np.asarray(np.einsum("ni,ai->na", points, self.axes))
+        return np.einsum("ni,ai->na", points, self.axes)
 
     def holds(self, points: Points) -> Flags:
-        return np.asarray(np.abs(self.heights(points)) <= self.tolerance)
+        return np.abs(self.heights(points)) <= self.tolerance
 
 
 def surfaces_around(thing: Thing, around: Points) -> list[Plane]:
@@ -101,7 +101,7 @@ def _largest(points: Points, thing: Thing, tolerance: float, rng: np.random.Gene
 
 
 def _fitted(points: Points, thing: Thing, tolerance: float) -> Plane:
-    middle = points.mean(axis=0)
+    middle = points.mean(0)
     away = points - middle
     axes = np.linalg.eigh(np.einsum("ni,nj->ij", away, away))[1].T
     normal = axes[0]
@@ -126,7 +126,7 @@ def _stands_on(plane: Plane, thing: Thing, ground: Points) -> bool:
     return before and touches and num_sides(plane.flat(thing), plane.flat(ground)) >= MIN_SIDES
 
 
-def num_sides(thing: Float64[np.ndarray, "t 2"], ground: Float64[np.ndarray, "m 2"]) -> int:
+def num_sides(thing: PlanePoints, ground: Float64[np.ndarray, "m 2"]) -> int:
     """Count in how many of eight directions the ground begins where a thing ends."""
     middle = np.median(thing, axis=0)
     (own, reach), (other, distance) = (_polar(points - middle) for points in (thing, ground))
@@ -136,7 +136,7 @@ def num_sides(thing: Float64[np.ndarray, "t 2"], ground: Float64[np.ndarray, "m 
     return sum(int(number) >= least for number in beside)
 
 
-def _polar(away: Float64[np.ndarray, "n 2"]) -> tuple[Indices, Doubles]:
+def _polar(away: PlanePoints) -> tuple[Indices, Doubles]:
     """Return eighths of a turn, and distances."""
     eighths = np.floor((np.arctan2(away[:, 1], away[:, 0]) + np.pi) / (np.pi / 4)).astype(np.int64) % 8
     return eighths, np.linalg.norm(away, axis=1)

@@ -1,14 +1,13 @@
 """An object of another scene in the place of one, and changes that look at the scene once, when they are made."""
 
 import os
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ...base.arrays import Int64, Matrix4, RowIds, Vector3
-from ...errors import DrSplatWarning, InputError, MismatchError
+from ...base.arrays import Indices, Matrix4, RowIds, Spans, Vector3
+from ...errors import InputError, MismatchError, warn
 from ...formats.json_files import are_rows, ids_of, is_text, spans_of
 from ...formats.scenes import read_gaussians
 from ...kernels.boxes import box_of
@@ -20,7 +19,6 @@ from ...scene.moving import still
 from ...scene.similarity import similarity_of
 from .draft import OBJECT_ID, Draft, Scale, most_rows
 
-Spans = Int64[np.ndarray, "s 2"]
 MIN_BOX_LENGTH = 1e-9  # of a box that something can be fitted to
 
 
@@ -48,10 +46,22 @@ class Replace:
 
     def apply(self, draft: Draft, ids: RowIds) -> None:
         other = draft.read(self.scene)
-        _tell_of_another_drawing(draft, other)
+        if draft.antialiased != other.antialiased:
+            kinds = ("antialiased (mip)", "not") if other.antialiased else ("not antialiased", "antialiased (mip)")
+            warn(
+                f"replace: what comes was trained to be drawn {kinds[0]}, the scene {kinds[1]}: drawn as the scene is, "
+                "its small Gaussians look somewhat too solid or too faint from afar",
+                3,
+            )
         draft.most = max(draft.most, most_rows(len(other)))
         draft.present[ids] = False
-        draft.add(similarity_of(self.matrix).moved(self._part(other)), _object_of(draft, ids))
+        # the number of the object that most of some rows belong to, or a new number
+        of = draft.extra.get(OBJECT_ID)
+        known = np.empty(0, np.int64) if of is None else of[ids][of[ids] >= 0].astype(np.int64)
+        draft.add(
+            similarity_of(self.matrix).moved(self._part(other)),
+            (int(np.bincount(known).argmax()) if len(known) else draft.next_object()),
+        )
 
     def _part(self, other: Gaussians) -> Gaussians:
         if other.fingerprint != self.fingerprint:
@@ -85,33 +95,15 @@ def fitted(goes: Box, comes: Box) -> Matrix4:
 
 
 def placed_in(
-    scene: Gaussians, ids: RowIds, up: Vector3, other: Gaussians, others: Int64[np.ndarray, " k"], up_there: Vector3
+    scene: Gaussians, ids: RowIds, up: Vector3, other: Gaussians, others: Indices, up_there: Vector3
 ) -> Matrix4:  # fmt: skip
     """Return `fitted` for the boxes of rows of this scene and of another. up: unit directions in each of them."""
     goes, comes = box_of(scene, solid(scene, ids), up), box_of(other, solid(other, others), up_there)
     return fitted(goes, comes)
 
 
-def _tell_of_another_drawing(draft: Draft, other: Gaussians) -> None:
-    if draft.antialiased != other.antialiased:
-        kinds = ("antialiased (mip)", "not") if other.antialiased else ("not antialiased", "antialiased (mip)")
-        warnings.warn(
-            f"replace: what comes was trained to be drawn {kinds[0]}, the scene {kinds[1]}: drawn as the scene is, its "
-            "small Gaussians look somewhat too solid or too faint from afar",
-            DrSplatWarning,
-            stacklevel=4,
-        )
-
-
 def _foot(box: Box) -> Vector3:
-    return np.asarray(box.center - box.axes[2] * box.extent[2] / 2)
-
-
-def _object_of(draft: Draft, ids: RowIds) -> int:
-    """Return the number of the object that most of some rows belong to, or a new number."""
-    of = draft.extra.get(OBJECT_ID)
-    known = np.empty(0, np.int64) if of is None else of[ids][of[ids] >= 0].astype(np.int64)
-    return int(np.bincount(known).argmax()) if len(known) else draft.next_object()
+    return box.center - box.axes[2] * box.extent[2] / 2
 
 
 def scaled_on_its_foot(part: Gaussians, factor: float, up: Vector3 | None) -> Scale:

@@ -9,7 +9,18 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from ...base.arrays import Bool, Flags, Float64, Indices, Int64, Integer, RowIds
+from ...base.arrays import (
+    Bool,
+    Flags,
+    Float64,
+    IndexRows,
+    Indices,
+    Int64,
+    OtherFlags,
+    OtherIndices,
+    RowIds,
+    WholeNumbers,
+)
 from ...errors import InputError
 from ...field import LanguageField
 from ...query import Query, Scene
@@ -70,7 +81,7 @@ def query_rows(scene: Scene, query: Query | str, words: str = "") -> Rows:
     return Rows.of(rows, "query", words)
 
 
-def complete_rows(scene: Scene, ids: Integer[np.ndarray, " k"]) -> RowIds:
+def complete_rows(scene: Scene, ids: WholeNumbers) -> RowIds:
     """Return rows of a scene with what nobody can tell apart from them; see `completed`."""
     return completed(scene.gaussians, ids, *_objects(scene, scene.field), threads=scene.threads)
 
@@ -85,9 +96,7 @@ def _objects(scene: Scene, field: LanguageField) -> tuple[Owners, Agreed]:
     return scene.object_ids().astype(np.int64), scene.agreed
 
 
-def completed(
-    gaussians: Gaussians, ids: Integer[np.ndarray, " k"], owners: Owners, agreed: Agreed, *, threads: int = 0
-) -> RowIds:
+def completed(gaussians: Gaussians, ids: WholeNumbers, owners: Owners, agreed: Agreed, *, threads: int = 0) -> RowIds:
     """Return rows with what cannot be told apart from them.
 
     That is the rest of objects that they nearly are, what they enclose, loose Gaussians that hang on to them, and in a
@@ -118,7 +127,7 @@ def rests(
     """Return the Gaussians of objects that photos do not agree on and of which a thing has more than half."""
     owned = owners >= 0
     sizes, own = (np.bincount(owners[some], minlength=len(agreed)) for some in (owned, owned & inside))
-    return np.asarray(owned & ((2 * own > sizes) & ~agreed)[owners])
+    return owned & ((2 * own > sizes) & ~agreed)[owners]
 
 
 def enclosed(gaussians: Gaussians, inside: Flags) -> Flags:
@@ -129,16 +138,16 @@ def enclosed(gaussians: Gaussians, inside: Flags) -> Flags:
         return found
     thing = thing[:: -(-len(thing) // MAX_THING_POINTS)]
     low, high = np.quantile(thing, (0.01, 0.99), axis=0)
-    near = np.flatnonzero(((gaussians.means > low) & (gaussians.means < high)).all(axis=1) & ~inside)
+    near = np.flatnonzero(((gaussians.means > low) & (gaussians.means < high)).all(1) & ~inside)
     places = gaussians.means[near].astype(np.float64)
     found[near] = surrounded(places, thing, _sphere(DIRECTIONS), math.ceil(MIN_SURROUNDED_SHARE * DIRECTIONS))
     return found
 
 
-def hanging(gaussians: Gaussians, inside: Flags, loose: Flags, threads: int = 0) -> Flags:
+def hanging(gaussians: Gaussians, inside: OtherFlags, loose: OtherFlags, threads: int = 0) -> OtherFlags:
     """Return a thing with the loose Gaussians most of whose neighbours belong to it, `VOTING_PASSES` times."""
     inside, tree = inside.copy(), None
-    neighbours: Int64[np.ndarray, "m k"] = np.empty((0, min(VOTING_NEIGHBOURS + 1, len(gaussians))), np.int64)
+    neighbours: IndexRows = np.empty((0, min(VOTING_NEIGHBOURS + 1, len(gaussians))), np.int64)
     place = np.full(len(gaussians), -1)  # of each Gaussian among them
     for _ in range(VOTING_PASSES):
         near = _in_box_of(gaussians, inside, np.flatnonzero(loose & ~inside))
@@ -150,20 +159,20 @@ def hanging(gaussians: Gaussians, inside: Flags, loose: Flags, threads: int = 0)
             ranks = range(1, neighbours.shape[1] + 1)
             found = tree.query(gaussians.means[new], ranks, workers=threads or -1)[1]
             neighbours = np.concatenate([neighbours, found])
-        inside[near] = inside[neighbours[place[near]]].sum(axis=1) >= MIN_VOTES
+        inside[near] = inside[neighbours[place[near]]].sum(1) >= MIN_VOTES
     return inside
 
 
-def _in_box_of(gaussians: Gaussians, inside: Flags, rows: Int64[np.ndarray, " r"]) -> Int64[np.ndarray, " s"]:
+def _in_box_of(gaussians: Gaussians, inside: Flags, rows: OtherIndices) -> Int64[np.ndarray, " s"]:
     """Return those of some rows whose centres are in the box of a thing's."""
     if not inside.any():
         return rows[:0]
-    low, high = gaussians.means[inside].min(axis=0), gaussians.means[inside].max(axis=0)
-    within = ((gaussians.means[rows] >= low) & (gaussians.means[rows] <= high)).all(axis=1)
-    return np.asarray(rows[within])
+    low, high = gaussians.means[inside].min(0), gaussians.means[inside].max(0)
+    within = ((gaussians.means[rows] >= low) & (gaussians.means[rows] <= high)).all(1)
+    return rows[within]
 
 
-def _sphere(count: int) -> Float64[np.ndarray, "d 3"]:
+def _sphere(count: int) -> Points:
     """Return directions evenly spread, along a spiral."""
     z = 1 - (2 * np.arange(count) + 1) / count
     turn = np.pi * (1 + np.sqrt(5)) * np.arange(count)
@@ -192,14 +201,14 @@ def loose_parts(gaussians: Gaussians, inside: Flags, owners: Owners, agreed: Agr
     size = float(np.linalg.norm(high - low))
     near = (
         (gaussians.means >= low - SEARCH_MARGIN_SHARE * size) & (gaussians.means <= high + SEARCH_MARGIN_SHARE * size)
-    ).all(axis=1)
+    ).all(1)
     others = near & ~inside & (owners >= 0)
     others[others] = agreed[owners[others]]
     standing, places = near & ~inside, gaussians.means[near].astype(np.float64)
     for ground in _grounds(gaussians, owners, others, ~inside, thing, size):
         others &= owners != ground.number
         standing[near] &= ground.plane.heights(places) > MIN_LIFT_TOLERANCES * ground.plane.tolerance
-    sizes = gaussians.scales.max(axis=1)
+    sizes = gaussians.scales.max(1)
     small = sizes <= np.quantile(sizes[inside], MAX_SIZE_QUANTILE)
     return _nearest_along_paths(gaussians, inside & near, others & standing, standing & ~others & small, threads)
 
@@ -246,7 +255,7 @@ def _plane_of(
     plane = largest_plane(points, thing) if len(points) >= MIN_PLANE_GAUSSIANS else None
     if plane is None:
         return None
-    areas = np.sort(gaussians.scales[rows].astype(np.float64), axis=1)[:, 1:].prod(axis=1) * gaussians.opacities[rows]
+    areas = np.sort(gaussians.scales[rows].astype(np.float64), axis=1)[:, 1:].prod(1) * gaussians.opacities[rows]
     heights = plane.heights(points)
     is_flat = areas[plane.holds(points)].sum() >= MIN_FLAT_SHARE * areas[heights >= -plane.tolerance].sum()
     is_before = float((plane.heights(thing) < -plane.tolerance).mean()) <= MAX_THING_SHARE_BEHIND

@@ -6,17 +6,17 @@ minutes. Places of one box see most points in the same bins, so boxes are halved
 
 import numpy as np
 
-from ...base.arrays import Bool, Float64, Int64
+from ...base.arrays import Bool, Flags, Float64, Indices, OtherIndices
 
 MAX_LEAF_PLACES = 4  # of a box in which each place is computed
 RELATIVE_ROUNDING = 1e-12  # more than what products of three numbers are off
 Points = Float64[np.ndarray, "t 3"]
 Directions = Float64[np.ndarray, "d 3"]
-Places = Float64[np.ndarray, "p 3"]
+Places = Float64[np.ndarray, "n 3"]
 Hit = Bool[np.ndarray, " d"]  # of each direction
 
 
-def surrounded(places: Places, points: Points, directions: Directions, min_bins: int) -> Bool[np.ndarray, " p"]:
+def surrounded(places: Places, points: Points, directions: Directions, min_bins: int) -> Flags:
     """Return the places from which points lie in at least `min_bins` of the bins.
 
     The bin of a point, seen from a place, is the nearest of `directions`, and the first of several. The result is the
@@ -46,31 +46,31 @@ def _in_box(
 
     hit: bins that all places are known to hit. apart: differences of all pairs of directions, without signs.
     """
-    low, high = places.min(axis=0), places.max(axis=0)
+    low, high = places.min(0), places.max(0)
     away = points - (low + high) / 2
     scores = away @ directions.T
-    nearest = scores.argmax(axis=1)
-    rounding = RELATIVE_ROUNDING * (np.abs(away).sum(axis=1) + np.abs(low).sum() + np.abs(high).sum())
+    nearest = scores.argmax(1)
+    rounding = RELATIVE_ROUNDING * (np.abs(away).sum(1) + np.abs(low).sum() + np.abs(high).sum())
     # from the middle of the box to a place, the score of a direction gains on another's at most what the box allows
     gains = (apart @ ((high - low) / 2))[nearest]
-    possible = scores + gains >= (scores.max(axis=1) - rounding)[:, None]
-    certain = possible.sum(axis=1) == 1
+    possible = scores + gains >= (scores.max(1) - rounding)[:, None]
+    certain = possible.sum(1) == 1
     hit = hit.copy()
     hit[nearest[certain]] = True
-    open_ = ~certain & possible[:, ~hit].any(axis=1)
-    return points[open_], hit, hit | possible[open_].any(axis=0)
+    open_ = ~certain & possible[:, ~hit].any(1)
+    return points[open_], hit, hit | possible[open_].any(0)
 
 
-def _bins(places: Places, points: Points, directions: Directions, hit: Hit) -> Int64[np.ndarray, " p"]:
+def _bins(places: Places, points: Points, directions: Directions, hit: Hit) -> Indices:
     """Return how many bins each place hits, with those that it is known to hit."""
     away = points[None] - places[:, None]
-    nearest = np.einsum("pti,di->ptd", away, directions).argmax(axis=2)
+    nearest = np.einsum("pti,di->ptd", away, directions).argmax(2)
     hits = np.tile(hit, (len(places), 1))
     np.put_along_axis(hits, nearest, True, axis=1)
-    return np.asarray(hits.sum(axis=1))
+    return hits.sum(1)
 
 
-def _halves(rows: Int64[np.ndarray, " p"], places: Places) -> list[Int64[np.ndarray, " h"]]:
+def _halves(rows: Indices, places: Places) -> list[OtherIndices]:
     """Return the rows of either half of a box, cut across its longest side."""
     order = np.argpartition(places[:, np.ptp(places, axis=0).argmax()], len(rows) // 2)
     return [rows[half] for half in np.array_split(order, [len(rows) // 2])]

@@ -9,9 +9,9 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ...base.arrays import Int64, Matrix3, RowIds, Vector3
+from ...base.arrays import Matrix3, RowIds, Spans, Vector3
 from ...errors import InputError
-from ...formats.json_files import are_rows, ids_of, is_text, spans_of
+from ...formats.json_files import are_rows, count_in, ids_of, is_text, spans_of
 from .draft import Draft
 
 Named = Literal["object", "label", "query", "rows"]
@@ -30,7 +30,7 @@ class Rows:
 
     kind: Named
     name: str
-    spans: Int64[np.ndarray, "s 2"]
+    spans: Spans
 
     @classmethod
     def of(cls, ids: RowIds, kind: Named = "rows", name: str = "") -> "Rows":
@@ -49,7 +49,7 @@ class Rows:
         return {"object": f"object {self.name}", "rows": f"{len(self):,} rows"}.get(self.kind, f"“{self.name}”")
 
     def __len__(self) -> int:
-        return int((self.spans[:, 1] - self.spans[:, 0]).sum())
+        return count_in(self.spans)
 
     def ids(self, draft: Draft) -> RowIds:
         """Return the rows that are there. Raises: InputError: numbers that no row has."""
@@ -82,7 +82,7 @@ class Box:
 
     def ids(self, draft: Draft) -> RowIds:
         away = draft.means.astype(np.float64) + (draft.origin - self.center)
-        inside = (np.abs(np.einsum("ni,ai->na", away, self.axes)) <= self.extent / 2).all(axis=1)
+        inside = (np.abs(np.einsum("ni,ai->na", away, self.axes)) <= self.extent / 2).all(1)
         return np.flatnonzero(inside & draft.present)
 
 

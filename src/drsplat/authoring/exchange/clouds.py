@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ...base.arrays import Float32, RowIds
+from ...base.arrays import Vectors, WholeNumbers
 from ...errors import FormatError, InputError, MissingExtraError, pip_install
 from ...formats.activation import exp, logit, sigmoid, unit_quats
 from ...query import Match
@@ -13,7 +13,7 @@ from ...scene.gaussians import SH_C0, Gaussians
 
 
 def to_point_cloud(
-    gaussians: Gaussians, gaussian_ids: RowIds | None = None, colors: Float32[np.ndarray, "m 3"] | None = None
+    gaussians: Gaussians, gaussian_ids: WholeNumbers | None = None, colors: Vectors | None = None
 ) -> Any:
     """Return an `open3d.geometry.PointCloud` of the centres, in the world.
 

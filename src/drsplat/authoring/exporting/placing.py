@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...base.arrays import Bool, Float32, Ids, Int32, Integer, RowIds, Vector3
+from ...base.arrays import Embedding, Flags, Ids, RowIds, Vector3, WholeNumbers
 from ...field.forest import GROUP, Objects
 from ...formats.scenes import read_gaussians
 from ...kernels.boxes import box_of
@@ -16,8 +16,8 @@ from ...query.objects import object_of, objects_of
 from ...scene.boxes import solid
 from ...scene.gaussians import Gaussians
 from ...scene.labelled import LabelledScene, Thing
-from ..editing import Duplicate, Edit, EditFile, EditList
-from ..editing.draft import OBJECT_ID, Draft
+from ..editing import Duplicate, EditFile, EditList
+from ..editing.draft import OBJECT_ID
 from ..editing.edits import drafted
 
 
@@ -32,7 +32,7 @@ class After:
     """
 
     everything: Gaussians
-    present: Bool[np.ndarray, " d"]
+    present: Flags
     copies: dict[int, int] = field(default_factory=dict)
 
 
@@ -73,14 +73,14 @@ class Placing:
         return replace(thing, center=box.center, axes=box.axes, extent=box.extent)
 
     @cached_property
-    def _moved(self) -> Bool[np.ndarray, " d"]:
+    def _moved(self) -> Flags:
         """True for each row that is elsewhere, or otherwise, than it was registered."""
         now, own = self.after.everything, len(self.registered)
         moved = np.ones(len(now), bool)
         if now.means is self.registered.means:
             return ~moved
         pairs = [(getattr(now, name)[:own], getattr(self.registered, name)) for name in ("means", "quats", "scales")]
-        moved[:own] = np.any([(one != other).any(axis=1) for one, other in pairs], axis=0)
+        moved[:own] = np.any([(one != other).any(1) for one, other in pairs], axis=0)
         return moved
 
     def _owned(self, number: int) -> RowIds:
@@ -98,7 +98,7 @@ class Placing:
         return order, owners[order]
 
 
-def rows_of(things: Sequence[Thing], numbers: Integer[np.ndarray, " n"]) -> Ids:
+def rows_of(things: Sequence[Thing], numbers: WholeNumbers) -> Ids:
     """Return per Gaussian the place of its object in a list, from its number; -1 for none."""
     places = np.full(max((thing.number for thing in things), default=-1) + 2, -1, np.int32)
     for place, thing in enumerate(things):
@@ -108,11 +108,19 @@ def rows_of(things: Sequence[Thing], numbers: Integer[np.ndarray, " n"]) -> Ids:
 
 def only_used(scene: LabelledScene) -> LabelledScene:
     """Return a scene without objects and groups that it has no Gaussians of, and without annotations outside of it."""
-    low, high = scene.gaussians.positions.min(axis=0), scene.gaussians.positions.max(axis=0)
+    low, high = scene.gaussians.positions.min(0), scene.gaussians.positions.max(0)
     notes = tuple(one for one in scene.annotations if ((one.center >= low) & (one.center <= high)).all())
     owners = scene.object_of
     used = [] if owners is None else np.unique(owners[owners >= 0]).tolist()
-    groups = _above(scene, used)
+    # the groups that some objects are in, and those that these are in
+    found: set[int] = set()
+    waiting = [scene.things[place].parent for place in used]
+    while waiting:
+        group = waiting.pop()
+        if group >= 0 and group not in found:
+            found.add(group)
+            waiting.append(scene.groups[group].parent)
+    groups = sorted(found)
     object_of = None if owners is None else _renumbered(used, len(scene.things))[owners]
     to_group = _renumbered(groups, len(scene.groups))
     return replace(
@@ -124,26 +132,14 @@ def only_used(scene: LabelledScene) -> LabelledScene:
     )
 
 
-def _above(scene: LabelledScene, used: Sequence[int]) -> list[int]:
-    """Return the groups that some objects are in, and those that these are in."""
-    found: set[int] = set()
-    waiting = [scene.things[place].parent for place in used]
-    while waiting:
-        group = waiting.pop()
-        if group >= 0 and group not in found:
-            found.add(group)
-            waiting.append(scene.groups[group].parent)
-    return sorted(found)
-
-
-def _renumbered(places: Sequence[int], count: int) -> Int32[np.ndarray, " c"]:
+def _renumbered(places: Sequence[int], count: int) -> Ids:
     """Return the new place of each of `count` old ones, -1 for those left out; the last one is that of -1."""
     new = np.full(count + 1, -1, np.int32)
     new[list(places)] = np.arange(len(places), dtype=np.int32)
     return new
 
 
-def _moved(thing: Thing, to_group: Int32[np.ndarray, " c"]) -> Thing:
+def _moved(thing: Thing, to_group: Ids) -> Thing:
     return replace(thing, parent=int(to_group[thing.parent]))
 
 
@@ -201,11 +197,10 @@ def match_thing(scene: Scene, number: int, match: Match) -> Thing:
 
 
 def _group_nodes(objects: Objects) -> Sequence[int]:
-    nodes: list[int] = np.flatnonzero(objects.levels == GROUP).tolist()
-    return nodes
+    return np.flatnonzero(objects.levels == GROUP).tolist()
 
 
-def _embedding(objects: Objects, node: int) -> Float32[np.ndarray, " d"] | None:
+def _embedding(objects: Objects, node: int) -> Embedding | None:
     """Return the descriptor of most of an object's masks, None where it has none."""
     found = objects.descriptors_of(node)
     return found[0] if len(found) else None
@@ -219,13 +214,9 @@ def after_edits(gaussians: Gaussians, path: Path | None, listed: EditList) -> Af
     if not listed.active:
         return After(gaussians, np.ones(len(gaussians), bool))
     draft = drafted(gaussians, listed.active, read_gaussians if path is None else EditFile.beside(path).other)
-    return After(draft.part(np.arange(len(draft))), draft.present, _copies(draft, listed.active))
-
-
-def _copies(draft: Draft, edits: Sequence[Edit]) -> dict[int, int]:
-    """Return whose copy each object is that an edit added."""
+    # whose copy each object is that an edit added
     owners, copies = draft.extra.get(OBJECT_ID), {}
-    for edit, (begin, end) in zip(edits, draft.added, strict=True):
+    for edit, (begin, end) in zip(listed.active, draft.added, strict=True):
         if owners is None or begin == end:
             continue
         source = -1
@@ -233,4 +224,4 @@ def _copies(draft: Draft, edits: Sequence[Edit]) -> dict[int, int]:
             own = owners[edit.target.ids(draft)]
             source = int(np.bincount(own[own >= 0], minlength=1).argmax()) if (own >= 0).any() else -1
         copies[int(owners[begin])] = source
-    return copies
+    return After(draft.part(np.arange(len(draft))), draft.present, copies)

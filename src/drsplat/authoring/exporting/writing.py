@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Bool, Flags
+from ...base.arrays import Arrays, Flags
 from ...base.system import folder_bytes
 from ...errors import InputError
 from ...formats.annotations import AnnotationFile
@@ -221,8 +221,8 @@ def _chosen(scene: Scene, only: Only, found: _QueryMatches | None) -> Rows | Non
     return Rows.of(complete_rows(scene, ids), "query", found.words)
 
 
-def _columns(scene: Scene, found: _QueryMatches | None, chosen: Rows | None) -> dict[str, np.ndarray]:
-    columns: dict[str, np.ndarray] = {}
+def _columns(scene: Scene, found: _QueryMatches | None, chosen: Rows | None) -> Arrays:
+    columns: Arrays = {}
     if scene.field.objects is not None:
         columns[OBJECT_ID] = scene.object_ids()
     if found is not None:
@@ -234,7 +234,7 @@ def _columns(scene: Scene, found: _QueryMatches | None, chosen: Rows | None) -> 
     return columns
 
 
-def _kept_rows(after: After) -> Bool[np.ndarray, " d"]:
+def _kept_rows(after: After) -> Flags:
     """Return which rows are written. Raises: InputError: none is."""
     chosen = after.everything.extra.get(ONLY)
     kept = after.present if chosen is None else after.present & (chosen > 0)

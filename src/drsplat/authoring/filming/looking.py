@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Bool, Float64, Vector3
+from ...base.arrays import Float64, Matrices, PlanePoints, Points, Vector3
 from ...errors import InputError
 from ...query import Match, Scene
 from ...scene.gaussians import Gaussians
@@ -29,7 +29,7 @@ def named_up(text: str) -> Vector3:
     sign, letter = (text[:1], text[1:]) if text[:1] in ("+", "-") else ("+", text)
     if letter not in ("x", "y", "z"):
         raise InputError(f"up: {text}: expected one of +x -x +y -y +z -z")
-    return np.asarray(np.eye(3)["xyz".index(letter)] * (1 if sign == "+" else -1))
+    return np.eye(3)["xyz".index(letter)] * (1 if sign == "+" else -1)
 
 
 def looking_at(
@@ -66,10 +66,10 @@ def before(match: Match, gaussians: Gaussians, views: Sequence[View], up: Vector
 class Standpoints(NamedTuple):
     """Cameras as arrays, for many questions about them. sizes: width and height of their pictures."""
 
-    centers: Float64[np.ndarray, "v 3"]
-    poses: Float64[np.ndarray, "v 4 4"]
-    K: Float64[np.ndarray, "v 3 3"]
-    sizes: Float64[np.ndarray, "v 2"]
+    centers: Points
+    poses: Float64[np.ndarray, "n 4 4"]
+    K: Matrices
+    sizes: PlanePoints
 
     @classmethod
     def of(cls, views: Sequence[View]) -> "Standpoints":
@@ -90,23 +90,19 @@ def beside(center: Vector3, size: float, views: Sequence[View] | Standpoints, up
         side = np.array([0.8, 0.5, 0.3])
         side = side - (side @ up) * up
         side = side / np.linalg.norm(side) + RISE * up
-        return np.asarray(center + distance * side / np.linalg.norm(side))
+        return center + distance * side / np.linalg.norm(side)
     ways = stands.centers - center
     lengths = np.maximum(np.linalg.norm(ways, axis=1), 1e-9)
-    showing = _showing(stands, center)
-    unfit = np.abs(np.log(lengths / distance)) + np.where(showing | ~showing.any(), 0.0, np.inf)
-    best = int(unfit.argmin())
-    return np.asarray(center + ways[best] * min(1.0, distance / lengths[best]))
-
-
-def _showing(stands: Standpoints, point: Vector3) -> Bool[np.ndarray, " v"]:
-    """Return which views have a point in the inner part of their picture."""
+    # which views have a point in the inner part of their picture
     _, poses, K, sizes = stands
-    x, y, z = (poses[:, :3, :3] @ point + poses[:, :3, 3]).T
+    x, y, z = (poses[:, :3, :3] @ center + poses[:, :3, 3]).T
     z = np.where(z > 0, z, np.nan)
     u = (K[:, 0, 0] * x / z + K[:, 0, 2]) / sizes[:, 0]
     v = (K[:, 1, 1] * y / z + K[:, 1, 2]) / sizes[:, 1]
-    return np.asarray((np.minimum(u, v) >= MARGIN_SHARE) & (np.maximum(u, v) <= 1 - MARGIN_SHARE))
+    showing = np.asarray((np.minimum(u, v) >= MARGIN_SHARE) & (np.maximum(u, v) <= 1 - MARGIN_SHARE))
+    unfit = np.abs(np.log(lengths / distance)) + np.where(showing | ~showing.any(), 0.0, np.inf)
+    best = int(unfit.argmin())
+    return center + ways[best] * min(1.0, distance / lengths[best])
 
 
 def size_of(match: Match, gaussians: Gaussians) -> float:
@@ -139,4 +135,4 @@ def swing(eye: Vector3, target: Vector3, up: Vector3, frames: int, turn_degrees:
 def _turned(vector: Vector3, axis: Vector3, angle: float) -> Vector3:
     """Turn a vector around an axis of unit length, by Rodrigues' formula."""
     along = (axis @ vector) * axis
-    return np.asarray(along + np.cos(angle) * (vector - along) + np.sin(angle) * np.cross(axis, vector))
+    return along + np.cos(angle) * (vector - along) + np.sin(angle) * np.cross(axis, vector)

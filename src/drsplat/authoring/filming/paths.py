@@ -14,7 +14,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from ...base.arrays import Float64, Matrix3, Vector3
+from ...base.arrays import Doubles, Matrix3, OtherDoubles, Points, Vector3
 from ...errors import FormatError, InputError
 from ...formats.json_files import as_count, as_number, as_vector, excerpt, read_json
 from ...formats.poses import MAX_COORDINATE, nearest_rotation
@@ -103,7 +103,7 @@ class CameraPath:
     def is_timed(self) -> bool:
         return self.keys[0].seconds is not None
 
-    def at(self, shares: Float64[np.ndarray, " f"]) -> list[KeyFrame]:
+    def at(self, shares: Doubles) -> list[KeyFrame]:
         """Return the cameras at shares of the path's time, from 0 to 1."""
         knots = self._knot_at(shares)
         return [
@@ -142,7 +142,7 @@ class CameraPath:
         return self._first + len(self.keys) - (0 if self.closed else 1)
 
     @cached_property
-    def _knots(self) -> Float64[np.ndarray, " k"]:
+    def _knots(self) -> Doubles:
         if self.is_timed:
             return np.array([key.seconds for key in self.keys], np.float64)
         if self.even:
@@ -152,7 +152,7 @@ class CameraPath:
         return np.concatenate([[0], np.cumsum(gaps)])
 
     @cached_property
-    def _eyes(self) -> Float64[np.ndarray, "k 3"]:
+    def _eyes(self) -> Points:
         return np.array([key.eye for key in self._around])
 
     @cached_property
@@ -171,26 +171,24 @@ class CameraPath:
     def _lens(self) -> PchipInterpolator:
         return PchipInterpolator(self._knots, [key.fov_degrees for key in self._around])
 
-    def _gaps(self, eyes: Float64[np.ndarray, "k 3"], rotations: Rotation) -> Float64[np.ndarray, " g"]:
+    def _gaps(self, eyes: Points, rotations: Rotation) -> OtherDoubles:
         """Return how far each is from the next: moving and turning count alike, in shares of all of each."""
         moved = np.linalg.norm(np.diff(eyes, axis=0), axis=1)
         turned = (rotations[:-1].inv() * rotations[1:]).magnitude()
-        return np.asarray(
-            sum(part / part.sum() for part in (moved, turned) if part.sum() > 1e-12) + np.zeros(len(moved))
-        )
+        return sum(part / part.sum() for part in (moved, turned) if part.sum() > 1e-12) + np.zeros(len(moved))
 
-    def _knot_at(self, shares: Float64[np.ndarray, " f"]) -> Float64[np.ndarray, " f"]:
+    def _knot_at(self, shares: Doubles) -> Doubles:
         """Return where on the curve the camera is; `even` and timed paths run as the knots do."""
         shown = self._knots[self._first : self._last + 1]
         if self.even or self.is_timed:
-            return np.asarray(shown[0] + np.clip(shares, 0, 1) * (shown[-1] - shown[0]))
+            return shown[0] + np.clip(shares, 0, 1) * (shown[-1] - shown[0])
         steps = np.arange((len(shown) - 1) * LENGTH_STEPS + 1) / LENGTH_STEPS
         fine = np.interp(steps, np.arange(len(shown)), shown)
         way = np.concatenate([[0], np.cumsum(self._gaps(self._curve(fine), self._turning(fine)))])
-        return np.asarray(np.interp(np.clip(shares, 0, 1) * way[-1], way, fine))
+        return np.interp(np.clip(shares, 0, 1) * way[-1], way, fine)
 
 
-def _tangents(knots: Float64[np.ndarray, " k"], points: Float64[np.ndarray, "k 3"]) -> Float64[np.ndarray, "k 3"]:
+def _tangents(knots: Doubles, points: Points) -> Points:
     """Return the tangents of a Catmull-Rom spline over uneven knots; it runs straight on at both ends.
 
     Source: Barry and Goldman 1988; Yuksel et al. 2011 (centripetal knots make no loops).

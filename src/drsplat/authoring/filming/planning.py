@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Float64, Vector3
+from ...base.arrays import Points, Vector3
 from ...errors import InputError
 from ...query import Match
 from ...scene.boxes import up_of
@@ -59,7 +59,10 @@ def path_named(
     if name == PHOTOS:
         return through_photos(views, seconds)
     if name not in (ORBIT, SWING):
-        return _from_file(name)
+        if not Path(name).is_file():
+            known = f"{ORBIT}, {SWING}, {PHOTOS} or a file of key frames"
+            raise InputError(f"path: expected {known}; got {name!a}, and there is no such file")
+        return read_path(name)
     upward = up_of(views) if up is None else up
     upward = np.array(UP_WITHOUT_VIEWS) if upward is None else upward
     if match is None:
@@ -104,13 +107,6 @@ def _wished(path: CameraPath, views: Sequence[View], sides: int) -> tuple[int, i
 def _first(*given: float | None) -> float:
     """Return the first value that is not None."""
     return next(one for one in given if one is not None)
-
-
-def _from_file(name: str) -> CameraPath:
-    if not Path(name).is_file():
-        known = f"{ORBIT}, {SWING}, {PHOTOS} or a file of key frames"
-        raise InputError(f"path: expected {known}; got {name!a}, and there is no such file")
-    return read_path(name)
 
 
 class Around(NamedTuple):
@@ -218,6 +214,6 @@ def _extent_of(gaussians: Gaussians) -> tuple[Vector3, float]:
     return middle, reach if reach > 0 else 1.0
 
 
-def _looking(eyes: Float64[np.ndarray, "k 3"], around: Around, up: Vector3) -> list[KeyFrame]:
+def _looking(eyes: Points, around: Around, up: Vector3) -> list[KeyFrame]:
     """Return key frames at some places that look at the target."""
     return [KeyFrame.of(looking_at(eye, around.target, up, (64, 64), around.fov_degrees)) for eye in eyes]

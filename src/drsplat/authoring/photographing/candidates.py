@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csc_array
 
-from ...base.arrays import Flags, Float64, Int64, Vector3
+from ...base.arrays import Doubles, Flags, Indices, OtherDoubles, Points, Vector3
 from ...errors import InputError
 from ...field.codes import Track, untracked
 from ...kernels import view_weights
@@ -154,7 +154,7 @@ def _around(space: Space, settings: PhotographSettings) -> Iterator[View]:
                     yield _view(space, eye, looked_at, settings)
 
 
-def _targets(space: Space) -> Float64[np.ndarray, "t 3"]:
+def _targets(space: Space) -> Points:
     """Return places of the scene that are spread out over it, its middle first."""
     low, high = space.box
     points = space.solid[((space.solid >= low) & (space.solid <= high)).all(1)]
@@ -164,15 +164,15 @@ def _targets(space: Space) -> Float64[np.ndarray, "t 3"]:
     return spread_out(np.concatenate([first[None], sample]), NUM_TARGETS)
 
 
-def _ring(up: Vector3, turns: int, pitch_degrees: float) -> Float64[np.ndarray, "t 3"]:
+def _ring(up: Vector3, turns: int, pitch_degrees: float) -> Points:
     """Return unit directions all around, at a pitch above the horizon."""
     ahead, aside = _level(up)
     angles = np.arange(turns)[:, None] * 2 * np.pi / turns
     pitch = np.radians(pitch_degrees)
-    return np.asarray(np.cos(pitch) * (np.cos(angles) * ahead + np.sin(angles) * aside) + np.sin(pitch) * up)
+    return np.cos(pitch) * (np.cos(angles) * ahead + np.sin(angles) * aside) + np.sin(pitch) * up
 
 
-def _sphere(up: Vector3, count: int, first_turn: float = 0.0) -> Float64[np.ndarray, "c 3"]:
+def _sphere(up: Vector3, count: int, first_turn: float = 0.0) -> Points:
     """Return unit directions that are spread evenly between the lowest and the highest elevation.
 
     first_turn: of the first one around `up`, in radians.
@@ -180,7 +180,7 @@ def _sphere(up: Vector3, count: int, first_turn: float = 0.0) -> Float64[np.ndar
     ahead, aside = _level(up)
     heights = MIN_ELEVATION_SINE + (MAX_ELEVATION_SINE - MIN_ELEVATION_SINE) * (np.arange(count)[:, None] + 0.5) / count
     angles = first_turn + np.arange(count)[:, None] * GOLDEN_TURN_RADIANS
-    return np.asarray(np.sqrt(1 - heights**2) * (np.cos(angles) * ahead + np.sin(angles) * aside) + heights * up)
+    return np.sqrt(1 - heights**2) * (np.cos(angles) * ahead + np.sin(angles) * aside) + heights * up
 
 
 def _level(up: Vector3) -> tuple[Vector3, Vector3]:
@@ -240,7 +240,7 @@ class Sights:
 
     views: list[View]
     pixels: csc_array
-    smears: Float64[np.ndarray, " v"]
+    smears: Doubles
 
     def sharp(self) -> "Sights":
         """Return the sights of cameras hardly more smeared than the best tenth."""
@@ -321,6 +321,6 @@ def chosen_views(seen: Sights, number: int | None) -> list[int]:
     return chosen
 
 
-def _counts(seen: csc_array, chosen: Int64[np.ndarray, " c"]) -> Float64[np.ndarray, " m"]:
+def _counts(seen: csc_array, chosen: Indices) -> OtherDoubles:
     """Return the number of pictures that show each Gaussian."""
-    return np.asarray(seen[:, chosen].sum(axis=1)).reshape(-1)
+    return np.asarray(seen[:, chosen].sum(1)).reshape(-1)

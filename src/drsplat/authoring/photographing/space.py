@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from ...base.arrays import Flags, Float32, Float64, Numbers, Points, Vector3
+from ...base.arrays import Flags, Numbers, OtherPoints, Points, Vector3
 from ...kernels import SplatArrays, render_channels, splat_arrays
 from ...scene.gaussians import Gaussians
 from ...scene.placing import MIN_SIZED_GAUSSIANS, SOLID_OPACITY
@@ -73,7 +73,7 @@ class Space:
     @cached_property
     def reaches(self) -> Numbers:
         """Distance from each centre up to which a place may be inside of the Gaussian, in scene units."""
-        return np.asarray(np.float32(INSIDE_SIGMAS) * self.gaussians.scales.max(1))
+        return np.float32(INSIDE_SIGMAS) * self.gaussians.scales.max(1)
 
     @cached_property
     def positions(self) -> Points:
@@ -96,7 +96,7 @@ class Space:
         return float(np.quantile(self.solid @ self.up, BOX_QUANTILES[0]))
 
     @cached_property
-    def free_places(self) -> Float64[np.ndarray, "p 3"]:
+    def free_places(self) -> Points:
         """Centres of the voxels of the box that are further than the clearance from occupied ones, far ones first."""
         low, high = self.box
         side = max(float((high - low).max()), 1e-6) / VOXELS_PER_SIDE
@@ -111,10 +111,10 @@ class Space:
         away = ndimage.distance_transform_edt(~occupied, sampling=side)
         free = np.argwhere(away >= max(self.clearance, side))
         order = np.argsort(-away[tuple(free.T)], kind="stable")
-        return np.asarray(low + (free[order] + 0.5) * side)
+        return low + (free[order] + 0.5) * side
 
     @cached_property
-    def _surface_points(self) -> Float64[np.ndarray, "m 3"]:
+    def _surface_points(self) -> Points:
         """Centres of all Gaussians, and one standard deviation to both sides along each of their axes."""
         from ...scene.gaussians import rotation_matrices
 
@@ -124,7 +124,7 @@ class Space:
         return np.concatenate([g.positions, *(g.positions + step for step in steps)])
 
     @cached_property
-    def _surface_opacities(self) -> Float32[np.ndarray, " m"]:
+    def _surface_opacities(self) -> Numbers:
         return np.tile(self.gaussians.opacities, 7)
 
     def is_near(self, eye: Vector3) -> Flags:
@@ -162,7 +162,7 @@ def solid_centers(gaussians: Gaussians) -> Points:
     return gaussians.positions[solid] if solid.sum() >= MIN_SIZED_GAUSSIANS else gaussians.positions
 
 
-def spread_out(places: Float64[np.ndarray, "p 3"], count: int) -> Float64[np.ndarray, "c 3"]:
+def spread_out(places: Points, count: int) -> OtherPoints:
     """Return up to `count` places: the first one, then always the one farthest from all before."""
     if not len(places):
         return places

@@ -9,7 +9,7 @@ from warnings import warn
 
 import numpy as np
 
-from ...base.arrays import Float64, Points, UInt8, Vector3
+from ...base.arrays import Colors, Points, Vector3
 from ...drawing.pictures import as_pixels, write_picture
 from ...drawing.rendering import render
 from ...errors import DrSplatWarning, InputError
@@ -181,7 +181,7 @@ def _take(space: Space, views: Sequence[View], settings: PhotographSettings, fol
         write_picture(folder / IMAGES / view.name, as_pixels(drawn.rgb))
 
 
-def _points(gaussians: Gaussians) -> tuple[Float64[np.ndarray, "m 3"], UInt8[np.ndarray, "m 3"]]:
+def _points(gaussians: Gaussians) -> tuple[Points, Colors]:
     """Return centres and colours of solid Gaussians, evenly chosen where there are many."""
     (solid,) = np.nonzero(gaussians.opacities >= SOLID_OPACITY)
     rows = solid if len(solid) else np.arange(len(gaussians))

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Bool, Float32, Mask, OtherPixels, RowIds, Vector3
+from ...base.arrays import Bool, FloatRows, Mask, OtherPixels, RowIds, Vector3
 from ...base.progress import Stopwatch
 from ...base.terminal import counted
 from ...drawing.pictures import (
@@ -96,7 +96,7 @@ class Household:
         """Return where a held-out photo shows one of these categories."""
         ids = np.asarray(Image.open(self.folder / "ids" / f"{Path(view_name).stem}.png"))
         numbers = [number for number, name in self.categories.items() if name in meant]
-        return np.asarray(np.isin(ids.astype(np.int32) - 1, numbers))
+        return np.isin(ids.astype(np.int32) - 1, numbers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -218,10 +218,10 @@ class _Judge:
             for column, verdict in enumerate(answers)
         ]
 
-    def _visible(self, view: View, chosen: Float32[np.ndarray, "n a"]) -> Bool[np.ndarray, "h w a"]:
+    def _visible(self, view: View, chosen: FloatRows) -> Bool[np.ndarray, "h w k"]:
         """Return where each answer's Gaussians have more than half of the weight."""
         drawn = render_channels(self.splats, view, chosen, threads=self.scene.threads)
-        return np.asarray(drawn.channels > 0.5)
+        return drawn.channels > 0.5
 
     def _true(self, meant: tuple[str, ...]) -> Mask:
         """Return where the held-out photos show these categories."""
@@ -235,7 +235,13 @@ def unpack_household(folder: Path, *, overwrite: bool = False) -> Household:
     """
     refuse_full(folder, overwrite)
     with as_file(files(__package__) / "scene") as shipped:
-        _copy(shipped, folder)
+        for file in sorted(shipped.rglob("*")):
+            if file.is_file():
+                place = folder / file.relative_to(shipped)
+                with saying_what_is_full(place.parent):
+                    place.parent.mkdir(parents=True, exist_ok=True)
+                with file.open("rb") as source, replacing(place, overwrite=True) as target:
+                    shutil.copyfileobj(source, target)
     return read_household(folder)
 
 
@@ -258,16 +264,6 @@ def resumable(folder: Path, overwrite: bool) -> Iterator[None]:
         marker.write_text("drsplat demo was stopped here; the same command goes on.\n", encoding="utf-8")
     yield
     marker.unlink(missing_ok=True)
-
-
-def _copy(shipped: Path, folder: Path) -> None:
-    for file in sorted(shipped.rglob("*")):
-        if file.is_file():
-            place = folder / file.relative_to(shipped)
-            with saying_what_is_full(place.parent):
-                place.parent.mkdir(parents=True, exist_ok=True)
-            with file.open("rb") as source, replacing(place, overwrite=True) as target:
-                shutil.copyfileobj(source, target)
 
 
 def read_household(folder: Path) -> Household:

@@ -2,17 +2,15 @@
 
 from typing import NamedTuple, Protocol, runtime_checkable
 
-import numpy as np
-
-from ...base.arrays import Embedding, Float32, Ids, Int64, Integer, Numbers
+from ...base.arrays import Arrays, Embedding, Embeddings, FloatRows, Ids, Indices, Numbers, WholeNumbers
 from ...errors import InputError
 
 
 class Hits(NamedTuple):
     """Rows that a search returns, and their scores."""
 
-    rows: Int64[np.ndarray, " h"]
-    scores: Float32[np.ndarray, " h"]
+    rows: Indices
+    scores: Numbers
 
 
 class Best(NamedTuple):
@@ -47,7 +45,7 @@ class Code(Protocol):
 
     def __len__(self) -> int: ...
 
-    def scores(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Float32[np.ndarray, "q n"]:
+    def scores(self, queries: Embeddings, *, threads: int = 0) -> FloatRows:
         """Return the score of every row for each query; the same whether a query comes alone or among others."""
 
     def select(self, query: Embedding, threshold: float, floor: Numbers | None = None, *, threads: int = 0) -> Hits:
@@ -56,13 +54,13 @@ class Code(Protocol):
     def top(self, query: Embedding, count: int, *, threads: int = 0) -> Hits:
         """Return the `count` best rows, best first, ties to the lower row."""
 
-    def best(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Best:
+    def best(self, queries: Embeddings, *, threads: int = 0) -> Best:
         """Return the best query of each row, without a matrix of queries and rows."""
 
-    def decode(self, rows: Integer[np.ndarray, " b"]) -> Float32[np.ndarray, "b D"]:
+    def decode(self, rows: WholeNumbers) -> Embeddings:
         """Return the unit features of some rows; zero for a row without direction."""
 
-    def rows(self, index: Integer[np.ndarray, " b"]) -> "Code":
+    def rows(self, index: WholeNumbers) -> "Code":
         """Return the code of some rows."""
 
     def run(self, begin: int, end: int) -> "Code":
@@ -71,7 +69,7 @@ class Code(Protocol):
         Raises: InputError: a run that begins in the middle of rows that are scanned together.
         """
 
-    def tensors(self) -> dict[str, np.ndarray]:
+    def tensors(self) -> Arrays:
         """Return all arrays by name, as they are written to files."""
 
 

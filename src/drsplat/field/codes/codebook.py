@@ -3,14 +3,14 @@
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Embeddings, Float32, Numbers, RowIds, UInt8, UInt16
+from ...base.arrays import Arrays, ArraysByName, ByteRows, Embeddings, Float32, Numbers, RowIds, SmallIds
 from ...errors import FormatError, InputError, MismatchError
 from ...formats.embedding_record import encoder_from_json
 from ...formats.faiss_index import is_faiss
@@ -31,8 +31,8 @@ CODEBOOK_FORMAT = "drsplat codebook 1"
 class Codes(NamedTuple):
     """Codes of rows: a centroid per sub-vector. coarse_ids: a coarse centroid per row, or None (plain)."""
 
-    codes: UInt8[np.ndarray, "n L"]
-    coarse_ids: UInt16[np.ndarray, " n"] | None = None
+    codes: ByteRows
+    coarse_ids: SmallIds | None = None
 
     def rows(self, index: slice | RowIds) -> "Codes":
         return Codes(self.codes[index], None if self.coarse_ids is None else self.coarse_ids[index])
@@ -48,7 +48,7 @@ class Codebook:
     """
 
     centroids: Float32[np.ndarray, "L c d"]
-    coarse: Float32[np.ndarray, "C D"] | None
+    coarse: Embeddings | None
     encoder: EncoderIdentity
 
     def __post_init__(self) -> None:
@@ -131,20 +131,20 @@ class Codebook:
     def inverse_norms(self, codes: Codes) -> Numbers:
         """Return 1 / norm of each decoded feature, 0 where it is zero; decodes a block at a time."""
         self.check(codes)
-        squares = (self.centroids.astype(np.float64) ** 2).sum(axis=2).astype(np.float32)
+        squares = (self.centroids.astype(np.float64) ** 2).sum(2).astype(np.float32)
         squared = np.empty(len(codes.codes), np.float32)
         for rows in _blocks(len(squared)):
             if self.coarse is None:  # squared norms add up over sub-vectors; even and odd ones apart, in one order
                 sums = np.zeros((2, len(squared[rows])), np.float32)
                 for part, column in enumerate(codes.codes[rows].T):
                     sums[part % 2] += squares[part, column]
-                squared[rows] = sums.sum(axis=0)
+                squared[rows] = sums.sum(0)
             else:
-                squared[rows] = (self.decode(codes.rows(rows)) ** 2).sum(axis=1)
+                squared[rows] = (self.decode(codes.rows(rows)) ** 2).sum(1)
         norms = np.sqrt(squared)
-        return np.asarray(np.divide(1, norms, out=np.zeros_like(norms), where=norms > 0))
+        return np.divide(1, norms, out=np.zeros_like(norms), where=norms > 0)
 
-    def tables(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> QueryTables:
+    def tables(self, queries: Embeddings, *, threads: int = 0) -> QueryTables:
         """Return each query's inner products with all centroids.
 
         Raises: InputError: queries of another dimension.
@@ -176,7 +176,7 @@ class Codebook:
             raise InputError(f"expected codes (n, {self.num_subvectors}), got {codes.codes.shape}")
         self.check_coarse_ids(codes.coarse_ids, len(codes.codes))
 
-    def check_coarse_ids(self, ids: UInt16[np.ndarray, " n"] | None, rows: int) -> None:
+    def check_coarse_ids(self, ids: SmallIds | None, rows: int) -> None:
         """Check coarse ids. Raises: InputError: ids missing, superfluous, out of range or not one per row."""
         if (ids is None) != (self.coarse is None):
             raise InputError("coarse ids belong with a residual codebook, and only with one")
@@ -187,7 +187,7 @@ class Codebook:
             if largest >= len(self.coarse):
                 raise InputError(f"coarse id {largest}, but there are {len(self.coarse)} coarse centroids")
 
-    def tensors(self) -> dict[str, np.ndarray]:
+    def tensors(self) -> Arrays:
         """Return the arrays by name, as they are written to files."""
         return {"centroids": self.centroids} | ({} if self.coarse is None else {"coarse": self.coarse})
 
@@ -261,9 +261,7 @@ def load_codebook(path: str | os.PathLike[str]) -> Codebook:
     return codebook_from_tensors(tensors, identity, metadata.get("hash"), str(path))
 
 
-def codebook_from_tensors(
-    tensors: Mapping[str, np.ndarray], identity: object, expected_hash: object, where: str
-) -> Codebook:
+def codebook_from_tensors(tensors: ArraysByName, identity: object, expected_hash: object, where: str) -> Codebook:
     """Return the codebook of a file's arrays and the JSON identity of its encoder, checked by its hash.
 
     Raises: FormatError: something is missing or ill-formed, or the hash differs.

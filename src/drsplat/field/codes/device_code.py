@@ -3,9 +3,7 @@
 from dataclasses import dataclass, field
 from functools import cached_property
 
-import numpy as np
-
-from ...base.arrays import Float32, Numbers
+from ...base.arrays import FloatRows, Numbers
 from ...errors import InputError
 from ...kernels import QueryTables, Scanning
 from ...kernels.cuda import scanning
@@ -35,7 +33,7 @@ class DevicePQCode(PQCode):
     def _device_rows(self) -> scanning.DeviceRows:
         return scanning.sent_rows(self.engine, self._rows)
 
-    def _scan_scores(self, tables: QueryTables, how: Scanning) -> Float32[np.ndarray, "q n"]:
+    def _scan_scores(self, tables: QueryTables, how: Scanning) -> FloatRows:
         return scanning.scan_scores(self._device_rows, tables)
 
     def _scan_above(self, tables: QueryTables, threshold: float, floor: Numbers | None, how: Scanning) -> Hits:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import UInt8, UInt32
+from ...base.arrays import ByteRows, UnsignedIds
 from ...errors import FormatError, InputError
 from ...formats.faiss_index import is_faiss, read_faiss_quantizer
 from ...scene.encoders import EncoderIdentity
@@ -37,7 +37,7 @@ def read_codebook(path: str | os.PathLike[str], encoder_name: str | None = None)
     return read_faiss_codebook(path, EncoderIdentity(encoder_name or "unknown", dim))
 
 
-def official_bytes(codes: Codes) -> UInt8[np.ndarray, "n b"]:
+def official_bytes(codes: Codes) -> ByteRows:
     """Return residual codes as the authors' files hold them: list id (two bytes, little-endian), codes."""
     if codes.coarse_ids is None:
         raise InputError("plain codes have no official form: encode with the authors' codebook")
@@ -47,11 +47,11 @@ def official_bytes(codes: Codes) -> UInt8[np.ndarray, "n b"]:
 class OfficialRows(NamedTuple):
     """Rows of an official file. ids: the rows that hold a code, ascending. codes: theirs."""
 
-    ids: UInt32[np.ndarray, " r"]
+    ids: UnsignedIds
     codes: Codes
 
 
-def from_official_bytes(rows: UInt8[np.ndarray, "n b"], codebook: Codebook) -> OfficialRows:
+def from_official_bytes(rows: ByteRows, codebook: Codebook) -> OfficialRows:
     """Return the codes of the authors' files; rows of 255, their mark for "no feature", are left out.
 
     Raises: InputError: a plain codebook. FormatError: rows of another length, or a list id that the
@@ -61,7 +61,7 @@ def from_official_bytes(rows: UInt8[np.ndarray, "n b"], codebook: Codebook) -> O
         raise InputError("official codes are residuals: read the authors' .faiss file for their codebook")
     if rows.ndim != 2 or rows.shape[1] != 2 + codebook.num_subvectors:
         raise FormatError(f"expected rows of {2 + codebook.num_subvectors} bytes, got {rows.shape}")
-    ids = np.flatnonzero((rows != 255).any(axis=1)).astype(np.uint32)
+    ids = np.flatnonzero((rows != 255).any(1)).astype(np.uint32)
     coarse_ids = np.ascontiguousarray(rows[ids, :2]).view("<u2")[:, 0].astype(np.uint16)
     bad = np.flatnonzero(coarse_ids >= len(codebook.coarse))
     if len(bad):

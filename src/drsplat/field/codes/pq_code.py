@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ...base.arrays import Embedding, Float32, Integer, Numbers, UInt8, UInt16
+from ...base.arrays import Arrays, Embedding, Embeddings, FloatRows, Numbers, SmallIds, UInt8, WholeNumbers
 from ...errors import InputError
 from ...kernels import (
     GroupedRows,
@@ -41,7 +41,7 @@ class PQCode:
 
     codebook: Codebook
     grouped: UInt8[np.ndarray, "g L k"]
-    coarse_ids: UInt16[np.ndarray, " n"] | None
+    coarse_ids: SmallIds | None
     inverse_norms: Numbers
 
     kind = "pq"
@@ -72,7 +72,7 @@ class PQCode:
         ids = self.coarse_ids
         return self.grouped.nbytes + self.inverse_norms.nbytes + (0 if ids is None else ids.nbytes)
 
-    def scores(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Float32[np.ndarray, "q n"]:
+    def scores(self, queries: Embeddings, *, threads: int = 0) -> FloatRows:
         """See Code. The error is at most 1e-4."""
         batches = [self._scan_scores(tables, self._exact(threads)) for tables in self._tables(queries, threads)]
         if len(batches) == 1:
@@ -89,7 +89,7 @@ class PQCode:
         tables = self.codebook.tables(query[None], threads=threads)
         return self._scan_top(tables, count, self._exact(threads))
 
-    def best(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Best:
+    def best(self, queries: Embeddings, *, threads: int = 0) -> Best:
         """See Code. More than 16 queries: scores are off by up to 2e-3 (six standard deviations).
 
         Raises: InputError: no queries.
@@ -104,18 +104,18 @@ class PQCode:
         assert best is not None
         return best
 
-    def decode(self, rows: Integer[np.ndarray, " b"]) -> Float32[np.ndarray, "b D"]:
+    def decode(self, rows: WholeNumbers) -> Embeddings:
         """See Code."""
         decoded = self.codebook.decode(self.codes(rows))
-        return np.asarray(decoded * self.inverse_norms[rows, None])
+        return decoded * self.inverse_norms[rows, None]
 
-    def codes(self, rows: Integer[np.ndarray, " b"] | None = None) -> Codes:
+    def codes(self, rows: WholeNumbers | None = None) -> Codes:
         """Return plain codes of some rows or all, one row after the other, to export or decode them."""
         index = np.arange(len(self)) if rows is None else np.arange(len(self))[rows]
         ids = self.coarse_ids
         return Codes(rows_of_groups(self.grouped, index), None if ids is None else ids[index])
 
-    def rows(self, index: Integer[np.ndarray, " b"]) -> "PQCode":
+    def rows(self, index: WholeNumbers) -> "PQCode":
         """See Code."""
         return pq_code(self.codebook, self.codes(index), self.inverse_norms[index])
 
@@ -127,7 +127,7 @@ class PQCode:
         part.__dict__["_scale"] = self._scale
         return part
 
-    def tensors(self) -> dict[str, np.ndarray]:
+    def tensors(self) -> Arrays:
         """See Code."""
         arrays = {"grouped_codes": self.grouped, "inverse_norms": self.inverse_norms}
         if self.coarse_ids is not None:
@@ -138,7 +138,7 @@ class PQCode:
     def _rows(self) -> GroupedRows:
         return GroupedRows(self.grouped, self.inverse_norms, self.coarse_ids)
 
-    def _scan_scores(self, tables: QueryTables, how: Scanning) -> Float32[np.ndarray, "q n"]:
+    def _scan_scores(self, tables: QueryTables, how: Scanning) -> FloatRows:
         return scan_scores(self._rows, tables, how)
 
     def _scan_above(self, tables: QueryTables, threshold: float, floor: Numbers | None, how: Scanning) -> Hits:
@@ -150,7 +150,7 @@ class PQCode:
     def _scan_best(self, tables: QueryTables, how: Scanning) -> Best:
         return Best(*scan_best(self._rows, tables, how))
 
-    def _tables(self, queries: Float32[np.ndarray, "q D"], threads: int) -> Iterator[QueryTables]:
+    def _tables(self, queries: Embeddings, threads: int) -> Iterator[QueryTables]:
         for begin in range(0, len(queries), BATCH_QUERIES):
             yield self.codebook.tables(queries[begin : begin + BATCH_QUERIES], threads=threads)
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Bool, Flags, Float64, Indices, Int32
+from ...base.arrays import Doubles, Flags, Ids, OtherFlags
 from ...errors import MismatchError
 from ...kernels.algebra import changed_columns as merged
 from .aggregation.entries import canonical
@@ -12,7 +12,7 @@ from .evidence import Evidence, MaskIds
 REMOVED_COLUMN = -1
 
 
-def without_views(evidence: Evidence, gone: Bool[np.ndarray, " v"]) -> Evidence:
+def without_views(evidence: Evidence, gone: Flags) -> Evidence:
     """Return the evidence without the columns of the views `gone`."""
     masks = evidence.masks
     names = tuple(name for name, goes in zip(masks.view_names, gone.tolist(), strict=True) if not goes)
@@ -38,7 +38,19 @@ def with_views(evidence: Evidence, other: Evidence) -> Evidence:
     own, its = np.split(places, [len(evidence.masks)])
     new = other.weights
     added = csr_array((new.data, its[new.indices], new.indptr), shape=(len(other), len(order)))
-    embeddings = _interleaved(evidence.embeddings, other.embeddings, order)
+    # concatenate the rows of both and put them in an order, copying runs of consecutive rows at once
+    ends = np.append(np.flatnonzero((np.diff(order) != 1) | (order[1:] == len(evidence.embeddings))) + 1, len(order))
+    parts, begin = [evidence.embeddings[:0]], 0
+    for end in ends.tolist() if len(order) else []:
+        first = int(order[begin])
+        source, first = (
+            (evidence.embeddings, first)
+            if first < len(evidence.embeddings)
+            else (other.embeddings, first - len(evidence.embeddings))
+        )
+        parts.append(source[first : first + end - begin])
+        begin = end
+    embeddings = np.concatenate(parts)
     of_view = {name: source for masks in both for name, source in zip(masks.view_names, masks.sources, strict=True)}
     rendered = _rendered(tuple(of_view[name] for name in names))
     masks = MaskIds(tuple(names), views[order], ids[order], _times(both, rank), rendered)
@@ -50,7 +62,7 @@ def _rendered(sources: tuple[str, ...]) -> tuple[str, ...]:
     return sources if any(sources) else ()
 
 
-def _times(both: tuple[MaskIds, MaskIds], rank: dict[str, int]) -> Float64[np.ndarray, " v"] | None:
+def _times(both: tuple[MaskIds, MaskIds], rank: dict[str, int]) -> Doubles | None:
     """Return the views' times by rank; None for a still scene. Raises: MismatchError: only one of both scenes moves."""
     one, other = (masks.times for masks in both)
     if one is None or other is None:
@@ -65,7 +77,7 @@ def _times(both: tuple[MaskIds, MaskIds], rank: dict[str, int]) -> Float64[np.nd
     return times
 
 
-def rows_with(weights: csr_array, columns: Bool[np.ndarray, " m"]) -> Flags:
+def rows_with(weights: csr_array, columns: OtherFlags) -> Flags:
     """Return which rows have an entry in any of some columns."""
     rows = np.zeros(weights.shape[0], np.bool_)
     entries = np.flatnonzero(columns[weights.indices])
@@ -73,7 +85,7 @@ def rows_with(weights: csr_array, columns: Bool[np.ndarray, " m"]) -> Flags:
     return rows
 
 
-def changed_columns(weights: csr_array, columns: Int32[np.ndarray, " m"], added: csr_array) -> csr_array:
+def changed_columns(weights: csr_array, columns: Ids, added: csr_array) -> csr_array:
     """Renumber W's columns and add entries; the entries of a row must ascend, and ascend in the result.
 
     columns: the new number of each old column, ascending, or REMOVED_COLUMN. added: entries of as many rows, with the
@@ -86,17 +98,5 @@ def changed_columns(weights: csr_array, columns: Int32[np.ndarray, " m"], added:
     return csr_array((data, indices, indptr), shape=added.shape)
 
 
-def _interleaved(own: np.ndarray, its: np.ndarray, order: Indices) -> np.ndarray:
-    """Concatenate the rows of both and put them in an order, copying runs of consecutive rows at once."""
-    ends = np.append(np.flatnonzero((np.diff(order) != 1) | (order[1:] == len(own))) + 1, len(order))
-    parts, begin = [own[:0]], 0
-    for end in ends.tolist() if len(order) else []:
-        first = int(order[begin])
-        source, first = (own, first) if first < len(own) else (its, first - len(own))
-        parts.append(source[first : first + end - begin])
-        begin = end
-    return np.concatenate(parts)
-
-
-def _ranked(masks: MaskIds, rank: dict[str, int]) -> Int32[np.ndarray, " m"]:
+def _ranked(masks: MaskIds, rank: dict[str, int]) -> Ids:
     return np.array([rank[name] for name in masks.view_names], np.int32).take(masks.views)

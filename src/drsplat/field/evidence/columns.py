@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Float32, Int64, MaskIds, UInt32
+from ...base.arrays import Embeddings, MaskIds, OtherIndices, UnsignedIds
 from ...errors import FormatError, InputError, MismatchError
 from ...formats.tensors import map_tensors, read_tensors, write_tensors
 from ...kernels import SplatArrays, Triples, default_isa, splat_arrays
@@ -33,7 +33,7 @@ class Columns:
 
     view_name: str
     path: Path
-    embeddings: Float32[np.ndarray, "s d"]
+    embeddings: Embeddings
     key: bytes
 
     def triples(self) -> Triples:
@@ -45,7 +45,7 @@ class VisibleSplats(NamedTuple):
     """Gaussians in front of a camera. rows: of the scene, ascending; None: all of them."""
 
     splats: SplatArrays
-    rows: UInt32[np.ndarray, " m"] | None = None
+    rows: UnsignedIds | None = None
 
 
 @runtime_checkable
@@ -241,7 +241,7 @@ def stacked(views: Sequence[Callable[[], Triples]], widths: Sequence[int], num_r
     return csr_array((weights, indices, starts), shape=(num_rows, offset))
 
 
-def _runs(ids: UInt32[np.ndarray, " t"]) -> tuple[Int64[np.ndarray, " r"], Int64[np.ndarray, " r"]]:
+def _runs(ids: UnsignedIds) -> tuple[OtherIndices, OtherIndices]:
     """Return where each of ascending ids begins, and how often it occurs."""
     first = np.flatnonzero(np.diff(ids.astype(np.int64), prepend=-1))
     return first, np.diff(first, append=len(ids))

@@ -8,7 +8,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Float32, Float64, Int32, Integer, Sparse
+from ...base.arrays import (
+    Arrays,
+    ArraysByName,
+    Embedding,
+    Embeddings,
+    Ids,
+    Numbers,
+    OtherDoubles,
+    RowIds,
+    Sparse,
+    WholeNumbers,
+)
 from ...base.contents import release
 from ...errors import FormatError, InputError
 from ...formats.tensors import check_tensors
@@ -37,9 +48,9 @@ class MaskIds:
     """
 
     view_names: tuple[str, ...]
-    views: Int32[np.ndarray, " m"]
-    ids: Int32[np.ndarray, " m"]
-    times: Float64[np.ndarray, " v"] | None = None
+    views: Ids
+    ids: Ids
+    times: OtherDoubles | None = None
     rendered_from: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
@@ -67,9 +78,9 @@ class MaskIds:
 class Entries(NamedTuple):
     """Arrays of a sparse matrix by rows, named as in `scipy.sparse.csr_array`."""
 
-    indptr: Integer[np.ndarray, " n1"]
-    indices: Integer[np.ndarray, " e"]
-    data: Float32[np.ndarray, " e"]
+    indptr: RowIds
+    indices: WholeNumbers
+    data: Numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +94,7 @@ class Evidence:
 
     weights: Sparse
     masks: MaskIds
-    embeddings: Float32[np.ndarray, "m d"]
+    embeddings: Embeddings
 
     def __post_init__(self) -> None:
         from scipy.sparse import csr_array
@@ -133,14 +144,14 @@ class Evidence:
         if len(data) and not 0 <= data.min() <= data.max() < np.inf:  # NaN fails as well
             raise InputError("weights: expected finite numbers of 0 or more")
 
-    def features(self, begin: int, end: int, *, threads: int = 0) -> Float32[np.ndarray, "n d"]:
+    def features(self, begin: int, end: int, *, threads: int = 0) -> Embeddings:
         """Return the weighted mean embedding of rows [begin, end), normalised; zero where there is none.
 
         Source: Dr. Splat Sec. A "Training stage".
         """
         return weighted_rows(*self.entries, self.embeddings, begin, end, threads=threads)
 
-    def rows(self, index: Integer[np.ndarray, " r"]) -> "Evidence":
+    def rows(self, index: WholeNumbers) -> "Evidence":
         """Return the evidence of some rows, in that order; weights are shared where only empty rows are dropped."""
         indptr = self.weights.indptr
         lengths = np.diff(indptr)[index]
@@ -155,7 +166,7 @@ class Evidence:
         weights = _matrix(Entries(indptr, indices, data), self.weights.shape[1])
         return Evidence(weights, self.masks, self.embeddings)
 
-    def column_sums(self, rows: Integer[np.ndarray, " r"]) -> Float32[np.ndarray, " m"]:
+    def column_sums(self, rows: RowIds) -> Numbers:
         """Return the sum of W over some rows for each mask, added up row by row."""
         indptr, indices, data = self.entries
         lengths = indptr[rows + 1] - indptr[rows]
@@ -164,7 +175,7 @@ class Evidence:
         np.add.at(sums, indices[at], data[at])
         return sums
 
-    def explain(self, row: int, query: Float32[np.ndarray, " d"], top: int = 5) -> list[Explanation]:
+    def explain(self, row: int, query: Embedding, top: int = 5) -> list[Explanation]:
         """Return the photos and masks with the largest support W_ij <q, e_j> for `query` in a row.
 
         Only positive support is listed, so there may be fewer than `top`, or none.
@@ -185,7 +196,7 @@ class Evidence:
         masks = self.masks
         return Explanation(masks.view_names[masks.views[column]], int(masks.ids[column]), share)
 
-    def tensors(self) -> dict[str, np.ndarray]:
+    def tensors(self) -> Arrays:
         """Return the arrays by name, as they are written to files; `metadata` holds the rest."""
         of_time = {} if self.masks.times is None else {"view_times": self.masks.times}
         return {
@@ -209,7 +220,7 @@ class StoredEvidence(Evidence):
     """Evidence of a file, whose matrix is made on first access: a search needs no SciPy, which is slow to load."""
 
     @classmethod
-    def of(cls, entries: Entries, masks: MaskIds, embeddings: Float32[np.ndarray, "m d"]) -> "StoredEvidence":
+    def of(cls, entries: Entries, masks: MaskIds, embeddings: Embeddings) -> "StoredEvidence":
         """Return the evidence of arrays whose row starts fit. Raises: InputError: as of `Evidence`."""
         evidence = cls.__new__(cls)
         evidence.__dict__.update(stored=entries, masks=masks, embeddings=embeddings)
@@ -239,7 +250,7 @@ _ARRAYS = {
 _TIMES = {"view_times": ("float64", "v")}  # of scenes that move
 
 
-def evidence_from_tensors(tensors: Mapping[str, np.ndarray], metadata: Mapping[str, str], where: str) -> Evidence:
+def evidence_from_tensors(tensors: ArraysByName, metadata: Mapping[str, str], where: str) -> Evidence:
     """Return the evidence of a file's arrays without copying them: a memory map stays one.
 
     Raises: FormatError: an array is missing, of another type, or does not fit the others.

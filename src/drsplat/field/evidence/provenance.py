@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.arrays import Float64, Int64, UInt8, Vector3
+from ...base.arrays import Float64, Indices, UInt8, Vector3
 from ...errors import InputError
 from ...scene.boxes import upward_of
 from ...scene.views import View
@@ -57,7 +57,7 @@ class Provenance:
         except InputError:
             return None
 
-    def of(self, views: Int64[np.ndarray, " k"]) -> "Provenance":
+    def of(self, views: Indices) -> "Provenance":
         """Return the provenance of some views, in that order."""
         cameras = None if self.cameras is None else self.cameras[views]
         return Provenance(self.axes[views], self.keys[views], self.isa, self.level, cameras)
@@ -70,7 +70,7 @@ class Provenance:
         numbers = np.empty((0, CAMERA_NUMBERS)) if self.cameras is None else self.cameras
         return [_view(name, camera) for name, camera in zip(names, numbers, strict=False)]
 
-    def with_views(self, other: "Provenance", order: Int64[np.ndarray, " v"]) -> "Provenance":
+    def with_views(self, other: "Provenance", order: Indices) -> "Provenance":
         """Return the provenance of both: the views of `other` after these, then put in `order`.
 
         Raises: InputError: masks of two levels.

@@ -281,7 +281,7 @@ class Comparison:
 
     def _columns(self, name: str) -> np.ndarray:
         masks = self.registration.masks
-        return np.asarray(masks.views == masks.view_names.index(name))
+        return masks.views == masks.view_names.index(name)
 
     @cached_property
     def _maker(self) -> ColumnMaker:

@@ -18,7 +18,19 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Bool, Float32, Float64, Ids, Int32, Int64, UInt32
+from ...base.arrays import (
+    Doubles,
+    Embeddings,
+    Flags,
+    Float32,
+    FloatRows,
+    Ids,
+    Indices,
+    OtherDoubles,
+    OtherIds,
+    UnsignedIds,
+    Vectors,
+)
 from ...base.contents import release
 from ...errors import InputError
 from ...kernels import Forest, MergeRule, agglomerate
@@ -68,13 +80,13 @@ class Totals:
     all rows together.
     """
 
-    rows: Float64[np.ndarray, " r"]
-    counts: Int64[np.ndarray, " r"]
-    masks: Float64[np.ndarray, " m"]
+    rows: Doubles
+    counts: Indices
+    masks: OtherDoubles
     sights: int
 
     @classmethod
-    def of(cls, evidence: Evidence, kept: Bool[np.ndarray, " m"]) -> "Totals":
+    def of(cls, evidence: Evidence, kept: Flags) -> "Totals":
         """Add up W in one pass. kept: columns that are looked at."""
         weights, views, count = evidence.weights, evidence.masks.views, len(evidence)
         rows, counts, masks, sights = np.zeros(count), np.zeros(count, np.int64), np.zeros(len(views)), 0
@@ -101,9 +113,9 @@ class Division:
 
     evidence: Evidence
     points: Float32[np.ndarray, "r 3"]
-    kept: Bool[np.ndarray, " m"]
+    kept: Flags
     totals: Totals
-    embeddings: Float32[np.ndarray, "m k"]
+    embeddings: FloatRows
     thresholds: tuple[float, ...]
     rule: MergeRule
 
@@ -143,7 +155,7 @@ def find_objects(
 
 
 def find_tree(
-    evidence: Evidence, gaussians: Gaussians, ids: UInt32[np.ndarray, " r"], views: Sequence[View], *, threads: int = 0
+    evidence: Evidence, gaussians: Gaussians, ids: UnsignedIds, views: Sequence[View], *, threads: int = 0
 ) -> Tree:
     """Return the parts, things and groups of a scene. Where masks have equal embeddings, W alone decides.
 
@@ -171,9 +183,7 @@ def seen_by(found: Found, views: Sequence[View]) -> list[View]:
     return list({view.name: view for some in chosen for view in some}.values()) if chosen else some_views(views)
 
 
-def tree_of(
-    evidence: Evidence, points: Float32[np.ndarray, "r 3"], work: Work | None = None, *, threads: int = 0
-) -> Found:
+def tree_of(evidence: Evidence, points: Vectors, work: Work | None = None, *, threads: int = 0) -> Found:
     """Find the parts, things and groups that masks tell of; what they are pieces of is not yet known.
 
     points: centres of the rows' Gaussians. work: who finds the nodes of blocks, of which there are some where the
@@ -188,7 +198,7 @@ def tree_of(
     return Found(choose_among(found.forest, found.node_of, MIN_GAUSSIANS), seeing)
 
 
-def divided(evidence: Evidence, points: Float32[np.ndarray, "r 3"]) -> Division:
+def divided(evidence: Evidence, points: Vectors) -> Division:
     """Cut a scene in blocks. Of more weights than WEIGHTS_PER_ROW, those of some views are looked at."""
     masks = evidence.masks
     gone = views_beyond(evidence, max(MAX_WEIGHTS, WEIGHTS_PER_ROW * len(evidence)))
@@ -200,9 +210,7 @@ def divided(evidence: Evidence, points: Float32[np.ndarray, "r 3"]) -> Division:
     return Division(evidence, points, kept, totals, embeddings, MERGE_THRESHOLDS, rule)
 
 
-def of_pieces(
-    tree: Tree, gaussians: Gaussians, ids: UInt32[np.ndarray, " r"], views: Sequence[View], *, threads: int = 0
-) -> Tree:
+def of_pieces(tree: Tree, gaussians: Gaussians, ids: UnsignedIds, views: Sequence[View], *, threads: int = 0) -> Tree:
     """Return the tree with pieces joined to the things that they are of. ids: the Gaussians of its rows."""
     if not views:
         return tree
@@ -210,7 +218,7 @@ def of_pieces(
     return with_pieces_joined(tree, borders(gaussians, views, pieces, threads=threads))
 
 
-def pieces_of(tree: Tree, ids: UInt32[np.ndarray, " r"], count: int) -> Ids:
+def pieces_of(tree: Tree, ids: UnsignedIds, count: int) -> OtherIds:
     """Return the thing of each of `count` Gaussians, numbered in the order of nodes, -1 for none."""
     (things,) = np.nonzero(tree.levels == THING)
     owners = _owners(tree.parents, tree.levels == THING)
@@ -232,7 +240,7 @@ def cameras_of(field: LanguageField) -> list[View]:
     return field.growth.provenance.views(field.evidence.masks.view_names)
 
 
-def views_beyond(evidence: Evidence, most: int) -> Bool[np.ndarray, " v"]:
+def views_beyond(evidence: Evidence, most: int) -> Flags:
     """Mark the views that are left out where at most so many weights are looked at; a hash of names draws the others.
 
     One view is always left.
@@ -246,7 +254,7 @@ def views_beyond(evidence: Evidence, most: int) -> Bool[np.ndarray, " v"]:
     return gone
 
 
-def grow(evidence: Evidence, means: Float32[np.ndarray, "r 3"], *, threads: int = 0) -> Forest:
+def grow(evidence: Evidence, means: Vectors, *, threads: int = 0) -> Forest:
     """Grow the forest of merges over the rows of the evidence. means: the Gaussians' centres."""
     order = along_a_curve(means)
     weights, views, embeddings = _by_view(evidence)
@@ -278,7 +286,7 @@ def _by_view(evidence: Evidence) -> tuple[csr_array, np.ndarray, np.ndarray]:
     return weights, views, embeddings
 
 
-def _sights(weights: csr_array, views: Int32[np.ndarray, " m"]) -> int:
+def _sights(weights: csr_array, views: Ids) -> int:
     """Count in how many views a row has weight, of all rows together."""
     seen = views[weights.indices]
     first = np.ones(len(seen), bool)
@@ -287,7 +295,7 @@ def _sights(weights: csr_array, views: Int32[np.ndarray, " m"]) -> int:
     return int(np.count_nonzero(first))
 
 
-def _fewer_directions(embeddings: Float32[np.ndarray, "m d"]) -> tuple[Float32[np.ndarray, "m k"], float]:
+def _fewer_directions(embeddings: Embeddings) -> tuple[FloatRows, float]:
     """Return the embeddings along the directions in which they spread most, and 1 - the mean cosine of any two."""
     count, dim = embeddings.shape
     mean, spread = np.zeros(dim), np.zeros((dim, dim))

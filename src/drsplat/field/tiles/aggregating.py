@@ -6,7 +6,7 @@ run -> whose features its rows have               of the rows around, in whateve
 """
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,7 +14,18 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
-from ...base.arrays import Bool, Doubles, Float32, Float64, Int64, Vectors
+from ...base.arrays import (
+    Arrays,
+    ArraysByName,
+    DoubleRows,
+    Doubles,
+    Embeddings,
+    Flags,
+    IndexRows,
+    Indices,
+    OtherIndices,
+    Vectors,
+)
 from ...base.contents import pieces
 from ...formats.tensors import map_tensors
 from ...formats.tiles import Tile
@@ -67,7 +78,7 @@ class RowFiles:
     def name(self, run: Run) -> str:
         return rows_name(run, self.folder)
 
-    def arrays(self, run: Run) -> Mapping[str, np.ndarray]:
+    def arrays(self, run: Run) -> ArraysByName:
         return map_tensors(self.store.bring(self.name(run)))[0]
 
     def weights(self, run: Run) -> csr_array:
@@ -75,14 +86,14 @@ class RowFiles:
         shape = (len(arrays["indptr"]) - 1, len(self.masks))
         return csr_array((arrays["data"], arrays["indices"], arrays["indptr"]), shape=shape)
 
-    def embeddings(self) -> Float32[np.ndarray, "m d"]:
+    def embeddings(self) -> Embeddings:
         return np.asarray(np.load(self.store.bring(EMBEDDINGS_FILE), mmap_mode="r"))
 
     def evidence(self, run: Run) -> Evidence:
         return Evidence(self.weights(run), self.masks, self.embeddings())
 
 
-Making = Callable[[RowFiles, Run, int], dict[str, np.ndarray]]
+Making = Callable[[RowFiles, Run, int], Arrays]
 """(rows, run, threads) -> arrays of a file."""
 
 
@@ -108,7 +119,7 @@ class RowTask:
 class Tallying:
     """A `Making` of what a run adds to the trust in masks."""
 
-    def __call__(self, rows: RowFiles, run: Run, threads: int) -> dict[str, np.ndarray]:
+    def __call__(self, rows: RowFiles, run: Run, threads: int) -> Arrays:
         counted = tally(rows.evidence(run), threads)
         (columns,) = np.nonzero(counted.weights)
         return {"columns": columns, "surpluses": counted.surpluses[columns], "weights": counted.weights[columns]}
@@ -119,9 +130,9 @@ class Weighing:
     """A `Making` of rows whose votes count otherwise. trust: in each mask, where masks are trusted."""
 
     step: MaskTrust | OutlierRejection
-    trust: Float64[np.ndarray, " m"] | None = None
+    trust: Doubles | None = None
 
-    def __call__(self, rows: RowFiles, run: Run, threads: int) -> dict[str, np.ndarray]:
+    def __call__(self, rows: RowFiles, run: Run, threads: int) -> Arrays:
         evidence = rows.evidence(run)
         if isinstance(self.step, MaskTrust) and self.trust is not None:
             return _arrays(self.step.weighed(evidence, self.trust).weights)
@@ -132,7 +143,7 @@ class Weighing:
 class Believing:
     """A `Making` of how reliable rows are."""
 
-    def __call__(self, rows: RowFiles, run: Run, threads: int) -> dict[str, np.ndarray]:
+    def __call__(self, rows: RowFiles, run: Run, threads: int) -> Arrays:
         return {"reliability": reliability(rows.evidence(run), threads)}
 
 
@@ -149,7 +160,7 @@ class Voting:
     gallery: Gallery
     runs: Sequence[Run]
 
-    def __call__(self, rows: RowFiles, run: Run, threads: int) -> dict[str, np.ndarray]:
+    def __call__(self, rows: RowFiles, run: Run, threads: int) -> Arrays:
         own = self._trust(run)
         donors = np.where(own > 0, run.first + np.arange(len(own)), -1)
         receivers = run.first + np.flatnonzero(np.diff(self.registered.weights(run).indptr) > 0)
@@ -163,15 +174,13 @@ class Voting:
         made = held.weights(donors)
         return _arrays(made) | {"donors": donors.astype(np.int32)}
 
-    def _trust(self, run: Run) -> Float64[np.ndarray, " r"]:
-        return np.asarray(self.believed.arrays(run)["reliability"])
+    def _trust(self, run: Run) -> Doubles:
+        return self.believed.arrays(run)["reliability"]
 
     def _shapes(self, tile: Tile) -> Gaussians:
         return self.gallery.shapes(tile)
 
-    def _nearest(
-        self, run: Run, points: Vectors, threads: int
-    ) -> tuple[Float64[np.ndarray, "n k"], Int64[np.ndarray, "n k"]]:
+    def _nearest(self, run: Run, points: Vectors, threads: int) -> tuple[DoubleRows, IndexRows]:
         """Return the nearest givers of points: those of the run, then those of all tiles that may hold nearer ones.
 
         The box of a tile bounds how near its rows are, so that none is missed.
@@ -183,21 +192,17 @@ class Voting:
             trust = self._trust(other)
             for tile in other.tiles:
                 givers = np.flatnonzero(trust[tile.first - other.first :][: tile.num_rows] > 0)
-                (asking,) = np.nonzero(_distances_to_box(points, tile) <= distances[:, -1])
+                # how far points are from the box of a tile, and a little less: of what is rounded none is missed
+                away = np.maximum(np.maximum(tile.low - points, points - tile.high), 0)
+                (asking,) = np.nonzero(np.asarray(np.sqrt(np.square(away).sum(1)) * (1 - 1e-6)) <= distances[:, -1])
                 if len(givers) and len(asking):
                     tree = cKDTree(self._shapes(tile).means[givers])
                     further, which = nearest(tree, points[asking], count + SPARE_NEIGHBOURS, threads)
                     both = np.concatenate([distances[asking], further], axis=1)
                     rows = np.concatenate([near[asking], tile.first + givers[which]], axis=1)
                     distances[asking], near[asking] = nearest_first(both, rows, count)
-        some = np.isfinite(distances).all(axis=0)  # of fewer givers than are asked for
+        some = np.isfinite(distances).all(0)  # of fewer givers than are asked for
         return distances[:, some], near[:, some]
-
-
-def _distances_to_box(points: Vectors, tile: Tile) -> Doubles:
-    """Return how far points are from the box of a tile, and a little less: of what is rounded none is missed."""
-    away = np.maximum(np.maximum(tile.low - points, points - tile.high), 0)
-    return np.asarray(np.sqrt(np.square(away).sum(axis=1)) * (1 - 1e-6))
 
 
 class _Held:
@@ -208,9 +213,7 @@ class _Held:
         self.firsts = np.array([run.first for run in voting.runs])
         self.table = rows.embeddings()
 
-    def about(
-        self, numbers: Int64[np.ndarray, " p"], threads: int
-    ) -> tuple[Float64[np.ndarray, " p"], Float64[np.ndarray, " p"], Float32[np.ndarray, "p d"]]:
+    def about(self, numbers: Indices, threads: int) -> tuple[Doubles, Doubles, Embeddings]:
         """Return how reliable rows are, their sizes, and features. numbers: ascending."""
         trust, sizes = [np.empty(0)], [np.empty(0)]
         for run, own in self._by_run(numbers):
@@ -223,7 +226,7 @@ class _Held:
         features = weighted_rows(w.indptr, w.indices, w.data, self.table, 0, len(numbers), threads=threads)
         return np.concatenate(trust), np.concatenate(sizes), features
 
-    def weights(self, numbers: Int64[np.ndarray, " p"]) -> csr_array:
+    def weights(self, numbers: Indices) -> csr_array:
         """Return some rows of W in their order; of -1 an empty one."""
         wanted, at = np.unique(numbers, return_inverse=True)
         lengths, indices, data = [np.zeros(0, np.int64)], [np.empty(0, np.int32)], [np.empty(0, np.float32)]
@@ -238,7 +241,7 @@ class _Held:
         shape = (len(wanted), len(self.table))
         return csr_array(csr_array((np.concatenate(data), np.concatenate(indices), starts), shape=shape)[at])
 
-    def _by_run(self, numbers: Int64[np.ndarray, " p"]) -> Iterator[tuple[Run, Int64[np.ndarray, " q"]]]:
+    def _by_run(self, numbers: OtherIndices) -> Iterator[tuple[Run, Indices]]:
         at = np.searchsorted(self.firsts, numbers, side="right") - 1
         for number in np.unique(at).tolist():
             yield self.voting.runs[number], numbers[at == number]
@@ -248,9 +251,9 @@ class _Held:
 class OfColumns:
     """A `Making` of the rows that some columns have weights in, and of these weights alone."""
 
-    kept: Bool[np.ndarray, " m"]
+    kept: Flags
 
-    def __call__(self, rows: RowFiles, run: Run, threads: int) -> dict[str, np.ndarray]:
+    def __call__(self, rows: RowFiles, run: Run, threads: int) -> Arrays:
         w = rows.weights(run)
         held = self.kept[w.indices] & (w.data > 0)
         starts = np.append(0, np.cumsum(held))[w.indptr]
@@ -290,7 +293,7 @@ class TileAggregator(OnRuns):
         donors = np.concatenate([chosen.arrays(run)["donors"] for run in self.runs])
         return OfTiles(evidence, donors, how.record(), chosen.folder, key)
 
-    def of_columns(self, features: OfTiles, kept: Bool[np.ndarray, " m"], track: Track) -> Aggregated:
+    def of_columns(self, features: OfTiles, kept: Flags, track: Track) -> Aggregated:
         """Return the rows of features that some columns have weights in."""
         rows = RowFiles(self.store, self.evidence.masks, features.folder)
         some, _ = self._made(rows, features.key, OfColumns(kept), f"columns {_digest(kept.tobytes())}", track)
@@ -307,7 +310,12 @@ class TileAggregator(OnRuns):
         if not isinstance(step, MaskTrust):
             return self._made(rows, key, Weighing(step), repr(step), track)
         counted, _ = self._made(rows, key, Tallying(), f"tally {step!r}", track)
-        trust = step.trust(_summed(map(counted.arrays, self.runs), len(self.evidence.masks)))
+        count = len(self.evidence.masks)
+        surpluses, weights = np.zeros(count), np.zeros(count)
+        for part in map(counted.arrays, self.runs):
+            surpluses[part["columns"]] += part["surpluses"]
+            weights[part["columns"]] += part["weights"]
+        trust = step.trust(Tally(surpluses, weights))
         return self._made(rows, key, Weighing(step, trust), repr(step), track)
 
     def _voted(self, rows: RowFiles, key: str, voting: ModeVoting, track: Track) -> tuple[RowFiles, str]:
@@ -337,15 +345,7 @@ class TileAggregator(OnRuns):
         return Evidence(weights, self.evidence.masks, self.evidence.embeddings)
 
 
-def _summed(parts: Iterable[Mapping[str, np.ndarray]], count: int) -> Tally:
-    surpluses, weights = np.zeros(count), np.zeros(count)
-    for part in parts:
-        surpluses[part["columns"]] += part["surpluses"]
-        weights[part["columns"]] += part["weights"]
-    return Tally(surpluses, weights)
-
-
-def _arrays(w: csr_array) -> dict[str, np.ndarray]:
+def _arrays(w: csr_array) -> Arrays:
     return {"indptr": w.indptr.astype(np.int64), "indices": w.indices.astype(np.int32), "data": w.data}
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Int64, Numbers, Points, UInt16, UInt32, Vector3
+from ...base.arrays import Indices, Numbers, Points, SmallIds, UnsignedIds, Vector3
 from ...errors import InputError
 from ...formats.sources import Block
 from ...formats.tiles import Tiles, write_tiles
@@ -47,11 +47,11 @@ class _Placed(NamedTuple):
 
     positions: Points
     sizes: Numbers
-    blocks: UInt16[np.ndarray, " n"]
-    rows: UInt32[np.ndarray, " n"]
+    blocks: SmallIds
+    rows: UnsignedIds
 
 
-def _runs(placed: _Placed, rows: int) -> Iterator[Int64[np.ndarray, " m"]]:
+def _runs(placed: _Placed, rows: int) -> Iterator[Indices]:
     """Yield the rows of each tile, along the curve.
 
     The largest hundredth gets tiles of its own: a single large Gaussian makes its tile seen from afar.
@@ -75,7 +75,7 @@ def _placed(blocks: Sequence[Block]) -> _Placed:
 
 
 def _tile(
-    blocks: Sequence[Block], block_of: UInt16[np.ndarray, " m"], row_of: UInt32[np.ndarray, " m"],
+    blocks: Sequence[Block], block_of: SmallIds, row_of: UnsignedIds,
     origin: Vector3,
 ) -> Gaussians:  # fmt: skip
     """Return some rows of some blocks, in the order given, with positions counted from the origin."""

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Ids
+from ...base.arrays import Arrays, Ids
 from ...base.contents import pieces as pieces_of_bytes
 from ...errors import InputError
 from ...formats.tensors import map_tensors, read_tensors, write_tensors
@@ -114,7 +114,7 @@ class BlockTask:
         self.store.bring(name.rows).unlink(missing_ok=True)
         return number, name
 
-    def _nodes(self, name: _BlockName) -> dict[str, np.ndarray]:
+    def _nodes(self, name: _BlockName) -> Arrays:
         block = BlockRows(**read_tensors(self.store.bring(name.rows))[0])
         return nodes_of(block, self.thresholds, self.rule, self.threads)._asdict()
 
@@ -186,7 +186,7 @@ class BorderTask:
         make_once(self.store, name, self.key, lambda: self._borders(view))
         return name
 
-    def _borders(self, view: View) -> dict[str, np.ndarray]:
+    def _borders(self, view: View) -> Arrays:
         seen = self.gallery.visible_splats(view)
         pieces = np.load(self.store.bring(self.pieces), mmap_mode="r")
         of_seen = np.asarray(pieces if seen.rows is None else pieces[seen.rows])

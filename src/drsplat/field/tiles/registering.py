@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Bool, Float32, Int32, Int64, UInt32
+from ...base.arrays import Arrays, ArraysByName, Embeddings, Flags, Ids, Indices, UnsignedIds
 from ...base.contents import pieces
 from ...formats.tensors import map_tensors, write_tensors
 from ...formats.tiles import Tiles
@@ -78,7 +78,7 @@ class ColumnTask:
     maker: ColumnMaker
     store: Store
     features: Mapping[str, ViewFeatures]
-    ends: UInt32[np.ndarray, " t"]
+    ends: UnsignedIds
 
     def __call__(self, task: tuple[View, str | ViewFeatures]) -> ViewReport:
         view, given = task
@@ -180,7 +180,7 @@ def _key(tiles: Tiles, made: Sequence[ViewReport]) -> str:
     return hashlib.blake2b(f"{tiles.digest} {parts}".encode(), digest_size=16).hexdigest()
 
 
-def _embeddings(store: Store, columns: Sequence[str], count: int, dim: int) -> Float32[np.ndarray, "m d"]:
+def _embeddings(store: Store, columns: Sequence[str], count: int, dim: int) -> Embeddings:
     """Return the embeddings of all masks, mapped from a file."""
     parts = (map_tensors(store.bring(embeddings_file(Path(name)).name))[0]["embeddings"] for name in columns)
     return filed(store.folder / EMBEDDINGS_FILE, np.float32, (count, dim), parts)
@@ -191,17 +191,17 @@ class Rows:
     """Rows of W that have weights, and the embeddings of all columns: what codes are made of."""
 
     weights: csr_array
-    embeddings: Float32[np.ndarray, "m d"]
+    embeddings: Embeddings
 
     def __len__(self) -> int:
         return int(self.weights.shape[0])
 
-    def features(self, begin: int, end: int, *, threads: int = 0) -> Float32[np.ndarray, "n d"]:
+    def features(self, begin: int, end: int, *, threads: int = 0) -> Embeddings:
         w = self.weights
         return weighted_rows(w.indptr, w.indices, w.data, self.embeddings, begin, end, threads=threads)
 
 
-Coding = Callable[[Rows, int], dict[str, np.ndarray]]
+Coding = Callable[[Rows, int], Arrays]
 """(rows, threads) -> arrays with an item for each row."""
 
 
@@ -211,9 +211,9 @@ class Mixing:
 
     atoms_per_row: int
     scene: SceneAtoms | None
-    columns: Int32[np.ndarray, " c"] | None = None
+    columns: Ids | None = None
 
-    def __call__(self, rows: Rows, threads: int) -> dict[str, np.ndarray]:
+    def __call__(self, rows: Rows, threads: int) -> Arrays:
         own = np.unique(rows.weights.indices)
         own = own if self.columns is None else np.intersect1d(own, self.columns, assume_unique=True)
         plan = plan_of(rows.embeddings, own, self.scene)
@@ -235,7 +235,7 @@ class Quantising:
 
     codebook: Codebook
 
-    def __call__(self, rows: Rows, threads: int) -> dict[str, np.ndarray]:
+    def __call__(self, rows: Rows, threads: int) -> Arrays:
         (codes, coarse_ids), directed = encode_features(rows, self.codebook, threads, untracked)
         return {"codes": codes, "directed": directed} | ({} if coarse_ids is None else {"coarse_ids": coarse_ids})
 
@@ -283,7 +283,7 @@ class TileCoder(OnRuns):
             gaussians = self.gallery.tiles.gaussians()
         return AT_ONCE.aggregated(how, evidence, gaussians, threads, track)
 
-    def of_columns(self, features: Aggregated, kept: Bool[np.ndarray, " m"]) -> Aggregated:
+    def of_columns(self, features: Aggregated, kept: Flags) -> Aggregated:
         """See RowCoder."""
         if not isinstance(features, OfTiles):
             return AT_ONCE.of_columns(features, kept)
@@ -295,7 +295,7 @@ class TileCoder(OnRuns):
         return TileAggregator(*made, self.gallery)
 
     def mixed(
-        self, features: Aggregated, seen: Int64[np.ndarray, " s"], atoms_per_row: int, scene: SceneAtoms | None,
+        self, features: Aggregated, seen: Indices, atoms_per_row: int, scene: SceneAtoms | None,
         threads: int, track: Track,
     ) -> Mixed:  # fmt: skip
         """See RowCoder."""
@@ -309,7 +309,7 @@ class TileCoder(OnRuns):
                 return self._assembled(encoded, used, scene)
             coding = Mixing(atoms_per_row, scene, left_in(used, masks, scene))
 
-    def _assembled(self, encoded: Encoded, used: Int64[np.ndarray, " u"], scene: SceneAtoms | None) -> Mixed:
+    def _assembled(self, encoded: Encoded, used: Indices, scene: SceneAtoms | None) -> Mixed:
         """Assemble with a plan of the columns alone that are used."""
         masks = len(self.evidence.masks)
         columns = np.sort(used[used < masks]).astype(np.int32)
@@ -319,22 +319,22 @@ class TileCoder(OnRuns):
         return assemble(placed, plan, columns, atoms_by_use(placed))
 
     def quantised(
-        self, features: Aggregated, seen: Int64[np.ndarray, " s"], codebook: Codebook, threads: int, track: Track
-    ) -> tuple[Codes, Bool[np.ndarray, " s"]]:
+        self, features: Aggregated, seen: Indices, codebook: Codebook, threads: int, track: Track
+    ) -> tuple[Codes, Flags]:
         """See RowCoder."""
         if not isinstance(features, OfTiles):
             return AT_ONCE.quantised(features, seen, codebook, threads, track)
         arrays = self._coded(features, Quantising(codebook), track)
         return Codes(arrays["codes"], arrays.get("coarse_ids")), arrays["directed"]
 
-    def _coded(self, features: OfTiles, coding: Mixing | Quantising, track: Track) -> dict[str, np.ndarray]:
+    def _coded(self, features: OfTiles, coding: Mixing | Quantising, track: Track) -> Arrays:
         """Return the coded arrays of all rows that have weights, one after another."""
         task = CodeTask(self.store, coding, features.folder, self._key_of(features, coding), self.threads)
         self.store.send(EMBEDDINGS_FILE)
         names = [run.name for run in self.runs]
         for _ in followed(self.launcher.results(task, self.runs), track, names, "coding Gaussians"):
             pass
-        files: list[Mapping[str, np.ndarray]] = [map_tensors(self.store.bring(task.name(run)))[0] for run in self.runs]
+        files: list[ArraysByName] = [map_tensors(self.store.bring(task.name(run)))[0] for run in self.runs]
         return {name: np.concatenate([file[name] for file in files]) for name in files[0]}
 
     def _key_of(self, features: OfTiles, coding: Mixing | Quantising) -> str:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...base.arrays import Bool, Float64, Vector3
+from ...base.arrays import Doubles, Flags, Float64, Points, Vector3
 from ...formats.tiles import SHAPES, Tile, Tiles, file_name
 from ...kernels import SplatArrays, splat_arrays_at_origin
 from ...scene.gaussians import Gaussians
@@ -22,7 +22,7 @@ NO_SPLATS = SplatArrays(np.empty((3, 0), np.float32), np.empty((6, 0), np.float3
 NO_ROWS = np.empty(0, np.uint32)
 
 
-def seen_tiles(tiles: Tiles, view: View, near: float) -> Bool[np.ndarray, " t"]:
+def seen_tiles(tiles: Tiles, view: View, near: float) -> Flags:
     """Return the tiles that may hold a Gaussian which the kernels draw in a view: never too few.
 
     A Gaussian of depth z and largest deviation s reaches at most 3 (s a / z + sqrt(0.3)) pixels from its centre,
@@ -32,7 +32,7 @@ def seen_tiles(tiles: Tiles, view: View, near: float) -> Bool[np.ndarray, " t"]:
     Source: 3DGS, "EWA" projection as in native/kernels/projection.h.
     """
     camera = view.relative_to(tiles.origin)
-    low, high = (np.array([getattr(tile, end) for tile in tiles.tiles]) for end in ("low", "high"))
+    low, high = tiles.corners
     reach = np.array([tile.largest for tile in tiles.tiles])
     seen = _furthest(camera.cam_from_world[2], low, high) > near * (1 - 1e-4)
     for row, offset in _borders(camera):
@@ -55,11 +55,9 @@ def _borders(view: View) -> list[tuple[Vector3, float]]:
     return [(np.array(row), float(steepest)) for row in rows]
 
 
-def _furthest(
-    plane: Float64[np.ndarray, " 4"], low: Float64[np.ndarray, "t 3"], high: Float64[np.ndarray, "t 3"]
-) -> Float64[np.ndarray, " t"]:
+def _furthest(plane: Float64[np.ndarray, " 4"], low: Points, high: Points) -> Doubles:
     """Return the largest value of n x + d over each box."""
-    return np.asarray(np.where(plane[:3] > 0, high, low) @ plane[:3] + plane[3])
+    return np.where(plane[:3] > 0, high, low) @ plane[:3] + plane[3]
 
 
 @dataclass(eq=False)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Int64
+from ...base.arrays import Arrays, Indices
 from ...base.contents import pieces
 from ...formats.replacing import replacing
 from ...formats.tensors import map_tensors
@@ -28,7 +28,7 @@ class Run(NamedTuple):
     """Tiles, one after another, and the numbers of the views that have weights in them."""
 
     tiles: tuple[Tile, ...]
-    views: Int64[np.ndarray, " v"]
+    views: Indices
 
     @property
     def name(self) -> str:
@@ -59,7 +59,7 @@ class RowMaker:
         """Make the rows of a run; return True if they were made, and not there already."""
         return make_once(self.store, rows_name(run), self.key, lambda: self._rows(run))
 
-    def _rows(self, run: Run) -> dict[str, np.ndarray]:
+    def _rows(self, run: Run) -> Arrays:
         parts = [_held(NO_TRIPLES)] * len(self.views)
         for view in run.views.tolist():
             parts[view] = _held(_part(self.store.bring(self.views[view]), run.first, run.num_rows))
@@ -90,7 +90,7 @@ def runs_of(tiles: Sequence[Tile], num_weights: int, held: Sequence[bytes]) -> l
         if not runs or tile.first + tile.num_rows - tiles[runs[-1][0]].first > most:
             runs.append([])
         runs[-1].append(number)
-    return [Run(tuple(tiles[n] for n in run), np.flatnonzero(has[:, run].any(axis=1))) for run in runs]
+    return [Run(tuple(tiles[n] for n in run), np.flatnonzero(has[:, run].any(1))) for run in runs]
 
 
 def rows_name(run: Run, folder: str = ROWS_FOLDER) -> str:

@@ -173,5 +173,5 @@ def _trained(rows: np.ndarray, encoder: EncoderIdentity, options: Options) -> tu
         threads=options.threads, track=options.track,
     )  # fmt: skip
     codes = codebook.encode(held_out, threads=options.threads)
-    cosines = (held_out * codebook.decode(codes)).sum(axis=1) * codebook.inverse_norms(codes)
+    cosines = (held_out * codebook.decode(codes)).sum(1) * codebook.inverse_norms(codes)
     return codebook, cosines

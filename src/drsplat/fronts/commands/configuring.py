@@ -49,7 +49,14 @@ def configuration(verb: str, options: Mapping[str, argparse.Action], given: Iter
     Raises: InputError: TOML cannot hold it.
     """
     uses = [use for use in given if use.option in options.values()]
-    _check_order(uses)
+    # refuse a sequence that returns to an option: a table has each key once
+    sequence = [use.option for use in uses if hasattr(use.option, "sequence")]
+    groups = [option for at, option in enumerate(sequence) if at == 0 or sequence[at - 1] is not option]
+    for option in groups:
+        bare = option.nargs == 0 and sequence.count(option) > 1
+        if bare or groups.count(option) > 1:
+            flag = option.option_strings[0]
+            raise InputError(f"{flag} {counted(sequence.count(option), 'time')}: a file of TOML has each option once")
     keys = {option: key for key, option in options.items()}
     lines = [f"{keys[option]} = {_value(option, uses)}" for option in dict.fromkeys(use.option for use in uses)]
     rest = {key: option.default for key, option in options.items() if option not in {use.option for use in uses}}
@@ -168,17 +175,6 @@ def _value(option: argparse.Action, uses: list[Given]) -> str:
         values = [use[0] for use in texts]
         return _toml(values if _repeats(option) and len(values) > 1 else values[0])
     return _toml(texts if len(texts) > 1 else texts[0])
-
-
-def _check_order(uses: list[Given]) -> None:
-    """Refuse a sequence that returns to an option: a table has each key once."""
-    sequence = [use.option for use in uses if hasattr(use.option, "sequence")]
-    groups = [option for at, option in enumerate(sequence) if at == 0 or sequence[at - 1] is not option]
-    for option in groups:
-        bare = option.nargs == 0 and sequence.count(option) > 1
-        if bare or groups.count(option) > 1:
-            flag = option.option_strings[0]
-            raise InputError(f"{flag} {counted(sequence.count(option), 'time')}: a file of TOML has each option once")
 
 
 def _is_plain(value: object) -> bool:

@@ -83,8 +83,7 @@ def flag(meaning: str, *, flags: str = "", title: str = "", rivals: str = "") ->
 
 def part(declared: type[T], title: str = "", **others: Mapping[str, Any]) -> T:
     """Declare all options of another dataclass, whose values are one value. others: settings that differ, by name."""
-    made_of: T = several([*items_of(declared, title, others)], lambda given: made(declared, given))
-    return made_of
+    return several([*items_of(declared, title, others)], lambda given: made(declared, given))
 
 
 def several(items: Sequence[Item], make: Callable[[Mapping[str, Any]], Any]) -> Any:

@@ -202,12 +202,10 @@ def _field(options: Options) -> Facts:
 
 
 def _tiles(options: Options) -> Facts:
-    import numpy as np
-
     from ...formats.tiles import read_tiles
 
     tiles = read_tiles(place_of(Path(options.path), "tiles"))
-    low, high = (np.array([getattr(tile, end) for tile in tiles.tiles]) for end in ("low", "high"))
+    low, high = tiles.corners
     return {
         "num_gaussians": len(tiles),
         "num_tiles": len(tiles.tiles),

@@ -66,7 +66,11 @@ def logged(path: str | None, begin: str) -> Iterator[None]:
         yield
         return
     terminal = sys.stderr
-    with _opened(path) as file:
+    # open a log to append to; a pipe, which could block for ever, is refused
+    if Path(path).is_fifo():
+        raise InputError(f"--log {path}: expected a file, this is a pipe")
+    number = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | NO_WAITING | OWN_FILE_FLAGS, 0o666)
+    with open(number, "a", encoding="utf-8", errors="backslashreplace") as file:
         tee = _Tee(terminal, file)
         one_line = plain(begin).replace("\n", "\\n")
         file.write(f"{_now()} {one_line}\n")
@@ -76,14 +80,6 @@ def logged(path: str | None, begin: str) -> Iterator[None]:
         finally:
             sys.stderr = terminal
             tee.flush()
-
-
-def _opened(path: str) -> TextIO:
-    """Open a log to append to; a pipe, which could block for ever, is refused."""
-    if Path(path).is_fifo():
-        raise InputError(f"--log {path}: expected a file, this is a pipe")
-    number = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | NO_WAITING | OWN_FILE_FLAGS, 0o666)
-    return open(number, "a", encoding="utf-8", errors="backslashreplace")
 
 
 def _now() -> str:

@@ -120,8 +120,7 @@ def read_vector(path: str) -> np.ndarray:
     vectors = read_vectors(path)
     if len(vectors) != 1:
         raise InputError(f"{path}: expected one vector, got {len(vectors)}")
-    vector: np.ndarray = vectors[0]
-    return vector
+    return vectors[0]
 
 
 def read_vectors(path: str) -> np.ndarray:
@@ -171,8 +170,7 @@ WAYS: Mapping[Kind, Way] = {
 def asked(offered: Iterable[QueryField], title: str = "") -> Asked:
     """Declare an option for each of some fields of a query; their values come by name, not read yet."""
     items = [_item(field, title) for field in offered]
-    given: Asked = several(items, lambda values: {item.name: values[item.name] for item in items})
-    return given
+    return several(items, lambda values: {item.name: values[item.name] for item in items})
 
 
 def _item(field: QueryField, title: str) -> Item:

@@ -54,7 +54,11 @@ def run(options: Options) -> Facts:
 
     outputs = options.outputs
     outputs.check()
-    classes = _classes(options.classes, options.classes_file)
+    # the names of --classes or --classes-file. Raises: InputError: none or both were given.
+    if (options.classes is None) == (options.classes_file is None):
+        raise InputError('give --classes "mug,bowl,table" or --classes-file FILE.txt')
+    names = lines_of(options.classes_file, "one class") if options.classes_file else (options.classes or "").split(",")
+    classes = [name.strip() for name in names if name.strip()]
     scene = outputs.open_scene(options.field, **vars(options.encoders), threads=options.threads)
     found = scene.segment(classes, cut_of(options.cut))
     report = {"field": options.field, "threshold_rule": found.answers[0].rule, **segmentation_document(found)}
@@ -82,15 +86,6 @@ def show(answer: Facts) -> None:
     show_table(f"{counted(answer['num_registered'], 'Gaussian')} with a feature", columns, rows)
     if answer["doubt"]:
         print(f"warning: {answer['doubt']}")
-
-
-def _classes(given: str | None, path: str | None) -> list[str]:
-    """Return the names of --classes or --classes-file. Raises: InputError: none or both were given."""
-
-    if (given is None) == (path is None):
-        raise InputError('give --classes "mug,bowl,table" or --classes-file FILE.txt')
-    names = lines_of(path, "one class") if path else (given or "").split(",")
-    return [name.strip() for name in names if name.strip()]
 
 
 def _draw(outputs: Outputs, path: str, scene: Scene, found: Segmentation, threads: int) -> str:

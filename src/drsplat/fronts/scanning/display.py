@@ -67,16 +67,13 @@ class Display:
 
     def seconds_left(self, job_left: float) -> float:
         """Return the remaining time of all stages. job_left: of the meter that moves now."""
-        pace = self._pace()
+        # how many times longer stages take here than expected
+        expected = sum(self.expected[name] for name in self.costs)
+        pace = sum(cost.seconds for cost in self.costs.values()) / expected if expected else 1.0
         names = list(self.expected)
         later = sum(self.expected[name] for name in names[names.index(self._stage) + 1 :])
         own = self.expected[self._stage] * pace - (time.monotonic() - self._begin)
         return (job_left if self._stage in ONE_METER_STAGES else max(job_left, own)) + later * pace
-
-    def _pace(self) -> float:
-        """Return how many times longer stages take here than expected."""
-        expected = sum(self.expected[name] for name in self.costs)
-        return sum(cost.seconds for cost in self.costs.values()) / expected if expected else 1.0
 
     def _end_job(self) -> None:
         if self._meter is not None:

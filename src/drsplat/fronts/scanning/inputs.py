@@ -68,13 +68,11 @@ def scan_input(path: Path) -> ScanInput:
         photos = [view.image_path for view in read_views(path) if view.image_path is not None]
         if not photos:
             raise InputError(f"{path}: has poses, but none of its photos is there: put them into {path / 'images'}")
-        return ScanInput(path, CAPTURE, _fingerprint(path, photos), tuple(photos))
+        models = [file for name in ("sparse", "colmap") for file in (path / name).rglob("*") if file.is_file()]
+        cameras = sorted([*models, *path.glob("*.json")])
+        facts = [(str(file.name), file.stat().st_size, file.stat().st_mtime_ns) for file in [*cameras, *photos]]
+        return ScanInput(
+            path, CAPTURE, hashlib.blake2b(json.dumps(facts).encode(), digest_size=16).hexdigest(), tuple(photos)
+        )
     sources = find_photos(path)
     return ScanInput(path, PHOTOS, sources_key(sources), tuple(source.path for source in sources))
-
-
-def _fingerprint(capture: Path, photos: list[Path]) -> str:
-    models = [file for name in ("sparse", "colmap") for file in (capture / name).rglob("*") if file.is_file()]
-    cameras = sorted([*models, *capture.glob("*.json")])
-    facts = [(str(file.name), file.stat().st_size, file.stat().st_mtime_ns) for file in [*cameras, *photos]]
-    return hashlib.blake2b(json.dumps(facts).encode(), digest_size=16).hexdigest()

@@ -372,4 +372,4 @@ def _point(scene: engine.Scene, place: tuple[float, float, float] | tuple[str, f
     if isinstance(place[0], str):
         return scene.point_at((place[0], place[1], place[2]))
     nearest = np.array([scene.nearest((place[0], place[1], place[2]))])
-    return np.asarray(scene.rows.shapes_of(nearest).positions[0])
+    return scene.rows.shapes_of(nearest).positions[0]

@@ -175,7 +175,10 @@ class SceneFolder:
 
     def _known(self, name: str, folder: Path) -> Scene:
         files = find_scene(folder)
-        version = version_of(files)
+        # a version that changes when a file of a scene is replaced, cut short or written to
+        capture = [] if files.capture is None else [files.capture / name for name in CAMERA_FILES]
+        labels = LabelFile.beside(files.field).path
+        version = frozenset(_stats(files.field) | _stats(*files.scenes, *capture, labels))
         with self._loading:
             with self._lock:
                 if name in self._open and self._open[name][0] == version:
@@ -224,13 +227,6 @@ class SceneFolder:
         known = encoder.get("name") if isinstance(encoder, dict) else ""
         every, registered = (manifest.get(key) for key in ("num_gaussians", "num_registered"))
         return Summary(name, _count(every), _count(registered), _text(str(known))[:200])
-
-
-def version_of(files: SceneFiles) -> Version:
-    """Return a version that changes when a file of a scene is replaced, cut short or written to."""
-    capture = [] if files.capture is None else [files.capture / name for name in CAMERA_FILES]
-    labels = LabelFile.beside(files.field).path
-    return frozenset(_stats(files.field) | _stats(*files.scenes, *capture, labels))
 
 
 def without_paths(message: str, roots: Sequence[Path]) -> str:

@@ -31,7 +31,6 @@ from ...query.documents import answer_document, rounded, segmentation_document
 from ...query.objects import match_of, objects_of
 from ...query.sheets import object_picture
 from ...query.suggesting import missed_text, words_instead
-from ...scene.gaussians import Gaussians
 from . import models, query_fields
 from .conversation import tool_answer
 from .limits import Limits
@@ -73,7 +72,12 @@ def exported(scene: Scene, asked: Export, limits: Limits) -> Reply:
             f"this scene of {len(scene.rows):,} Gaussians is in tiles, which are not sent as one file: "
             "/objects/NUMBER/ply sends an object, and `drsplat export` writes all of it as 3D Tiles where the scene is"
         )
-    _refuse_large(scene.gaussians, limits)
+    size = len(scene.gaussians) * (BYTES_BESIDE_HARMONICS + BYTES_PER_COEFFICIENT * scene.gaussians.sh.shape[1])
+    if size > limits.file_bytes:
+        raise InputError(
+            f"this scene would be a file of about {size / 1e6:,.0f} MB, and up to {limits.file_bytes / 1e6:,.0f} are "
+            "sent: `drsplat export` writes it where the scene is"
+        )
     _refuse_slow(scene, asked, limits)
     only: Only = "matches" if asked.only else None
     if asked.object is not None:
@@ -83,15 +87,6 @@ def exported(scene: Scene, asked: Export, limits: Limits) -> Reply:
         path = Path(folder) / f"scene.{asked.format}"
         written(path, carried)
         return Reply(path.read_bytes(), GLB if asked.format == "glb" else PLY)
-
-
-def _refuse_large(gaussians: Gaussians, limits: Limits) -> None:
-    size = len(gaussians) * (BYTES_BESIDE_HARMONICS + BYTES_PER_COEFFICIENT * gaussians.sh.shape[1])
-    if size > limits.file_bytes:
-        raise InputError(
-            f"this scene would be a file of about {size / 1e6:,.0f} MB, and up to {limits.file_bytes / 1e6:,.0f} are "
-            "sent: `drsplat export` writes it where the scene is"
-        )
 
 
 def _refuse_slow(scene: Scene, asked: Export, limits: Limits) -> None:

@@ -9,12 +9,11 @@ from ...field import LanguageField
 from ...field.codes import Codebook, PQCode
 from ...formats.captures import read_views
 from ...formats.moving_scenes import is_moving
-from ...formats.tiles import TILES, Tiles
+from ...formats.tiles import TILES
 from ...kernels.scan import GROUP_ROWS
 from ...query import Scene
 from ...query.opening import tiles_or_scene
 from ...scene.encoders import Encoder, EncoderIdentity
-from ...scene.gaussians import Gaussians
 from ...scene.moving import Moving, canonical_of
 
 NO_FIELD = "this scene has no field, so nothing can be asked: drsplat embed and drsplat register make one"
@@ -42,10 +41,6 @@ def open_bare(path: Path, capture: str | None = None, threads: int = 0) -> Scene
     views = () if cameras is None else tuple(read_views(cameras))
     scene, name = tiles_or_scene(path), path.resolve().stem
     rows = canonical_of(scene) if isinstance(scene, Moving) else scene
-    return Scene(_empty_field(rows), scene, views, _no_encoder, name=name, threads=threads, path=path)
-
-
-def _empty_field(gaussians: Gaussians | Tiles) -> LanguageField:
     nobody = EncoderIdentity("none", 1)
     code = PQCode(
         Codebook(np.zeros((1, 256, 1), np.float32), None, nobody),
@@ -53,7 +48,15 @@ def _empty_field(gaussians: Gaussians | Tiles) -> LanguageField:
         None,
         np.empty(0, np.float32),
     )
-    return LanguageField(np.empty(0, np.uint32), code, nobody, gaussians.fingerprint, len(gaussians))  # fmt: skip
+    return Scene(
+        LanguageField(np.empty(0, np.uint32), code, nobody, rows.fingerprint, len(rows)),
+        scene,
+        views,
+        _no_encoder,
+        name=name,
+        threads=threads,
+        path=path,
+    )
 
 
 def _no_encoder() -> Encoder:

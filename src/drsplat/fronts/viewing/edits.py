@@ -9,7 +9,7 @@ import numpy as np
 from ...authoring.editing import Edit, EditFile, EditList
 from ...authoring.editing.draft import OBJECT_ID
 from ...authoring.editing.edits import drafted, recorded
-from ...base.arrays import Bool, Flags, Float32, Int64, RowIds, Vectors
+from ...base.arrays import Embedding, Flags, Indices, RowIds, Vectors
 from ...formats.annotations import AnnotationFile, without
 from ...formats.scenes import read_gaussians
 from ...kernels import SplatArrays, splat_arrays
@@ -28,7 +28,7 @@ class _State:
 
     listed: EditList
     everything: Gaussians
-    present: Bool[np.ndarray, " d"]
+    present: Flags
 
     @classmethod
     def of(cls, gaussians: Gaussians, listed: EditList, file: EditFile | None) -> "_State":
@@ -39,7 +39,7 @@ class _State:
         return cls(listed, draft.everything(), draft.present)
 
     @cached_property
-    def colors(self) -> Float32[np.ndarray, "d 3"]:
+    def colors(self) -> Vectors:
         return base_colors(self.everything)
 
     @cached_property
@@ -166,7 +166,7 @@ class Edits(Notes):
         return self._state.present[: len(self.gaussians)]
 
     @property
-    def opacities(self) -> Float32[np.ndarray, " d"]:
+    def opacities(self) -> Embedding:
         """Opacities of all rows, added ones behind the scene's own; 0 where removed."""
         return self._state.everything.opacities
 
@@ -176,7 +176,7 @@ class Edits(Notes):
         return self._state.colors[: len(self.gaussians)]
 
     @property
-    def added_colors(self) -> Float32[np.ndarray, "a 3"]:
+    def added_colors(self) -> Vectors:
         return self._state.colors[len(self.gaussians) :]
 
     @property
@@ -190,7 +190,7 @@ class Edits(Notes):
         every = self._state.everything
         return every.subset(np.arange(len(self.gaussians))) if len(every) > len(self.gaussians) else every
 
-    def part(self, ids: RowIds | None) -> tuple[Gaussians, Int64[np.ndarray, " m2"]]:
+    def part(self, ids: RowIds | None) -> tuple[Gaussians, Indices]:
         """Return some rows as they are now, or all that are there, and their numbers."""
         rows = np.flatnonzero(self._state.present) if ids is None else ids
         every = self._state.everything

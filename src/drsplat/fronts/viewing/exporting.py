@@ -13,7 +13,7 @@ from ...authoring.editing.edits import KeptEdits, without_kept
 from ...authoring.filming.looking import before, up_direction
 from ...authoring.filming.paths import CameraPath
 from ...authoring.filming.planning import ORBIT, path_named
-from ...base.arrays import OtherPixels, UInt16, Vector3
+from ...base.arrays import OtherPixels, SmallIds, Vector3
 from ...drawing.heat import heat_of
 from ...errors import InputError
 from ...kernels.boxes import box_of
@@ -232,14 +232,14 @@ def listed_numbers(session: Session) -> list[int]:
     return [*sure[:MAX_OBJECTS_LISTED], *unsure[:MAX_OBJECTS_LISTED]]
 
 
-def object_numbers(session: Session) -> UInt16[np.ndarray, " n"] | None:
+def object_numbers(session: Session) -> SmallIds | None:
     """Return per Gaussian of the scene 0, or 1 for the first object that is listed; None where there are none."""
     if not session.has_objects:
         return None
     numbers = listed_numbers(session)
     place_of = np.zeros(len(session.scene.agreed) + 1, np.uint16)  # the last is of -1: no object
     place_of[numbers] = np.arange(1, len(numbers) + 1)
-    return np.asarray(place_of[session.scene.object_ids()])
+    return place_of[session.scene.object_ids()]
 
 
 def annotations_of_page(session: Session, up: Vector3) -> list[Document]:
@@ -257,8 +257,7 @@ def _eye(session: Session, one: Annotation, up: Vector3) -> list[float]:
     scene, frame = session.scene, session.shown.frame
     axes, extent = (np.eye(3), np.full(3, POINT_SIZE / frame.scale)) if one.outline is None else one.outline
     place = Match(one.center, axes, extent, 1.0, np.empty(0, np.int64))
-    eye: list[float] = frame.shown(before(place, scene.gaussians, scene.views, up)).tolist()
-    return eye
+    return frame.shown(before(place, scene.gaussians, scene.views, up)).tolist()
 
 
 def _data_url(pixels: np.ndarray | None) -> str:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw
 
-from ...base.arrays import Flags, Float64, Int64, MaskIds, OtherPixels, RowIds, Vector3
+from ...base.arrays import Doubles, Flags, Indices, OtherPixels, PlanePoints, RowIds, Vector3
 from ...errors import DrSplatError
 from ...field.evidence.evidence import Explanation
 from ...kernels import SplatArrays, view_weights
@@ -35,8 +35,8 @@ class Ray(NamedTuple):
 class Hit(NamedTuple):
     """gaussian_ids: met by a ray, by falling weight; point: where the first of them is met, in the world."""
 
-    gaussian_ids: Int64[np.ndarray, " h"]
-    weights: Float64[np.ndarray, " h"]
+    gaussian_ids: Indices
+    weights: Doubles
     point: Vector3
 
 
@@ -59,9 +59,9 @@ def hit_by_ray(gaussians: Gaussians, ray: Ray, visible: Flags | None = None) -> 
 class Met(NamedTuple):
     """Gaussians that a ray meets: their rows, depths along it, and opacities where they are densest on it."""
 
-    gaussian_ids: Int64[np.ndarray, " h"]
-    depths: Float64[np.ndarray, " h"]
-    alphas: Float64[np.ndarray, " h"]
+    gaussian_ids: Indices
+    depths: Doubles
+    alphas: Doubles
 
 
 def met_by_ray(gaussians: Gaussians, ray: Ray, visible: Flags | None = None) -> Met:
@@ -90,11 +90,11 @@ def _near(gaussians: Gaussians, ray: Ray) -> RowIds:
     offsets = gaussians.means - ray.origin.astype(np.float32)
     along = offsets @ ray.direction.astype(np.float32)
     apart = np.einsum("ni,ni->n", offsets, offsets) - along**2
-    reach = REACH_DEVIATIONS * gaussians.scales.max(axis=1)
+    reach = REACH_DEVIATIONS * gaussians.scales.max(1)
     return np.flatnonzero((apart <= 1.01 * reach**2) & (along > -reach))
 
 
-def _met(part: Gaussians, ray: Ray) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
+def _met(part: Gaussians, ray: Ray) -> tuple[Doubles, Doubles]:
     """Return depth along the ray of the densest place, and the opacity there."""
     axes = part.whitening()
     start = np.einsum("nij,nj->ni", axes, ray.origin - part.means.astype(np.float64))
@@ -105,25 +105,21 @@ def _met(part: Gaussians, ray: Ray) -> tuple[Float64[np.ndarray, " m"], Float64[
     return depth, alpha
 
 
-def inside_outline(splats: SplatArrays, view: View, outline: Float64[np.ndarray, "p 2"], *, threads: int = 0) -> RowIds:
+def inside_outline(splats: SplatArrays, view: View, outline: PlanePoints, *, threads: int = 0) -> RowIds:
     """Return the Gaussians, ascending, of which most that a view shows lies inside an outline.
 
     outline: corners of a polygon, in pixels of the view.
     """
-    seen = view_weights(splats, view, _filled(view, outline), GAUSSIANS_PER_PIXEL, threads=threads)
+    # 1 for each pixel inside a polygon and 0 for the others
+    picture = Image.new("L", (view.width, view.height))
+    corners = np.clip(outline, -8 * max(view.width, view.height), 9 * max(view.width, view.height))
+    ImageDraw.Draw(picture).polygon([tuple(corner) for corner in corners.tolist()], fill=1)
+    seen = view_weights(splats, view, np.asarray(picture, np.int32), GAUSSIANS_PER_PIXEL, threads=threads)
     weights = seen.weights.astype(np.float64)
     count = len(splats.opacities)
     every = np.bincount(seen.gaussian_ids, weights, minlength=count)
     inside = np.bincount(seen.gaussian_ids, weights * (seen.mask_ids == 1), minlength=count)
     return np.flatnonzero((inside > MIN_INSIDE_SHARE * every) & (every >= MIN_WEIGHT_PIXELS))
-
-
-def _filled(view: View, outline: Float64[np.ndarray, "p 2"]) -> MaskIds:
-    """Return 1 for each pixel inside a polygon and 0 for the others."""
-    picture = Image.new("L", (view.width, view.height))
-    corners = np.clip(outline, -8 * max(view.width, view.height), 9 * max(view.width, view.height))
-    ImageDraw.Draw(picture).polygon([tuple(corner) for corner in corners.tolist()], fill=1)
-    return np.asarray(picture, np.int32)
 
 
 MAX_EVIDENCE_MASKS, PICTURE_SIDE_PIXELS = 3, 480

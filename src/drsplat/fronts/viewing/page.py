@@ -16,7 +16,24 @@ import numpy as np
 
 from ...authoring.filming.looking import FOV_DEGREES
 from ...authoring.filming.paths import CameraPath
-from ...base.arrays import Bool, Float16, Float32, Float64, RowIds, Shaped, UInt8, UInt16, Vector3
+from ...base.arrays import (
+    Arrays,
+    ArraysByName,
+    ByteRows,
+    ByteValues,
+    Doubles,
+    Float16,
+    Numbers,
+    OtherDoubles,
+    OtherFlags,
+    RowIds,
+    Shaped,
+    SmallIds,
+    UInt8,
+    UInt16,
+    Vector3,
+    Vectors,
+)
 from ...drawing.heat import HEAT
 from ...errors import InputError
 from ...formats.replacing import replacing
@@ -40,7 +57,7 @@ MAX_STILL_SPREAD_SHARE = 0.02  # what turns or grows by less of its spread does 
 MIN_SEEN_OPACITY = 1 / 255
 STEPS_PER_AXIS = 65_535  # that 16 bits count
 TIMES_PER_SECOND, MIN_PLAYING_S, MAX_PLAYING_S = 15, 2.0, 10.0
-Times = Float64[np.ndarray, " t"]
+Times = Doubles
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,11 +70,11 @@ class PageTimes:
 
     times: Times
     order: RowIds
-    places: UInt16[np.ndarray, "t k 3"]
+    places: UInt16[np.ndarray, "n k 3"]
     low: Vector3
     step: Vector3
-    covariances: Float16[np.ndarray, "t k 6"]
-    opacities: UInt8[np.ndarray, "t k"]
+    covariances: Float16[np.ndarray, "n k 6"]
+    opacities: ByteRows
     seconds: float
     num_known: int
 
@@ -113,7 +130,7 @@ def playing_seconds(num_times: int) -> float:
     return float(np.clip(num_times / TIMES_PER_SECOND, MIN_PLAYING_S, MAX_PLAYING_S))
 
 
-def _moving(session: Session, times: Times) -> Bool[np.ndarray, " m"]:
+def _moving(session: Session, times: Times) -> OtherFlags:
     """Return which of the shown rows are not at all times where they are at the first."""
     first = session.drawn
     spread = first.covariances[:, [0, 3, 5]].sum(1)
@@ -135,8 +152,8 @@ def _drawn(session: Session, times: Times) -> Iterator[Shown]:
     session.time = float(times[0])
 
 
-def _evenly(times: Times, most: int) -> Float64[np.ndarray, " s"]:
-    return np.asarray(times[np.linspace(0, len(times) - 1, min(len(times), most)).round().astype(int)])
+def _evenly(times: Times, most: int) -> OtherDoubles:
+    return times[np.linspace(0, len(times) - 1, min(len(times), most)).round().astype(int)]
 
 
 def boxes_of(session: Session, times: PageTimes | None, matches: Sequence[Match]) -> list[list[list[float] | None]]:
@@ -174,7 +191,7 @@ class _Standing:
         return self.session.edits.standing
 
 
-def arrays_of(times: PageTimes) -> dict[str, np.ndarray]:
+def arrays_of(times: PageTimes) -> Arrays:
     """Return the arrays that a page unpacks: each time but the first as its difference, as much stays the same."""
     turns = times.covariances.view(np.uint16)
     return {"places": _steps(times.places), "turns": _steps(turns), "fades": _steps(times.opacities)}
@@ -212,8 +229,8 @@ class PageAnswer:
     """
 
     text: str
-    heat: Float32[np.ndarray, " m"]
-    owners: UInt8[np.ndarray, " m"]
+    heat: Numbers
+    owners: ByteValues
     matches: Sequence[Match]
     eyes: Sequence[Vector3]
     boxes: Sequence[Sequence[Sequence[float] | None]] = ()
@@ -238,10 +255,10 @@ class Page:
     eye: Vector3
     target: Vector3
     up: Vector3
-    features: Float32[np.ndarray, "m 3"] | None = None
+    features: Vectors | None = None
     objects: Sequence[Mapping[str, Any]] = ()
     annotations: Sequence[Mapping[str, Any]] = ()
-    object_numbers: UInt16[np.ndarray, " m"] | None = None
+    object_numbers: SmallIds | None = None
     path: CameraPath | None = None
     times: PageTimes | None = None
     num_edits: int = 0
@@ -262,7 +279,7 @@ def write_page(path: str | PathLike[str], page: Page, *, overwrite: bool = False
         file.write(text.encode())
 
 
-def packed(arrays: Mapping[str, np.ndarray]) -> tuple[list[tuple[str, str, int, int]], bytes]:
+def packed(arrays: ArraysByName) -> tuple[list[tuple[str, str, int, int]], bytes]:
     """Return arrays one after the other, little endian: name, kind, offset in bytes and count of each."""
     layout, parts, offset = [], [], 0
     for name, array in arrays.items():
@@ -286,15 +303,15 @@ def _order(page: Page) -> RowIds:
     return np.concatenate([page.times.order[:count], still[np.argsort(-weight[still], kind="stable")]])
 
 
-def _arrays(page: Page, order: RowIds) -> dict[str, np.ndarray]:
-    arrays: dict[str, np.ndarray] = {}
+def _arrays(page: Page, order: RowIds) -> Arrays:
+    arrays: Arrays = {}
     if page.features is not None:
         arrays["features"] = as_bytes(page.features)
     if page.object_numbers is not None:
         arrays["objects"] = page.object_numbers
     for number, answer in enumerate(page.answers):
         arrays[f"heat{number}"], arrays[f"owner{number}"] = as_bytes(answer.heat), answer.owners
-    further: dict[str, np.ndarray] = {} if page.times is None else arrays_of(page.times)
+    further: Arrays = {} if page.times is None else arrays_of(page.times)
     if page.search is not None:
         arrays, further = {**arrays, **page.search.rows}, {**further, **page.search.tables}
     return {name: array[order] for name, array in arrays.items()} | further
@@ -302,6 +319,11 @@ def _arrays(page: Page, order: RowIds) -> dict[str, np.ndarray]:
 
 def _header(page: Page) -> Document:
     frame = page.shown.frame
+    answers = ["answer", "heat map"] if _answers(page) else []
+    features = [] if page.features is None or not _answers(page) else ["features"]
+    # what the client offers: a page only answers what it was made with
+    never = ("ask_picture", "name", "edit", "time", "photos", "save_dir", "catalogue", "open")
+    offered = {"ask": _answers(page), "objects": bool(page.objects), "film_formats": []}
     return {
         "title": printable(page.title),
         "about": _about(page),
@@ -314,8 +336,8 @@ def _header(page: Page) -> Document:
         "look": painting.LOOK,
         "antialiased": page.shown.antialiased,
         "words": [printable(answer.text) for answer in page.answers],
-        "modes": _modes(page),
-        "can": _can(page),
+        "modes": [*answers, "as it is", *features, *(["objects"] if page.objects else [])],
+        "can": (dict.fromkeys(never, False) | offered),
         "objects": list(page.objects),
         "photos": [],
         "times": None,
@@ -329,21 +351,8 @@ def _header(page: Page) -> Document:
     }
 
 
-def _modes(page: Page) -> list[str]:
-    answers = ["answer", "heat map"] if _answers(page) else []
-    features = [] if page.features is None or not _answers(page) else ["features"]
-    return [*answers, "as it is", *features, *(["objects"] if page.objects else [])]
-
-
 def _answers(page: Page) -> bool:
     return bool(page.answers) or page.search is not None
-
-
-def _can(page: Page) -> Document:
-    """Return what the client offers: a page only answers what it was made with."""
-    never = ("ask_picture", "name", "edit", "time", "photos", "save_dir", "catalogue", "open")
-    offered = {"ask": _answers(page), "objects": bool(page.objects), "film_formats": []}
-    return dict.fromkeys(never, False) | offered
 
 
 def _about(page: Page) -> str:

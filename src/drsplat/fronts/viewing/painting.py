@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...base.arrays import Flags, Float32, Ids, Numbers, UInt8, Vectors
+from ...base.arrays import Flags, Ids, Numbers, UInt8, Vectors
 from ...drawing import heat
 from ...field import LanguageField
 
@@ -65,7 +65,7 @@ def class_painted(rgb: Vectors, labels: Ids, palette: UInt8[np.ndarray, "c 3"]) 
     return painted
 
 
-def object_colors(count: int) -> Float32[np.ndarray, "c 3"]:
+def object_colors(count: int) -> Vectors:
     """Return the colours of objects, as the client has them: hues far from each other, none of them loud."""
     numbers = np.arange(count)
     places = (np.array([5.0, 3.0, 1.0]) + (6 * (numbers * HUE_TURNS_PER_OBJECT % 1))[:, None]) % 6

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...base.arrays import Ids, Int64, Numbers, RowIds
+from ...base.arrays import Ids, Int64, Numbers, RowIds, WholeNumbers
 from ...base.terminal import counted
 from ...drawing.heat import heat_of
 from ...kernels.boxes import box_of
@@ -91,7 +91,7 @@ def split_queries(text: str) -> list[str]:
     return list(dict.fromkeys(part.strip() for part in text.split(QUERY_SEPARATOR) if part.strip()))
 
 
-def joined(parts: Sequence[Int64[np.ndarray, " _"]]) -> RowIds:
+def joined(parts: Sequence[Int64[np.ndarray, " _"]]) -> WholeNumbers:
     """Return all ids in any of the parts, ascending."""
     return np.unique(np.concatenate(parts)) if parts else np.empty(0, np.int64)
 
@@ -128,4 +128,4 @@ def relevancy(results: Sequence[Result], count: int) -> Numbers:
     """Return per Gaussian the highest value of any query, in its own measure."""
     if not results:
         return np.zeros(count, np.float32)
-    return np.asarray(np.max([result.answer.dense for result in results], axis=0))
+    return np.max([result.answer.dense for result in results], axis=0)

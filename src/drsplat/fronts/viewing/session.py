@@ -15,7 +15,7 @@ from ...authoring.editing.edits import Change
 from ...authoring.editing.resolving import complete_rows
 from ...authoring.editing.targets import MAX_NAME_CHARACTERS
 from ...authoring.filming.looking import radius_of
-from ...base.arrays import Flags, Float32, Float64, Ids, OtherPixels, RowIds, Shaped, Vector3, Vectors
+from ...base.arrays import Flags, Ids, OtherPixels, PlanePoints, RowIds, Shaped, Vector3, Vectors
 from ...base.terminal import counted
 from ...drawing.heat import class_colors, heat_colors
 from ...errors import InputError
@@ -215,7 +215,7 @@ class Session:
         """Show the scene as it is, with nothing found, clicked or selected."""
         self.results, self.asked, self.clicked, self.chosen, self.mode = (), (), None, None, Mode.SCENE
 
-    def lasso(self, view: View, outline: Float64[np.ndarray, "p 2"]) -> str:
+    def lasso(self, view: View, outline: PlanePoints) -> str:
         """Select what is mostly seen inside an outline in a picture from a camera in the world.
 
         outline: corners in pixels of the view. Raises: InputError: nothing is seen there.
@@ -226,10 +226,10 @@ class Session:
         self.clicked = None
         return self._answered([results.result_of_ids(self.scene, "outlined", ids)])
 
-    def _inside(self, view: View, outline: Float64[np.ndarray, "p 2"]) -> RowIds:
+    def _inside(self, view: View, outline: PlanePoints) -> RowIds:
         splats = self.edits.splats if self.edits.is_edited else self.here.splats
         ids = inside_outline(splats, view, outline, threads=self.scene.threads)
-        return np.asarray(ids[ids < len(self.scene.gaussians)])  # what edits added answers nothing
+        return ids[ids < len(self.scene.gaussians)]  # what edits added answers nothing
 
     # --- pointing ---
 
@@ -323,7 +323,7 @@ class Session:
     def selection(self) -> RowIds:
         """All that was found and is not hidden, ascending."""
         ids = results.joined([result.gaussian_ids for result in self.results])
-        return np.asarray(ids[~self.hidden[ids]])
+        return ids[~self.hidden[ids]]
 
     def edit(self, change: Change) -> None:
         """Change the selection, with what hangs on to it. Raises: InputError: nothing is selected, or it cannot be."""
@@ -381,7 +381,7 @@ class Session:
         return self.edits.shown(self.shown, self.budget)
 
     @property
-    def drawn_colors(self) -> Float32[np.ndarray, "d 3"]:
+    def drawn_colors(self) -> Vectors:
         """`colors`, with what edits added in its own."""
         return np.concatenate([self.colors, self.edits.added_colors])
 
@@ -396,12 +396,12 @@ class Session:
     @property
     def object_ids(self) -> Ids:
         """Per Gaussian of the scene its object's number, -1 for none; only of a field that has objects."""
-        return np.asarray(self._edits.gaussians.extra[OBJECT_ID])
+        return self._edits.gaussians.extra[OBJECT_ID]
 
     def of_drawn(self, values: Shaped[np.ndarray, " n"]) -> Shaped[np.ndarray, " m"]:
         """Return values of the scene's rows for those that are drawn; 0 for what edits added."""
         added = np.zeros(len(self.edits.opacities) - len(values), values.dtype)
-        return np.asarray(np.concatenate([values, added])[self.drawn.ids])
+        return np.concatenate([values, added])[self.drawn.ids]
 
     def edited(self, *, selected_only: bool = False) -> tuple[Gaussians, RowIds]:
         """Return the Gaussians after all edits, and their rows: the scene's own, then added ones.

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ...base.arrays import Float32, Float64, Matrix3, RowIds, Shaped, Vector3, Vectors
+from ...base.arrays import Float32, Float64, Matrix3, Numbers, Shaped, Vector3, Vectors, WholeNumbers
 from ...errors import InputError
 from ...query import Match, documents
 from ...scene.gaussians import SH_C0, Gaussians, most_significant
@@ -30,10 +30,10 @@ class Frame:
     scale: float
 
     def shown(self, points: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
-        return np.asarray(self.scale * (points - self.center))
+        return self.scale * (points - self.center)
 
     def world(self, points: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n 3"]:
-        return np.asarray(points / self.scale + self.center)
+        return points / self.scale + self.center
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,11 +44,11 @@ class Shown:
     num_left_out: Gaussians beyond the budget. antialiased: as of `Gaussians`.
     """
 
-    ids: RowIds
-    centers: Float32[np.ndarray, "m 3"]
-    covariances: Float32[np.ndarray, "m 6"]
-    rgb: Float32[np.ndarray, "m 3"]
-    opacities: Float32[np.ndarray, " m"]
+    ids: WholeNumbers
+    centers: Vectors
+    covariances: Float32[np.ndarray, "n 6"]
+    rgb: Vectors
+    opacities: Numbers
     frame: Frame
     num_left_out: int
     antialiased: bool = False
@@ -121,7 +121,7 @@ def frame_of(gaussians: Gaussians) -> Frame:
     """Return a frame in the middle of the solid Gaussians, `WITHIN_RADIUS_SHARE` of which are inside of `RADIUS`."""
     solid = gaussians.positions[gaussians.opacities >= 0.1]
     points = solid if len(solid) else gaussians.positions
-    center = np.quantile(points, MIDDLE_QUANTILES, axis=0).mean(axis=0)
+    center = np.quantile(points, MIDDLE_QUANTILES, axis=0).mean(0)
     reach = float(np.quantile(np.linalg.norm(points - center, axis=1), WITHIN_RADIUS_SHARE))
     return Frame(center, RADIUS / reach if reach > 0 else 1.0)
 

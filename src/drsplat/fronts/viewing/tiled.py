@@ -9,7 +9,7 @@ import numpy as np
 
 from ...authoring.editing import EditList
 from ...authoring.editing.edits import Change
-from ...base.arrays import Flags, Float32, Float64, Int32, Int64, RowIds
+from ...base.arrays import Flags, Ids, Indices, Numbers, PlanePoints, RowIds, Vectors, WholeNumbers
 from ...drawing.heat import class_colors, heat_colors, heat_of
 from ...errors import InputError
 from ...formats.tiles import Tile, Tiles
@@ -62,7 +62,7 @@ class TiledSession(Session):
     What is remembered of tiles that were sent are the rows of their coarse parts.
     """
 
-    _coarse: dict[int, Int64[np.ndarray, " c"]] = field(default_factory=dict)
+    _coarse: dict[int, Indices] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._edits = NoEdits.of(self.scene)  # type: ignore[assignment]
@@ -136,7 +136,7 @@ class TiledSession(Session):
 
     # --- what rows answer ---
 
-    def heat_at(self, rows: RowIds) -> Float32[np.ndarray, " m"]:
+    def heat_at(self, rows: WholeNumbers) -> Numbers:
         """Return how well some rows answer, as `results.heat`."""
         own = self.scene.field.rows_of(rows)
         warmest = np.zeros(len(rows), np.float32)
@@ -145,7 +145,7 @@ class TiledSession(Session):
             warmest[own >= 0] = np.maximum(warmest[own >= 0], warm)
         return warmest
 
-    def owners_at(self, rows: RowIds) -> Int32[np.ndarray, " m"]:
+    def owners_at(self, rows: WholeNumbers) -> Ids:
         """Return the query that each of some rows answers, as `results.owners`."""
         owners = np.full(len(rows), -1, np.int32)
         for number in range(len(self.results) - 1, -1, -1):
@@ -160,14 +160,14 @@ class TiledSession(Session):
             known = self.__dict__["_rows_found"] = self.results, [result.gaussian_ids for result in self.results]
         return known[1]
 
-    def objects_at(self, rows: RowIds) -> Int32[np.ndarray, " m"]:
+    def objects_at(self, rows: WholeNumbers) -> Ids:
         """Return the object of each of some rows, -1 for none."""
         own = self.scene.field.rows_of(rows)
         numbers = np.full(len(rows), -1, np.int32)
         numbers[own >= 0] = objects_of(self.scene.field).thing_of(own[own >= 0])
         return numbers
 
-    def colors_at(self, rgb: Float32[np.ndarray, "m 3"], rows: RowIds) -> Float32[np.ndarray, "m 3"]:
+    def colors_at(self, rgb: Vectors, rows: WholeNumbers) -> Vectors:
         """Return the colours of some rows in the present mode, as `Session.colors`. rgb: their own."""
         if self.mode is Mode.CLASSES and self.segmentation is not None:
             palette = class_colors(len(self.segmentation.names))
@@ -183,7 +183,7 @@ class TiledSession(Session):
             return painting.highlighted(rgb, owners, accents) if (owners >= 0).any() else dimmed
         return rgb
 
-    def seen_with_colors(self, view: View) -> tuple[Seen, Float32[np.ndarray, "m 3"]]:
+    def seen_with_colors(self, view: View) -> tuple[Seen, Vectors]:
         """Return what a camera may see, in the colours of the present mode."""
         seen = self.scene.seen(view)
         assert seen.rows is not None
@@ -196,10 +196,10 @@ class TiledSession(Session):
         """False for each Gaussian: nothing is removed."""
         return np.broadcast_to(np.False_, len(self.scene.rows))
 
-    def _inside(self, view: View, outline: Float64[np.ndarray, "p 2"]) -> RowIds:
+    def _inside(self, view: View, outline: PlanePoints) -> RowIds:
         seen = self.scene.seen(view)
         assert seen.rows is not None
-        return np.asarray(seen.rows[inside_outline(seen.splats, view, outline, threads=self.scene.threads)])
+        return seen.rows[inside_outline(seen.splats, view, outline, threads=self.scene.threads)]
 
     def _hit(self, ray: Ray) -> Hit | None:
         """Return what a ray meets, read tile after tile until no light reaches the next one."""
@@ -250,7 +250,7 @@ def session_of(scene: Scene, *given: Any, **named: Any) -> Session:
 
 def frame_of_tiles(tiles: Tiles) -> Frame:
     """Return a frame in the middle of all tiles in which a middling tile has the size that a room has."""
-    low, high = (np.array([getattr(tile, end) for tile in tiles.tiles]) for end in ("low", "high"))
+    low, high = tiles.corners
     sizes = np.array([tile.num_rows for tile in tiles.tiles])
     middles = (low + high) / 2
     center = np.average(middles, axis=0, weights=sizes)

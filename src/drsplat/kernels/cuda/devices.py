@@ -18,8 +18,7 @@ _in_use: list[Device] = ["cpu"]
 
 def on_host(array: Any) -> np.ndarray:
     """Return an array as NumPy's, copied from the device where it is there."""
-    copied: np.ndarray = array.get() if hasattr(array, "get") else array
-    return copied
+    return array.get() if hasattr(array, "get") else array
 
 
 def placed(array: np.ndarray, like: Anywhere) -> Anywhere:

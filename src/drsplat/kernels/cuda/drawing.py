@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from ...base.arrays import Float32, MaskIds
+from ...base.arrays import Float32, FloatRows, MaskIds
 from ...errors import DrSplatError
 from ...scene.views import View
 from ..splats import Contributions, Rendering, SplatArrays, Triples
@@ -62,7 +62,7 @@ def sent_splats(engine: Engine, splats: SplatArrays) -> SplatArrays:
 
 
 def render_channels(
-    splats: SplatArrays, view: View, values: Float32[np.ndarray, "n c"], background: Float32[np.ndarray, " c"]
+    splats: SplatArrays, view: View, values: FloatRows, background: Float32[np.ndarray, " k"]
 ) -> Rendering:
     """Composite per-Gaussian values as `kernels.splatting.render_channels`. Raises: DrSplatError: the GPU is full."""
     xp = splats.engine.xp
@@ -134,7 +134,14 @@ def _in_bands(splats: SplatArrays, view: View, work: Callable[[TiledView], T]) -
 
     def of_band(band: Band) -> list[T]:
         try:
-            return [work(_tiled(splats, raster, camera, band))]
+            # project a scene and sort it into the tiles of a band
+            engine, count = splats.engine, len(splats.opacities)
+            projected = room_for_splats(engine, count)
+            engine.launch(
+                "project_scene", blocks_of(count), 256, splats.means, splats.covariances, splats.opacities, count,
+                camera, raster.width, raster.height, splats.antialiased, *band, *projected,
+            )  # fmt: skip
+            return [work(TiledView(raster, band, projected.splats, tiles_of(engine, projected, raster)))]
         except Exception as error:
             if not is_memory_full(error):
                 raise
@@ -148,17 +155,6 @@ def _in_bands(splats: SplatArrays, view: View, work: Callable[[TiledView], T]) -
         return of_band(Band(band.first, middle)) + of_band(Band(middle, band.last))
 
     return of_band(Band(0, raster.num_tiles // raster.columns))
-
-
-def _tiled(splats: SplatArrays, raster: Raster, camera: Any, band: Band) -> TiledView:
-    """Project a scene and sort it into the tiles of a band."""
-    engine, count = splats.engine, len(splats.opacities)
-    projected = room_for_splats(engine, count)
-    engine.launch(
-        "project_scene", blocks_of(count), 256, splats.means, splats.covariances, splats.opacities, count, camera,
-        raster.width, raster.height, splats.antialiased, *band, *projected,
-    )  # fmt: skip
-    return TiledView(raster, band, projected.splats, tiles_of(engine, projected, raster))
 
 
 def _chosen(engine: Engine, tiled: TiledView, masks: Any | None, topk: int, first_hits: int, bounds: Any | None) -> Any:

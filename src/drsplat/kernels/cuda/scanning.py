@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Float32, Ids, Int64, Numbers
+from ...base.arrays import Float32, FloatRows, Ids, Indices, Numbers, OtherIndices
 from ...errors import InputError
 from ..scan import (
     GroupedRows,
@@ -58,7 +58,13 @@ def sent_rows(engine: Engine, rows: GroupedRows) -> DeviceRows:
         raise InputError(
             f"expected up to {MAX_KEYS:,} rows to search on a GPU, got {shapes.num_rows:,}: take device 'cpu'"
         )
-    _refuse_full_device(engine, rows)
+    needed = sum(part.nbytes for part in rows if part is not None) + WORKING_BYTES_PER_ROW * len(rows.inverse_norms)
+    free = engine.free_bytes()
+    if needed > free:
+        raise InputError(
+            f"search on the GPU needs {needed / 1e6:,.0f} MB of its memory for {len(rows.inverse_norms):,} rows, of "
+            f"which {free / 1e6:,.0f} MB are free: end other programs that use it, or take device 'cpu'"
+        )
     xp, ids = engine.xp, rows.coarse_ids
     return DeviceRows(
         engine,
@@ -69,7 +75,7 @@ def sent_rows(engine: Engine, rows: GroupedRows) -> DeviceRows:
     )
 
 
-def scan_scores(rows: DeviceRows, tables: QueryTables) -> Float32[np.ndarray, "q n"]:
+def scan_scores(rows: DeviceRows, tables: QueryTables) -> FloatRows:
     """Return each query's scores of each row as `kernels.scan.scan_scores`.
 
     Raises: InputError: arrays that do not fit each other.
@@ -82,7 +88,7 @@ def scan_scores(rows: DeviceRows, tables: QueryTables) -> Float32[np.ndarray, "q
 
 def scan_above(
     rows: DeviceRows, tables: QueryTables, threshold: float, floor: Numbers | None = None
-) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
+) -> tuple[OtherIndices, Float32[np.ndarray, " m"]]:
     """Return the rows whose score minus `floor` exceeds the threshold as `kernels.scan.scan_above`.
 
     Raises: InputError: more than one query, or arrays that do not fit each other.
@@ -95,16 +101,18 @@ def scan_above(
     return on_host(matches), on_host(scores[matches])
 
 
-def scan_top(
-    rows: DeviceRows, tables: QueryTables, count: int
-) -> tuple[Int64[np.ndarray, " h"], Float32[np.ndarray, " h"]]:
+def scan_top(rows: DeviceRows, tables: QueryTables, count: int) -> tuple[Indices, Numbers]:
     """Return the `count` best rows and their scores as `kernels.scan.scan_top`.
 
     Raises: InputError: more than one query, a count below 1, or arrays that do not fit each other.
     """
     scores = _scores_of_one(rows, tables)
     check_count(count)
-    places = sorted_pairs(rows.engine, _falling_keys(rows.engine.xp, scores), None, 32).values[:count]
+    # whole numbers that ascend where scores descend; the two zeros are equal
+    bits = (scores + np.float32(0)).view(rows.engine.xp.uint32)
+    places = sorted_pairs(
+        rows.engine, rows.engine.xp.where(bits >> 31, bits, bits ^ np.uint32(0x7FFFFFFF)), None, 32
+    ).values[:count]
     return on_host(places).astype(np.int64), on_host(scores[places])
 
 
@@ -158,19 +166,3 @@ def _multiprocessors(engine: Engine) -> int:
     """Return how many blocks run at once."""
     cuda = getattr(engine.xp, "cuda", None)
     return EMULATED_BLOCKS if cuda is None else int(cuda.Device().attributes["MultiProcessorCount"])
-
-
-def _falling_keys(xp: Any, scores: Any) -> Any:
-    """Return whole numbers that ascend where scores descend; the two zeros are equal."""
-    bits = (scores + np.float32(0)).view(xp.uint32)
-    return xp.where(bits >> 31, bits, bits ^ np.uint32(0x7FFFFFFF))
-
-
-def _refuse_full_device(engine: Engine, rows: GroupedRows) -> None:
-    needed = sum(part.nbytes for part in rows if part is not None) + WORKING_BYTES_PER_ROW * len(rows.inverse_norms)
-    free = engine.free_bytes()
-    if needed > free:
-        raise InputError(
-            f"search on the GPU needs {needed / 1e6:,.0f} MB of its memory for {len(rows.inverse_norms):,} rows, of "
-            f"which {free / 1e6:,.0f} MB are free: end other programs that use it, or take device 'cpu'"
-        )

@@ -57,7 +57,7 @@ def splats_of_tensors(
         raise InputError(f"expected means (n, 3), quats (n, 4), scales (n, 3) and opacities (n), got {shapes}")
     if not 0 < near < np.inf:
         raise InputError(f"near: expected a distance in front of the camera, got {near}")
-    unit = arrays[1] / xp.sqrt((arrays[1] ** 2).sum(axis=1, keepdims=True))
+    unit = arrays[1] / xp.sqrt((arrays[1] ** 2).sum(1, keepdims=True))
     axes = [[entry * arrays[2][:, k] for k, entry in enumerate(row)] for row in rotation_rows(unit.T)]
     upper = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)]
     covariances = xp.stack([sum(a * b for a, b in zip(axes[r], axes[c], strict=True)) for r, c in upper])

@@ -79,8 +79,7 @@ def capture(
             else:
                 _make(sources, target, settings, threads, progress)
         publish(target, unchanged_parts)
-    record: dict[str, Any] = json.loads((target / RECORD).read_text(encoding="utf-8"))
-    return record
+    return json.loads((target / RECORD).read_text(encoding="utf-8"))
 
 
 def _make(sources: Sequence[Source], output: Path, settings: CaptureSettings, threads: int, progress: Progress) -> None:
@@ -301,7 +300,12 @@ def rescale(sources: Sequence[Source], output: Path, settings: CaptureSettings) 
     if settings.known_distance is None:
         factor = (settings.scale or 1.0) / record["scale_factor"]
     else:
-        names = _names([view.name for view in read_colmap(model)], [source.name for source in sources])
+        # names in the capture by the same name and by the photo's name before it got another suffix
+        posed = [view.name for view in read_colmap(model)]
+        by_stem = {str(PurePosixPath(name).with_suffix("")): name for name in posed}
+        stems = {name: str(PurePosixPath(name).with_suffix("")) for name in [source.name for source in sources]}
+        before = {name: by_stem[stem] for name, stem in stems.items() if stem in by_stem}
+        names = before | {name: name for name in posed}
         factor = settings.known_distance.metres / units_between(settings.known_distance, model, work.log, names)
     ask_colmap(
         "place", work.log, model=str(model), output=str(work.new / MODEL / "0"), names={}, scale=factor,
@@ -315,11 +319,3 @@ def rescale(sources: Sequence[Source], output: Path, settings: CaptureSettings) 
     }
     with replacing(work.new / RECORD, overwrite=True) as file:
         file.write(json.dumps(record, indent=1).encode())
-
-
-def _names(posed: Sequence[str], sources: Sequence[str]) -> dict[str, str]:
-    """Return names in the capture by the same name and by the photo's name before it got another suffix."""
-    by_stem = {str(PurePosixPath(name).with_suffix("")): name for name in posed}
-    stems = {name: str(PurePosixPath(name).with_suffix("")) for name in sources}
-    before = {name: by_stem[stem] for name, stem in stems.items() if stem in by_stem}
-    return before | {name: name for name in posed}

@@ -2,7 +2,6 @@
 
 import os
 import re
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -12,7 +11,7 @@ import numpy as np
 from PIL import Image
 
 from ...base.contents import open_file
-from ...errors import DrSplatError, DrSplatWarning, InputError
+from ...errors import DrSplatError, InputError, warn
 from ...formats.mask_files import FOLDER_NAME as MASK_FOLDER
 from ...formats.mask_files import NO_NAME, mask_folders, masks_of
 from ...formats.photo_files import folded, listed, safe_name
@@ -144,7 +143,7 @@ def _look_alike(path: Path, other: Path) -> bool:
 def _say_aside(folder: Path, what: str, names: Sequence[str]) -> None:
     if names:
         text = f"{folder}: {len(names)} files are left aside as {what}: {listed(list(names), 3)}"
-        warnings.warn(text, DrSplatWarning, stacklevel=3)
+        warn(text, 3)
 
 
 def _source(name: str, path: Path, mask: Path | None) -> Source:

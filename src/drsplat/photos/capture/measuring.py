@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Doubles, Flags, Float64, Vector3
+from ...base.arrays import Doubles, PlanePoints, Vector3
 from ...errors import FormatError, InputError, did_you_mean
 from ...formats.captures import read_rows
 from ...formats.photo_files import listed
@@ -139,15 +139,15 @@ def _meeting(name: str, looks: Sequence[dict[str, Any]]) -> Position:
     rays = np.array([look["ray"] for look in looks])
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     across = np.eye(3) - rays[:, :, None] * rays[:, None, :]
-    if float(np.linalg.eigvalsh(across.sum(axis=0))[0]) < len(looks) * np.radians(MIN_ANGLE_DEGREES) ** 2 / 4:
+    if float(np.linalg.eigvalsh(across.sum(0))[0]) < len(looks) * np.radians(MIN_ANGLE_DEGREES) ** 2 / 4:
         raise InputError(
             f"known_distance: the photos of {name} were taken from nearly one direction, which tells no depth: give "
             "its pixel in a photo from the side, or in a single one"
         )
-    place: Position = np.linalg.solve(across.sum(axis=0), (across @ centers[..., None]).sum(axis=0))[:, 0]
+    place: Position = np.linalg.solve(across.sum(0), (across @ centers[..., None]).sum(0))[:, 0]
     to_place = place - centers
     distances = np.linalg.norm(to_place, axis=1)
-    along = (to_place * rays).sum(axis=1)
+    along = (to_place * rays).sum(1)
     errors = np.degrees(np.arctan2(np.linalg.norm(np.cross(rays, to_place), axis=1), along))
     if errors.max() > MAX_ERROR_DEGREES or not distances.min() > 0:
         raise InputError(
@@ -172,23 +172,19 @@ def _on_surface(place: Place, look: dict[str, Any]) -> Position:
     return np.array(look["center"]) + depth * np.array(look["ray"])
 
 
-def _depth(offsets: Float64[np.ndarray, "n 2"], depths: Doubles) -> float:
+def _depth(offsets: PlanePoints, depths: Doubles) -> float:
     """Return the depth at a pixel of the foremost surface through the points around it.
 
     On a plane the inverse of the depth is linear in the pixel; it is not extrapolated beyond the points' depths.
     """
-    front = _front(depths)
+    # which depths are of the first surface: people point at objects, not at the wall behind
+    ascending = np.sort(depths)
+    ends = np.flatnonzero(np.diff(ascending) > MIN_GAP_SHARE * ascending[:-1]) + 1
+    end = next((int(end) for end in ends if end >= MIN_FRONT_POINTS), len(depths))
+    front = depths <= ascending[end - 1]
     inverse, offsets = 1 / depths[front], offsets[front]
     if len(inverse) < MIN_PLANE_POINTS:
         return float(1 / np.median(inverse))
     terms = np.column_stack([np.ones(len(offsets)), offsets])
     at_pixel = float(np.linalg.lstsq(terms, inverse, rcond=None)[0][0])
     return 1 / float(np.clip(at_pixel, inverse.min(), inverse.max()))
-
-
-def _front(depths: Doubles) -> Flags:
-    """Return which depths are of the first surface: people point at objects, not at the wall behind."""
-    ascending = np.sort(depths)
-    ends = np.flatnonzero(np.diff(ascending) > MIN_GAP_SHARE * ascending[:-1]) + 1
-    end = next((int(end) for end in ends if end >= MIN_FRONT_POINTS), len(depths))
-    return np.asarray(depths <= ascending[end - 1])

@@ -23,7 +23,7 @@ import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 from scipy import ndimage
 
-from ...base.arrays import UInt8
+from ...base.arrays import GreyPixels
 from ...base.contents import open_file
 from ...errors import FormatError, MismatchError, MissingExtraError, pip_install
 from ...formats.checksums import hash_file
@@ -75,17 +75,13 @@ def exif_facts(photo: Image.Image) -> ExifFacts:
         _text(value)
         for value in (exif.get(MAKE_TAG), exif.get(MODEL_TAG), tags.get(LENS_MODEL_TAG), tags.get(FOCAL_MM_TAG))
     ]
+    share = _number(tags.get(FOCAL_35MM_TAG)) / DIAGONAL_35MM_FILM_MM
     return ExifFacts(
         camera=" ".join(part for part in camera if part),
-        focal_share=_focal_share(tags),
+        focal_share=(share if FOCAL_SHARE_BOUNDS[0] <= share <= FOCAL_SHARE_BOUNDS[1] else None),
         position=_position(gps),
         down=_apple_down(tags.get(MAKER_NOTE_TAG)),
     )
-
-
-def _focal_share(tags: dict[int, Any]) -> float | None:
-    share = _number(tags.get(FOCAL_35MM_TAG)) / DIAGONAL_35MM_FILM_MM
-    return share if FOCAL_SHARE_BOUNDS[0] <= share <= FOCAL_SHARE_BOUNDS[1] else None
 
 
 def _position(gps: dict[int, Any]) -> tuple[float, float, float | None] | None:
@@ -252,7 +248,7 @@ def _digest(source: Source, invert: bool) -> str:
     return f"{photo[:DIGEST_LETTERS]}_{hash_file(source.mask)[:8]}{'_inverted' if invert else ''}"
 
 
-def sharpness(grey: UInt8[np.ndarray, "h w"]) -> float:
+def sharpness(grey: GreyPixels) -> float:
     """Return the standard deviation of the Laplacian of a picture of some 512 pixels, in grey levels."""
     laplacian = ndimage.laplace(grey.astype(np.float32))[1:-1, 1:-1]
     return float(laplacian.std()) if laplacian.size else 0.0

@@ -22,7 +22,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from ...base.arrays import Float32, Float64, Points
+from ...base.arrays import Embedding, Embeddings, Float32, Float64, OtherEmbeddings, Points
 from ...errors import FormatError
 from ...formats.replacing import replacing
 from ...scene.geodesy import geocentric
@@ -48,12 +48,6 @@ def reading(path: Path) -> Iterator[sqlite3.Connection]:
         ) from error
 
 
-def num_features(database: sqlite3.Connection) -> dict[str, int]:
-    """Return the number of features of each processed photo, by its name."""
-    query = "SELECT name, rows FROM images JOIN keypoints USING (image_id) JOIN descriptors USING (image_id, rows)"
-    return dict(database.execute(query))
-
-
 def verified_pairs(database: sqlite3.Connection) -> dict[tuple[str, str], int]:
     """Return the number of verified matches of each pair of names that has some."""
     names = dict(database.execute("SELECT image_id, name FROM images"))
@@ -76,7 +70,7 @@ def descriptors_of(database: sqlite3.Connection, name: str) -> Float32[np.ndarra
     query = "SELECT rows, cols, data FROM descriptors JOIN images USING (image_id) WHERE name = ?"
     rows, columns, data = database.execute(query, (name,)).fetchone() or (0, 128, b"")
     values = np.frombuffer(data, np.uint8).reshape(rows, columns).astype(np.float32)
-    return np.asarray(values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-9))
+    return values / np.maximum(np.linalg.norm(values, axis=1, keepdims=True), 1e-9)
 
 
 FEATURES_SIDE_PIXELS = 1200  # longer side of photos for finding features
@@ -137,14 +131,28 @@ class Posing:
         """Pose the photos. Raises: InputError: the camera only turned, a full disk. ColmapFailure: COLMAP failed."""
         self._extract()
         with reading(self._database) as database:
-            features = num_features(database)
+            # the number of features of each processed photo, by its name
+            query = (
+                "SELECT name, rows FROM images JOIN keypoints USING (image_id) JOIN descriptors USING (image_id, rows)"
+            )
+            features = dict(database.execute(query))
             chosen = self._pairs(database, features)
         self._match(chosen)
         with reading(self._database) as database:
             pairs = verified_pairs(database)
             files = {photo.file for photo in self.photos}
             pairs = {pair: count for pair, count in pairs.items() if set(pair) <= files}
-            self._check_moved(database, pairs)
+            # check a sample of pairs; files are named after their contents, so their order is as good as random
+            photos = {photo.file: photo for photo in self.photos}
+            many = sorted(pair for pair, count in pairs.items() if count >= MIN_MATCHES)
+            sample = []
+            for pair in many[:: len(many) // MAX_CHECKED_PAIRS + 1]:
+                sizes = np.array([[[photos[file].width, photos[file].height]] for file in pair])
+                diagonals = np.linalg.norm(sizes, axis=2, keepdims=True)
+                focals = np.array([[[camera_of(photos[file], self.lens)["params"][0]]] for file in pair])
+                pixels = matched_pixels(database, pair)
+                sample.append(((pixels - sizes / 2) / diagonals, focals / diagonals))
+            check_moved(sample, self.lens != "fisheye" and all(photo.exif.focal_share for photo in self.photos))
         return Posed(self._map(pairs), features, pairs)
 
     @property
@@ -158,7 +166,16 @@ class Posing:
         )  # fmt: skip
 
     def _extract(self) -> None:
-        ids = self._camera_ids()
+        # the database's camera of each group of photos; new ones are added
+        document = f"{self.lens}.json"
+        ids: dict[str, int] = self.work.remembered(document) or {}
+        if not ids:
+            self._database.unlink(missing_ok=True)
+        new = {camera_key(photo): photo for photo in self.photos if camera_key(photo) not in ids}
+        if new:
+            cameras = [camera_of(photo, self.lens) for photo in new.values()]
+            ids |= dict(zip(new, self._ask("add_cameras", cameras=cameras), strict=True))
+            self.work.remember(document, ids)
         groups: dict[tuple[int, str | None], list[str]] = {}
         for photo in self.photos:
             masked = mask_path(self.work.photos, photo.file).is_file()
@@ -170,19 +187,6 @@ class Posing:
             report=lambda done: self.progress("features", done, len(self.photos)),
         )  # fmt: skip
 
-    def _camera_ids(self) -> dict[str, int]:
-        """Return the database's camera of each group of photos; new ones are added."""
-        document = f"{self.lens}.json"
-        ids: dict[str, int] = self.work.remembered(document) or {}
-        if not ids:
-            self._database.unlink(missing_ok=True)
-        new = {camera_key(photo): photo for photo in self.photos if camera_key(photo) not in ids}
-        if new:
-            cameras = [camera_of(photo, self.lens) for photo in new.values()]
-            ids |= dict(zip(new, self._ask("add_cameras", cameras=cameras), strict=True))
-            self.work.remember(document, ids)
-        return ids
-
     def _pairs(self, database: Any, features: dict[str, int]) -> list[tuple[str, str]]:
         """Return the pairs of files to match, in order."""
         photos = [photo for photo in self.photos if photo.file in features]
@@ -192,7 +196,14 @@ class Posing:
         else:
             looks = looks_of([photo.file for photo in photos], lambda file: descriptors_of(database, file))
             alike = NUMBERED_NEIGHBOURS_IN_LOOKS if numbered else NEIGHBOURS_IN_LOOKS
-            pairs = pairs_in_looks(looks, alike) | pairs_in_place(places_of(photos))
+            # positions of photos in metres from the centre of the Earth; rows of NaN where they have none
+            nowhere = (np.nan, np.nan, np.nan)
+            positions = [photo.exif.position or nowhere for photo in photos]
+            pairs = pairs_in_looks(looks, alike) | pairs_in_place(
+                geocentric(
+                    np.array([(x, y, 0.0 if z is None else z) for x, y, z in positions], np.float64).reshape(-1, 3)
+                )
+            )
             if numbered:
                 pairs |= pairs_in_order(len(photos))
         return [(photos[i].file, photos[j].file) for i, j in sorted(pairs)]
@@ -205,19 +216,6 @@ class Posing:
             "match", pairs=str(path), batch=str(self.work.folder / "batch.txt"),
             report=lambda done: self.progress("pairs", done, len(pairs)),
         )  # fmt: skip
-
-    def _check_moved(self, database: Any, pairs: dict[tuple[str, str], int]) -> None:
-        """Check a sample of pairs; files are named after their contents, so their order is as good as random."""
-        photos = {photo.file: photo for photo in self.photos}
-        many = sorted(pair for pair, count in pairs.items() if count >= MIN_MATCHES)
-        sample = []
-        for pair in many[:: len(many) // MAX_CHECKED_PAIRS + 1]:
-            sizes = np.array([[[photos[file].width, photos[file].height]] for file in pair])
-            diagonals = np.linalg.norm(sizes, axis=2, keepdims=True)
-            focals = np.array([[[camera_of(photos[file], self.lens)["params"][0]]] for file in pair])
-            pixels = matched_pixels(database, pair)
-            sample.append(((pixels - sizes / 2) / diagonals, focals / diagonals))
-        check_moved(sample, self.lens != "fisheye" and all(photo.exif.focal_share for photo in self.photos))
 
     def _map(self, pairs: dict[tuple[str, str], int]) -> list[Model]:
         most = len(_largest_group(pairs))
@@ -283,13 +281,6 @@ def camera_of(photo: Photo, lens: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def places_of(photos: Sequence[Photo]) -> Points:
-    """Return positions of photos in metres from the centre of the Earth; rows of NaN where they have none."""
-    nowhere = (np.nan, np.nan, np.nan)
-    positions = [photo.exif.position or nowhere for photo in photos]
-    return geocentric(np.array([(x, y, 0.0 if z is None else z) for x, y, z in positions], np.float64).reshape(-1, 3))
-
-
 def _largest_group(pairs: dict[tuple[str, str], int]) -> set[str]:
     """Return the files of the largest group connected by overlaps; none without any overlap."""
     from scipy.sparse import coo_array
@@ -306,7 +297,7 @@ def _largest_group(pairs: dict[tuple[str, str], int]) -> set[str]:
     return {file for file, label in zip(files, labels, strict=True) if label == largest}
 
 
-def looks_of(keys: Sequence[str], read: Callable[[str], Descriptors]) -> Float32[np.ndarray, "p d"]:
+def looks_of(keys: Sequence[str], read: Callable[[str], Descriptors]) -> OtherEmbeddings:
     """Return a unit vector for each photo, zeros for one without descriptors; one photo is in memory at a time.
 
     read: returns the descriptors of a photo by its key, of unit length.
@@ -329,11 +320,11 @@ def _vocabulary(keys: Sequence[str], read: Callable[[str], Descriptors]) -> Floa
         nearest = _nearest(sample, centres)
         for word in range(NUM_WORDS):
             if (nearest == word).any():
-                centres[word] = sample[nearest == word].mean(axis=0)
+                centres[word] = sample[nearest == word].mean(0)
     return centres
 
 
-def _look(descriptors: Descriptors, vocabulary: Float32[np.ndarray, "w 128"]) -> Float32[np.ndarray, " d"]:
+def _look(descriptors: Descriptors, vocabulary: Float32[np.ndarray, "w 128"]) -> Embedding:
     """Return the VLAD vector of a photo."""
     nearest = _nearest(descriptors, vocabulary)
     look = np.zeros_like(vocabulary)
@@ -344,7 +335,7 @@ def _look(descriptors: Descriptors, vocabulary: Float32[np.ndarray, "w 128"]) ->
 
 
 def _nearest(descriptors: Descriptors, centres: Float32[np.ndarray, "w 128"]) -> np.ndarray:
-    return np.asarray(((centres**2).sum(1) - 2 * descriptors @ centres.T).argmin(axis=1))
+    return ((centres**2).sum(1) - 2 * descriptors @ centres.T).argmin(1)
 
 
 def _thinned(descriptors: Descriptors, most: int) -> Descriptors:
@@ -377,7 +368,7 @@ def pairs_in_place(positions: Points) -> set[tuple[int, int]]:
     return _ordered(placed.repeat(count), placed[near].reshape(-1))
 
 
-def pairs_in_looks(looks: Float32[np.ndarray, "n d"], count: int = NEIGHBOURS_IN_LOOKS) -> set[tuple[int, int]]:
+def pairs_in_looks(looks: Embeddings, count: int = NEIGHBOURS_IN_LOOKS) -> set[tuple[int, int]]:
     """Return pairs of photos that look alike. looks: unit vectors; rows of zeros look like nothing."""
     count = min(count + 1, len(looks))
     pairs: set[tuple[int, int]] = set()
@@ -390,7 +381,7 @@ def pairs_in_looks(looks: Float32[np.ndarray, "n d"], count: int = NEIGHBOURS_IN
     return pairs
 
 
-def _blocks(looks: Float32[np.ndarray, "n d"]) -> Iterator[tuple[int, Float32[np.ndarray, "r d"]]]:
+def _blocks(looks: Embeddings) -> Iterator[tuple[int, OtherEmbeddings]]:
     for start in range(0, len(looks), _BLOCK_ROWS):
         yield start, looks[start : start + _BLOCK_ROWS]
 

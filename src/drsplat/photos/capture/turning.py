@@ -159,11 +159,11 @@ def _errors(matches: Float64[np.ndarray, "2 pairs matches 2"], focals: np.ndarra
 def _rays(places: Places, focal: Focals, bend: float) -> Float64[np.ndarray, "pairs matches 3"]:
     depth = focal + bend / focal * (places**2).sum(-1, keepdims=True)
     rays = np.concatenate([places, depth], -1)
-    return np.asarray(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+    return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
 
 def _places(rays: Float64[np.ndarray, "pairs matches 3"], focal: Focals, bend: float) -> Places:
     """Return the places of rays, the inverse of `_rays`; those of rays behind the camera are far away."""
     depth, aside2 = rays[..., 2:], (rays[..., :2] ** 2).sum(-1, keepdims=True)
     root = depth + np.sqrt(np.maximum(depth**2 - 4 * bend * aside2, 0))
-    return np.asarray(2 * focal * rays[..., :2] / np.maximum(root, 1e-6))
+    return 2 * focal * rays[..., :2] / np.maximum(root, 1e-6)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Doubles, Flags, Int64, UInt8
+from ...base.arrays import Doubles, Flags, GreyPixels, Indices, OtherPixels
 from ...base.contents import open_file
 from ...errors import InputError, MissingExtraError, pip_install
 from ...formats.replacing import replacing
@@ -46,7 +46,7 @@ class Film:
 class Choice:
     """Choice of frames. frames: indices of the chosen ones. num_blurred, num_still: of unusable ones."""
 
-    frames: Int64[np.ndarray, " k"]
+    frames: Indices
     num_blurred: int
     num_still: int
 
@@ -72,8 +72,7 @@ def take_frames(video: Source, work: Work, progress: Progress) -> dict[str, int]
     key = [video.name, video.num_bytes, video.changed_ns]
     earlier = work.remembered(RECORD)
     if earlier is not None and earlier["video"] == key:
-        counts: dict[str, int] = earlier["counts"]
-        return counts
+        return earlier["counts"]
     film = _measured(video.path, progress)
     choice = choose(film)
     if len(choice.frames) < 3:
@@ -137,7 +136,7 @@ def _write(video: Path, choice: Choice, folder: Path, progress: Progress) -> Non
                 return
 
 
-def some_frames(video: Path, count: int) -> Iterator[UInt8[np.ndarray, "_ _ 3"]]:
+def some_frames(video: Path, count: int) -> Iterator[OtherPixels]:
     """Yield frames of a video, evenly spaced in time, as they are stored; fewer where it cannot be searched.
 
     Raises: InputError: no video, or no pictures in it. MissingExtraError: PyAV is missing.
@@ -207,12 +206,10 @@ def are_blurred(sharpness: Doubles) -> Flags:
     """Return which frames are much less sharp than the frames around them."""
     from scipy.ndimage import median_filter
 
-    return np.asarray(
-        sharpness < MAX_BLURRED_SHARE * median_filter(sharpness, size=2 * NEIGHBOURHOOD_FRAMES + 1, mode="nearest")
-    )
+    return sharpness < MAX_BLURRED_SHARE * median_filter(sharpness, size=2 * NEIGHBOURHOOD_FRAMES + 1, mode="nearest")
 
 
-def movement(before: UInt8[np.ndarray, "h w"], now: UInt8[np.ndarray, "h w"]) -> float:
+def movement(before: GreyPixels, now: GreyPixels) -> float:
     """Return how far parts of a picture have moved, as the median share of its width.
 
     It is measured by blocks, because a camera that walks ahead or rolls moves them in different directions.
@@ -226,7 +223,7 @@ def movement(before: UInt8[np.ndarray, "h w"], now: UInt8[np.ndarray, "h w"]) ->
     return float(np.median(shifts)) / now.shape[1] if shifts else 0.0
 
 
-def shift_of(before: UInt8[np.ndarray, "h w"], now: UInt8[np.ndarray, "h w"]) -> float:
+def shift_of(before: GreyPixels, now: GreyPixels) -> float:
     """Return the length of a block's shift in pixels, by phase correlation; 0 if it has no texture.
 
     Source: Kuglin and Hines, The phase correlation image alignment method, 1975.

@@ -86,7 +86,7 @@ def _gravity_up(views: Sequence[View], facts: Mapping[str, ExifFacts]) -> Vector
     ups = np.array([-view.cam_from_world[:3, :3].T @ np.array(down) for view, down in downs if down is not None])
     if len(ups) < max(2, len(views) / 4):
         return None
-    mean = ups.mean(axis=0)
+    mean = ups.mean(0)
     mean /= max(float(np.linalg.norm(mean)), 1e-9)
     spread = np.degrees(np.median(np.arccos(np.clip(ups @ mean, -1, 1))))
     return mean if spread <= MAX_GRAVITY_SPREAD_DEGREES else None
@@ -114,12 +114,20 @@ def _gps_fit(views: Sequence[View], facts: Mapping[str, ExifFacts], upright: Rot
     similarity, residuals = _robust_similarity(centers, offsets)
     middle = float(np.median(residuals))
     trusted = offsets[residuals <= MAX_INLIER_MEDIANS * middle]
-    spread = np.linalg.svd(trusted - trusted.mean(axis=0), compute_uv=False) / np.sqrt(len(trusted))
+    spread = np.linalg.svd(trusted - trusted.mean(0), compute_uv=False) / np.sqrt(len(trusted))
     if middle > MAX_RESIDUAL_SHARE * spread[0]:
         return None
     up_from = "GPS"
     if spread[1] < MIN_SPREAD_RESIDUALS * middle:  # a straight walk: the fit can turn about it
-        similarity, up_from = _level_similarity(centers, offsets, upright), ""
+        # the best similarity that keeps +z of `upright` up; it turns about that axis only
+        a = (centers - centers.mean(0)) @ upright.T
+        b = offsets - offsets.mean(0)
+        cosine, sine = (a[:, :2] * b[:, :2]).sum(), (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()
+        angle = np.arctan2(sine, cosine)
+        turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+        scale = float(np.hypot(cosine, sine) / max(float((a[:, :2] ** 2).sum()), 1e-30))
+        rotation = turn @ upright
+        similarity, up_from = Similarity(scale, rotation, offsets.mean(0) - scale * rotation @ centers.mean(0)), ""
         middle = float(np.median(_distances(similarity, centers, offsets)))
     georeference = Georeference(*origin, np.eye(3), 1.0)
     return World(similarity, "m", up_from, "GPS", georeference, middle)
@@ -150,21 +158,9 @@ def umeyama(source: Points, target: Points) -> Similarity:
 
     Source: Umeyama, Least-squares estimation of transformation parameters between two point patterns, PAMI 1991.
     """
-    a, b = source - source.mean(axis=0), target - target.mean(axis=0)
+    a, b = source - source.mean(0), target - target.mean(0)
     u, stretch, vt = np.linalg.svd(b.T @ a)
     signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     rotation = u @ np.diag(signs) @ vt
     scale = float((stretch * signs).sum() / max(float((a**2).sum()), 1e-30))
-    return Similarity(scale, rotation, target.mean(axis=0) - scale * rotation @ source.mean(axis=0))
-
-
-def _level_similarity(source: Points, target: Points, upright: Rotation) -> Similarity:
-    """Return the best similarity that keeps +z of `upright` up; it turns about that axis only."""
-    a = (source - source.mean(axis=0)) @ upright.T
-    b = target - target.mean(axis=0)
-    cosine, sine = (a[:, :2] * b[:, :2]).sum(), (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]).sum()
-    angle = np.arctan2(sine, cosine)
-    turn = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
-    scale = float(np.hypot(cosine, sine) / max(float((a[:, :2] ** 2).sum()), 1e-30))
-    rotation = turn @ upright
-    return Similarity(scale, rotation, target.mean(axis=0) - scale * rotation @ source.mean(axis=0))
+    return Similarity(scale, rotation, target.mean(0) - scale * rotation @ source.mean(0))

@@ -16,7 +16,7 @@ from warnings import warn
 
 import numpy as np
 
-from ...base.arrays import Float32, Int32, Pixels
+from ...base.arrays import Embeddings, LevelMaskIds, Pixels
 from ...errors import DrSplatWarning, InputError
 from ...field.codes import Track, encoder_from_json, untracked
 from ...formats.checksums import hash_file
@@ -27,7 +27,7 @@ from ...formats.photo_files import listed
 from ...formats.vocabulary import VocabularyEncoder, read_vocabulary, write_vocabulary
 from ...scene.encoders import Encoder, EncoderIdentity, ImageEncoder, identity_json
 from ...scene.masks.masks import LEVELS, Masks, Segmenter, kept_masks
-from ...scene.masks.selection import MaskMaps, mask_maps
+from ...scene.masks.selection import mask_maps
 from ...scene.photo_masks import load_mask, views_with_something
 from ...scene.photos import load_image
 from ...scene.views import View, scenes_rendered
@@ -245,8 +245,8 @@ def _mask_identity(view: View) -> str:
 class _Embedded(NamedTuple):
     """Masks and embeddings of one photo. counts: masks by level. empty: number of masks left out for lack of pixels."""
 
-    mask_ids: Int32[np.ndarray, "*levels h w"]
-    embeddings: Float32[np.ndarray, "n d"]
+    mask_ids: LevelMaskIds
+    embeddings: Embeddings
     counts: Mapping[str, int]
     empty: int
 
@@ -284,16 +284,18 @@ def _features(view: View, stem: str, segmenter: Segmenter | FeatureFolder, encod
         levels = kept_masks(levels, used)
     maps = mask_maps(levels)
     empty = sum(not part.any() for masks in levels.values() for part in masks.parts)
-    return _Embedded(maps.mask_ids, _embeddings(image, maps.masks, encoder, view.name), _counts(maps, levels), empty)
+    # count the masks of each level that the segmenter returned
+    ids = {level: maps.mask_ids[LEVELS.index(level)] for level in LEVELS if level in levels}
+    return _Embedded(
+        maps.mask_ids,
+        _embeddings(image, maps.masks, encoder, view.name),
+        {level: len(np.unique(level_ids[level_ids >= 0])) for level, level_ids in ids.items()},
+        empty,
+    )
 
 
 def finish_photo(
-    record: EmbeddingRecord,
-    stem: str,
-    photo: str,
-    mask_ids: Int32[np.ndarray, "*levels h w"],
-    rows: Float32[np.ndarray, "n d"],
-    form: Form,
+    record: EmbeddingRecord, stem: str, photo: str, mask_ids: LevelMaskIds, rows: Embeddings, form: Form
 ) -> None:
     """Write the features of a photo, and record them; of equal levels the masks count once.
 
@@ -317,7 +319,7 @@ def _rewrite(record: EmbeddingRecord, stem: str, form: Form) -> None:
         _store(record, stem, entry.photo, _Embedded(*stored, entry.masks, entry.empty_masks), form)
 
 
-def _embeddings(image: Pixels, masks: Masks, encoder: ImageEncoder, name: str) -> Float32[np.ndarray, "n d"]:
+def _embeddings(image: Pixels, masks: Masks, encoder: ImageEncoder, name: str) -> Embeddings:
     dim = encoder.identity.dim
     if len(masks) == 0:
         return np.zeros((0, dim), np.float32)
@@ -328,12 +330,6 @@ def _embeddings(image: Pixels, masks: Masks, encoder: ImageEncoder, name: str) -
             f"expected as many finite unit vectors of {dim} numbers"
         )
     return rows
-
-
-def _counts(maps: MaskMaps, levels: Mapping[str, Masks]) -> dict[str, int]:
-    """Count the masks of each level that the segmenter returned."""
-    ids = {level: maps.mask_ids[LEVELS.index(level)] for level in LEVELS if level in levels}
-    return {level: len(np.unique(level_ids[level_ids >= 0])) for level, level_ids in ids.items()}
 
 
 def _totals(record: EmbeddingRecord, stems: Sequence[str]) -> tuple[dict[str, int], int]:

@@ -5,7 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import UInt8
+from ...base.arrays import OtherPixels
 from ...kernels.algebra import dense_rows
 from ...scene.masks.selection import mask_maps
 from ..models.graph import GraphSegmenter
@@ -15,7 +15,7 @@ from .keeping import mask_rows
 PICTURE_SIDE_PIXELS = 640
 
 
-def pixel_fit(pictures: Iterable[UInt8[np.ndarray, "_ _ 3"]], *, threads: int = 0) -> float:
+def pixel_fit(pictures: Iterable[OtherPixels], *, threads: int = 0) -> float:
     """Return the cosine of the best noun that half of the pixels' masks reach, 0 without pictures.
 
     Masks count by their pixels, as they do in the features of a field: eight photos then tell the rooms of the
@@ -29,7 +29,7 @@ def pixel_fit(pictures: Iterable[UInt8[np.ndarray, "_ _ 3"]], *, threads: int = 
         small.thumbnail((PICTURE_SIDE_PIXELS, PICTURE_SIDE_PIXELS))
         pixels = np.asarray(small)
         masks = mask_maps(segmenter.segment(pixels)).masks
-        fits.append(dense_rows(mask_rows(pixels, masks, encoder), nouns, threads=threads).max(axis=1))
+        fits.append(dense_rows(mask_rows(pixels, masks, encoder), nouns, threads=threads).max(1))
         areas.append(masks.areas)
     order, below = np.argsort(fit := np.concatenate(fits)), np.concatenate(areas)
     return float(fit[order][np.searchsorted(np.cumsum(below[order]), below.sum() / 2)])

@@ -7,7 +7,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from scipy.ndimage import find_objects
 
-from ...base.arrays import Float32, Int32, Integer, Pixels, UInt8
+from ...base.arrays import Embeddings, Float32, Int32, LevelMaskIds, OtherPixels, Pixels, WholeNumbers
 from ...errors import MismatchError
 from ...formats.checksums import hash_file
 from ...formats.embedding_record import read_settings
@@ -29,18 +29,18 @@ class WithoutEmbedding:
         """Return the same encoder: any number of threads may ask it."""
         return self
 
-    def encode_images(self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "n 1"]:
+    def encode_images(self, images: Sequence[OtherPixels]) -> Float32[np.ndarray, "n 1"]:
         return np.ones((len(images), 1), np.float32)
 
 
 class ChosenMasks(FeatureFolder):
     """Masks of a folder without those whose crops are not embedded. chosen: mask ids by photo."""
 
-    def __init__(self, directory: Path, chosen: Mapping[str, Integer[np.ndarray, " c"]]) -> None:
+    def __init__(self, directory: Path, chosen: Mapping[str, WholeNumbers]) -> None:
         super().__init__(directory, LEVELS.index("large"))
         self.chosen = chosen
 
-    def stored(self, name: str) -> tuple[Int32[np.ndarray, "*levels h w"], Float32[np.ndarray, "n d"]]:
+    def stored(self, name: str) -> tuple[LevelMaskIds, Embeddings]:
         """Return the maps of a photo, -1 where a mask is left out, and its vectors."""
         mask_ids, embeddings = super().stored(name)
         is_chosen = np.zeros(len(embeddings) + 1, np.bool_)  # the last is that of -1
@@ -62,7 +62,7 @@ def masks_hash(folder: FeatureFolder, stem: str) -> str:
     return digest
 
 
-def kept_maps(folder: FeatureFolder, view: View, stem: str) -> tuple[Int32[np.ndarray, "*levels h w"], View]:
+def kept_maps(folder: FeatureFolder, view: View, stem: str) -> tuple[LevelMaskIds, View]:
     """Return a photo's stored maps, and the view on their raster. Raises: MismatchError: another shape."""
     mask_ids = folder.stored(stem)[0]
     height, width = mask_ids.shape[-2:]
@@ -74,9 +74,7 @@ def kept_maps(folder: FeatureFolder, view: View, stem: str) -> tuple[Int32[np.nd
     return mask_ids, view.resized(width, height)
 
 
-def embedded_again(
-    mask_ids: Int32[np.ndarray, "*levels h w"], view: View, encoder: ImageEncoder
-) -> Float32[np.ndarray, "n d"]:
+def embedded_again(mask_ids: LevelMaskIds, view: View, encoder: ImageEncoder) -> Embeddings:
     """Embed existing masks: one row per mask id, zero where a mask has no pixel, which nothing reads."""
     rows, masks = _cut_out(mask_ids if mask_ids.ndim == 3 else mask_ids[None])
     embeddings = np.zeros((int(mask_ids.max(initial=-1)) + 1, encoder.identity.dim), np.float32)
@@ -86,7 +84,7 @@ def embedded_again(
     return embeddings
 
 
-def level_counts(mask_ids: Int32[np.ndarray, "*levels h w"]) -> dict[str, int]:
+def level_counts(mask_ids: LevelMaskIds) -> dict[str, int]:
     """Count the masks by level; a map without levels is `large`."""
     if mask_ids.ndim == 2:
         return {LEVELS[-1]: len(np.unique(mask_ids[mask_ids >= 0]))}
@@ -111,10 +109,10 @@ def _cut_out(levels: Int32[np.ndarray, "l h w"]) -> tuple[list[int], Masks]:
 class MaskEncoder(Protocol):
     """Encoder that embeds masks from one pass over the image, without crops of them."""
 
-    def encode_masks(self, image: Pixels, masks: Masks) -> Float32[np.ndarray, "n d"]: ...
+    def encode_masks(self, image: Pixels, masks: Masks) -> Embeddings: ...
 
 
-def mask_rows(image: Pixels, masks: Masks, encoder: ImageEncoder) -> Float32[np.ndarray, "n d"]:
+def mask_rows(image: Pixels, masks: Masks, encoder: ImageEncoder) -> Embeddings:
     """Return unit vectors of the masks of an image, each with a pixel or more, in their order."""
     if isinstance(encoder, MaskEncoder):
         return encoder.encode_masks(image, masks)

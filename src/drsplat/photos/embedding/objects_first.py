@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Float32, Float64, Int64
+from ...base.arrays import DoubleRows, Doubles, Embeddings, Indices, Int64, OtherEmbeddings, OtherIndices, Points
 from ...errors import InputError
 from ...field.codes import Track, untracked
 from ...field.evidence.evidence import Evidence
@@ -138,7 +138,7 @@ def _vectors(
     overwrite: bool,
     threads: int,
     track: Track,
-) -> dict[str, Float32[np.ndarray, "n d"]]:
+) -> dict[str, Embeddings]:
     """Return a vector for each mask of each photo."""
     views = list(by_stem.values())
     evidence = register(gaussians, views, masks, parts=parts / WEIGHTS, threads=threads, track=track).evidence
@@ -176,10 +176,10 @@ class SharedCrops:
         shares: (M, C) weights of the chosen columns for each column; each row sums to 1.
     """
 
-    chosen: Int64[np.ndarray, " c"]
+    chosen: Indices
     shares: csr_array
 
-    def embeddings(self, rows: Float32[np.ndarray, "c d"]) -> Float32[np.ndarray, "m d"]:
+    def embeddings(self, rows: Embeddings) -> OtherEmbeddings:
         """Return a unit vector for each column from the vectors of the chosen ones."""
         mixed = self.shares @ rows.astype(np.float64)
         return np.asarray(mixed / np.linalg.norm(mixed, axis=1, keepdims=True), np.float32)
@@ -236,19 +236,19 @@ def node_fits(inside: csr_array, evidence: Evidence) -> csr_array:
     return csr_array((inside.data / np.maximum(either, 1e-12), inside.indices, inside.indptr), shape=inside.shape)
 
 
-def _column_sums(evidence: Evidence) -> Float64[np.ndarray, " m"]:
+def _column_sums(evidence: Evidence) -> Doubles:
     weights = evidence.weights
     return np.bincount(weights.indices, weights.data, weights.shape[1])
 
 
-def _camera_centers(evidence: Evidence, views: Sequence[View]) -> Float64[np.ndarray, "m 3"]:
+def _camera_centers(evidence: Evidence, views: Sequence[View]) -> Points:
     """Return the centre of the camera of each column."""
     by_name = {view.name: view.center for view in views}
     centers = np.array([by_name[name] for name in evidence.masks.view_names], np.float64).reshape(-1, 3)
-    return np.asarray(centers[evidence.masks.views])
+    return centers[evidence.masks.views]
 
 
-def _best_nodes(fits: csr_array) -> tuple[Int64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
+def _best_nodes(fits: csr_array) -> tuple[Indices, Doubles]:
     """Return for each mask the node that it fits best, -1 where none by more than MIN_FIT, and the fit."""
     nodes = np.repeat(np.arange(fits.shape[0]), np.diff(fits.indptr))
     order = np.lexsort((nodes, -fits.data, fits.indices))
@@ -259,23 +259,21 @@ def _best_nodes(fits: csr_array) -> tuple[Int64[np.ndarray, " m"], Float64[np.nd
     return node_of, fit
 
 
-def _groups(node_of: Int64[np.ndarray, " m"]) -> list[Int64[np.ndarray, " k"]]:
+def _groups(node_of: OtherIndices) -> list[Indices]:
     """Return the masks of each node that has any, ascending."""
     order = np.argsort(node_of, kind="stable")
     order = order[np.searchsorted(node_of[order], 0) :]
     return np.split(order, np.flatnonzero(np.diff(node_of[order])) + 1) if len(order) else []
 
 
-def _spread(
-    worth: Float64[np.ndarray, " k"], centers: Float64[np.ndarray, "k 3"], most: int
-) -> tuple[Int64[np.ndarray, " p"], Float64[np.ndarray, "k p"]]:
+def _spread(worth: Doubles, centers: Points, most: int) -> tuple[Int64[np.ndarray, " k"], DoubleRows]:
     """Pick the mask of most worth, then masks of high worth whose cameras are far from all picked before.
 
     Returns:
         The picks, and the distance of each mask's camera from theirs.
     """
     picks: list[int] = []
-    distances: list[Float64[np.ndarray, " k"]] = []
+    distances: list[Doubles] = []
     gain = worth
     while len(picks) < min(most, len(worth)) and gain.max() > 0:  # 0: the rest are of picked cameras
         picks.append(int(gain.argmax()))

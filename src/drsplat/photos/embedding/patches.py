@@ -15,7 +15,7 @@ from warnings import warn
 
 import numpy as np
 
-from ...base.arrays import Float32, Pixels
+from ...base.arrays import Embeddings, Pixels
 from ...errors import DrSplatWarning, InputError, MismatchError
 from ...field.codes import Track, untracked
 from ...formats.json_files import read_json
@@ -71,7 +71,7 @@ class Patches(NamedTuple):
 class EmbeddedPatches(NamedTuple):
     """Embedded patches. embeddings: a row each, on disk. too_small: instances whose mask is below MIN_AREA_PIXELS."""
 
-    embeddings: Float32[np.ndarray, "n d"]
+    embeddings: Embeddings
     too_small: int
 
 
@@ -143,7 +143,8 @@ def embed_patches(
         if len(masks):
             rows[filled : filled + len(masks)] = mask_rows(image, masks, encoder)
         done, filled, num_instances = done + 1, filled + len(masks), num_instances + len(photo.instances)
-        _write_progress(progress_path, key, done, filled)
+        with replacing(progress_path, overwrite=True) as file:
+            file.write(json.dumps({"key": key, "photos": done, "rows": filled}).encode())
     if not filled:
         raise InputError(f"none of {num_instances} patches has {MIN_AREA_PIXELS} pixels or more: give larger ones")
     return EmbeddedPatches(rows[:filled], num_instances - filled)
@@ -212,8 +213,3 @@ def _progress(path: Path, key: str) -> tuple[int, int]:
     if not isinstance(document, dict) or document.get("key") != key:
         return 0, 0
     return int(document["photos"]), int(document["rows"])
-
-
-def _write_progress(path: Path, key: str, photos: int, rows: int) -> None:
-    with replacing(path, overwrite=True) as file:
-        file.write(json.dumps({"key": key, "photos": photos, "rows": rows}).encode())

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.sparse import csc_array
 
-from ...base.arrays import Float64, Integer
+from ...base.arrays import Doubles, WholeNumbers
 from ...field.codes import Track, untracked
 from ...field.evidence.aggregation import Sampling
 from ...field.evidence.columns import scenery_of
@@ -94,7 +94,7 @@ def greedy(sights: csc_array, enough: float, most: int) -> tuple[list[int], list
     """
     have = np.zeros(sights.shape[0])
 
-    def rows_and_sights(view: int) -> tuple[Integer[np.ndarray, " r"], Float64[np.ndarray, " r"]]:
+    def rows_and_sights(view: int) -> tuple[WholeNumbers, Doubles]:
         own = slice(*sights.indptr[view : view + 2])
         return sights.indices[own], sights.data[own]
 
@@ -104,7 +104,7 @@ def greedy(sights: csc_array, enough: float, most: int) -> tuple[list[int], list
             (np.minimum(have[rows] + added, SIGHTS_PER_GAUSSIAN) - np.minimum(have[rows], SIGHTS_PER_GAUSSIAN)).sum()
         )
 
-    total = float(np.minimum(sights.sum(axis=1), SIGHTS_PER_GAUSSIAN).sum())
+    total = float(np.minimum(sights.sum(1), SIGHTS_PER_GAUSSIAN).sum())
     waiting = [(-gain(view), view) for view in range(sights.shape[1])]
     heapq.heapify(waiting)
     order: list[int] = []

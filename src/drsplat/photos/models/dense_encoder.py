@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Float32, Pixels
+from ...base.arrays import Embeddings, Float32, Pixels
 from ...scene.masks.masks import Masks
 from .devices import fitting
 from .torch_encoder import as_rows
@@ -24,7 +24,7 @@ class DensePatchEncoder(TransformersEncoder):
         super().__init__(name, folder, device, dtype)
         self._num_prefix_tokens = 1 + self._vision.num_register_tokens  # no patches
 
-    def encode_masks(self, image: Pixels, masks: Masks) -> Float32[np.ndarray, "n d"]:
+    def encode_masks(self, image: Pixels, masks: Masks) -> Embeddings:
         """Return unit vectors of the masks of an image, each with a pixel or more, in their order.
 
         Raises: FormatError: a vector without direction. DrSplatError: the image does not fit into memory.
@@ -35,8 +35,7 @@ class DensePatchEncoder(TransformersEncoder):
         return self._unit([share.reshape(1, -1) @ patches for share in shares], "mask")
 
     def _features(self, values: Any) -> np.ndarray:
-        mean: np.ndarray = self._patch_rows(values).mean(1)
-        return mean
+        return self._patch_rows(values).mean(1)
 
     def _image_patches(self, images: list[np.ndarray]) -> np.ndarray:
         from torch import inference_mode

@@ -52,7 +52,14 @@ class OpenClipEncoder(TorchEncoder):
         self._library = open_clip_library()
         device = chosen_device(device)
         dtype = chosen_dtype(dtype, device)
-        weights = _checked(folder)
+        # the file of the weights. Raises: InputError: it or the settings are absent. FormatError: it is damaged.
+        if not (folder / OPEN_CLIP_CONFIG).is_file():
+            raise InputError(
+                f"{folder}: has no {OPEN_CLIP_CONFIG}, so it is no folder of open_clip's: load it by its plain name"
+            )
+        if not (folder / OPEN_CLIP).is_file():
+            raise InputError(no_weights(folder))
+        weights = checked_files([folder / OPEN_CLIP])[0]
         dim = embedding_size(folder / OPEN_CLIP_CONFIG)
         with model_errors(folder, "model of open_clip"):
             model = self._library.create_model(
@@ -86,17 +93,6 @@ class OpenClipEncoder(TorchEncoder):
                     f"{text[:60]!r} has more than the {most} tokens that {self.identity.name} reads: shorten it"
                 )
         return self._tokenizer(list(texts))
-
-
-def _checked(folder: Path) -> Path:
-    """Return the file of the weights. Raises: InputError: it or the settings are absent. FormatError: it is damaged."""
-    if not (folder / OPEN_CLIP_CONFIG).is_file():
-        raise InputError(
-            f"{folder}: has no {OPEN_CLIP_CONFIG}, so it is no folder of open_clip's: load it by its plain name"
-        )
-    if not (folder / OPEN_CLIP).is_file():
-        raise InputError(no_weights(folder))
-    return checked_files([folder / OPEN_CLIP])[0]
 
 
 def _preprocessing(folder: Path, size: int | tuple[int, int]) -> Preprocessing:

@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from scipy import ndimage
 
-from ...base.arrays import Bool, Flags, Float64, Indices, Int64, Mask, Numbers, Pixels, UInt8
+from ...base.arrays import Bool, ByteValues, Flags, Float64, Indices, Mask, Numbers, Pixels, PlanePoints
 from ...errors import InputError
 from ...scene.masks.masks import LEVELS, Masks, tight_box
 from ...scene.masks.selection import mask_nms
@@ -108,9 +108,7 @@ class PointPredictor(Protocol):
 
     identity: Mapping[str, object]
 
-    def find(
-        self, crop: Pixels, points: Float64[np.ndarray, "p 2"], settings: PointMaskSettings
-    ) -> Iterator[PointMasks]:
+    def find(self, crop: Pixels, points: PlanePoints, settings: PointMaskSettings) -> Iterator[PointMasks]:
         """Yield masks at points (x, y in pixels of the crop), by point, then by output, a few at a time.
 
         Masks of outputs outside settings.looked_at, with a predicted IoU not above min_predicted_iou or a stability
@@ -124,7 +122,7 @@ class _Candidate:
     """Mask that passed the thresholds. bits: its box's pixels, eight to a byte."""
 
     box: Box
-    bits: UInt8[np.ndarray, " b"]
+    bits: ByteValues
     predicted_iou: float
     stability: float
     output: int
@@ -156,7 +154,13 @@ class PointSegmenter:
         for layer, crop in crops:
             passing = self._in_crop(image, crop, layer)
             for level, candidates in by_level.items():
-                candidates += _distinct_in_crop(passing, _OUTPUTS[level], self.settings.max_box_iou)
+                # the candidates of these outputs that survive box NMS by predicted IoU
+                outputs = _OUTPUTS[level]
+                of_outputs = [candidate for candidate in passing if candidate.output in outputs]
+                chosen = box_nms(
+                    [c.box for c in of_outputs], [c.predicted_iou for c in of_outputs], self.settings.max_box_iou
+                )
+                candidates += [of_outputs[i] for i in chosen]
         cleaned: dict[int, tuple[Box, Bool[np.ndarray, "_ _"], bool]] = {}
         return {
             level: self._level(candidates, (height, width), len(crops) > 1, cleaned)
@@ -190,7 +194,7 @@ class PointSegmenter:
                 middle.clear()
                 middle[int(batch.point[i])] = batch.masks[i]
 
-    def _rounds(self, layer: int, explained: Mask) -> Iterator[Float64[np.ndarray, "p 2"]]:
+    def _rounds(self, layer: int, explained: Mask) -> Iterator[PlanePoints]:
         """Yield the points of each round, from the pixels explained when it begins."""
         left = self.settings.most_points
         for side in self.settings.sides(layer):
@@ -201,7 +205,7 @@ class PointSegmenter:
 
     def _good(self, batch: PointMasks) -> Flags:
         s = self.settings
-        return np.asarray((batch.predicted_iou > s.min_predicted_iou) & (batch.stability >= s.min_stability))
+        return (batch.predicted_iou > s.min_predicted_iou) & (batch.stability >= s.min_stability)
 
     def _passing(self, batch: PointMasks, crop: Box, size: tuple[int, int]) -> Iterator[_Candidate]:
         left, top, right, bottom = crop
@@ -255,20 +259,13 @@ class PointSegmenter:
         return masks.subset(stay)
 
 
-def _distinct_in_crop(candidates: Sequence[_Candidate], outputs: tuple[int, ...], max_iou: float) -> list[_Candidate]:
-    """Return the candidates of these outputs that survive box NMS by predicted IoU."""
-    of_outputs = [candidate for candidate in candidates if candidate.output in outputs]
-    chosen = box_nms([c.box for c in of_outputs], [c.predicted_iou for c in of_outputs], max_iou)
-    return [of_outputs[i] for i in chosen]
-
-
-def point_grid(side: int) -> Float64[np.ndarray, "p 2"]:
+def point_grid(side: int) -> PlanePoints:
     """Return side x side points (x, y) in the middles of equal cells of the unit square, row by row."""
     middles = (np.arange(side) + 0.5) / side
     return np.stack(np.meshgrid(middles, middles), -1).reshape(-1, 2)
 
 
-def open_points(side: int, explained: Mask) -> Float64[np.ndarray, "p 2"]:
+def open_points(side: int, explained: Mask) -> PlanePoints:
     """Return the grid points (x, y in pixels) outside `explained` whose cells are not more than half explained.
 
     Without any explained pixel that is the whole grid. Slivers between masks get no point.
@@ -282,10 +279,10 @@ def open_points(side: int, explained: Mask) -> Float64[np.ndarray, "p 2"]:
     sums = np.pad(explained.cumsum(0).cumsum(1), ((1, 0), (1, 0)))
     covered = sums[y1, x1] - sums[y0, x1] - sums[y1, x0] + sums[y0, x0]
     is_open = ~explained[row, column] & (2 * covered <= (x1 - x0) * (y1 - y0))
-    return np.asarray(points[is_open])
+    return points[is_open]
 
 
-def spread(points: Float64[np.ndarray, "p 2"], most: int | None) -> Float64[np.ndarray, "q 2"]:
+def spread(points: PlanePoints, most: int | None) -> Float64[np.ndarray, "q 2"]:
     """Return all points, or `most` of them evenly spread over their order."""
     if most is None or len(points) <= most:
         return points
@@ -322,7 +319,7 @@ def cut_by_crop(box: Box, crop: Box, size: tuple[int, int]) -> bool:
     return bool((near_crop & ~near_image).any())
 
 
-def box_nms(boxes: Sequence[Box], scores: Sequence[float], max_iou: float) -> Int64[np.ndarray, " k"]:
+def box_nms(boxes: Sequence[Box], scores: Sequence[float], max_iou: float) -> Indices:
     """Return indices of boxes, best first, that overlap no kept box of a higher score by more than max_iou.
 
     Of equal scores the earlier goes first. Corners are pixels, both included, and the area is the
@@ -366,7 +363,10 @@ def without_small_regions(
     if not (holes.any() or islands.any()):
         return box, part, False
     if islands.sum() == canvas.sum():
-        islands &= ~_largest(canvas)
+        labels, _ = ndimage.label(canvas, np.ones((3, 3), int))
+        sizes = np.bincount(labels.ravel())
+        sizes[0] = 0
+        islands &= ~(labels == sizes.argmax())
     canvas &= ~islands
     left, top, right, bottom = tight_box(canvas) or (0, 0, 1, 1)
     shifted = (left + x0, top + y0, right + x0, bottom + y0)
@@ -378,13 +378,4 @@ def _regions_below(mask: Mask, limit: int) -> Mask:
     labels, _ = ndimage.label(mask, np.ones((3, 3), int))
     small = np.bincount(labels.ravel()) < limit
     small[0] = False
-    below: Mask = small[labels]
-    return below
-
-
-def _largest(mask: Mask) -> Mask:
-    labels, _ = ndimage.label(mask, np.ones((3, 3), int))
-    sizes = np.bincount(labels.ravel())
-    sizes[0] = 0
-    largest: Mask = labels == sizes.argmax()
-    return largest
+    return small[labels]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Float32, UInt8
+from ...base.arrays import Float32, OtherPixels
 from ...errors import FormatError, InputError
 from ...formats.json_files import as_count, as_number, as_vector, excerpt, read_json
 
@@ -40,7 +40,7 @@ class Preprocessing:
         fit = "stretched" if self.stretch else "cut"
         return f"{self.side} px {self.filter} {fit}, x{self.scale:.6g}, mean {mean}, std {std}"
 
-    def pixel_values(self, image: UInt8[np.ndarray, "_ _ 3"]) -> Float32[np.ndarray, "3 s s"]:
+    def pixel_values(self, image: OtherPixels) -> Float32[np.ndarray, "3 s s"]:
         """Return the model's input for an image. Raises: InputError: an image without pixels."""
         height, width = image.shape[:2]
         if min(height, width) < 1:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Bool, Flags, Float32, Float64, Int64, Pixels
+from ...base.arrays import Bool, Float32, Numbers, OtherFlags, Pixels, PlanePoints, Spans, Vectors
 from ...errors import FormatError, InputError, MissingExtraError
 from ...formats.json_files import as_vector, excerpt, read_json
 from .devices import chosen_device, fitting
@@ -91,7 +91,7 @@ class ModelFrame:
         values[:, :height, :width] = ((pixels - self.mean) / self.std).transpose(2, 0, 1)
         return values
 
-    def scaled_points(self, points: Float64[np.ndarray, "p 2"], height: int, width: int) -> Float32[np.ndarray, "p 2"]:
+    def scaled_points(self, points: PlanePoints, height: int, width: int) -> Float32[np.ndarray, "n 2"]:
         """Map points (x, y) from pixels of the image to pixels of the square."""
         new_height, new_width = self.scaled_size(height, width)
         scaled = points * (new_width / width, new_height / height)
@@ -119,9 +119,7 @@ class SamPredictor:
         self.identity: Mapping[str, object] = dict(identity)
         self._last: tuple[np.ndarray | None, Any] = None, None
 
-    def find(
-        self, crop: Pixels, points: Float64[np.ndarray, "p 2"], settings: PointMaskSettings
-    ) -> Iterator[PointMasks]:
+    def find(self, crop: Pixels, points: PlanePoints, settings: PointMaskSettings) -> Iterator[PointMasks]:
         """Yield masks at points; see PointPredictor. The last image's encoding is reused; points go in batches."""
         size = crop.shape[:2]
         if self._last[0] is not crop:
@@ -145,9 +143,7 @@ class SamPredictor:
             pixels = torch.from_numpy(self.frame.pixel_values(crops[0]))[None].to(self.device)
             return self._decoder.share(self.model.get_image_embeddings(pixels))
 
-    def _answers(
-        self, image: SharedImage, points: Float32[np.ndarray, "p 2"]
-    ) -> tuple[Any, Float32[np.ndarray, "p 3"]]:
+    def _answers(self, image: SharedImage, points: Float32[np.ndarray, "n 2"]) -> tuple[Any, Vectors]:
         """Return logits of three masks per point, (p, 3, h, w) over the square, and their predicted IoU."""
         import torch
 
@@ -159,7 +155,7 @@ class SamPredictor:
         self,
         logits: Any,
         iou: Float32[np.ndarray, "p 3"],
-        wanted: Int64[np.ndarray, "n 2"],
+        wanted: Spans,
         size: tuple[int, ...],
         settings: PointMaskSettings,
     ) -> Iterator[PointMasks]:
@@ -172,7 +168,7 @@ class SamPredictor:
 
     def _stable(
         self, logits: Any, size: tuple[int, ...], settings: PointMaskSettings
-    ) -> tuple[Flags, Bool[np.ndarray, "g h w"], Float32[np.ndarray, " g"]]:
+    ) -> tuple[OtherFlags, Bool[np.ndarray, "n h w"], Numbers]:
         """Return which masks are stable enough, and those at the size of the crop with their stability."""
         import torch
 

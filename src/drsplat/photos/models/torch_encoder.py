@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...base.arrays import Float32, UInt8
+from ...base.arrays import Embeddings, OtherPixels
 from ...errors import FormatError, InputError
 from ...scene.encoders import EncoderIdentity
 from .devices import fitting
@@ -33,7 +33,7 @@ class TorchEncoder(ABC):
         self.batch = max(1, BATCH_BYTES[device] // (12 * preprocessing.side**2))
         self._texts: OrderedDict[str, np.ndarray] = OrderedDict()
 
-    def encode_images(self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "n d"]:
+    def encode_images(self, images: Sequence[OtherPixels]) -> Embeddings:
         """Return unit vectors of images of any size, in their order; one batch at a time is in memory.
 
         Raises: InputError: an image without pixels. FormatError: a vector without direction. DrSplatError: not even
@@ -48,7 +48,7 @@ class TorchEncoder(ABC):
             self.batch = max(1, self.batch // len(fits))
         return self._unit(rows, "image")
 
-    def encode_texts(self, texts: Sequence[str]) -> Float32[np.ndarray, "t d"]:
+    def encode_texts(self, texts: Sequence[str]) -> Embeddings:
         """Return unit vectors of the texts as they are: no prompt is put around them.
 
         Raises: InputError: a model without texts, a text that is empty or too long, no tokenizer.
@@ -98,7 +98,7 @@ class TorchEncoder(ABC):
             text = texts[int(np.argmax(lengths))]
             raise InputError(f"{text[:60]!r} has {max(lengths)} tokens, {self.identity.name} reads {most}: shorten it")
 
-    def _unit(self, blocks: Sequence[np.ndarray], what: str) -> Float32[np.ndarray, "n d"]:
+    def _unit(self, blocks: Sequence[np.ndarray], what: str) -> Embeddings:
         rows = np.concatenate([np.empty((0, self.identity.dim), np.float32), *blocks])
         norms = np.linalg.norm(rows.astype(np.float64), axis=1, keepdims=True)
         bad = np.flatnonzero(~(np.isfinite(norms) & (norms > 0)))
@@ -112,5 +112,4 @@ class TorchEncoder(ABC):
 
 def as_rows(tensor: Any) -> np.ndarray:
     """Return a tensor as float32 on the host."""
-    rows: np.ndarray = tensor.float().cpu().numpy()
-    return rows
+    return tensor.float().cpu().numpy()

@@ -76,7 +76,11 @@ class TransformersEncoder(TorchEncoder):
         device = chosen_device(device)
         dtype = chosen_dtype(dtype, device)
         self._model = _model(self._family.class_name, folder, files).to(device)
-        self._cast_vision(dtype)
+        # cast the vision weights once: autocast would do it for every batch, a tenth of the time
+        parts = ("vision_model", "visual_projection") if self._family.texts else ()
+        for part in [getattr(self._model, name, None) for name in parts] or [self._model]:
+            if part is not None:
+                part.to(getattr(import_module("torch"), dtype))
         preprocessing = self._read_preprocessing()
         dim = getattr(self._model.config, "projection_dim", None) or self._vision.hidden_size
         super().__init__(
@@ -109,13 +113,6 @@ class TransformersEncoder(TorchEncoder):
         inputs = self._patches(values) if self._family.patches else {"pixel_values": values}
         output = (self._model.get_image_features if self._family.texts else self._model)(**inputs)
         return as_rows(output.pooler_output)
-
-    def _cast_vision(self, dtype: str) -> None:
-        """Cast the vision weights once: autocast would do it for every batch, a tenth of the time."""
-        parts = ("vision_model", "visual_projection") if self._family.texts else ()
-        for part in [getattr(self._model, name, None) for name in parts] or [self._model]:
-            if part is not None:
-                part.to(getattr(import_module("torch"), dtype))
 
     def _patches(self, values: Any) -> dict[str, Any]:
         """Cut (b, 3, s, s) into squares, row by row; within a square by row, column, channel."""
@@ -212,11 +209,25 @@ def load_open_clip(folder: Path) -> Any:
 
 def renamed(weights: dict[str, Any], config: Any, where: str) -> dict[str, Any]:
     """Rename tensors for transformers. Raises: FormatError: as `load_open_clip`."""
-    left = _without_prefix(weights)
+    # remove the prefix "text." of models whose text tower is a part of its own (custom_text)
+    plain = {name: name.removeprefix("text.") for name in weights}
+    left = {
+        name if plain[name] != name and plain[name] in weights else plain[name]: tensor
+        for name, tensor in weights.items()
+    }
     state: dict[str, Any] = {}
     for wanted in tensors(config):
         tensor = left.pop(wanted.name, None)
-        _check(tensor, wanted, where)
+        if tensor is None:
+            raise FormatError(
+                f"{where}: lacks the tensor '{wanted.name}' of a CLIP of these settings: the weights are of "
+                "another model than the settings say, or no CLIP with a ViT"
+            )
+        if tuple(tensor.shape) != wanted.shape or not tensor.is_floating_point():
+            raise FormatError(
+                f"{where}: '{wanted.name}': expected floats of shape {wanted.shape}, got {tensor.dtype} of "
+                f"shape {tuple(tensor.shape)}: the weights are of another model than the settings say"
+            )
         tensor = (tensor.T if wanted.transposed else tensor).float()
         parts = tensor.chunk(len(wanted.targets)) if len(wanted.targets) > 1 else [tensor]
         state.update(zip(wanted.targets, (part.contiguous() for part in parts), strict=True))
@@ -282,25 +293,3 @@ def _layers(ours: str, theirs: str, tower: Any) -> Iterator[Tensor]:
 def _linear(ours: str, theirs: str, *shape: int) -> Iterator[Tensor]:
     yield Tensor(ours + ".weight", shape, (theirs + ".weight",))
     yield Tensor(ours + ".bias", shape[:1], (theirs + ".bias",))
-
-
-def _without_prefix(weights: dict[str, Any]) -> dict[str, Any]:
-    """Remove the prefix "text." of models whose text tower is a part of its own (custom_text)."""
-    plain = {name: name.removeprefix("text.") for name in weights}
-    return {
-        name if plain[name] != name and plain[name] in weights else plain[name]: tensor
-        for name, tensor in weights.items()
-    }
-
-
-def _check(tensor: Any, wanted: Tensor, where: str) -> None:
-    if tensor is None:
-        raise FormatError(
-            f"{where}: lacks the tensor '{wanted.name}' of a CLIP of these settings: the weights are of "
-            "another model than the settings say, or no CLIP with a ViT"
-        )
-    if tuple(tensor.shape) != wanted.shape or not tensor.is_floating_point():
-        raise FormatError(
-            f"{where}: '{wanted.name}': expected floats of shape {wanted.shape}, got {tensor.dtype} of "
-            f"shape {tuple(tensor.shape)}: the weights are of another model than the settings say"
-        )

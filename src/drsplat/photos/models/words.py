@@ -12,7 +12,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from ...base.arrays import Float32, Float64
+from ...base.arrays import Doubles, Embeddings
 from ...errors import InputError
 from ...scene.encoders import EncoderIdentity
 
@@ -62,7 +62,7 @@ class WordEncoder:
     )
     threshold = 0.6
 
-    def encode_texts(self, texts: Sequence[str]) -> Float32[np.ndarray, "t d"]:
+    def encode_texts(self, texts: Sequence[str]) -> Embeddings:
         """Return unit vectors of the texts; case, plural s and words like "the" make no difference.
 
         Raises: InputError: a text without any word.
@@ -80,29 +80,26 @@ def _singular(word: str) -> str:
     return word[:-1] if len(word) > 3 and word.endswith("s") and not word.endswith("ss") else word
 
 
-def _text_vector(text: str) -> Float64[np.ndarray, " d"]:
+def _text_vector(text: str) -> Doubles:
     words = words_of(text)
     if not words:
         raise InputError(f"{text!r} has no word to look for: name an object, e.g. 'red mug'")
     total = np.sum([_word_vector(word) for word in words], axis=0)
-    vector: np.ndarray = total / np.linalg.norm(total)
-    return vector
+    return total / np.linalg.norm(total)
 
 
 @lru_cache(maxsize=4096)
-def _word_vector(word: str) -> Float64[np.ndarray, " d"]:
+def _word_vector(word: str) -> Doubles:
     own = _random_direction(word)
     if word not in SYNONYMS:
         return own
     near = _random_direction(SYNONYMS[word])
     own = own - (own @ near) * near
     own /= np.linalg.norm(own)
-    vector: np.ndarray = SYNONYM_COSINE * near + np.sqrt(1 - SYNONYM_COSINE**2) * own
-    return vector
+    return SYNONYM_COSINE * near + np.sqrt(1 - SYNONYM_COSINE**2) * own
 
 
-def _random_direction(word: str) -> Float64[np.ndarray, " d"]:
+def _random_direction(word: str) -> Doubles:
     key = int.from_bytes(hashlib.blake2b(f"{VERSION} {word}".encode(), digest_size=16).digest(), "little")
     vector = np.random.Generator(np.random.Philox(key=key)).standard_normal(DIM)
-    unit: np.ndarray = vector / np.linalg.norm(vector)
-    return unit
+    return vector / np.linalg.norm(vector)

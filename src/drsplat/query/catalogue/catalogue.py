@@ -1,7 +1,6 @@
 """Catalogue of many scenes, searched at once."""
 
 import os
-import warnings
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -10,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Float32
-from ...errors import DrSplatWarning, InputError
+from ...base.arrays import Embeddings
+from ...errors import InputError, warn
 from ...field.codes import Track, untracked
 from ...formats.claiming import claimed_output
 from ...formats.georeference import read_georeference
@@ -119,7 +118,9 @@ class Catalogue:
             opened, folder, georeference = scene, "", None
         else:
             files = scene if isinstance(scene, SceneFiles) else scene_files(scene)
-            opened, folder = self._opened(files), _folder_of(files)
+            # the folder that a scene was added from if it has the field and the scene, else the field's path
+            is_beside = any(path.parent == files.field.parent for path in files.scenes)
+            opened, folder = self._opened(files), str((files.field.parent if is_beside else files.field).resolve())
             georeference = read_georeference(files.field.parent, files.capture)
         called = checked_name(name or opened.name)
         refuse_missing_parent(self.path)
@@ -131,9 +132,7 @@ class Catalogue:
         rows = rows_of(opened, called, folder, added, georeference, track)
         self._write(called, folder, rows, opened.field.encoder)
         if rows.pictured < len(rows):
-            warnings.warn(
-                f"{called}: no thumbnails: they need the scene's Gaussians and its photos", DrSplatWarning, stacklevel=2
-            )
+            warn(f"{called}: no thumbnails: they need the scene's Gaussians and its photos")
         return SceneEntry(
             called, len(rows), int(opened.agreed.sum()), added, opened.field.fingerprint, folder, "current"
         )
@@ -312,17 +311,11 @@ class _Calibration(NamedTuple):
         return changes <= allowed and abs(snapshot.num_rows - self.num_rows) * MIN_ROWS_PER_CHANGED_ROW <= self.num_rows
 
 
-def _sample(snapshot: Snapshot) -> Float32[np.ndarray, "s D"]:
+def _sample(snapshot: Snapshot) -> Embeddings:
     """Return the first descriptors of objects spread over the table."""
     described = snapshot.spread(USUAL_SAMPLE)
     firsts = described.starts[:-1][np.diff(described.starts) > 0]
-    return np.asarray(described.descriptors[firsts])
-
-
-def _folder_of(files: SceneFiles) -> str:
-    """Return the folder that a scene was added from if it has the field and the scene, else the field's path."""
-    is_beside = any(path.parent == files.field.parent for path in files.scenes)
-    return str((files.field.parent if is_beside else files.field).resolve())
+    return described.descriptors[firsts]
 
 
 def _check_folder(snapshot: Snapshot, name: str, folder: str) -> None:

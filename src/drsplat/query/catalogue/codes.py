@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Bool, Embedding, Indices, Int64
+from ...base.arrays import Embedding, Flags, Indices, OtherIndices
 from ...errors import FormatError, InputError
 from ...field.codes import Codebook, Codes, PQCode, load_codebook, pq_code
 from ...formats.checksums import check_checksums
@@ -48,7 +48,7 @@ class Part(NamedTuple):
 class Found(NamedTuple):
     """Rows of the best codes, best first. is_all: no others are left."""
 
-    row_ids: Int64[np.ndarray, " h"]
+    row_ids: Indices
     is_all: bool
 
 
@@ -63,7 +63,7 @@ class Coded:
     parts: Mapping[Key, Part]
     without: tuple[Fragment, ...]
 
-    def nearest(self, query: Embedding, count: int, allowed: Int64[np.ndarray, " a"] | None, threads: int) -> Found:
+    def nearest(self, query: Embedding, count: int, allowed: Indices | None, threads: int) -> Found:
         """Return `count` rows of the highest codes; deleted ones may be among them. allowed: ids, ascending."""
         most = sum(len(part.row_ids) for part in self.parts.values())
         looked_at = DESCRIPTORS_PER_WANTED * count * (1 if allowed is None else most // max(len(allowed), 1) + 1)
@@ -75,7 +75,7 @@ class Coded:
                 return Found(distinct[:count], looked_at >= most and len(distinct) <= count)
             looked_at *= GROWTH
 
-    def _top(self, query: Embedding, count: int, threads: int) -> Int64[np.ndarray, " h"]:
+    def _top(self, query: Embedding, count: int, threads: int) -> Indices:
         """Return the rows of the `count` best descriptors, best first; the largest part sets what others must reach."""
         ids, scores = np.empty(0, np.int64), np.empty(0, np.float32)
         for code, row_ids in sorted(self.parts.values(), key=lambda part: -len(part.row_ids)):
@@ -88,10 +88,10 @@ class Coded:
         return ids
 
 
-def among(ids: Int64[np.ndarray, " h"], allowed: Int64[np.ndarray, " a"]) -> Bool[np.ndarray, " h"]:
+def among(ids: Indices, allowed: OtherIndices) -> Flags:
     if not len(allowed):
         return np.zeros(len(ids), np.bool_)
-    return np.asarray(allowed[np.minimum(np.searchsorted(allowed, ids), len(allowed) - 1)] == ids)
+    return allowed[np.minimum(np.searchsorted(allowed, ids), len(allowed) - 1)] == ids
 
 
 @dataclass(eq=False)
@@ -239,7 +239,7 @@ def nearest_objects(snapshot: Snapshot, codes: Coded | None, search: Search) -> 
     return Nearest(rows, described, is_exact=False)
 
 
-def _by_codes(snapshot: Snapshot, codes: Coded, search: Search, allowed: Int64[np.ndarray, " a"] | None) -> Any:
+def _by_codes(snapshot: Snapshot, codes: Coded, search: Search, allowed: Indices | None) -> Any:
     """Return the rows of the best codes, several for each that is wanted; codes of deleted ones are passed over."""
     least = count = refine_factor(snapshot.num_rows) * search.wanted
     while True:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Matrix3, UInt8, Vector3
+from ...base.arrays import Matrix3, OtherPixels, Vector3
 from ...errors import FormatError, InputError
 from ...formats.json_files import is_text
 from ...scene.photos import decoded_picture
@@ -169,7 +169,7 @@ class Entry:
         """Label, else the best word, else the number."""
         return self.label or self.name or f"object {self.object_id}"
 
-    def picture(self) -> UInt8[np.ndarray, "_ _ 3"]:
+    def picture(self) -> OtherPixels:
         """Decode the thumbnail as RGB. Raises: InputError: it has none. FormatError: it is damaged, or no JPEG."""
         if self.thumbnail is None:
             raise InputError(f"{self.title} of '{self.scene}' has no thumbnail: its scene was added without photos")

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ...base.arrays import Bool, Int64
+from ...base.arrays import Flags, Indices
 from ...errors import DrSplatError, FormatError, InputError
 from ...field.objects.agreed import agreed
 from ...formats.field_folder import read_manifest
@@ -46,7 +46,7 @@ class SceneRules:
 
         Raises: FormatError: damaged rows; as `Scene.ask`.
         """
-        answers: dict[str, Bool[np.ndarray, " o"]] = {}
+        answers: dict[str, Flags] = {}
         agreed: list[int] = []
         asked = 0
         while asked < len(objects) and len(agreed) < top:
@@ -57,7 +57,7 @@ class SceneRules:
             agreed += [at for at in batch if self._is_among(answers, *objects[at])]
         return agreed[:top]
 
-    def _is_among(self, answers: Mapping[str, Bool[np.ndarray, " o"]], name: str, number: int) -> bool:
+    def _is_among(self, answers: Mapping[str, Flags], name: str, number: int) -> bool:
         if not 0 <= number < len(answers[name]):
             raise FormatError(f"{self._snapshot.path}: the rows of scene {name!r:.80} are not whole: {CURE}")
         return bool(answers[name][number])
@@ -99,7 +99,7 @@ def entries_of(
     return [_entry(snapshot.path, rows[int(row_ids[place])], float(scores[place])) for place in places]
 
 
-def _shown(snapshot: Snapshot, row_ids: Int64[np.ndarray, " r"]) -> dict[int, dict[str, Any]]:
+def _shown(snapshot: Snapshot, row_ids: Indices) -> dict[int, dict[str, Any]]:
     """Return what an entry tells, by the ids of rows."""
     return {row[ROW_ID]: row for row in snapshot.take(row_ids, SHOWN).to_pylist()} if len(row_ids) else {}
 

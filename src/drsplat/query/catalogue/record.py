@@ -61,21 +61,17 @@ def fragments_of(manifest: Path) -> list[Fragment] | None:
     """
     content = manifest.read_bytes()
     try:
-        parts = list(_fields(_message(content)))
+        begin = int.from_bytes(content[-FOOTER_BYTES : 8 - FOOTER_BYTES], "little") + LENGTH_BYTES
+        length = int.from_bytes(content[begin - LENGTH_BYTES : begin], "little")
+        message = content[begin : begin + length]
+        if not content.endswith(MAGIC) or len(message) != length:
+            raise ValueError("cut short")
+        parts = list(_fields(message))
         if any(key == READER_FLAGS and int(value) & STABLE_ROW_IDS for key, value in parts):
             return None
         return [_fragment(value) for key, value in parts if key == FRAGMENTS and isinstance(value, bytes)]
     except (IndexError, ValueError, TypeError, KeyError) as error:
         raise FormatError(f"{manifest}: expected the fragments of a LanceDB table ({error!s:.80})") from error
-
-
-def _message(content: bytes) -> bytes:
-    begin = int.from_bytes(content[-FOOTER_BYTES : 8 - FOOTER_BYTES], "little") + LENGTH_BYTES
-    length = int.from_bytes(content[begin - LENGTH_BYTES : begin], "little")
-    message = content[begin : begin + length]
-    if not content.endswith(MAGIC) or len(message) != length:
-        raise ValueError("cut short")
-    return message
 
 
 def _fragment(message: bytes) -> Fragment:
@@ -225,7 +221,10 @@ def write_record(catalogue: Path, table: Path, version: int, removed: Iterable[s
     """
     before = read_record(catalogue)
     recorded = {**before.older, **before.files} if before else {}
-    of_version = _named_by(_manifest(table, version))
+    path = manifest_of(table, version)
+    if path is None:
+        raise FormatError(f"{table}: the manifest of version {version} is missing. {CURE}")
+    of_version = _named_by(path)
     names = {*recorded, *of_version, *_finished(table)} - {HINT}
     for manifest in (table / "_versions").glob("*.manifest"):
         if manifest.relative_to(table).as_posix() not in recorded:
@@ -284,13 +283,6 @@ def _finished(table: Path) -> Iterator[str]:
             name = path.relative_to(table).as_posix()
             if path.is_file() and _NAME.fullmatch(name):
                 yield name
-
-
-def _manifest(table: Path, version: int) -> Path:
-    path = manifest_of(table, version)
-    if path is None:
-        raise FormatError(f"{table}: the manifest of version {version} is missing. {CURE}")
-    return path
 
 
 def _named_by(manifest: Path) -> set[str]:

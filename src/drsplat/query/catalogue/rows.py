@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import OtherPixels, UInt8
+from ...base.arrays import OtherPixels
 from ...drawing.cards import Card, card_sheet
 from ...errors import InputError
 from ...field import LanguageField
@@ -76,7 +76,9 @@ def rows_of(
 def _row(
     field: LanguageField, match: Match, position: Position | None, word: str | None, picture: tuple[bytes | None, str]
 ) -> dict[str, Any]:
-    node = objects_of(field).thing(_number(match))
+    if match.object_id is None:
+        raise InputError("a catalogue keeps objects, and this match is none")
+    node = objects_of(field).thing(match.object_id)
     photo, mask = _best_mask(field, node, picture[1])
     x, y, z = match.center.tolist()
     return {
@@ -107,12 +109,6 @@ def _tiles(scene: Scene, matches: Sequence[Match]) -> list[int]:
     return [int(np.bincount(tiles).argmax()) for tiles in tiles_of_match]
 
 
-def _number(match: Match) -> int:
-    if match.object_id is None:
-        raise InputError("a catalogue keeps objects, and this match is none")
-    return match.object_id
-
-
 def _best_mask(field: LanguageField, node: int, photo: str) -> tuple[str | None, int | None]:
     """Return a photo and the node's mask of the largest share in it; for photo "", the largest share anywhere."""
     for mask in support_of(field, node):
@@ -137,21 +133,17 @@ def _positions(matches: Sequence[Match], georeference: Georeference | None) -> l
     return [Position(*row) for row in positions.tolist()]
 
 
-def thumbnail(pixels: UInt8[np.ndarray, "_ _ 3"]) -> bytes:
+def thumbnail(pixels: OtherPixels) -> bytes:
     """Return a JPEG of at most MAX_BYTES, of the best quality that fits; the size is halved until one does."""
     picture = Image.fromarray(pixels)
     while True:
         for quality in QUALITIES:
-            data = _jpeg(picture, quality)
+            file = io.BytesIO()
+            picture.save(file, "JPEG", quality=quality, optimize=True)
+            data = file.getvalue()
             if len(data) <= MAX_BYTES:
                 return data
         picture = picture.resize((max(picture.width // 2, 1), max(picture.height // 2, 1)))
-
-
-def _jpeg(picture: Image.Image, quality: int) -> bytes:
-    file = io.BytesIO()
-    picture.save(file, "JPEG", quality=quality, optimize=True)
-    return file.getvalue()
 
 
 COLUMNS, MAX_CARDS = 5, 60

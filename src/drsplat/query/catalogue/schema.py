@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ...base.arrays import Embedding, Float32, Int8, Int64
+from ...base.arrays import Embedding, Embeddings, Indices, Int8, Numbers
 from ...errors import DrSplatError, FormatError, InputError, MissingExtraError, pip_install
 from ...formats.json_files import as_fields, document_in
 from ...scene.encoders import EncoderIdentity, identity_json
@@ -117,12 +117,12 @@ def batch(columns: Mapping[str, Sequence[Any]], descriptors: Sequence[np.ndarray
     return pa.table([arrays[name] for name in schema.names], schema=schema)
 
 
-def _stored(vectors: Float32[np.ndarray, "P D"]) -> Int8[np.ndarray, "P D"]:
+def _stored(vectors: Embeddings) -> Int8[np.ndarray, "n D"]:
     """Return directions in a byte for each number, the largest of a vector 127: their lengths need no room.
 
     Raises: InputError: numbers that are not finite, or a vector without a direction.
     """
-    largest = np.abs(vectors).max(axis=1, initial=0, keepdims=True)
+    largest = np.abs(vectors).max(1, initial=0, keepdims=True)
     if not (np.isfinite(largest) & (largest > 0)).all():
         raise InputError("descriptors: expected finite vectors, none of them zero")
     return np.asarray(np.rint(vectors * (LARGEST / largest)), np.int8)
@@ -135,7 +135,7 @@ def described_of(column: Any, path: Path) -> Described:
     return Described(vectors / _lengths(vectors, path)[:, None], starts)
 
 
-def cosines_of(column: Any, vector: Embedding, path: Path) -> Float32[np.ndarray, " r"]:
+def cosines_of(column: Any, vector: Embedding, path: Path) -> Numbers:
     """Return the highest cosine of a unit vector with a descriptor of each row, -inf for rows without any.
 
     Raises: FormatError: some have no direction.
@@ -153,7 +153,7 @@ def cosines_of(column: Any, vector: Embedding, path: Path) -> Float32[np.ndarray
     return best
 
 
-def _numbers_of(column: Any, path: Path) -> tuple[Int8[np.ndarray, "P D"], Int64[np.ndarray, " r1"]]:
+def _numbers_of(column: Any, path: Path) -> tuple[Int8[np.ndarray, "P D"], Indices]:
     """Return the descriptors as they are stored; row i has those from starts[i] to starts[i + 1]."""
     _, pa = libraries()
     lists = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
@@ -165,7 +165,7 @@ def _numbers_of(column: Any, path: Path) -> tuple[Int8[np.ndarray, "P D"], Int64
     return numbers, np.append(0, np.cumsum(lengths))
 
 
-def _lengths(vectors: Float32[np.ndarray, "P D"], path: Path) -> Float32[np.ndarray, " P"]:
+def _lengths(vectors: Embeddings, path: Path) -> Numbers:
     lengths = np.sqrt(np.einsum("pd,pd->p", vectors, vectors))
     if not (lengths > 0).all():
         raise _without_direction(path)

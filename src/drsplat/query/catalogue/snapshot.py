@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...base.arrays import Embedding, Int64
+from ...base.arrays import Embedding, Indices, OtherIndices
 from ...errors import FormatError, MismatchError
 from ...scene.encoders import EncoderIdentity, identity_text
 from ..ranking import Described
@@ -82,27 +82,27 @@ class Snapshot:
                 ids, cosines = ids[best], cosines[best]
         return self.take(np.sort(ids))
 
-    def row_ids(self, where: str) -> Int64[np.ndarray, " r"]:
+    def row_ids(self, where: str) -> Indices:
         """Return the ids of the objects that meet a condition, ascending."""
         with reading(self.path):
             search = self.table.search().where(f"{OF_OBJECTS} AND {where}").select(["object_id"])
             return np.sort(np.asarray(search.with_row_id(True).to_arrow()[ROW_ID]).astype(np.int64))
 
-    def take(self, row_ids: Int64[np.ndarray, " r"], columns: Sequence[str] = COMPARED) -> Any:
+    def take(self, row_ids: Indices, columns: Sequence[str] = COMPARED) -> Any:
         """Return some columns of rows, and their ids, ascending; those that were deleted are left out."""
         with reading(self.path):
             if not len(row_ids):
                 return self.table.search().where("false").select(list(columns)).with_row_id(True).to_arrow()
             return self.table.take_row_ids(row_ids.tolist()).select(list(columns)).with_row_id().to_arrow()
 
-    def heads(self, fragments: Sequence[Fragment]) -> tuple[Int64[np.ndarray, " r"], Any]:
+    def heads(self, fragments: Sequence[Fragment]) -> tuple[Indices, Any]:
         """Return the ids of the rows of some fragments, ascending, and their keys."""
         with reading(self.path):
             search = self.table.search().where(" OR ".join(one.sql for one in fragments)).select(list(HEAD))
             found = search.with_row_id(True).to_arrow().sort_by(ROW_ID)
             return np.asarray(found[ROW_ID]).astype(np.int64), found.select(list(HEAD))
 
-    def described(self, row_ids: Int64[np.ndarray, " r"]) -> tuple[Int64[np.ndarray, " t"], Described]:
+    def described(self, row_ids: OtherIndices) -> tuple[Indices, Described]:
         """Return the descriptors of rows, and the ids of those that were not deleted."""
         taken = self.take(row_ids, ["descriptors"])
         return np.asarray(taken[ROW_ID]).astype(np.int64), described_of(taken["descriptors"], self.path)

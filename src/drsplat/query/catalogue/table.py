@@ -9,7 +9,6 @@ Codes of a catalogue's descriptors are written: those that are missing, and thos
 import math
 import os
 import shutil
-import warnings
 from collections.abc import Iterable
 from contextlib import AbstractContextManager, ExitStack, suppress
 from datetime import timedelta
@@ -18,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import DrSplatWarning, FormatError, InputError
+from ...errors import FormatError, InputError, warn
 from ...field.codes import PQ, Codebook, Codes, load_codebook, pq_code, save_codebook, train_codebook
 from ...formats.claiming import claimed_output
 from ...formats.tensors import read_tensors, write_tensors
@@ -254,7 +253,7 @@ def tidy(path: Path) -> None:
             if has_codebook(path):
                 sweep(path, codebook_of(path, snapshot), folder_of(path) / "data")
         except InputError as error:
-            warnings.warn(f"files were not put together: {error}", DrSplatWarning, stacklevel=3)
+            warn(f"files were not put together: {error}", 3)
 
 
 def _record_arranged(path: Path) -> None:

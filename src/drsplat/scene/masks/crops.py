@@ -6,7 +6,7 @@ from typing import overload
 
 import numpy as np
 
-from ...base.arrays import Indices, Integer, Mask, Pixels, UInt8
+from ...base.arrays import Indices, Integer, Mask, OtherPixels, Pixels, UInt8
 from ...errors import InputError
 from .masks import Masks
 
@@ -51,7 +51,7 @@ def _padded(pixels: Pixels, part: Mask | None = None) -> Crop:
     return square
 
 
-def _shrunk(pixels: Pixels, part: Mask, scale: float) -> UInt8[np.ndarray, "_ _ 3"]:
+def _shrunk(pixels: Pixels, part: Mask, scale: float) -> OtherPixels:
     height, width = (max(1, round(length * scale)) for length in part.shape)
     from PIL import Image
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.arrays import Float32, MaskIds
+from ...base.arrays import Embeddings, MaskIds
 from ...base.terminal import counted
 from ...errors import InputError
 
@@ -22,7 +22,7 @@ class ViewFeatures:
     """
 
     mask_ids: MaskIds
-    embeddings: Float32[np.ndarray, "s d"]
+    embeddings: Embeddings
 
     def __post_init__(self) -> None:
         if self.mask_ids.ndim != 2 or self.mask_ids.dtype != np.int32:

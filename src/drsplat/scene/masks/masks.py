@@ -9,7 +9,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from ...base.arrays import Bool, Indices, Int32, Int64, Mask, Numbers, Pixels
+from ...base.arrays import Bool, Indices, Int32, Mask, Numbers, Pixels
 from ...errors import InputError
 
 LEVELS = ("default", "small", "medium", "large")
@@ -61,7 +61,7 @@ class Masks:
         mask[y0:y1, x0:x1] = self.parts[index]
         return mask
 
-    def subset(self, indices: Sequence[int] | Int64[np.ndarray, " k"]) -> "Masks":
+    def subset(self, indices: Sequence[int] | Indices) -> "Masks":
         """Return the masks of these indices, in their order."""
         chosen = np.asarray(indices, np.int64)
         parts = tuple(self.parts[i] for i in chosen)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Float32, Float64, Indices, Int32, MaskIds
+from ...base.arrays import Doubles, Indices, Int32, MaskIds, Numbers
 
 MIN_AREA_SHARE, MAX_AREA_SHARE = 0.0008, 0.6  # of the photo, of a node that is a candidate
 
@@ -21,9 +21,9 @@ class RegionTree:
 
     labels: MaskIds
     pairs: Int32[np.ndarray, "k 2"]
-    touching: Int32[np.ndarray, "e 2"]
-    lengths: Float64[np.ndarray, " e"]
-    strengths: Float64[np.ndarray, " e"]
+    touching: Int32[np.ndarray, "n 2"]
+    lengths: Doubles
+    strengths: Doubles
 
     def __len__(self) -> int:
         """Return the number of regions."""
@@ -46,7 +46,7 @@ class RegionTree:
         columns = np.concatenate([np.empty(0, np.int64), *kept])
         return csr_array((np.ones(len(columns), np.float32), (rows, columns)), shape=(len(kept), len(self)))
 
-    def framed(self, candidates: csr_array) -> Float32[np.ndarray, " c"]:
+    def framed(self, candidates: csr_array) -> Numbers:
         """Return the share of the border of each candidate that is the photo's frame."""
         one, other = (candidates[:, side] for side in self.touching.T)
         across = (one + other - 2 * one.multiply(other)) @ self.lengths
@@ -54,7 +54,7 @@ class RegionTree:
         frame = candidates @ np.bincount(np.concatenate(edges), minlength=len(self))
         return np.asarray(frame / np.maximum(across + frame, 1), np.float32)
 
-    def outlines(self, candidates: csr_array) -> Float32[np.ndarray, " c"]:
+    def outlines(self, candidates: csr_array) -> Numbers:
         """Return the mean strength of the outline along the border of each candidate; 0 for what has none."""
         one, other = (candidates[:, side] for side in self.touching.T)
         across = one + other - 2 * one.multiply(other)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.arrays import Flags, Float64, Indices, Int32, Int64, MaskIds
+from ...base.arrays import Flags, Float64, Indices, Int32, Int64, MaskIds, OtherIndices
 from ...errors import InputError
 from .masks import LEVELS, Masks
 
@@ -25,7 +25,7 @@ class MaskMaps:
     masks: Masks
 
 
-def mask_nms(masks: Masks, max_iou: float = 0.8, min_score: float = 0.7, inner: float = 0.5) -> Int64[np.ndarray, " k"]:
+def mask_nms(masks: Masks, max_iou: float = 0.8, min_score: float = 0.7, inner: float = 0.5) -> Indices:
     """Return the indices of the masks that stay, ascending.
 
     A mask goes if it has no pixels; if its score is not above min_score; if its IoU with one of a
@@ -50,16 +50,14 @@ def _repeats_better(shared: Int64[np.ndarray, "n n"], areas: Indices, masks: Mas
     rank = np.empty(len(masks), np.int64)
     rank[np.argsort(-masks.scores, kind="stable")] = np.arange(len(masks))
     better = rank[:, None] < rank
-    gone: Flags = (better & (shared / union > max_iou)).any(0)
-    return gone
+    return (better & (shared / union > max_iou)).any(0)
 
 
 def _inside_larger(shared: Int64[np.ndarray, "n n"], areas: Indices, inner: float) -> Flags:
     of_outer: Float64[np.ndarray, "n n"] = shared / np.maximum(areas, 1)[:, None]
     of_inner = of_outer.T
     inside = (of_outer < _MAX_INNER_SHARE) & (of_inner >= _MIN_INSIDE_SHARE)
-    gone: Flags = (inside & (1 - of_inner * of_outer > 1 - inner)).any(0)
-    return gone
+    return (inside & (1 - of_inner * of_outer > 1 - inner)).any(0)
 
 
 def overlaps(masks: Masks) -> Int64[np.ndarray, "n n"]:
@@ -81,11 +79,10 @@ def overlaps(masks: Masks) -> Int64[np.ndarray, "n n"]:
     shape = (len(masks), max(len(cuts), 1))
     member = csr_array((np.ones(len(pieces), np.int32), *inside), shape=shape)
     sized = csr_array((np.diff(cuts).astype(np.int32)[pieces], *inside), shape=shape)
-    shared: Int64[np.ndarray, "n n"] = (member @ sized.T).toarray().astype(np.int64)
-    return shared
+    return (member @ sized.T).toarray().astype(np.int64)
 
 
-def _marked(masks: Masks, *places: Int64[np.ndarray, " r"]) -> Int64[np.ndarray, " c"]:
+def _marked(masks: Masks, *places: OtherIndices) -> Indices:
     """Return every place once, ascending: np.unique by a mark per pixel, several times as fast."""
     marks = np.zeros(masks.height * (masks.width + 1), bool)
     for some in places:
@@ -93,7 +90,7 @@ def _marked(masks: Masks, *places: Int64[np.ndarray, " r"]) -> Int64[np.ndarray,
     return np.flatnonzero(marks).astype(np.int64)
 
 
-def _runs(masks: Masks) -> tuple[Int64[np.ndarray, " r"], Int64[np.ndarray, " r"], Int64[np.ndarray, " r"]]:
+def _runs(masks: Masks) -> tuple[Indices, Indices, Indices]:
     """Return starts and ends of the runs of pixels, y * (width + 1) + x, and the mask of each run."""
     none = np.empty(0, np.int64)
     edges = [none] + [_edges(masks, i) for i in range(len(masks))]
@@ -102,14 +99,13 @@ def _runs(masks: Masks) -> tuple[Int64[np.ndarray, " r"], Int64[np.ndarray, " r"
     return joined[::2], joined[1::2], owners.astype(np.int64)
 
 
-def _edges(masks: Masks, index: int) -> Int64[np.ndarray, " r2"]:
+def _edges(masks: Masks, index: int) -> Indices:
     """Return start, end, start, end... of the runs of one mask, row by row."""
     part, (x0, y0, _, _) = masks.parts[index], masks.boxes[index].astype(np.int64)
     fenced = np.zeros((part.shape[0], part.shape[1] + 2), bool)
     fenced[:, 1:-1] = part
     y, x = np.divmod(np.flatnonzero(fenced[:, 1:] != fenced[:, :-1]), part.shape[1] + 1)
-    edges: Int64[np.ndarray, " r2"] = (y + y0) * (masks.width + 1) + x + x0
-    return edges
+    return (y + y0) * (masks.width + 1) + x + x0
 
 
 def paint(masks: Masks) -> MaskIds:

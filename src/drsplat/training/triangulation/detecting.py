@@ -18,7 +18,7 @@ import numpy as np
 from skimage.color import rgb2gray
 from skimage.feature import SIFT
 
-from ...base.arrays import Colors, Flags, Float64, Numbers, Pixels, UInt8
+from ...base.arrays import Colors, Flags, Numbers, Pixels, PlanePoints, UInt8
 from ...base.system import end_with
 from ...errors import InputError
 from ...scene.lens import undistort_points
@@ -36,7 +36,7 @@ MIN_CONTRAST = 0.005  # of differences of Gaussians; Lowe's 0.03 / 3 leaves a bl
 class Keypoints(NamedTuple):
     """Keypoints of a view: pixels on its pinhole (lens undone) at its own size, and SIFT descriptors."""
 
-    pixels: Float64[np.ndarray, "n 2"]
+    pixels: PlanePoints
     colors: Colors
     descriptors: UInt8[np.ndarray, "n 128"]
 
@@ -44,7 +44,7 @@ class Keypoints(NamedTuple):
 class Detection(NamedTuple):
     """Keypoints that SIFT detected. pixels: x and y on the raster that SIFT saw; sigmas: in its pixels."""
 
-    pixels: Float64[np.ndarray, "n 2"]
+    pixels: PlanePoints
     sigmas: Numbers
     colors: Colors
     descriptors: UInt8[np.ndarray, "n 128"]
@@ -87,7 +87,11 @@ def _answer(process: "subprocess.Popen[bytes]", share: Sequence[View]) -> list[D
     output = process.stdout.read()
     if process.wait() != 0:
         return [detect(view) for view in share]
-    return _unpacked(output)
+    # the detections that `_packed` packed
+    with np.load(io.BytesIO(output), allow_pickle=False) as arrays:
+        counts, *columns = arrays.values()
+    ends = np.cumsum(counts)[:-1]
+    return [Detection(*photo) for photo in zip(*(np.split(column, ends) for column in columns), strict=True)]
 
 
 def _packed(detections: Sequence[Detection]) -> bytes:
@@ -96,14 +100,6 @@ def _packed(detections: Sequence[Detection]) -> bytes:
     counts = [len(detection.sigmas) for detection in detections]
     np.savez(buffer, counts, *(np.concatenate(columns) for columns in zip(*detections, strict=True)))
     return buffer.getvalue()
-
-
-def _unpacked(packed: bytes) -> list[Detection]:
-    """Return the detections that `_packed` packed."""
-    with np.load(io.BytesIO(packed), allow_pickle=False) as arrays:
-        counts, *columns = arrays.values()
-    ends = np.cumsum(counts)[:-1]
-    return [Detection(*photo) for photo in zip(*(np.split(column, ends) for column in columns), strict=True)]
 
 
 def _view(path: str, width: int, height: int) -> View:
@@ -139,18 +135,21 @@ def located(view: View, stored: View, detection: Detection) -> Keypoints:
     """Return the detected keypoints on the pinhole of a view. stored: `as_stored(view)`."""
     scale = (view.width / stored.width, view.height / stored.height)
     pixels = undistort_points(view, detection.pixels * scale)
-    chosen = _largest(detection.sigmas, np.isfinite(pixels).all(axis=1) & _inside_mask(stored, detection.pixels))
+    # the ascending indices of the `MAX_KEYPOINTS` usable keypoints of largest scale: these reappear most
+    order = np.argsort(-detection.sigmas, kind="stable")
+    chosen = np.sort(
+        order[(np.isfinite(pixels).all(1) & _inside_mask(stored, detection.pixels))[order]][:MAX_KEYPOINTS]
+    )
     return Keypoints(pixels[chosen], detection.colors[chosen], detection.descriptors[chosen])
 
 
-def _inside_mask(stored: View, pixels: Float64[np.ndarray, "n 2"]) -> Flags:
+def _inside_mask(stored: View, pixels: PlanePoints) -> Flags:
     """Return which pixels of a stored photo lie inside its mask; all where it has none."""
     mask = load_mask(stored)
     if mask is None:
         return np.ones(len(pixels), bool)
     x, y = np.clip(pixels.astype(np.intp), 0, (stored.width - 1, stored.height - 1)).T
-    inside: Flags = mask[y, x]
-    return inside
+    return mask[y, x]
 
 
 def detect(stored: View) -> Detection:
@@ -194,9 +193,3 @@ def _detected(photo: Pixels) -> Any:
     except (RuntimeError, ValueError):  # how scikit-image says that there is none
         return None
     return sift
-
-
-def _largest(sigmas: np.ndarray, usable: np.ndarray) -> np.ndarray:
-    """Return the ascending indices of the `MAX_KEYPOINTS` usable keypoints of largest scale: these reappear most."""
-    order = np.argsort(-sigmas, kind="stable")
-    return np.sort(order[usable[order]][:MAX_KEYPOINTS])

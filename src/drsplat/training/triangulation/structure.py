@@ -9,7 +9,20 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ...base.arrays import Bool, Colors, Doubles, Float64, Integer, Matrix3, RowIds, UInt8, Vector3
+from ...base.arrays import (
+    Colors,
+    DoubleRows,
+    Doubles,
+    Float64,
+    Integer,
+    Matrix3,
+    OtherDoubles,
+    OtherFlags,
+    PlanePoints,
+    RowIds,
+    Vector3,
+    WholeNumbers,
+)
 from ...scene.views import View
 from .detecting import Keypoints, as_stored, detect_all, located
 
@@ -36,9 +49,9 @@ class Matches(NamedTuple):
 class Tracks(NamedTuple):
     """Observations sorted by track, then photo: keypoint `keypoints[i]` of photo `photos[i]` shows `tracks[i]`."""
 
-    tracks: Integer[np.ndarray, " o"]
-    photos: Integer[np.ndarray, " o"]
-    keypoints: Integer[np.ndarray, " o"]
+    tracks: WholeNumbers
+    photos: WholeNumbers
+    keypoints: WholeNumbers
 
 
 class Triangulation(NamedTuple):
@@ -93,27 +106,18 @@ def _points(
 ) -> tuple[Float64[np.ndarray, "n 3"], Colors]:
     if len(tracks.tracks) == 0:
         return np.empty((0, 3)), np.empty((0, 3), np.uint8)
-    rows = _rows(keypoints, tracks)
+    # the row of each observation among the concatenated keypoints of all photos
+    starts = np.concatenate([[0], np.cumsum([len(k.pixels) for k in keypoints])])
+    rows: np.ndarray = starts[tracks.photos] + tracks.keypoints
     pixels = np.concatenate([k.pixels for k in keypoints])[rows]
     colors = np.concatenate([k.colors for k in keypoints])[rows]
     points = meet(views, tracks, pixels, min(MIN_PHOTOS_PER_POINT, len(views)))
-    return points.positions, _mean_colors(colors, tracks.tracks, points.used)[points.tracks]
-
-
-def _rows(keypoints: Sequence[Keypoints], tracks: Tracks) -> Integer[np.ndarray, " o"]:
-    """Return the row of each observation among the concatenated keypoints of all photos."""
-    starts = np.concatenate([[0], np.cumsum([len(k.pixels) for k in keypoints])])
-    rows: np.ndarray = starts[tracks.photos] + tracks.keypoints
-    return rows
-
-
-def _mean_colors(colors: UInt8[np.ndarray, "o 3"], tracks: Integer[np.ndarray, " o"], used: np.ndarray) -> Colors:
-    """Return the mean colour of each track over the observations that are used."""
-    count = int(tracks.max(initial=-1)) + 1
-    counts = np.maximum(np.bincount(tracks[used], minlength=count), 1)
-    sums = [np.bincount(tracks[used], channel[used], count) for channel in colors.T]
+    # the mean colour of each track over the observations that are used
+    count = int(tracks.tracks.max(initial=-1)) + 1
+    counts = np.maximum(np.bincount(tracks.tracks[points.used], minlength=count), 1)
+    sums = [np.bincount(tracks.tracks[points.used], channel[points.used], count) for channel in colors.T]
     means = np.stack(sums, axis=1) / counts[:, None]
-    return np.rint(means).astype(np.uint8)
+    return points.positions, np.rint(means).astype(np.uint8)[points.tracks]
 
 
 def neighbours(views: Sequence[View]) -> Integer[np.ndarray, "p 2"]:
@@ -122,7 +126,12 @@ def neighbours(views: Sequence[View]) -> Integer[np.ndarray, "p 2"]:
     directions = np.array([view.cam_from_world[2, :3] for view in views])
     pairs: set[tuple[int, int]] = set()
     for index in range(len(views)):
-        by_distance = _by_distance(index, centers, directions)
+        # the other cameras that look about the same way, nearest first
+        alike = directions @ directions[index] > np.cos(np.radians(MAX_TURN_DEGREES))
+        alike[index] = False
+        others = np.flatnonzero(alike)
+        distances = np.linalg.norm(centers[others] - centers[index], axis=1)
+        by_distance = others[np.argsort(distances, kind="stable")]
         for rank in NEIGHBOUR_RANKS:
             if rank <= len(by_distance):
                 other = int(by_distance[rank - 1])
@@ -130,19 +139,19 @@ def neighbours(views: Sequence[View]) -> Integer[np.ndarray, "p 2"]:
     return np.array(sorted(pairs), np.int64).reshape(-1, 2)
 
 
-def _by_distance(index: int, centers: Float64[np.ndarray, "n 3"], directions: Float64[np.ndarray, "n 3"]) -> RowIds:
-    """Return the other cameras that look about the same way, nearest first."""
-    alike = directions @ directions[index] > np.cos(np.radians(MAX_TURN_DEGREES))
-    alike[index] = False
-    others = np.flatnonzero(alike)
-    distances = np.linalg.norm(centers[others] - centers[index], axis=1)
-    return others[np.argsort(distances, kind="stable")]
-
-
 def matches(first: View, a: Keypoints, second: View, b: Keypoints) -> Matches:
     """Match mutually nearest descriptors, and keep the pairs that the poses allow."""
     pairs = _alike(a, b)
-    fits = _fits(first, a.pixels[pairs[:, 0]], second, b.pixels[pairs[:, 1]])
+    # which pairs lie on each other's epipolar lines, to `MAX_EPIPOLAR_SHARE` of the photo's longer side
+    x = a.pixels[pairs[:, 0]]
+    fundamental = fundamental_matrix(first, second)
+    homogeneous = [np.concatenate([points, np.ones((len(points), 1))], axis=1) for points in (x, b.pixels[pairs[:, 1]])]
+    in_second, in_first = homogeneous[0] @ fundamental.T, homogeneous[1] @ fundamental
+    residuals = np.abs((homogeneous[1] * in_second).sum(1))
+    fits = np.ones(len(x), bool)
+    for lines, view in ((in_second, second), (in_first, first)):
+        tolerance = MAX_EPIPOLAR_SHARE * max(view.width, view.height)
+        fits &= residuals <= tolerance * np.linalg.norm(lines[:, :2], axis=1)
     return Matches(pairs[fits], len(pairs))
 
 
@@ -150,40 +159,21 @@ def _alike(a: Keypoints, b: Keypoints) -> Integer[np.ndarray, "m 2"]:
     """Return pairs of mutual nearest neighbours that pass the ratio test.  Source: Lowe 2004, Sec. 7.1."""
     if len(a.descriptors) < 2 or len(b.descriptors) < 2:
         return np.empty((0, 2), np.int64)
-    distances2 = _distances2(a, b)
+    # compute squared distances of all descriptors. Exact in float32: integers below 2**24.
+    left, right = a.descriptors.astype(np.float32), b.descriptors.astype(np.float32)
+    squares: np.ndarray = (left**2).sum(1)[:, None] + (right**2).sum(1) - 2 * (left @ right.T)
+    distances2 = squares
     forward, backward = _nearest(distances2), _nearest(distances2.T)
     mutual = (forward >= 0) & (backward[forward] == np.arange(len(forward)))
     return np.stack([np.flatnonzero(mutual), forward[mutual]], axis=1)
 
 
-def _distances2(a: Keypoints, b: Keypoints) -> np.ndarray:
-    """Compute squared distances of all descriptors. Exact in float32: integers below 2**24."""
-    left, right = a.descriptors.astype(np.float32), b.descriptors.astype(np.float32)
-    squares: np.ndarray = (left**2).sum(1)[:, None] + (right**2).sum(1) - 2 * (left @ right.T)
-    return squares
-
-
-def _nearest(distances2: np.ndarray) -> Integer[np.ndarray, " n"]:
+def _nearest(distances2: np.ndarray) -> WholeNumbers:
     """Return each row's nearest neighbour, or -1 where Lowe's ratio test fails."""
-    rows, best = np.arange(len(distances2)), distances2.argmin(axis=1)
+    rows, best = np.arange(len(distances2)), distances2.argmin(1)
     others = distances2.copy()
     others[rows, best] = np.inf
-    return np.where(distances2[rows, best] < MAX_DISTANCE_RATIO**2 * others.min(axis=1), best, -1)
-
-
-def _fits(
-    first: View, x: Float64[np.ndarray, "m 2"], second: View, y: Float64[np.ndarray, "m 2"]
-) -> Bool[np.ndarray, " m"]:
-    """Return which pairs lie on each other's epipolar lines, to `MAX_EPIPOLAR_SHARE` of the photo's longer side."""
-    fundamental = fundamental_matrix(first, second)
-    homogeneous = [np.concatenate([points, np.ones((len(points), 1))], axis=1) for points in (x, y)]
-    in_second, in_first = homogeneous[0] @ fundamental.T, homogeneous[1] @ fundamental
-    residuals = np.abs((homogeneous[1] * in_second).sum(axis=1))
-    fits = np.ones(len(x), bool)
-    for lines, view in ((in_second, second), (in_first, first)):
-        tolerance = MAX_EPIPOLAR_SHARE * max(view.width, view.height)
-        fits &= residuals <= tolerance * np.linalg.norm(lines[:, :2], axis=1)
-    return fits
+    return np.where(distances2[rows, best] < MAX_DISTANCE_RATIO**2 * others.min(1), best, -1)
 
 
 def fundamental_matrix(first: View, second: View) -> Matrix3:
@@ -196,7 +186,7 @@ def fundamental_matrix(first: View, second: View) -> Matrix3:
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     essential = cross @ relative
     inverses = [np.linalg.inv(view.K) for view in (first, second)]
-    return np.asarray(inverses[1].T @ essential @ inverses[0])
+    return inverses[1].T @ essential @ inverses[0]
 
 
 def join(
@@ -215,38 +205,34 @@ def join(
     photos = np.repeat(np.arange(len(counts)), counts)
     order = np.lexsort((photos, of_keypoint))
     tracks, photos = of_keypoint[order], photos[order]
-    chosen = _once(tracks, photos)
-    chosen &= np.bincount(tracks[chosen], minlength=starts[-1])[tracks] >= 2
-    numbered = np.unique(tracks[chosen], return_inverse=True)[1]
-    return Tracks(numbered, photos[chosen], (order - starts[:-1][photos])[chosen])
-
-
-def _once(tracks: np.ndarray, photos: np.ndarray) -> np.ndarray:
-    """Return which observations are the only one of their photo in their track; both inputs are sorted."""
+    # which observations are the only one of their photo in their track; both inputs are sorted
     repeated = np.zeros(len(tracks), bool)
     same = (np.diff(tracks) == 0) & (np.diff(photos) == 0)
     repeated[:-1] |= same
     repeated[1:] |= same
-    return ~repeated
+    chosen = ~repeated
+    chosen &= np.bincount(tracks[chosen], minlength=starts[-1])[tracks] >= 2
+    numbered = np.unique(tracks[chosen], return_inverse=True)[1]
+    return Tracks(numbered, photos[chosen], (order - starts[:-1][photos])[chosen])
 
 
 class Points(NamedTuple):
     """Triangulated points. tracks: the track of each. used: the observations that agree with their track's point."""
 
     positions: Float64[np.ndarray, "n 3"]
-    tracks: Integer[np.ndarray, " n"]
-    used: Bool[np.ndarray, " o"]
+    tracks: WholeNumbers
+    used: OtherFlags
 
 
 class _Rays(NamedTuple):
     """Rays by observation. centers: from the mean camera, so that a scene may lie far from its origin."""
 
-    centers: Float64[np.ndarray, "o 3"]
-    directions: Float64[np.ndarray, "o 3"]
-    pixel: Float64[np.ndarray, " o"]  # tolerance as a slope: tolerated pixels over the focal length
+    centers: Float64[np.ndarray, "n 3"]
+    directions: Float64[np.ndarray, "n 3"]
+    pixel: Doubles  # tolerance as a slope: tolerated pixels over the focal length
 
 
-def meet(views: Sequence[View], tracks: Tracks, pixels: Float64[np.ndarray, "o 2"], least: int) -> Points:
+def meet(views: Sequence[View], tracks: Tracks, pixels: PlanePoints, least: int) -> Points:
     """Triangulate each track, and return the points that at least `least` observations agree on.
 
     pixels: of each observation. In rounds of falling tolerance, observations that are off by more leave their track;
@@ -267,13 +253,17 @@ def meet(views: Sequence[View], tracks: Tracks, pixels: Float64[np.ndarray, "o 2
     depths, errors = _off(rays, positions[tracks.tracks])
     used &= (depths > 0) & (errors <= rays.pixel)
     enough = np.bincount(tracks.tracks[used], minlength=count) >= least
-    enough &= _angles(rays, tracks.tracks, used, count) >= np.radians(MIN_ANGLE_DEGREES)
+    # each track's largest angle between a ray and the mean of all, in radians
+    means = _summed(rays.directions * used[:, None], tracks.tracks, count)
+    means /= np.maximum(np.linalg.norm(means, axis=1, keepdims=True), MIN_DETERMINANT)
+    sines = np.linalg.norm(np.cross(rays.directions, means[tracks.tracks]), axis=1)
+    largest = np.zeros(count)
+    np.maximum.at(largest, tracks.tracks[used], np.arcsin(np.minimum(sines[used], 1)))
+    enough &= largest >= np.radians(MIN_ANGLE_DEGREES)
     return Points(positions[enough] + mean_center, np.flatnonzero(enough), used)
 
 
-def _rays(
-    views: Sequence[View], photos: Integer[np.ndarray, " o"], pixels: Float64[np.ndarray, "o 2"], mean_center: Vector3
-) -> _Rays:
+def _rays(views: Sequence[View], photos: WholeNumbers, pixels: PlanePoints, mean_center: Vector3) -> _Rays:
     homogeneous = np.concatenate([pixels, np.ones((len(pixels), 1))], axis=1)
     to_world = np.array([view.cam_from_world[:3, :3].T @ np.linalg.inv(view.K) for view in views])
     directions = np.einsum("oij,oj->oi", to_world[photos], homogeneous)
@@ -282,9 +272,7 @@ def _rays(
     return _Rays(centers[photos], directions / np.linalg.norm(directions, axis=1, keepdims=True), slopes[photos])
 
 
-def _nearest_to_rays(
-    rays: _Rays, tracks: Integer[np.ndarray, " o"], weights: Float64[np.ndarray, " o"], count: int
-) -> Float64[np.ndarray, "n 3"]:
+def _nearest_to_rays(rays: _Rays, tracks: RowIds, weights: OtherDoubles, count: int) -> Float64[np.ndarray, "n 3"]:
     """Return each track's point nearest to its rays; NaN where they are parallel or all weights are 0."""
     across = np.eye(3) - rays.directions[:, :, None] * rays.directions[:, None, :]
     across *= weights[:, None, None]
@@ -297,29 +285,15 @@ def _nearest_to_rays(
     return positions
 
 
-def _off(
-    rays: _Rays, positions: Float64[np.ndarray, "o 3"]
-) -> tuple[Float64[np.ndarray, " o"], Float64[np.ndarray, " o"]]:
+def _off(rays: _Rays, positions: Float64[np.ndarray, "n 3"]) -> tuple[Doubles, Doubles]:
     """Return the depth of each point along its ray, and its distance from the ray over the depth (NaN stays)."""
     to_point = positions - rays.centers
-    depths = (to_point * rays.directions).sum(axis=1)
+    depths = (to_point * rays.directions).sum(1)
     aside = np.linalg.norm(to_point - depths[:, None] * rays.directions, axis=1)
     return depths, aside / np.maximum(depths, MIN_DETERMINANT)
 
 
-def _angles(rays: _Rays, tracks: Integer[np.ndarray, " o"], used: Bool[np.ndarray, " o"], count: int) -> Doubles:
-    """Return each track's largest angle between a ray and the mean of all, in radians."""
-    means = _summed(rays.directions * used[:, None], tracks, count)
-    means /= np.maximum(np.linalg.norm(means, axis=1, keepdims=True), MIN_DETERMINANT)
-    sines = np.linalg.norm(np.cross(rays.directions, means[tracks]), axis=1)
-    largest = np.zeros(count)
-    np.maximum.at(largest, tracks[used], np.arcsin(np.minimum(sines[used], 1)))
-    return largest
-
-
-def _summed(
-    values: Float64[np.ndarray, "o c"], tracks: Integer[np.ndarray, " o"], count: int
-) -> Float64[np.ndarray, "n c"]:
+def _summed(values: Float64[np.ndarray, "m k"], tracks: RowIds, count: int) -> DoubleRows:
     """Sum values by track, in the order of the observations."""
     columns = [np.bincount(tracks, column, minlength=count) for column in values.T]
     return np.stack(columns, axis=1)

@@ -1,12 +1,21 @@
 """Features as mixtures of atoms, searched by looking up the score of each atom."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from ....base.arrays import Embedding, Float32, Integer, Numbers, UInt8, UInt16
+from ....base.arrays import (
+    Arrays,
+    ArraysByName,
+    ByteRows,
+    Embedding,
+    Embeddings,
+    FloatRows,
+    Numbers,
+    UInt16,
+    WholeNumbers,
+)
 from ....errors import FormatError, InputError
 from ....formats.tensors import check_tensors
 from ....kernels.algebra import row_products
@@ -94,7 +103,7 @@ class MixtureCode:
         blocks = slice(begin // ROWS_PER_BLOCK, -(-end // ROWS_PER_BLOCK))
         return MixtureCode(Blocks(ids[blocks], weights[blocks], scales[begin:end]), self.atoms)
 
-    def scores(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Float32[np.ndarray, "q n"]:
+    def scores(self, queries: Embeddings, *, threads: int = 0) -> FloatRows:
         """See Code. Off by some 1e-5, and the same to the bit on any instruction set.
 
         Raises: InputError: queries of another dimension, or not finite.
@@ -110,31 +119,29 @@ class MixtureCode:
         """See Code. Raises: InputError: a query of another dimension, not finite, or a count below 1."""
         return Hits(*mixture_top(self.blocks, self.atoms.dictionary, query, count, threads=threads))
 
-    def best(self, queries: Float32[np.ndarray, "q D"], *, threads: int = 0) -> Best:
+    def best(self, queries: Embeddings, *, threads: int = 0) -> Best:
         """See Code. One scan for each 256 queries, 128 with AVX2.
 
         Raises: InputError: no query, one of another dimension, or not finite.
         """
         return Best(*mixture_best(self.blocks, self.atoms.dictionary, queries, threads=threads))
 
-    def decode(self, rows: slice | Integer[np.ndarray, " b"]) -> Float32[np.ndarray, "b D"]:
+    def decode(self, rows: slice | WholeNumbers) -> Embeddings:
         """See Code."""
         ids, weights, scales = self.unpacked(rows)
         features = np.zeros((len(ids), self.dim), np.float32)
         for k in range(self.atoms_per_row):
             features += self.atoms.vectors(ids[:, k]) * weights[:, k, None]
-        return np.asarray(features * scales.astype(np.float32)[:, None])
+        return features * scales.astype(np.float32)[:, None]
 
-    def unpacked(
-        self, rows: slice | Integer[np.ndarray, " b"]
-    ) -> tuple[UInt16[np.ndarray, "b k"], UInt8[np.ndarray, "b k"], np.ndarray]:
+    def unpacked(self, rows: slice | WholeNumbers) -> tuple[UInt16[np.ndarray, "n k"], ByteRows, np.ndarray]:
         """Return ids, weights and scales of some rows, row by row."""
         index = np.arange(len(self))[rows]
         block, within = np.divmod(index, ROWS_PER_BLOCK)
         ids, weights, scales = self.blocks
         return ids[block, :, within], weights[block, :, within], scales[index]
 
-    def rows(self, index: slice | Integer[np.ndarray, " b"]) -> "MixtureCode":
+    def rows(self, index: slice | WholeNumbers) -> "MixtureCode":
         """See Code. The atoms stay as they are."""
         return MixtureCode(packed(*self.unpacked(index)), self.atoms)
 
@@ -153,13 +160,13 @@ class MixtureCode:
         order = np.argsort(-sums, kind="stable")[:top]
         return [Part(int(masks[i]), float(sums[i] / sums.sum())) for i in order]
 
-    def tensors(self) -> dict[str, np.ndarray]:
+    def tensors(self) -> Arrays:
         """See Code, and `mixture_from_tensors`."""
         arrays = (*self.blocks, *self.atoms.dictionary, self.atoms.masks)
         return dict(zip(_ARRAYS, arrays, strict=True))
 
 
-def packed(ids: UInt16[np.ndarray, "n k"], weights: UInt8[np.ndarray, "n k"], scales: np.ndarray) -> Blocks:
+def packed(ids: UInt16[np.ndarray, "n k"], weights: ByteRows, scales: np.ndarray) -> Blocks:
     """Lay rows out for scans; the last block is padded with rows of weight 0."""
     count, per_row = ids.shape
     blocks = -(-count // ROWS_PER_BLOCK)
@@ -172,7 +179,7 @@ def packed(ids: UInt16[np.ndarray, "n k"], weights: UInt8[np.ndarray, "n k"], sc
     return Blocks(blocked(ids), blocked(weights), scales.astype(np.float16))
 
 
-def mixture_from_tensors(tensors: Mapping[str, np.ndarray], where: str) -> MixtureCode:
+def mixture_from_tensors(tensors: ArraysByName, where: str) -> MixtureCode:
     """Return the code of a file's arrays without copying them: a memory map stays one.
 
     Raises: FormatError: an array is missing, of another type, or does not fit the others.

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ....base.arrays import Float32, Int32, Integer
+from ....base.arrays import Embeddings, Ids, WholeNumbers
 from ....errors import InputError
 from ....kernels.mixture import MAX_ATOMS, Dictionary
 
@@ -14,7 +14,7 @@ MIN_ENTRY = 127 / float(np.finfo(np.float32).max)  # 127 over anything smaller i
 _DTYPES = {"values": np.int8, "scales": np.float32, "masks": np.int32}
 
 
-def quantised(vectors: Float32[np.ndarray, "a D"]) -> Dictionary:
+def quantised(vectors: Embeddings) -> Dictionary:
     """Quantise vectors to signed bytes and a scale each; decoded they have unit length, or zero for zero vectors.
 
     A vector whose entries are all below 3.8e-37 counts as one without length.
@@ -28,8 +28,8 @@ def quantised(vectors: Float32[np.ndarray, "a D"]) -> Dictionary:
     return Dictionary(np.concatenate(values), np.concatenate(scales))
 
 
-def _quantised(vectors: Float32[np.ndarray, "a D"]) -> Dictionary:
-    largest = np.abs(vectors).max(axis=1, keepdims=True, initial=0)
+def _quantised(vectors: Embeddings) -> Dictionary:
+    largest = np.abs(vectors).max(1, keepdims=True, initial=0)
     steps = np.divide(127, largest, out=np.zeros_like(largest), where=largest > MIN_ENTRY)
     whole = np.rint(vectors * steps)
     squared = np.einsum("ad,ad->a", whole, whole, dtype=np.float64)
@@ -45,7 +45,7 @@ class AtomTable:
     """
 
     dictionary: Dictionary
-    masks: Int32[np.ndarray, " a"]
+    masks: Ids
 
     def __post_init__(self) -> None:
         values, scales = self.dictionary
@@ -74,6 +74,6 @@ class AtomTable:
         values, scales = self.dictionary
         return values.nbytes + scales.nbytes + self.masks.nbytes
 
-    def vectors(self, ids: Integer[np.ndarray, " b"]) -> Float32[np.ndarray, "b D"]:
+    def vectors(self, ids: WholeNumbers) -> Embeddings:
         """Return the unit vectors of some atoms."""
-        return np.asarray(self.dictionary.values[ids] * self.dictionary.scales[ids, None])
+        return self.dictionary.values[ids] * self.dictionary.scales[ids, None]

@@ -4,7 +4,17 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from ....base.arrays import Bool, Embeddings, Float32, Int32, Int64, Integer, Sparse
+from ....base.arrays import (
+    Embeddings,
+    Flags,
+    Ids,
+    Indices,
+    OtherEmbeddings,
+    OtherIds,
+    OtherIndices,
+    Sparse,
+    WholeNumbers,
+)
 from ....base.contents import release
 from ....errors import InputError
 from ....kernels.kmeans import Track, untracked
@@ -26,7 +36,7 @@ class MixtureSource(Protocol):
     @property
     def weights(self) -> Sparse: ...
     @property
-    def embeddings(self) -> Float32[np.ndarray, "m D"]: ...
+    def embeddings(self) -> Embeddings: ...
     def __len__(self) -> int: ...
     def features(self, begin: int, end: int, *, threads: int = 0) -> Embeddings: ...
 
@@ -35,21 +45,21 @@ class MixtureSource(Protocol):
 class SourceOfSome(MixtureSource, Protocol):
     """Source whose rows can be taken out."""
 
-    def rows(self, index: Integer[np.ndarray, " r"]) -> "MixtureSource": ...
+    def rows(self, index: WholeNumbers) -> "MixtureSource": ...
 
 
 class Mixed(NamedTuple):
     """Code and its scene atoms. scene_places: numbers among the scene's atoms of those in the code, in its order."""
 
     code: MixtureCode
-    scene_places: Int32[np.ndarray, " p"]
+    scene_places: Ids
 
 
 class Plan(NamedTuple):
     """Atoms to encode with. positions: of each column's atom, -1 for none. first_scene: of the first scene atom."""
 
     dictionary: Dictionary
-    positions: Int32[np.ndarray, " m"]
+    positions: Ids
     scene: SceneAtoms | None
     first_scene: int
 
@@ -94,7 +104,7 @@ def encode_with(
         columns = columns[left_in(used, plan.first_scene, scene)]
 
 
-def left_in(used: Int64[np.ndarray, " u"], masks: int, scene: SceneAtoms | None) -> Int32[np.ndarray, " c"]:
+def left_in(used: OtherIndices, masks: int, scene: SceneAtoms | None) -> Ids:
     """Return the most used of the first `masks` atoms that can be addressed beside all of the scene's; ascending."""
     own = used[used < masks][: MAX_ATOMS - (len(scene) if scene else 0)]
     return np.sort(own).astype(np.int32)
@@ -116,13 +126,13 @@ def learn_scene_atoms(
     count = min(len(source), POINTS_PER_ATOM * wanted)
     spread = np.linspace(0, len(source) - 1, count).astype(np.int64)
     points = source.rows(spread).features(0, count, threads=threads)
-    directed = np.ascontiguousarray(points[points.any(axis=1)])
+    directed = np.ascontiguousarray(points[points.any(1)])
     if not wanted or not len(directed):
         return None
     return train_scene_atoms(directed, wanted, seed=seed, threads=threads)
 
 
-def plan_of(embeddings: Float32[np.ndarray, "m D"], columns: Int32[np.ndarray, " c"], scene: SceneAtoms | None) -> Plan:
+def plan_of(embeddings: OtherEmbeddings, columns: Ids, scene: SceneAtoms | None) -> Plan:
     """Return a plan of the atoms of some columns, followed by those of the scene."""
     parts = [quantised(embeddings[columns])] + ([scene.coded] if scene else [])
     values, scales = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
@@ -141,7 +151,13 @@ def encode_rows(
     for begin in track(range(0, rows, BLOCK_ROWS), "coding Gaussians"):
         block = slice(begin, min(begin + BLOCK_ROWS, rows))
         features = source.features(block.start, block.stop, threads=threads)
-        candidates = _candidates(source, plan, features, block, threads)
+        indptr = source.weights.indptr[block.start : block.stop + 1].astype(np.int64)
+        atoms = plan.positions[source.weights.indices[indptr[0] : indptr[-1]]]
+        kept = np.concatenate([[0], np.cumsum(atoms >= 0)])
+        further = np.empty((len(features), 0), np.int32)
+        if plan.scene is not None:
+            further = plan.scene.near(features, threads=threads) + np.int32(plan.first_scene)
+        candidates = Candidates(kept[indptr - indptr[0]], atoms[atoms >= 0], further)
         ids[block], weights[block], scales[block] = mixture_encode(
             features, plan.dictionary, candidates, atoms_per_row, threads=threads
         )
@@ -149,25 +165,15 @@ def encode_rows(
     return Encoded(ids, weights, scales)
 
 
-def _candidates(source: MixtureSource, plan: Plan, features: Embeddings, block: slice, threads: int) -> Candidates:
-    indptr = source.weights.indptr[block.start : block.stop + 1].astype(np.int64)
-    atoms = plan.positions[source.weights.indices[indptr[0] : indptr[-1]]]
-    kept = np.concatenate([[0], np.cumsum(atoms >= 0)])
-    further = np.empty((len(features), 0), np.int32)
-    if plan.scene is not None:
-        further = plan.scene.near(features, threads=threads) + np.int32(plan.first_scene)
-    return Candidates(kept[indptr - indptr[0]], atoms[atoms >= 0], further)
-
-
-def atoms_by_use(encoded: Encoded) -> Int64[np.ndarray, " u"]:
+def atoms_by_use(encoded: Encoded) -> Indices:
     """Return the atoms with a weight in any row that has a direction, most used first, close together for scans."""
     counts = (encoded.weights > 0) & (encoded.scales.astype(np.float16) > 0)[:, None]
     uses = np.bincount(encoded.ids[counts])
     order = np.argsort(-uses, kind="stable")
-    return np.asarray(order[uses[order] > 0])
+    return order[uses[order] > 0]
 
 
-def assemble(encoded: Encoded, plan: Plan, columns: Int32[np.ndarray, " c"], used: Int64[np.ndarray, " u"]) -> Mixed:
+def assemble(encoded: Encoded, plan: Plan, columns: OtherIds, used: Indices) -> Mixed:
     """Return the code of the rows with the atoms that they use; parts without weight name the first atom."""
     kept = used if len(used) else np.zeros(1, np.int64)  # no row has a direction
     is_mask = kept < plan.first_scene
@@ -185,7 +191,7 @@ class Regrown(NamedTuple):
     """Updated code. directed: which of the rows coded again have a direction; the others are left out."""
 
     mixed: Mixed
-    directed: Bool[np.ndarray, " t"]
+    directed: Flags
 
 
 def fits_at_once(num_masks: int, scene: SceneAtoms | None) -> bool:
@@ -196,10 +202,10 @@ def fits_at_once(num_masks: int, scene: SceneAtoms | None) -> bool:
 def regrown_mixture(
     before: Mixed,
     scene: SceneAtoms | None,
-    columns: Int32[np.ndarray, " m"],
-    kept: Int64[np.ndarray, " k"],
+    columns: OtherIds,
+    kept: OtherIndices,
     source: MixtureSource,
-    keys: Integer[np.ndarray, " r"],
+    keys: WholeNumbers,
     *,
     threads: int = 0,
     track: Track = untracked,
@@ -211,7 +217,12 @@ def regrown_mixture(
     """
     every = np.arange(len(source.embeddings), dtype=np.int32)
     plan = plan_of(source.embeddings, every, scene)
-    old = _planned(before, columns, kept, plan.first_scene)
+    # rows of an older code with the atoms' numbers of the new plan
+    masks = before.code.atoms.masks
+    atoms = columns[masks]
+    atoms[masks == SCENE_ATOM] = before.scene_places + np.int32(plan.first_scene)
+    ids, weights, scales = before.code.unpacked(kept)
+    old = Encoded(atoms[ids], weights, scales.astype(np.float32))
     new = encode_rows(source, plan, before.code.atoms_per_row, threads=threads, track=track)
     directed = new.scales.astype(np.float16) > 0
     rows = np.concatenate([np.ones(len(kept), np.bool_), directed])
@@ -219,14 +230,3 @@ def regrown_mixture(
     places = order[rows[order]]
     encoded = Encoded(*(np.concatenate(pair)[places] for pair in zip(old, new, strict=True)))
     return Regrown(assemble(encoded, plan, every, atoms_by_use(encoded)), directed)
-
-
-def _planned(
-    before: Mixed, columns: Int32[np.ndarray, " m"], kept: Int64[np.ndarray, " k"], first_scene: int
-) -> Encoded:
-    """Return rows of an older code with the atoms' numbers of the new plan."""
-    masks = before.code.atoms.masks
-    atoms = columns[masks]
-    atoms[masks == SCENE_ATOM] = before.scene_places + np.int32(first_scene)
-    ids, weights, scales = before.code.unpacked(kept)
-    return Encoded(atoms[ids], weights, scales.astype(np.float32))

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ....base.arrays import Embeddings, Float32, Ids, Int32
+from ....base.arrays import Embeddings, Float32, Ids, Int32, OtherEmbeddings
 from ....errors import InputError
 from ....kernels import weighted_rows
 from ....kernels.mixture import Dictionary, nearest_centres, nearest_members
@@ -24,8 +24,8 @@ class SceneAtoms:
     """Atoms that are no mask's. vectors: unit. centres: of groups of them. members: atoms near each, overlapping."""
 
     vectors: Float32[np.ndarray, "v D"]
-    centres: Float32[np.ndarray, "g D"]
-    members: Int32[np.ndarray, "g m"]
+    centres: Embeddings
+    members: Int32[np.ndarray, "n m"]
     coded: Dictionary
 
     def __len__(self) -> int:
@@ -64,13 +64,11 @@ def train_scene_atoms(points: Embeddings, count: int, *, seed: int = 0, threads:
     return SceneAtoms(vectors, centres, _members(centres, vectors, GROUP_SHARES), quantised(vectors))
 
 
-def _group_centres(vectors: Float32[np.ndarray, "v D"], seed: int, threads: int) -> Float32[np.ndarray, "g D"]:
+def _group_centres(vectors: Embeddings, seed: int, threads: int) -> OtherEmbeddings:
     return spherical_kmeans(vectors, min(len(vectors), round(GROUPS_PER_ROOT * len(vectors) ** 0.5)), seed, threads)
 
 
-def _members(
-    centres: Float32[np.ndarray, "g D"], vectors: Float32[np.ndarray, "v D"], shares: int
-) -> Int32[np.ndarray, "g m"]:
+def _members(centres: Embeddings, vectors: Float32[np.ndarray, "v D"], shares: int) -> Int32[np.ndarray, "n m"]:
     """Return the atoms nearest to each centre, as many as `shares` groups have on average."""
     size = min(len(vectors), shares * -(-len(vectors) // len(centres)))
     # einsum and not a matrix product, whose last bits depend on how many threads NumPy's library takes
@@ -78,7 +76,7 @@ def _members(
     return np.argsort(-nearness, axis=1, kind="stable")[:, :size].astype(np.int32)
 
 
-def spherical_kmeans(points: Embeddings, count: int, seed: int, threads: int) -> Float32[np.ndarray, "c D"]:
+def spherical_kmeans(points: Embeddings, count: int, seed: int, threads: int) -> OtherEmbeddings:
     """Return unit centres; one that serves no point moves to the worst-served point."""
     centres = _drawn(points, count, seed)
     for _ in range(FIT_ITERATIONS):
@@ -89,19 +87,17 @@ def spherical_kmeans(points: Embeddings, count: int, seed: int, threads: int) ->
     return centres
 
 
-def _drawn(points: Embeddings, count: int, seed: int) -> Float32[np.ndarray, "c D"]:
+def _drawn(points: Embeddings, count: int, seed: int) -> OtherEmbeddings:
     drawn = np.random.default_rng(seed).choice(len(points), count, replace=False)
     return np.ascontiguousarray(points[np.sort(drawn)])
 
 
-def _means(
-    points: Embeddings, nearest: Ids, centres: Float32[np.ndarray, "c D"], threads: int
-) -> Float32[np.ndarray, "c D"]:
+def _means(points: Embeddings, nearest: Ids, centres: OtherEmbeddings, threads: int) -> OtherEmbeddings:
     """Return the mean direction of each centre's points; the old centre where they cancel out."""
     counts = np.bincount(nearest, minlength=len(centres))
     starts, order = np.append(0, np.cumsum(counts)), np.argsort(nearest, kind="stable").astype(np.int32)
     moved = weighted_rows(starts, order, np.ones(len(order), np.float32), points, 0, len(centres), threads=threads)
-    still = ~moved.any(axis=1)
+    still = ~moved.any(1)
     moved[still] = centres[still]
     idle = np.flatnonzero(counts == 0)
     if len(idle):

@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 from scipy.sparse import csr_array
 
-from ....base.arrays import Bool, Float32, Int32, Integer
+from ....base.arrays import Embeddings, Flags, Ids, WholeNumbers
 from ....errors import InputError, MismatchError
 from ....scene.gaussians import Gaussians
 from ..evidence import Evidence
@@ -32,7 +32,7 @@ class Aggregated:
     """
 
     evidence: Evidence
-    donors: Int32[np.ndarray, " r"] | None = None
+    donors: Ids | None = None
     record: AggregatorRecord = MEAN_RECORD
 
     def __len__(self) -> int:
@@ -44,14 +44,14 @@ class Aggregated:
         return self.evidence.weights
 
     @cached_property
-    def present(self) -> Bool[np.ndarray, " r"]:
+    def present(self) -> Flags:
         """Mask of the rows that any vote is left for."""
         has_votes: np.ndarray = np.diff(self.evidence.weights.indptr) > 0
         if self.donors is None:
             return has_votes
-        return np.asarray((self.donors >= 0) & has_votes[self.donors])
+        return (self.donors >= 0) & has_votes[self.donors]
 
-    def features(self, begin: int, end: int, *, threads: int = 0) -> Float32[np.ndarray, "n d"]:
+    def features(self, begin: int, end: int, *, threads: int = 0) -> Embeddings:
         """Return the unit features of rows [begin, end); zero where there is none."""
         if self.donors is None:
             return self.evidence.features(begin, end, threads=threads)
@@ -61,7 +61,7 @@ class Aggregated:
         features[wanted < 0] = 0
         return features[at]
 
-    def rows(self, index: Integer[np.ndarray, " r"]) -> "Aggregated":
+    def rows(self, index: WholeNumbers) -> "Aggregated":
         """Return the features of some rows, in that order."""
         if self.donors is None:
             return replace(self, evidence=self.evidence.rows(index))

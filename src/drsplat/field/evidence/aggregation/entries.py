@@ -14,7 +14,21 @@ from itertools import pairwise
 import numpy as np
 from scipy.sparse import csr_array
 
-from ....base.arrays import Bool, Float32, Float64, Indices, Int64, Integer
+from ....base.arrays import (
+    Bool,
+    DoubleRows,
+    Embeddings,
+    Flags,
+    Float64,
+    IndexRows,
+    Indices,
+    Int64,
+    Integer,
+    Numbers,
+    OtherEmbeddings,
+    OtherIndices,
+    WholeNumbers,
+)
 from ....base.contents import release
 from ..evidence import Evidence, MaskIds
 
@@ -30,16 +44,16 @@ class RowBlock:
     positions: of each entry in the arrays of W. active[k]: how many rows, the first ones, have an entry k.
     """
 
-    positions: Int64[np.ndarray, "n k"]
+    positions: IndexRows
     columns: Integer[np.ndarray, "n k"]
-    weights: Float64[np.ndarray, "n k"]
+    weights: DoubleRows
     active: Int64[np.ndarray, " k"]
 
     @property
     def filled(self) -> Bool[np.ndarray, "n k"]:
         return np.arange(len(self.positions))[:, None] < self.active
 
-    def embeddings(self, table: Float32[np.ndarray, "m d"], entry: int) -> Float32[np.ndarray, "a d"]:
+    def embeddings(self, table: OtherEmbeddings, entry: int) -> Embeddings:
         """Return the embedding of the k-th entry (k = `entry`) of every row that has one."""
         return table.take(self.columns[: self.active[entry], entry], axis=0)
 
@@ -52,7 +66,7 @@ def row_block(weights: csr_array, rows: Indices) -> RowBlock:
     filled = entries < lengths[:, None]
     positions = np.where(filled, starts[:, None] + entries, starts[0])
     values = np.where(filled, weights.data[positions].astype(np.float64), 0.0)
-    return RowBlock(positions, weights.indices[positions], values, filled.sum(axis=0))
+    return RowBlock(positions, weights.indices[positions], values, filled.sum(0))
 
 
 Rule = Callable[[RowBlock], Float64[np.ndarray, "n k"]]
@@ -64,7 +78,7 @@ def reweighted(evidence: Evidence, rule: Rule, threads: int = 0) -> Evidence:
     return with_weights(evidence, entry_values(evidence, rule, threads))
 
 
-def entry_values(evidence: Evidence, rule: Rule, threads: int = 0) -> Float32[np.ndarray, " e"]:
+def entry_values(evidence: Evidence, rule: Rule, threads: int = 0) -> Numbers:
     """Return the value of `rule` for each entry of W, in the order of its arrays.
 
     Blocks do not depend on each other, so that any number of threads gives the same bits.
@@ -84,7 +98,7 @@ def entry_values(evidence: Evidence, rule: Rule, threads: int = 0) -> Float32[np
     return values
 
 
-def _blocks(order: Int64[np.ndarray, " r"], lengths: Integer[np.ndarray, " n"]) -> Iterator[Int64[np.ndarray, " b"]]:
+def _blocks(order: OtherIndices, lengths: WholeNumbers) -> Iterator[Int64[np.ndarray, " b"]]:
     """Yield rows by falling length in blocks of at most BLOCK_ROWS, and BLOCK_CELLS entries unless one row has more."""
     begin = 0
     while begin < len(order):
@@ -93,7 +107,7 @@ def _blocks(order: Int64[np.ndarray, " r"], lengths: Integer[np.ndarray, " n"]) 
         begin += size
 
 
-def with_weights(evidence: Evidence, data: Float32[np.ndarray, " e"]) -> Evidence:
+def with_weights(evidence: Evidence, data: Numbers) -> Evidence:
     """Return the evidence with other weights of the same entries; entries of weight 0 are dropped."""
     old = evidence.weights
     kept = data > 0
@@ -115,7 +129,7 @@ def row_chunks(weights: csr_array) -> Iterator[slice]:
         release(weights.indices, weights.data)
 
 
-def of_columns(evidence: Evidence, kept: Bool[np.ndarray, " m"]) -> Evidence:
+def of_columns(evidence: Evidence, kept: Flags) -> Evidence:
     """Return the evidence without the entries of the columns that are not kept, and without those of weight 0."""
     old, lengths = evidence.weights, np.zeros(len(evidence) + 1, np.int64)
     indices, data = [np.empty(0, old.indices.dtype)], [np.empty(0, np.float32)]
@@ -131,7 +145,7 @@ def of_columns(evidence: Evidence, kept: Bool[np.ndarray, " m"]) -> Evidence:
     return replace(evidence, weights=matrix)
 
 
-def column_counts(weights: csr_array) -> Int64[np.ndarray, " m"]:
+def column_counts(weights: csr_array) -> Indices:
     """Count the entries of each column."""
     counts = np.zeros(weights.shape[1], np.int64)
     for rows in row_chunks(weights):

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ....base.arrays import Doubles, Float32, Float64
+from ....base.arrays import DoubleRows, Doubles, OtherEmbeddings
 from ..evidence import Evidence
 from .entries import RowBlock, reweighted
 
@@ -29,22 +29,22 @@ class OutlierRejection:
     def __call__(self, evidence: Evidence, threads: int = 0) -> Evidence:
         table = evidence.embeddings
 
-        def rule(block: RowBlock) -> Float64[np.ndarray, "n k"]:
+        def rule(block: RowBlock) -> DoubleRows:
             dropped = self._is_outlier(block, agreements(block, table))
             return np.where(dropped, 0, block.weights)
 
         return reweighted(evidence, rule, threads)
 
-    def _is_outlier(self, block: RowBlock, agreement: Float64[np.ndarray, "n k"]) -> np.ndarray:
+    def _is_outlier(self, block: RowBlock, agreement: DoubleRows) -> np.ndarray:
         middle = weighted_medians(agreement, block.weights)
         distance = np.abs(agreement - middle[:, None])
         spread = MAD_OF_NORMAL * weighted_medians(distance, block.weights)
         allowed = np.maximum(self.least, self.deviations * spread)
-        many = block.filled.sum(axis=1) > 2
-        return np.asarray((agreement < (middle - allowed)[:, None]) & many[:, None])
+        many = block.filled.sum(1) > 2
+        return (agreement < (middle - allowed)[:, None]) & many[:, None]
 
 
-def agreements(block: RowBlock, table: Float32[np.ndarray, "m d"]) -> Float64[np.ndarray, "n k"]:
+def agreements(block: RowBlock, table: OtherEmbeddings) -> DoubleRows:
     """Return the cosine of each vote with the weighted sum of the row's others; 1 where there is no other."""
     total = np.zeros((len(block.weights), table.shape[1]), np.float32)
     for k, rows in enumerate(block.active):
@@ -60,10 +60,10 @@ def agreements(block: RowBlock, table: Float32[np.ndarray, "m d"]) -> Float64[np
     return np.where(alone, 1.0, (cosines - w) / np.sqrt(np.where(alone, 1.0, others)))
 
 
-def weighted_medians(values: Float64[np.ndarray, "n k"], weights: Float64[np.ndarray, "n k"]) -> Doubles:
+def weighted_medians(values: DoubleRows, weights: DoubleRows) -> Doubles:
     """Return each row's weighted median: the lowest value that, with all lower ones, has half the weight."""
     order = np.argsort(np.where(weights > 0, values, np.inf), axis=1, kind="stable")
     held = np.cumsum(np.take_along_axis(weights, order, 1), axis=1)
-    first = (held >= held[:, -1:] / 2).argmax(axis=1)
+    first = (held >= held[:, -1:] / 2).argmax(1)
     at = np.take_along_axis(order, first[:, None], 1)
-    return np.asarray(np.take_along_axis(values, at, 1)[:, 0])
+    return np.take_along_axis(values, at, 1)[:, 0]

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ....base.arrays import Doubles, Float32, Float64, Integer
+from ....base.arrays import DoubleRows, Doubles, Integer, Numbers, RowIds, WholeNumbers
 from ..evidence import Evidence
 from .entries import PASS_ENTRIES, RowBlock, entry_values, row_chunks, with_weights
 from .outliers import agreements
@@ -32,11 +32,11 @@ class MaskTrust:
     def __call__(self, evidence: Evidence, threads: int = 0) -> Evidence:
         return self.weighed(evidence, self.trust(tally(evidence, threads)))
 
-    def trust(self, counted: "Tally") -> Float64[np.ndarray, " m"]:
+    def trust(self, counted: "Tally") -> Doubles:
         """Return the trust in each mask. counted: over all rows."""
-        return np.asarray(np.exp(self.sharpness * counted.means))
+        return np.exp(self.sharpness * counted.means)
 
-    def weighed(self, evidence: Evidence, trust: Float64[np.ndarray, " m"]) -> Evidence:
+    def weighed(self, evidence: Evidence, trust: Doubles) -> Evidence:
         """Return the evidence of some rows, weighed by the trust in masks; a row depends on itself alone."""
         weights, views = evidence.weights, evidence.masks.views
         changed = np.empty(len(weights.data), np.float32)
@@ -54,23 +54,23 @@ class Tally(NamedTuple):
     Whole numbers of 1 / PARTS_PER_PIXEL pixels: sums of parts of W, in any order, have the same bits.
     """
 
-    surpluses: Float64[np.ndarray, " m"]
-    weights: Float64[np.ndarray, " m"]
+    surpluses: Doubles
+    weights: Doubles
 
     @property
-    def means(self) -> Float64[np.ndarray, " m"]:
+    def means(self) -> Doubles:
         """How much better each mask agrees than the other votes of its Gaussians; 0 where there are none."""
         none = np.zeros(len(self.weights))
-        return np.asarray(np.divide(self.surpluses, self.weights, out=none, where=self.weights > 0))
+        return np.divide(self.surpluses, self.weights, out=none, where=self.weights > 0)
 
 
 def tally(evidence: Evidence, threads: int = 0) -> Tally:
     """Add up how much better each mask agrees with the rest than its Gaussians' votes do on average."""
 
-    def surplus(block: RowBlock) -> Float64[np.ndarray, "n k"]:
+    def surplus(block: RowBlock) -> DoubleRows:
         agreement = agreements(block, evidence.embeddings)
         level = _in_order(block.weights * agreement) / _in_order(block.weights)
-        return np.asarray(agreement - level[:, None])
+        return agreement - level[:, None]
 
     weights, entries = evidence.weights, entry_values(evidence, surplus, threads)
     count = weights.shape[1]
@@ -83,12 +83,12 @@ def tally(evidence: Evidence, threads: int = 0) -> Tally:
     return Tally(total, held)
 
 
-def _in_order(values: Float64[np.ndarray, "n k"]) -> Doubles:
+def _in_order(values: DoubleRows) -> Doubles:
     """Return the sum of each row, added up from its beginning: zeros at its end change no bit."""
-    return np.asarray(np.cumsum(values, axis=1)[:, -1])
+    return np.cumsum(values, axis=1)[:, -1]
 
 
-def _runs(views: Integer[np.ndarray, " e"], starts: Integer[np.ndarray, " r1"]) -> Integer[np.ndarray, " p"]:
+def _runs(views: RowIds, starts: WholeNumbers) -> Integer[np.ndarray, " p"]:
     """Return where the votes of another photo, or of another row, begin; votes of a photo are adjacent."""
     new = np.zeros(len(views) + 1, np.bool_)
     new[1:-1] = views[1:] != views[:-1]
@@ -96,9 +96,7 @@ def _runs(views: Integer[np.ndarray, " e"], starts: Integer[np.ndarray, " r1"]) 
     return np.flatnonzero(new[:-1])
 
 
-def _by_photo(
-    weights: Float32[np.ndarray, " e"], trust: Float64[np.ndarray, " e"], runs: Integer[np.ndarray, " p"]
-) -> Float64[np.ndarray, " e"]:
+def _by_photo(weights: Numbers, trust: Doubles, runs: RowIds) -> Doubles:
     """Multiply the weights of each photo in each row by the mean trust of its masks there."""
     if not len(weights):
         return np.zeros(0)
@@ -106,4 +104,4 @@ def _by_photo(
     trusted = np.add.reduceat(weights * trust, runs)
     mean = np.divide(trusted, held, out=np.zeros(len(runs)), where=held > 0)
     lengths = np.diff(np.append(runs, len(weights)))
-    return np.asarray(weights * np.repeat(mean, lengths))
+    return weights * np.repeat(mean, lengths)

@@ -7,7 +7,23 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ....base.arrays import Bool, Doubles, Float32, Float64, Int32, Int64, Integer
+from ....base.arrays import (
+    DoubleRows,
+    Doubles,
+    Embeddings,
+    Flags,
+    Float32,
+    Float64,
+    Ids,
+    IndexRows,
+    Indices,
+    Int64,
+    Integer,
+    OtherDoubles,
+    OtherFlags,
+    OtherIndices,
+    WholeNumbers,
+)
 from ....kernels import weighted_rows
 from ....scene.gaussians import Gaussians
 from ..evidence import Evidence
@@ -41,9 +57,7 @@ class ModeVoting:
     margin: float = 0.0
     footprint: float = 0.5
 
-    def donors(
-        self, evidence: Evidence, gaussians: Gaussians, receivers: Int64[np.ndarray, " v"], threads: int = 0
-    ) -> Int32[np.ndarray, " r"]:
+    def donors(self, evidence: Evidence, gaussians: Gaussians, receivers: OtherIndices, threads: int = 0) -> Ids:
         """Return for each row the row whose feature it takes: mostly its own; -1 where it gets none.
 
         gaussians: those of the rows. receivers: rows that may take another's feature, or get one though they have none.
@@ -65,34 +79,40 @@ class ModeVoting:
 
     def sizes(self, gaussians: Gaussians) -> Doubles:
         """Return what Gaussians count by where many small ones are beside a large one."""
-        return np.asarray(footprints(gaussians) ** self.footprint)
+        return footprints(gaussians) ** self.footprint
 
     def elected(
-        self, voters: "Voters", trust: Float64[np.ndarray, " p"], sizes: Float64[np.ndarray, " p"],
-        features: Float32[np.ndarray, "p d"],
-    ) -> Int64[np.ndarray, " b"]:  # fmt: skip
+        self, voters: "Voters", trust: Doubles, sizes: Doubles,
+        features: Embeddings,
+    ) -> OtherIndices:  # fmt: skip
         """Return the row whose feature each receiver takes, -1 for none.
 
         trust, sizes, features: of `voters.present`. A receiver's donor depends on its own candidates alone, to the bit.
         """
         rows, candidates = (np.searchsorted(voters.present, array) for array in (voters.rows, voters.candidates))
-        candidates = _with_self(candidates, rows, trust)
+        # put rows among their own candidates; one that many others coincide with may be missing there
+        absent = (trust[rows] > 0) & ~(candidates == rows[:, None]).any(1)
+        candidates[absent, 0] = rows[absent]
         close = _closeness(voters.distances) * np.minimum(1, sizes[candidates] / sizes[rows, None])
-        best = self._best(trust, rows, candidates, close, _likeness(features, candidates, self.bandwidth))
-        return np.asarray(np.where(best >= 0, voters.present[best], -1))
+        # g of all pairs of candidates of each row, from one table of all pairs
+        whole = np.rint(features.astype(np.float64) * PARTS_PER_ONE)
+        cosines = (whole @ whole.T) / PARTS_PER_ONE**2
+        pairs = np.minimum(cosines[candidates[:, :, None], candidates[:, None, :]], 1)
+        best = self._best(trust, rows, candidates, close, np.asarray(np.exp((pairs - 1) / self.bandwidth)))
+        return np.where(best >= 0, voters.present[best], -1)
 
     def _best(
         self,
-        trust: Float64[np.ndarray, " p"],
-        rows: Int64[np.ndarray, " b"],
-        candidates: Int64[np.ndarray, "b k"],
-        close: Float64[np.ndarray, "b k"],
-        alike: Float64[np.ndarray, "b k k"],
-    ) -> Int64[np.ndarray, " b"]:
+        trust: OtherDoubles,
+        rows: Indices,
+        candidates: IndexRows,
+        close: DoubleRows,
+        alike: Float64[np.ndarray, "n k k"],
+    ) -> Indices:
         believed = trust[candidates] * close
-        support = trust[candidates] * (alike * believed[:, None, :]).sum(axis=2)
-        own = np.where(candidates == rows[:, None], support, 0).max(axis=1)
-        best = support.argmax(axis=1)[:, None]
+        support = trust[candidates] * (alike * believed[:, None, :]).sum(2)
+        own = np.where(candidates == rows[:, None], support, 0).max(1)
+        best = support.argmax(1)[:, None]
         wins = np.take_along_axis(support, best, 1)[:, 0] > (1 + self.margin) * (1 + SUPPORT_TOLERANCE) * own
         taken = np.take_along_axis(candidates, best, 1)[:, 0]
         return np.where(wins, taken, np.where(trust[rows] > 0, rows, -1))
@@ -102,12 +122,12 @@ class ModeVoting:
 class Voters:
     """Receivers, and the rows around each that have a say, nearest first, with their distances."""
 
-    rows: Int64[np.ndarray, " b"]
-    candidates: Int64[np.ndarray, "b k"]
-    distances: Float64[np.ndarray, "b k"]
+    rows: Indices
+    candidates: IndexRows
+    distances: DoubleRows
 
     @cached_property
-    def present(self) -> Int64[np.ndarray, " p"]:
+    def present(self) -> Indices:
         """All these rows, ascending."""
         return np.union1d(self.rows, self.candidates)
 
@@ -115,12 +135,10 @@ class Voters:
 def footprints(gaussians: Gaussians) -> Doubles:
     """Return the product of the two larger scales: the area that a Gaussian on a surface covers."""
     sides = np.sort(gaussians.scales.astype(np.float64), axis=1)
-    return np.asarray(np.maximum(sides[:, 1] * sides[:, 2], np.finfo(np.float64).tiny))
+    return np.maximum(sides[:, 1] * sides[:, 2], np.finfo(np.float64).tiny)
 
 
-def _near_each_other(
-    tree: cKDTree, means: Points, receivers: Int64[np.ndarray, " v"], threads: int
-) -> Iterator[Int64[np.ndarray, " b"]]:
+def _near_each_other(tree: cKDTree, means: Points, receivers: OtherIndices, threads: int) -> Iterator[Indices]:
     """Yield the receivers in the order of the tree's leaves, in blocks."""
     rank = np.empty(tree.n, np.int64)
     rank[tree.indices] = np.arange(tree.n)
@@ -129,9 +147,7 @@ def _near_each_other(
     yield from (ordered[begin : begin + RECEIVERS_AT_ONCE] for begin in range(0, len(ordered), RECEIVERS_AT_ONCE))
 
 
-def nearest(
-    tree: cKDTree, points: Points, count: int, threads: int
-) -> tuple[Float64[np.ndarray, "b k"], Int64[np.ndarray, "b k"]]:
+def nearest(tree: cKDTree, points: Points, count: int, threads: int) -> tuple[DoubleRows, IndexRows]:
     """Return distances and indices of the nearest points of the tree, nearest first; equally near ones by index."""
     more = min(count + SPARE_NEIGHBOURS, tree.n)
     distances, near = tree.query(points, k=np.arange(1, more + 1), workers=threads or -1)
@@ -146,34 +162,12 @@ def nearest_first(
     return np.take_along_axis(distances, order, 1), np.take_along_axis(near, order, 1)
 
 
-def _with_self(
-    candidates: Int64[np.ndarray, "b k"], rows: Int64[np.ndarray, " b"], trust: Float64[np.ndarray, " r"]
-) -> Int64[np.ndarray, "b k"]:
-    """Put rows among their own candidates; one that many others coincide with may be missing there."""
-    absent = (trust[rows] > 0) & ~(candidates == rows[:, None]).any(axis=1)
-    candidates[absent, 0] = rows[absent]
-    return candidates
-
-
-def _closeness(distances: Float64[np.ndarray, "b k"]) -> Float64[np.ndarray, "b k"]:
+def _closeness(distances: DoubleRows) -> DoubleRows:
     middle = distances[:, distances.shape[1] // 2, None]
     return np.exp(-0.5 * (distances / np.where(middle > 0, middle, 1.0)) ** 2)
 
 
-def _likeness(
-    features: Float32[np.ndarray, "p d"], candidates: Int64[np.ndarray, "b k"], bandwidth: float
-) -> Float64[np.ndarray, "b k k"]:
-    """Return g of all pairs of candidates of each row, from one table of all pairs.
-
-    Features are whole numbers of 1 / PARTS_PER_ONE, so that no sum is rounded, in whatever order BLAS makes it.
-    """
-    whole = np.rint(features.astype(np.float64) * PARTS_PER_ONE)
-    cosines = (whole @ whole.T) / PARTS_PER_ONE**2
-    pairs = np.minimum(cosines[candidates[:, :, None], candidates[:, None, :]], 1)
-    return np.asarray(np.exp((pairs - 1) / bandwidth))
-
-
-def resultant_lengths(evidence: Evidence, threads: int = 0) -> Float64[np.ndarray, " r"]:
+def resultant_lengths(evidence: Evidence, threads: int = 0) -> Doubles:
     """Return the length of each row's weighted mean of unit embeddings: 1 where all votes agree, 0 without votes."""
     weights, rows = evidence.weights, len(evidence)
     # A column of ones beside the embeddings adds up the weights: a row is then (sum of W e, sum of W) but for
@@ -191,10 +185,10 @@ def resultant_lengths(evidence: Evidence, threads: int = 0) -> Float64[np.ndarra
     return np.minimum(lengths, 1)
 
 
-def reliability(evidence: Evidence, threads: int = 0) -> Float64[np.ndarray, " r"]:
+def reliability(evidence: Evidence, threads: int = 0) -> Doubles:
     """Return |f| N_eff / (N_eff + 1), in [0, 1); 0 without evidence. Source: NormLift (2026), reliability."""
     views = effective_views(evidence)
-    return np.asarray(resultant_lengths(evidence, threads) * views / (views + 1))
+    return resultant_lengths(evidence, threads) * views / (views + 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,12 +198,12 @@ class ViewSums:
     weights: the sum over the view's columns, in pixels. entries: how many entries of W were added up.
     """
 
-    rows: Int64[np.ndarray, " g"]
-    views: Integer[np.ndarray, " g"]
-    weights: Float64[np.ndarray, " g"]
-    entries: Int64[np.ndarray, " g"]
+    rows: Indices
+    views: WholeNumbers
+    weights: Doubles
+    entries: Indices
 
-    def per_entry(self, kept: Bool[np.ndarray, " g"]) -> Bool[np.ndarray, " e"]:
+    def per_entry(self, kept: OtherFlags) -> Flags:
         """Repeat the value of each sum for every entry of W in it."""
         return np.repeat(kept, self.entries)
 
@@ -231,7 +225,7 @@ def view_sums(evidence: Evidence) -> ViewSums:
     return ViewSums(rows, views[starts], sums, np.diff(starts, append=len(views)))
 
 
-def effective_views(evidence: Evidence) -> Float64[np.ndarray, " r"]:
+def effective_views(evidence: Evidence) -> Doubles:
     """Return N_eff = (sum_v W_v)^2 / sum_v W_v^2, the equivalent number of equal views; 0 without any.
 
     Source: NormLift (2026), reliability.

@@ -15,7 +15,7 @@ from ....authoring.exporting.placing import After, Placing, groups_of, match_thi
 from ....authoring.filming.looking import up_direction
 from ....authoring.filming.paths import frame_count, path_of, write_path
 from ....authoring.filming.writing import write_film
-from ....base.arrays import Bool, OtherPixels, Pixels
+from ....base.arrays import Flags, OtherPixels, Pixels
 from ....drawing.pictures import as_pixels
 from ....drawing.rendering import render
 from ....errors import InputError
@@ -263,7 +263,7 @@ def carried(session: Session, *, selected_only: bool = False) -> LabelledScene:
 def _after(session: Session) -> After:
     """Return all rows of the edits on show, those that they added behind the scene's own."""
     everything, rows = session.edits.part(np.arange(len(session.edits.opacities)))
-    present: Bool[np.ndarray, " d"] = np.zeros(len(rows), bool)
+    present: Flags = np.zeros(len(rows), bool)
     present[session.edited()[1]] = True
     owners = everything.extra.get(OBJECT_ID)
     known = len(session.scene.field.objects or ())

@@ -25,7 +25,7 @@ from .arrays import Packed, Rows
 from .stage import Stage
 from .state import MAX_SENTENCE_CHARACTERS, film_formats, header_of, state_of
 from .turns import Visit, Visits
-from .uploads import Batch, Uploads, root_of
+from .uploads import Uploads, root_of
 
 MAX_ENTRIES, MAX_PAINTED = 12, 4  # of an answer of the catalogue; arrays of visits that are kept
 NOTHING_OPEN = "no scene is open: search the catalogue and open one, or open a file"
@@ -287,7 +287,10 @@ def open_batch(shared: Shared, name: str) -> Callable[[], Callable[[], str]]:
 
     def work() -> Callable[[], str]:
         try:
-            session = _session_of_batch(shared, batch)
+            scene = shared.open_path(root_of(batch.folder))
+            scene.views = tuple(confined(view, batch.folder) for view in scene.views)  # type: ignore[misc]
+            session = session_of(scene, shared.budget, edits_kept=False)
+            _ = session.shown
         except BaseException as error:
             shared.uploads.drop(name)
             if isinstance(error, DrSplatError):
@@ -296,14 +299,6 @@ def open_batch(shared: Shared, name: str) -> Callable[[], Callable[[], str]]:
         return lambda: _show_batch(shared, name, session)
 
     return work
-
-
-def _session_of_batch(shared: Shared, batch: Batch) -> Session:
-    scene = shared.open_path(root_of(batch.folder))
-    scene.views = tuple(confined(view, batch.folder) for view in scene.views)  # type: ignore[misc]
-    session = session_of(scene, shared.budget, edits_kept=False)
-    _ = session.shown
-    return session
 
 
 def _show_batch(shared: Shared, name: str, session: Session) -> str:

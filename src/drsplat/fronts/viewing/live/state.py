@@ -44,6 +44,8 @@ def film_formats() -> tuple[str, ...]:
 def header_of(stage: Stage) -> Document:
     session, frame, views = stage.session, stage.session.shown.frame, stage.session.scene.views
     eye, target = stage.first_look
+    # the words that are offered while somebody types: suggestions, then names of objects, each once
+    names = [name for number in stage.listed if (name := stage.names[number].rpartition(" · ")[0])]
     return {
         "title": printable(session.scene.name, 60),
         "about": about(session),
@@ -55,7 +57,7 @@ def header_of(stage: Stage) -> Document:
         "look": painting.LOOK,
         "antialiased": session.shown.antialiased,
         "scale": frame.scale,
-        "words": _words(stage),
+        "words": list(dict.fromkeys(printable(word, 60) for word in (*stage.words, *names)))[:MAX_LISTED],
         "modes": [mode.value for mode in session.modes],
         "objects": _objects(stage),
         "photos": [_photo(stage, view) for view in views[:: -(-len(views) // MAX_PHOTOS) or 1]],
@@ -69,12 +71,6 @@ def about(session: Session) -> str:
     note = "" if session.is_askable else f" {NO_FIELD}"
     counts = f"{len(scene.rows):,} Gaussians, {len(scene.field):,} with a feature."
     return f"{counts} {session.shown.summary}".strip() + note
-
-
-def _words(stage: Stage) -> list[str]:
-    """Return the words that are offered while somebody types: suggestions, then names of objects, each once."""
-    names = [name for number in stage.listed if (name := stage.names[number].rpartition(" · ")[0])]
-    return list(dict.fromkeys(printable(word, 60) for word in (*stage.words, *names)))[:MAX_LISTED]
 
 
 def _objects(stage: Stage) -> list[Document]:

@@ -89,7 +89,12 @@ class Uploads:
             path.parent.mkdir(parents=True, exist_ok=True)
             with replacing(path, overwrite=False) as file:
                 async for chunk in chunks:
-                    self._make_room(own, len(chunk))
+                    size = len(chunk)
+                    if sum(one.size for one in self.every) + size > self.limits.bytes:
+                        raise HTTPException(413, f"files of at most {self.limits.bytes:,} bytes in all are taken")
+                    if shutil.disk_usage(own.folder).free - size < self.limits.free:
+                        raise HTTPException(507, "the disk of the viewer's machine is too full for this file")
+                    own.size += size
                     file.write(chunk)
         except BaseException:
             own.size, own.files = begun, own.files - 1
@@ -104,13 +109,6 @@ class Uploads:
                 self.drop(next(iter(self.batches)))
             self.batches[name] = Batch(Path(tempfile.mkdtemp(dir=self.root)))
         return self.batches[name]
-
-    def _make_room(self, batch: Batch, size: int) -> None:
-        if sum(one.size for one in self.every) + size > self.limits.bytes:
-            raise HTTPException(413, f"files of at most {self.limits.bytes:,} bytes in all are taken")
-        if shutil.disk_usage(batch.folder).free - size < self.limits.free:
-            raise HTTPException(507, "the disk of the viewer's machine is too full for this file")
-        batch.size += size
 
     def drop(self, name: str) -> None:
         """Remove a batch, if it is there."""

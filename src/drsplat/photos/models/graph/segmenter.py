@@ -13,7 +13,7 @@ from importlib.resources import files
 import numpy as np
 from PIL import Image
 
-from ....base.arrays import Float32, Float64, Ids, Int32, MaskIds, Pixels, UInt8
+from ....base.arrays import DoubleRows, Doubles, Float32, Float64, Ids, Int32, MaskIds, Pixels, UInt8
 from ....errors import InputError
 from ....kernels import photo_regions
 from ....kernels.photo_regions import Layers, PairRule, RegionGraph, Sight, lab_colors, merged_regions, region_graph
@@ -38,9 +38,9 @@ LIKELIHOOD_DECIMALS = 6  # a product's last bits depend on the processor
 class MergeRule:
     """Rule for merging regions. center, width: of each feature. threshold: pairs above it are merged."""
 
-    center: Float64[np.ndarray, " f"]
-    width: Float64[np.ndarray, " f"]
-    hidden: Float64[np.ndarray, "f h"]
+    center: Doubles
+    width: Doubles
+    hidden: Float64[np.ndarray, "n h"]
     hidden_bias: Float64[np.ndarray, " h"]
     output: Float64[np.ndarray, " h"]
     output_bias: Float64[np.ndarray, " 1"]
@@ -51,7 +51,7 @@ class MergeRule:
         """All fields but the threshold, in the order of the native code."""
         return self.center, self.width, self.hidden, self.hidden_bias, self.output, self.output_bias
 
-    def likelihood(self, features: Float64[np.ndarray, "e f"]) -> Float64[np.ndarray, " e"]:
+    def likelihood(self, features: DoubleRows) -> Doubles:
         """Return the likelihood of each pair, 0 to 1, rounded to LIKELIHOOD_DECIMALS."""
         scaled = np.clip((features - self.center) / self.width, -5, 5)
         inner = np.tanh(scaled @ self.hidden + self.hidden_bias)

@@ -1,12 +1,12 @@
 """Encoder of words and crops to unit vectors in one space."""
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from ....base.arrays import Float32, PilImage, UInt8
+from ....base.arrays import ArraysByName, Embedding, Embeddings, Float32, OtherPixels, PilImage
 from ....errors import InputError, did_you_mean
 from ....formats.tensors import map_tensors
 from ....kernels.algebra import convolve, dense_rows
@@ -20,7 +20,7 @@ INPUT_SIDE_PIXELS = 64
 STRIDES = (2, 2, 1, 2, 1, 2, 1)
 """Strides of the convolutions conv0, conv1 ..., each with one pixel of zeros around its input."""
 
-Tensors = Mapping[str, np.ndarray]
+Tensors = ArraysByName
 
 
 class MiniEncoder:
@@ -55,11 +55,11 @@ class MiniEncoder:
         """Return the same encoder on one thread, for several threads to call at once."""
         return MiniEncoder(threads=1)
 
-    def encode_texts(self, texts: Sequence[str]) -> Float32[np.ndarray, "t d"]:
+    def encode_texts(self, texts: Sequence[str]) -> Embeddings:
         """Return unit vectors of texts. Raises: InputError: an unknown word, or no word."""
         return np.stack([self._text(text) for text in texts])
 
-    def encode_images(self, images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "n d"]:
+    def encode_images(self, images: Sequence[OtherPixels]) -> Embeddings:
         """Return unit vectors of square crops on black; other images get black borders."""
         rows = [
             embed_images(_pixels(images[at : at + BATCH_CROPS]), self.weights, threads=self.threads)
@@ -67,7 +67,7 @@ class MiniEncoder:
         ]
         return np.concatenate(rows) if rows else np.empty((0, DIM), np.float32)
 
-    def rivals(self, text: str) -> Float32[np.ndarray, "r d"] | None:
+    def rivals(self, text: str) -> Embeddings | None:
         """Return the vectors that replace the nouns for a text: all colours, for a colour alone; else None.
 
         A colour is judged against other colours, on photos too, where no noun fits and any of them may fit better.
@@ -80,7 +80,7 @@ class MiniEncoder:
         rows = self.weights["words"][[_ROWS[paint] for paint in PAINTS]]
         return np.asarray(rows / np.linalg.norm(rows, axis=1, keepdims=True), np.float32)
 
-    def _text(self, text: str) -> Float32[np.ndarray, " d"]:
+    def _text(self, text: str) -> Embedding:
         words = words_of(text)
         strange = [word for word in words if word not in _ROWS]
         if strange or not words:
@@ -106,12 +106,12 @@ def _unknown(text: str, strange: Sequence[str]) -> str:
     )
 
 
-def _pixels(images: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Float32[np.ndarray, "n s s 3"]:
+def _pixels(images: Sequence[OtherPixels]) -> Float32[np.ndarray, "n s s 3"]:
     scaled = [np.asarray(_square(image)) for image in images]
     return np.stack(scaled).astype(np.float32) / 127.5 - 1
 
 
-def _square(image: UInt8[np.ndarray, "_ _ 3"]) -> PilImage:
+def _square(image: OtherPixels) -> PilImage:
     from PIL import Image
 
     h, w = image.shape[:2]
@@ -124,9 +124,7 @@ def _square(image: UInt8[np.ndarray, "_ _ 3"]) -> PilImage:
     return picture.resize((INPUT_SIDE_PIXELS, INPUT_SIDE_PIXELS), Image.Resampling.BILINEAR)
 
 
-def embed_images(
-    pixels: Float32[np.ndarray, "n h w 3"], weights: Tensors, *, threads: int = 0
-) -> Float32[np.ndarray, "n d"]:
+def embed_images(pixels: Float32[np.ndarray, "n h w 3"], weights: Tensors, *, threads: int = 0) -> Embeddings:
     """Return unit vectors, the same bits at any `threads`. pixels: from -1 to 1, squares of INPUT_SIDE_PIXELS.
 
     weights: conv<i>.weight (9 * inputs, outputs), rows in the order of row, column, channel; conv<i>.bias;
@@ -137,4 +135,4 @@ def embed_images(
         x = convolve(x, weights[f"conv{layer}.weight"], weights[f"conv{layer}.bias"], stride, threads=threads)
     pooled = np.concatenate([x.mean((1, 2)), x.max((1, 2))], axis=1)
     out = dense_rows(pooled, weights["projection"], threads=threads)
-    return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
+    return out / np.linalg.norm(out, axis=1, keepdims=True)

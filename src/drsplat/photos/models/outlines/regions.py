@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
-from ....base.arrays import Float32, MaskIds, Pixels
+from ....base.arrays import MaskIds, PixelNumbers, Pixels
 from ....errors import InputError
 from ....kernels.photo_regions import (
     BORDER_STEPS,
@@ -56,7 +56,7 @@ def region_tree(image: Pixels, *, threads: int = 0) -> RegionTree:
     return RegionTree(labels, pairs, graph.pairs, borders[:, LENGTH], strengths)
 
 
-def basins(strength: Float32[np.ndarray, "h w"]) -> MaskIds:
+def basins(strength: PixelNumbers) -> MaskIds:
     """Return the region of each pixel, from 0: a watershed of the strength of outlines."""
     smooth = ndimage.gaussian_filter(strength.astype(np.float64), BLUR_PIXELS)
     heights = np.round(smooth * HEIGHT_STEPS).astype(np.int32)
@@ -72,7 +72,7 @@ def shipped_outlines() -> tuple[Layers, str]:
     return layers_of(weights), seen
 
 
-def outlines(image: Pixels, *, threads: int = 0) -> Float32[np.ndarray, "h w"]:
+def outlines(image: Pixels, *, threads: int = 0) -> PixelNumbers:
     """Return the strength of an outline at each pixel, 0 to 1; the same bits at any `threads`.
 
     It is the mean of what the network sees in the image and in the image at half its size. Images of more than 640x480
@@ -89,7 +89,7 @@ def outlines(image: Pixels, *, threads: int = 0) -> Float32[np.ndarray, "h w"]:
     return np.asarray((seen[0] + seen[1]) / 2, np.float32)
 
 
-def _strength(image: Image.Image, size: tuple[int, int], threads: int) -> Float32[np.ndarray, "h w"]:
+def _strength(image: Image.Image, size: tuple[int, int], threads: int) -> PixelNumbers:
     borders = look_through(np.asarray(image), shipped_outlines()[0], threads=threads).borders
     strength = Image.fromarray(np.asarray(borders, np.float32) / np.float32(BORDER_STEPS))
     return np.asarray(strength.resize(size, Image.Resampling.BILINEAR))
