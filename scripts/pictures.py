@@ -37,6 +37,13 @@ def _viewer() -> Made:
     return Made("python benchmarks/study_viewer.py DEMO FOLDER", (*inputs, ROOT / "benchmarks" / "study_viewer.py"))
 
 
+def _words() -> Made:
+    script = ROOT / "scripts" / "make_words_picture.py"
+    return Made(
+        f"python scripts/{script.name} DEMO/index.html docs/images/page_words.jpg", (*_viewer().inputs[:-1], script)
+    )
+
+
 def _city() -> Made:
     inputs = _viewer().inputs[:-1]
     return Made("python benchmarks/study_city.py STREET FOLDER", (*inputs, ROOT / "benchmarks" / "study_city.py"))
@@ -58,7 +65,11 @@ MADE: dict[str, Made] = {
     "viewer.jpg": _viewer(),
     "viewer_objects.jpg": _viewer(),
     "viewer_page.jpg": _viewer(),
-    "viewer_phone.jpg": _viewer(),
+    "page_words.jpg": _words(),
+    "real_capture.jpg": Made(
+        "python scripts/make_capture_picture.py FIELD SCENE CAPTURE docs/images/real_capture.jpg",
+        (MODELS / "graph" / "network.safetensors", MODELS / "mini" / "mini.safetensors"),
+    ),
     "export_viewers.jpg": Made(
         "python scripts/make_export_pictures.py",
         (ROOT / "scripts" / "make_export_pictures.py", *sorted((ROOT / "tests" / "foreign").glob("*.html"))),

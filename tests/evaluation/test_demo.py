@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from drsplat import read_features, read_views
+from drsplat import Scene, read_features, read_views
 from drsplat.drawing.pictures import visible_share
 from drsplat.errors import InputError
 from drsplat.evaluation.demo.story import (
@@ -120,19 +120,34 @@ def test_iou_is_over_the_pixels_of_the_held_out_photos(household_story: Story, h
 
 
 def made_up(answer: Verdict, iou: float | None, places: int) -> Verdict:
-    return replace(answer, iou=iou, num_matches=places)
+    return replace(answer, iou=iou, num_matches=places, count=places)
 
 
 def test_misses_are_told_as_misses(household_story: Story) -> None:
     present, absent = household_story.verdicts[0], household_story.verdicts[-1]
     assert (made_up(present, 0.8, 1).is_right, note(made_up(present, 0.8, 1))) == (True, "1 match, IoU 0.80")
     assert note(made_up(present, 0.2, 2)) == "miss: 2 matches, IoU 0.20"
+    assert note(replace(made_up(present, 0.8, 7), count=1)) == "7 matches, 1 sure, IoU 0.80"
     assert not made_up(present, 0.0, 0).is_right
     assert note(made_up(present, 0.0, 0)).startswith("miss: no match")
     assert made_up(absent, None, 0).is_right
     assert note(made_up(absent, None, 0)).startswith("rightly no match")
     assert not made_up(absent, None, 1).is_right
     assert note(made_up(absent, None, 1)) == "wrong: 1 match, but there is none"
+
+
+def test_answers_are_judged_by_what_they_are_sure_of(household_story: Story) -> None:
+    """The floor under a wooden table is wooden as well: one match is sure, and it alone is right."""
+    scene = Scene(household_story.field, household_story.gaussians, threads=1)
+    table = next(a for a in household_story.verdicts if a.probe.text == "wooden table")
+    matches = scene.locate(table.probe.text)
+    sure = [match for match in matches if match.sure]
+    assert (table.count, table.num_matches) == (len(sure), len(matches))
+    assert 0 < len(sure) < len(matches)
+    np.testing.assert_array_equal(table.gaussian_ids, np.sort(np.concatenate([one.gaussian_ids for one in sure])))
+    assert len(table.gaussian_ids) + len(table.unsure_ids) == sum(len(one) for one in matches)
+    assert table.iou is not None
+    assert table.iou > 0.8
 
 
 @pytest.mark.slow

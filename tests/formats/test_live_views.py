@@ -17,6 +17,7 @@ from drsplat import MiniEncoder, View, load_field, load_segmenter, read_features
 from drsplat.errors import FormatError, InputError
 from drsplat.field.growing import remove_views
 from drsplat.field.registration import register
+from drsplat.formats.checksums import sealed
 from drsplat.formats.claiming import ClaimedError, claimed_output
 from drsplat.formats.compact_features import write_compact
 from drsplat.formats.embedding_record import COMPACT
@@ -359,7 +360,6 @@ def test_a_field_that_cannot_grow_takes_no_photo(room: Path, full_room: Path) ->
 
 def test_models_that_made_other_masks_are_refused_and_views_go_on_waiting(room: Path, full_room: Path) -> None:
     from drsplat.errors import MismatchError
-    from drsplat.formats.checksums import sealed
 
     record = room / FEATURES / "embedding.json"
     document = json.loads(record.read_text())
@@ -501,4 +501,9 @@ def test_damaged_entries_are_told(room: Path, full_room: Path) -> None:
     ):
         path.write_bytes(damaged)
         with pytest.raises(FormatError, match=r"photo_2\.json"):
+            read_live_views(room)
+    document = json.loads(text)
+    for wrong in ({"arrived": "noon"}, {"name": "../photo_2.png"}):  # sealed, but by another program
+        path.write_text(json.dumps(sealed(document | wrong)))
+        with pytest.raises(FormatError, match=r"(expected|got).*\. Remove it, and send its photo again"):
             read_live_views(room)

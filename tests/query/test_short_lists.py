@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drsplat import LanguageField, open_scene
+from drsplat import LanguageField, Scene, open_scene
 from drsplat.cli import main
 from drsplat.errors import DrSplatWarning
 from drsplat.formats.vocabulary import VocabularyEncoder, write_vocabulary
@@ -70,4 +70,27 @@ def test_in_python_it_is_a_warning_and_the_answer_stays(tmp_path: Path) -> None:
     with pytest.warns(DrSplatWarning, match="add names of any things, 100 texts or more"):
         answer = scene.ask("red mug")
     assert answer.doubt == ""
+    assert answer.list_doubt.startswith("only 8 texts tell what a word does not mean")
+    assert scene.segment(["red mug", NOUNS[0]]).list_doubt == answer.list_doubt
     scene.ask("apple")  # no second warning, which would be an error here
+
+
+@pytest.mark.parametrize(("count", "doubted"), [(8, True), (ENOUGH_TEXTS, False)])
+def test_clients_of_http_and_tools_are_told_beside_the_answer(count: int, doubted: bool) -> None:
+    pytest.importorskip("pydantic")
+    from drsplat.fronts.serving import worker
+    from drsplat.fronts.serving.conversation import tool_answer
+    from drsplat.fronts.serving.limits import Limits
+    from drsplat.fronts.serving.query_fields import Locate, Segment, Tool
+
+    texts = ("red mug", *(name for name in NOUNS if name != "mug"))[:count]
+    scene = Scene(
+        field_of_words(), known_scene(), encoder=VocabularyEncoder(WORDS.identity, texts, WORDS.encode_texts(texts))
+    )
+    located = worker.located(scene, Locate(text="red mug"), Limits())
+    segmented = worker.segmented(scene, Segment(classes=["red mug"]), Limits())
+    counted = tool_answer(scene, Tool(name="a", tool="count", arguments={"text": "red mug"}), Limits())
+    told = f"only {count} texts tell what a word does not mean"
+    for said in (located.measured.list_doubt, segmented.list_doubt, counted.advice):
+        assert (told in said) is doubted
+    assert located.measured.certainty == "sure"

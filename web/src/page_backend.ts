@@ -29,6 +29,7 @@ export class PageBackend implements Backend {
   readonly search: Promise<Search> | null;
   private searching: Search | null = null; // once it is ready
   private readonly found = new Map<Result, Found>();
+  private changed: (state: State) => void = () => {};
 
   private constructor(readonly file: PageFile, readonly arrays: Arrays, scene: Promise<Splats>) {
     this.scene = scene;
@@ -61,7 +62,7 @@ export class PageBackend implements Backend {
   header(): Promise<Header> { return Promise.resolve(this.file); }
   state(): Promise<State> { return Promise.resolve(this.now); }
   async *splats(): AsyncGenerator<Growing> { const splats = await this.scene; yield { splats, room: splats.count, all: splats.count }; }
-  listen(): void {}
+  listen(changed: (state: State) => void): void { this.changed = changed; }
   objectPicture(object: SceneObject): string { return object.picture ?? ""; }
   colors(): Promise<Uint8Array> { return Promise.resolve(this.arrays.features as Uint8Array); }
 
@@ -80,12 +81,12 @@ export class PageBackend implements Backend {
   }
 
   async act(act: Act): Promise<State> {
-    const change = await this.changed(act);
+    const change = await this.change(act);
     this.now = { ...this.now, ...change, revision: this.now.revision + 1, paint: this.now.paint + 1 };
     return this.now;
   }
 
-  private async changed(act: Act): Promise<Partial<State>> {
+  private async change(act: Act): Promise<Partial<State>> {
     switch (act.act) {
       case "ask": return this.ask(String(act.text));
       case "choose": return this.choose(this.file.objects.findIndex((one) => one.number === act.number));
@@ -123,7 +124,20 @@ export class PageBackend implements Backend {
   private answered(search: Search, text: string, number: number): Result {
     const found = search.find(text, number);
     this.found.set(found.result, found);
+    if (!found.result.matches.length) void this.offer(search, found.result);
     return found.result;
+  }
+
+  /** Name words that do match beside an answer without one, once it is shown, a step at a time between pictures. */
+  private async offer(search: Search, result: Result): Promise<void> {
+    const looking = search.instead(result.text);
+    for (let step = looking.next(); ; step = looking.next()) {
+      await new Promise((done) => setTimeout(done, 0));
+      if (!this.now.results.includes(result)) return;
+      if (step.done) { result.instead = step.value; break; }
+    }
+    this.now = { ...this.now, revision: this.now.revision + 1 };
+    this.changed(this.now);
   }
 
   private choose(index: number): Partial<State> {

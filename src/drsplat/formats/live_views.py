@@ -245,9 +245,11 @@ def _read(path: Path, state: State) -> LiveView | None:
     except FileNotFoundError:
         return None
     check_seal(as_document(document, str(path), FORMAT, cure=CURE), f"{path}", cure=CURE)
-    view: LiveView = replace(as_kind(document, LiveView, str(path)), state=state)
-    if live_name(view.name) != view.name:
-        raise FormatError(f"{path}: damaged: expected a view as it was written. {CURE}")
+    try:
+        view: LiveView = replace(as_kind(document, LiveView, str(path)), state=state)
+        live_name(view.name)
+    except FormatError as error:  # sealed, but by another program
+        raise FormatError(f"{error}. {CURE}") from error
     return view
 
 

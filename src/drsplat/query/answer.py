@@ -40,6 +40,7 @@ class Answer:
     encoder or default; object or label, where exactly what belongs together is meant. drawn: who draws it, the
     `picture` of its scene; None: nobody. doubt: reason not to rely on it, "" if there is none. sure: False where other
     words fit what is selected as well; `doubt` says which. seen_from: the photo that left and right are meant from.
+    list_doubt: why the vocabulary that a text is told from says little, "" if it does not; it makes no maybe.
     """
 
     field: LanguageField
@@ -53,6 +54,7 @@ class Answer:
     doubt: str = ""
     sure: bool = True
     seen_from: str = ""
+    list_doubt: str = ""
 
     @classmethod
     def of(cls, field: LanguageField, values: Numbers, threshold: float) -> "Answer":
@@ -212,6 +214,11 @@ class Segmentation:
     def doubt(self) -> str:
         """Reason not to rely on some of the classes, "" if there is none."""
         return next((answer.doubt for answer in self.answers if answer.doubt), "")
+
+    @property
+    def list_doubt(self) -> str:
+        """That of its answers, which are told from one list."""
+        return self.answers[0].list_doubt
 
     @property
     def counts(self) -> list[int]:

@@ -76,6 +76,7 @@ def answer_document(answer: Answer) -> Document:
         "num_selected": len(answer.gaussian_ids),
         "certainty": answer.certainty,
         "doubt": answer.doubt,
+        "list_doubt": answer.list_doubt,
         "seen_from": answer.seen_from,
     }
 
@@ -89,6 +90,7 @@ def segmentation_document(segmentation: Segmentation) -> Document:
         "num_registered": num_registered,
         "num_labelled": sum(counts),
         "doubt": segmentation.doubt,
+        "list_doubt": segmentation.list_doubt,
         "classes": [
             {"name": name, "num_gaussians": count, "share": count / max(num_registered, 1), "threshold": one.threshold}
             for name, count, one in zip(segmentation.names, counts, answers, strict=True)

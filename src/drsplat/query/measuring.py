@@ -7,8 +7,9 @@ from functools import cached_property, partial
 import numpy as np
 
 from ..base.arrays import Embedding, Embeddings, Flags, Numbers, OtherFlags, OtherPixels, Pixels
-from ..errors import InputError
+from ..errors import InputError, MissingExtraError
 from ..field import LanguageField, Negatives, relevancy_from_scores
+from ..formats.vocabulary import VocabularyEncoder
 from ..kernels.algebra import dense_rows
 from ..photos.models.mini import MiniEncoder
 from ..photos.models.mini.lexicon import swapped
@@ -31,6 +32,7 @@ from .defaults import (
     SHARE,
     SURE,
 )
+from .encoding import list_doubt
 from .naming import doubt_of
 from .query import Cut, Query
 from .search import (
@@ -77,6 +79,15 @@ class Background:
     @property
     def own_threshold(self) -> float | None:
         return own_threshold(self.encoder)
+
+    @cached_property
+    def list_doubt(self) -> str:
+        """Reason why a vocabulary says little of what words do not mean; "" of a long one, and without one."""
+        try:
+            encoder = self.encoder
+        except (InputError, MissingExtraError):  # nobody embeds words here
+            return ""
+        return list_doubt(encoder.texts, self.field) if isinstance(encoder, VocabularyEncoder) else ""
 
     @cached_property
     def kept_contrast(self) -> Contrast | None:
@@ -183,9 +194,8 @@ class Measuring:
             scores = field.scores(np.stack(queries), threads=self.background.threads)
             for (wanted, unwanted), query, own in zip(split, queries, scores, strict=True):
                 answer = self._of_words(query, own, wanted)
-                answer = replace(
-                    answer, doubt=". ".join(filter(None, (answer.doubt, doubt_of(encoder, field, wanted))))
-                )
+                doubt = ". ".join(filter(None, (answer.doubt, doubt_of(encoder, field, wanted))))
+                answer = replace(answer, doubt=doubt, list_doubt=self.background.list_doubt)
                 yield self._without(answer, own, wanted, (*unwanted, *self.exclude))
 
     def of_image(self, picture: OtherPixels) -> Answer:

@@ -16,6 +16,7 @@ interface ListFile { texts: string[]; spread: number; least: number | null }
 /** What a page's file says of its search; fronts/viewing/page_search.py writes it. */
 export interface SearchFile {
   rules: Rules; share: number; up: Vec | null; radius: number; center: Vec; sentences: SentenceRules; threshold: number | null; doubt: string; weak_doubt: string; accents: Color[];
+  offers: string[]; missed: { best_place: string; below_threshold: string };
   lists: { all?: ListFile; colors?: ListFile }; texts?: string[]; lexicon?: Lexicon; kinds?: Record<string, number[]>; vocabulary: string[];
 }
 
@@ -152,10 +153,34 @@ export class Search {
     return rated.sort((a, b) => b.score - a.score).slice(0, MOST_WORDS);
   }
 
+  /** Return, in a step for each word that is tried, the words nearest to a query which do match: query/suggesting.py. */
+  *instead(text: string): Generator<void, string[]> {
+    const { rules, offers } = this.file, query = this.words.vector(this.reads(text)[0]), likeness = new Map(offers.map((word) => [word, product(this.words.vector(word), query)]));
+    const near = [...offers].sort((a, b) => (likeness.get(b) ?? 0) - (likeness.get(a) ?? 0)).slice(0, rules.max_words_tried), found: string[] = [];
+    for (const word of near) {
+      if (found.length === rules.max_words_instead) break;
+      yield;
+      const answered = this.answer(word);
+      if (answered.certainty === "sure" && this.places(answered)[0]?.sure) found.push(word);
+    }
+    return found;
+  }
+
+  /** Say how near a query without a match came to one. */
+  private missed({ values, threshold, measure }: Answered): string {
+    const best = most(values), { best_place, below_threshold } = this.file.missed, [height, limit] = [best.toFixed(2), threshold.toFixed(2)];
+    if (best <= (measure === "cosine" ? -1 : 0)) return "";
+    return best_place.replace("{measure}", measure).replace("{best}", height).replace("{below}", Number(height) < Number(limit) ? below_threshold.replace("{threshold}", limit) : "");
+  }
+
+  private places({ values, threshold }: Answered): Place[] {
+    return placesOf(above(values, threshold), values, this.things, this.splats, this.arrays.solid, this.codes.rows, this.file.rules, this.file.share);
+  }
+
   /** Answer a text with its matches and its paint. */
   find(text: string, number = 0): Found {
-    const { values, threshold, measure, certainty, doubt } = this.answer(text), { rows } = this.codes, { accents } = this.file, selected = above(values, threshold);
-    const places = placesOf(selected, values, this.things, this.splats, this.arrays.solid, rows, this.file.rules, this.file.share).slice(0, MOST_MATCHES);
+    const answered = this.answer(text), { values, threshold, measure, certainty } = answered, { rows } = this.codes, { accents } = this.file;
+    const places = this.places(answered).slice(0, MOST_MATCHES), doubt = [answered.doubt, places.length ? "" : this.missed(answered)].filter(Boolean).join(". ");
     const heat = new Uint8Array(this.splats.count), owner = new Uint8Array(this.splats.count), warm = heatOf(values, threshold);
     warm.forEach((value, i) => { heat[rows[i]] = Math.round(WARMEST * value); });
     places.forEach((place, k) => { for (const row of place.rows) owner[rows[row]] = k + 1; });

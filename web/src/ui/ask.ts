@@ -47,7 +47,7 @@ export class AskTab implements Tab {
 
   /** Further words that have answers here. */
   private others(): Node[] {
-    const asked = new Set(this.app.state.results.map((result) => result.text)), words = this.app.header.words.filter((word) => !asked.has(word)).slice(0, MOST_OTHERS);
+    const asked = new Set(this.app.state.results.flatMap((result) => [result.text, ...(result.instead ?? [])])), words = this.app.header.words.filter((word) => !asked.has(word)).slice(0, MOST_OTHERS);
     return words.length ? [h("div", { class: "chips", "aria-label": "Other queries" }, ...words.map((word) => button(word, () => this.app.prompt.ask(word), { class: "chip" })))] : [];
   }
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from ...base.arrays import Bool, FloatRows, Mask, OtherPixels, RowIds, Vector3
+from ...base.arrays import Bool, FloatRows, Int64, Mask, OtherPixels, RowIds, Vector3
 from ...base.progress import Stopwatch
 from ...base.terminal import counted
 from ...drawing.pictures import (
@@ -45,7 +45,7 @@ from ...kernels import SplatArrays, render_channels, splat_arrays
 from ...photos.embedding.embed import embed
 from ...photos.models.graph import GraphSegmenter
 from ...photos.models.mini import MiniEncoder
-from ...query import Scene
+from ...query import Match, Scene
 from ...scene.gaussians import Gaussians
 from ...scene.views import View
 from ..scorers import mask_iou
@@ -53,6 +53,7 @@ from ..scorers import mask_iou
 FIELD, FEATURES = "room.field", "language_features"
 
 MIN_RIGHT_IOU = 0.5  # an answer counts as right above
+UNSURE_SHARE = 0.35  # of its colour, that a match keeps in a picture which the answer is not sure of
 SCENE = "scene.compressed.ply"
 UNFINISHED = "UNFINISHED"  # name of the file that marks a folder of a demo that was stopped
 
@@ -103,12 +104,16 @@ class Household:
 class Verdict:
     """Answer to a probe, compared with the truth.
 
-    gaussian_ids: of all matches. center: of the best match, in metres, or None. iou: with the truth, in the demo over
-    the pixels of all held-out photos; None where nothing is right. scores: lowest and highest of the field.
+    gaussian_ids: of the matches that are judged, those that the answer is sure of; where it is only maybe, all.
+    unsure_ids: of the others. count: matches that are sure. center: of the best match, in metres, or None. iou: of what
+    is judged with the truth, in the demo over the pixels of all held-out photos; None where nothing is right. scores:
+    lowest and highest of the field.
     """
 
     probe: Probe
     gaussian_ids: RowIds
+    unsure_ids: Int64[np.ndarray, " u"]
+    count: int
     num_matches: int
     iou: float | None
     center: Vector3 | None
@@ -194,11 +199,12 @@ class _Judge:
         start = time.perf_counter()
         answer = self.scene.ask(probe.text)
         matches = self.scene.locate(answer)
-        ids = np.sort(np.concatenate([match.gaussian_ids for match in matches] or [np.empty(0, np.int64)]))
         seconds = time.perf_counter() - start
+        sure = [match for match in matches if match.sure]
+        judged, others = (sure, [match for match in matches if not match.sure]) if sure else (matches, [])
         limits = float(answer.scores.min(initial=1)), float(answer.scores.max(initial=-1))
         center = matches[0].center if matches else None
-        return Verdict(probe, ids, len(matches), None, center, limits, seconds)
+        return Verdict(probe, _ids(judged), _ids(others), len(sure), len(matches), None, center, limits, seconds)
 
     def verdicts(self, answers: Sequence[Verdict]) -> list[Verdict]:
         """Compare answers with the truth, all of them in one rendering of each held-out photo.
@@ -226,6 +232,10 @@ class _Judge:
     def _true(self, meant: tuple[str, ...]) -> Mask:
         """Return where the held-out photos show these categories."""
         return np.concatenate([self.household.mask(view.name, meant) for view in self.held_out])
+
+
+def _ids(matches: Sequence[Match]) -> RowIds:
+    return np.sort(np.concatenate([match.gaussian_ids for match in matches] or [np.empty(0, np.int64)]))
 
 
 def unpack_household(folder: Path, *, overwrite: bool = False) -> Household:
@@ -297,18 +307,22 @@ def note(verdict: Verdict) -> str:
     if not verdict.found:
         manner = "rightly" if verdict.is_right else "miss:"
         return f"{manner} no match (best score {verdict.scores[1]:.2f})"
-    count = counted(verdict.num_matches, "match", "matches")
+    sure = "" if verdict.count == verdict.num_matches else f", {verdict.count} sure"
+    count = counted(verdict.num_matches, "match", "matches") + sure
     if verdict.iou is None:
         return f"wrong: {count}, but there is none"
     return f"{'' if verdict.is_right else 'miss: '}{count}, IoU {verdict.iou:.2f}"
 
 
 def _answer_picture(story: Story, verdict: Verdict, view: View) -> OtherPixels:
-    """Draw the Gaussians of an answer from the view that shows most of them, with a lens that suits their size."""
+    """Draw the Gaussians of an answer from the view that shows most of them, with a lens that suits their size.
+
+    What the answer is not sure of is pale.
+    """
     view = view if verdict.found else story.held_out[0]
     view = zoomed(view, visible_share(story.gaussians, view, verdict.gaussian_ids, splats=story.splats))
     chosen = np.zeros((len(story.gaussians), 1), np.float32)
-    chosen[verdict.gaussian_ids] = 1
+    chosen[verdict.gaussian_ids], chosen[verdict.unsure_ids] = 1, UNSURE_SHARE
     drawn = render(story.gaussians, view, values=chosen, splats=story.splats)
     return highlighted(as_pixels(drawn.rgb), drawn.channels[..., 0])
 

@@ -88,13 +88,14 @@ def show(answer: Facts) -> None:
     from .tables import show_table, size_text, text_of
 
     photos, masks = answer["num_photos"], answer["num_masks"]
-    title = f"{text_of(answer['num_gaussians'])} Gaussians, {photos} photos, {text_of(masks)} masks; lengths in metres"
+    sizes = f"{text_of(answer['num_gaussians'])} Gaussians, {photos} photos, {text_of(masks)} masks"
+    title = f"{sizes}; lengths in scene units, here metres"
     columns = ("query", "", "", "IoU", "Gaussians", "centre", "ms")
     show_table(title, columns, [_row(query) for query in answer["queries"]])
     seconds, memory = answer["seconds"], size_text(answer["peak_memory_bytes"])
     print(
-        f"{answer['num_right']} of {len(answer['queries'])} answers are right, measured in {answer['num_held_out']} "
-        f"photos held out; {seconds:.1f} s, {memory} at most."
+        f"{answer['num_right']} of {len(answer['queries'])} answers are right, by what they are sure of in "
+        f"{answer['num_held_out']} photos held out; {seconds:.1f} s, {memory} at most."
     )
     folder = answer["output_dir"]
     print(f"Open {answer['page']} in a browser: it shows the room and answers words, without a server or a network.")
@@ -108,6 +109,7 @@ def _row(query: Facts) -> tuple[str, ...]:
     from ...base.terminal import counted
 
     matches = counted(query["num_matches"], "match", "matches")
+    matches += "" if query["count"] == query["num_matches"] else f", {query['count']} sure"
     iou = "" if query["iou"] is None else f"{query['iou']:.2f}"
     center = "" if query["center"] is None else " ".join(f"{x:.2f}" for x in query["center"])
     return (
@@ -123,6 +125,8 @@ def _query(verdict: Any, picture: Path) -> Facts:
         "is_right": verdict.is_right,
         "iou": verdict.iou,
         "num_selected": len(verdict.gaussian_ids),
+        "num_unsure": len(verdict.unsure_ids),
+        "count": verdict.count,
         "num_matches": verdict.num_matches,
         "center": verdict.center,
         "score_range": list(verdict.scores),

@@ -338,12 +338,12 @@ class Conversation:
 
 
 def tool_answer(scene: engine.Scene, asked: Tool, _: Limits) -> Body:
-    """Return a tool's answer with the reason not to rely on names in its scene, if there is one."""
+    """Return a tool's answer with the reasons not to rely on words in its scene, if there are any."""
     answer = TOOLS[asked.tool].method(Conversation(scene, asked.name), **asked.arguments)
-    advice = [getattr(answer, "advice", None), scene.doubt]
-    if None in advice or not scene.doubt:
+    advice, doubts = getattr(answer, "advice", None), (scene.doubt, scene.background.list_doubt)
+    if advice is None or not any(doubts):
         return answer
-    return answer.model_copy(update={"advice": ". ".join(filter(None, advice))})
+    return answer.model_copy(update={"advice": ". ".join(filter(None, (advice, *doubts)))})
 
 
 def _query(text: str, on: str | None) -> str:

@@ -84,6 +84,7 @@ class SceneDetails(SceneSummary):
 
 
 DOUBT: str = Field("", description="reason not to rely on the answer; empty if there is none")
+LIST_DOUBT: str = Field("", description="why a vocabulary of few texts says little of what a word does not mean, or ''")
 
 
 class Measured(Body):
@@ -98,6 +99,7 @@ class Measured(Body):
     certainty: str
     """sure, maybe where there is a doubt, or nothing"""
     doubt: str = DOUBT
+    list_doubt: str = LIST_DOUBT
     seen_from: str = ""
     """the photo that left and right are meant from"""
 
@@ -129,6 +131,7 @@ class Segmented(Body):
     """per Gaussian of the scene the number of its class, -1 for none"""
     field: Fingerprint = ""
     doubt: str = DOUBT
+    list_doubt: str = LIST_DOUBT
 
 
 class SceneList(Body):

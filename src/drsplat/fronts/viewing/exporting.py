@@ -192,7 +192,8 @@ def _answer(session: Session, text: str, up: Vector3, times: PageTimes | None) -
         matches,
         [before(match, scene.gaussians, scene.views, up) for match in matches],
         boxes_of(session, times, matches),
-        result.notes(result.instead),
+        result.notes(),
+        result.instead,
     )
 
 

@@ -226,6 +226,7 @@ class PageAnswer:
 
     heat: per shown Gaussian in [0, 1]. owners: 0, or 1 for the first match. eyes: places in the world to see each match
     from. boxes: of each match over time, as `page_times.boxes_of` has them. doubt: why not to rely on it, "" for none.
+    instead: words that have a match where this has none.
     """
 
     text: str
@@ -235,6 +236,7 @@ class PageAnswer:
     eyes: Sequence[Vector3]
     boxes: Sequence[Sequence[Sequence[float] | None]] = ()
     doubt: str = ""
+    instead: Sequence[str] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -388,7 +390,7 @@ def _answer(frame: Frame, number: int, answer: PageAnswer) -> Document:
     return {
         "text": text, "summary": "", "doubt": answer.doubt, "accent": painting.accent(number), "matches": matches,
         "num_matches": len(matches), "threshold": 0, "automatic": 0, "limits": [0, 1], "measure": "",
-        "threshold_rule": "", "exact": True,
+        "threshold_rule": "", "exact": True, "instead": list(answer.instead),
     }  # fmt: skip
 
 

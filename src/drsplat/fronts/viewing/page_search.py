@@ -17,11 +17,23 @@ from ...kernels import boxes, pq_encode
 from ...kernels.kmeans import train_centroids
 from ...photos.models.mini import MiniEncoder, lexicon
 from ...photos.models.word_list import known_words, listed_words, names_under
-from ...query import Scene, contrast, defaults, linking, measuring, search, sentences, tasks, thresholds, wholes
+from ...query import (
+    Scene,
+    contrast,
+    defaults,
+    linking,
+    measuring,
+    search,
+    sentences,
+    suggesting,
+    tasks,
+    thresholds,
+    wholes,
+)
 from ...query.documents import Document
 from ...query.encoding import list_doubt
 from ...query.naming import ONLY_COLORS_DOUBT, knows_nouns
-from ...query.suggesting import words_of
+from ...query.suggesting import words_of, words_to_offer
 from ...scene.boxes import HAZE_OPACITY
 from . import naming
 from .painting import ACCENTS
@@ -48,12 +60,14 @@ _RULES: Mapping[ModuleType, str] = {
     linking: "NUM_NEIGHBOURS MIN_NEAR_SHARE LINK_FACTOR TOUCH_FACTOR MIN_TOUCHING_SHARE",
     boxes: "OUTLIER_SHARE MAX_STRAY_SHARE MIN_TAIL_SPARSENESS",
     looking: "DISTANCE_SIZES RISE MARGIN_SHARE MIN_SIZE_SHARE",
+    suggesting: "MAX_WORDS_TRIED MAX_WORDS_INSTEAD",
 }
 _SENTENCES: Mapping[ModuleType, str] = {
     sentences: "RELATED STRANGE ASKING THERE ARTICLE NUMBER NOT POSED HERE",
     search: "BUT_NOT",
     lexicon: "COLORS TONES",
 }
+_MISSED = {suggesting: "BEST_PLACE BELOW_THRESHOLD"}
 _LEXICON = {lexicon: "WORDS NAMES COLORS PAINTS ORANGE TONES STUFFS GROUPS SYNONYMS ANYTHING IGNORED MATERIALS"}
 
 
@@ -111,6 +125,7 @@ def _numbers(session: Session) -> Document:
         "up": None if scene.up is None else scene.up.tolist(),
         "radius": looking.radius_of(scene.gaussians) * frame.scale,
         "vocabulary": naming.known_words(scene, session.words), "weak_doubt": measuring.WEAK_DOUBT,
+        "offers": words_to_offer(scene), "missed": _named(_MISSED),
     }  # fmt: skip
 
 

@@ -46,11 +46,11 @@ class Result:
         low, high = min(low, self.answer.threshold), max(high, self.answer.threshold)
         return low, high if high > low else low + 1e-3
 
-    def notes(self, instead: Sequence[str] = ()) -> str:
-        """Return reasons not to rely on the matches; without one how near it came, and what matches `instead`."""
+    def notes(self) -> str:
+        """Return reasons not to rely on the matches; without one how near it came."""
         answer = replace(self.answer, threshold=self.threshold)
         sides = f"left and right are those of the photo {answer.seen_from}" if answer.seen_from else ""
-        missed = "" if self.matches else missed_text(answer, instead)
+        missed = "" if self.matches else missed_text(answer)
         return ". ".join(filter(None, (answer.doubt, sides, missed)))
 
     @property

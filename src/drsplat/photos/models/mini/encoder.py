@@ -11,7 +11,18 @@ from ....errors import InputError, did_you_mean
 from ....formats.tensors import map_tensors
 from ....kernels.algebra import convolve, dense_rows
 from ....scene.encoders import EncoderIdentity
-from .lexicon import COLORS, NAMES, PAINTS, STRUCTURES, WORDS, colors_in, from_other_language, only_colors, words_of
+from .lexicon import (
+    COLORS,
+    NAMES,
+    PAINTS,
+    STRUCTURES,
+    SYNONYMS,
+    WORDS,
+    colors_in,
+    from_other_language,
+    only_colors,
+    words_of,
+)
 
 DIM = 512
 BATCH_CROPS = 64  # whose layers take some 20 MiB
@@ -100,9 +111,9 @@ def _unknown(text: str, strange: Sequence[str]) -> str:
         return f"{text!r} is {language}, and the built-in encoder reads English: ask for {english!r}"
     meant = "".join(did_you_mean(word, WORDS, 2) for word in strange)
     return (
-        f"the built-in encoder was not taught {', '.join(map(repr, strange))}.{meant} It knows these English words: "
-        f"{', '.join(NAMES)}; {', '.join(COLORS)}. For all others embed the photos with CLIP (`drsplat embed "
-        "CAPTURE`), then register"
+        f"the built-in encoder was not taught {', '.join(map(repr, strange))}.{meant} It knows "
+        f"{len(WORDS) + len(SYNONYMS)} English words: {', '.join(NAMES)}; {', '.join(COLORS)}; and kinds, materials "
+        "and other names of these. For all others embed the photos with CLIP (`drsplat embed CAPTURE`), then register"
     )
 
 
