@@ -76,6 +76,16 @@ def test_a_book_is_on_the_seat_of_a_sofa_below_half_of_its_height() -> None:
     assert is_on(block((-0.1, -0.1, 0.44), (0.1, 0.1, 0.48)), SOFA)
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_a_flat_book_of_few_gaussians_is_on_the_seat(seed: int) -> None:
+    """A tenth of its height holds one or two, on the side that photos see; its foot is as thick as they are apart."""
+    rng = np.random.default_rng(seed)
+    top = rng.uniform((-0.12, -0.07, 0.474), (0.12, 0.07, 0.475), (50, 3))
+    book = np.concatenate([top, rng.uniform((-0.12, -0.07, 0.44), (0.12, -0.068, 0.475), (20, 3))])
+    assert is_on(book, SOFA)
+    assert not is_on(book + np.array([0, 0, 0.12]), SOFA)
+
+
 def test_what_stands_beside_a_thing_is_not_on_it() -> None:
     """Mug and book touch, on one table."""
     mug, book = block((0.0, 0.0, 0.75), (0.08, 0.08, 0.85)), block((0.081, -0.05, 0.75), (0.11, 0.15, 0.98))

@@ -42,7 +42,7 @@ MIN_COMMON_HEIGHT_SHARE = 0.1  # of the lower of two objects next to each other
 _Holds = Callable[[AnyGaussians, Match, Match, Up], bool]
 UPRIGHT_COSINE = 0.99  # of a box's third axis with up
 MAX_OVERHANG_SHARE = 0.05  # of a thing's size, that its middle may stand out of what it is over
-FOOT_SHARE = 0.1  # of a thing's height above its lower side: what can touch
+FOOT_SHARE = 0.1  # of a thing's height above its lower side: what can touch; of flat things a typical spacing
 TOUCHING_DEVIATIONS = 2.0  # of two Gaussians, towards each other
 NUM_NEIGHBOURS = 8
 SPACING_NEIGHBOUR = 3  # whose median distance is the typical spacing
@@ -237,7 +237,8 @@ def rests_on(gaussians: AnyGaussians, thing: Ids, support: Ids, up: Up, inside: 
     own = solid(gaussians, thing)
     heights, others = _centers(gaussians, own) @ up, solid(gaussians, np.setdiff1d(support, thing))
     low, high = np.quantile(heights, (0.02, 0.98))
-    ankle = low + FOOT_SHARE * (high - low)
+    spacing = _spacing(_centers(gaussians, own)) if len(own) > SPACING_NEIGHBOUR else 0.0
+    ankle = low + max(FOOT_SHARE * (high - low), min(spacing, (high - low) / 2))
     foot, rest = own[heights <= ankle], own[heights > ankle]
     touching, touched = contacts(gaussians, own, foot, others)
     if (
