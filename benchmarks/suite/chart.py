@@ -16,10 +16,10 @@ text{font-family:system-ui,sans-serif;font-size:12px}.strong{font-weight:600}"""
 
 CURVES_WIDTH = 460
 CURVES_STYLE = """
-polyline{fill:none;stroke-width:2}.c0{stroke:#2f6fb2}.c1{stroke:#a9b4c2}.c2{stroke:#b2602f}.d0{fill:#2f6fb2}.d1{fill:#a9b4c2}
-.d2{fill:#b2602f}.b2{fill:#b2602f;stroke:none}
-@media (prefers-color-scheme:dark){.c0{stroke:#5aa2ea}.c1{stroke:#6c7889}.c2{stroke:#e0915f}.d0{fill:#5aa2ea}
-.d1{fill:#6c7889}.d2{fill:#e0915f}.b2{fill:#e0915f}}"""
+polyline{fill:none;stroke-width:2}.c0{stroke:#2f6fb2}.c1{stroke:#a9b4c2}.c2{stroke:#b2602f}
+.b0,.d0{fill:#2f6fb2}.b1,.d1{fill:#a9b4c2}.b2,.d2{fill:#b2602f;stroke:none}
+@media (prefers-color-scheme:dark){.c0{stroke:#5aa2ea}.c1{stroke:#6c7889}.c2{stroke:#e0915f}
+.b0,.d0{fill:#5aa2ea}.b1,.d1{fill:#6c7889}.b2,.d2{fill:#e0915f}}"""
 
 
 class Bar(NamedTuple):
@@ -100,13 +100,21 @@ def _text(x: float, y: float, words: str, anchor: str, kind: str) -> str:
     return f'<text class="{kind}" x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{escape(words)}</text>'
 
 
+class Mark(NamedTuple):
+    """A dot with a name, at percents along two axes."""
+
+    name: str
+    x: float
+    y: float
+
+
 class Line(NamedTuple):
-    """Percents along two axes, 0 to 100. marks: places of dots."""
+    """Percents along two axes, 0 to 100."""
 
     name: str
     x: Sequence[float]
     y: Sequence[float]
-    marks: Sequence[tuple[float, float]] = ()
+    marks: Sequence[Mark] = ()
 
 
 def curves(title: str, x: str, y: str, lines: Sequence[Line]) -> str:
@@ -118,8 +126,9 @@ def curves(title: str, x: str, y: str, lines: Sequence[Line]) -> str:
     for number, line in enumerate(lines):
         points = " ".join(f"{_x(one):.1f},{_y(other):.1f}" for one, other in zip(line.x, line.y, strict=True))
         parts.append(f'<polyline class="c{number}" points="{points}"><title>{escape(line.name)}</title></polyline>')
-        for across, up in line.marks:
-            parts.append(f'<circle class="d{number}" cx="{_x(across):.1f}" cy="{_y(up):.1f}" r="4.5"/>')
+        for mark in line.marks:
+            parts.append(f'<circle class="d{number}" cx="{_x(mark.x):.1f}" cy="{_y(mark.y):.1f}" r="4.5"/>')
+            parts.append(_text(_x(mark.x) + 8, _y(mark.y) + 16, mark.name, "start", "ink"))
     names = [_text(_x(50), HEIGHT - 12, x, "middle", "ink"), _text(LEFT, TOP - 8, y, "start", "faint")]
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {HEIGHT}" width="{width:g}" '
