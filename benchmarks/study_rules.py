@@ -125,7 +125,8 @@ class Answers:
         some = [[one for one in own if ("iou" in one) == there] for own in self.by_place.values()]
         some = [own for own in some if own]
         values = [[100.0 * what(one) for one in own] for own in some]
-        return within(*over_places(values, [[one["text"] for one in own] for own in some]))
+        mean, low, high = over_places(values, [[one["text"] for one in own] for own in some])
+        return within(mean, max(low, 0.0), min(high, 100.0))
 
     def each(self, there: bool) -> list[Record]:
         return [one for own in self.by_place.values() for one in own if ("iou" in one) == there]
