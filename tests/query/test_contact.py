@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from drsplat import Gaussians
-from drsplat.query.relations import contacts, rests_on, widest_gap
+from drsplat.kernels.boxes import box_of
+from drsplat.query import Match
+from drsplat.query.relations import contacts, lies_next_to, rests_on, widest_gap
 
 UP = np.array([0.0, 0, 1])
 THICK = 0.005
@@ -92,6 +94,16 @@ def test_what_stands_beside_a_thing_is_not_on_it() -> None:
     assert not is_on(mug, book)
     assert not is_on(book, mug)
     assert is_on(mug, TABLE)
+
+
+def test_things_are_next_to_each_other_by_their_surfaces() -> None:
+    """Gaussians that are 2 cm apart stand for surfaces that go on for one more between two things."""
+    grid = np.stack(np.meshgrid(*[np.arange(0, 0.081, 0.02)] * 3), axis=-1).reshape(-1, 3)
+    for gap, expected in ((0.09, True), (0.115, True), (0.13, False), (0.3, False)):
+        gaussians, rows = scene_of(grid, grid + np.array([0.08 + gap, 0, 0]))
+        one, other = (Match(*box_of(gaussians, ids, UP), 1.0, ids) for ids in rows)
+        assert max(one.extent.max(), other.extent.max()) < 0.105
+        assert lies_next_to(gaussians, one, other, UP) is expected, gap
 
 
 def test_what_hangs_on_a_wall_is_not_on_it() -> None:

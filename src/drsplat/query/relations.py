@@ -128,12 +128,16 @@ def _in_column(points: Points, others: Points, up: Up) -> Float64[np.ndarray, " 
 
 
 def lies_next_to(gaussians: AnyGaussians, thing: Match, other: Match, up: Up) -> bool:
-    """Return True if two things are beside each other, nearer than the mean of their boxes' longest sides."""
+    """Return True if two things are beside each other, nearer than the mean of their boxes' longest sides.
+
+    Gaussians stand for surfaces that go on beyond their centres: a mean typical spacing is added.
+    """
     (low, high), (foot, head) = (_heights(gaussians, one, up) for one in (thing, other))
     shared = min(high, head) - max(low, foot)
     if shared < MIN_COMMON_HEIGHT_SHARE * min(high - low, head - foot):
         return False
-    reach = float(thing.extent.max() + other.extent.max()) / 2
+    sizes = (each.extent.max() + _spacing(solid_centers(gaussians, each)) for each in (thing, other))
+    reach = float(sum(sizes)) / 2
     apart = not any(
         holds(gaussians, *pair, up) for holds in (stands_on, lies_in) for pair in ((thing, other), (other, thing))
     )
@@ -237,8 +241,7 @@ def rests_on(gaussians: AnyGaussians, thing: Ids, support: Ids, up: Up, inside: 
     own = solid(gaussians, thing)
     heights, others = _centers(gaussians, own) @ up, solid(gaussians, np.setdiff1d(support, thing))
     low, high = np.quantile(heights, (0.02, 0.98))
-    spacing = _spacing(_centers(gaussians, own)) if len(own) > SPACING_NEIGHBOUR else 0.0
-    ankle = low + max(FOOT_SHARE * (high - low), min(spacing, (high - low) / 2))
+    ankle = low + max(FOOT_SHARE * (high - low), min(_spacing(_centers(gaussians, own)), (high - low) / 2))
     foot, rest = own[heights <= ankle], own[heights > ankle]
     touching, touched = contacts(gaussians, own, foot, others)
     if (
@@ -305,7 +308,9 @@ def _centers(gaussians: AnyGaussians, ids: Ids) -> Points:
 
 
 def _spacing(points: Points) -> float:
-    """Return the typical distance to a near neighbour."""
+    """Return the typical distance to a near neighbour, 0 of points that are too few to have one."""
+    if len(points) <= SPACING_NEIGHBOUR:
+        return 0.0
     return float(np.median(cKDTree(points).query(points, SPACING_NEIGHBOUR + 1)[0][:, -1]))
 
 
