@@ -1,6 +1,7 @@
 """The worst answers to words, each with its picture and its cause: scene, masks, encoder, threshold or objects.
 
     python benchmarks/study_worst.py PLACE... --clip FOLDER --kept FOLDER --output FOLDER [--count 10] [--wrong 20]
+        [--records FILE.jsonl]
 
 PLACE: a packed room of world/scenes, or CAPTURE=SCENE, a capture with the scene that was trained on it; both with the
 masks of `graph` and with the other kind (suite/answers.py). The worst are those with the lowest IoU of the default
@@ -8,14 +9,14 @@ answer, in whole objects, and of equal ones those with the most to gain from the
 and no word twice there. The causes are measured (suite/causes.py), and counted for all answers below IoU 0.5. FOLDER
 gets a picture of each: its outline in the photo (yellow), what is selected by default, and what the best threshold
 selects. Where no photo has an outline of the thing, as where only things hidden by others are left, there is no
-picture.
+picture. --records: the worst of a run of study_rules.py, masks of `graph`, instead of asking everything again.
 """
 
 import argparse
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from itertools import islice
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,11 +26,13 @@ from scipy import ndimage
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
+from benchmarks.study_rules import read
 from benchmarks.suite.answers import MASKS, Answered, Draws, answered, best_cut, kind_of, place_of
 from benchmarks.suite.causes import CAUSES, Culprits, Seen, Steps
+from benchmarks.suite.places import Place
 from benchmarks.suite.tables import markdown
-from benchmarks.suite.trials import Trial
-from benchmarks.suite.vocabularies import Clip
+from benchmarks.suite.trials import Trial, trial
+from benchmarks.suite.vocabularies import KINDS, Clip
 from drsplat import load_image
 from drsplat.drawing.pictures import contact_sheet, highlighted, titled, write_picture
 
@@ -57,6 +60,30 @@ def bad_answers(given: Sequence[str], clip: Clip, kept: Path, draws: Draws) -> I
                 for answer in answered(case):
                     if answer.objects < BAD:
                         yield Bad(one, masks, number, case.name, answer, culprits.steps(case, answer))
+
+
+def recorded(given: Sequence[str], file: Path, draws: Draws) -> Iterator[Bad]:
+    """Yield the bad answers of a run of study_rules.py, with all steps at 0: nobody has measured them."""
+    names = {f"{Path(one.partition('=')[0]).name}, graph": one for one in given}
+    numbers = {key: number for number, key in enumerate(_keys(draws))}
+    for done in read(file):
+        place, words, *key = done["trial"]
+        if place in names and words == Clip.__name__ and tuple(key) in numbers:
+            for one in done["asked"]:
+                if "iou" in one and one["iou"]["objects"] < BAD:
+                    plain, objects, best = (one["iou"][name] for name in ("plain", "objects", "best threshold"))
+                    answer = Answered(one["text"], plain, objects, best, False, False, False)
+                    yield Bad(names[place], "graph", numbers[tuple(key)], place, answer, Steps(0, 0, 0, 0, 0))
+
+
+def _keys(draws: Draws) -> list[tuple[str, int, int]]:
+    """Return kind, percent of wrong masks and seed of each of the draws, in their order."""
+    return list(product(KINDS, draws.wrong, range(draws.seeds)))
+
+
+def case_of(bad: Bad, place: Place, clip: Clip, draws: Draws) -> Trial:
+    kind, wrong, seed = _keys(draws)[bad.trial]
+    return trial(place, clip, kind, wrong / 100, seed)
 
 
 def census(found: Sequence[Bad]) -> str:
@@ -118,14 +145,21 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=10)
     parser.add_argument("--wrong", nargs="+", type=int, default=[20])
     parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--records", type=Path, metavar="FILE.jsonl")
     arguments = parser.parse_args()
     arguments.output.mkdir(parents=True, exist_ok=True)
     clip, draws = Clip(arguments.clip), Draws(tuple(arguments.wrong), arguments.seeds)
-    found = list(bad_answers(arguments.places, clip, arguments.kept, draws))
+    records = arguments.records
+    found = list(
+        recorded(arguments.places, records, draws)
+        if records
+        else bad_answers(arguments.places, clip, arguments.kept, draws)
+    )
     print("| answer | cause | true Gaussians | masks | best threshold | plain | objects |\n|---|---|" + "--:|" * 5)
     for number, bad in enumerate(worst(found, arguments.count)):
         culprits = Culprits(place_of(bad.place, bad.masks, arguments.kept))
-        case = next(islice(draws.of(culprits.place, clip), bad.trial, None))
+        case = case_of(bad, culprits.place, clip, draws)
+        bad = bad._replace(steps=culprits.steps(case, bad.answer), name=case.name) if records else bad
         meant = set(culprits.things(case, bad.answer.text).tolist())
         called = ", ".join(name for name, ids in culprits.place.things.items() if meant & set(ids))
         numbers = " | ".join(f"{value:.2f}" for value in bad.steps)
@@ -134,7 +168,8 @@ def main() -> None:
         if sheet is not None:
             path = arguments.output / f"{number:02d}_{culprits.place.name.replace(', ', '_')}.jpg"
             write_picture(path, sheet, overwrite=True)
-    print(f"\n{census(found)}")
+    if not records:
+        print(f"\n{census(found)}")
 
 
 if __name__ == "__main__":

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from drsplat import Gaussians
-from drsplat.query.relations import contacts, rests_on, widest_gap
+from drsplat.kernels.boxes import box_of
+from drsplat.query import Match
+from drsplat.query.relations import contacts, lies_next_to, rests_on, widest_gap
 
 UP = np.array([0.0, 0, 1])
 THICK = 0.005
@@ -76,12 +78,32 @@ def test_a_book_is_on_the_seat_of_a_sofa_below_half_of_its_height() -> None:
     assert is_on(block((-0.1, -0.1, 0.44), (0.1, 0.1, 0.48)), SOFA)
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_a_flat_book_of_few_gaussians_is_on_the_seat(seed: int) -> None:
+    """A tenth of its height holds one or two, on the side that photos see; its foot is as thick as they are apart."""
+    rng = np.random.default_rng(seed)
+    top = rng.uniform((-0.12, -0.07, 0.474), (0.12, 0.07, 0.475), (50, 3))
+    book = np.concatenate([top, rng.uniform((-0.12, -0.07, 0.44), (0.12, -0.068, 0.475), (20, 3))])
+    assert is_on(book, SOFA)
+    assert not is_on(book + np.array([0, 0, 0.12]), SOFA)
+
+
 def test_what_stands_beside_a_thing_is_not_on_it() -> None:
     """Mug and book touch, on one table."""
     mug, book = block((0.0, 0.0, 0.75), (0.08, 0.08, 0.85)), block((0.081, -0.05, 0.75), (0.11, 0.15, 0.98))
     assert not is_on(mug, book)
     assert not is_on(book, mug)
     assert is_on(mug, TABLE)
+
+
+def test_things_are_next_to_each_other_by_their_surfaces() -> None:
+    """Gaussians that are 2 cm apart stand for surfaces that go on for one more between two things."""
+    grid = np.stack(np.meshgrid(*[np.arange(0, 0.081, 0.02)] * 3), axis=-1).reshape(-1, 3)
+    for gap, expected in ((0.09, True), (0.115, True), (0.13, False), (0.3, False)):
+        gaussians, rows = scene_of(grid, grid + np.array([0.08 + gap, 0, 0]))
+        one, other = (Match(*box_of(gaussians, ids, UP), 1.0, ids) for ids in rows)
+        assert max(one.extent.max(), other.extent.max()) < 0.105
+        assert lies_next_to(gaussians, one, other, UP) is expected, gap
 
 
 def test_what_hangs_on_a_wall_is_not_on_it() -> None:

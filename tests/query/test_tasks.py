@@ -13,7 +13,7 @@ from drsplat.errors import InputError, MismatchError
 from drsplat.field import LanguageField, build_field
 from drsplat.field.codes import Codebook
 from drsplat.field.evidence.evidence import Evidence, MaskIds
-from drsplat.query import Answer
+from drsplat.query import Answer, Match
 from drsplat.query.tasks import NO_CLASS, locate, rank, segment, sure_matches, whole_of
 from drsplat.scene.encoders import EncoderIdentity
 from drsplat.scene.gaussians import Gaussians
@@ -252,3 +252,17 @@ def test_parts_that_touch_are_counted_once() -> None:
     assert whole_of(matches, [True] * 3 + [False] * 2, scene) == [0, 1, 1, 0, -1]
     assert whole_of(matches[:1], [True], scene) == [0]
     assert whole_of([], [], scene) == []
+
+
+def test_two_parts_that_a_third_holds_together_are_one() -> None:
+    """Both sides of a box, and the lid between them, which fits least; a second box stands apart."""
+    centers = [(0.0, 0, 0), (0.8, 0, 0), (0.4, 0, 0), (3.0, 0, 0)]
+    scene, labels = boxes_scene(centers)
+    scores = (0.9, 0.9, 0.85, 0.9)
+    box = np.array([0.4, 0.2, 0.1])
+    matches = [
+        Match(np.array(center), np.eye(3), box, score, np.flatnonzero(labels == k))
+        for k, (center, score) in enumerate(zip(centers, scores, strict=True))
+    ]
+    assert whole_of(matches[:2], [True] * 2, scene) == [0, 1]
+    assert whole_of([*matches[:2], matches[3], matches[2]], [True] * 3 + [False], scene) == [0, 0, 2, 0]

@@ -42,7 +42,7 @@ MIN_COMMON_HEIGHT_SHARE = 0.1  # of the lower of two objects next to each other
 _Holds = Callable[[AnyGaussians, Match, Match, Up], bool]
 UPRIGHT_COSINE = 0.99  # of a box's third axis with up
 MAX_OVERHANG_SHARE = 0.05  # of a thing's size, that its middle may stand out of what it is over
-FOOT_SHARE = 0.1  # of a thing's height above its lower side: what can touch
+FOOT_SHARE = 0.1  # of a thing's height above its lower side: what can touch; of flat things a typical spacing
 TOUCHING_DEVIATIONS = 2.0  # of two Gaussians, towards each other
 NUM_NEIGHBOURS = 8
 SPACING_NEIGHBOUR = 3  # whose median distance is the typical spacing
@@ -128,12 +128,16 @@ def _in_column(points: Points, others: Points, up: Up) -> Doubles:
 
 
 def lies_next_to(gaussians: AnyGaussians, thing: Match, other: Match, up: Up) -> bool:
-    """Return True if two things are beside each other, nearer than the mean of their boxes' longest sides."""
+    """Return True if two things are beside each other, nearer than the mean of their boxes' longest sides.
+
+    Gaussians stand for surfaces that go on beyond their centres: a mean typical spacing is added.
+    """
     (low, high), (foot, head) = (_heights(gaussians, one, up) for one in (thing, other))
     shared = min(high, head) - max(low, foot)
     if shared < MIN_COMMON_HEIGHT_SHARE * min(high - low, head - foot):
         return False
-    reach = float(thing.extent.max() + other.extent.max()) / 2
+    sizes = (each.extent.max() + _spacing(solid_centers(gaussians, each)) for each in (thing, other))
+    reach = float(sum(sizes)) / 2
     apart = not any(
         holds(gaussians, *pair, up) for holds in (stands_on, lies_in) for pair in ((thing, other), (other, thing))
     )
@@ -234,7 +238,7 @@ def rests_on(gaussians: AnyGaussians, thing: Ids, support: Ids, up: Up, inside: 
     own = solid(gaussians, thing)
     heights, others = _centers(gaussians, own) @ up, solid(gaussians, np.setdiff1d(support, thing))
     low, high = np.quantile(heights, (0.02, 0.98))
-    ankle = low + FOOT_SHARE * (high - low)
+    ankle = low + max(FOOT_SHARE * (high - low), min(_spacing(_centers(gaussians, own)), (high - low) / 2))
     foot, rest = own[heights <= ankle], own[heights > ankle]
     touching, touched = contacts(gaussians, own, foot, others)
     if (
@@ -301,7 +305,9 @@ def _centers(gaussians: AnyGaussians, ids: Ids) -> Points:
 
 
 def _spacing(points: Points) -> float:
-    """Return the typical distance to a near neighbour."""
+    """Return the typical distance to a near neighbour, 0 of points that are too few to have one."""
+    if len(points) <= SPACING_NEIGHBOUR:
+        return 0.0
     return float(np.median(cKDTree(points).query(points, SPACING_NEIGHBOUR + 1)[0][:, -1]))
 
 

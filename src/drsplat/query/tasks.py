@@ -86,13 +86,14 @@ def whole_of(matches: Sequence[Match], meant: Sequence[bool], gaussians: AnyGaus
     seen = cache(lambda number: seen_of(matches[number], gaussians))
     wholes: list[int] = []
     for number, match in enumerate(matches):
-        whole = (
+        touched = {
             of for other, of in enumerate(wholes)
             if of >= 0 and match.score >= PART_SCORE_SHARE * matches[of].score
             and np.linalg.norm(match.center - matches[other].center) <= reaches[number] + reaches[other]
             and touch(seen(number), seen(other))
-        )  # fmt: skip
-        wholes.append(next(whole, number if meant[number] else -1))
+        }  # fmt: skip
+        whole = min(touched, default=number if meant[number] else -1)
+        wholes = [whole if of in touched else of for of in wholes] + [whole]
     return wholes
 
 

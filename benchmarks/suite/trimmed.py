@@ -1,0 +1,118 @@
+"""Values of whole objects from their masks, instead of from their Gaussians: means, trimmed means and medians.
+
+Node t has weight w_tj in mask j: what lies in the mask of all its Gaussians, times the share of the mask that lies in
+the node. Nothing here is Gaussians times dimensions.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float32, Float64
+from scipy.sparse import csr_array
+
+from drsplat import LanguageField
+from drsplat.field.objects.choosing import Tree
+from drsplat.field.objects.describing import _exclusive, heaviest, node_weights
+from drsplat.query.contrast import Contrast
+from drsplat.query.wholes import OBJECT_TRUST, with_objects
+
+TRIMS = (0.2, 0.4)  # share of a node's weight that is left out
+ROUNDS = 3
+MOST = 64  # masks of a node, those of the largest weights
+
+
+@dataclass(frozen=True, eq=False)
+class Wholes:
+    """Other values for the objects of a field, whose plain rows are contrasted by `known`."""
+
+    field: LanguageField
+    known: Contrast
+
+    @cached_property
+    def weights(self) -> csr_array:
+        """w of all nodes and masks, the heaviest of each node."""
+        objects, evidence = self.field.objects, self.field.evidence
+        assert objects is not None
+        assert evidence is not None
+        tree = Tree(objects.node_of, objects.parents, objects.levels, objects.sure)
+        return heaviest(_exclusive(node_weights(evidence, tree), evidence), MOST)
+
+    @cached_property
+    def described(self) -> dict[str, Contrast]:
+        """The list of words at each kind of mean of all nodes; the unit means are kept beside it in `features`."""
+        return {name: self.known.at(rows) for name, rows in self.features.items()}
+
+    @cached_property
+    def features(self) -> dict[str, Float32[np.ndarray, "T D"]]:
+        assert self.field.evidence is not None
+        embeddings = self.field.evidence.embeddings
+        kinds = {"mean": 0.0} | {f"trimmed {share:.0%}": share for share in TRIMS}
+        return {name: trimmed_means(self.weights, embeddings, share) for name, share in kinds.items()}
+
+    @cached_property
+    def at_masks(self) -> Contrast:
+        assert self.field.evidence is not None
+        return self.known.at(self.field.evidence.embeddings)
+
+    def answered(
+        self, query: Float32[np.ndarray, " D"], values: Float32[np.ndarray, " r"]
+    ) -> Iterator[tuple[str, Float32[np.ndarray, " r"]]]:
+        """Yield values per row by the value of its object, or of its piece of it where that is higher.
+
+        query: unit vector. values: relevancies of the plain rows. The last three are half of the quantile that
+        drsplat takes now, and of another.
+        """
+        objects, evidence = self.field.objects, self.field.evidence
+        assert objects is not None
+        assert evidence is not None
+        things, pieces = objects.thing_of(), objects.piece_of()
+        kinds = {}
+        for name, rows in self.features.items():
+            relevancy = self.described[name].relevancy(query, rows @ query)
+            assert relevancy is not None
+            kinds[name] = relevancy
+        masks = self.at_masks.relevancy(query, evidence.embeddings @ query)
+        assert masks is not None
+        kinds["masks 20%"] = trimmed_values(self.weights, masks, 0.2).astype(np.float32)
+        now = with_objects(values, things, pieces)
+        for name, of_node in kinds.items():
+            spoken = np.append(of_node, -1)[np.where(things >= 0, objects.things[things], -1)]
+            spoken = np.maximum(spoken, np.append(of_node, -1)[pieces])
+            mixed = np.float32(1 - OBJECT_TRUST) * values + np.float32(OBJECT_TRUST) * spoken
+            yield name, np.where(things >= 0, mixed, values)
+            yield f"{name} and quantile", np.where(things >= 0, (mixed + now) / 2, values)
+
+
+def trimmed_means(
+    weights: csr_array, embeddings: Float32[np.ndarray, "M D"], share: float
+) -> Float32[np.ndarray, "T D"]:
+    """Return unit weighted means without the masks least like them, which have at most `share` of the weight.
+
+    From the mean of all, in ROUNDS: the masks of the lowest cosines with the last mean are left out of the next.
+    """
+    result = np.zeros((weights.shape[0], embeddings.shape[1]), np.float32)
+    for node in range(weights.shape[0]):
+        part = slice(weights.indptr[node], weights.indptr[node + 1])
+        own, weight = embeddings[weights.indices[part]].astype(np.float64), weights.data[part]
+        mean = weight @ own
+        for _ in range(ROUNDS if share else 0):
+            order = np.argsort(own @ mean, kind="stable")
+            kept = order[np.cumsum(weight[order]) > share * weight.sum()]
+            mean = weight[kept] @ own[kept]
+        result[node] = mean / max(np.linalg.norm(mean), 1e-12)
+    return result
+
+
+def trimmed_values(weights: csr_array, values: Float32[np.ndarray, " M"], share: float) -> Float64[np.ndarray, " T"]:
+    """Return weighted means of each node's values, `share` of the weight left out at either end."""
+    result = np.zeros(weights.shape[0])
+    for node in range(weights.shape[0]):
+        part = slice(weights.indptr[node], weights.indptr[node + 1])
+        own, weight = values[weights.indices[part]].astype(np.float64), weights.data[part]
+        order = np.argsort(own, kind="stable")
+        upto = np.cumsum(weight[order]) / max(weight.sum(), 1e-12)
+        inside = np.clip(np.minimum(upto, 1 - share) - np.maximum(np.append(0, upto[:-1]), share), 0, None)
+        result[node] = inside @ own[order] / max(inside.sum(), 1e-12)
+    return result
