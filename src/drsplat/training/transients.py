@@ -35,12 +35,13 @@ WINDOW = 5  # pixels over which differences are averaged
 NUM_WEIGHTS = 10  # of a pixel
 DARK = 0.02  # of a colour: darker ones do not tell how bright a photo is
 NOISE = 0.05  # of a colour, added to what the other photos lack
-MIN_TIMES = 1.3  # what they lack, from which on a region stands out
+MIN_TIMES = 1.15  # what they lack, from which on a region stands out
+MIN_TIMES_IN_LIGHT = 1.0  # the same, once the region is as bright as the photo
 MIN_COVERED = 0.5  # of a pixel, by Gaussians
 MIN_PHOTOS = 4.0  # that show the same Gaussians; of fewer nothing is said
 MIN_SHARE, MAX_SHARE = 0.004, 0.4  # of a photo; more than that is a photo with a wrong pose
 MIN_FLAGGED = 0.6  # of a part of the photo's hierarchy, from which on it stands out as a whole
-SAME = 0.55  # correlation of fine patterns, from which on it is the same thing in another light
+SAME = 0.4  # correlation of fine patterns, from which on it is the same thing in another light
 LIGHTS = 0.4, 2.0  # how much darker or brighter the same thing may be than in most photos
 PATTERN = 6.0  # pixels: what is coarser is light
 FRAME, MARGIN = 4, 2  # pixels at the photo's border that are not judged, and that are left out around what moves
@@ -157,7 +158,7 @@ def _moving(flagged: Mask, compared: _Compared, level: Float64[np.ndarray, "h w"
             continue
         photo, drawn = compared.photo[piece], compared.drawn[piece]
         light = np.clip((photo * drawn).sum() / ((drawn**2).sum() + DARK), *LIGHTS)
-        if (np.abs(photo - light * drawn).mean(axis=1) / level[piece]).mean() >= MIN_TIMES:
+        if (np.abs(photo - light * drawn).mean(axis=1) / level[piece]).mean() >= MIN_TIMES_IN_LIGHT:
             moving |= piece
     if not moving.any() or moving.mean() > MAX_SHARE:
         return np.zeros_like(flagged)
