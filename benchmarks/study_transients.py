@@ -1,6 +1,7 @@
 """What moves between photos: how much of it is left out of training, how much else, and what the scene gains.
 
-    python benchmarks/study_transients.py CAPTURE... [--iterations 1500] [--side 378] [--every 5] [--pictures FOLDER]
+    python benchmarks/study_transients.py CAPTURE... [--iterations 1500] [--side 378] [--every 5] [--seed 0]
+        [--pictures FOLDER]
 
 Pieces of photographs that scikit-image ships (a cat, a cup, an astronaut, a cameraman, a rocket), of 2 to 12 % of the
 photo, are pasted into every EVERY-th photo that is trained on; what is held out stays as it is. Each capture is trained
@@ -94,9 +95,8 @@ def photographed(capture: Path, folder: Path, side: int, every: int) -> Photogra
     return Photographed(views, things)
 
 
-def trained(photos: Photographed, points: SparsePoints | None, iterations: int, looks: bool, folder: Path) -> Left:
-    chosen = {} if looks else {"transients_at": 0}
-    settings = everyday(photos.views, iterations, test_every=TEST_EVERY, **chosen)
+def trained(photos: Photographed, points: SparsePoints | None, chosen: dict[str, int], folder: Path) -> Left:
+    settings = everyday(photos.views, test_every=TEST_EVERY, **chosen)
     found = train(photos.views, settings, folder, points=points, device="cpu")
     out, others, pixels = [], [], [0, 0]
     for view in photos.views:
@@ -126,6 +126,7 @@ def main() -> None:
     parser.add_argument("--iterations", type=int, default=1500)
     parser.add_argument("--side", type=int, default=378)
     parser.add_argument("--every", type=int, default=5)
+    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--pictures", type=Path, metavar="FOLDER")
     args = parser.parse_args()
     found, gained = [], []
@@ -134,12 +135,12 @@ def main() -> None:
         for kind, every in {"as it is": 0, "with things": args.every}.items():
             with tempfile.TemporaryDirectory() as place:
                 photos = photographed(capture, Path(place), args.side, every)
-                with_, without = (
-                    trained(photos, points, args.iterations, looks, Path(place, str(looks))) for looks in (True, False)
-                )
+                chosen = {"iterations": args.iterations, "seed": args.seed}
+                with_ = trained(photos, points, chosen, Path(place, "with"))
+                without = trained(photos, points, chosen | {"transients_at": 0}, Path(place, "without"))
                 if args.pictures:
                     draw(
-                        photos, Path(place, "True", "masks"), args.pictures / f"{capture.name}_{kind.replace(' ', '_')}"
+                        photos, Path(place, "with", "masks"), args.pictures / f"{capture.name}_{kind.replace(' ', '_')}"
                     )
             things = f"{sum(share >= 0.5 for share in with_.things)} of {len(with_.things)}" if every else "-"
             pixels = f"{with_.pixels:.1%}" if every else "-"
