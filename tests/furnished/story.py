@@ -95,7 +95,8 @@ def ask(scene: Scene, room: Room, probe: Probe) -> Verdict:
     iou = intersection_over_union(ids, truth) if probe.meant else None
     center = matches[0].center if matches else None
     limits = float(answer.scores.min(initial=1)), float(answer.scores.max(initial=-1))
-    return Verdict(probe, ids, len(matches), iou, center, limits, seconds)
+    count, none = sum(match.sure for match in matches), np.empty(0, np.int64)
+    return Verdict(probe, ids, none, count, len(matches), iou, center, limits, seconds)
 
 
 def intersection_over_union(a: Int64[np.ndarray, " m"], b: Int64[np.ndarray, " k"]) -> float:
