@@ -80,7 +80,7 @@ def marked(picture: Pixels, view: View, marks: Sequence[Mark], share: float = 1.
     texts = [pen.textbbox((0, 0), _in_a_line(marks[number].text), letters) for number in named]
     border = max((bottom - top for _, top, _, bottom in texts), default=0) / 3
     sizes = [(right - left + 2 * border, bottom - top + 2 * border) for left, top, right, bottom in texts]
-    plates = dict(zip(named, plates_of(things, sizes, border, (view.width, view.height)), strict=True))
+    plates = dict(zip(named, plates_of(things, sizes, border, view.size), strict=True))
     for number in _in_sight([number for number in order if number in plates], plates, view):
         _draw_name(pen, marks[number], plates[number], letters)
     result: Pixels = np.asarray(drawn)
@@ -117,7 +117,7 @@ def _pixel(point: np.ndarray, view: View) -> np.ndarray:
 def _within(start: np.ndarray, end: np.ndarray, view: View) -> tuple[Spot, Spot] | None:
     """Clip a line to the picture, by the slabs of its sides; None if nothing is left."""
     first, last, step = 0.0, 1.0, end - start
-    for axis, side in enumerate((view.width, view.height)):
+    for axis, side in enumerate(view.size):
         if step[axis] == 0:
             if not 0 <= start[axis] <= side:
                 return None
@@ -126,7 +126,7 @@ def _within(start: np.ndarray, end: np.ndarray, view: View) -> tuple[Spot, Spot]
         first, last = max(first, low), min(last, high)
     if not first <= last:
         return None
-    a, b = (np.clip(start + at * step, 0, (view.width, view.height)) for at in (first, last))
+    a, b = (np.clip(start + at * step, 0, view.size) for at in (first, last))
     return (float(a[0]), float(a[1])), (float(b[0]), float(b[1]))
 
 

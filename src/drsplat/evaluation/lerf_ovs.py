@@ -198,7 +198,7 @@ def _on_labels(view: View, frame: LabelledFrame) -> View:
             f"'{view.name}': the photo has a lens distortion and the labels lie on it: undistort the "
             "capture first, with `colmap image_undistorter`"
         )
-    if not same_aspect((view.width, view.height), (frame.width, frame.height)):
+    if not same_aspect(view.size, (frame.width, frame.height)):
         raise MismatchError(f"'{view.name}' is {view.width}x{view.height}, its labels are {frame.width}x{frame.height}")
     return view.resized(frame.width, frame.height)
 

@@ -47,7 +47,7 @@ def lerf_figures(
         view = small(scene.views[frame.name])
         scores = scorer.scores(category)
         photo = photo_or_rendering(gaussians, view, threads=threads)
-        truth = np.asarray(Image.fromarray(frame.mask(category)).resize((view.width, view.height)), np.float32)
+        truth = np.asarray(Image.fromarray(frame.mask(category)).resize(view.size), np.float32)
         where = f"{scene.name}, {frame.name}, “{category}”"
         figures.append(Figure(f"{where}: the label", highlighted(photo, truth)))
         figures += _answers(splats, view, scores, scorer.threshold, where, threads)
@@ -89,7 +89,7 @@ def _answers(
 
 def small(view: View) -> View:
     """Resize a view to a longer side of at most LONG_SIDE_PIXELS."""
-    scale = min(1.0, LONG_SIDE_PIXELS / max(view.width, view.height))
+    scale = min(1.0, LONG_SIDE_PIXELS / max(view.size))
     return view.resized(max(1, round(view.width * scale)), max(1, round(view.height * scale)))
 
 

@@ -212,7 +212,7 @@ def on_raster(view: View, size: tuple[int, int], photo: str) -> View:
     Raises: MismatchError: the photo has another shape than the camera.
     """
     width, height = size
-    if not same_aspect((width, height), (view.width, view.height)):
+    if not same_aspect((width, height), view.size):
         raise MismatchError(
             f"{photo}: the photo is {width}x{height}, its camera {view.width}x{view.height}: another aspect ratio. Use "
             "the photos that the camera file was made of (uncropped, not rotated by EXIF)"

@@ -41,7 +41,7 @@ class Keep(NamedTuple):
     high: Vector3
 
     def holds(self, positions: Points) -> Flags:
-        return ((positions >= self.low) & (positions < self.high)).all(1)
+        return np.all((positions >= self.low) & (positions < self.high), 1)
 
 
 class _Entry(NamedTuple):

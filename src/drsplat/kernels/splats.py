@@ -122,7 +122,7 @@ def camera_numbers(view: View, near: float) -> Float32[np.ndarray, "17"]:
 
     Raises: InputError: too large a raster, or skew.
     """
-    if max(view.width, view.height) > MAX_SIDE_PIXELS:
+    if max(view.size) > MAX_SIDE_PIXELS:
         raise InputError(
             f"view '{view.name}' is {view.width}x{view.height}; at most {MAX_SIDE_PIXELS} pixels a side: resize it"
         )

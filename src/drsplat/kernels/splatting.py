@@ -108,7 +108,7 @@ def topk_contributions(
     Raises: InputError: k < 1.
     Source: Dr. Splat Sec. A; 3DGS Eq. 3.
     """
-    size, limits = (view.width, view.height), (_positive("k", k), _positive("first_hits", first_hits))
+    size, limits = view.size, (_positive("k", k), _positive("first_hits", first_hits))
     splats = on_device_in_use(splats)
     if splats.engine is not None:
         from .cuda import drawing

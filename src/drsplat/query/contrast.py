@@ -12,22 +12,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ..base.arrays import (
-    Bool,
-    DoubleRows,
-    Embedding,
-    Embeddings,
-    Flags,
-    Float,
-    Float32,
-    Float64,
-    FloatRows,
-    Numbers,
-    OtherEmbeddings,
-    OtherFlags,
-    UInt16,
-    WholeNumbers,
-)
+from ..base.arrays import Bool, Embedding, Embeddings, Flags, Float, Float32, Float64, Integer, UInt16
 from ..base.contents import release, scratch
 from ..field import LanguageField
 from ..kernels.algebra import dense_rows, row_products
@@ -68,13 +53,13 @@ class Contrast:
     colours, and no broad list. counts: rows of the field that each row here stands for, in order; None for one.
     """
 
-    vectors: OtherEmbeddings
+    vectors: Embeddings
     usual: Embedding
     spread: float
-    scores: FloatRows
-    words: UInt16[np.ndarray, "n k"]
+    scores: Float32[np.ndarray, "r t"]
+    words: UInt16[np.ndarray, "r t"]
     of_kind: bool = False
-    counts: WholeNumbers | None = None
+    counts: Integer[np.ndarray, " r"] | None = None
 
     @property
     def num_rows(self) -> int:
@@ -99,7 +84,9 @@ class Contrast:
         levels = row_products(self.vectors, self.usual)[self.words]
         return peak_score(self._of_each((self.scores + levels).max(1)), peak) if len(self.scores) else 0.0
 
-    def relevancy(self, query: Embedding, scores: Numbers, same: OtherFlags | None = None) -> Numbers | None:
+    def relevancy(
+        self, query: Embedding, scores: Float32[np.ndarray, " r"], same: Flags | None = None
+    ) -> Float32[np.ndarray, " r"] | None:
         """Return values in (0, 1): above 0.5 where the query fits better than all words but one in WORDS_PER_RIVAL.
 
         query: the vector of a text. scores: its cosines. same: words that do not compete with it beside those that mean
@@ -124,7 +111,7 @@ class Contrast:
         near = _near(self.vectors, query)
         return near if same is None else near | same
 
-    def _of_each(self, values: Numbers) -> Float32[np.ndarray, " f"]:
+    def _of_each(self, values: Float32[np.ndarray, " r"]) -> Float32[np.ndarray, " f"]:
         """Return the values of all rows of the field."""
         return values if self.counts is None else np.repeat(values, self.counts)
 
@@ -134,7 +121,9 @@ class Contrast:
         to_words, to_pictures = row_products(sides / np.linalg.norm(sides, axis=1, keepdims=True), query)
         return bool(to_words > to_pictures)
 
-    def raised(self, query: Embedding, scores: Numbers, same: OtherFlags | None, score: Score) -> Numbers:
+    def raised(
+        self, query: Embedding, scores: Float32[np.ndarray, " r"], same: Flags | None, score: Score
+    ) -> Float32[np.ndarray, " r"]:
         """Return the cosines of a query, raised to those of the best name of its kind, what is usual of each taken off.
 
         same: the names of its kind, None for none. score: gives the cosines (c, r) of some vectors.
@@ -145,10 +134,10 @@ class Contrast:
         usual = row_products(vectors, self.usual) - np.float32(query @ self.usual)
         for begin in range(0, len(vectors), WORDS_AT_ONCE):
             some = slice(begin, begin + WORDS_AT_ONCE)
-            np.maximum(best, (score(vectors[some]) - usual[some, None]).max(0), out=best)
+            np.maximum(best, (score(vectors[some]) - usual[some, None]).max(axis=0), out=best)
         return best
 
-    def rival(self, query: Embedding, values: Numbers, same: OtherFlags | None = None) -> int | None:
+    def rival(self, query: Embedding, values: Float32[np.ndarray, " r"], same: Flags | None = None) -> int | None:
         """Return the number of the word that fits best where the query fits best; None: none that means another thing.
 
         values: relevancies of the query, one per row here. same: as of `relevancy`.
@@ -159,16 +148,16 @@ class Contrast:
         first = best[np.arange(len(best)), others.argmax(1)][others.any(1)]
         return int(np.bincount(first).argmax()) if len(first) else None
 
-    def at(self, features: Embeddings) -> "Contrast":
+    def at(self, features: Float32[np.ndarray, "m D"]) -> "Contrast":
         """Return what the words reach at other unit features, held against the same pictures."""
         scores, words = _best_words_of(features, self.vectors, self.usual)
         return replace(self, scores=scores, words=words)
 
-    def _level(self, near: OtherFlags, rank: int, run: slice) -> Numbers:
+    def _level(self, near: Flags, rank: int, run: slice) -> Float32[np.ndarray, " r"]:
         """Return per row of a run the score of the `rank`-th best word that is not near, or of the last one kept."""
         better = np.cumsum(np.take(~near, self.words[run].T), axis=0, dtype=np.uint16) < rank
         places = np.minimum(better.sum(0, dtype=np.uint16), len(better) - 1)
-        return self.scores[run][np.arange(len(places)), places]
+        return np.asarray(self.scores[run][np.arange(len(places)), places])
 
 
 def _near(vectors: Embeddings, query: Embedding) -> Flags:
@@ -186,7 +175,7 @@ def _near(vectors: Embeddings, query: Embedding) -> Flags:
     return last[2]
 
 
-def near_each(vectors: Embeddings, queries: OtherEmbeddings) -> Bool[np.ndarray, "n m"]:
+def near_each(vectors: Embeddings, queries: Float32[np.ndarray, "q D"]) -> Bool[np.ndarray, "n q"]:
     """Mark the words that mean the same as each of many unit queries: what `_near` does for one.
 
     Both are seen from the mean of the list and the query: with c = n + 1 texts and all from the list's mean, that of a
@@ -197,7 +186,7 @@ def near_each(vectors: Embeddings, queries: OtherEmbeddings) -> Bool[np.ndarray,
     products, squares = words @ texts.T, (texts * texts).sum(1) / count
     lengths = (words * words).sum(1)[:, None] - 2 / count * products + squares / count
     cosines = (products - squares) / np.sqrt(np.maximum(lengths * squares * count, 1e-24))
-    return (vectors @ queries.T > 1 - 1e-5) | (cosines > SAME_MEANING_COSINE)
+    return np.asarray((vectors @ queries.T > 1 - 1e-5) | (cosines > SAME_MEANING_COSINE))
 
 
 def contrast(field: LanguageField, vectors: Embeddings, *, threads: int = 0) -> Contrast:
@@ -220,7 +209,7 @@ def contrast_of_kind(field: LanguageField, vectors: Embeddings, *, threads: int 
 
 
 def contrast_of(
-    features: OtherEmbeddings,
+    features: Float32[np.ndarray, "m D"],
     vectors: Embeddings,
     *,
     pictures: Float32[np.ndarray, "s D"] | None = None,
@@ -232,7 +221,9 @@ def contrast_of(
     return Contrast(vectors, usual, spread, scores, words, of_kind)
 
 
-def relevancy_threshold(relevancy: Numbers, peak: int = PEAK_ROWS, clear_margin: float = CLEAR_MARGIN) -> float:
+def relevancy_threshold(
+    relevancy: Float32[np.ndarray, " r"], peak: int = PEAK_ROWS, clear_margin: float = CLEAR_MARGIN
+) -> float:
     """Return 0.5, or the highest where too few rows stand clearly above: then nothing is found."""
     return clear_threshold(relevancy, LIST_RELEVANCY, least_clear(len(relevancy), clear_margin), peak=peak)
 
@@ -242,7 +233,7 @@ def least_clear(rows: int, margin: float = CLEAR_MARGIN) -> float:
     return _sigmoid(margin + CLEAR_MARGIN_PER_EFOLD * float(np.log(max(rows, CLEAR_MARGIN_ROWS) / CLEAR_MARGIN_ROWS)))
 
 
-def certainty_of(relevancy: Numbers, peak: int, clear_margin: float, names: int = 1) -> str:
+def certainty_of(relevancy: Float32[np.ndarray, " r"], peak: int, clear_margin: float, names: int = 1) -> str:
     """Return whether a query is found for sure, maybe, or not at all, by how far its peak stands above the list.
 
     Maybe: it misses the clear margin by at most `MAYBE_SPREADS`, because another word fits nearly as well or better.
@@ -261,7 +252,7 @@ def margin_of(clear_margin: float, names: int) -> float:
     return clear_margin + KIND_MARGIN_PER_EFOLD * float(np.log(max(names, 1)))
 
 
-def own_level(relevancy: Numbers, peak: int = PEAK_ROWS) -> float:
+def own_level(relevancy: Float32[np.ndarray, " r"], peak: int = PEAK_ROWS) -> float:
     """Return a threshold that leaves out what fits a query in part, whether or not all of it stands above the list.
 
     In margins: 0.6 of what is 0.7 of the way from the median of what fits worse than the list to what 1 in 500 reaches,
@@ -277,10 +268,10 @@ def own_level(relevancy: Numbers, peak: int = PEAK_ROWS) -> float:
 def _margin(relevancy: Float[np.ndarray, "*any"]) -> Float64[np.ndarray, "*any"]:
     """Return what `_sigmoid` makes relevancies of; it rises with them, so that quantiles may be taken before."""
     inside = np.clip(relevancy.astype(np.float64), 1e-12, 1 - 1e-12)
-    return np.log(inside / (1 - inside))
+    return np.asarray(np.log(inside / (1 - inside)))
 
 
-def usual_pictures(field: LanguageField, most: int = MAX_USUAL_PICTURES) -> Embeddings:
+def usual_pictures(field: LanguageField, most: int = MAX_USUAL_PICTURES) -> Float32[np.ndarray, "s D"]:
     """Return embeddings of masks spread over the photos; where they were not kept, features of Gaussians."""
     evidence = field.evidence
     count = len(field) if evidence is None else len(evidence.embeddings)
@@ -299,19 +290,19 @@ def _contrast(field: LanguageField, vectors: Embeddings, threads: int) -> Contra
     return Contrast(vectors, usual, spread, scores, words)
 
 
-def _usual(pictures: OtherEmbeddings, vectors: Embeddings, threads: int) -> tuple[Embedding, float]:
+def _usual(pictures: Float32[np.ndarray, "s D"], vectors: Embeddings, threads: int) -> tuple[Embedding, float]:
     """Return the mean picture times USUAL_COSINE_SHARE, and the unit of margins."""
     usual = (USUAL_COSINE_SHARE * pictures.mean(0, dtype=np.float64)).astype(np.float32)
     return usual, _spread(dense_rows(pictures, vectors.T, threads=threads))
 
 
 def _best_words(
-    vectors: OtherEmbeddings,
+    vectors: Embeddings,
     usual: Embedding,
     runs: Sequence[tuple[slice, Score]],
     threads: int = 1,
     at_once: int = WORDS_AT_ONCE,
-) -> tuple[FloatRows, UInt16[np.ndarray, "n k"]]:
+) -> tuple[Float32[np.ndarray, "r t"], UInt16[np.ndarray, "r t"]]:
     """Return the best words. runs: rows, and what gives the cosines (c, r) of `at_once` words with them."""
     kept = min(len(vectors), max(1, round(len(vectors) / WORDS_PER_RIVAL)) + SPARE_WORDS)
     rows = runs[-1][0].stop
@@ -328,8 +319,8 @@ def _best_words(
 
 
 def _best_words_of(
-    features: Embeddings, vectors: OtherEmbeddings, usual: Embedding
-) -> tuple[FloatRows, UInt16[np.ndarray, "n k"]]:
+    features: Float32[np.ndarray, "m D"], vectors: Embeddings, usual: Embedding
+) -> tuple[Float32[np.ndarray, "m t"], UInt16[np.ndarray, "m t"]]:
     at_once = max(WORDS_AT_ONCE, min(MAX_WORDS_AT_ONCE, MAX_SCORES_AT_ONCE // max(len(features), 1)))
     runs = [(slice(0, len(features)), lambda some: dense_rows(features, some.T, threads=1).T)]
     return _best_words(vectors, usual, runs, at_once=at_once)
@@ -339,7 +330,7 @@ def _sigmoid(margin: float) -> float:
     return 1 / (1 + float(np.exp(-margin)))
 
 
-def _spread(cosines: DoubleRows | FloatRows) -> float:
+def _spread(cosines: Float64[np.ndarray, "s n"] | Float32[np.ndarray, "s n"]) -> float:
     """Return the standard deviation of what is left of cosines without the means of words and pictures."""
     left = cosines - cosines.mean(0)
     if left.shape[1] > 1:

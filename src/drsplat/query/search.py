@@ -143,7 +143,7 @@ def _pixel_map(view: View, pixels: DoubleRows) -> tuple[MaskIds, Indices]:
     """
     if not np.isfinite(pixels).all():
         raise InputError(f"expected pixels of two finite numbers, got {pixels.tolist()}")
-    outside = ((pixels < 0) | (pixels >= (view.width, view.height))).any(1)
+    outside = ((pixels < 0) | (pixels >= view.size)).any(1)
     if outside.any():
         x, y = pixels[outside][0]
         raise InputError(f"pixel {x:g},{y:g} is outside of view '{view.name}': it has {view.width}x{view.height}")

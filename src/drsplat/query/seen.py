@@ -122,7 +122,7 @@ def views_showing(field: LanguageField, rows: AnyGaussians, views: Sequence[View
         )
         depth = np.maximum(local[:, 2], 1e-9)
         x, y = (K[:, k, k] * local[:, k] / depth + K[:, k, 2] for k in range(2))
-        wide, high = np.array([(view.width, view.height) for view in views]).T
+        wide, high = np.array([view.size for view in views]).T
         inside = (local[:, 2] > 0) & (x >= 0) & (x <= wide) & (y >= 0) & (y <= high)
         order = np.lexsort((np.linalg.norm(local, axis=1), ~inside))
         return [views[number] for number in order[:MAX_VIEWS_COMPARED].tolist()]

@@ -86,7 +86,7 @@ def load_mask(view: View) -> Mask | None:
     if view.mask_path is None:
         return None
     picture = read_mask(view.mask_path)
-    size = (view.width, view.height) if view.image_path is None else photo_size(view.image_path)
+    size = view.size if view.image_path is None else photo_size(view.image_path)
     if not same_aspect(picture.size, size):
         width, height = picture.size
         raise MismatchError(
@@ -94,8 +94,8 @@ def load_mask(view: View) -> Mask | None:
             "Make the mask of the photo as it is stored (uncropped, not rotated by EXIF)"
         )
     white = picture.point(lambda grey: _WHITE if (grey >= MIN_WHITE) != view.mask_inverted else 0)
-    if white.size != (view.width, view.height):
-        white = white.resize((view.width, view.height), Image.Resampling.BOX)
+    if white.size != view.size:
+        white = white.resize(view.size, Image.Resampling.BOX)
     mask: Mask = np.asarray(white) == _WHITE
     if view.distortion is not None:
         mask = undistort_ids(view, mask.astype(np.int32)) == 1

@@ -144,8 +144,8 @@ def load_image(view: View) -> Pixels:
     with _opened(view.image_path) as photo:
         _check_cost(photo, view.image_path)
         rgb = rgb_of(photo)
-        if rgb.size != (view.width, view.height):
-            rgb = rgb.resize((view.width, view.height), Image.Resampling.BICUBIC)
+        if rgb.size != view.size:
+            rgb = rgb.resize(view.size, Image.Resampling.BICUBIC)
         pixels = np.asarray(rgb)
     return pixels if view.distortion is None else _undistort_bilinear(view, pixels)
 

@@ -72,6 +72,11 @@ class View:
         return cls(name, np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1.0]]), pose, width, height)
 
     @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        return self.width, self.height
+
+    @property
     def center(self) -> Vector3:
         """Camera centre in world coordinates."""
         return -self.cam_from_world[:3, :3].T @ self.cam_from_world[:3, 3]
@@ -91,7 +96,7 @@ class View:
 
     def limited(self, max_side: float | int | None) -> "View":
         """Return the view with its longer side at most `max_side` pixels, at the same aspect ratio; None: as is."""
-        scale = (max_side or np.inf) / max(self.width, self.height)
+        scale = (max_side or np.inf) / max(self.size)
         if scale >= 1:
             return self
         return self.resized(max(1, round(self.width * scale)), max(1, round(self.height * scale)))

@@ -79,7 +79,7 @@ class DevicePhotos:
         if key not in self._kept:
             photo = self._photos[index]
             fits = photo.pixels.shape[:2] == (view.height, view.width)
-            sent = self._sent(photo if fits else photo.smaller(view.width, view.height))
+            sent = self._sent(photo if fits else photo.smaller(*view.size))
             size = sum(array.nbytes for array in sent if array is not None)
             if size > self._room:
                 return sent

@@ -212,12 +212,12 @@ class Run:
     def _view_and_photo(self, index: int) -> tuple[View, Photo]:
         """Return a view and its photo, on the raster of this iteration."""
         photo, view = self.photos[index], self._view(index)
-        return view, photo if view is self.views[index] else photo.smaller(view.width, view.height)
+        return view, photo if view is self.views[index] else photo.smaller(*view.size)
 
     def _view(self, index: int) -> View:
         """Return a view on the raster of this iteration: no shorter than MIN_SIDE_PIXELS for being coarse."""
         view, wanted = self.views[index], divisor(self.settings, self.iteration)
-        while wanted > 1 and min(view.width, view.height) < MIN_SIDE_PIXELS * wanted:
+        while wanted > 1 and min(view.size) < MIN_SIDE_PIXELS * wanted:
             wanted //= 2
         return view if wanted == 1 else view.resized(view.width // wanted, view.height // wanted)
 

@@ -96,17 +96,17 @@ def _require_photos(views: Sequence[View]) -> None:
 
 def _require_pixels(views: Sequence[View]) -> None:
     """Refuse photos that the window of SSIM does not fit into, and warn of small ones."""
-    least = min(views, key=lambda view: min(view.width, view.height), default=None)
+    least = min(views, key=lambda view: min(view.size), default=None)
     if least is None:
         return
     small = f"photos of {least.width}x{least.height} pixels"
-    if min(least.width, least.height) < WINDOW:
+    if min(least.size) < WINDOW:
         raise InputError(
             f"{small}: the loss compares squares of {WINDOW}x{WINDOW} pixels, so no side may be shorter, and less than "
             f"{SMALL_SIDE_PIXELS} pixels teach little. Scale them down less: resolution=PIXELS is the longer side, and "
             "1, 2, 4 or 8 divide the sides"
         )
-    if max(least.width, least.height) < SMALL_SIDE_PIXELS:
+    if max(least.size) < SMALL_SIDE_PIXELS:
         text = f"{small}: only what fills a good part of a photo is learnt: take {SMALL_SIDE_PIXELS} pixels or more"
         warn(text, DrSplatWarning, stacklevel=4)
 

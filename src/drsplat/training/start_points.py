@@ -191,7 +191,7 @@ def _along_rays(views: Sequence[View], ranges: Ranges, rng: np.random.Generator)
     points = np.empty((BATCH_POINTS, 3))
     for index, view in enumerate(views):
         rows = chosen == index
-        pixels = shares[rows, :2] * (view.width, view.height)
+        pixels = shares[rows, :2] * view.size
         low, high = ranges[index]
         depths = low + shares[rows, 2] * (high - low)
         rays = np.concatenate([pixels, np.ones((len(pixels), 1))], 1) @ np.linalg.inv(view.K).T
@@ -220,7 +220,7 @@ def _projected(view: View, points: Points) -> tuple[PlanePoints, Doubles]:
 
 
 def _inside(view: View, pixels: PlanePoints, depths: Doubles) -> Flags:
-    inside = (pixels >= 0).all(1) & (pixels < (view.width, view.height)).all(1)
+    inside = (pixels >= 0).all(1) & (pixels < view.size).all(1)
     return inside & (depths > 0)
 
 

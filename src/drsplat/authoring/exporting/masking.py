@@ -81,7 +81,7 @@ def write_masks(
                 picture.putpalette(b"\0\0\0" + class_colors(WHITE).tobytes())
             path = place / f"{view.name}{SUFFIX}"
             path.parent.mkdir(parents=True, exist_ok=True)
-            picture.resize((view.width, view.height), Image.Resampling.NEAREST).save(path)
+            picture.resize(view.size, Image.Resampling.NEAREST).save(path)
     return Masked(len(scene.views), num_shown)
 
 

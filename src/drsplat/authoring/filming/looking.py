@@ -78,7 +78,7 @@ class Standpoints(NamedTuple):
             np.array([view.center for view in views], np.float64).reshape(-1, 3),
             np.array([view.cam_from_world for view in views], np.float64).reshape(-1, 4, 4),
             np.array([view.K for view in views], np.float64).reshape(-1, 3, 3),
-            np.array([(view.width, view.height) for view in views], np.float64).reshape(-1, 2),
+            np.array([view.size for view in views], np.float64).reshape(-1, 2),
         )
 
 

@@ -171,12 +171,12 @@ class ColumnMaker:
 def _mask_ids(view: View, features: ViewFeatures) -> MaskIds:
     """Return the mask map on the view's raster, undistorted; -1 also where the photo's mask leaves a pixel out."""
     height, width = features.mask_ids.shape
-    if not same_aspect((width, height), (view.width, view.height)):
+    if not same_aspect((width, height), view.size):
         raise MismatchError(
             f"the masks of '{view.name}' are {width}x{height}, its photo {view.width}x{view.height}: another "
             "aspect ratio. Make the masks on the photos as they are stored (uncropped, not rotated by EXIF)"
         )
-    mask_ids = undistort_ids(view, features.resized(view.width, view.height).mask_ids)
+    mask_ids = undistort_ids(view, features.resized(*view.size).mask_ids)
     kept = load_mask(view)
     return mask_ids if kept is None else np.where(kept, mask_ids, np.int32(-1))
 

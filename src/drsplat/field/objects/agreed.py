@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from ...base.arrays import Doubles, Flags, Numbers, WholeNumbers
+from ...base.arrays import Bool, Float32, Float64, Integer
 
 MIN_AGREEMENT = 0.25
 FEW_PHOTOS = 3  # or fewer: from most sides, nobody has seen the object
 PRIOR_PHOTOS = 2  # of no object at all, counted with those of each object
 
 
-def agreed(sure: Numbers, num_views: WholeNumbers) -> Flags:
+def agreed(sure: Float32[np.ndarray, " o"], num_views: Integer[np.ndarray, " o"]) -> Bool[np.ndarray, " o"]:
     """Return per object whether photos agree on it: those that are listed first.
 
     An object of many photos needs a sureness of 0.25, one of three 0.42, of two 0.5 and of a single one 0.75.
@@ -20,13 +20,13 @@ def agreed(sure: Numbers, num_views: WholeNumbers) -> Flags:
 
     Source: chosen and measured by study_list.py, whose numbers are in docs/measured/objects.md.
     """
-    return agreement(sure, num_views) >= MIN_AGREEMENT
+    return np.asarray(agreement(sure, num_views) >= MIN_AGREEMENT)
 
 
-def agreement(sure: Numbers, num_views: WholeNumbers) -> Doubles:
+def agreement(sure: Float32[np.ndarray, " o"], num_views: Integer[np.ndarray, " o"]) -> Float64[np.ndarray, " o"]:
     """Return the mean sureness of an object's photos and of two that know nothing of it.
 
     The two are there because a photo alone only agrees with itself. Arguments are those of `agreed`.
     """
     photos = num_views.astype(np.float64)
-    return sure * photos / (photos + PRIOR_PHOTOS)
+    return np.asarray(sure * photos / (photos + PRIOR_PHOTOS))

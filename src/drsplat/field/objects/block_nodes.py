@@ -10,24 +10,19 @@ from scipy.sparse import csr_array, vstack
 from scipy.spatial import cKDTree
 
 from ...base.arrays import (
-    AnyPoints,
-    DoubleRows,
+    Bool,
     Doubles,
     Flags,
+    Float,
     Float32,
-    FloatRows,
+    Float64,
     Ids,
     Indices,
     Int32,
     Int64,
-    Numbers,
-    OtherDoubles,
-    OtherFlags,
-    OtherIds,
-    OtherIndices,
+    Integer,
     Vector3,
     Vectors,
-    WholeNumbers,
 )
 from ...base.contents import release
 from ...kernels import Forest, MergeRule, agglomerate
@@ -62,9 +57,9 @@ class Block(NamedTuple):
 
         In parts of `around`: surroundings reach up to 1.
         """
-        outside = np.maximum(np.maximum(self.low - points, points - self.high), 0).max(1)
-        ends = (points >= self.high).any(1) & (outside == 0)
-        return np.where(ends, np.finfo(np.float64).tiny, outside / self.around)
+        outside = np.maximum(np.maximum(self.low - points, points - self.high), 0).max(axis=1)
+        ends = (points >= self.high).any(axis=1) & (outside == 0)
+        return np.asarray(np.where(ends, np.finfo(np.float64).tiny, outside / self.around))
 
 
 class BlockRows(NamedTuple):
@@ -74,16 +69,16 @@ class BlockRows(NamedTuple):
     the scene's masks, with their views, their weights in the whole scene, and embeddings along few directions.
     """
 
-    rows: OtherIndices
-    away: OtherDoubles
+    rows: Indices
+    away: Doubles
     points: Points
     indptr: Int64[np.ndarray, " n1"]
     indices: Int32[np.ndarray, " e"]
     data: Float32[np.ndarray, " e"]
-    columns: Ids
-    views: Ids
-    masses: Doubles
-    embeddings: FloatRows
+    columns: Int32[np.ndarray, " m"]
+    views: Int32[np.ndarray, " m"]
+    masses: Float64[np.ndarray, " m"]
+    embeddings: Float32[np.ndarray, "m k"]
 
     @property
     def weights(self) -> csr_array:
@@ -93,13 +88,13 @@ class BlockRows(NamedTuple):
 class MaskColumns(NamedTuple):
     """Columns of W. kept: those that are looked at. masses: weights in the whole scene. views: never falling."""
 
-    kept: Flags
-    masses: Doubles
-    views: Ids
-    embeddings: FloatRows
+    kept: Bool[np.ndarray, " m"]
+    masses: Float64[np.ndarray, " m"]
+    views: Int32[np.ndarray, " m"]
+    embeddings: Float32[np.ndarray, "m k"]
 
 
-def in_blocks(points: Points, counts: WholeNumbers, most: int) -> list[Block]:
+def in_blocks(points: Points, counts: Integer[np.ndarray, " n"], most: int) -> list[Block]:
     """Cut a scene in halves, at medians along its longest side, until no block has more than `most` weights.
 
     counts: weights of each point. A block whose points are all in one place stays as it is.
@@ -157,19 +152,19 @@ class BlockNodes(NamedTuple):
     their rows inside in each mask, a row for each node that is cut. views: those that see the block.
     """
 
-    rows: OtherIndices
-    lowest: Int32[np.ndarray, " m"]
-    inside: OtherFlags
-    sure: OtherFlags
-    parents: Ids
-    ranks: Ids
-    fits: Numbers
-    spreads: Numbers
-    cut: Flags
+    rows: Indices
+    lowest: Ids
+    inside: Flags
+    sure: Flags
+    parents: Int32[np.ndarray, " t"]
+    ranks: Int32[np.ndarray, " t"]
+    fits: Float32[np.ndarray, " t"]
+    spreads: Float32[np.ndarray, " t"]
+    cut: Bool[np.ndarray, " t"]
     indptr: Int64[np.ndarray, " c1"]
     indices: Int32[np.ndarray, " e"]
     data: Float32[np.ndarray, " e"]
-    views: OtherIds
+    views: Int32[np.ndarray, " v"]
 
 
 def nodes_of(block: BlockRows, thresholds: tuple[float, ...], rule: MergeRule, threads: int = 0) -> BlockNodes:
@@ -196,14 +191,14 @@ def nodes_of(block: BlockRows, thresholds: tuple[float, ...], rule: MergeRule, t
     )  # fmt: skip
 
 
-def _seeing(block: BlockRows, inside: Flags) -> OtherIds:
+def _seeing(block: BlockRows, inside: Flags) -> Int32[np.ndarray, " v"]:
     """Return the views with more than a sliver of the weight that the best view has inside the block."""
     held = np.repeat(inside, np.diff(block.indptr))
     shown = np.bincount(block.views[block.indices[held]], block.data[held])
     return np.flatnonzero(shown > MIN_SHOWN_SHARE * shown.max(initial=0)).astype(np.int32)
 
 
-def _holding_any(parents: Indices, nodes: OtherIndices) -> Flags:
+def _holding_any(parents: Int64[np.ndarray, " t"], nodes: Int64[np.ndarray, " k"]) -> Bool[np.ndarray, " t"]:
     """Mark nodes that are among some or above one of them."""
     holding, at = np.zeros(len(parents), bool), np.unique(nodes[nodes >= 0])
     while len(at):
@@ -213,7 +208,7 @@ def _holding_any(parents: Indices, nodes: OtherIndices) -> Flags:
     return holding
 
 
-def _ranks(forest: Forest, thresholds: tuple[float, ...]) -> Ids:
+def _ranks(forest: Forest, thresholds: tuple[float, ...]) -> Int32[np.ndarray, " t"]:
     """Return the round of each merge: two for each threshold, the second where one of the first is merged further."""
     steps = np.searchsorted(-np.array(thresholds, np.float32), -forest.agreements)
     (below,) = np.nonzero((forest.parents >= 0) & (forest.sizes > 1))
@@ -223,7 +218,9 @@ def _ranks(forest: Forest, thresholds: tuple[float, ...]) -> Ids:
     return (2 * steps + again).astype(np.int32)
 
 
-def _sums(weights: csr_array, nodes: OtherIndices, parents: Indices, cut: Flags) -> csr_array:
+def _sums(
+    weights: csr_array, nodes: Indices, parents: Int64[np.ndarray, " t"], cut: Bool[np.ndarray, " t"]
+) -> csr_array:
     """Return (C, M) the weights of the rows in each node that is cut. nodes: the lowest of each row, -1 for none."""
     (rows,), count = np.nonzero(nodes >= 0), len(parents)
     own = csr_array((np.ones(len(rows), np.float32), (nodes[rows], rows)), shape=(count, len(nodes)))
@@ -237,7 +234,7 @@ def _sums(weights: csr_array, nodes: OtherIndices, parents: Indices, cut: Flags)
     return summed
 
 
-def along_a_curve(points: AnyPoints) -> Indices:
+def along_a_curve(points: Float[np.ndarray, "n 3"]) -> Indices:
     """Return the rows of points in Morton order: what is near in space then mostly lies near in memory too."""
     if not len(points):
         return np.zeros(0, np.int64)
@@ -245,7 +242,7 @@ def along_a_curve(points: AnyPoints) -> Indices:
     return morton_order(np.clip(points, low, high), CURVE_BITS)
 
 
-def neighbours(points: AnyPoints, threads: int = 0) -> Int32[np.ndarray, "e 2"]:
+def neighbours(points: Float[np.ndarray, "n 3"], threads: int = 0) -> Int32[np.ndarray, "e 2"]:
     """Return the pairs (a, b), a < b, of which one is among the nearest twelve of the other, and not far; ascending."""
     count = min(NUM_NEIGHBOURS, len(points) - 1)
     if count < 1:
@@ -263,7 +260,9 @@ def neighbours(points: AnyPoints, threads: int = 0) -> Int32[np.ndarray, "e 2"]:
     return edges
 
 
-def _nearest(points: AnyPoints, count: int, threads: int) -> tuple[DoubleRows, Int32[np.ndarray, "n k"]]:
+def _nearest(
+    points: Float[np.ndarray, "n 3"], count: int, threads: int
+) -> tuple[Float64[np.ndarray, "n k"], Int32[np.ndarray, "n k"]]:
     """Return distances and rows of each point's nearest but the first, which mostly is itself, in blocks."""
     tree = cKDTree(points)
     distances, found = np.empty((len(points), count)), np.empty((len(points), count), np.int32)
@@ -274,7 +273,9 @@ def _nearest(points: AnyPoints, count: int, threads: int) -> tuple[DoubleRows, I
     return distances, found
 
 
-def _keys(found: Int32[np.ndarray, "n k"], distances: DoubleRows, reach: Doubles, begin: int) -> OtherIndices:
+def _keys(
+    found: Int32[np.ndarray, "n k"], distances: Float64[np.ndarray, "n k"], reach: Doubles, begin: int
+) -> Int64[np.ndarray, " p"]:
     """Return a number for each pair of neighbours of some rows, the same whichever of the two it comes from."""
     rows = slice(begin, begin + POINTS_AT_ONCE)
     near = distances[rows] <= reach[rows, None]
@@ -282,4 +283,4 @@ def _keys(found: Int32[np.ndarray, "n k"], distances: DoubleRows, reach: Doubles
     second = found[rows][near].astype(np.int64)
     other = first != second  # of points in one place, none may find itself first
     low, high = np.minimum(first, second)[other], np.maximum(first, second)[other]
-    return low * len(found) + high
+    return np.asarray(low * len(found) + high)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import Flags, Ids, Indices, MaskIds, OtherIndices, PixelNumbers, Spans
+from ...base.arrays import Bool, Float32, Ids, Indices, Int32, Int64, MaskIds
 from ...kernels import SplatArrays, heaviest_labels, render_channels, splat_arrays, topk_contributions
 from ...scene.gaussians import Gaussians
 from ...scene.views import View
@@ -35,12 +35,12 @@ class ViewBorders(NamedTuple):
     pieces, areas: those that it shows, and their pixels.
     """
 
-    pieces: Indices
-    areas: Indices
-    front: OtherIndices
-    back: OtherIndices
-    levels: OtherIndices
-    lengths: OtherIndices
+    pieces: Int64[np.ndarray, " k"]
+    areas: Int64[np.ndarray, " k"]
+    front: Int64[np.ndarray, " p"]
+    back: Int64[np.ndarray, " p"]
+    levels: Int64[np.ndarray, " p"]
+    lengths: Int64[np.ndarray, " p"]
 
 
 class Borders(NamedTuple):
@@ -50,11 +50,11 @@ class Borders(NamedTuple):
     pixels of it. areas: pixels of each piece.
     """
 
-    front: Ids
-    back: Ids
-    levels: Indices
-    lengths: Indices
-    areas: OtherIndices
+    front: Int32[np.ndarray, " p"]
+    back: Int32[np.ndarray, " p"]
+    levels: Int64[np.ndarray, " p"]
+    lengths: Int64[np.ndarray, " p"]
+    areas: Indices
 
 
 def some_views(views: Iterable[View]) -> list[View]:
@@ -99,7 +99,7 @@ def of_all_views(found: Iterable[ViewBorders], count: int) -> Borders:
     return Borders(front, back, counts[:, 0], counts[:, 1], areas)
 
 
-def _summed(keys: Indices, counts: Spans) -> tuple[np.ndarray, np.ndarray]:
+def _summed(keys: Int64[np.ndarray, " k"], counts: Int64[np.ndarray, "k 2"]) -> tuple[np.ndarray, np.ndarray]:
     """Return each key once, its counts together."""
     once, places = np.unique(keys, return_inverse=True)
     total = np.zeros((len(once), counts.shape[1]), np.int64)
@@ -107,7 +107,9 @@ def _summed(keys: Indices, counts: Spans) -> tuple[np.ndarray, np.ndarray]:
     return once, total
 
 
-def _seen(splats: SplatArrays, view: View, pieces: Ids, threads: int) -> tuple[View, Labels, PixelNumbers]:
+def _seen(
+    splats: SplatArrays, view: View, pieces: Ids, threads: int
+) -> tuple[View, Labels, Float32[np.ndarray, "h w"]]:
     """Return the piece that each pixel shows most of, -1 for none, and its depth."""
     drawing = render_channels(splats, view, np.empty((len(pieces), 0), np.float32), threads=threads)
     most = heaviest_labels(
@@ -117,7 +119,7 @@ def _seen(splats: SplatArrays, view: View, pieces: Ids, threads: int) -> tuple[V
 
 
 def _crossings(
-    labels: Labels, depth: PixelNumbers, focal: float
+    labels: Labels, depth: Float32[np.ndarray, "h w"], focal: float
 ) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Return the pairs of neighbouring pixels of two pieces, along rows and then along columns.
 
@@ -143,6 +145,6 @@ def _crossings(
         yield np.where(nearer, one, other), np.where(nearer, other, one), jump
 
 
-def _clear(shown: Labels, y: Indices, x: Indices) -> Flags:
+def _clear(shown: Labels, y: Int64[np.ndarray, " k"], x: Int64[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
     """Mark places where both pieces are two pixels wide or more: slivers between others say nothing."""
-    return (shown[y, x - 1] == shown[y, x]) & (shown[y, x + 2] == shown[y, x + 1])
+    return np.asarray((shown[y, x - 1] == shown[y, x]) & (shown[y, x + 2] == shown[y, x + 1]))

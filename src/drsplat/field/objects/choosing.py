@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...base.arrays import ByteValues, Doubles, Flags, Ids, Indices, Numbers, OtherIds, RowIds, WholeNumbers
+from ...base.arrays import Bool, Float32, Float64, Indices, Int32, Int64, Integer, UInt8
 from ...kernels import Forest
 from ..forest import GROUP, PART, THING
 
@@ -18,10 +18,10 @@ NONE = -1
 class Tree(NamedTuple):
     """The nodes that are kept, as in `Objects`. node_of: of each row. sure: how well masks of the photos fit a node."""
 
-    node_of: OtherIds
-    parents: Ids
-    levels: ByteValues
-    sure: Numbers
+    node_of: Int32[np.ndarray, " r"]
+    parents: Int32[np.ndarray, " t"]
+    levels: UInt8[np.ndarray, " t"]
+    sure: Float32[np.ndarray, " t"]
 
 
 def choose(forest: Forest, rows: int, smallest: int) -> Tree:
@@ -29,7 +29,7 @@ def choose(forest: Forest, rows: int, smallest: int) -> Tree:
     return choose_among(forest, np.arange(rows), smallest)
 
 
-def choose_among(forest: Forest, node_of: WholeNumbers, smallest: int) -> Tree:
+def choose_among(forest: Forest, node_of: Integer[np.ndarray, " r"], smallest: int) -> Tree:
     """Choose the hierarchy of parts, things and groups in a forest. node_of: a node of each row, -1 for none.
 
     Things are the disjoint nodes with the largest sum of weight times the root of fit; none merges regions whose
@@ -54,7 +54,12 @@ def choose_among(forest: Forest, node_of: WholeNumbers, smallest: int) -> Tree:
     return _with_rests(_tree_of(forest, node_of, judged[kept], levels[kept].astype(np.uint8)), crowded[kept])
 
 
-def _small_things(parents: Indices, sizes: Ids, fits: Doubles, things: Flags) -> Flags:
+def _small_things(
+    parents: Int64[np.ndarray, " t"],
+    sizes: Int32[np.ndarray, " t"],
+    fits: Float64[np.ndarray, " t"],
+    things: Bool[np.ndarray, " t"],
+) -> Bool[np.ndarray, " t"]:
     """Return the nodes strictly within things that are small on them, and that masks of the photos still fit.
 
     A plate that shares masks with the table costs the table little of its fit: weighed by weight the two stay one.
@@ -65,18 +70,18 @@ def _small_things(parents: Indices, sizes: Ids, fits: Doubles, things: Flags) ->
     best = best_nodes(parents, np.where(thing >= 0, sizes**SMALL_SIZE_POWER * np.sqrt(fits), NONE))
     small = best & (fits >= MIN_SMALL_FIT) & (sizes <= MAX_SMALL_SHARE * sizes[thing])
     taken = np.bincount(thing[small], sizes[small], minlength=len(parents))
-    return small & (taken <= sizes / 2)[thing]
+    return np.asarray(small & (taken <= sizes / 2)[thing])
 
 
-def _within(parents: OtherIds, nodes: Indices) -> Indices:
+def _within(parents: Int32[np.ndarray, " t"], nodes: Indices) -> Indices:
     """Return the forest of some nodes alone: for each the number of the lowest of them above it, -1 for none."""
     among = np.zeros(len(parents), bool)
     among[nodes] = True
     number = np.append(np.cumsum(among) - 1, NONE)  # -1 stays -1
-    return number[_above(parents, among)[nodes]]
+    return np.asarray(number[_above(parents, among)[nodes]])
 
 
-def best_nodes(parents: WholeNumbers, worth: Doubles) -> Flags:
+def best_nodes(parents: Integer[np.ndarray, " t"], worth: Float64[np.ndarray, " t"]) -> Bool[np.ndarray, " t"]:
     """Return the set of nodes, none above another, of the largest sum of worth; negative worth is never chosen.
 
     Of sets of equal sums it is the one of larger nodes. Linear: children come before their parents.
@@ -87,23 +92,23 @@ def best_nodes(parents: WholeNumbers, worth: Doubles) -> Flags:
         own[node] = value >= max(below[node], 0.0)
         if parent >= 0:
             below[parent] += max(value, below[node])
-    return own & (_above(parents, own) < 0)
+    return np.asarray(own & (_above(parents, own) < 0))
 
 
-def _owners(parents: WholeNumbers, nodes: Flags) -> Indices:
+def _owners(parents: Integer[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -> Int64[np.ndarray, " t"]:
     """Return for each node itself or the lowest of `nodes` above it, -1 for none."""
     up = np.append(np.where(nodes, np.arange(len(parents)), parents), NONE)
     while (up != (further := up[up])).any():
         up = further
-    return up[:-1]
+    return np.asarray(up[:-1])
 
 
-def _above(parents: WholeNumbers, nodes: Flags) -> Indices:
+def _above(parents: Integer[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -> Int64[np.ndarray, " t"]:
     """Return for each node the lowest of `nodes` above it, -1 for none."""
-    return np.append(_owners(parents, nodes), NONE)[parents]
+    return np.asarray(np.append(_owners(parents, nodes), NONE)[parents])
 
 
-def pairs_above(parents: RowIds) -> tuple[Indices, Indices]:
+def pairs_above(parents: Integer[np.ndarray, " t"]) -> tuple[Int64[np.ndarray, " p"], Int64[np.ndarray, " p"]]:
     """Return all pairs of a node and one that is above it, or itself."""
     below = above = np.arange(len(parents))
     lower, upper = [below], [above]
@@ -115,15 +120,17 @@ def pairs_above(parents: RowIds) -> tuple[Indices, Indices]:
     return np.concatenate(lower), np.concatenate(upper)
 
 
-def _parts(parents: Indices, worth: Doubles, things: Flags) -> Flags:
+def _parts(
+    parents: Int64[np.ndarray, " t"], worth: Float64[np.ndarray, " t"], things: Bool[np.ndarray, " t"]
+) -> Bool[np.ndarray, " t"]:
     """Return the best nodes strictly within things, where a thing has two or more."""
     thing = _above(parents, things)
     best = best_nodes(parents, np.where(thing >= 0, worth, NONE))
     several = np.bincount(thing[best], minlength=len(parents)) > 1
-    return best & several[thing]
+    return np.asarray(best & several[thing])
 
 
-def _holding(parents: Indices, nodes: Flags) -> Flags:
+def _holding(parents: Int64[np.ndarray, " t"], nodes: Bool[np.ndarray, " t"]) -> Bool[np.ndarray, " t"]:
     """Return the nodes that have one of `nodes` below them."""
     holding = np.zeros(len(parents), bool)
     at = np.unique(parents[nodes])
@@ -134,7 +141,7 @@ def _holding(parents: Indices, nodes: Flags) -> Flags:
     return holding
 
 
-def _several_branches(parents: Indices, things: Flags) -> Flags:
+def _several_branches(parents: Int64[np.ndarray, " t"], things: Bool[np.ndarray, " t"]) -> Bool[np.ndarray, " t"]:
     """Return the nodes with things below two or more of their children."""
     holds = things.tolist()
     branches = [0] * len(holds)
@@ -145,7 +152,9 @@ def _several_branches(parents: Indices, things: Flags) -> Flags:
     return np.array(branches) > 1
 
 
-def _tree_of(forest: Forest, node_of: RowIds, nodes: Indices, levels: ByteValues) -> Tree:
+def _tree_of(
+    forest: Forest, node_of: Integer[np.ndarray, " r"], nodes: Indices, levels: UInt8[np.ndarray, " n"]
+) -> Tree:
     """Return the tree of the chosen nodes alone, in their order."""
     among = np.zeros(len(forest.parents), bool)
     among[nodes] = True
@@ -155,7 +164,7 @@ def _tree_of(forest: Forest, node_of: RowIds, nodes: Indices, levels: ByteValues
     return Tree(lowest.astype(np.int32), parents.astype(np.int32), levels, forest.fits[nodes])
 
 
-def _with_rests(tree: Tree, crowded: Flags) -> Tree:
+def _with_rests(tree: Tree, crowded: Bool[np.ndarray, " t"]) -> Tree:
     """Make each crowded node a group; a new thing before it gets the rows that are in none of its things."""
     number = np.append(np.arange(len(crowded)) + np.cumsum(crowded), NONE)  # -1 stays -1
     rest = number - np.append(crowded, False)

@@ -14,19 +14,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import (
-    Doubles,
-    Embeddings,
-    Float32,
-    Float64,
-    FloatRows,
-    Ids,
-    Indices,
-    Int64,
-    Numbers,
-    OtherIds,
-    OtherIndices,
-)
+from ...base.arrays import Float32, Float64, Int32, Int64
 from ...errors import InputError
 from ...kernels import weighted_rows
 from ...kernels.boxes import Boxes, boxes_of
@@ -96,7 +84,7 @@ def objects_during(whole: LanguageField, some: LanguageField, *, threads: int = 
     return replace(objects, node_of=node_of, descriptor_starts=starts, descriptors=vectors)
 
 
-def _members(node_of: OtherIds, parents: Ids) -> csr_array:
+def _members(node_of: Int32[np.ndarray, " R"], parents: Int32[np.ndarray, " T"]) -> csr_array:
     """Return `_inside`, checked. Raises: InputError: a node without rows."""
     inside, count = _inside(parents), len(parents)
     empty = np.flatnonzero(inside @ np.bincount(node_of[node_of >= 0], minlength=count) == 0)
@@ -105,13 +93,13 @@ def _members(node_of: OtherIds, parents: Ids) -> csr_array:
     return inside
 
 
-def _inside(parents: Ids) -> csr_array:
+def _inside(parents: Int32[np.ndarray, " T"]) -> csr_array:
     """Return (T, T): entry (t, s) is 1 where node s is t, or below it."""
     columns, rows = pairs_above(parents)
     return csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(parents),) * 2)
 
 
-def _weights(evidence: Evidence, inside: csr_array, node_of: Ids) -> csr_array:
+def _weights(evidence: Evidence, inside: csr_array, node_of: Int32[np.ndarray, " R"]) -> csr_array:
     """Return (T, M): the summed weight of all rows of a node in each mask."""
     (rows,) = np.nonzero(node_of >= 0)
     place = node_of[rows].astype(np.int32), rows.astype(np.int32)  # of the kind of W's, which SciPy else copies
@@ -122,7 +110,9 @@ def _weights(evidence: Evidence, inside: csr_array, node_of: Ids) -> csr_array:
     return csr_array(summed)
 
 
-def _boxes(field: LanguageField, gaussians: Gaussians, inside: csr_array, node_of: Ids, threads: int) -> Boxes:
+def _boxes(
+    field: LanguageField, gaussians: Gaussians, inside: csr_array, node_of: Int32[np.ndarray, " R"], threads: int
+) -> Boxes:
     """Return the box of what can be seen of each node (`scene.boxes.solid`), or of all of it where nothing can.
 
     Nodes come in batches, so that memory is that of ROWS_AT_ONCE rows, or of the largest node.
@@ -140,7 +130,7 @@ def _boxes(field: LanguageField, gaussians: Gaussians, inside: csr_array, node_o
 
 
 def _boxes_of_some(
-    field: LanguageField, gaussians: Gaussians, starts: OtherIndices, rows: Indices,
+    field: LanguageField, gaussians: Gaussians, starts: Int64[np.ndarray, " T1"], rows: Int64[np.ndarray, " e"],
     threads: int,
 ) -> Boxes:  # fmt: skip
     nodes = np.repeat(np.arange(len(starts) - 1), np.diff(starts))
@@ -151,7 +141,9 @@ def _boxes_of_some(
     return boxes_of(gaussians, np.append(0, np.cumsum(counts)), ids[seen], field.up, threads=threads)
 
 
-def _rows(inside: csr_array, order: OtherIndices, begins: Indices) -> tuple[Indices, Int64[np.ndarray, " e"]]:
+def _rows(
+    inside: csr_array, order: Int64[np.ndarray, " R"], begins: Int64[np.ndarray, " T1"]
+) -> tuple[Int64[np.ndarray, " T1"], Int64[np.ndarray, " e"]]:
     """Return the rows of some nodes and of those below them, in CSR form (starts, rows).
 
     order, begins: all rows in the order of their nodes, and where those of each begin.
@@ -162,14 +154,16 @@ def _rows(inside: csr_array, order: OtherIndices, begins: Indices) -> tuple[Indi
     return np.append(0, np.cumsum(inside @ np.diff(begins))).astype(np.int64), rows
 
 
-def _masses(field: LanguageField, gaussians: Gaussians, inside: csr_array, node_of: OtherIds) -> Numbers:
+def _masses(
+    field: LanguageField, gaussians: Gaussians, inside: csr_array, node_of: Int32[np.ndarray, " R"]
+) -> Float32[np.ndarray, " T"]:
     kept = node_of >= 0
     opacities = gaussians.opacities[field.gaussian_ids[kept]]
     own = np.bincount(node_of[kept], opacities, inside.shape[0])
     return np.asarray(inside @ own, np.float32)
 
 
-def _num_views(weights: csr_array, evidence: Evidence) -> Ids:
+def _num_views(weights: csr_array, evidence: Evidence) -> Int32[np.ndarray, " T"]:
     """Return the photos that show more than a sliver of each node."""
     views, count = evidence.masks.views, len(evidence.masks.view_names)
     of_view = csr_array((np.ones(len(views)), (np.arange(len(views)), views)), shape=(len(views), count))
@@ -180,10 +174,10 @@ def _num_views(weights: csr_array, evidence: Evidence) -> Ids:
     return np.bincount(nodes[shown.data > MIN_SHOWN_SHARE * most[nodes]], minlength=shown.shape[0]).astype(np.int32)
 
 
-def _masks(weights: csr_array) -> tuple[OtherIndices, Ids, Numbers]:
+def _masks(weights: csr_array) -> tuple[Int64[np.ndarray, " T1"], Int32[np.ndarray, " E"], Float32[np.ndarray, " E"]]:
     """Return each node's masks of the largest shares of its weight, largest first, in CSR form."""
     kept = heaviest(weights, MAX_MASKS_PER_NODE)
-    totals: Float64[np.ndarray, " T"] = weights.sum(1)
+    totals: Float64[np.ndarray, " T"] = weights.sum(axis=1)
     shares = kept.data / np.repeat(totals, np.diff(kept.indptr))
     return kept.indptr.astype(np.int64), kept.indices.astype(np.int32), shares.astype(np.float32)
 
@@ -202,8 +196,8 @@ def _exclusive(weights: csr_array, evidence: Evidence) -> csr_array:
 
 
 def descriptors(
-    weights: csr_array, embeddings: Embeddings, *, threads: int = 0
-) -> tuple[OtherIndices, Float32[np.ndarray, "P D"]]:
+    weights: csr_array, embeddings: Float32[np.ndarray, "M D"], *, threads: int = 0
+) -> tuple[Int64[np.ndarray, " T1"], Float32[np.ndarray, "P D"]]:
     """Return up to four unit vectors for each row of `weights` (T, M), as row starts and vectors, the heaviest first.
 
     The first centre is the weighted mean; a further one starts from the mask that is served worst, weight times
@@ -213,7 +207,7 @@ def descriptors(
     labels = np.zeros(clusters.weights.nnz, np.int64)
     part = np.arange(len(labels))  # entries of rows that may need more
     for count in range(1, MAX_DESCRIPTORS_PER_NODE):
-        far = part[clusters.worst_served(part, clusters.cosines(labels, part, count).max(1, initial=-1))]
+        far = part[clusters.worst_served(part, clusters.cosines(labels, part, count).max(axis=1, initial=-1))]
         needing = np.zeros(weights.shape[0], bool)
         needing[clusters.rows[far]] = True
         part = part[needing[clusters.rows[part]]]
@@ -230,31 +224,33 @@ class _Clusters:
     """
 
     weights: csr_array
-    embeddings: Embeddings
+    embeddings: Float32[np.ndarray, "M D"]
     threads: int
 
     @cached_property
-    def rows(self) -> Indices:
+    def rows(self) -> Int64[np.ndarray, " e"]:
         return np.repeat(np.arange(self.weights.shape[0]), np.diff(self.weights.indptr))
 
-    def settle(self, labels: OtherIndices, part: Indices, count: int) -> None:
+    def settle(self, labels: Int64[np.ndarray, " e"], part: Int64[np.ndarray, " p"], count: int) -> None:
         """Move the entries of `part` to the cluster of the nearest centre, the first of equal ones, in some rounds."""
         for _ in range(LLOYD_ROUNDS):
-            nearest = self.cosines(labels, part, count).argmax(1)
+            nearest = self.cosines(labels, part, count).argmax(axis=1)
             if (nearest == labels[part]).all():
                 break
             labels[part] = nearest
 
-    def worst_served(self, part: Indices, cosines: Numbers) -> OtherIndices:
+    def worst_served(
+        self, part: Int64[np.ndarray, " p"], cosines: Float32[np.ndarray, " p"]
+    ) -> Int64[np.ndarray, " t"]:
         """Return the place of each row's worst served entry of `part`, among those that are unlike all centres."""
         served = np.where(cosines < ALIKE_COSINE, self.weights.data[part] * (1 - cosines.astype(np.float64)), 0)
         rows = self.rows[part]
         most = np.zeros(self.weights.shape[0])
         np.maximum.at(most, rows, served)
         (worst,) = np.nonzero((served > 0) & (served == most[rows]))
-        return worst[np.diff(rows[worst], prepend=-1) > 0]
+        return np.asarray(worst[np.diff(rows[worst], prepend=-1) > 0])
 
-    def means(self, labels: Indices) -> Float32[np.ndarray, "T k D"]:
+    def means(self, labels: Int64[np.ndarray, " e"]) -> Float32[np.ndarray, "T k D"]:
         """Return the unit mean of each cluster, zero where it has no entries or they cancel out."""
         clusters = self.rows * MAX_DESCRIPTORS_PER_NODE + labels
         order = np.argsort(clusters, kind="stable")
@@ -266,13 +262,15 @@ class _Clusters:
         )
         return means.reshape(-1, MAX_DESCRIPTORS_PER_NODE, means.shape[1])
 
-    def cosines(self, labels: OtherIndices, part: Indices, count: int) -> FloatRows:
+    def cosines(
+        self, labels: Int64[np.ndarray, " e"], part: Int64[np.ndarray, " p"], count: int
+    ) -> Float32[np.ndarray, "p k"]:
         """Return the cosines of the entries of `part` with the first `count` centres of their rows, -1 with empty ones.
 
         BLAS is avoided: its bits depend on the number of its threads.
         """
         means = self.means(labels)
-        filled = np.asarray(means.any(2))
+        filled = np.asarray(means.any(axis=2))
         cosines = np.empty((len(part), count), np.float32)
         for begin in range(0, len(part), ENTRIES_AT_ONCE):
             entries = part[begin : begin + ENTRIES_AT_ONCE]
@@ -282,17 +280,17 @@ class _Clusters:
                 cosines[begin : begin + ENTRIES_AT_ONCE, k] = np.where(filled[rows, k], row_cosines, -1)
         return cosines
 
-    def centers(self, labels: OtherIndices) -> tuple[Indices, Float32[np.ndarray, "P D"]]:
+    def centers(self, labels: Int64[np.ndarray, " e"]) -> tuple[Int64[np.ndarray, " T1"], Float32[np.ndarray, "P D"]]:
         """Return the row starts and unit means, the heaviest cluster of each row first, without specks."""
         means = self.means(labels)
         shape = means.shape[:2]
         clusters = self.rows * MAX_DESCRIPTORS_PER_NODE + labels
         mass = np.bincount(clusters, self.weights.data, shape[0] * shape[1]).reshape(shape)
-        mass[~means.any(2) | (mass < MIN_CLUSTER_SHARE * mass.sum(1, keepdims=True))] = 0
+        mass[~means.any(axis=2) | (mass < MIN_CLUSTER_SHARE * mass.sum(axis=1, keepdims=True))] = 0
         order = np.argsort(-mass, axis=1, kind="stable")
         sorted_means = np.take_along_axis(means, order[..., None], axis=1)
         filled = np.take_along_axis(mass, order, axis=1) > 0
-        return np.append(0, np.cumsum(filled.sum(1))), np.asarray(sorted_means[filled])
+        return np.append(0, np.cumsum(filled.sum(axis=1))), np.asarray(sorted_means[filled])
 
 
 def heaviest(matrix: csr_array, most: int) -> csr_array:
@@ -306,7 +304,7 @@ def heaviest(matrix: csr_array, most: int) -> csr_array:
     return csr_array((matrix.data[kept], matrix.indices[kept], starts), shape=matrix.shape)
 
 
-def _bars(matrix: csr_array, most: int) -> Doubles:
+def _bars(matrix: csr_array, most: int) -> Float64[np.ndarray, " r"]:
     """Return the `most`-th largest weight of each row, -inf where it has no more than that."""
     bars = np.full(matrix.shape[0], -np.inf)
     for row in np.flatnonzero(np.diff(matrix.indptr) > most):

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Doubles, Indices, OtherIndices, WholeNumbers
+from ...base.arrays import Float64, Int64, Integer
 from ...errors import InputError
 from .. import LanguageField
 
@@ -20,10 +20,10 @@ class Drifting(NamedTuple):
     is of none.
     """
 
-    gaussian_ids: Indices
-    shares: Doubles
-    first: Indices
-    last: Indices
+    gaussian_ids: Int64[np.ndarray, " g"]
+    shares: Float64[np.ndarray, " g"]
+    first: Int64[np.ndarray, " g"]
+    last: Int64[np.ndarray, " g"]
 
 
 def drifting(field: LanguageField) -> Drifting:
@@ -49,12 +49,12 @@ def drifting(field: LanguageField) -> Drifting:
 class _Sums(NamedTuple):
     """Weights of Gaussians in objects (number + 1) at times; `at` is row times number of times plus time."""
 
-    at: Indices
-    thing: Indices
-    weight: Doubles
+    at: Int64[np.ndarray, " e"]
+    thing: Int64[np.ndarray, " e"]
+    weight: Float64[np.ndarray, " e"]
 
 
-def _owners(weights: csr_array, thing_of: WholeNumbers) -> OtherIndices:
+def _owners(weights: csr_array, thing_of: Integer[np.ndarray, " r"]) -> Int64[np.ndarray, " m"]:
     """Return the object that has most of each mask's weight, -1 for none."""
     rows = np.repeat(thing_of.astype(np.int64) + 1, np.diff(weights.indptr))
     width = int(rows.max(initial=0)) + 1
@@ -66,7 +66,7 @@ def _owners(weights: csr_array, thing_of: WholeNumbers) -> OtherIndices:
     return best
 
 
-def _sums(at: Indices, thing: Indices, weight: np.ndarray) -> _Sums:
+def _sums(at: Int64[np.ndarray, " w"], thing: Int64[np.ndarray, " w"], weight: np.ndarray) -> _Sums:
     width = int(thing.max(initial=0)) + 1
     keys, place = np.unique(at * width + thing, return_inverse=True)
     return _Sums(keys // width, keys % width, np.bincount(place, weight))

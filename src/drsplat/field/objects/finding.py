@@ -18,19 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import (
-    Doubles,
-    Embeddings,
-    Flags,
-    Float32,
-    FloatRows,
-    Ids,
-    Indices,
-    OtherDoubles,
-    OtherIds,
-    UnsignedIds,
-    Vectors,
-)
+from ...base.arrays import Bool, Float32, Float64, Ids, Int32, Int64, UInt32
 from ...base.contents import release
 from ...errors import InputError
 from ...kernels import Forest, MergeRule, agglomerate
@@ -80,13 +68,13 @@ class Totals:
     all rows together.
     """
 
-    rows: Doubles
-    counts: Indices
-    masks: OtherDoubles
+    rows: Float64[np.ndarray, " r"]
+    counts: Int64[np.ndarray, " r"]
+    masks: Float64[np.ndarray, " m"]
     sights: int
 
     @classmethod
-    def of(cls, evidence: Evidence, kept: Flags) -> "Totals":
+    def of(cls, evidence: Evidence, kept: Bool[np.ndarray, " m"]) -> "Totals":
         """Add up W in one pass. kept: columns that are looked at."""
         weights, views, count = evidence.weights, evidence.masks.views, len(evidence)
         rows, counts, masks, sights = np.zeros(count), np.zeros(count, np.int64), np.zeros(len(views)), 0
@@ -113,9 +101,9 @@ class Division:
 
     evidence: Evidence
     points: Float32[np.ndarray, "r 3"]
-    kept: Flags
+    kept: Bool[np.ndarray, " m"]
     totals: Totals
-    embeddings: FloatRows
+    embeddings: Float32[np.ndarray, "m k"]
     thresholds: tuple[float, ...]
     rule: MergeRule
 
@@ -155,7 +143,7 @@ def find_objects(
 
 
 def find_tree(
-    evidence: Evidence, gaussians: Gaussians, ids: UnsignedIds, views: Sequence[View], *, threads: int = 0
+    evidence: Evidence, gaussians: Gaussians, ids: UInt32[np.ndarray, " r"], views: Sequence[View], *, threads: int = 0
 ) -> Tree:
     """Return the parts, things and groups of a scene. Where masks have equal embeddings, W alone decides.
 
@@ -183,7 +171,9 @@ def seen_by(found: Found, views: Sequence[View]) -> list[View]:
     return list({view.name: view for some in chosen for view in some}.values()) if chosen else some_views(views)
 
 
-def tree_of(evidence: Evidence, points: Vectors, work: Work | None = None, *, threads: int = 0) -> Found:
+def tree_of(
+    evidence: Evidence, points: Float32[np.ndarray, "r 3"], work: Work | None = None, *, threads: int = 0
+) -> Found:
     """Find the parts, things and groups that masks tell of; what they are pieces of is not yet known.
 
     points: centres of the rows' Gaussians. work: who finds the nodes of blocks, of which there are some where the
@@ -198,7 +188,7 @@ def tree_of(evidence: Evidence, points: Vectors, work: Work | None = None, *, th
     return Found(choose_among(found.forest, found.node_of, MIN_GAUSSIANS), seeing)
 
 
-def divided(evidence: Evidence, points: Vectors) -> Division:
+def divided(evidence: Evidence, points: Float32[np.ndarray, "r 3"]) -> Division:
     """Cut a scene in blocks. Of more weights than WEIGHTS_PER_ROW, those of some views are looked at."""
     masks = evidence.masks
     gone = views_beyond(evidence, max(MAX_WEIGHTS, WEIGHTS_PER_ROW * len(evidence)))
@@ -210,7 +200,9 @@ def divided(evidence: Evidence, points: Vectors) -> Division:
     return Division(evidence, points, kept, totals, embeddings, MERGE_THRESHOLDS, rule)
 
 
-def of_pieces(tree: Tree, gaussians: Gaussians, ids: UnsignedIds, views: Sequence[View], *, threads: int = 0) -> Tree:
+def of_pieces(
+    tree: Tree, gaussians: Gaussians, ids: UInt32[np.ndarray, " r"], views: Sequence[View], *, threads: int = 0
+) -> Tree:
     """Return the tree with pieces joined to the things that they are of. ids: the Gaussians of its rows."""
     if not views:
         return tree
@@ -218,7 +210,7 @@ def of_pieces(tree: Tree, gaussians: Gaussians, ids: UnsignedIds, views: Sequenc
     return with_pieces_joined(tree, borders(gaussians, views, pieces, threads=threads))
 
 
-def pieces_of(tree: Tree, ids: UnsignedIds, count: int) -> OtherIds:
+def pieces_of(tree: Tree, ids: UInt32[np.ndarray, " r"], count: int) -> Ids:
     """Return the thing of each of `count` Gaussians, numbered in the order of nodes, -1 for none."""
     (things,) = np.nonzero(tree.levels == THING)
     owners = _owners(tree.parents, tree.levels == THING)
@@ -240,7 +232,7 @@ def cameras_of(field: LanguageField) -> list[View]:
     return field.growth.provenance.views(field.evidence.masks.view_names)
 
 
-def views_beyond(evidence: Evidence, most: int) -> Flags:
+def views_beyond(evidence: Evidence, most: int) -> Bool[np.ndarray, " v"]:
     """Mark the views that are left out where at most so many weights are looked at; a hash of names draws the others.
 
     One view is always left.
@@ -254,7 +246,7 @@ def views_beyond(evidence: Evidence, most: int) -> Flags:
     return gone
 
 
-def grow(evidence: Evidence, means: Vectors, *, threads: int = 0) -> Forest:
+def grow(evidence: Evidence, means: Float32[np.ndarray, "r 3"], *, threads: int = 0) -> Forest:
     """Grow the forest of merges over the rows of the evidence. means: the Gaussians' centres."""
     order = along_a_curve(means)
     weights, views, embeddings = _by_view(evidence)
@@ -286,7 +278,7 @@ def _by_view(evidence: Evidence) -> tuple[csr_array, np.ndarray, np.ndarray]:
     return weights, views, embeddings
 
 
-def _sights(weights: csr_array, views: Ids) -> int:
+def _sights(weights: csr_array, views: Int32[np.ndarray, " m"]) -> int:
     """Count in how many views a row has weight, of all rows together."""
     seen = views[weights.indices]
     first = np.ones(len(seen), bool)
@@ -295,7 +287,7 @@ def _sights(weights: csr_array, views: Ids) -> int:
     return int(np.count_nonzero(first))
 
 
-def _fewer_directions(embeddings: Embeddings) -> tuple[FloatRows, float]:
+def _fewer_directions(embeddings: Float32[np.ndarray, "m d"]) -> tuple[Float32[np.ndarray, "m k"], float]:
     """Return the embeddings along the directions in which they spread most, and 1 - the mean cosine of any two."""
     count, dim = embeddings.shape
     mean, spread = np.zeros(dim), np.zeros((dim, dim))

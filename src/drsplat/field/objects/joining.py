@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Bool, Doubles, Flags, Float64, Indices, Numbers, OtherIndices
+from ...base.arrays import Bool, Doubles, Flags, Float64, Int64, Numbers
 from ..forest import PART, THING
 from .borders import Borders
 from .choosing import NONE, Tree, _above, _owners
@@ -62,12 +62,12 @@ class Outlines:
     @cached_property
     def fronts(self) -> Doubles:
         """Pixels of its outline where each piece is in front."""
-        return np.asarray(self.front.sum(1)).ravel()
+        return np.asarray(self.front.sum(axis=1)).ravel()
 
     @cached_property
     def levels(self) -> Doubles:
         """Pixels of its outline where depth goes on, of each piece."""
-        return np.asarray(self.level.sum(1)).ravel()
+        return np.asarray(self.level.sum(axis=1)).ravel()
 
     @cached_property
     def reliefs(self) -> Doubles:
@@ -87,7 +87,7 @@ class PieceSet:
     where it is behind the set, and where depth goes on.
     """
 
-    def __init__(self, outlines: Outlines, members: Indices) -> None:
+    def __init__(self, outlines: Outlines, members: Int64[np.ndarray, " k"]) -> None:
         self.outlines = outlines
         self.within = np.zeros(len(outlines.areas), bool)
         self.before, self.behind, self.beside = (np.zeros(len(self.within)) for _ in range(3))
@@ -96,7 +96,7 @@ class PieceSet:
             self.change(piece)
 
     @property
-    def members(self) -> Indices:
+    def members(self) -> Int64[np.ndarray, " k"]:
         """Numbers of the pieces, ascending."""
         return np.flatnonzero(self.within)
 
@@ -110,7 +110,7 @@ class PieceSet:
         """True where depth goes on along enough of the borders within."""
         return bool(goes_on(np.array(self.inner_level), np.array(self.inner_front)))
 
-    def changes(self, free: Flags) -> OtherIndices:
+    def changes(self, free: Flags) -> Int64[np.ndarray, " c"]:
         """Return the pieces that may be added or taken out: pieces of the set, and what depth goes on to from it.
 
         free: pieces that may be added. Of others those that are small in the set may (`MAX_SMALL_SHARE`): a bow on a
@@ -122,14 +122,14 @@ class PieceSet:
         fits = (free[pieces] | (areas <= MAX_SMALL_SHARE * together)) & (together <= self.outlines.largest)
         return pieces[within | fits]
 
-    def reliefs(self, pieces: Indices) -> Doubles:
+    def reliefs(self, pieces: Int64[np.ndarray, " c"]) -> Float64[np.ndarray, " c"]:
         """Return the relief of the set once each piece alone is added to it, or taken out of it."""
         sign = self._signs(pieces)
         front = self.outlines.fronts[pieces] - self.behind[pieces] - self.before[pieces]
         level = self.outlines.levels[pieces] - 2 * self.beside[pieces]
         return relief(self.front + sign * front, self.level + sign * level)
 
-    def holding(self, pieces: Indices) -> Flags:
+    def holding(self, pieces: Int64[np.ndarray, " c"]) -> Bool[np.ndarray, " c"]:
         """Return for each of these sets whether depth goes on along enough of the borders within."""
         sign = self._signs(pieces)
         jumps = self.before[pieces] + self.behind[pieces]
@@ -153,7 +153,7 @@ class PieceSet:
             sums[rows.indices[part]] += sign * rows.data[part]
         self.within[piece] ^= True
 
-    def _signs(self, pieces: Indices) -> Doubles:
+    def _signs(self, pieces: Int64[np.ndarray, " c"]) -> Float64[np.ndarray, " c"]:
         return np.where(self.within[pieces], -1.0, 1.0)
 
 
@@ -198,7 +198,7 @@ class _Candidates:
         self.outlines, self.free = outlines, free
         self.found: dict[tuple[int, ...], tuple[float, float]] = {}  # what a set is worth, and its relief
 
-    def add(self, members: Indices) -> None:
+    def add(self, members: Int64[np.ndarray, " k"]) -> None:
         """Refine a set, and keep it if it is one thing."""
         covered = refined(self.outlines, members, self.free)
         if self._is_thing(covered):
@@ -257,7 +257,7 @@ def with_joined(tree: Tree, found: list[Joined]) -> Tree:
     )  # fmt: skip
 
 
-def _crossed(tree: Tree, things: OtherIndices, sets: list[np.ndarray]) -> Flags:
+def _crossed(tree: Tree, things: Int64[np.ndarray, " o"], sets: list[np.ndarray]) -> Bool[np.ndarray, " t"]:
     """Mark groups that hold some of a set and not all of it, or nothing but a set."""
     parents, crossed = tree.parents.tolist(), np.zeros(len(tree.parents), bool)
     held = Counter(group for thing in things.tolist() for group in _groups(parents, thing))
@@ -274,15 +274,15 @@ def _groups(parents: list[int], node: int) -> Iterator[int]:
 
 def relief(front: Float64[np.ndarray, " *s"], level: Float64[np.ndarray, " *s"]) -> Float64[np.ndarray, " *s"]:
     """Return the relief of an outline, from its pixels in front and those where depth goes on; near 0 for a few."""
-    return front / (front + level + RELIEF_PRIOR_PIXELS)
+    return np.asarray(front / (front + level + RELIEF_PRIOR_PIXELS))
 
 
 def goes_on(level: Float64[np.ndarray, " *s"], front: Float64[np.ndarray, " *s"]) -> Bool[np.ndarray, " *s"]:
     """Return whether borders hold a set together, from their pixels where depth goes on and where it jumps."""
-    return level >= MIN_LEVEL_SHARE * (level + front)
+    return np.asarray(level >= MIN_LEVEL_SHARE * (level + front))
 
 
-def grown(outlines: Outlines, seed: int, free: Flags) -> OtherIndices:
+def grown(outlines: Outlines, seed: int, free: Flags) -> Int64[np.ndarray, " k"]:
     """Return the set that stands out most of those that come about as pieces are added to a seed, best first.
 
     Each time the neighbour is added with which the set stands out most, also where that is less than before: a thing
@@ -304,7 +304,7 @@ def grown(outlines: Outlines, seed: int, free: Flags) -> OtherIndices:
     return np.sort(np.array(order[:length]))
 
 
-def refined(outlines: Outlines, members: OtherIndices, free: Flags) -> PieceSet:
+def refined(outlines: Outlines, members: Int64[np.ndarray, " k"], free: Flags) -> PieceSet:
     """Return the set once no single piece added or taken out lets it stand out more; every step is the best one.
 
     No step is taken after which depth does not go on along half of the borders within. free: see `PieceSet.changes`.

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...base.arrays import Ids, Points
+from ...base.arrays import Float64, Ids
 from ...scene.boxes import solid
 from ...scene.parted import AnyGaussians
 
@@ -35,7 +35,7 @@ def surfaces(object_of: Ids, count: int, gaussians: AnyGaussians, size: float) -
     return found
 
 
-def _is_surface(points: Points, size: float) -> bool:
+def _is_surface(points: Float64[np.ndarray, "m 3"], size: float) -> bool:
     near = points
     for _ in range(ROUNDS):
         variance, axes = np.linalg.eigh(np.cov(near.T, bias=True))

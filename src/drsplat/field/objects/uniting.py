@@ -11,18 +11,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from ...base.arrays import (
-    Doubles,
-    Flags,
-    Ids,
-    Indices,
-    Int64,
-    Numbers,
-    OtherDoubles,
-    OtherIds,
-    OtherIndices,
-    WholeNumbers,
-)
+from ...base.arrays import Bool, Float32, Float64, Int32, Int64, Integer
 from ...kernels import Forest
 from .block_nodes import BlockNodes
 from .choosing import NONE
@@ -34,24 +23,24 @@ PARTNER_IOU = 0.5  # of the rows that both blocks look at: above it each region 
 class Shared(NamedTuple):
     """Numbers of rows that two blocks look at, by the smallest node of each block that they are in, -1 for none."""
 
-    one: Indices
-    other: Indices
-    counts: Indices
+    one: Int64[np.ndarray, " p"]
+    other: Int64[np.ndarray, " p"]
+    counts: Int64[np.ndarray, " p"]
 
 
 class United(NamedTuple):
     """forest: nodes of the scene, without single rows. node_of: the smallest node of each row, -1 for none."""
 
     forest: Forest
-    node_of: Ids
+    node_of: Int32[np.ndarray, " r"]
 
 
 class Masses(NamedTuple):
     """rows: the weight of each row of W. masks: of each mask. views: of each mask. far: as of `MergeRule`."""
 
-    rows: OtherDoubles
-    masks: Doubles
-    views: Ids
+    rows: Float64[np.ndarray, " r"]
+    masks: Float64[np.ndarray, " m"]
+    views: Int32[np.ndarray, " m"]
     far: float
 
 
@@ -78,7 +67,7 @@ def united(parts: Sequence[BlockNodes], masses: Masses) -> United:
     return United(forest, node_of)
 
 
-def _all_shared(parts: Sequence[BlockNodes], bases: Indices) -> Iterator[Shared]:
+def _all_shared(parts: Sequence[BlockNodes], bases: Int64[np.ndarray, " b1"]) -> Iterator[Shared]:
     """Yield what each two blocks share, if anything."""
     ends = [(part.rows[0], part.rows[-1]) if len(part.rows) else (0, NONE) for part in parts]
     for i, one in enumerate(parts):
@@ -93,7 +82,7 @@ def _shared(one: BlockNodes, other: BlockNodes, first: int, second: int) -> Shar
     _, at, there = np.intersect1d(one.rows, other.rows, assume_unique=True, return_indices=True)
     sure = one.sure[at] & other.sure[there]
     nodes = np.stack([one.lowest[at[sure]], other.lowest[there[sure]]], axis=1).astype(np.int64)
-    pairs, counts = np.unique(nodes[(nodes >= 0).any(1)], axis=0, return_counts=True)
+    pairs, counts = np.unique(nodes[(nodes >= 0).any(axis=1)], axis=0, return_counts=True)
     a, b = (np.where(pairs[:, k] >= 0, pairs[:, k] + base, NONE) for k, base in enumerate((first, second)))
     return Shared(a, b, counts)
 
@@ -101,10 +90,12 @@ def _shared(one: BlockNodes, other: BlockNodes, first: int, second: int) -> Shar
 class _Classes:
     """Regions of the scene, each a class of nodes of blocks, round by round."""
 
-    def __init__(self, parents: WholeNumbers, ranks: WholeNumbers, shared: list[Shared]) -> None:
+    def __init__(
+        self, parents: Integer[np.ndarray, " t"], ranks: Integer[np.ndarray, " t"], shared: list[Shared]
+    ) -> None:
         self.parents, self.ranks, self.shared = parents, ranks, shared
 
-    def grown(self) -> tuple[OtherIds, tuple[np.ndarray, np.ndarray], Ids]:
+    def grown(self) -> tuple[Int32[np.ndarray, " u"], tuple[np.ndarray, np.ndarray], Int32[np.ndarray, " t"]]:
         """Return the parents of all classes, pairs (class, node of it), and the class that each node begins in."""
         count = len(self.parents)
         of, begins = np.full(count, NONE), np.full(count, NONE)  # the class of each node that is on top, now and first
@@ -138,7 +129,9 @@ class _Classes:
         together = np.concatenate(pairs, axis=1)
         return whole, (together[0], together[1]), begins.astype(np.int32)
 
-    def _labels(self, top: OtherIndices, before: Int64[np.ndarray, " k"], of: Indices) -> Ids:
+    def _labels(
+        self, top: Int64[np.ndarray, " t1"], before: Int64[np.ndarray, " k"], of: Int64[np.ndarray, " t"]
+    ) -> Int32[np.ndarray, " t"]:
         """Return a number for each node; nodes on top that are one region now have the same."""
         order = before[np.argsort(of[before], kind="stable")]
         same = of[order][1:] == of[order][:-1]
@@ -147,10 +140,10 @@ class _Classes:
         one, other = np.concatenate(edges, axis=1)
         count = len(self.parents)
         graph = csr_array((np.ones(len(one), bool), (one, other)), shape=(count, count))
-        return connected_components(graph, directed=False)[1]
+        return np.asarray(connected_components(graph, directed=False)[1])
 
 
-def _tops(parents: WholeNumbers, born: Flags) -> Indices:
+def _tops(parents: Integer[np.ndarray, " t"], born: Bool[np.ndarray, " t"]) -> Int64[np.ndarray, " t"]:
     """Return the highest node above each, or itself, among those that are born; parents are born after children."""
     up = np.where((parents >= 0) & born[parents], parents, np.arange(len(parents)))
     while (up != (further := up[up])).any():
@@ -158,7 +151,9 @@ def _tops(parents: WholeNumbers, born: Flags) -> Indices:
     return up
 
 
-def _matches(one: Indices, other: Indices, counts: Indices) -> Int64[np.ndarray, "2 q"]:
+def _matches(
+    one: Int64[np.ndarray, " p"], other: Int64[np.ndarray, " p"], counts: Int64[np.ndarray, " p"]
+) -> Int64[np.ndarray, "2 q"]:
     """Return the pairs of regions of two blocks that share more than half of the rows of both."""
     sizes = []
     for side in (one, other):
@@ -167,12 +162,12 @@ def _matches(one: Indices, other: Indices, counts: Indices) -> Int64[np.ndarray,
     pairs, first, at = np.unique(np.stack([one, other]), axis=1, return_index=True, return_inverse=True)
     both = np.bincount(at.ravel(), counts, minlength=pairs.shape[1])
     alike = both > PARTNER_IOU * (sizes[0][first] + sizes[1][first] - both)
-    return pairs[:, alike & (pairs >= 0).all(0)]
+    return np.asarray(pairs[:, alike & (pairs >= 0).all(axis=0)])
 
 
 def _judged(
-    parts: Sequence[BlockNodes], members: tuple[np.ndarray, np.ndarray], sizes: Indices, masses: Masses
-) -> tuple[Numbers, Numbers]:
+    parts: Sequence[BlockNodes], members: tuple[np.ndarray, np.ndarray], sizes: Int64[np.ndarray, " u"], masses: Masses
+) -> tuple[Float32[np.ndarray, " u"], Float32[np.ndarray, " u"]]:
     """Return fits and spreads of all classes. members: pairs (class, node); sizes: rows of each class."""
     of, nodes = members
     cut, fits, spreads = (_together(parts, name) for name in ("cut", "fits", "spreads"))
@@ -204,7 +199,7 @@ def _cut_sums(parts: Sequence[BlockNodes], masks: int) -> csr_array:
     return csr_array((data, indices, np.cumsum(starts)), shape=(len(starts) - 1, masks))
 
 
-def fits_of(weights: csr_array, masses: Masses) -> Doubles:
+def fits_of(weights: csr_array, masses: Masses) -> Float64[np.ndarray, " t"]:
     """Return how well masks fit regions: the mean over views of the IoU with the best mask there.
 
     weights: of each region in each mask. Twin: host/regions.cpp, `fit`.
@@ -226,7 +221,9 @@ def fits_of(weights: csr_array, masses: Masses) -> Doubles:
     return np.minimum(1, np.divide(fits, whole, out=np.zeros(len(whole)), where=whole > 0))
 
 
-def _sums(parents: Ids, node_of: OtherIds, weights: OtherDoubles) -> tuple[Indices, Doubles]:
+def _sums(
+    parents: Int32[np.ndarray, " t"], node_of: Int32[np.ndarray, " r"], weights: Float64[np.ndarray, " w"]
+) -> tuple[Int64[np.ndarray, " t"], Float64[np.ndarray, " t"]]:
     """Return how many rows each node has, and their weight; no weights: 0."""
     held = node_of >= 0
     sizes = np.bincount(node_of[held], minlength=len(parents))

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
-from ...base.arrays import Doubles, Flags, Float64, Indices
+from ...base.arrays import Bool, Float64, Int64
 from ...scene.masks.region_tree import RegionTree
 from ..evidence.evidence import Evidence, MaskIds
 from ..forest import THING
@@ -45,8 +45,8 @@ Votes = Callable[[], Iterable[Vote]]
 class Worth(NamedTuple):
     """Worth of sets of pieces, 0 to 1, as photos see it. framed: share of the border that is a photo's frame."""
 
-    worth: Doubles
-    framed: Doubles
+    worth: Float64[np.ndarray, " s"]
+    framed: Float64[np.ndarray, " s"]
 
 
 def with_voted(tree: Tree, votes: Votes) -> Tree:
@@ -55,7 +55,7 @@ def with_voted(tree: Tree, votes: Votes) -> Tree:
     votes: yields the photos anew, each time that it is called.
     """
     (things,) = np.nonzero(tree.levels == THING)
-    seen = np.array([_seen(tree, things, vote).sum(1) for vote in votes()])
+    seen = np.array([_seen(tree, things, vote).sum(axis=1) for vote in votes()])
     sets = _proposed(tree, things, seen, votes)
     if not sets:
         return tree
@@ -64,7 +64,7 @@ def with_voted(tree: Tree, votes: Votes) -> Tree:
     return with_joined(tree, _chosen(sets, found, pieces, seen.sum(0)))
 
 
-def worth_of(sets: csr_array, tree: Tree, things: Indices, votes: Votes) -> Worth:
+def worth_of(sets: csr_array, tree: Tree, things: Int64[np.ndarray, " t"], votes: Votes) -> Worth:
     """Return what sets of things are worth, (s, t) of 0 and 1.
 
     It is the median, over the photos that see the set, of its IoU with the best candidate there, times the mean
@@ -82,7 +82,7 @@ def worth_of(sets: csr_array, tree: Tree, things: Indices, votes: Votes) -> Wort
     return Worth(*(np.round(values, WORTH_DECIMALS) for values in (worth, cut_off)))
 
 
-def _seen(tree: Tree, things: Indices, vote: Vote) -> csr_array:
+def _seen(tree: Tree, things: Int64[np.ndarray, " t"], vote: Vote) -> csr_array:
     """Return the weight of each thing in each region of a photo, (t, n)."""
     count = vote.weights.shape[1]
     masks = MaskIds((vote.view_name,), np.zeros(count, np.int32), np.arange(count, dtype=np.int32))
@@ -91,16 +91,18 @@ def _seen(tree: Tree, things: Indices, vote: Vote) -> csr_array:
 
 def _said(own: csr_array, vote: Vote) -> tuple[np.ndarray, ...]:
     """Return of each set how much a photo sees of it, its best IoU with a candidate, its outline, its framed share."""
-    candidates, seen = vote.tree.candidates(), own.sum(1)
+    candidates, seen = vote.tree.candidates(), own.sum(axis=1)
     if not candidates.shape[0]:
         return seen, *np.zeros((3, len(seen)))
     shared = (own @ candidates.T).toarray()
-    fits = shared / np.maximum(seen[:, None] + candidates @ vote.weights.sum(0) - shared, 1e-9)
+    fits = shared / np.maximum(seen[:, None] + candidates @ vote.weights.sum(axis=0) - shared, 1e-9)
     best = fits.argmax(1)
     return seen, fits.max(1), vote.tree.outlines(candidates)[best], vote.tree.framed(candidates)[best]
 
 
-def _proposed(tree: Tree, things: Indices, seen: Float64[np.ndarray, "v n"], votes: Votes) -> list[tuple[int, ...]]:
+def _proposed(
+    tree: Tree, things: Int64[np.ndarray, " t"], seen: Float64[np.ndarray, "v t"], votes: Votes
+) -> list[tuple[int, ...]]:
     """Return the sets of two or more things that candidates of photos hold, those of most photos first."""
     counts: Counter[tuple[int, ...]] = Counter()
     for here, vote in zip(seen, votes(), strict=True):
@@ -108,12 +110,14 @@ def _proposed(tree: Tree, things: Indices, seen: Float64[np.ndarray, "v n"], vot
     return sorted(counts, key=lambda one: (-counts[one], one))[:MAX_SETS]
 
 
-def _proposals(own: csr_array, seen: Doubles, sees: Flags, vote: Vote) -> Iterator[tuple[int, ...]]:
+def _proposals(
+    own: csr_array, seen: Float64[np.ndarray, " t"], sees: Bool[np.ndarray, " t"], vote: Vote
+) -> Iterator[tuple[int, ...]]:
     candidates = vote.tree.candidates()
     shared = (own @ candidates.T).toarray()
     within = (shared > INSIDE_SHARE * seen[:, None]) & sees[:, None]
     both = (shared * within).sum(0)
-    either = candidates @ vote.weights.sum(0) + (seen[:, None] * within).sum(0) - both
+    either = candidates @ vote.weights.sum(axis=0) + (seen[:, None] * within).sum(0) - both
     good = (both > MIN_FIT * either) & (within.sum(0) > 1) & (vote.tree.framed(candidates) <= MAX_FRAMED)
     for column in np.flatnonzero(good):
         yield tuple(np.flatnonzero(within[:, column]).tolist())
@@ -124,7 +128,9 @@ def _membership(sets: Sequence[tuple[int, ...]], count: int) -> csr_array:
     return csr_array((np.ones(len(rows), np.float32), (rows, np.concatenate(sets))), shape=(len(sets), count))
 
 
-def _chosen(sets: list[tuple[int, ...]], found: Worth, pieces: Worth, weight: Doubles) -> list[Joined]:
+def _chosen(
+    sets: list[tuple[int, ...]], found: Worth, pieces: Worth, weight: Float64[np.ndarray, " t"]
+) -> list[Joined]:
     """Return the disjoint sets that are one thing, those of most weight times gain first."""
     gains: list[tuple[float, int]] = []
     for number, (one, worth, framed) in enumerate(zip(sets, *found, strict=True)):

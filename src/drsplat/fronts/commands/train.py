@@ -131,7 +131,7 @@ class Options(Verb):
         views = [view for view in views if view.image_path is not None] or views
         divisor = self.resolution if self.resolution in RESOLUTION_DIVISORS else None
         most = self.resolution or MAX_SIDE_PIXELS
-        return [view.limited(max(view.width, view.height) / divisor if divisor else most) for view in views]
+        return [view.limited(max(view.size) / divisor if divisor else most) for view in views]
 
 
 def run(options: Options) -> Facts:

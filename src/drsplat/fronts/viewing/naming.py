@@ -111,8 +111,8 @@ def inside_outline(splats: SplatArrays, view: View, outline: PlanePoints, *, thr
     outline: corners of a polygon, in pixels of the view.
     """
     # 1 for each pixel inside a polygon and 0 for the others
-    picture = Image.new("L", (view.width, view.height))
-    corners = np.clip(outline, -8 * max(view.width, view.height), 9 * max(view.width, view.height))
+    picture = Image.new("L", view.size)
+    corners = np.clip(outline, -8 * max(view.size), 9 * max(view.size))
     ImageDraw.Draw(picture).polygon([tuple(corner) for corner in corners.tolist()], fill=1)
     seen = view_weights(splats, view, np.asarray(picture, np.int32), GAUSSIANS_PER_PIXEL, threads=threads)
     weights = seen.weights.astype(np.float64)

@@ -10,7 +10,7 @@ from types import ModuleType
 import numpy as np
 
 from ...authoring.filming import looking
-from ...base.arrays import Arrays, ArraysByName, Embedding, Embeddings
+from ...base.arrays import Embedding, Float32
 from ...errors import DrSplatError
 from ...field import LanguageField
 from ...kernels import boxes, pq_encode
@@ -78,8 +78,8 @@ class PageSearch:
     document: the numbers of the rules, and the words that are known. about: says which these are, for people.
     """
 
-    rows: ArraysByName
-    tables: ArraysByName
+    rows: Mapping[str, np.ndarray]
+    tables: Mapping[str, np.ndarray]
     document: Document
     about: str
 
@@ -129,7 +129,7 @@ def _numbers(session: Session) -> Document:
     }  # fmt: skip
 
 
-def _cameras(scene: Scene) -> Arrays:
+def _cameras(scene: Scene) -> dict[str, np.ndarray]:
     """Return the photos' cameras, from which matches are looked at."""
     stands = looking.Standpoints.of(scene.views)._asdict()
     return {f"camera_{name}": numbers.astype(np.float32) for name, numbers in stands.items()}
@@ -173,7 +173,7 @@ def _texts(background: measuring.Background, pairs: Mapping[str, Embedding], lea
         rivals = texts[: len(listed.vectors)]
         near = contrast.near_each(listed.vectors, vectors).T
         tables |= {"usual": listed.usual, "near": near.nonzero()[1].astype(np.uint16)}
-        tables["near_ends"] = near.sum(1).cumsum().astype(np.uint32)
+        tables["near_ends"] = near.sum(axis=1).cumsum().astype(np.uint32)
         kinds = {text: names for text in texts if (names := names_under(text))}
         document["kinds"] = {text: [at for at, one in enumerate(rivals) if one in kinds[text]] for text in kinds}
         document["lists"] = {"all": {"texts": rivals, "spread": listed.spread, "least": None}}
@@ -199,7 +199,7 @@ def _sums_of_words(encoder: MiniEncoder, background: measuring.Background) -> Pa
     return PageSearch({}, tables, document, about)
 
 
-def _basis(field: LanguageField, rows: np.ndarray, vectors: np.ndarray) -> tuple[Embeddings, int]:
+def _basis(field: LanguageField, rows: np.ndarray, vectors: np.ndarray) -> tuple[Float32[np.ndarray, "d D"], int]:
     """Return unit directions along which features differ, most first, and how many of them are worth a code.
 
     They are of the space that the words span, where these are few.
@@ -218,7 +218,9 @@ def _spread(rows: np.ndarray) -> np.ndarray:
     return rows[np.linspace(0, len(rows) - 1, min(len(rows), MAX_TRAINING_ROWS)).astype(np.intp)]
 
 
-def _coded(points: Embeddings, stages: int, threads: int) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
+def _coded(
+    points: Float32[np.ndarray, "r d"], stages: int, threads: int
+) -> Iterator[tuple[np.ndarray, np.ndarray, float]]:
     """Yield stages of residual quantisation: a code per row, 256 centroids in steps from 128 on, and the step.
 
     Source: Chen, Guan & Wang 2010 (residual vector quantisation).
@@ -234,7 +236,7 @@ def _coded(points: Embeddings, stages: int, threads: int) -> Iterator[tuple[np.n
         yield codes, (steps[0] + 128).astype(np.uint8), step
 
 
-def _places(field: LanguageField, rows: np.ndarray) -> Arrays:
+def _places(field: LanguageField, rows: np.ndarray) -> dict[str, np.ndarray]:
     """Return per shown Gaussian 0 without a feature, 1 if it is loose, n + 2 of thing n; and 0 or its piece."""
     things, pieces = np.ones(len(rows), np.uint32), np.zeros(len(rows), np.uint32)
     if field.objects is not None:

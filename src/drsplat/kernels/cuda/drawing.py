@@ -129,7 +129,7 @@ def topk_contributions(splats: SplatArrays, view: View, topk: int, first_hits: i
 
 def _in_bands(splats: SplatArrays, view: View, work: Callable[[TiledView], T]) -> list[T]:
     """Return what `work` makes of a view: of all its tiles at once, or of bands of them where the memory is full."""
-    raster = Raster(view.width, view.height)
+    raster = Raster(*view.size)
     camera = sent_camera(splats.engine, view.relative_to(splats.origin), splats.near)
 
     def of_band(band: Band) -> list[T]:

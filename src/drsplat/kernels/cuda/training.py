@@ -108,7 +108,7 @@ def _scene(parameters: SceneParameters, view: DeviceView, active: int, antialias
 
 def sent_view(engine: Engine, view: View, near: float) -> DeviceView:
     """Return a view on the device. Raises: InputError: see `camera_numbers`."""
-    return DeviceView(sent_camera(engine, view, near), Raster(view.width, view.height), near)
+    return DeviceView(sent_camera(engine, view, near), Raster(*view.size), near)
 
 
 def forward(

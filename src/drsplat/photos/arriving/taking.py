@@ -145,7 +145,7 @@ def _check_features(field: LanguageField, view: View, content: bytes, folder: Pa
     path.write_bytes(content)
     try:
         height, width = read_compact(path).size
-        if height * width > most_pixels or not same_aspect((width, height), (view.width, view.height)):
+        if height * width > most_pixels or not same_aspect((width, height), view.size):
             raise InputError(f"features: masks of {width}x{height} for a photo of {view.width}x{view.height}")
         features = FeatureFolder(folder, level_index(field_level(field)), field.encoder)["features"]
     except DrSplatError as error:

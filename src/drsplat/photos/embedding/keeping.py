@@ -66,7 +66,7 @@ def kept_maps(folder: FeatureFolder, view: View, stem: str) -> tuple[LevelMaskId
     """Return a photo's stored maps, and the view on their raster. Raises: MismatchError: another shape."""
     mask_ids = folder.stored(stem)[0]
     height, width = mask_ids.shape[-2:]
-    if not same_aspect((width, height), (view.width, view.height)):
+    if not same_aspect((width, height), view.size):
         raise MismatchError(
             f"the masks of '{view.name}' are {width}x{height}, its photo {view.width}x{view.height}: another aspect "
             "ratio, so they are of another photo"

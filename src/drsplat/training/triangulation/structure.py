@@ -150,7 +150,7 @@ def matches(first: View, a: Keypoints, second: View, b: Keypoints) -> Matches:
     residuals = np.abs((homogeneous[1] * in_second).sum(1))
     fits = np.ones(len(x), bool)
     for lines, view in ((in_second, second), (in_first, first)):
-        tolerance = MAX_EPIPOLAR_SHARE * max(view.width, view.height)
+        tolerance = MAX_EPIPOLAR_SHARE * max(view.size)
         fits &= residuals <= tolerance * np.linalg.norm(lines[:, :2], axis=1)
     return Matches(pairs[fits], len(pairs))
 
@@ -268,7 +268,7 @@ def _rays(views: Sequence[View], photos: WholeNumbers, pixels: PlanePoints, mean
     to_world = np.array([view.cam_from_world[:3, :3].T @ np.linalg.inv(view.K) for view in views])
     directions = np.einsum("oij,oj->oi", to_world[photos], homogeneous)
     centers = np.array([view.center - mean_center for view in views])
-    slopes = np.array([MAX_REPROJECTION_SHARE * max(v.width, v.height) / v.K[0, 0] for v in views])
+    slopes = np.array([MAX_REPROJECTION_SHARE * max(v.size) / v.K[0, 0] for v in views])
     return _Rays(centers[photos], directions / np.linalg.norm(directions, axis=1, keepdims=True), slopes[photos])
 
 

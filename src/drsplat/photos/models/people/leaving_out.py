@@ -66,7 +66,7 @@ def _still(view: View, image: Pixels, labels: MaskIds, points: SparsePoints) -> 
     at = (points.positions - view.center) @ view.cam_from_world[:3, :3].T
     ahead = at[:, 2] > 0
     pixels = distort_points(view, (at[ahead] / at[ahead, 2:] @ view.K.T)[:, :2])
-    on_photo = ((pixels >= 0) & (pixels < (view.width, view.height))).all(1)
+    on_photo = ((pixels >= 0) & (pixels < view.size)).all(1)
     columns, rows = pixels[on_photo].astype(np.intp).T
     seen, known = image[rows, columns].mean(1), points.colors[ahead][on_photo].mean(1)
     owner = labels[rows, columns]
