@@ -4,11 +4,12 @@
         [--choosing PLACE...] [--wrong 0 20] [--seeds 2] [--trimmed] [--curve FILE.svg]
 
 PLACE: as of study_answers.py, masks of `graph`; words and embeddings are drawn as there, 20 absent words a trial. The
-rules are those of `suite/rules.py`. --trimmed adds values of objects from their masks (`suite/trimmed.py`), by the
-share of masks with a wrong embedding. Clear words stand a spread or more above the best other word for the picture of
-their things, vague ones less. A fixed cosine is the best for the places of --choosing, which no table counts. Intervals
-are 95 %, over words (`numbers.over_places`). --records: answers of the trials that are finished; a run that was stopped
-goes on. --curve: by the level above which a word is answered, the share of absent and of present words that are.
+rules are those of `suite/rules.py`. --trimmed asks only present words, with values of objects from their masks
+(`suite/trimmed.py`) instead of other rules; its records are a file of their own. Clear words stand a spread or more
+above the best other word for the picture of their things, vague ones less. A fixed cosine is the best for the places
+of --choosing, which no table counts. Intervals are 95 %, over words (`numbers.over_places`). --records: answers of
+the trials that are finished; a run that was stopped goes on. --curve: by the level above which a word is answered,
+the share of absent and of present words that are.
 """
 
 import argparse
@@ -60,7 +61,7 @@ def asked(case: Trial, place: Place, words: Vocabulary, trimmed: bool) -> Iterat
     rules = Rules(case, getattr(words, "negatives", None), trimmed)
     labels, evidence = place.labels[case.field.gaussian_ids], case.field.evidence
     assert evidence is not None
-    for text in [*case.present, *case.absent[:ABSENT]]:
+    for text in [*case.present, *([] if trimmed else case.absent[:ABSENT])]:
         one, meant = rules.asked(text), case.present.get(text)
         record: Record = {"text": text, "certainty": one.plain.certainty, "missed": one.missed}
         record["cosine"] = peak_score(one.plain.scores)
@@ -148,10 +149,6 @@ def is_vague(one: Record) -> bool:
     return is_present(one) and not is_clear(one)
 
 
-def _wrong(trials: Sequence[Record]) -> list[int]:
-    return sorted({one["wrong"] for one in trials})
-
-
 def best_cosine(trials: Sequence[Record]) -> str:
     """Return the name of the fixed cosine that has the highest mean IoU."""
     there = [one["iou"] for done in trials for one in done["asked"] if "iou" in one]
@@ -185,14 +182,22 @@ def certainties(trials: Sequence[Record]) -> str:
 
 
 def trims(trials: Sequence[Record]) -> str:
-    """Compare values of objects with the one that counts now, by the share of wrong embeddings, as answered."""
+    """Compare values of objects with the one that counts now, as answered: by pictures and the share of wrong ones."""
     known = next(one for done in trials for one in done["asked"] if "iou" in one)["iou"]
-    names = [name for name in known if name.startswith(("mean", "trimmed", "masks")) and not name.endswith(PRESENT)]
-    by_wrong = {share: Answers([one for one in trials if one["wrong"] == share]) for share in _wrong(trials)}
-    rows = [("as it is", *(own.iou("objects", is_present) for own in by_wrong.values()))]
-    for name in names:
-        rows.append((name, *(own.iou(name, is_present, "objects") for own in by_wrong.values())))
-    return markdown(("value of an object", *(f"{share} % wrong" for share in by_wrong)), rows) if names else ""
+    names = [
+        name
+        for name in known
+        if name.startswith(("mean", "trimmed", "masks", "clusters")) and not name.endswith(PRESENT)
+    ]
+    parts = {
+        f"{kind}, {share} % wrong": Answers(
+            [one for one in trials if one["trial"][2] == kind and one["wrong"] == share]
+        )
+        for kind, share in product(KINDS, sorted({one["wrong"] for one in trials}))
+    }
+    rows = [("as it is", *(own.iou("objects", is_present) for own in parts.values()))]
+    rows += [(name, *(own.iou(name, is_present, "objects") for own in parts.values())) for name in names]
+    return markdown(("value of an object", *parts), rows) if names else ""
 
 
 def operating(trials: Sequence[Record]) -> list[Line]:
@@ -218,7 +223,7 @@ def report(trials: Sequence[Record], choosing: set[str], curve: Path | None) -> 
         if own:
             places = ", ".join(dict.fromkeys(one["place"].partition(",")[0] for one in own))
             print(f"\n{kind}s{' that choose' if part is chosen and choosing else ''}: {places}\n")
-            print(f"{table(own, chosen)}\n\n{certainties(own)}\n\n{trims(own)}", flush=True)
+            print(trims(own) or f"{table(own, chosen)}\n\n{certainties(own)}", flush=True)
     if curve is not None:
         title = "Words that are answered, by the level above which they are (percent)"
         drawn = curves(title, "of words that are not there", "of words that are there", operating(judged))

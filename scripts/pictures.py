@@ -96,6 +96,14 @@ MADE: dict[str, Made] = {
         "python benchmarks/study_worst.py, three of its pictures",
         (ROOT / "docs" / "answers.json", ROOT / "benchmarks" / "study_worst.py"),
     ),
+    "worst_ten.jpg": Made(
+        "python benchmarks/study_worst.py --records FILE, eight of its pictures",
+        (ROOT / "benchmarks" / "study_worst.py",),
+    ),
+    "refusal.svg": Made(
+        "python benchmarks/study_rules.py --curve docs/images/refusal.svg",
+        tuple(ROOT / "benchmarks" / name for name in ("study_rules.py", "suite/rules.py", "suite/chart.py")),
+    ),
 }
 
 

@@ -3,7 +3,7 @@
 | rule | selects |
 |---|---|
 | objects, plain | what drsplat does by default, and the same without objects; `present`: nothing is refused |
-| mean, trimmed, median, masks | ours, with other values of objects (`trimmed.py`) |
+| mean, trimmed, masks, clusters | ours, with other values of objects (`trimmed.py`) |
 | best of the list | Gaussians that the word fits better than all other words of the list, by cosine |
 | LERF | relevancy above 0.5, against four words that mean nothing in particular |
 | LangSplat | relevancy above 0.7 of its own range, as that system's evaluation cuts pictures |
@@ -46,7 +46,7 @@ ROWS_AT_ONCE = 4096
 class Rules:
     """All rules on one trial. negatives: vectors of LERF's four words, None where they are not known.
 
-    trimmed: objects are given other values as well.
+    trimmed: objects are given other values, instead of other rules.
     """
 
     case: Trial
@@ -123,7 +123,8 @@ class Asked:
         for name, answered in kinds.items():
             yield name, (answered > self.plain.threshold) & (self.plain.certainty != NOTHING)
             yield name + PRESENT, answered > self.forced.threshold
-        yield from self._others()
+        if not self.rules.trimmed:
+            yield from self._others()
 
     def _others(self) -> Iterator[tuple[str, Rows]]:
         cosines, case = self.plain.scores, self.rules.case

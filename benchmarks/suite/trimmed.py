@@ -1,4 +1,4 @@
-"""Values of whole objects from their masks, instead of from their Gaussians: means, trimmed means and medians.
+"""Values of whole objects from their masks, instead of from their Gaussians: means, trimmed means, and clusters.
 
 Node t has weight w_tj in mask j: what lies in the mask of all its Gaussians, times the share of the mask that lies in
 the node. Nothing here is Gaussians times dimensions.
@@ -9,18 +9,19 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Float32, Float64, Int64
 from scipy.sparse import csr_array
 
 from drsplat import LanguageField
 from drsplat.field.objects.choosing import Tree
 from drsplat.field.objects.describing import _exclusive, heaviest, node_weights
 from drsplat.query.contrast import Contrast
-from drsplat.query.wholes import OBJECT_TRUST, with_objects
+from drsplat.query.wholes import OBJECT_TRUST
 
 TRIMS = (0.2, 0.4)  # share of a node's weight that is left out
 ROUNDS = 3
 MOST = 64  # masks of a node, those of the largest weights
+CLUSTER_SHARE = 0.2  # of a node's weight, that a descriptor needs to speak for it
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,28 +62,66 @@ class Wholes:
     ) -> Iterator[tuple[str, Float32[np.ndarray, " r"]]]:
         """Yield values per row by the value of its object, or of its piece of it where that is higher.
 
-        query: unit vector. values: relevancies of the plain rows. The last three are half of the quantile that
-        drsplat takes now, and of another.
+        query: unit vector. values: relevancies of the plain rows.
         """
         objects, evidence = self.field.objects, self.field.evidence
         assert objects is not None
         assert evidence is not None
         things, pieces = objects.thing_of(), objects.piece_of()
-        kinds = {}
-        for name, rows in self.features.items():
-            relevancy = self.described[name].relevancy(query, rows @ query)
-            assert relevancy is not None
-            kinds[name] = relevancy
-        masks = self.at_masks.relevancy(query, evidence.embeddings @ query)
-        assert masks is not None
+        kinds = {name: _relevancy(self.described[name], query, rows) for name, rows in self.features.items()}
+        masks = _relevancy(self.at_masks, query, evidence.embeddings)
         kinds["masks 20%"] = trimmed_values(self.weights, masks, 0.2).astype(np.float32)
-        now = with_objects(values, things, pieces)
+        of_clusters = _relevancy(self.at_descriptors, query, objects.descriptors)
+        kinds[f"clusters {CLUSTER_SHARE:.0%}"] = best_clusters(of_clusters, self.cluster_shares, self.starts)
         for name, of_node in kinds.items():
             spoken = np.append(of_node, -1)[np.where(things >= 0, objects.things[things], -1)]
             spoken = np.maximum(spoken, np.append(of_node, -1)[pieces])
             mixed = np.float32(1 - OBJECT_TRUST) * values + np.float32(OBJECT_TRUST) * spoken
             yield name, np.where(things >= 0, mixed, values)
-            yield f"{name} and quantile", np.where(things >= 0, (mixed + now) / 2, values)
+
+    @property
+    def starts(self) -> Int64[np.ndarray, " T1"]:
+        assert self.field.objects is not None
+        return self.field.objects.descriptor_starts
+
+    @cached_property
+    def at_descriptors(self) -> Contrast:
+        assert self.field.objects is not None
+        return self.known.at(self.field.objects.descriptors)
+
+    @cached_property
+    def cluster_shares(self) -> Float64[np.ndarray, " P"]:
+        """Per descriptor the share of its node's weight in the masks that are nearer to it than to the others."""
+        objects, evidence = self.field.objects, self.field.evidence
+        assert objects is not None
+        assert evidence is not None
+        shares = np.zeros(len(objects.descriptors))
+        for node in np.flatnonzero(np.diff(self.starts)):
+            own = slice(self.starts[node], self.starts[node + 1])
+            part = slice(self.weights.indptr[node], self.weights.indptr[node + 1])
+            weight, masks = self.weights.data[part], evidence.embeddings[self.weights.indices[part]]
+            nearest = (masks @ objects.descriptors[own].T).argmax(1)
+            shares[own] = np.bincount(nearest, weight, own.stop - own.start) / max(weight.sum(), 1e-12)
+        return shares
+
+
+def _relevancy(known: Contrast, query: np.ndarray, rows: np.ndarray) -> Float32[np.ndarray, " m"]:
+    found = known.relevancy(query, rows @ query)
+    assert found is not None
+    return found
+
+
+def best_clusters(
+    values: Float32[np.ndarray, " P"], shares: Float64[np.ndarray, " P"], starts: Int64[np.ndarray, " T1"]
+) -> Float32[np.ndarray, " T"]:
+    """Return each node's best value of descriptors of enough weight, its first's where none has it; -1 without any."""
+    best = np.full(len(starts) - 1, -1, np.float32)
+    (some,) = np.nonzero(np.diff(starts))
+    speaking = shares >= CLUSTER_SHARE
+    speaking[starts[some]] |= ~np.logical_or.reduceat(speaking, starts[some]) if len(some) else False
+    if len(some):
+        best[some] = np.maximum.reduceat(np.where(speaking, values, np.float32(-1)), starts[some])
+    return best
 
 
 def trimmed_means(
