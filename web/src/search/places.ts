@@ -31,8 +31,10 @@ function countOnce(places: Place[], splats: Splats, solid: ArrayLike<number>, sh
   for (const place of places.length > 1 ? places : []) {
     const at = pointsOf(place.rows.filter((row) => solid[shown[row]]), splats, shown), tree = new Tree(at);
     const part = { at, tree, reach: rules.touch_factor / rules.link_factor * reachOf(at, tree, rules), whole: place };
-    const other = known.find((one) => place.score >= rules.part_score_share * one.whole.score && touch(part, one, rules));
-    if (other) { place.sure = false; part.whole = other.whole; }
+    const touched = new Set(known.filter((one) => place.score >= rules.part_score_share * one.whole.score && touch(part, one, rules)).map((one) => one.whole));
+    const whole = places.find((one) => touched.has(one)) ?? place;
+    for (const one of [place, ...touched]) if (one !== whole) one.sure = false;
+    for (const one of [part, ...known]) if (one === part || touched.has(one.whole)) one.whole = whole;
     known.push(part);
   }
 }
