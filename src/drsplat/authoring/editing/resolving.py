@@ -16,6 +16,7 @@ from ...base.arrays import (
     IndexRows,
     Indices,
     Int64,
+    Integer,
     OtherFlags,
     OtherIndices,
     RowIds,
@@ -96,7 +97,9 @@ def _objects(scene: Scene, field: LanguageField) -> tuple[Owners, Agreed]:
     return scene.object_ids().astype(np.int64), scene.agreed
 
 
-def completed(gaussians: Gaussians, ids: WholeNumbers, owners: Owners, agreed: Agreed, *, threads: int = 0) -> RowIds:
+def completed(
+    gaussians: Gaussians, ids: Integer[np.ndarray, " k"], owners: Owners, agreed: Agreed, *, threads: int = 0
+) -> RowIds:
     """Return rows with what cannot be told apart from them.
 
     That is the rest of objects that they nearly are, what they enclose, loose Gaussians that hang on to them, and in a
