@@ -130,7 +130,7 @@ class _Jury:
         lacking, photos, covered = np.moveaxis(drawn.channels.astype(np.float64), 2, 0)
         seen = compared.seen & (covered > MIN_COVERED) & (photos >= MIN_PHOTOS * covered)
         level = np.where(seen, lacking / np.maximum(covered, MIN_COVERED) + NOISE, np.inf)
-        tree = region_tree(np.uint8(np.round(compared.photo * _WHITE)), threads=self.threads)
+        tree = region_tree(np.round(compared.photo * _WHITE).astype(np.uint8), threads=self.threads)
         return _moving(_flagged(tree, compared.difference / level)[tree.labels], compared, level)
 
 
