@@ -119,7 +119,8 @@ class Answers:
         if not some:
             return "-"
         values = [[100 * (one["iou"][rule] - one["iou"].get(base, 0)) for one in own] for own in some]
-        return within(*over_places(values, [[one["text"] for one in own] for own in some]), signed=bool(base))
+        mean, _, high = over_places(values, [[one["text"] for one in own] for own in some])
+        return f"{mean:{'+.1f' if base else '.1f'}}±{high - mean:.1f}"
 
     def share(self, what: Callable[[Record], bool], there: bool) -> str:
         """Say the mean over places of a share of present or absent words, in percent."""
