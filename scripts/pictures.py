@@ -88,6 +88,10 @@ MADE: dict[str, Made] = {
         "python scripts/make_eyes_picture.py plush/20240212_003932.jpg docs/images/eyes.jpg",
         (MODELS / "graph" / "network.safetensors", MODELS / "outlines" / "network.safetensors"),
     ),
+    "objects_beach.jpg": Made(
+        "drsplat objects FIELD --scene SCENE --views CAPTURE --picture SHEET.jpg, 1300 pixels wide",
+        (MODELS / "graph" / "network.safetensors", MODELS / "graph" / "rule.safetensors"),
+    ),
     "mini_confusion.png": Made(
         "python -m world.mini.measuring --test test.npz --picture docs/images/mini_confusion.png",
         (MODELS / "mini" / "mini.safetensors",),
