@@ -1,5 +1,6 @@
 """What moves between photos: found by what the other photos do not lack, left out of training, and of what follows."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,10 @@ from PIL import Image
 
 import drsplat as ds
 from captures_to_train import HEIGHT, WIDTH, known_scene, perturbed_points, photographed, ring
+from drsplat.cli import main
+from drsplat.formats.cameras_json import write_cameras_json
 from drsplat.formats.captures import SparsePoints
+from drsplat.formats.ply import write_vertices
 from drsplat.scene.photo_masks import load_mask
 from drsplat.training import everyday, transients
 from drsplat.training.transients import with_masks, without_transients
@@ -228,3 +232,30 @@ def test_overwriting_removes_masks_of_another_run(visited, views, points, tmp_pa
 def test_checkpoints_of_before_go_on_where_nothing_is_looked_for() -> None:
     assert "transients_at" not in ds.TrainingSettings().fingerprint
     assert '"transients_at": 150' in everyday([], 300).fingerprint
+
+
+@pytest.mark.slow
+def test_embed_leaves_out_what_training_found_beside_the_scene(visited, points, tmp_path, capsys) -> None:
+    """The same photos with poses in cameras.json: train, then embed with and without the scene."""
+    capture = tmp_path / "capture"
+    (capture / "images").mkdir(parents=True)
+    for view in visited:
+        (capture / "images" / view.name).write_bytes(view.image_path.read_bytes())
+    write_cameras_json(capture / "cameras.json", visited)
+    write_vertices(tmp_path / "points.ply", dict(zip("xyz", points.positions.astype(np.float32).T, strict=True)))
+    line = [str(capture), "--iterations", "300", "--points", str(tmp_path / "points.ply"), "--json"]
+    assert main(["train", *line, "--output-dir", str(tmp_path / "m")]) == 0
+    found = json.loads(capsys.readouterr().out)["num_views_with_transients"]
+    masks = masks_in(tmp_path / "m")
+    assert found == len(masks) >= 1
+    models = ["--segmenter", "graph", "--encoder", "drsplat-mini", "--json"]
+    scene = ["--scene", str(tmp_path / "m")]
+    counts = []
+    for name, more in {"without": [], "with": scene, "kept": [*scene, "--keep-people"]}.items():
+        assert main(["embed", str(capture), *models, "-o", str(tmp_path / name), *more]) == 0
+        features = ds.read_features(tmp_path / name)
+        capsys.readouterr()
+        counts.append(sum(int((features[Path(one).name.split(".")[0]].mask_ids >= 0).sum()) for one in masks))
+    assert counts[0] == counts[2] > counts[1]
+    assert main(["train", *line, "--output-dir", str(tmp_path / "k"), "--keep-people"]) == 0
+    assert json.loads(capsys.readouterr().out)["num_views_with_transients"] == 0
