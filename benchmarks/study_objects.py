@@ -206,7 +206,7 @@ def columns(rooms: list[Compared]) -> np.ndarray:
 
 def said(values: np.ndarray) -> str:
     low, high = scorers.mean_interval(values)
-    return f"{scorers.mean(values):.0f} ({low:.0f} to {high:.0f})"
+    return f"{scorers.mean(values):.0f} [{low:.0f}, {high:.0f}]"
 
 
 def row(case: Case, rooms: list[Compared]) -> str:
