@@ -231,5 +231,5 @@ def test_a_page_has_scene_and_answers(demo: Story, capsys: Capture) -> None:
     page = Path("page.html").read_text(encoding="utf-8")
     assert "A room, asked in words" in page
     assert '"red vase"' in page
-    assert len(max(re.findall(r"[A-Za-z0-9+/=]{1000,}", page), key=len)) > 1_000_000
-    assert base64.b64decode(max(re.findall(r"[A-Za-z0-9+/=]{1000,}", page), key=len))[:2] == b"\x1f\x8b"  # SPZ
+    parts = [one for one in re.findall(r"[A-Za-z0-9+/=]{1000,}", page) if len(one) > 1_000_000]  # the scene, the search
+    assert any(base64.b64decode(one)[:2] == b"\x1f\x8b" for one in parts)  # SPZ
