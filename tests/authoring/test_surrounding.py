@@ -53,7 +53,6 @@ def test_it_is_that_of_all_pairs_on_a_coarse_grid(seed: int, places: int, points
     np.testing.assert_array_equal(surrounded(some, thing, directions, bins), expected)
 
 
-@pytest.mark.slow
 def test_few_pairs_are_compared(monkeypatch: pytest.MonkeyPatch) -> None:
     """An object of a hundred thousand Gaussians took minutes."""
     random, compared = np.random.default_rng(0), 0

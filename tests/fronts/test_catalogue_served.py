@@ -62,7 +62,6 @@ def test_matches_of_all_scenes_with_their_pictures(app: Any, folder: Path) -> No
     assert picture.content == Catalogue.open(folder / "flats.catalogue").thumbnail("o'hara", 0)
 
 
-@pytest.mark.slow
 def test_filters_and_what_is_not_there(app: Any) -> None:
     def scenes(**more: Any) -> list[str]:
         answer = asked(app, "POST", "/catalogue/ask", json={"text": "mug", **more})

@@ -511,7 +511,6 @@ def test_render_keeps_in_colour_what_a_query_finds(room: Path, tmp_path: Path, c
     assert "No match to highlight" in absent
 
 
-@pytest.mark.slow
 def test_demo_verb_tells_its_story(
     household_story: household.Story, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -64,7 +64,6 @@ def wait_until_added(service: Service) -> None:
     wait_for(lambda: told(service("GET", VIEWS, headers=WITH_KEY))["num_waiting"] == 0)
 
 
-@pytest.mark.slow
 def test_photos_are_added_while_questions_are_answered(scenes: Path, full_room: Path) -> None:
     fields = {load_field(scenes / "room/room.field").fingerprint, load_field(full_room / "room.field").fingerprint}
     with opened(scenes) as service:

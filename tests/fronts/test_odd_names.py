@@ -39,7 +39,6 @@ def test_tiles_of_a_scene_with_an_odd_name_can_be_read(odd_room: Path, capsys: C
     answer_of(capsys, "inspect", output)
 
 
-@pytest.mark.slow
 def test_photographs_of_a_scene_with_an_odd_name_can_be_read(odd_room: Path, capsys: Capture) -> None:
     scene, output = odd_room / f"{ODD}.ply", odd_room / "capture"
     answer_of(capsys, "photograph", scene, "--output", output, "--number", 3, "--size", "48x32")

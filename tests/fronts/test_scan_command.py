@@ -141,7 +141,6 @@ def test_words_that_no_scene_could_answer_are_refused_before_the_training(
     assert not (tmp_path / "room/model").exists()
 
 
-@pytest.mark.slow
 def test_nouns_that_photos_do_not_fit_are_doubted_once_and_before_the_training(
     capture_folder: Path, tmp_path: Path, capsys: Capture
 ) -> None:

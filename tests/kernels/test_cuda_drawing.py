@@ -86,7 +86,6 @@ def test_a_sort_is_that_of_numpy(cuda_engine_on_cpu, count, key_bits):
     assert_sorted(cuda_engine_on_cpu, keys, key_bits)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("keys", [np.arange(5000)[::-1], np.full(5000, 2**32 - 1), np.arange(5000) % 2 * (2**31)])
 def test_keys_in_any_order_are_sorted(cuda_engine_on_cpu, keys):
     assert_sorted(cuda_engine_on_cpu, keys.astype(np.uint32), 32)

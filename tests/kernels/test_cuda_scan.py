@@ -76,7 +76,6 @@ def test_answers_are_those_of_the_scores_and_scores_those_of_the_twin(
     check_everything(engine, *drawn(subvectors, count, subvectors, queries, coarse=subvectors % 2 * 5))
 
 
-@pytest.mark.slow
 def test_more_rows_than_blocks_score_at_once(engine: Engine) -> None:
     check_everything(engine, *drawn(1, 5000, 128, 1, coarse=3))
 

@@ -196,7 +196,6 @@ def test_training_leaves_out_what_moves_and_says_so(visited, points, tmp_path) -
     assert found.evaluation.psnr > kept.evaluation.psnr
 
 
-@pytest.mark.slow
 def test_without_a_folder_it_is_the_same_scene(visited, points, tmp_path) -> None:
     settings = everyday_of(visited)
     one = ds.train(visited, settings, points=points, device="cpu")
@@ -224,7 +223,6 @@ def test_a_run_that_is_killed_before_or_after_goes_on_to_the_same_bits(visited, 
     assert again.num_transient == whole.num_transient
 
 
-@pytest.mark.slow
 def test_overwriting_removes_masks_of_another_run(visited, views, points, tmp_path) -> None:
     ds.train(visited, everyday_of(visited), tmp_path / "m", points=points, device="cpu")
     ds.train(views, everyday_of(views), tmp_path / "m", points=points, device="cpu", overwrite=True)
