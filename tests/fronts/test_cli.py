@@ -538,7 +538,7 @@ def test_the_demo_makes_a_page_that_answers_and_names_commands_that_run_without_
 ) -> None:  # fmt: skip
     monkeypatch.setattr("drsplat.evaluation.demo.story.tell", lambda *_args, **_options: household_story)
     monkeypatch.setattr("drsplat.evaluation.demo.story.write_album", lambda *_args, **_options: [tmp_path] * 17)
-    for extra in ("fastapi", "uvicorn", "prometheus_client", "torch", "usd", "mcp", "msgspec"):
+    for extra in ("fastapi", "uvicorn", "prometheus_client", "usd", "mcp", "msgspec"):
         monkeypatch.setitem(sys.modules, extra, None)
     printed = text_of(capsys, "demo", "--output-dir", tmp_path)
     header, _ = read_page(tmp_path / "index.html")
