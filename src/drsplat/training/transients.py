@@ -22,7 +22,7 @@ from ..drawing.rendering import render
 from ..errors import InputError
 from ..formats.mask_files import SUFFIX
 from ..formats.replacing import replacing
-from ..kernels import splat_arrays, topk_contributions
+from ..kernels import render_channels, splat_arrays, topk_contributions
 from ..photos.models.outlines import region_tree
 from ..scene.gaussians import Gaussians
 from ..scene.masks.region_tree import RegionTree
@@ -126,8 +126,8 @@ class _Jury:
         others = self.totals - (self.sums(view, compared) if is_heard else 0)
         weight, lacked, squared = np.maximum(others, 1e-9)
         values = np.stack([lacked / weight, weight**2 / squared, np.ones_like(weight)], 1).astype(np.float32)
-        drawn = render(self.gaussians, _pinhole(view), values=values, splats=self.splats, threads=self.threads)
-        lacking, photos, covered = np.moveaxis(drawn.channels.astype(np.float64), 2, 0)
+        drawn = render_channels(self.splats, _pinhole(view), values, threads=self.threads).channels
+        lacking, photos, covered = np.moveaxis(drawn.astype(np.float64), 2, 0)
         seen = compared.seen & (covered > MIN_COVERED) & (photos >= MIN_PHOTOS * covered)
         level = np.where(seen, lacking / np.maximum(covered, MIN_COVERED) + NOISE, np.inf)
         tree = region_tree(np.round(compared.photo * _WHITE).astype(np.uint8), threads=self.threads)

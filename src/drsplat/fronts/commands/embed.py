@@ -234,7 +234,6 @@ def run(options: Options) -> Facts:
     with without_people(options, chosen, options.photos.dataparser_transforms) as used:
         report = _embedded(options, options.still(used), segmenter, encoder, scene)
     watch.lap("embed")
-    made = report.photos - report.reused
     return {
         "output": str(options.folder),
         "pictures": pictures_kind(view.rendered_from for view in chosen),
@@ -253,7 +252,7 @@ def run(options: Options) -> Facts:
         "encoder": encoder.identity.name,
         "dim": encoder.identity.dim,
         "seconds": sum(watch.seconds.values()),
-        "photos_per_second": made / watch.seconds["embed"],
+        "photos_per_second": (report.photos - report.reused) / watch.seconds["embed"],
         "peak_memory_bytes": peak_memory_bytes(),
     }
 
