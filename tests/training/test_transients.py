@@ -1,8 +1,10 @@
 """What moves between photos: found by what the other photos do not lack, left out of training, and of what follows."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -70,13 +72,17 @@ def visited(views: list[ds.View], tmp_path_factory: pytest.TempPathFactory) -> l
     return changed(views, tmp_path_factory.mktemp("visited"), dict.fromkeys(VISITED, with_cloth))
 
 
+@pytest.fixture(scope="module")
+def marked(visited: list[ds.View], scene: ds.Gaussians, tmp_path_factory: pytest.TempPathFactory) -> list[ds.View]:
+    return without_transients(visited, scene, tmp_path_factory.mktemp("marked"), threads=3)
+
+
 def left_out(view: ds.View) -> np.ndarray:
     kept = load_mask(view)
     return np.zeros((view.height, view.width), bool) if kept is None else ~kept
 
 
-def test_what_one_photo_shows_alone_is_left_out_there(visited, scene, tmp_path) -> None:
-    marked = without_transients(visited, scene, tmp_path)
+def test_what_one_photo_shows_alone_is_left_out_there(marked) -> None:
     assert [k for k, view in enumerate(marked) if view.mask_path] == list(VISITED)
     for k in VISITED:
         out = left_out(marked[k])
@@ -164,9 +170,8 @@ def test_sums_are_those_of_a_loop(visited, scene) -> None:
     assert_allclose(jury.sums(view, compared), [weight, lacking, weight**2], rtol=1e-9, atol=1e-12)
 
 
-def test_any_number_of_threads_gives_the_same_masks(visited, scene, tmp_path) -> None:
-    one, three = (without_transients(visited, scene, tmp_path / str(n), threads=n) for n in (1, 3))
-    for a, b in zip(one, three, strict=True):
+def test_any_number_of_threads_gives_the_same_masks(marked, visited, scene, tmp_path) -> None:
+    for a, b in zip(without_transients(visited, scene, tmp_path, threads=1), marked, strict=True):
         assert_array_equal(left_out(a), left_out(b))
 
 
@@ -181,14 +186,20 @@ def masks_in(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted((folder / "masks").rglob("*.png"))}
 
 
-def test_training_leaves_out_what_moves_and_says_so(visited, points, tmp_path) -> None:
-    found = ds.train(visited, everyday_of(visited), tmp_path / "m", points=points, device="cpu")
-    masks = masks_in(tmp_path / "m")
+@pytest.fixture(scope="module")
+def trained(visited, points, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
+    folder = tmp_path_factory.mktemp("trained") / "m"
+    return folder, ds.train(visited, everyday_of(visited), folder, points=points, device="cpu")
+
+
+def test_training_leaves_out_what_moves_and_says_so(trained, visited, points, tmp_path) -> None:
+    folder, found = trained
+    masks = masks_in(folder)
     assert masks.keys() >= {f"{visited[k].name}.png" for k in VISITED}
     assert len(masks) <= len(VISITED) + 2  # the scene is a poor one by then
     assert found.num_transient == found.measures()["num_views_with_transients"] == len(masks)
     assert found.num_masked == 0
-    marked = with_masks(visited, tmp_path / "m" / "masks")
+    marked = with_masks(visited, folder / "masks")
     assert np.mean([left_out(marked[k])[SQUARE].mean() for k in VISITED]) > 0.5  # of a scene of 150 iterations
     kept = ds.train(visited, everyday_of(visited, transients_at=0), tmp_path / "k", points=points, device="cpu")
     assert not masks_in(tmp_path / "k")
@@ -196,19 +207,16 @@ def test_training_leaves_out_what_moves_and_says_so(visited, points, tmp_path) -
     assert found.evaluation.psnr > kept.evaluation.psnr
 
 
-def test_without_a_folder_it_is_the_same_scene(visited, points, tmp_path) -> None:
-    settings = everyday_of(visited)
-    one = ds.train(visited, settings, points=points, device="cpu")
-    other = ds.train(visited, settings, tmp_path / "m", points=points, device="cpu")
-    assert_array_equal(one.gaussians.means, other.gaussians.means)
+def test_without_a_folder_it_is_the_same_scene(trained, visited, points) -> None:
+    found = ds.train(visited, everyday_of(visited), points=points, device="cpu")
+    assert_array_equal(found.gaussians.means, trained[1].gaussians.means)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("at", [100, 150, 151, 200])
-def test_a_run_that_is_killed_before_or_after_goes_on_to_the_same_bits(visited, points, tmp_path, at: int) -> None:
-    settings = everyday_of(visited)
+def test_a_run_that_is_killed_before_or_after_goes_on_to_the_same_bits(visited, points, tmp_path, trained, at: int) -> None:
+    settings, (folder, whole) = everyday_of(visited), trained
     assert settings.transients_at == 150
-    whole = ds.train(visited, settings, tmp_path / "whole", points=points, device="cpu")
 
     def stop(status: object) -> None:
         if status.iteration == at:
@@ -219,14 +227,15 @@ def test_a_run_that_is_killed_before_or_after_goes_on_to_the_same_bits(visited, 
         ds.train(visited, settings, tmp_path / "cut", report=stop, **shared)
     again = ds.train(visited, settings, tmp_path / "cut", **shared)
     assert_array_equal(whole.gaussians.means, again.gaussians.means)
-    assert masks_in(tmp_path / "whole") == masks_in(tmp_path / "cut")
+    assert masks_in(folder) == masks_in(tmp_path / "cut")
     assert again.num_transient == whole.num_transient
 
 
-def test_overwriting_removes_masks_of_another_run(visited, views, points, tmp_path) -> None:
-    ds.train(visited, everyday_of(visited), tmp_path / "m", points=points, device="cpu")
-    ds.train(views, everyday_of(views), tmp_path / "m", points=points, device="cpu", overwrite=True)
-    assert not masks_in(tmp_path / "m")
+def test_overwriting_removes_masks_of_another_run(trained, views, points, tmp_path) -> None:
+    folder = Path(shutil.copytree(trained[0], tmp_path / "m"))
+    assert masks_in(folder)
+    ds.train(views, everyday(views, 20, sh_degree=1), folder, points=points, device="cpu", overwrite=True)
+    assert not masks_in(folder)
 
 
 def test_checkpoints_of_before_go_on_where_nothing_is_looked_for() -> None:
